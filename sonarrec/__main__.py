@@ -1,0 +1,3 @@
+from sonarrec.cli import main
+
+main()

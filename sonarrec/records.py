@@ -1,0 +1,98 @@
+"""The nouns that travel between rooms. Units and shapes are stated here, once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.floating]
+ByteImage = npt.NDArray[np.uint8]
+
+
+class SonarrecError(Exception):
+    """A fault in the input or the settings, told in one line: what, where, what to do."""
+
+
+class UsageError(SonarrecError):
+    """A setting or option that cannot be meant (exit code 2, as click's own usage errors)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fan:
+    """Geometry of one Cartesian fan image, far range at the top.
+
+    A point at slant range R (m) and bearing b (deg, positive to the right) lies at
+    column = apex_column + R sin b / metres_per_pixel,
+    row = apex_row - R cos b / metres_per_pixel, pixel centres at whole numbers.
+    """
+
+    rows: int
+    columns: int
+    metres_per_pixel: float
+    apex_column: float
+    apex_row: float
+    range_min_m: float
+    range_max_m: float
+    bearing_min_deg: float
+    bearing_max_deg: float
+    tilt_deg: float
+    height_m: float | None
+
+    @property
+    def window_m(self) -> float:
+        """Length of the range window in metres."""
+        return self.range_max_m - self.range_min_m
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One ping as a fan image.
+
+    index: 0-based position in the log (unusable frames keep their number).
+    timestamp_ns: time in ns; where the log carries none, index / frame rate.
+    image: (fan.rows, fan.columns) uint8, log-compressed intensity.
+    """
+
+    index: int
+    timestamp_ns: int
+    image: ByteImage
+    fan: Fan
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """What one method says of one object in one frame: a row of estimates.csv.
+
+    x_px, y_px: centre in fan pixels. range_m: slant range. bearing_deg: positive to the right.
+    orientation_deg: where the first sector begins, counter-clockwise from the image's right,
+    seen from above; NaN where unknown. existence: probability that an object is there, 0 to 1.
+    probabilities: (K + 1,) one per ID in the landmark set's order, then 'none of these'; sums to 1.
+    landmark: the most probable ID. score: 0 to 1, what a ROC threshold sweeps.
+    declared: the method claims the ID at its operating point.
+    """
+
+    method: str
+    object: int
+    x_px: float
+    y_px: float
+    range_m: float
+    bearing_deg: float
+    orientation_deg: float
+    existence: float
+    probabilities: FloatArray
+    landmark: int
+    score: float
+    declared: bool
+
+
+@dataclass(frozen=True, slots=True)
+class FrameResult:
+    """All that one frame gave: a row of frames.csv and its rows of estimates.csv."""
+
+    index: int
+    timestamp_ns: int
+    candidates: int
+    tracks: int
+    estimates: tuple[Estimate, ...]
