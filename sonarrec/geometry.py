@@ -121,7 +121,8 @@ def check_sonar(sonar: Sonar, where: str) -> None:
     if missing:
         raise SonarrecError(
             f"{where}: sonar geometry lacks {', '.join(missing)}. Put a sonar.toml beside "
-            f"the log (or use --sonar FILE, or flags such as --range-min-m); like this:\n{EXAMPLE_SONAR_TOML}"
+            f"the log (or use --sonar FILE, or flags such as --range-min-m); like this:\n"
+            f"{EXAMPLE_SONAR_TOML}"
         )
     low, high = sonar.range_min_m, sonar.range_max_m
     assert low is not None
