@@ -62,6 +62,33 @@ class Frame:
 
 
 @dataclass(frozen=True, slots=True)
+class Selection:
+    """Stage 1: the candidates of one frame.
+
+    score_map: (rows, columns) float32, 0 to 1, over the working plane. positions: (n, 2) float,
+    (column, row) in plane pixels. scores: (n,), best first.
+    """
+
+    score_map: npt.NDArray[np.float32]
+    positions: FloatArray
+    scores: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Groups:
+    """Stage 2: the particle groups (tracks) alive after one frame, oldest first.
+
+    numbers: (n,) int, stable over frames. positions: (n, 2) float, (column, row) in plane pixels.
+    spread: (n, 2) standard deviation per axis in disc diameters. existence: (n,) 0 to 1.
+    """
+
+    numbers: npt.NDArray[np.int64]
+    positions: FloatArray
+    spread: FloatArray
+    existence: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
 class Estimate:
     """What one method says of one object in one frame: a row of estimates.csv.
 

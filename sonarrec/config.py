@@ -1,0 +1,267 @@
+"""Every tunable number, once: its default, its unit, where in the paper, and why.
+
+The presets are one code path with different numbers. What the paper leaves open is marked
+"open in the paper" with the choice made for `--preset paper`.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any
+
+from sonarrec.records import UsageError
+
+
+def _setting(default: Any, unit: str, meaning: str, choices: tuple[str, ...] = ()) -> Any:
+    return field(default=default, metadata={"unit": unit, "meaning": meaning, "choices": choices})
+
+
+@dataclass(frozen=True, slots=True)
+class Candidates:
+    """Stage 1, candidate selection (Section 3.2)."""
+
+    plane: str = _setting(
+        "floor",
+        "",
+        "where circles are looked for: the fan with Eq. 1's squeezed outline, or the floor "
+        "seen from above (exact where height_m is known)",
+        ("fan", "floor"),
+    )
+    detector: str = _setting(
+        "ring",
+        "",
+        "edge: Canny edges against the outline (the paper's); ring: bright ring, darker "
+        "inside and outside",
+        ("edge", "ring"),
+    )
+    disc_radius_px: float = _setting(
+        15.0, "pixels", "radius of the landmark on the floor plane; never finer than the fan"
+    )
+    threshold: float = _setting(
+        0.25,
+        "0 to 1",
+        "least score of a candidate. edge: share of the outline on an edge (the paper asks for "
+        "all N pixels, which no recording reaches); ring: see ring_full_contrast",
+    )
+    ring_full_contrast: float = _setting(
+        1.6, "speckle sigmas", "ring: mean contrast of ring over surroundings that scores 1"
+    )
+    min_visible: float = _setting(0.35, "share", "least share of the ring inside the fan")
+    max_candidates: int = _setting(8, "", "per frame, the best ones")
+    separation: float = _setting(0.6, "disc diameters", "least distance between candidates")
+    blur_px: int = _setting(5, "pixels", "edge: Gaussian kernel before Canny, odd")
+    canny_low: float = _setting(40.0, "grey levels", "edge: Canny's lower threshold")
+    canny_high: float = _setting(100.0, "grey levels", "edge: Canny's upper threshold")
+
+
+@dataclass(frozen=True, slots=True)
+class Continuity:
+    """Stage 2, continuity evaluation with a particle filter (Section 3.3)."""
+
+    particles: int = _setting(1000, "", "in each group; 1000 to 2000 in the paper")
+    sigma_px: float = _setting(10.0, "fan pixels", "random walk of a particle per frame, Eq. 3")
+    z_hit: float = _setting(0.95, "weight", "of the score map in Eq. 4; open in the paper")
+    z_rand: float = _setting(0.05, "weight", "of the uniform part in Eq. 4; open in the paper")
+    hit_power: float = _setting(
+        4.0, "", "P_hit = score ** hit_power: how sharply particles gather; open in the paper"
+    )
+    spread_limit: float = _setting(
+        0.25,
+        "disc diameters",
+        "a group wider than this in either axis, after weighting, gets a strike",
+    )
+    strikes: int = _setting(
+        5, "", "strikes in a row that delete a group; the paper says five times"
+    )
+    p_hit_object: float = _setting(
+        0.9, "probability", "existence: that an object in view is a candidate in a frame"
+    )
+    p_hit_clutter: float = _setting(
+        0.4, "probability", "existence: that a place without an object is a candidate again"
+    )
+    min_existence: float = _setting(
+        0.05, "probability", "a group less likely to exist is deleted; 0 leaves it to the strikes"
+    )
+    merge: float = _setting(
+        0.5, "disc diameters", "groups nearer than this are one object: the older stays"
+    )
+    new_group: float = _setting(
+        0.6, "disc diameters", "a candidate farther than this from every group starts one"
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Features:
+    """Stage 3, Bayesian feature estimation (Section 3.4)."""
+
+    motion_model: str = _setting(
+        "association",
+        "",
+        "Eq. 5: inverse_distance mixes the beliefs of neighbours by 1 / distance ** "
+        "distance_power; association carries each track's own belief on",
+        ("inverse_distance", "association"),
+    )
+    distance_power: float = _setting(
+        1.0, "", "inverse_distance: 1 is the paper's wording taken literally; open in the paper"
+    )
+    measurement: str = _setting(
+        "track",
+        "",
+        "single: similarities in this frame, as the paper; track: the shape matrix "
+        "averaged along the track, with 'none of these' among the hypotheses",
+        ("single", "track"),
+    )
+    memory_frames: float = _setting(20.0, "frames", "track: memory of the averaged shape matrix")
+    declare: float = _setting(0.5, "probability", "least score at which an ID is declared")
+
+
+@dataclass(frozen=True, slots=True)
+class Smi:
+    """The single-frame baseline, shape-matrix identification (Section 3.4.2)."""
+
+    declare: float = _setting(
+        0.6, "0 to 1", "least similarity x bright share of the ring at which an ID is declared"
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Config:
+    """All settings of one run."""
+
+    preset: str = "default"
+    seed: int = 0
+    candidates: Candidates = field(default_factory=Candidates)
+    continuity: Continuity = field(default_factory=Continuity)
+    features: Features = field(default_factory=Features)
+    smi: Smi = field(default_factory=Smi)
+
+
+SECTIONS = {"candidates": Candidates, "continuity": Continuity, "features": Features, "smi": Smi}
+
+PRESETS: dict[str, dict[str, dict[str, Any]]] = {
+    "default": {},
+    "paper": {
+        "candidates": {"plane": "fan", "detector": "edge", "threshold": 0.35},
+        "continuity": {"particles": 1500, "min_existence": 0.0},
+        "features": {
+            "motion_model": "inverse_distance",
+            "distance_power": 4.0,
+            "measurement": "single",
+            "declare": 0.35,
+        },
+    },
+}
+
+
+def preset(name: str) -> Config:
+    """The configuration of a preset. Raises UsageError for an unknown name."""
+    if name not in PRESETS:
+        raise UsageError(f"unknown preset {name!r}; there are: {', '.join(PRESETS)}")
+    return with_table(Config(preset=name), PRESETS[name], f"preset {name}")
+
+
+def with_table(config: Config, table: Mapping[str, Any], where: str) -> Config:
+    """`config` with the keys of a table of sections in place; `where` names it in errors.
+
+    Raises UsageError for an unknown section or key, and for a value that cannot be meant.
+    """
+    for name, section in table.items():
+        if name == "seed":
+            config = replace(config, seed=_checked(section, 0, f"{where}: seed"))
+            continue
+        if name == "preset":
+            continue
+        if name not in SECTIONS:
+            raise UsageError(f"{where}: unknown section {name!r}; there are: {', '.join(SECTIONS)}")
+        if not isinstance(section, Mapping):
+            raise UsageError(f"{where}: [{name}] must be a table of settings")
+        known = {f.name: f for f in fields(SECTIONS[name])}
+        current = getattr(config, name)
+        for key, value in section.items():
+            if key not in known:
+                raise UsageError(
+                    f"{where}: unknown key {name}.{key}; known in [{name}]: {', '.join(known)}"
+                )
+            label = f"{where}: {name}.{key}"
+            value = _checked(value, known[key].default, label)
+            choices = known[key].metadata["choices"]
+            if choices and value not in choices:
+                raise UsageError(f"{label} must be one of {', '.join(choices)}, not {value!r}")
+            current = replace(current, **{key: value})
+        config = replace(config, **{name: current})
+    return config
+
+
+def _checked(value: Any, default: Any, label: str) -> Any:
+    """`value` as the type of `default`; a number must not be negative. Raises UsageError."""
+    if isinstance(default, str):
+        if not isinstance(value, str):
+            raise UsageError(f"{label} must be a text, not {value!r}")
+        return value
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise UsageError(f"{label} must be a number, not {value!r}")
+    if isinstance(default, int) and not float(value).is_integer():
+        raise UsageError(f"{label} must be a whole number, not {value!r}")
+    if not 0 <= value < float("inf"):
+        raise UsageError(f"{label} must not be negative or infinite, not {value!r}")
+    return type(default)(value)
+
+
+def load_config(path: Path, config: Config, keep_preset: bool = False) -> Config:
+    """`config` with the settings of a TOML file in place. A run.toml can be given as well.
+
+    A preset named in the file comes first, unless keep_preset says it was chosen elsewhere.
+
+    Raises UsageError where the file cannot be read or holds what is no setting.
+    """
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise UsageError(f"{path}: not a readable TOML file ({error})") from None
+    if "config" in table:  # a run.toml keeps the settings under [config]
+        table = table["config"]
+    if "preset" in table and not keep_preset:
+        config = preset(table["preset"])
+    return with_table(config, table, str(path))
+
+
+def with_assignments(config: Config, assignments: Sequence[str]) -> Config:
+    """`config` with `stage.key=value` texts in place. Raises UsageError where one is not that."""
+    for text in assignments:
+        path, equals, value = text.partition("=")
+        section, dot, key = path.strip().partition(".")
+        if not equals or not dot:
+            raise UsageError(f"--set {text!r}: expected stage.key=value")
+        try:
+            parsed = tomllib.loads(f"value = {value}")["value"]
+        except tomllib.TOMLDecodeError:
+            parsed = value.strip()
+        config = with_table(config, {section: {key: parsed}}, f"--set {text}")
+    return config
+
+
+def as_table(config: Config) -> dict[str, Any]:
+    """The configuration as plain TOML values."""
+    table: dict[str, Any] = {"preset": config.preset, "seed": config.seed}
+    for name in SECTIONS:
+        section = getattr(config, name)
+        table[name] = {f.name: getattr(section, f.name) for f in fields(section)}
+    return table
+
+
+def as_commented_toml(config: Config) -> str:
+    """The configuration as TOML with units and meanings as comments: `sonarrec config`."""
+    lines = [f'preset = "{config.preset}"', f"seed = {config.seed}"]
+    for name, kind in SECTIONS.items():
+        lines += ["", f"# {(kind.__doc__ or '').splitlines()[0]}", f"[{name}]"]
+        for setting in fields(kind):
+            value = getattr(getattr(config, name), setting.name)
+            meta = setting.metadata
+            choices = f" ({' | '.join(meta['choices'])})" if meta["choices"] else ""
+            unit = f" [{meta['unit']}]" if meta["unit"] else ""
+            lines.append(f"# {meta['meaning']}{unit}{choices}")
+            lines.append(f"{setting.name} = {value!r}".replace("'", '"'))
+    return "\n".join(lines) + "\n"

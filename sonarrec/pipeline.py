@@ -1,0 +1,77 @@
+"""One log through the recogniser and onto disk: `sonarrec run`, for programs as well."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+
+from sonarrec.config import Config
+from sonarrec.geometry import Sonar, sonar_from_table
+from sonarrec.landmarks import landmarks_from_table, load_landmarks
+from sonarrec.output import ResultsWriter, Sightings, run_table
+from sonarrec.readers import open_log
+from sonarrec.recogniser import FRAMEWORK, Recogniser
+from sonarrec.records import FrameResult, SonarrecError
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """What became of one log: where the results are, and what could not be used."""
+
+    folder: Path
+    frames: int
+    problems: list[str]
+    sightings: list[str]
+
+
+def process(
+    path: str | Path,
+    out: Path,
+    settings: Config,
+    *,
+    landmarks: str | None = None,
+    sonar: Sonar | None = None,
+    sonar_file: Path | None = None,
+    earlier_run: Path | None = None,
+    topic: str | None = None,
+    observe: Callable[[FrameResult, int | None], None] | None = None,
+) -> Summary:
+    """Run one log and write `out`/<log name>/.
+
+    sonar: geometry that wins over every file. earlier_run: a run.toml whose geometry and landmark
+    set serve where nothing else is given; a plain settings file has neither and changes nothing.
+    observe: told each result and the number of frames, where that is known. Raises SonarrecError
+    for input or settings that cannot be used.
+    """
+    sonar = sonar or Sonar()
+    if earlier_run is not None:
+        table = tomllib.loads(earlier_run.read_text(encoding="utf-8"))
+        if "sonar" in table and sonar_file is None:
+            sonar = sonar_from_table(table["sonar"], str(earlier_run)).updated(sonar)
+    if earlier_run is not None and landmarks is None and "landmarks" in table:
+        landmark_set = landmarks_from_table(table["landmarks"], str(earlier_run))
+    else:
+        landmark_set = load_landmarks(landmarks or "basin")
+    with open_log(path, sonar=sonar, sonar_file=sonar_file, topic=topic) as log:
+        frames = iter(log)
+        first = next(frames, None)
+        if first is None:
+            told = f" ({'; '.join(log.problems[:3])})" if log.problems else ""
+            raise SonarrecError(f"{path}: no usable frame{told}")
+        recogniser = Recogniser(settings, first.fan, landmark_set)
+        source = (log.name, *log.digest_source())
+        run = run_table(settings, log.sonar, first.fan, landmark_set, source)
+        sightings = Sightings(FRAMEWORK)
+        count = 0
+        with ResultsWriter(out / log.name, landmark_set, run) as writer:
+            for count, frame in enumerate(chain([first], frames), start=1):
+                result = recogniser.step(frame)
+                writer.write(result)
+                sightings.add(result)
+                if observe is not None:
+                    observe(result, log.frame_count)
+            writer.finish(count, log.problems)
+        return Summary(out / log.name, count, list(log.problems), sightings.table())

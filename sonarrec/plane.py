@@ -1,0 +1,118 @@
+"""The plane in which objects are looked for: the fan as it is, or the floor seen from above.
+
+In the fan a floor circle is squeezed along the range and stretched across it (Eq. 1, and the
+exact form in `geometry`). Resampled to the floor it is a circle of one known size everywhere,
+a pan of the sonar is a rotation about the apex, and fewer pixels do the work.
+"""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+
+from sonarrec.geometry import (
+    fan_mask,
+    ground_range,
+    in_fan,
+    pixel_from_polar,
+    polar_from_pixel,
+    slant_range,
+)
+from sonarrec.records import ByteImage, Fan, FloatArray
+
+# Nearer than this multiple of the height the floor is seen so steeply that a pixel of slant range
+# covers several of floor.
+STEEPEST = 1.05
+
+
+class Plane:
+    """Fan image to working image and back.
+
+    shape: (rows, columns) of the working image. axes: (across, along) semi-axes in its pixels of a
+    disc of the landmark's radius. inside: (rows, columns) uint8, 1 where there is sonar data.
+    scale: working pixels per fan pixel.
+    """
+
+    def __init__(self, fan: Fan, radius_m: float, kind: str, disc_radius_px: float) -> None:
+        """kind: "fan" or "floor". disc_radius_px: radius of a disc on the floor plane."""
+        self.fan = fan
+        self.kind = kind
+        radius_px = radius_m / fan.metres_per_pixel
+        if kind == "fan":
+            self.scale = 1.0
+            self.shape = (fan.rows, fan.columns)
+            self.axes = (radius_px, radius_px * math.cos(math.radians(fan.tilt_deg)))
+            self._apex = (fan.apex_column, fan.apex_row)
+            self.inside: ByteImage = np.minimum(fan_mask(fan), 1)
+            return
+        self.scale = min(1.0, disc_radius_px / radius_px)
+        self.axes = (radius_px * self.scale, radius_px * self.scale)
+        self._metres = fan.metres_per_pixel / self.scale
+        nearest = max(fan.range_min_m, STEEPEST * (fan.height_m or 0.0))
+        near, far = (float(ground_range(fan, r)) for r in (nearest, fan.range_max_m))
+        edges = np.radians([fan.bearing_min_deg, fan.bearing_max_deg])
+        left, right = far * np.sin(edges) / self._metres
+        bottom = near * np.cos(edges).min() / self._metres
+        self._apex = (-math.floor(left), math.ceil(far / self._metres))
+        self.shape = (
+            self._apex[1] - math.floor(bottom) + 1,
+            math.ceil(right) - math.floor(left) + 1,
+        )
+        row, column = np.mgrid[0 : self.shape[0], 0 : self.shape[1]].astype(float)
+        range_m, bearing_deg = self.to_polar(column, row)
+        fan_column, fan_row = pixel_from_polar(fan, range_m, bearing_deg)
+        inside = in_fan(fan, range_m, bearing_deg) & (range_m >= nearest)
+        inside &= (fan_column >= 0) & (fan_column <= fan.columns - 1)
+        inside &= (fan_row >= 0) & (fan_row <= fan.rows - 1)
+        # The outermost pixels are mixed with the black outside.
+        self.inside = cv2.erode(inside.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=0)
+        # Whole-number shrinking averages speckle before the resampling picks pixels.
+        self._shrink = max(1, round(1 / self.scale))
+        self._map, self._weights = cv2.convertMaps(
+            ((fan_column + 0.5) / self._shrink - 0.5).astype(np.float32),
+            ((fan_row + 0.5) / self._shrink - 0.5).astype(np.float32),
+            cv2.CV_16SC2,
+        )
+
+    def warp(self, image: ByteImage) -> ByteImage:
+        """(fan.rows, fan.columns) uint8 to the working image, `shape` uint8."""
+        if self.kind == "fan":
+            return image
+        if self._shrink > 1:
+            # Whole blocks only: a remainder would shift the scale by a part of a pixel.
+            rows, columns = (-side % self._shrink for side in image.shape)
+            if rows or columns:
+                image = cv2.copyMakeBorder(image, 0, rows, 0, columns, cv2.BORDER_REPLICATE)  # type: ignore[assignment]
+            size = (image.shape[1] // self._shrink, image.shape[0] // self._shrink)
+            image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)  # type: ignore[assignment]
+        return cv2.remap(image, self._map, self._weights, cv2.INTER_LINEAR)  # type: ignore[return-value]
+
+    def to_polar(
+        self, column: FloatArray | float, row: FloatArray | float
+    ) -> tuple[FloatArray, FloatArray]:
+        """(slant range in m, bearing in deg) of working pixels; shapes broadcast."""
+        if self.kind == "fan":
+            return polar_from_pixel(self.fan, column, row)
+        across = (np.asarray(column, dtype=float) - self._apex[0]) * self._metres
+        along = (self._apex[1] - np.asarray(row, dtype=float)) * self._metres
+        return (
+            slant_range(self.fan, np.hypot(across, along)),
+            np.degrees(np.arctan2(across, along)),
+        )
+
+    def to_fan(
+        self, column: FloatArray | float, row: FloatArray | float
+    ) -> tuple[FloatArray, FloatArray]:
+        """(column, row) in fan pixels of working pixels; shapes broadcast."""
+        if self.kind == "fan":
+            return np.asarray(column, dtype=float), np.asarray(row, dtype=float)
+        return pixel_from_polar(self.fan, *self.to_polar(column, row))
+
+    def line_of_sight(self, position: FloatArray) -> FloatArray:
+        """(n,) direction away from the sonar at (n, 2) working pixels, rad.
+
+        Counter-clockwise from the image's right, seen from above.
+        """
+        return np.arctan2(self._apex[1] - position[:, 1], position[:, 0] - self._apex[0])

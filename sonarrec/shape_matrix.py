@@ -1,0 +1,152 @@
+"""Shape matrices (Section 3.4.2): concentric lines sampled on the disc.
+
+The measurement of stage 3, and with the identification below the paper's single-frame
+baseline (SMI). Brightness is sampled along concentric lines at equally spaced angles on the disc
+as it appears in the working plane.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from sonarrec.landmarks import LandmarkSet
+from sonarrec.records import ByteImage, FloatArray
+
+ANGLES = 36
+STEP = 2 * np.pi / ANGLES
+# Lines at the middle of equal parts of the symbol and the ring; for the track's average also of
+# the dark gap between them and of the floor just outside.
+SYMBOL_LINES = 3
+RING_LINES = 3
+GAP_LINES = 2
+OUTER_LINES = 2
+OUTER = (1.12, 1.32)
+
+
+def _middles(band: tuple[float, float], lines: int) -> FloatArray:
+    return band[0] + (band[1] - band[0]) * (np.arange(lines) + 0.5) / lines
+
+
+@dataclass(frozen=True, slots=True)
+class Bands:
+    """Which rows of a shape matrix lie on which part of the disc."""
+
+    symbol: slice
+    ring: slice
+    gap: slice
+    outer: slice
+
+
+class ShapeSampler:
+    """Samples the shape matrices of many objects at once.
+
+    radii: (L,) of the lines, as fractions of the disc's radius. bands: which line is what.
+    """
+
+    def __init__(self, landmarks: LandmarkSet, axes: tuple[float, float]) -> None:
+        """axes: (across, along) semi-axes of the disc in pixels."""
+        gap = (landmarks.symbol[1], landmarks.ring[0])
+        parts = [
+            _middles(landmarks.symbol, SYMBOL_LINES),
+            _middles(landmarks.ring, RING_LINES),
+            _middles(gap, GAP_LINES),
+            _middles(OUTER, OUTER_LINES),
+        ]
+        ends = np.cumsum([0] + [len(p) for p in parts])
+        self.bands = Bands(*(slice(int(a), int(b)) for a, b in zip(ends, ends[1:], strict=False)))
+        self.radii = np.concatenate(parts)
+        self._axes = axes
+
+    def __call__(
+        self, image: ByteImage, inside: ByteImage, centres: FloatArray, start_rad: FloatArray
+    ) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+        """Brightness (n, L, ANGLES) float64 and where it was seen (n, L, ANGLES) bool.
+
+        Brightness is in standard deviations of the whole frame above its mean, so that gain and
+        grey scale drop out. image, inside: working image and 1 where it holds sonar data, both uint8. centres: (n, 2)
+        (column, row). start_rad: (n,) direction of the first angle; angles run counter-clockwise
+        seen from above.
+        """
+        angle = start_rad[:, None, None] + (np.arange(ANGLES) + 0.5) * STEP
+        radius = self.radii[:, None]
+        column = centres[:, 0, None, None] + self._axes[0] * radius * np.cos(angle)
+        row = centres[:, 1, None, None] - self._axes[1] * radius * np.sin(angle)
+        shape = (-1, ANGLES)
+        column = column.astype(np.float32).reshape(shape)
+        row = row.astype(np.float32).reshape(shape)
+        grey = cv2.remap(image, column, row, cv2.INTER_LINEAR)
+        seen = cv2.remap(inside, column, row, cv2.INTER_NEAREST)
+        size = (len(centres), len(self.radii), ANGLES)
+        mean, sigma = (float(v[0, 0]) for v in cv2.meanStdDev(image, mask=inside))
+        grey = (grey.reshape(size) - mean) / max(sigma, 1e-6)
+        return grey, seen.reshape(size).astype(bool)
+
+
+def turned_codes(landmarks: LandmarkSet) -> FloatArray:
+    """(ANGLES, K, ANGLES): every ID's ideal symbol, 0 or 1, turned by every step."""
+    codes = landmarks.codes((np.arange(ANGLES) + 0.5) * STEP)
+    return np.stack([np.roll(codes, turn, axis=1) for turn in range(ANGLES)])
+
+
+@dataclass(frozen=True, slots=True)
+class Identification:
+    """What SMI says of n objects in one frame.
+
+    similarity: (n, K) share of inner cells that agree with each ID, at the one rotation that fits
+    best. turn: (n,) that rotation in steps. ring: (n,) share of ring cells that are bright.
+    """
+
+    similarity: FloatArray
+    turn: npt.NDArray[np.intp]
+    ring: FloatArray
+
+
+def identify(
+    grey: FloatArray, seen: npt.NDArray[np.bool_], bands: Bands, turned: FloatArray
+) -> Identification:
+    """Single-frame shape-matrix identification of sampled objects.
+
+    grey, seen: (n, L, ANGLES) from ShapeSampler. turned: from turned_codes. Cells are bright above
+    the level that best parts each disc's own ring and symbol samples in two (Otsu, over the disc
+    alone). Cells outside the fan agree with nothing and count for nothing.
+    """
+    disc = np.concatenate([grey[:, bands.symbol], grey[:, bands.ring]], axis=1)
+    disc_seen = np.concatenate([seen[:, bands.symbol], seen[:, bands.ring]], axis=1)
+    level = otsu_levels(disc.reshape(len(grey), -1), disc_seen.reshape(len(grey), -1))
+    bright = grey > level[:, None, None]
+    weight = seen[:, bands.symbol].sum(axis=1)
+    on = (bright & seen)[:, bands.symbol].sum(axis=1)
+    # Agreeing cells = bright where the code is 1, dark where it is 0; sums over the lines first.
+    total = np.maximum(weight.sum(axis=1), 1)[:, None, None]
+    fit = (
+        np.einsum("na,tka->ntk", on, turned) + np.einsum("na,tka->ntk", weight - on, 1 - turned)
+    ) / total
+    turn = fit.max(axis=2).argmax(axis=1)
+    ring_seen = seen[:, bands.ring].sum(axis=(1, 2))
+    ring = (bright & seen)[:, bands.ring].sum(axis=(1, 2)) / np.maximum(ring_seen, 1)
+    return Identification(fit[np.arange(len(grey)), turn], turn, ring)
+
+
+def otsu_levels(values: FloatArray, seen: npt.NDArray[np.bool_]) -> FloatArray:
+    """(n,) Otsu's threshold of each row of (n, m) values, over the cells that were seen.
+
+    The level that maximises the variance between the two classes it makes; brute force over the
+    row's own sorted values.
+    """
+    order = np.argsort(np.where(seen, values, np.inf), axis=1)
+    ranked = np.take_along_axis(np.where(seen, values, 0.0), order, axis=1)
+    count = seen.sum(axis=1)
+    below = np.arange(1, values.shape[1])
+    above = np.maximum(count[:, None] - below, 0)
+    cumulative = np.cumsum(ranked, axis=1)
+    low = cumulative[:, :-1] / below
+    high = (cumulative[:, -1:] - cumulative[:, :-1]) / np.maximum(above, 1)
+    between = np.where(above > 0, below * above * (high - low) ** 2, -1.0)
+    best = between.argmax(axis=1)
+    rows = np.arange(len(values))
+    nxt = np.minimum(best + 1, values.shape[1] - 1)
+    return np.asarray((ranked[rows, best] + ranked[rows, nxt]) / 2)

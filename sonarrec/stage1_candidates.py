@@ -1,0 +1,131 @@
+"""Stage 1: candidate selection (Section 3.2, Eq. 1 and 2, Figure 4).
+
+The outline of a landmark as the sonar sees it is correlated with the image; local maxima of the
+correlation (Hough) map above a threshold are candidates.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from sonarrec.config import Candidates
+from sonarrec.landmarks import LandmarkSet
+from sonarrec.plane import Plane
+from sonarrec.records import ByteImage, FloatArray, Selection
+
+# The ring filter's dark surroundings, in disc radii: part of the gap inside, the floor outside.
+GAP_MARGIN = 0.03
+OUTSIDE = (1.08, 1.35)
+
+
+class CandidateSelector:
+    """Finds circles of the landmarks' size in working images of one plane."""
+
+    def __init__(self, config: Candidates, plane: Plane, landmarks: LandmarkSet) -> None:
+        self._config = config
+        self._inside = plane.inside
+        across, along = plane.axes
+        margin = int(np.ceil(max(across, along) * OUTSIDE[1]))
+        y, x = np.mgrid[-margin : margin + 1, -margin : margin + 1].astype(float)
+        radius = np.hypot(x / across, y / along)
+        pixel = 1 / min(across, along)
+        if config.detector == "edge":
+            outline = np.abs(radius - 1) < 0.5 * pixel
+            self._kernel = (outline / outline.sum()).astype(np.float32)
+            ring = outline.astype(float)
+            # The fan's own edge is an edge too, and so is what the blur makes of it.
+            self._away = cv2.erode(plane.inside, np.ones((9, 9), np.uint8))
+        else:
+            ring = _band(radius, landmarks.ring, pixel)
+            gap = _band(
+                radius, (landmarks.symbol[1] + GAP_MARGIN, landmarks.ring[0] - GAP_MARGIN), pixel
+            )
+            outside = _band(radius, OUTSIDE, pixel)
+            self._kernel = (
+                ring / ring.sum() - 0.5 * gap / gap.sum() - 0.5 * outside / outside.sum()
+            ).astype(np.float32)
+            self._background = (4 * margin + 1, 4 * margin + 1)
+            self._seen = cv2.blur(plane.inside.astype(np.float32), self._background)
+        self._margin = margin
+        visible = self._correlate(plane.inside.astype(np.float32), ring.astype(np.float32))
+        visible /= ring.sum()
+        # A part of a ring is scored by what shows of it. The correlation there is short by the share
+        # that is hidden, and its noise grows as the root of that share: the root keeps the noise
+        # level, and with it the rate of chance candidates, the same up to the fan's edge.
+        self._gain = np.where(
+            visible >= config.min_visible, np.maximum(visible, config.min_visible) ** -0.5, 0
+        ).astype(np.float32)
+        reach = config.separation * 2 * np.array([along, across])
+        size = 2 * np.maximum(reach.astype(int), 1) + 1
+        self._neighbourhood = cv2.getStructuringElement(
+            cv2.MORPH_ELLIPSE, (int(size[1]), int(size[0]))
+        )
+
+    def __call__(self, image: ByteImage) -> Selection:
+        """Candidates in a working image (uint8, the plane's shape)."""
+        score = (
+            self._edge_score(image) if self._config.detector == "edge" else self._ring_score(image)
+        )
+        peaks = (score >= self._config.threshold) & (
+            score == cv2.dilate(score, self._neighbourhood)
+        )
+        row, column = np.nonzero(peaks)
+        order = np.argsort(-score[row, column], kind="stable")[: self._config.max_candidates]
+        row, column = row[order], column[order]
+        scores = np.minimum(score[row, column], 1).astype(float)
+        return Selection(np.clip(score, 0, 1), _refine(score, column, row), scores)
+
+    def _edge_score(self, image: ByteImage) -> npt.NDArray[np.float32]:
+        """Share of the outline's pixels that lie on or beside an edge, per pixel."""
+        config = self._config
+        blurred = cv2.GaussianBlur(image, (config.blur_px, config.blur_px), 0)
+        edges = cv2.Canny(blurred, config.canny_low, config.canny_high)
+        edges = cv2.dilate(edges, np.ones((3, 3), np.uint8))
+        on_edge = (cv2.bitwise_and(edges, edges, mask=self._away) > 0).astype(np.float32)
+        return self._correlate(on_edge, self._kernel) * self._gain
+
+    def _ring_score(self, image: ByteImage) -> npt.NDArray[np.float32]:
+        """Contrast of a bright ring over its surroundings, in shares of the full contrast."""
+        grey = image.astype(np.float32) * self._inside
+        local_mean = cv2.blur(grey, self._background) / np.maximum(self._seen, 1e-3)
+        grey = (grey - local_mean) * self._inside
+        sigma = float(np.sqrt(np.mean(grey**2) / max(float(self._inside.mean()), 1e-6)))
+        if sigma == 0:  # a black or even frame
+            return np.zeros(grey.shape, np.float32)
+        full = self._config.ring_full_contrast * sigma
+        return self._correlate(grey, self._kernel) * (self._gain / full)
+
+    def _correlate(
+        self, image: npt.NDArray[np.float32], kernel: npt.NDArray[np.float32]
+    ) -> npt.NDArray[np.float32]:
+        m = self._margin
+        padded = cv2.copyMakeBorder(image, m, m, m, m, cv2.BORDER_CONSTANT, value=0)
+        return cv2.matchTemplate(padded, kernel, cv2.TM_CCORR)  # type: ignore[return-value]
+
+
+def _band(radius: FloatArray, band: tuple[float, float], pixel: float) -> FloatArray:
+    """Share of each pixel that lies between two radii, softened by one pixel."""
+    inner = np.clip((radius - band[0]) / pixel + 0.5, 0, 1)
+    outer = np.clip((band[1] - radius) / pixel + 0.5, 0, 1)
+    return np.minimum(inner, outer)
+
+
+def _refine(
+    score: npt.NDArray[np.float32], column: npt.NDArray[np.intp], row: npt.NDArray[np.intp]
+) -> FloatArray:
+    """(n, 2) peaks to a part of a pixel, by a parabola through three samples in each axis."""
+    rows, columns = score.shape
+    c = np.clip(column, 1, columns - 2)
+    r = np.clip(row, 1, rows - 2)
+
+    def offset(before: FloatArray, at: FloatArray, after: FloatArray) -> FloatArray:
+        bend = before - 2 * at + after
+        with np.errstate(divide="ignore", invalid="ignore"):
+            shift = np.where(bend < 0, 0.5 * (before - after) / bend, 0.0)
+        return np.clip(shift, -0.5, 0.5)
+
+    x = column + offset(score[r, c - 1], score[r, c], score[r, c + 1])
+    y = row + offset(score[r - 1, c], score[r, c], score[r + 1, c])
+    return np.column_stack([x, y]).astype(float)

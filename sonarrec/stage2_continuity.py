@@ -1,0 +1,128 @@
+"""Stage 2: continuity evaluation with a particle filter (Section 3.3, Eq. 3 and 4).
+
+Each candidate gets a group of particles that walk at random and gather where the score map of
+stage 1 is high. A group that stays spread is no object and is deleted; the mean of a group is
+the object's position.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from sonarrec.config import Continuity
+from sonarrec.plane import Plane
+from sonarrec.records import FloatArray, Groups, Selection
+
+
+class ContinuityFilter:
+    """The particle groups of all objects in view."""
+
+    def __init__(self, config: Continuity, plane: Plane, rng: np.random.Generator) -> None:
+        self._config = config
+        self._rng = rng
+        self._inside = plane.inside
+        self._sigma = config.sigma_px * plane.scale
+        self._diameter = 2 * np.array(plane.axes)
+        self._next = 1
+        self._numbers = np.empty(0, np.int64)
+        self._strikes = np.empty(0, np.int64)
+        self._existence = np.empty(0)
+        self._particles = np.empty((0, config.particles, 2), np.float32)
+
+    def step(self, selection: Selection) -> Groups:
+        """Predict, weigh and resample every group; delete the dead, begin the new."""
+        positions, spread = self._predict_and_weigh(selection.score_map)
+        self._count(positions, spread, selection)
+        alive = self._survivors(positions)
+        self._keep(alive)
+        positions, spread = positions[alive], spread[alive]
+        born = self._begin(positions, selection)
+        return Groups(
+            self._numbers.copy(),
+            np.concatenate([positions, born]),
+            np.concatenate([spread, np.full((len(born), 2), self._sigma) / self._diameter]),
+            self._existence.copy(),
+        )
+
+    def _predict_and_weigh(
+        self, score_map: npt.NDArray[np.float32]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Eq. 3 and 4. Returns weighted means (n, 2) in pixels and spreads (n, 2) in diameters."""
+        config = self._config
+        groups, n = self._particles.shape[:2]
+        if groups == 0:
+            return np.empty((0, 2)), np.empty((0, 2))
+        self._particles += self._rng.standard_normal(
+            self._particles.shape, np.float32
+        ) * np.float32(self._sigma)
+        column, row = np.rint(self._particles).astype(np.intp).transpose(2, 0, 1)
+        rows, columns = score_map.shape
+        within = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+        hit = np.where(within, score_map[row.clip(0, rows - 1), column.clip(0, columns - 1)], 0)
+        weight = config.z_hit * hit.astype(float) ** config.hit_power + config.z_rand / n
+        weight /= weight.sum(axis=1, keepdims=True)
+        mean = np.einsum("gn,gnd->gd", weight, self._particles)
+        offset = self._particles - mean[:, None]
+        spread = np.sqrt(np.einsum("gn,gnd->gd", weight, offset**2)) / self._diameter
+        # Systematic resampling of all groups in one search: group g's weights fill (g, g + 1].
+        edges = (np.cumsum(weight, axis=1) + np.arange(groups)[:, None]).ravel()
+        start = self._rng.random((groups, 1))
+        ticks = np.arange(groups)[:, None] + (np.arange(n) + start) / n
+        chosen = np.searchsorted(edges, ticks.ravel()).reshape(groups, n)
+        # Rounding in the cumulative sums must not hand a group its neighbour's particle.
+        first = np.arange(groups)[:, None] * n
+        chosen = np.clip(chosen, first, first + n - 1)
+        self._particles = self._particles.reshape(-1, 2)[chosen]
+        return mean, spread
+
+    def _count(self, positions: FloatArray, spread: FloatArray, selection: Selection) -> None:
+        """Strikes for spread groups, and the Bayes filter of existence from hits and misses."""
+        config = self._config
+        wide = (spread > config.spread_limit).any(axis=1)
+        self._strikes = np.where(wide, self._strikes + 1, 0)
+        near = self._distances(positions, selection.positions) < config.merge
+        hit = near.any(axis=1)
+        there = self._existence * np.where(hit, config.p_hit_object, 1 - config.p_hit_object)
+        clutter = (1 - self._existence) * np.where(
+            hit, config.p_hit_clutter, 1 - config.p_hit_clutter
+        )
+        self._existence = np.clip(there / (there + clutter), 0.01, 0.99)
+
+    def _survivors(self, positions: FloatArray) -> npt.NDArray[np.bool_]:
+        config = self._config
+        column, row = np.rint(positions).astype(int).T
+        rows, columns = self._inside.shape
+        within = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+        alive = (
+            (self._strikes < config.strikes) & (self._existence >= config.min_existence) & within
+        )
+        # Groups are in order of age: of two on one object the older stays.
+        near = np.tril(self._distances(positions, positions) < config.merge, k=-1)
+        return np.asarray(alive & ~(near & alive[None, :]).any(axis=1))
+
+    def _keep(self, alive: npt.NDArray[np.bool_]) -> None:
+        self._numbers = self._numbers[alive]
+        self._strikes = self._strikes[alive]
+        self._existence = self._existence[alive]
+        self._particles = self._particles[alive]
+
+    def _begin(self, positions: FloatArray, selection: Selection) -> FloatArray:
+        """Start a group round every candidate that no group has. Returns their (n, 2) centres."""
+        far = self._distances(selection.positions, positions) > self._config.new_group
+        born = selection.positions[far.all(axis=1)]
+        shape = (len(born), self._particles.shape[1], 2)
+        cloud = self._rng.standard_normal(shape, np.float32) * np.float32(self._sigma)
+        self._particles = np.concatenate(
+            [self._particles, cloud + born[:, None].astype(np.float32)]
+        )
+        self._numbers = np.append(self._numbers, self._next + np.arange(len(born)))
+        self._strikes = np.append(self._strikes, np.zeros(len(born), np.int64))
+        self._existence = np.append(self._existence, np.full(len(born), 0.5))
+        self._next += len(born)
+        return born
+
+    def _distances(self, a: FloatArray, b: FloatArray) -> FloatArray:
+        """(len(a), len(b)) distances in disc diameters, as measured on the disc's own ellipse."""
+        offset = (a[:, None] - b[None]) / self._diameter
+        return np.asarray(np.hypot(offset[..., 0], offset[..., 1]))
