@@ -49,8 +49,8 @@ class TrackMatrix:
     def __init__(self, memory_frames: float, lines: int) -> None:
         self._keep = 1 - 1 / max(memory_frames, 1.0)
         self._numbers = np.empty(0, np.int64)
-        self._sum = np.empty((0, lines, ANGLES))
-        self._count = np.empty((0, lines, ANGLES))
+        self._sum: FloatArray = np.empty((0, lines, ANGLES))
+        self._count: FloatArray = np.empty((0, lines, ANGLES))
 
     def step(
         self, numbers: npt.NDArray[np.int64], grey: FloatArray, seen: npt.NDArray[np.bool_]
@@ -59,8 +59,8 @@ class TrackMatrix:
 
         Tracks that are no longer named are forgotten.
         """
-        total = np.zeros(grey.shape)
-        count = np.zeros(grey.shape)
+        total = np.zeros_like(grey)
+        count = np.zeros_like(grey)
         known = np.isin(numbers, self._numbers)
         before = np.searchsorted(self._numbers, numbers[known])
         total[known] = self._keep * self._sum[before]
@@ -80,9 +80,16 @@ class Description:
 
 
 def describe(
-    average: FloatArray, count: FloatArray, bands: Bands, landmarks: LandmarkSet
+    average: FloatArray,
+    count: FloatArray,
+    bands: Bands,
+    landmarks: LandmarkSet,
+    turned: FloatArray,
 ) -> Description:
-    """The FEATURES of averaged matrices (n, L, ANGLES) under every ID of the set."""
+    """The FEATURES of averaged matrices (n, L, ANGLES) under every ID of the set.
+
+    turned: from softened_codes.
+    """
     weight = count[:, bands.symbol].sum(axis=1)
     symbol = _mean(average, count, bands.symbol)
     ring = _mean(average, count, bands.ring)
@@ -108,7 +115,6 @@ def describe(
     ring_texture = np.sqrt(level((ring - ring_level[:, None]) ** 2, ring_weight)) / contrast
 
     # Every ID at every rotation: weighted correlation of the symbol with the turned code.
-    turned = _softened(turned_codes(landmarks))
     total = np.maximum(weight.sum(axis=1), 1e-9)[:, None, None]
     mean = (symbol * weight).sum(axis=1)[:, None, None] / total
     variance = (symbol**2 * weight).sum(axis=1)[:, None, None] / total - mean**2
@@ -166,8 +172,9 @@ def _mean(average: FloatArray, count: FloatArray, band: slice) -> FloatArray:
     )
 
 
-def _softened(codes: FloatArray) -> FloatArray:
-    """Codes as a beam sees them: sector edges smeared over a step to either side."""
+def softened_codes(landmarks: LandmarkSet) -> FloatArray:
+    """(ANGLES, K, ANGLES) turned codes as a beam sees them, sector edges smeared over a step."""
+    codes = turned_codes(landmarks)
     return np.asarray(
         0.5 * codes + 0.25 * np.roll(codes, 1, axis=-1) + 0.25 * np.roll(codes, -1, axis=-1)
     )
@@ -220,11 +227,14 @@ def load_model(path: Path = BUILT_IN) -> AppearanceModel:
 class AppearanceMeasurement:
     """The default measurement of stage 3: from each track's averaged shape matrix."""
 
-    def __init__(self, memory_frames: float, bands: Bands, landmarks: LandmarkSet) -> None:
+    def __init__(
+        self, memory_frames: float, bands: Bands, landmarks: LandmarkSet, model: AppearanceModel
+    ) -> None:
         self._matrix = TrackMatrix(memory_frames, bands.outer.stop)
         self._bands = bands
         self._landmarks = landmarks
-        self._model = load_model()
+        self._turned = softened_codes(landmarks)
+        self._model = model
 
     def step(
         self, numbers: npt.NDArray[np.int64], grey: FloatArray, seen: npt.NDArray[np.bool_]
@@ -234,7 +244,7 @@ class AppearanceMeasurement:
         numbers: (n,) of the tracks, rising. grey, seen: (n, L, ANGLES) from this frame.
         """
         average, count = self._matrix.step(numbers, grey, seen)
-        description = describe(average, count, self._bands, self._landmarks)
+        description = describe(average, count, self._bands, self._landmarks, self._turned)
         probabilities = self._model.probabilities(description.features)
         best = probabilities[:, :-1].argmax(axis=1)
         return probabilities, description.turn[np.arange(len(best)), best]

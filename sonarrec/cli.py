@@ -128,9 +128,7 @@ def _settings(
 @seed_option
 @sonar_options
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar and no summary.")
-@click.pass_context
 def run(
-    ctx: click.Context,
     log: tuple[str, ...],
     out: Path,
     topic: str | None,
@@ -180,11 +178,11 @@ def run(
             for line in summary.sightings:
                 click.echo(f"  {line}")
     if partly:
-        ctx.exit(PARTLY)
+        click.get_current_context().exit(PARTLY)
 
 
 def _progress_bar(quiet: bool) -> Callable[[FrameResult, int | None], None]:
-    """A tqdm bar on stderr (rate, tracks in view); silent when quiet or when that is no terminal."""
+    """A tqdm bar on stderr; silent when quiet and where stderr is no terminal."""
     from tqdm import tqdm
 
     bar = tqdm(unit="frame", leave=False, disable=True if quiet else None)

@@ -41,7 +41,7 @@ class Candidates:
         15.0, "pixels", "radius of the landmark on the floor plane; never finer than the fan"
     )
     threshold: float = _setting(
-        0.25,
+        0.4,
         "0 to 1",
         "least score of a candidate. edge: share of the outline on an edge (the paper asks for "
         "all N pixels, which no recording reaches); ring: see ring_full_contrast",
@@ -63,6 +63,17 @@ class Continuity:
 
     particles: int = _setting(1000, "", "in each group; 1000 to 2000 in the paper")
     sigma_px: float = _setting(10.0, "fan pixels", "random walk of a particle per frame, Eq. 3")
+    motion: str = _setting(
+        "image",
+        "",
+        "random_walk: Eq. 3 alone, as the paper; image: the pan is first measured between the "
+        "frames, and the walk is sigma_known_px wide",
+        ("random_walk", "image"),
+    )
+    sigma_known_px: float = _setting(4.0, "fan pixels", "image: random walk about the known pan")
+    min_match: float = _setting(
+        0.25, "correlation", "image: frames that match less are not believed: the wide walk serves"
+    )
     z_hit: float = _setting(0.95, "weight", "of the score map in Eq. 4; open in the paper")
     z_rand: float = _setting(0.05, "weight", "of the uniform part in Eq. 4; open in the paper")
     hit_power: float = _setting(
@@ -145,7 +156,7 @@ PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     "default": {},
     "paper": {
         "candidates": {"plane": "fan", "detector": "edge", "threshold": 0.35},
-        "continuity": {"particles": 1500, "min_existence": 0.0},
+        "continuity": {"motion": "random_walk", "particles": 1500, "min_existence": 0.0},
         "features": {
             "motion_model": "inverse_distance",
             "distance_power": 4.0,

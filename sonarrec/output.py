@@ -42,6 +42,7 @@ class ResultsWriter:
 
     def __init__(self, folder: Path, landmarks: LandmarkSet, run: dict[str, Any]) -> None:
         """run: the tables of run.toml. Raises SonarrecError where the folder cannot be written."""
+        self.frames = 0
         self._folder = folder
         self._run = run
         try:
@@ -63,6 +64,7 @@ class ResultsWriter:
 
     def write(self, result: FrameResult) -> None:
         """Append one frame. Raises SonarrecError where the disk takes no more."""
+        self.frames += 1
         try:
             self._frames.writerow(
                 (result.index, result.timestamp_ns, result.candidates, result.tracks)
@@ -91,9 +93,9 @@ class ResultsWriter:
                 f"{self._folder}: cannot write results ({error.strerror}); what is there is good"
             ) from None
 
-    def finish(self, frames: int, problems: Sequence[str]) -> None:
+    def finish(self, problems: Sequence[str]) -> None:
         """Mark the results as whole: every frame of the log was processed or told of."""
-        self._run["input"]["frames_processed"] = frames
+        self._run["input"]["frames_processed"] = self.frames
         self._run["input"]["problems"] = list(problems)
         self._write_run(finished=True)
 

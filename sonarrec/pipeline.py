@@ -65,13 +65,12 @@ def process(
         source = (log.name, *log.digest_source())
         run = run_table(settings, log.sonar, first.fan, landmark_set, source)
         sightings = Sightings(FRAMEWORK)
-        count = 0
         with ResultsWriter(out / log.name, landmark_set, run) as writer:
-            for count, frame in enumerate(chain([first], frames), start=1):
+            for frame in chain([first], frames):
                 result = recogniser.step(frame)
                 writer.write(result)
                 sightings.add(result)
                 if observe is not None:
                     observe(result, log.frame_count)
-            writer.finish(count, log.problems)
-        return Summary(out / log.name, count, list(log.problems), sightings.table())
+            writer.finish(log.problems)
+        return Summary(out / log.name, writer.frames, list(log.problems), sightings.table())

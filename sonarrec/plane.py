@@ -67,7 +67,9 @@ class Plane:
         inside &= (fan_column >= 0) & (fan_column <= fan.columns - 1)
         inside &= (fan_row >= 0) & (fan_row <= fan.rows - 1)
         # The outermost pixels are mixed with the black outside.
-        self.inside = cv2.erode(inside.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=0)
+        self.inside = np.asarray(
+            cv2.erode(inside.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=0), np.uint8
+        )
         # Whole-number shrinking averages speckle before the resampling picks pixels.
         self._shrink = max(1, round(1 / self.scale))
         self._map, self._weights = cv2.convertMaps(
@@ -102,6 +104,18 @@ class Plane:
             np.degrees(np.arctan2(across, along)),
         )
 
+    def from_polar(
+        self, range_m: FloatArray, bearing_deg: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """(column, row) in working pixels of slant ranges (m) and bearings (deg)."""
+        if self.kind == "fan":
+            return pixel_from_polar(self.fan, range_m, bearing_deg)
+        distance = ground_range(self.fan, range_m) / self._metres
+        bearing = np.radians(bearing_deg)
+        return self._apex[0] + distance * np.sin(bearing), self._apex[1] - distance * np.cos(
+            bearing
+        )
+
     def to_fan(
         self, column: FloatArray | float, row: FloatArray | float
     ) -> tuple[FloatArray, FloatArray]:
@@ -110,9 +124,20 @@ class Plane:
             return np.asarray(column, dtype=float), np.asarray(row, dtype=float)
         return pixel_from_polar(self.fan, *self.to_polar(column, row))
 
+    def panned(self, position: FloatArray, pan_deg: float) -> FloatArray:
+        """(..., 2) where still objects at working pixels appear once the sonar turned right."""
+        x = position[..., 0] - self._apex[0]
+        y = position[..., 1] - self._apex[1]
+        cos, sin = math.cos(math.radians(pan_deg)), math.sin(math.radians(pan_deg))
+        return np.stack(
+            [self._apex[0] + x * cos + y * sin, self._apex[1] - x * sin + y * cos], axis=-1
+        )
+
     def line_of_sight(self, position: FloatArray) -> FloatArray:
         """(n,) direction away from the sonar at (n, 2) working pixels, rad.
 
         Counter-clockwise from the image's right, seen from above.
         """
-        return np.arctan2(self._apex[1] - position[:, 1], position[:, 0] - self._apex[0])
+        return np.asarray(
+            np.arctan2(self._apex[1] - position[:, 1], position[:, 0] - self._apex[0])
+        )

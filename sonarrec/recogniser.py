@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sonarrec.appearance import AppearanceMeasurement
+from sonarrec.appearance import AppearanceMeasurement, AppearanceModel, load_model
 from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
+from sonarrec.odometry import PanEstimator
 from sonarrec.plane import Plane
-from sonarrec.records import Estimate, Fan, FloatArray, Frame, FrameResult
+from sonarrec.records import ByteImage, Estimate, Fan, FloatArray, Frame, FrameResult
 from sonarrec.shape_matrix import STEP, ShapeSampler, identify, turned_codes
 from sonarrec.stage1_candidates import CandidateSelector
 from sonarrec.stage2_continuity import ContinuityFilter
@@ -26,8 +27,14 @@ class Recogniser:
     settings give the same estimates.
     """
 
-    def __init__(self, config: Config, fan: Fan, landmarks: LandmarkSet) -> None:
-        """fan: the geometry that all frames of the log share."""
+    def __init__(
+        self,
+        config: Config,
+        fan: Fan,
+        landmarks: LandmarkSet,
+        model: AppearanceModel | None = None,
+    ) -> None:
+        """fan: the geometry that all frames of the log share. model: default, the built-in one."""
         rng = np.random.default_rng(config.seed)
         self._config = config
         self._landmarks = landmarks
@@ -38,21 +45,22 @@ class Recogniser:
         self._turned = turned_codes(landmarks)
         self._select = CandidateSelector(config.candidates, plane, landmarks)
         self._continuity = ContinuityFilter(config.continuity, plane, rng)
+        self._odometry = PanEstimator(plane) if config.continuity.motion == "image" else None
         self._appearance = None
         if config.features.measurement == "track":
             self._appearance = AppearanceMeasurement(
-                config.features.memory_frames, self._sampler.bands, landmarks
+                config.features.memory_frames, self._sampler.bands, landmarks, model or load_model()
             )
-            model = np.eye(len(landmarks.ids) + 1)
+            confusion: FloatArray = np.eye(len(landmarks.ids) + 1)
         else:
-            model = measurement_model(landmarks, fan.window_m)
-        self._features = FeatureEstimator(config.features, model)
+            confusion = measurement_model(landmarks, fan.window_m)
+        self._features = FeatureEstimator(config.features, confusion)
 
     def step(self, frame: Frame) -> FrameResult:
         """The estimates of one frame, by the single-frame method and by the framework."""
         image = self._plane.warp(frame.image)
         selection = self._select(image)  # stage 1
-        groups = self._continuity.step(selection)  # stage 2
+        groups = self._continuity.step(selection, self._pan(image))  # stage 2
 
         places = np.concatenate([selection.positions, groups.positions])
         sight = self._plane.line_of_sight(places)
@@ -60,7 +68,7 @@ class Recogniser:
         single = identify(grey, seen, self._sampler.bands, self._turned)
         n = len(selection.positions)
 
-        measured = single.similarity / single.similarity.sum(axis=1, keepdims=True)
+        measured = single.measurement
         estimates = self._estimates(
             SMI,
             np.arange(n),
@@ -90,6 +98,13 @@ class Recogniser:
         return FrameResult(
             frame.index, frame.timestamp_ns, n, len(groups.numbers), tuple(estimates)
         )
+
+    def _pan(self, image: ByteImage) -> float | None:
+        """Pan since the last frame (deg), where it is to be measured and could be."""
+        if self._odometry is None:
+            return None
+        pan_deg, match = self._odometry.step(image)
+        return pan_deg if match >= self._config.continuity.min_match else None
 
     def _estimates(
         self,

@@ -8,6 +8,7 @@ as it appears in the working plane.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -57,7 +58,7 @@ class ShapeSampler:
             _middles(OUTER, OUTER_LINES),
         ]
         ends = np.cumsum([0] + [len(p) for p in parts])
-        self.bands = Bands(*(slice(int(a), int(b)) for a, b in zip(ends, ends[1:], strict=False)))
+        self.bands = Bands(*(slice(int(a), int(b)) for a, b in pairwise(ends)))
         self.radii = np.concatenate(parts)
         self._axes = axes
 
@@ -67,9 +68,9 @@ class ShapeSampler:
         """Brightness (n, L, ANGLES) float64 and where it was seen (n, L, ANGLES) bool.
 
         Brightness is in standard deviations of the whole frame above its mean, so that gain and
-        grey scale drop out. image, inside: working image and 1 where it holds sonar data, both uint8. centres: (n, 2)
-        (column, row). start_rad: (n,) direction of the first angle; angles run counter-clockwise
-        seen from above.
+        grey scale drop out. image, inside: working image and 1 where it holds sonar data, both
+        uint8. centres: (n, 2) (column, row). start_rad: (n,) direction of the first angle; angles
+        run counter-clockwise seen from above.
         """
         angle = start_rad[:, None, None] + (np.arange(ANGLES) + 0.5) * STEP
         radius = self.radii[:, None]
@@ -103,6 +104,14 @@ class Identification:
     similarity: FloatArray
     turn: npt.NDArray[np.intp]
     ring: FloatArray
+
+    @property
+    def measurement(self) -> FloatArray:
+        """(n, K) q of Eq. 8: the similarities divided by their sum."""
+        total = self.similarity.sum(axis=1, keepdims=True)
+        uniform = np.full_like(self.similarity, 1 / self.similarity.shape[1])
+        np.divide(self.similarity, total, out=uniform, where=total > 0)
+        return uniform
 
 
 def identify(

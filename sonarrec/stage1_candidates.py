@@ -51,17 +51,15 @@ class CandidateSelector:
         self._margin = margin
         visible = self._correlate(plane.inside.astype(np.float32), ring.astype(np.float32))
         visible /= ring.sum()
-        # A part of a ring is scored by what shows of it. The correlation there is short by the share
-        # that is hidden, and its noise grows as the root of that share: the root keeps the noise
-        # level, and with it the rate of chance candidates, the same up to the fan's edge.
+        # A part of a ring is scored by what shows of it. The correlation is short by the share that
+        # is hidden, its noise by the root of that: dividing by the root keeps the rate of chance
+        # candidates the same up to the fan's edge.
         self._gain = np.where(
             visible >= config.min_visible, np.maximum(visible, config.min_visible) ** -0.5, 0
         ).astype(np.float32)
         reach = config.separation * 2 * np.array([along, across])
-        size = 2 * np.maximum(reach.astype(int), 1) + 1
-        self._neighbourhood = cv2.getStructuringElement(
-            cv2.MORPH_ELLIPSE, (int(size[1]), int(size[0]))
-        )
+        # A rectangle, which OpenCV dilates by in two passes whatever its size.
+        self._neighbourhood = np.ones(2 * np.maximum(reach.astype(int), 1) + 1, np.uint8)
 
     def __call__(self, image: ByteImage) -> Selection:
         """Candidates in a working image (uint8, the plane's shape)."""
@@ -90,12 +88,12 @@ class CandidateSelector:
         """Contrast of a bright ring over its surroundings, in shares of the full contrast."""
         grey = image.astype(np.float32) * self._inside
         local_mean = cv2.blur(grey, self._background) / np.maximum(self._seen, 1e-3)
-        grey = (grey - local_mean) * self._inside
+        grey = (grey - local_mean).astype(np.float32) * self._inside
         sigma = float(np.sqrt(np.mean(grey**2) / max(float(self._inside.mean()), 1e-6)))
         if sigma == 0:  # a black or even frame
             return np.zeros(grey.shape, np.float32)
         full = self._config.ring_full_contrast * sigma
-        return self._correlate(grey, self._kernel) * (self._gain / full)
+        return np.asarray(self._correlate(grey, self._kernel) * self._gain / np.float32(full))
 
     def _correlate(
         self, image: npt.NDArray[np.float32], kernel: npt.NDArray[np.float32]
@@ -109,7 +107,7 @@ def _band(radius: FloatArray, band: tuple[float, float], pixel: float) -> FloatA
     """Share of each pixel that lies between two radii, softened by one pixel."""
     inner = np.clip((radius - band[0]) / pixel + 0.5, 0, 1)
     outer = np.clip((band[1] - radius) / pixel + 0.5, 0, 1)
-    return np.minimum(inner, outer)
+    return np.asarray(np.minimum(inner, outer))
 
 
 def _refine(
@@ -124,7 +122,7 @@ def _refine(
         bend = before - 2 * at + after
         with np.errstate(divide="ignore", invalid="ignore"):
             shift = np.where(bend < 0, 0.5 * (before - after) / bend, 0.0)
-        return np.clip(shift, -0.5, 0.5)
+        return np.asarray(np.clip(shift, -0.5, 0.5))
 
     x = column + offset(score[r, c - 1], score[r, c], score[r, c + 1])
     y = row + offset(score[r - 1, c], score[r, c], score[r + 1, c])

@@ -21,8 +21,9 @@ class ContinuityFilter:
     def __init__(self, config: Continuity, plane: Plane, rng: np.random.Generator) -> None:
         self._config = config
         self._rng = rng
-        self._inside = plane.inside
+        self._plane = plane
         self._sigma = config.sigma_px * plane.scale
+        self._sigma_known = config.sigma_known_px * plane.scale
         self._diameter = 2 * np.array(plane.axes)
         self._next = 1
         self._numbers = np.empty(0, np.int64)
@@ -30,9 +31,13 @@ class ContinuityFilter:
         self._existence = np.empty(0)
         self._particles = np.empty((0, config.particles, 2), np.float32)
 
-    def step(self, selection: Selection) -> Groups:
-        """Predict, weigh and resample every group; delete the dead, begin the new."""
-        positions, spread = self._predict_and_weigh(selection.score_map)
+    def step(self, selection: Selection, pan_deg: float | None = None) -> Groups:
+        """Predict, weigh and resample every group; delete the dead, begin the new.
+
+        pan_deg: how far the sonar turned right since the last frame; None where unknown.
+        """
+        self._predict(pan_deg)
+        positions, spread = self._weigh(selection.score_map)
         self._count(positions, spread, selection)
         alive = self._survivors(positions)
         self._keep(alive)
@@ -45,10 +50,20 @@ class ContinuityFilter:
             self._existence.copy(),
         )
 
-    def _predict_and_weigh(
-        self, score_map: npt.NDArray[np.float32]
-    ) -> tuple[FloatArray, FloatArray]:
-        """Eq. 3 and 4. Returns weighted means (n, 2) in pixels and spreads (n, 2) in diameters."""
+    def _predict(self, pan_deg: float | None) -> None:
+        """Eq. 3: a random walk; where the sonar's own motion is known a narrower one round it."""
+        sigma = self._sigma
+        if pan_deg is not None:
+            self._particles = self._plane.panned(self._particles, pan_deg).astype(np.float32)
+            sigma = self._sigma_known
+        noise = self._rng.standard_normal(self._particles.shape, np.float32)
+        self._particles += noise * np.float32(sigma)
+
+    def _weigh(self, score_map: npt.NDArray[np.float32]) -> tuple[FloatArray, FloatArray]:
+        """Eq. 4, and resampling.
+
+        Returns the weighted means (n, 2) in pixels and spreads (n, 2) in disc diameters.
+        """
         config = self._config
         groups, n = self._particles.shape[:2]
         if groups == 0:
@@ -92,7 +107,7 @@ class ContinuityFilter:
     def _survivors(self, positions: FloatArray) -> npt.NDArray[np.bool_]:
         config = self._config
         column, row = np.rint(positions).astype(int).T
-        rows, columns = self._inside.shape
+        rows, columns = self._plane.inside.shape
         within = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
         alive = (
             (self._strikes < config.strikes) & (self._existence >= config.min_existence) & within
