@@ -11,6 +11,7 @@ from __future__ import annotations
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -201,6 +202,12 @@ def _sector_margin(
     return np.where(np.isfinite(margin), margin, 0.0)
 
 
+class Judge(Protocol):
+    """What turns features (n, K, F) into (n, K + 1) probabilities; rows sum to 1."""
+
+    def probabilities(self, features: FloatArray) -> FloatArray: ...
+
+
 @dataclass(frozen=True, slots=True)
 class AppearanceModel:
     """Log-linear model: log odds of an ID against 'none of these' = weights . features.
@@ -228,7 +235,7 @@ class AppearanceMeasurement:
     """The default measurement of stage 3: from each track's averaged shape matrix."""
 
     def __init__(
-        self, memory_frames: float, bands: Bands, landmarks: LandmarkSet, model: AppearanceModel
+        self, memory_frames: float, bands: Bands, landmarks: LandmarkSet, model: Judge
     ) -> None:
         self._matrix = TrackMatrix(memory_frames, bands.outer.stop)
         self._bands = bands

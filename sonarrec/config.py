@@ -52,9 +52,12 @@ class Candidates:
     min_visible: float = _setting(0.35, "share", "least share of the ring inside the fan")
     max_candidates: int = _setting(8, "", "per frame, the best ones")
     separation: float = _setting(0.6, "disc diameters", "least distance between candidates")
-    blur_px: int = _setting(5, "pixels", "edge: Gaussian kernel before Canny, odd")
-    canny_low: float = _setting(40.0, "grey levels", "edge: Canny's lower threshold")
-    canny_high: float = _setting(100.0, "grey levels", "edge: Canny's upper threshold")
+    blur_px: int = _setting(13, "pixels", "edge: size of the Gaussian kernel before Canny, odd")
+    canny_low: float = _setting(1.0, "frame sigmas", "edge: Canny's lower threshold")
+    canny_high: float = _setting(3.0, "frame sigmas", "edge: Canny's upper threshold")
+    edge_tolerance_px: int = _setting(
+        2, "pixels", "edge: how far from the outline an edge may lie and still count"
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sonarrec.appearance import AppearanceMeasurement, AppearanceModel, load_model
+from sonarrec.appearance import AppearanceMeasurement, Judge, load_model
 from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.odometry import PanEstimator
@@ -32,7 +32,7 @@ class Recogniser:
         config: Config,
         fan: Fan,
         landmarks: LandmarkSet,
-        model: AppearanceModel | None = None,
+        model: Judge | None = None,
     ) -> None:
         """fan: the geometry that all frames of the log share. model: default, the built-in one."""
         rng = np.random.default_rng(config.seed)

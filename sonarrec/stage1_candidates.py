@@ -18,6 +18,8 @@ from sonarrec.records import ByteImage, FloatArray, Selection
 # The ring filter's dark surroundings, in disc radii: part of the gap inside, the floor outside.
 GAP_MARGIN = 0.03
 OUTSIDE = (1.08, 1.35)
+# Peaks that are compared with each other; a frame with more is noise from edge to edge.
+MOST_PEAKS = 64
 
 
 class CandidateSelector:
@@ -36,7 +38,9 @@ class CandidateSelector:
             self._kernel = (outline / outline.sum()).astype(np.float32)
             ring = outline.astype(float)
             # The fan's own edge is an edge too, and so is what the blur makes of it.
-            self._away = cv2.erode(plane.inside, np.ones((9, 9), np.uint8))
+            border = config.blur_px // 2 + 1
+            self._away = cv2.erode(plane.inside, np.ones((2 * border + 1,) * 2, np.uint8))
+            self._tolerance = np.ones((2 * config.edge_tolerance_px + 1,) * 2, np.uint8)
         else:
             ring = _band(radius, landmarks.ring, pixel)
             gap = _band(
@@ -49,6 +53,7 @@ class CandidateSelector:
             self._background = (4 * margin + 1, 4 * margin + 1)
             self._seen = cv2.blur(plane.inside.astype(np.float32), self._background)
         self._margin = margin
+        self._diameter = 2 * np.array(plane.axes)
         visible = self._correlate(plane.inside.astype(np.float32), ring.astype(np.float32))
         visible /= ring.sum()
         # A part of a ring is scored by what shows of it. The correlation is short by the share that
@@ -57,32 +62,38 @@ class CandidateSelector:
         self._gain = np.where(
             visible >= config.min_visible, np.maximum(visible, config.min_visible) ** -0.5, 0
         ).astype(np.float32)
-        reach = config.separation * 2 * np.array([along, across])
-        # A rectangle, which OpenCV dilates by in two passes whatever its size.
-        self._neighbourhood = np.ones(2 * np.maximum(reach.astype(int), 1) + 1, np.uint8)
 
     def __call__(self, image: ByteImage) -> Selection:
         """Candidates in a working image (uint8, the plane's shape)."""
         score = (
             self._edge_score(image) if self._config.detector == "edge" else self._ring_score(image)
         )
-        peaks = (score >= self._config.threshold) & (
-            score == cv2.dilate(score, self._neighbourhood)
-        )
+        peaks = (score >= self._config.threshold) & (score == cv2.dilate(score, np.ones((3, 3))))
         row, column = np.nonzero(peaks)
-        order = np.argsort(-score[row, column], kind="stable")[: self._config.max_candidates]
-        row, column = row[order], column[order]
-        scores = np.minimum(score[row, column], 1).astype(float)
-        return Selection(np.clip(score, 0, 1), _refine(score, column, row), scores)
+        order = np.argsort(-score[row, column], kind="stable")[:MOST_PEAKS]
+        positions = _refine(score, column[order], row[order])
+        kept = self._apart(positions)[: self._config.max_candidates]
+        scores = np.minimum(score[row, column][order][kept], 1).astype(float)
+        return Selection(np.clip(score, 0, 1), positions[kept], scores)
+
+    def _apart(self, positions: FloatArray) -> npt.NDArray[np.intp]:
+        """Indices of the peaks, best first, that no better one is too near to."""
+        offset = (positions[:, None] - positions[None]) / self._diameter
+        near = np.hypot(offset[..., 0], offset[..., 1]) < self._config.separation
+        kept = np.ones(len(positions), bool)
+        for i in range(1, len(positions)):
+            kept[i] = not (near[i, :i] & kept[:i]).any()
+        return np.flatnonzero(kept)
 
     def _edge_score(self, image: ByteImage) -> npt.NDArray[np.float32]:
-        """Share of the outline's pixels that lie on or beside an edge, per pixel."""
+        """Share of the outline's pixels that lie on or near an edge, per pixel."""
         config = self._config
+        sigma = float(cv2.meanStdDev(image, mask=self._inside)[1][0, 0])
         blurred = cv2.GaussianBlur(image, (config.blur_px, config.blur_px), 0)
-        edges = cv2.Canny(blurred, config.canny_low, config.canny_high)
-        edges = cv2.dilate(edges, np.ones((3, 3), np.uint8))
-        on_edge = (cv2.bitwise_and(edges, edges, mask=self._away) > 0).astype(np.float32)
-        return self._correlate(on_edge, self._kernel) * self._gain
+        edges = cv2.Canny(blurred, config.canny_low * sigma, config.canny_high * sigma)
+        edges = cv2.dilate(cv2.bitwise_and(edges, edges, mask=self._away), self._tolerance)
+        on_edge = (edges > 0).astype(np.float32)
+        return np.asarray(self._correlate(on_edge, self._kernel) * self._gain)
 
     def _ring_score(self, image: ByteImage) -> npt.NDArray[np.float32]:
         """Contrast of a bright ring over its surroundings, in shares of the full contrast."""
