@@ -1,0 +1,264 @@
+"""Random scenes for tuning and studies: layouts and nuisances drawn by kind of scene."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from sonarrec.landmarks import LandmarkSet, load_landmarks
+from sonarrec.records import SonarrecError
+from sonarrec.scene import (
+    KINDS,
+    FadingSection,
+    FloorSection,
+    MotionSection,
+    NoiseSection,
+    PictureSection,
+    PlacedLandmark,
+    PlacedObject,
+    Scene,
+    SonarSection,
+    check_scene,
+)
+from sonarrec.world import object_radius
+
+KINDS_OF_SCENE = (
+    "plain",
+    "low_contrast",
+    "window_1_25",
+    "window_5",
+    "jitter",
+    "ring_widths",
+    "fading",
+    "occluded",
+    "near_miss",
+    "fast_pan",
+    "small_discs",
+    "no_landmark",
+)
+# kind of scene: (range_min, range_max, height, tilt) before they are varied
+_WINDOWS = {"window_1_25": (1.4, 2.65, 0.66, 20.0), "window_5": (1.25, 6.25, 1.0, 18.0)}
+
+
+def _sonar(kind: str, rng: np.random.Generator) -> SonarSection:
+    low, high, height, tilt = _WINDOWS.get(kind, (1.25, 3.75, 0.68, 20.0))
+    sonar = SonarSection(
+        range_min_m=low,
+        range_max_m=high,
+        height_m=round(height * rng.uniform(0.9, 1.1), 3),
+        tilt_deg=round(tilt + rng.uniform(-2, 2), 2),
+        beam_width_deg=round(rng.uniform(0.32, 0.5), 3),
+        side_lobe_db=round(rng.uniform(-36, -26), 1),
+        stray_db=round(rng.uniform(-42, -30), 1),
+        cross_talk_db=round(rng.uniform(-40, -27), 1),
+        pulse_m=round(rng.uniform(0.9, 1.8) * (high - low) / 512, 4),
+    )
+    if kind == "jitter":
+        return replace(
+            sonar,
+            tilt_error_deg=round(rng.uniform(-3, 3), 2),
+            height_error_m=round(rng.uniform(-0.05, 0.05), 3),
+        )
+    return sonar
+
+
+def _nuisances(kind: str, rng: np.random.Generator) -> dict[str, Any]:
+    """The sections that say how the picture suffers, drawn about each kind's level."""
+    hard, faint = kind == "fading", kind == "low_contrast"
+    jitter = kind == "jitter"
+    u = rng.uniform
+    return {
+        "motion": MotionSection(
+            pan_min_deg=-31,
+            pan_max_deg=31,
+            pan_start_deg=float(rng.integers(-31, 32)),
+            pan_deg_s=round(u(6, 12) if kind == "fast_pan" else u(1.6, 2.8), 2),
+            yaw_jitter_deg=round(u(0.2, 0.5) if jitter else u(0, 0.08), 3),
+            heave_m=round(u(0.01, 0.03) if jitter else u(0, 0.003), 4),
+            heave_period_s=round(u(4, 10), 1),
+            sway_x_m=round(u(0.01, 0.06), 3) if jitter else 0.0,
+            sway_y_m=round(u(0.01, 0.06), 3) if jitter else 0.0,
+        ),
+        "floor": FloorSection(
+            texture_db=round(u(0.6, 2.2), 2),
+            texture_m=round(u(0.08, 0.4), 3),
+            angle_exponent=round(u(0, 1.6), 2),
+            speckle_s=round(math.exp(u(math.log(15), math.log(200))), 1),
+        ),
+        "fading": FadingSection(
+            object_db=round(u(2.5, 4.5) if hard else u(0.5, 2), 2),
+            patch_db=round(u(2.5, 4.5) if hard else u(0.8, 2.4), 2),
+            patch_m=round(u(0.04, 0.12), 3),
+            time_s=round(u(2, 12), 1),
+            specular_db=round(u(0, 5), 2),
+            frame_probability=round(u(0.01, 0.06) if hard else u(0, 0.02), 4),
+            burst_probability=round(u(0.01, 0.03) if hard else u(0, 0.003), 4),
+            burst_frames=round(u(3, 10), 1),
+            depth_db=round(u(6, 12) if hard else u(4, 9), 1),
+            ghost_db=round(u(-16, -8) if hard or kind == "near_miss" else u(-24, -12), 1),
+            ghost_shift_m=round(u(0.03, 0.2), 3),
+            ghost_blur_m=round(u(0.02, 0.08), 3),
+        ),
+        "noise": NoiseSection(
+            snr_db=round(u(4, 9) if faint else u(9, 24), 1),
+            shadow_db=round(u(-20, -9), 1),
+            gain_drift_db=round(u(1.5, 4) if hard or faint else u(0, 1.5), 2),
+            gain_drift_s=round(u(40, 200), 1),
+            group_gain_db=round(u(0.2, 1.2), 2),
+            beam_gain_db=round(u(0.1, 0.6), 2),
+            hot_beams=int(rng.integers(0, 5)),
+            hot_beam_db=round(u(1, 4), 2),
+        ),
+        "picture": PictureSection(
+            black_db=round(u(-24, -12), 1),
+            dynamic_range_db=round(u(40, 66), 1),
+            gamma=round(u(0.8, 1.3), 2),
+        ),
+    }
+
+
+def _landmark_set(kind: str, rng: np.random.Generator) -> LandmarkSet:
+    discs = load_landmarks("basin")
+    if kind == "ring_widths":
+        inner = rng.uniform(0.72, 0.88)
+        return replace(
+            discs,
+            name="ring_widths",
+            ring=(round(inner, 3), 1.0),
+            symbol=(round(rng.uniform(0, 0.15), 3), round(inner - rng.uniform(0.1, 0.24), 3)),
+        )
+    if kind == "small_discs":
+        return replace(discs, name="small_discs", radius_m=round(rng.uniform(0.09, 0.12), 3))
+    return discs
+
+
+class _Floor:
+    """Finds free places: circles that touch no other and lie in the sonar's range window."""
+
+    def __init__(self, sonar: SonarSection, rng: np.random.Generator) -> None:
+        self._rng = rng
+        self._near = math.sqrt(max(sonar.range_min_m**2 - sonar.height_m**2, 0.04))
+        self._far = math.sqrt(sonar.range_max_m**2 - sonar.height_m**2)
+        self._taken: list[tuple[float, float, float]] = []
+
+    def place(self, radius_m: float, share: float = 1.0) -> tuple[float, float] | None:
+        """(ground_m, azimuth_deg) of a free circle in the nearest `share` of the window, or None.
+
+        All of it lies inside the range window.
+        """
+        near = self._near + 1.15 * radius_m
+        far = max(self._near + share * (self._far - self._near) - 1.15 * radius_m, near + 0.02)
+        for _ in range(200):
+            ground = self._rng.uniform(near, far)
+            azimuth = self._rng.uniform(-40, 40)
+            x = ground * math.sin(math.radians(azimuth))
+            y = ground * math.cos(math.radians(azimuth))
+            if all(math.hypot(x - a, y - b) > radius_m + c + 0.05 for a, b, c in self._taken):
+                self._taken.append((x, y, radius_m))
+                return round(ground, 3), round(azimuth, 2)
+        return None
+
+
+def random_scene(seed: int, kind: str = "plain", **overrides: Any) -> Scene:
+    """Draw a scene: landmarks and distractors at random, nuisances by kind (KINDS_OF_SCENE).
+
+    overrides: fields of Scene put in place of those drawn. `sonar` and `landmark_set` take part
+    in the layout; with `landmarks` or `objects` given, none of these is drawn.
+    Raises SonarrecError on an unknown kind or a scene that contradicts itself.
+    """
+    if kind not in KINDS_OF_SCENE:
+        raise SonarrecError(f"unknown kind of scene {kind!r}; known: {', '.join(KINDS_OF_SCENE)}")
+    rng = np.random.default_rng([seed, KINDS_OF_SCENE.index(kind)])
+    scene = Scene(
+        name=f"{kind}_{seed}",
+        seed=seed,
+        landmark_set=overrides.get("landmark_set") or _landmark_set(kind, rng),
+        sonar=overrides.get("sonar") or _sonar(kind, rng),
+        **_nuisances(kind, rng),
+    )
+    discs = scene.landmark_set
+    floor = _Floor(scene.sonar, rng)
+    # Far out the floor lies at the beam's edge: discs keep to where a sonar would be used.
+    share = 0.6 if kind == "window_5" else 0.85
+    faint = rng.uniform(4, 7) if kind == "low_contrast" else 0.0
+    bright = rng.uniform(9, 14) - faint
+    plate = rng.uniform(-10, -4) + faint / 2
+
+    landmarks = []
+    count = 0 if kind == "no_landmark" else int(rng.integers(3, 5))
+    for number in rng.choice(discs.ids, count, replace=count > len(discs.ids)):
+        place = floor.place(discs.radius_m, share)
+        if place:
+            landmarks.append(
+                PlacedLandmark(
+                    int(number),
+                    *place,
+                    orientation_deg=round(rng.uniform(0, 360), 1),
+                    bright_db=round(bright + rng.normal(0, 0.7), 2),
+                    symbol_db=round(bright + rng.normal(-0.7, 0.7), 2),
+                    plate_db=round(plate + rng.normal(0, 0.7), 2),
+                )
+            )
+
+    kinds = ["blank", "filled", "tyre", "stone", "stone"]
+    kinds += [str(k) for k in rng.choice(["mesh", "beam", "stone"], 2)]
+    if kind in ("near_miss", "no_landmark"):
+        kinds += ["spokes", "half_ring", "blank", "filled"]
+    else:
+        kinds += [str(k) for k in rng.choice(["spokes", "half_ring", "blank", "filled"], 1)]
+    objects = []
+    for name in kinds:
+        draft = PlacedObject(
+            name,
+            1.0,
+            0.0,
+            orientation_deg=round(rng.uniform(0, 360), 1),
+            size_m=_random_size(name, discs.radius_m, rng),
+            bright_db=round(KINDS[name][3] + (bright - 12) + rng.normal(0, 1), 2),
+            plate_db=round(plate + rng.normal(0, 0.7), 2),
+        )
+        place = floor.place(object_radius(scene, draft), share)
+        if place:
+            objects.append(replace(draft, ground_m=place[0], azimuth_deg=place[1]))
+    if kind == "occluded":
+        objects += [_cover(landmark, discs.radius_m, rng) for landmark in landmarks]
+    if rng.uniform() < 0.5:
+        far = math.sqrt(scene.sonar.range_max_m**2 - scene.sonar.height_m**2)
+        objects.append(
+            PlacedObject("wall", round(0.95 * far, 3), 0.0, round(rng.uniform(-12, 12), 1))
+        )
+    drawn = replace(scene, landmarks=tuple(landmarks), objects=tuple(objects))
+    drawn = replace(drawn, **overrides)
+    check_scene(drawn, drawn.name)
+    return drawn
+
+
+def _random_size(kind: str, disc_m: float, rng: np.random.Generator) -> float | None:
+    """A likely size (m); round fakes are at times a little larger or smaller than the discs."""
+    if kind == "tyre":
+        return round(disc_m * rng.uniform(0.65, 1.0), 3)
+    if kind == "stone":
+        return round(rng.uniform(0.02, 0.07), 3)
+    if kind == "mesh":
+        return round(rng.uniform(0.25, 0.5), 3)
+    if kind == "beam":
+        return round(rng.uniform(0.4, 0.9), 3)
+    return round(disc_m * rng.uniform(0.9, 1.1), 3)
+
+
+def _cover(landmark: PlacedLandmark, disc_m: float, rng: np.random.Generator) -> PlacedObject:
+    """Sediment over a tenth to a quarter of a disc, across its rim."""
+    away = disc_m * rng.uniform(0.9, 1.15)
+    angle = rng.uniform(0, 2 * math.pi)
+    place = math.radians(landmark.azimuth_deg)
+    x = landmark.ground_m * math.sin(place) + away * math.cos(angle)
+    y = landmark.ground_m * math.cos(place) + away * math.sin(angle)
+    return PlacedObject(
+        "cover",
+        round(math.hypot(x, y), 3),
+        round(math.degrees(math.atan2(x, y)), 2),
+        size_m=round(disc_m * rng.uniform(0.5, 0.75), 3),
+    )

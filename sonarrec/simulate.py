@@ -1,0 +1,452 @@
+"""The acoustic simulator: recordings with known truth.
+
+The world is sampled on a polar grid of scatterers fixed to the floor. A beam is the sum over
+scatterers of reflectivity times beam pattern, coherent, so speckle and its behaviour under motion
+follow from the geometry. One matrix holds main lobes, side lobes and leaks between beams.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from sonarrec.geometry import in_fan, pixel_from_polar, polar_from_pixel
+from sonarrec.random_scenes import KINDS_OF_SCENE, random_scene
+from sonarrec.records import ByteImage, Fan, FloatArray, SonarrecError
+from sonarrec.scene import (
+    Scene,
+    SonarSection,
+    check_scene,
+    load_scene,
+    scene_bearings,
+    scene_fan,
+    scene_sonar,
+    scene_table,
+)
+from sonarrec.world import World, object_radius
+
+__all__ = [
+    "KINDS_OF_SCENE",
+    "DistractorTruth",
+    "LandmarkTruth",
+    "Scene",
+    "SimulatedFrame",
+    "load_scene",
+    "random_scene",
+    "render",
+    "write_recording",
+]
+
+GROUP = 8  # beams that share a gain; and beams this far apart fire together
+
+
+@dataclass(frozen=True, slots=True)
+class LandmarkTruth:
+    """One landmark of which something shows in a frame: a row of gt.csv.
+
+    x_px, y_px: centre in fan pixels. range_m: slant range. bearing_deg: positive to the right.
+    visible: share of the floor disc's area inside the fan, 0 to 1. orientation_deg: where the
+    first sector begins, counter-clockwise from the image's right, seen from above.
+    """
+
+    landmark: int
+    x_px: float
+    y_px: float
+    range_m: float
+    bearing_deg: float
+    visible: float
+    orientation_deg: float
+
+
+@dataclass(frozen=True, slots=True)
+class DistractorTruth:
+    """Any other object of which something shows, or would without occlusion; as LandmarkTruth."""
+
+    kind: str
+    x_px: float
+    y_px: float
+    range_m: float
+    bearing_deg: float
+    visible: float
+    orientation_deg: float
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedFrame:
+    """One simulated ping. image: uint8, (fan.rows, fan.columns), or (range bins, beams) if polar.
+
+    truth, distractors: in the scene's order. fan: the geometry as sonar.toml states it.
+    pan_deg: the true pan, yaw jitter included.
+    """
+
+    index: int
+    timestamp_ns: int
+    image: ByteImage
+    fan: Fan
+    pan_deg: float
+    truth: tuple[LandmarkTruth, ...]
+    distractors: tuple[DistractorTruth, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Pose:
+    """Where the sonar truly is: pan (deg), height (m), translation to the right and forward (m)."""
+
+    pan_deg: float
+    height_m: float
+    x_m: float
+    y_m: float
+
+
+def sweep_deg(low: float, high: float, start: float, travelled: FloatArray | float) -> FloatArray:
+    """Pan angle after `travelled` degrees of a triangular sweep from `start`, rightwards first."""
+    span = high - low
+    if span == 0:
+        return np.full(np.shape(travelled), low)
+    phase = np.mod(start - low + np.asarray(travelled, dtype=float), 2 * span)
+    return np.asarray(low + np.minimum(phase, 2 * span - phase))
+
+
+def _ar1(
+    rng: np.random.Generator, steps: int, size: int, step_s: float, time_s: float
+) -> FloatArray:
+    """(steps, size) unit-variance first-order autoregressive processes."""
+    keep = math.exp(-step_s / time_s)
+    drawn = rng.standard_normal((steps, size))
+    drawn[1:] *= math.sqrt(1 - keep**2)
+    for step in range(1, steps):
+        drawn[step] += keep * drawn[step - 1]
+    return drawn
+
+
+def beam_pattern(sonar: SonarSection, offset_deg: FloatArray) -> FloatArray:
+    """Two-way amplitude of one beam at angles off its axis (deg): Gaussian lobe, side lobes.
+
+    Half power at beam_width_deg / 2. Side lobes alternate in sign and fall with the angle.
+    """
+    scaled = offset_deg / sonar.beam_width_deg
+    main = np.exp(-2 * math.log(2) * scaled**2)
+    level = 10 ** (sonar.side_lobe_db / 20)
+    side = level * np.cos(np.pi * scaled) / np.sqrt(1 + (scaled / 6) ** 2)
+    return np.asarray(main + (1 - main) * side)
+
+
+def vertical_pattern(scene: Scene, height_m: float, range_m: FloatArray) -> FloatArray:
+    """Amplitude of floor echoes at slant ranges (m) against the beam axis; 0 above the floor.
+
+    Two-way Gaussian beam about the true tilt, times sin(grazing angle) to the angle exponent.
+    """
+    sonar = scene.sonar
+    sine = np.minimum(height_m / np.maximum(range_m, 1e-6), 1.0)
+    off_axis = (np.degrees(np.arcsin(sine)) - sonar.tilt_deg) / sonar.vertical_beam_deg
+    on_axis = max(math.sin(math.radians(sonar.tilt_deg)), 0.05)
+    power = np.exp(-4 * math.log(2) * off_axis**2) * (sine / on_axis) ** scene.floor.angle_exponent
+    return np.asarray(np.where(range_m > height_m, np.sqrt(power), 0.0))
+
+
+class _Receiver:
+    """Turns echoes on the grid of scatterers into beams: patterns, leaks, gains, pulse."""
+
+    def __init__(self, scene: Scene, rng: np.random.Generator) -> None:
+        sonar, noise = scene.sonar, scene.noise
+        beams = sonar.beams
+        self._sonar = sonar
+        self._bearings = scene_bearings(scene)
+        apart = np.abs(np.arange(beams)[:, None] - np.arange(beams)[None, :])
+        together = (apart % GROUP == 0) & (apart > 0)
+        leak = 10 ** (sonar.cross_talk_db / 20) * (apart > 0)
+        leak += 10 ** (sonar.stray_db / 20) * together / np.maximum(apart / GROUP, 1)
+        phase = rng.uniform(0, 2 * np.pi, (beams, beams))
+        self._leak = (np.eye(beams) + leak * np.exp(1j * phase)).astype(np.complex64)
+        gain = np.repeat(rng.normal(0, noise.group_gain_db, -(-beams // GROUP)), GROUP)[:beams]
+        gain += rng.normal(0, noise.beam_gain_db, beams)
+        hot = rng.permutation(beams)[: noise.hot_beams]
+        gain[hot] += noise.hot_beam_db
+        self.gain = (10 ** (gain / 20)).astype(np.float32)
+        bin_m = (sonar.range_max_m - sonar.range_min_m) / sonar.range_bins
+        half = max(math.ceil(1.5 * sonar.pulse_m / bin_m), 1)
+        tap = np.arange(-half, half + 1) * bin_m / sonar.pulse_m
+        pulse = np.exp(-2 * math.log(2) * tap**2)
+        self._pulse = (pulse / np.sqrt(np.sum(pulse**2))).astype(np.float32)
+
+    def patterns(self, azimuth_deg: FloatArray, pan_deg: float) -> np.ndarray:
+        """(beams, azimuths) complex64; unit power over a floor of unit scatterers."""
+        offset = self._bearings[:, None] + pan_deg - azimuth_deg[None, :]
+        pattern = beam_pattern(self._sonar, offset).astype(np.float32)
+        pattern /= np.sqrt(np.mean(np.sum(pattern**2, axis=1)))
+        return np.asarray(self._leak @ pattern)
+
+    def beams(self, echoes: np.ndarray, patterns: np.ndarray) -> np.ndarray:
+        """(bins, azimuths) complex64 echoes to (bins, beams) complex64."""
+        field = echoes @ patterns.T
+        pairs = field.view(np.float32).reshape(*field.shape, 2)
+        # The pulse acts along range only: a column filter over real and imaginary parts.
+        pairs = cv2.sepFilter2D(pairs, -1, np.ones(1, np.float32), self._pulse)
+        return np.ascontiguousarray(pairs).view(np.complex64)[..., 0]
+
+
+class _Picture:
+    """Log compression, and the fan image of the beams."""
+
+    def __init__(self, scene: Scene, fan: Fan) -> None:
+        self._picture = scene.picture
+        self._maps: tuple[np.ndarray, np.ndarray] | None = None
+        if scene.sonar.layout == "polar":
+            return
+        row, column = np.mgrid[0 : fan.rows, 0 : fan.columns]
+        range_m, bearing_deg = polar_from_pixel(fan, column, row)
+        bins, beams = scene.sonar.range_bins, scene.sonar.beams
+        beam = np.interp(bearing_deg, scene_bearings(scene), np.arange(beams))
+        bin_ = (range_m - fan.range_min_m) / (fan.range_max_m - fan.range_min_m) * bins - 0.5
+        bin_ = np.clip(bin_, 0, bins - 1)
+        self._maps = (beam.astype(np.float32), bin_.astype(np.float32))
+        self._outside = ~in_fan(fan, range_m, bearing_deg)
+
+    def __call__(self, power: np.ndarray) -> ByteImage:
+        """(bins, beams) power relative to the floor to the scene's 8-bit image."""
+        picture = self._picture
+        grey = (10 / math.log(10)) * np.log(power + np.float32(1e-9)) - picture.black_db
+        grey = np.clip(grey / picture.dynamic_range_db, 0, 1)
+        if picture.gamma != 1:
+            grey = grey**picture.gamma
+        image = np.rint(grey * 255).astype(np.uint8)
+        if self._maps is None:
+            return image
+        fan_image = cv2.remap(image, *self._maps, cv2.INTER_LINEAR)
+        fan_image[self._outside] = 0
+        return np.asarray(fan_image, dtype=np.uint8)
+
+
+def _shifted(image: np.ndarray, rows: int) -> np.ndarray:
+    """The image moved to higher rows (lower if negative), zeros where nothing came from."""
+    rows = max(-len(image), min(rows, len(image)))
+    moved = np.zeros_like(image)
+    if rows >= 0:
+        moved[rows:] = image[: len(image) - rows]
+    else:
+        moved[:rows] = image[-rows:]
+    return moved
+
+
+def _signal_gain_db(scene: Scene, rng: np.random.Generator) -> FloatArray:
+    """(frames,) gain of the echoes: frames that fade alone, and bursts of them."""
+    fading, frames = scene.fading, scene.frames
+    gain = (
+        -fading.depth_db
+        * rng.gamma(4.0, 0.25, frames)
+        * (rng.random(frames) < fading.frame_probability)
+    )
+    begins = np.flatnonzero(rng.random(frames) < fading.burst_probability)
+    for begin in begins:
+        length = 1 + rng.geometric(1 / max(fading.burst_frames, 1.0))
+        shape = np.sin(np.pi * (np.arange(length) + 1) / (length + 1)) ** 0.5
+        depth = fading.depth_db * rng.gamma(4.0, 0.25)
+        part = gain[begin : begin + length]
+        np.minimum(part, -depth * shape[: len(part)], out=part)
+    return np.asarray(gain)
+
+
+def poses(scene: Scene) -> list[_Pose]:
+    """The sonar's true pose in every frame."""
+    motion, frames = scene.motion, scene.frames
+    rng = np.random.default_rng([scene.seed, 2])
+    time = np.arange(frames) / scene.rate_hz
+    pan = sweep_deg(
+        motion.pan_min_deg, motion.pan_max_deg, motion.pan_start_deg, motion.pan_deg_s * time
+    )
+    jitter = _ar1(rng, frames, 1, 1 / scene.rate_hz, motion.yaw_jitter_s)[:, 0]
+    pan = pan + motion.yaw_jitter_deg * jitter
+    phase = rng.uniform(0, 2 * np.pi, 3)
+    heave = motion.heave_m * np.sin(2 * np.pi * time / motion.heave_period_s + phase[0])
+    slow = 2 * np.pi * time / motion.sway_period_s
+    return [
+        _Pose(*values)
+        for values in np.column_stack(
+            [
+                pan,
+                scene.sonar.height_m + heave,
+                motion.sway_x_m * np.sin(slow + phase[1]),
+                motion.sway_y_m * np.sin(slow + phase[2]),
+            ]
+        ).tolist()
+    ]
+
+
+def visible_share(
+    scene: Scene, fan: Fan, pose: _Pose, x_m: float, y_m: float, radius_m: float
+) -> float:
+    """Share of a floor disc's area inside the fan: a disc of 2,000 evenly spread points."""
+    n = np.arange(2000) + 0.5
+    radius = radius_m * np.sqrt(n / len(n))
+    angle = n * (np.pi * (3 - math.sqrt(5)))
+    x = x_m + radius * np.cos(angle) - pose.x_m
+    y = y_m + radius * np.sin(angle) - pose.y_m
+    slant = np.sqrt(x**2 + y**2 + pose.height_m**2)
+    bearing = np.degrees(np.arctan2(x, y)) - pose.pan_deg
+    half = scene.sonar.field_of_view_deg / 2
+    seen = (slant >= fan.range_min_m) & (slant <= fan.range_max_m) & (np.abs(bearing) <= half)
+    return float(np.mean(seen))
+
+
+def _truth(
+    scene: Scene, fan: Fan, pose: _Pose
+) -> tuple[tuple[LandmarkTruth, ...], tuple[DistractorTruth, ...]]:
+    """What shows in a frame, to the digits that gt.csv carries."""
+    radius = scene.landmark_set.radius_m
+    things = [(item, radius) for item in scene.landmarks]
+    things += [(item, object_radius(scene, item)) for item in scene.objects]  # type: ignore[misc]
+    landmarks, distractors = [], []
+    for item, size in things:
+        azimuth = math.radians(item.azimuth_deg)
+        x, y = item.ground_m * math.sin(azimuth), item.ground_m * math.cos(azimuth)
+        share = round(visible_share(scene, fan, pose, x, y, size), 4)
+        if share == 0:
+            continue
+        dx, dy = x - pose.x_m, y - pose.y_m
+        slant = math.sqrt(dx**2 + dy**2 + pose.height_m**2)
+        bearing = math.degrees(math.atan2(dx, dy)) - pose.pan_deg
+        column, row = pixel_from_polar(fan, slant, bearing)
+        values = (
+            round(float(column), 3),
+            round(float(row), 3),
+            round(slant, 5),
+            round(bearing, 4),
+            share,
+            round((item.orientation_deg + pose.pan_deg) % 360, 3),
+        )
+        if hasattr(item, "kind"):
+            distractors.append(DistractorTruth(item.kind, *values))
+        else:
+            landmarks.append(LandmarkTruth(item.id, *values))
+    return tuple(landmarks), tuple(distractors)
+
+
+def render(scene: Scene) -> Iterator[SimulatedFrame]:
+    """Render the scene's frames in order. The same scene gives the same bytes.
+
+    Raises SonarrecError where the scene contradicts itself.
+    """
+    check_scene(scene, scene.name)
+    fan = scene_fan(scene)
+    path = poses(scene)
+    world = World(scene, np.random.default_rng([scene.seed, 1]))
+    receiver = _Receiver(scene, np.random.default_rng([scene.seed, 3]))
+    picture = _Picture(scene, fan)
+    noise_rng = np.random.default_rng([scene.seed, 4])
+    rng = np.random.default_rng([scene.seed, 5])
+    fading, noise, sonar = scene.fading, scene.noise, scene.sonar
+
+    step_s = 1 / scene.rate_hz
+    gain_db = _signal_gain_db(scene, rng)
+    things = len(scene.landmarks) + len(scene.objects)
+    object_db = fading.object_db * _ar1(rng, scene.frames, things, step_s, fading.time_s)
+    patches = _ar1(rng, scene.frames, world.PATCHES, step_s, fading.time_s)
+    afterglow_db = rng.normal(0, 3, things) + 2 * _ar1(
+        rng, scene.frames, things, step_s, fading.time_s
+    )
+    # Speckle lives in scatterer phases that advance with motion and, as a random walk, with time.
+    clock = np.cumsum(rng.standard_normal(scene.frames)) * math.sqrt(
+        2 * step_s / scene.floor.speckle_s
+    )
+    time = np.arange(scene.frames) * step_s
+    drift_db = noise.gain_drift_db * np.sin(2 * np.pi * (time / noise.gain_drift_s + rng.uniform()))
+    bin_m = fan.window_m / sonar.range_bins
+    range_m = sonar.range_min_m + (np.arange(sonar.range_bins) + 0.5) * bin_m
+    noise_amplitude = np.float32(10 ** (-noise.snr_db / 20) / math.sqrt(2))
+    glow_sigma = max(fading.ghost_blur_m / bin_m, 0.3)
+    glow_shift = round(fading.ghost_shift_m / bin_m)
+
+    for index, pose in enumerate(path):
+        world.fade(object_db[index], patches[index], afterglow_db[index])
+        heave = pose.height_m - sonar.height_m
+        moved = np.array([pose.x_m, pose.y_m, heave]) * (math.sqrt(2) / scene.floor.speckle_m)
+        view = world.view(
+            range_m, pose.pan_deg, pose.height_m, (pose.x_m, pose.y_m), [clock[index], *moved]
+        )
+        patterns = receiver.patterns(view.azimuth_deg, pose.pan_deg)
+        strength = vertical_pattern(scene, pose.height_m, range_m).astype(np.float32)[:, None]
+        field = receiver.beams(view.echoes * strength, patterns)
+        # An afterglow is the sum of many late paths: smooth in power, not coherent.
+        glow = (view.glow * strength**2) @ np.square(np.abs(patterns)).T
+        glow = cv2.GaussianBlur(glow, (0, 0), sigmaX=1.0, sigmaY=glow_sigma)
+        glow = _shifted(glow, glow_shift)
+        signal = np.float32(10 ** (gain_db[index] / 20))
+        hiss = noise_rng.standard_normal((*field.shape, 2), dtype=np.float32)
+        field = field * signal + hiss.view(np.complex64)[..., 0] * noise_amplitude
+        power = field.real**2 + field.imag**2 + glow * signal**2
+        power *= (receiver.gain * np.float32(10 ** (drift_db[index] / 20))) ** 2
+        truth, distractors = _truth(scene, fan, pose)
+        yield SimulatedFrame(
+            index=index,
+            timestamp_ns=round(index * 1e9 / scene.rate_hz),
+            image=picture(power),
+            fan=fan,
+            pan_deg=pose.pan_deg,
+            truth=truth,
+            distractors=distractors,
+        )
+
+
+def write_recording(
+    scene: Scene,
+    out: Path,
+    image_format: str = "png",
+    progress: Callable[[int], None] | None = None,
+) -> None:
+    """Write frames, sonar.toml, gt.csv and scene.toml.
+
+    out: a folder, which must not hold a recording yet; PNG frames are NNNNNN.png in it, an MCAP
+    is frames.mcap. Where `out` itself ends in .mcap it is the file, and its companions are
+    NAME.sonar.toml, NAME.gt.csv and NAME.scene.toml beside it. progress: called with the number
+    of frames done. Raises SonarrecError where `out` cannot be written or is in use.
+    """
+    import tomli_w  # only writers of TOML need it
+
+    from sonarrec.mcap_writer import McapImageWriter
+
+    if image_format not in ("png", "mcap"):
+        raise SonarrecError(f'image format must be "png" or "mcap", not {image_format!r}')
+    single = out.suffix == ".mcap"
+    if single and image_format != "mcap":
+        raise SonarrecError(f"{out}: a name ending in .mcap needs --format mcap")
+    folder, prefix = (out.parent, f"{out.stem}.") if single else (out, "")
+    in_use = out.exists() if single else out.is_dir() and any(out.iterdir())
+    if in_use:
+        raise SonarrecError(f"{out}: already exists and is not empty; choose another --out")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with (folder / f"{prefix}gt.csv").open("w", newline="", encoding="utf-8") as file:
+            table = csv.writer(file, lineterminator="\n")
+            table.writerow(["frame", *(f.name for f in fields(LandmarkTruth))])
+            if image_format == "mcap":
+                with McapImageWriter(out if single else out / "frames.mcap") as writer:
+                    for frame in render(scene):
+                        writer.write(frame.timestamp_ns, frame.image)
+                        table.writerows([frame.index, *asdict(row).values()] for row in frame.truth)
+                        if progress:
+                            progress(frame.index + 1)
+            else:
+                for frame in render(scene):
+                    if not cv2.imwrite(str(out / f"{frame.index:06d}.png"), frame.image):
+                        raise SonarrecError(f"{out}: frame {frame.index} cannot be written")
+                    table.writerows([frame.index, *asdict(row).values()] for row in frame.truth)
+                    if progress:
+                        progress(frame.index + 1)
+        # Last: a folder without geometry is not taken for a whole recording.
+        for name, document in (
+            ("scene", scene_table(scene)),
+            ("sonar", {"sonar": scene_sonar(scene).as_table()}),
+        ):
+            (folder / f"{prefix}{name}.toml").write_text(tomli_w.dumps(document), encoding="utf-8")
+        if scene.landmark_set.name != "basin":
+            (folder / f"{prefix}landmarks.toml").write_text(
+                tomli_w.dumps(scene.landmark_set.as_table()), encoding="utf-8"
+            )
+    except OSError as error:
+        raise SonarrecError(f"{out}: cannot be written ({error})") from None
