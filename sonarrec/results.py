@@ -1,0 +1,170 @@
+"""Results folders, read back for scoring: ours, or another program's in the same tables."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sonarrec.geometry import Sonar, check_sonar, fan_for_image, sonar_from_table
+from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
+from sonarrec.records import Fan, FloatArray, SonarrecError
+from sonarrec.tables import (
+    POSITION_KINDS,
+    Kind,
+    line_number,
+    plane_position,
+    position_pair,
+    read_table,
+)
+
+METHODS = ("smi", "framework")
+"""The methods that every run of ours holds, also where one of them saw nothing."""
+
+IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class LogResults:
+    """What all methods said of one log.
+
+    frame: (F,) numbers of the frames processed, rising. timestamp_ns: (F,) or None.
+    methods: names; the arrays below have one element per estimate. method: index into methods.
+    row: index into frame. landmark: index into landmarks.ids. score: 0 to 1. declared: bool.
+    position: (N, 2) metres in the fan plane, or None where it is not known.
+    fan: turns fan pixels into metres; None where nothing states it.
+    strays: estimates left out, for they lie on frames that frames.csv does not list.
+    """
+
+    name: str
+    landmarks: LandmarkSet
+    fan: Fan | None
+    frame: IntArray
+    timestamp_ns: IntArray | None
+    methods: tuple[str, ...]
+    method: IntArray
+    row: IntArray
+    landmark: IntArray
+    score: FloatArray
+    declared: BoolArray
+    position: FloatArray | None
+    strays: int
+
+
+def find_logs(results: Path) -> list[Path]:
+    """The folders of single logs: `results` itself, or those in it; SonarrecError if none."""
+    if (results / "frames.csv").is_file():
+        return [results]
+    if not results.is_dir():
+        raise SonarrecError(f"{results}: no such results folder; `sonarrec run LOG` writes one")
+    logs = sorted(p.parent for p in results.glob("*/frames.csv"))
+    if not logs:
+        raise SonarrecError(
+            f"{results}: no results here (no frames.csv, nor a folder that holds one); "
+            "give the folder that `sonarrec run` wrote"
+        )
+    return logs
+
+
+def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = None) -> LogResults:
+    """Read one log's frames.csv, estimates.csv and, where there is one, run.toml.
+
+    `landmarks` and the keys stated in `sonar` go before what run.toml says.
+    Raises SonarrecError on any fault.
+    """
+    run = _read_run(folder / "run.toml")
+    if landmarks is not None or "landmarks" not in run:
+        landmark_set = load_landmarks(landmarks or "basin")
+    else:
+        landmark_set = landmarks_from_table(run["landmarks"], str(folder / "run.toml"))
+    fan = _fan(run, folder / "run.toml", sonar)
+
+    path = folder / "frames.csv"
+    frames = read_table(
+        path, {"frame": "whole", "timestamp_ns": "whole"}, ("frame",), "frame,timestamp_ns"
+    )
+    order = np.argsort(frames["frame"], kind="stable")
+    frame = frames["frame"][order]
+    repeated = np.flatnonzero(np.diff(frame) == 0)
+    if repeated.size:
+        line = line_number(path, int(order[repeated[0] + 1]))
+        raise SonarrecError(f"{path} line {line}: frame {frame[repeated[0]]} is listed twice")
+    if not frame.size:
+        raise SonarrecError(f"{path}: no frame was processed, so there is nothing to score")
+
+    path = folder / "estimates.csv"
+    kinds: dict[str, Kind] = {
+        "frame": "whole",
+        "method": "text",
+        "landmark": "whole",
+        "score": "number",
+        "declared": "flag",
+    }
+    table = read_table(
+        path,
+        kinds | POSITION_KINDS,
+        tuple(kinds),
+        "frame,method,range_m,bearing_deg,landmark,score,declared",
+    )
+    ids = np.asarray(landmark_set.ids)
+    known = np.isin(table["landmark"], ids)
+    if not known.all():
+        row = int(np.argmin(known))
+        raise SonarrecError(
+            f"{path} line {line_number(path, row)}: landmark {table['landmark'][row]} is not in "
+            f"the set {landmark_set.name!r} ({', '.join(map(str, ids))}); "
+            "name the set used with --landmarks"
+        )
+    pair = position_pair(path, table)
+    position = None if pair is None else plane_position(pair, fan)
+    listed = np.isin(table["frame"], frame)
+    names = [str(name) for name in table["method"].categories]
+    methods = [m for m in METHODS if m in names or run]
+    methods += [m for m in names if m not in METHODS]
+    renumber = np.array([methods.index(m) for m in names], dtype=np.int64)
+    by_id = np.argsort(ids)
+    return LogResults(
+        name=folder.resolve().name,
+        landmarks=landmark_set,
+        fan=fan,
+        frame=frame,
+        timestamp_ns=frames["timestamp_ns"][order] if "timestamp_ns" in frames else None,
+        methods=tuple(methods),
+        method=renumber[table["method"].codes[listed]],
+        row=np.searchsorted(frame, table["frame"][listed]),
+        landmark=by_id[np.searchsorted(ids, table["landmark"][listed], sorter=by_id)],
+        score=table["score"][listed],
+        declared=table["declared"][listed],
+        position=None if position is None else position[listed],
+        strays=int(np.count_nonzero(~listed)),
+    )
+
+
+def _read_run(path: Path) -> dict[str, Any]:
+    """run.toml as a table, {} where it is missing or empty."""
+    if not path.is_file():
+        return {}
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise SonarrecError(f"{path}: not a readable TOML file ({error})") from None
+
+
+def _fan(run: dict[str, Any], path: Path, given: Sonar | None) -> Fan | None:
+    """The fan that pixel positions refer to; None where its scale and apex are not stated."""
+    known = {field.name for field in fields(Sonar)}
+    table = {key: value for key, value in run.get("sonar", {}).items() if key in known}
+    # [fan] describes the images that pixels refer to, also where the recording was polar.
+    fan = run.get("fan", {})
+    table |= {key: fan[key] for key in ("metres_per_pixel", "apex_px") if key in fan}
+    sonar = sonar_from_table(table, str(path)).updated(given or Sonar())
+    if sonar.metres_per_pixel is None or sonar.apex_px is None:
+        return None
+    check_sonar(sonar, str(path) if run else "command line")
+    # Scale and apex are stated, so the image's size does not enter the conversion.
+    return fan_for_image(sonar, rows=1, columns=1)

@@ -1,0 +1,183 @@
+"""Ground truth: gt.csv read and checked, and matched to the frames that were processed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sonarrec.records import FloatArray, SonarrecError
+from sonarrec.results import BoolArray, IntArray, LogResults
+from sonarrec.tables import (
+    POSITION_KINDS,
+    Kind,
+    Table,
+    line_number,
+    plane_position,
+    position_pair,
+    read_table,
+)
+
+HEADER = "frame,landmark,x_px,y_px,visible"
+
+
+@dataclass(frozen=True, slots=True)
+class TruthTable:
+    """gt.csv as read. Arrays have one element per row of the file.
+
+    key: "frame" or "timestamp_ns"; at: (R,) its values. landmark: (R,) IDs. visible: 0 to 1.
+    log: (R,) names, or None. position: as tables.position_pair gives it, or None.
+    """
+
+    path: Path
+    key: str
+    at: IntArray
+    landmark: IntArray
+    visible: FloatArray
+    log: Any
+    position: tuple[str, FloatArray, FloatArray] | None
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """The landmarks in view of one log's processed frames. Arrays have one element per landmark.
+
+    row: index into LogResults.frame. landmark: index into the set's ids. visible: 0 to 1.
+    position: (T, 2) metres in the fan plane, or None where it is not known.
+    rows: rows of gt.csv that speak of this log. unprocessed: those of them on frames that were
+    not processed. between: those, matched by time, for which a nearer stamp has the frame.
+    """
+
+    row: IntArray
+    landmark: IntArray
+    visible: FloatArray
+    position: FloatArray | None
+    rows: int
+    unprocessed: int
+    between: int
+
+
+def read_truth(path: Path) -> TruthTable:
+    """Read gt.csv (see HEADER). A header alone is good: no landmark anywhere.
+
+    Raises SonarrecError on wrong columns, on a cell that cannot be meant and on a repeated row.
+    """
+    kinds: dict[str, Kind] = {
+        "frame": "whole",
+        "timestamp_ns": "whole",
+        "landmark": "whole",
+        "visible": "blank or number",
+        "log": "text",
+    }
+    table = read_table(path, kinds | POSITION_KINDS, ("landmark",), HEADER)
+    key = "frame" if "frame" in table else "timestamp_ns"
+    if key not in table:
+        raise SonarrecError(
+            f"{path}: wrong columns, neither frame nor timestamp_ns; "
+            f"expected a header such as {HEADER}"
+        )
+    visible = table.get("visible", np.ones(len(table["landmark"])))
+    visible = np.where(np.isnan(visible), 1.0, visible)
+    wrong = (visible < 0) | (visible > 1)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise SonarrecError(
+            f"{path} line {line_number(path, row)}: visible is the share of the disc in view, "
+            f"0 to 1, not {visible[row]:g}"
+        )
+    position = position_pair(path, table)
+    if position is not None:
+        _no_repeats(path, key, table, position)
+    return TruthTable(path, key, table[key], table["landmark"], visible, table.get("log"), position)
+
+
+def _no_repeats(
+    path: Path, key: str, table: Table, position: tuple[str, FloatArray, FloatArray]
+) -> None:
+    """One ID may be in view twice, but not twice in one place."""
+    log = table["log"].codes if "log" in table else np.zeros(len(table[key]))
+    cells = (position[2], position[1], table["landmark"], table[key], log)
+    order = np.lexsort(cells)
+    same = np.ones(max(len(order) - 1, 0), dtype=bool)
+    for cell in cells:
+        same &= np.diff(cell[order]) == 0
+    if same.any():
+        first = int(np.argmax(same))
+        a, b = sorted(line_number(path, int(order[i])) for i in (first, first + 1))
+        raise SonarrecError(
+            f"{path} line {b}: repeats line {a} (same {key}, landmark and position); "
+            "delete one of them"
+        )
+
+
+def match_truth(table: TruthTable, log: LogResults, tolerance_s: float | None = None) -> Truth:
+    """The truth of one log, cut to the frames in its frames.csv.
+
+    By time, a row belongs to the frame nearest to it, if that is within the tolerance (default:
+    half the median time between frames), and a frame takes the rows of its nearest stamp only:
+    truth denser than the frames must not show one landmark many times.
+    Raises SonarrecError on an ID outside the landmark set, or where times cannot be compared.
+    """
+    mine = np.ones(len(table.at), bool) if table.log is None else np.asarray(table.log == log.name)
+    ids = np.asarray(log.landmarks.ids)
+    known = np.isin(table.landmark, ids) | ~mine
+    if not known.all():
+        bad = int(np.argmin(known))
+        raise SonarrecError(
+            f"{table.path} line {line_number(table.path, bad)}: landmark {table.landmark[bad]} "
+            f"is not in the set {log.landmarks.name!r} ({', '.join(map(str, ids))}) used for "
+            f"{log.name}; name the right set with --landmarks"
+        )
+    at = table.at[mine]
+    if table.key == "frame":
+        row = np.minimum(np.searchsorted(log.frame, at), len(log.frame) - 1)
+        matched = log.frame[row] == at
+        kept = matched
+    else:
+        row, matched, kept = _match_times(table, log, at, tolerance_s)
+    position = None
+    if table.position is not None:
+        position = plane_position(table.position, log.fan)
+    by_id = np.argsort(ids)
+    chosen = np.flatnonzero(mine)[kept]
+    return Truth(
+        row=row[kept],
+        landmark=by_id[np.searchsorted(ids, table.landmark[chosen], sorter=by_id)],
+        visible=table.visible[chosen],
+        position=None if position is None else position[chosen],
+        rows=len(at),
+        unprocessed=int(np.count_nonzero(~matched)),
+        between=int(np.count_nonzero(matched & ~kept)),
+    )
+
+
+def _match_times(
+    table: TruthTable, log: LogResults, at: IntArray, tolerance_s: float | None
+) -> tuple[IntArray, BoolArray, BoolArray]:
+    """Per row: nearest row of log.frame; within the tolerance; of that frame's nearest stamp."""
+    if log.timestamp_ns is None:
+        raise SonarrecError(
+            f"{table.path} tells frames by timestamp_ns, but the frames.csv of {log.name} has no "
+            "such column; add it, or give the truth by frame"
+        )
+    order = np.argsort(log.timestamp_ns, kind="stable")
+    times = log.timestamp_ns[order]
+    if tolerance_s is not None:
+        tolerance = tolerance_s * 1e9
+    else:
+        tolerance = float(np.median(np.diff(times))) / 2 if len(times) > 1 else 0.0
+    after = np.clip(np.searchsorted(times, at), 1, max(len(times) - 1, 1))
+    if len(times) == 1:
+        near = np.zeros(len(at), dtype=np.int64)
+    else:
+        near = np.where(times[after] - at < at - times[after - 1], after, after - 1)
+    away = np.abs(times[near] - at)
+    matched = away <= tolerance
+    # Per frame the stamp that is nearest, the earlier of two equally near; all its rows stay.
+    best = np.lexsort((at, away, near))
+    firsts = best[np.unique(near[best], return_index=True)[1]] if len(at) else best
+    stamp = np.zeros(len(times), dtype=np.int64)
+    stamp[near[firsts]] = at[firsts]
+    return order[near], matched, matched & (at == stamp[near])
