@@ -350,10 +350,6 @@ def render(scene: Scene) -> Iterator[SimulatedFrame]:
     afterglow_db = rng.normal(0, 3, things) + 2 * _ar1(
         rng, scene.frames, things, step_s, fading.time_s
     )
-    # Speckle lives in scatterer phases that advance with motion and, as a random walk, with time.
-    clock = np.cumsum(rng.standard_normal(scene.frames)) * math.sqrt(
-        2 * step_s / scene.floor.speckle_s
-    )
     time = np.arange(scene.frames) * step_s
     drift_db = noise.gain_drift_db * np.sin(2 * np.pi * (time / noise.gain_drift_s + rng.uniform()))
     bin_m = fan.window_m / sonar.range_bins
@@ -367,7 +363,11 @@ def render(scene: Scene) -> Iterator[SimulatedFrame]:
         heave = pose.height_m - sonar.height_m
         moved = np.array([pose.x_m, pose.y_m, heave]) * (math.sqrt(2) / scene.floor.speckle_m)
         view = world.view(
-            range_m, pose.pan_deg, pose.height_m, (pose.x_m, pose.y_m), [clock[index], *moved]
+            range_m,
+            pose.pan_deg,
+            pose.height_m,
+            (pose.x_m, pose.y_m),
+            [time[index] / scene.floor.speckle_s, *moved],
         )
         patterns = receiver.patterns(view.azimuth_deg, pose.pan_deg)
         strength = vertical_pattern(scene, pose.height_m, range_m).astype(np.float32)[:, None]

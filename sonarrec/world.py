@@ -116,8 +116,12 @@ class World:
 
         self._scatter = rng.standard_normal((rows * columns, 2), dtype=np.float32)
         self._scatter *= np.float32(math.sqrt(0.5))
-        # How fast each scatterer's phase turns: with time, sway right, sway forward, heave.
+        # How fast each scatterer's phase turns: with time, sway right, sway forward, heave. The
+        # mean of exp(i phase) is the correlation: Cauchy rates make it exp(-time), Gaussian ones
+        # exp(-distance^2 / 2).
         self._turn = rng.standard_normal((4, rows * columns), dtype=np.float32)
+        self._turn[0] /= rng.standard_normal(rows * columns, dtype=np.float32)
+        np.clip(self._turn, -100, 100, out=self._turn)
 
     def _draw(
         self,
