@@ -77,6 +77,12 @@ class Continuity:
     min_match: float = _setting(
         0.25, "correlation", "image: frames that match less are not believed: the wide walk serves"
     )
+    jump: float = _setting(
+        0.25,
+        "disc diameters",
+        "image: a group pulled farther than this from where the pan puts "
+        "it has left its object, and is deleted",
+    )
     z_hit: float = _setting(0.95, "weight", "of the score map in Eq. 4; open in the paper")
     z_rand: float = _setting(0.05, "weight", "of the uniform part in Eq. 4; open in the paper")
     hit_power: float = _setting(

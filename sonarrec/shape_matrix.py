@@ -72,6 +72,9 @@ class ShapeSampler:
         uint8. centres: (n, 2) (column, row). start_rad: (n,) direction of the first angle; angles
         run counter-clockwise seen from above.
         """
+        size = (len(centres), len(self.radii), ANGLES)
+        if len(centres) == 0:  # OpenCV refuses empty maps
+            return np.empty(size), np.empty(size, bool)
         angle = start_rad[:, None, None] + (np.arange(ANGLES) + 0.5) * STEP
         radius = self.radii[:, None]
         column = centres[:, 0, None, None] + self._axes[0] * radius * np.cos(angle)
@@ -81,7 +84,6 @@ class ShapeSampler:
         row = row.astype(np.float32).reshape(shape)
         grey = cv2.remap(image, column, row, cv2.INTER_LINEAR)
         seen = cv2.remap(inside, column, row, cv2.INTER_NEAREST)
-        size = (len(centres), len(self.radii), ANGLES)
         mean, sigma = (float(v[0, 0]) for v in cv2.meanStdDev(image, mask=inside))
         grey = (grey.reshape(size) - mean) / max(sigma, 1e-6)
         return grey, seen.reshape(size).astype(bool)
@@ -125,7 +127,8 @@ def identify(
     """
     disc = np.concatenate([grey[:, bands.symbol], grey[:, bands.ring]], axis=1)
     disc_seen = np.concatenate([seen[:, bands.symbol], seen[:, bands.ring]], axis=1)
-    level = otsu_levels(disc.reshape(len(grey), -1), disc_seen.reshape(len(grey), -1))
+    cells = (len(grey), disc.shape[1] * ANGLES)
+    level = otsu_levels(disc.reshape(cells), disc_seen.reshape(cells))
     bright = grey > level[:, None, None]
     weight = seen[:, bands.symbol].sum(axis=1)
     on = (bright & seen)[:, bands.symbol].sum(axis=1)

@@ -37,9 +37,14 @@ class ContinuityFilter:
         pan_deg: how far the sonar turned right since the last frame; None where unknown.
         """
         self._predict(pan_deg)
+        expected = self._particles.mean(axis=1)
         positions, spread = self._weigh(selection.score_map)
         self._count(positions, spread, selection)
         alive = self._survivors(positions)
+        if pan_deg is not None:
+            # The floor does not move: a group pulled this far has left its object for another.
+            moved = np.hypot(*((positions - expected) / self._diameter).T)
+            alive &= moved <= self._config.jump
         self._keep(alive)
         positions, spread = positions[alive], spread[alive]
         born = self._begin(positions, selection)
