@@ -52,9 +52,9 @@ def _sonar(kind: str, rng: np.random.Generator) -> SonarSection:
         tilt_deg=round(tilt + rng.uniform(-2, 2), 2),
         beam_width_deg=round(rng.uniform(0.32, 0.5), 3),
         side_lobe_db=round(rng.uniform(-36, -26), 1),
-        stray_db=round(rng.uniform(-42, -30), 1),
-        cross_talk_db=round(rng.uniform(-40, -27), 1),
-        pulse_m=round(rng.uniform(0.9, 1.8) * (high - low) / 512, 4),
+        stray_db=round(rng.uniform(-42, -29), 1),
+        cross_talk_db=round(rng.uniform(-42, -29), 1),
+        pulse_m=round(rng.uniform(1.0, 2.2) * (high - low) / 512, 4),
     )
     if kind == "jitter":
         return replace(
@@ -86,7 +86,7 @@ def _nuisances(kind: str, rng: np.random.Generator) -> dict[str, Any]:
             texture_db=round(u(0.6, 2.2), 2),
             texture_m=round(u(0.08, 0.4), 3),
             angle_exponent=round(u(0, 1.6), 2),
-            speckle_s=round(math.exp(u(math.log(15), math.log(200))), 1),
+            speckle_s=round(math.exp(u(math.log(3), math.log(200))), 1),
         ),
         "fading": FadingSection(
             object_db=round(u(2.5, 4.5) if hard else u(0.5, 2), 2),
@@ -103,7 +103,8 @@ def _nuisances(kind: str, rng: np.random.Generator) -> dict[str, Any]:
             ghost_blur_m=round(u(0.02, 0.08), 3),
         ),
         "noise": NoiseSection(
-            snr_db=round(u(4, 9) if faint else u(9, 24), 1),
+            snr_db=round(u(4, 9) if faint else u(10, 26), 1),
+            smear=round(u(0, 0.5), 2),
             shadow_db=round(u(-20, -9), 1),
             gain_drift_db=round(u(1.5, 4) if hard or faint else u(0, 1.5), 2),
             gain_drift_s=round(u(40, 200), 1),

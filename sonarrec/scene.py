@@ -57,9 +57,9 @@ class SonarSection:
     vertical_beam_deg: float = 14.0  # two-way, between half-power points
     beam_width_deg: float = 0.4  # two-way, between half-power points
     side_lobe_db: float = -30.0  # of each beam, two-way, below its main lobe
-    stray_db: float = -32.0  # leak between beams eight apart, which fire together
-    cross_talk_db: float = -31.0  # leak of every beam into every other
-    pulse_m: float = 0.007  # length of the pulse in range, between half-power points
+    stray_db: float = -38.0  # leak between beams eight apart, which fire together
+    cross_talk_db: float = -38.0  # leak of every beam into every other
+    pulse_m: float = 0.008  # length of the pulse in range, between half-power points
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +112,8 @@ class FadingSection:
 class NoiseSection:
     """The receiver and its gains."""
 
-    snr_db: float = 18.0  # of the floor on the beam's axis, above thermal noise
+    snr_db: float = 22.0  # of the floor on the beam's axis, above thermal noise
+    smear: float = 0.2  # share of the power that the receiver spreads over neighbours, 0 to 1
     shadow_db: float = -16.0  # multipath in acoustic shadows, relative to the floor
     gain_drift_db: float = 0.0  # amplitude over the log
     gain_drift_s: float = 150.0  # period
@@ -234,6 +235,7 @@ _MAY_BE_ZERO = frozenset(
         "gain_drift_db",
         "group_gain_db",
         "beam_gain_db",
+        "smear",
         "hot_beams",
     }
 )
@@ -330,6 +332,13 @@ def check_scene(scene: Scene, where: str) -> None:
         raise SonarrecError(f"{where}: pan_start_deg must lie between pan_min_deg and pan_max_deg")
     if motion.pan_max_deg - motion.pan_min_deg > 300:
         raise SonarrecError(f"{where}: the pan sweep must be 300 deg or less")
+    for key, share in (
+        ("smear", scene.noise.smear),
+        ("frame_probability", scene.fading.frame_probability),
+        ("burst_probability", scene.fading.burst_probability),
+    ):
+        if share > 1:
+            raise SonarrecError(f"{where}: {key} must be 1 or less, not {share:g}")
     for landmark in scene.landmarks:
         if landmark.id not in scene.landmark_set.ids:
             raise SonarrecError(

@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 
 from sonarrec.geometry import in_fan, pixel_from_polar, polar_from_pixel
+from sonarrec.motion import Pose, ar1, poses
 from sonarrec.random_scenes import KINDS_OF_SCENE, random_scene
 from sonarrec.records import ByteImage, Fan, FloatArray, SonarrecError
 from sonarrec.scene import (
@@ -92,37 +93,6 @@ class SimulatedFrame:
     pan_deg: float
     truth: tuple[LandmarkTruth, ...]
     distractors: tuple[DistractorTruth, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class _Pose:
-    """Where the sonar truly is: pan (deg), height (m), translation to the right and forward (m)."""
-
-    pan_deg: float
-    height_m: float
-    x_m: float
-    y_m: float
-
-
-def sweep_deg(low: float, high: float, start: float, travelled: FloatArray | float) -> FloatArray:
-    """Pan angle after `travelled` degrees of a triangular sweep from `start`, rightwards first."""
-    span = high - low
-    if span == 0:
-        return np.full(np.shape(travelled), low)
-    phase = np.mod(start - low + np.asarray(travelled, dtype=float), 2 * span)
-    return np.asarray(low + np.minimum(phase, 2 * span - phase))
-
-
-def _ar1(
-    rng: np.random.Generator, steps: int, size: int, step_s: float, time_s: float
-) -> FloatArray:
-    """(steps, size) unit-variance first-order autoregressive processes."""
-    keep = math.exp(-step_s / time_s)
-    drawn = rng.standard_normal((steps, size))
-    drawn[1:] *= math.sqrt(1 - keep**2)
-    for step in range(1, steps):
-        drawn[step] += keep * drawn[step - 1]
-    return drawn
 
 
 def beam_pattern(sonar: SonarSection, offset_deg: FloatArray) -> FloatArray:
@@ -252,34 +222,8 @@ def _signal_gain_db(scene: Scene, rng: np.random.Generator) -> FloatArray:
     return np.asarray(gain)
 
 
-def poses(scene: Scene) -> list[_Pose]:
-    """The sonar's true pose in every frame."""
-    motion, frames = scene.motion, scene.frames
-    rng = np.random.default_rng([scene.seed, 2])
-    time = np.arange(frames) / scene.rate_hz
-    pan = sweep_deg(
-        motion.pan_min_deg, motion.pan_max_deg, motion.pan_start_deg, motion.pan_deg_s * time
-    )
-    jitter = _ar1(rng, frames, 1, 1 / scene.rate_hz, motion.yaw_jitter_s)[:, 0]
-    pan = pan + motion.yaw_jitter_deg * jitter
-    phase = rng.uniform(0, 2 * np.pi, 3)
-    heave = motion.heave_m * np.sin(2 * np.pi * time / motion.heave_period_s + phase[0])
-    slow = 2 * np.pi * time / motion.sway_period_s
-    return [
-        _Pose(*values)
-        for values in np.column_stack(
-            [
-                pan,
-                scene.sonar.height_m + heave,
-                motion.sway_x_m * np.sin(slow + phase[1]),
-                motion.sway_y_m * np.sin(slow + phase[2]),
-            ]
-        ).tolist()
-    ]
-
-
 def visible_share(
-    scene: Scene, fan: Fan, pose: _Pose, x_m: float, y_m: float, radius_m: float
+    scene: Scene, fan: Fan, pose: Pose, x_m: float, y_m: float, radius_m: float
 ) -> float:
     """Share of a floor disc's area inside the fan: a disc of 2,000 evenly spread points."""
     n = np.arange(2000) + 0.5
@@ -295,7 +239,7 @@ def visible_share(
 
 
 def _truth(
-    scene: Scene, fan: Fan, pose: _Pose
+    scene: Scene, fan: Fan, pose: Pose
 ) -> tuple[tuple[LandmarkTruth, ...], tuple[DistractorTruth, ...]]:
     """What shows in a frame, to the digits that gt.csv carries."""
     radius = scene.landmark_set.radius_m
@@ -345,9 +289,9 @@ def render(scene: Scene) -> Iterator[SimulatedFrame]:
     step_s = 1 / scene.rate_hz
     gain_db = _signal_gain_db(scene, rng)
     things = len(scene.landmarks) + len(scene.objects)
-    object_db = fading.object_db * _ar1(rng, scene.frames, things, step_s, fading.time_s)
-    patches = _ar1(rng, scene.frames, world.PATCHES, step_s, fading.time_s)
-    afterglow_db = rng.normal(0, 3, things) + 2 * _ar1(
+    object_db = fading.object_db * ar1(rng, scene.frames, things, step_s, fading.time_s)
+    patches = ar1(rng, scene.frames, world.PATCHES, step_s, fading.time_s)
+    afterglow_db = rng.normal(0, 3, things) + 2 * ar1(
         rng, scene.frames, things, step_s, fading.time_s
     )
     time = np.arange(scene.frames) * step_s
@@ -380,6 +324,9 @@ def render(scene: Scene) -> Iterator[SimulatedFrame]:
         hiss = noise_rng.standard_normal((*field.shape, 2), dtype=np.float32)
         field = field * signal + hiss.view(np.complex64)[..., 0] * noise_amplitude
         power = field.real**2 + field.imag**2 + glow * signal**2
+        if noise.smear:
+            smooth = cv2.GaussianBlur(power, (0, 0), sigmaX=0.8, sigmaY=2.0)
+            power += np.float32(noise.smear) * (smooth - power)
         power *= (receiver.gain * np.float32(10 ** (drift_db[index] / 20))) ** 2
         truth, distractors = _truth(scene, fan, pose)
         yield SimulatedFrame(

@@ -15,6 +15,7 @@ from mcap.reader import make_reader
 
 from sonarrec.cli import main
 from sonarrec.geometry import load_sonar
+from sonarrec.motion import sweep_deg
 from sonarrec.records import SonarrecError
 from sonarrec.scene import (
     BUILT_IN,
@@ -37,7 +38,6 @@ from sonarrec.simulate import (
     load_scene,
     random_scene,
     render,
-    sweep_deg,
     write_recording,
 )
 from sonarrec.world import object_radius
@@ -58,7 +58,7 @@ BARE = Scene(
     fading=FadingSection(
         object_db=0, patch_db=0, specular_db=0, frame_probability=0, ghost_db=-200
     ),
-    noise=NoiseSection(snr_db=80, group_gain_db=0, beam_gain_db=0, hot_beams=0),
+    noise=NoiseSection(snr_db=80, smear=0, group_gain_db=0, beam_gain_db=0, hot_beams=0),
     picture=PictureSection(black_db=-50, dynamic_range_db=80),
 )
 POLAR = replace(BARE, sonar=replace(BARE.sonar, layout="polar"))
@@ -365,6 +365,7 @@ def test_errors_of_geometry_are_in_the_sidecar_only() -> None:
         ("[sonar]\nlayout = 'square'", "layout must be"),
         ("[sonar]\nbearings = 'odd'", "bearings must be"),
         ("[motion]\npan_start_deg = 60", "pan_start_deg must lie"),
+        ("[noise]\nsmear = 1.5", "smear must be 1 or less"),
         ("[motion]\nheave_m = 0.7", "heave_m leaves no floor"),
         ("landmark_set = 'nowhere'", "no landmark set"),
         ("= 3", "not a readable TOML"),

@@ -1,0 +1,68 @@
+"""How a simulated sonar moves: the pan sweep and what disturbs it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from sonarrec.records import FloatArray
+from sonarrec.scene import Scene
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Where the sonar truly is: pan (deg), height (m), translation to the right and forward (m)."""
+
+    pan_deg: float
+    height_m: float
+    x_m: float
+    y_m: float
+
+
+def sweep_deg(low: float, high: float, start: float, travelled: FloatArray | float) -> FloatArray:
+    """Pan angle after `travelled` degrees of a triangular sweep from `start`, rightwards first."""
+    span = high - low
+    if span == 0:
+        return np.full(np.shape(travelled), low)
+    phase = np.mod(start - low + np.asarray(travelled, dtype=float), 2 * span)
+    return np.asarray(low + np.minimum(phase, 2 * span - phase))
+
+
+def ar1(
+    rng: np.random.Generator, steps: int, size: int, step_s: float, time_s: float
+) -> FloatArray:
+    """(steps, size) unit-variance first-order autoregressive processes."""
+    keep = math.exp(-step_s / time_s)
+    drawn = rng.standard_normal((steps, size))
+    drawn[1:] *= math.sqrt(1 - keep**2)
+    for step in range(1, steps):
+        drawn[step] += keep * drawn[step - 1]
+    return drawn
+
+
+def poses(scene: Scene) -> list[Pose]:
+    """The sonar's true pose in every frame."""
+    motion, frames = scene.motion, scene.frames
+    rng = np.random.default_rng([scene.seed, 2])
+    time = np.arange(frames) / scene.rate_hz
+    pan = sweep_deg(
+        motion.pan_min_deg, motion.pan_max_deg, motion.pan_start_deg, motion.pan_deg_s * time
+    )
+    jitter = ar1(rng, frames, 1, 1 / scene.rate_hz, motion.yaw_jitter_s)[:, 0]
+    pan = pan + motion.yaw_jitter_deg * jitter
+    phase = rng.uniform(0, 2 * np.pi, 3)
+    heave = motion.heave_m * np.sin(2 * np.pi * time / motion.heave_period_s + phase[0])
+    slow = 2 * np.pi * time / motion.sway_period_s
+    return [
+        Pose(*values)
+        for values in np.column_stack(
+            [
+                pan,
+                scene.sonar.height_m + heave,
+                motion.sway_x_m * np.sin(slow + phase[1]),
+                motion.sway_y_m * np.sin(slow + phase[2]),
+            ]
+        ).tolist()
+    ]
