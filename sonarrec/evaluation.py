@@ -207,7 +207,8 @@ def evaluate(
     if tolerance_s is not None and not 0 <= tolerance_s < math.inf:
         raise UsageError(f"--tolerance is a time in seconds, 0 or more, not {tolerance_s:g}")
     table = read_truth(ground_truth)
-    logs = [read_log(folder, landmarks, sonar) for folder in find_logs(results)]
+    folders = find_logs(results)
+    logs = [read_log(folder, landmarks, sonar) for folder in folders]
     for log in logs:
         if set(log.landmarks.ids) != set(logs[0].landmarks.ids):
             raise SonarrecError(
@@ -221,7 +222,7 @@ def evaluate(
             "names their folders; or give the folder of one log"
         )
     truths = [match_truth(table, log, tolerance_s) for log in logs]
-    unused = _unused(table, logs, truths, single=find_logs(results) == [results])
+    unused = _unused(table, logs, truths, single=folders == [results])
     joined = join(logs, truths, min_visible)
     notes = _notes(joined, logs, truths)
     scored = tuple(
@@ -271,7 +272,8 @@ def join(logs: Sequence[LogResults], truths: Sequence[Truth], min_visible: float
     ids = logs[0].landmarks.ids
     names = {name for log in logs for name in log.methods}
     methods = tuple(m for m in METHODS if m in names) + tuple(sorted(names - set(METHODS)))
-    start = np.cumsum([0] + [len(log.frame) for log in logs])
+    length = np.array([len(log.frame) for log in logs])
+    start = np.cumsum(length) - length
 
     def place(position: FloatArray | None, rows: int) -> FloatArray:
         return np.full((rows, 2), np.nan) if position is None else position
@@ -284,15 +286,15 @@ def join(logs: Sequence[LogResults], truths: Sequence[Truth], min_visible: float
         logs=tuple(log.name for log in logs),
         ids=ids,
         methods=methods,
-        log=np.repeat(np.arange(len(logs)), np.diff(start)),
+        log=np.repeat(np.arange(len(logs)), length),
         frame=cat([log.frame for log in logs]),
-        truth_frame=cat([t.row + s for t, s in zip(truths, start, strict=False)]),
+        truth_frame=cat([t.row + s for t, s in zip(truths, start, strict=True)]),
         truth_landmark=cat([i[t.landmark] for t, i in zip(truths, ids_of, strict=True)]),
         truth_position=cat([place(t.position, len(t.row)) for t in truths]),
         truth_positive=cat([t.visible >= min_visible for t in truths]),
         gate=cat([np.full(len(t.row), log.landmarks.radius_m) for log, t in pairs]),
         method=cat([m[log.method] for log, m in zip(logs, methods_of, strict=True)]),
-        claim_frame=cat([log.row + s for log, s in zip(logs, start, strict=False)]),
+        claim_frame=cat([log.row + s for log, s in zip(logs, start, strict=True)]),
         claim_landmark=cat([i[log.landmark] for log, i in zip(logs, ids_of, strict=True)]),
         claim_position=cat([place(log.position, len(log.row)) for log in logs]),
         score=cat([log.score for log in logs]),
@@ -310,14 +312,9 @@ def _notes(joined: Joined, logs: list[LogResults], truths: list[Truth]) -> tuple
     if not joined.methods:
         raise SonarrecError(f"{', '.join(joined.logs)}: estimates.csv names no method to score")
     if not joined.placed:
-        pixels = any(t.rows and log.fan is None for log, t in zip(logs, truths, strict=True))
         notes.append(
-            "the strict protocol is not scored: truth or estimates have no position in metres"
-            + (
-                " (pixels need metres_per_pixel and apex_px, from run.toml or --sonar FILE)"
-                if pixels
-                else ""
-            )
+            "the strict protocol is not scored: truth or estimates lack positions, or give them "
+            "in pixels while neither run.toml nor flags state metres_per_pixel and apex_px"
         )
     for log, truth in zip(logs, truths, strict=True):
         if not truth.rows:

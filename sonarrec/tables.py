@@ -61,7 +61,8 @@ def read_table(
                 )
             used = {name: header[name] for name in kinds if name in header}
             text = {c: "category" for n, c in used.items() if kinds[n] == "text"}
-            frame = pd.read_csv(path, usecols=list(used.values()), dtype=text, **options)
+            # Not with `usecols`, which passes over rows that are longer than the header.
+            frame = pd.read_csv(path, dtype=text, **options)
     except FileNotFoundError:
         raise SonarrecError(f"{path}: no such file") from None
     except pd.errors.EmptyDataError:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from sonarrec.evaluation import Count, Evaluation, Scored
+from sonarrec.records import SonarrecError
 
 CONFUSION = ("protocol", "method", "landmark", "tpr", "fpr", "tp", "tn", "fp", "fn", "total")
 ROC = ("protocol", "method", "landmark", "threshold", "tpr", "fpr", "tp", "tn", "fp", "fn")
@@ -137,12 +138,20 @@ def as_json(evaluation: Evaluation) -> dict[str, Any]:
 
 
 def write_evaluation(folder: Path, evaluation: Evaluation) -> None:
-    """Write confusion.csv, roc.csv, roc.png and evaluation.json into `folder`, made if need be."""
+    """Write confusion.csv, roc.csv, roc.png and evaluation.json into `folder`, made if need be.
+
+    evaluation.json goes last, so where it stands the others are whole.
+    Raises SonarrecError where they cannot be written.
+    """
     from sonarrec.plots import draw_roc
 
-    folder.mkdir(parents=True, exist_ok=True)
-    write_confusion(folder / "confusion.csv", evaluation)
-    write_roc(folder / "roc.csv", evaluation)
-    draw_roc(folder / "roc.png", evaluation.scored)
     text = json.dumps(as_json(evaluation), indent=2, allow_nan=False)
-    (folder / "evaluation.json").write_text(text + "\n", encoding="utf-8")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "evaluation.json").unlink(missing_ok=True)
+        write_confusion(folder / "confusion.csv", evaluation)
+        write_roc(folder / "roc.csv", evaluation)
+        draw_roc(folder / "roc.png", evaluation.scored)
+        (folder / "evaluation.json").write_text(text + "\n", encoding="utf-8")
+    except OSError as error:
+        raise SonarrecError(f"{folder}: cannot be written ({error})") from None
