@@ -222,9 +222,7 @@ def _signal_gain_db(scene: Scene, rng: np.random.Generator) -> FloatArray:
     return np.asarray(gain)
 
 
-def visible_share(
-    scene: Scene, fan: Fan, pose: Pose, x_m: float, y_m: float, radius_m: float
-) -> float:
+def visible_share(fan: Fan, pose: Pose, x_m: float, y_m: float, radius_m: float) -> float:
     """Share of a floor disc's area inside the fan: a disc of 2,000 evenly spread points."""
     n = np.arange(2000) + 0.5
     radius = radius_m * np.sqrt(n / len(n))
@@ -233,9 +231,7 @@ def visible_share(
     y = y_m + radius * np.sin(angle) - pose.y_m
     slant = np.sqrt(x**2 + y**2 + pose.height_m**2)
     bearing = np.degrees(np.arctan2(x, y)) - pose.pan_deg
-    half = scene.sonar.field_of_view_deg / 2
-    seen = (slant >= fan.range_min_m) & (slant <= fan.range_max_m) & (np.abs(bearing) <= half)
-    return float(np.mean(seen))
+    return float(np.mean(in_fan(fan, slant, bearing)))
 
 
 def _truth(
@@ -249,7 +245,7 @@ def _truth(
     for item, size in things:
         azimuth = math.radians(item.azimuth_deg)
         x, y = item.ground_m * math.sin(azimuth), item.ground_m * math.cos(azimuth)
-        share = round(visible_share(scene, fan, pose, x, y, size), 4)
+        share = round(visible_share(fan, pose, x, y, size), 4)
         if share == 0:
             continue
         dx, dy = x - pose.x_m, y - pose.y_m
