@@ -1,0 +1,127 @@
+"""Pictures with known truth for the tests, drawn from first principles.
+
+Nothing here calls the code under test: geometry and patterns are written out again.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from sonarrec.geometry import Sonar, fan_for_image
+from sonarrec.records import Fan
+
+RING = (0.80, 1.00)
+SYMBOL = (0.00, 0.62)
+SECTORS = {1: (1, 0, 0, 0), 2: (1, 0, 1, 0), 3: (1, 1, 0, 0), 4: (1, 1, 1, 0)}
+FINE = 3  # samples per pixel and axis
+
+
+def make_fan(
+    rows: int = 300,
+    range_min_m: float = 1.25,
+    range_max_m: float = 3.75,
+    field_of_view_deg: float = 28.8,
+    tilt_deg: float = 20.0,
+    height_m: float | None = 0.68,
+) -> Fan:
+    """The fan of an image just wide enough for its field of view."""
+    sonar = Sonar(
+        layout="fan",
+        range_min_m=range_min_m,
+        range_max_m=range_max_m,
+        field_of_view_deg=field_of_view_deg,
+        tilt_deg=tilt_deg,
+        height_m=height_m,
+    )
+    half = range_max_m * math.sin(math.radians(field_of_view_deg / 2))
+    columns = 2 * math.ceil(half / ((range_max_m - range_min_m) / rows)) + 1
+    return fan_for_image(sonar, rows, columns)
+
+
+def disc_pattern(
+    sectors: Sequence[int], turn_rad: float = 0.0
+) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """Brightness 0 or 1 over the unit disc (x right, y up), first sector at `turn_rad`."""
+
+    def pattern(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        radius = np.hypot(x, y)
+        share = np.mod(np.arctan2(y, x) - turn_rad, 2 * np.pi) / (2 * np.pi)
+        sector = np.minimum((share * len(sectors)).astype(int), len(sectors) - 1)
+        lit = (radius <= SYMBOL[1]) & (np.asarray(sectors)[sector] == 1)
+        return ((radius >= RING[0]) & (radius <= RING[1]) | lit).astype(float)
+
+    return pattern
+
+
+def _fine_grid(rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
+    """(row, column) of FINE x FINE samples in every pixel, pixel centres at whole numbers."""
+    row, column = np.mgrid[0 : rows * FINE, 0 : columns * FINE]
+    return (row + 0.5) / FINE - 0.5, (column + 0.5) / FINE - 0.5
+
+
+def _pixels(fine: np.ndarray) -> np.ndarray:
+    rows, columns = fine.shape[0] // FINE, fine.shape[1] // FINE
+    return fine.reshape(rows, FINE, columns, FINE).mean(axis=(1, 3))
+
+
+def draw_ellipse_disc(
+    shape: tuple[int, int],
+    centre: tuple[float, float],
+    axes: tuple[float, float],
+    pattern: Callable[[np.ndarray, np.ndarray], np.ndarray],
+) -> np.ndarray:
+    """(rows, columns) brightness 0 to 1 of a disc squeezed to semi-axes (across, along) pixels."""
+    row, column = _fine_grid(*shape)
+    return _pixels(pattern((column - centre[0]) / axes[0], (centre[1] - row) / axes[1]))
+
+
+def draw_on_floor(
+    fan: Fan,
+    range_m: float,
+    bearing_deg: float,
+    radius_m: float,
+    pattern: Callable[[np.ndarray, np.ndarray], np.ndarray],
+) -> tuple[np.ndarray, np.ndarray]:
+    """A disc on a flat floor as a fan image sees it.
+
+    Returns the brightness 0 to 1 and where the fan is seen at all, both (rows, columns). The fan
+    must know its height: ground range = sqrt(slant range^2 - height^2).
+    """
+    assert fan.height_m is not None
+    row, column = _fine_grid(fan.rows, fan.columns)
+    across = (column - fan.apex_column) * fan.metres_per_pixel
+    ahead = (fan.apex_row - row) * fan.metres_per_pixel
+    slant, bearing = np.hypot(across, ahead), np.arctan2(across, ahead)
+    ground = np.sqrt(np.maximum(slant**2 - fan.height_m**2, 0))
+    place = math.sqrt(range_m**2 - fan.height_m**2)
+    b = math.radians(bearing_deg)
+    x = (ground * np.sin(bearing) - place * math.sin(b)) / radius_m
+    y = (ground * np.cos(bearing) - place * math.cos(b)) / radius_m
+    seen = (slant >= fan.range_min_m) & (slant <= fan.range_max_m)
+    seen &= np.abs(np.degrees(bearing)) <= fan.bearing_max_deg
+    near = np.hypot(x, y) < 1.5
+    brightness = np.where(near, pattern(np.where(near, x, 9.0), np.where(near, y, 9.0)), 0.0)
+    return _pixels(brightness), _pixels(seen.astype(float)) > 0.5
+
+
+def speckled(
+    brightness: np.ndarray,
+    seen: np.ndarray,
+    rng: np.random.Generator,
+    *,
+    floor_db: float = -14.0,
+    dark: np.ndarray | None = None,
+) -> np.ndarray:
+    """uint8 log-compressed picture (60 dB over 255 levels): Rayleigh speckle, black outside.
+
+    dark: 0 to 1, where the floor is hidden by a plate 8 dB darker still.
+    """
+    floor = 10 ** (floor_db / 10)
+    power = floor * (1.0 if dark is None else 1 - 0.84 * dark) * (1 - brightness) + brightness
+    power = power * rng.exponential(size=power.shape)
+    decibel = 10 * np.log10(np.maximum(power, 1e-9))
+    grey = np.clip((decibel + 45) / 60 * 255, 1, 255)
+    return np.where(seen, grey, 0).astype(np.uint8)
