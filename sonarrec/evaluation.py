@@ -259,6 +259,11 @@ def _unused(
             f"they are not scored (the {frames} frames processed are)"
         )
     for log in logs:
+        if not log.finished:
+            said.append(
+                f"{log.name}: the run was cut short (run.toml says finished = false); "
+                f"only its {len(log.frame)} frames are scored"
+            )
         if log.strays:
             said.append(
                 f"{log.name}: {log.strays} estimates lie on frames that frames.csv does not list; "

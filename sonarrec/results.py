@@ -39,6 +39,7 @@ class LogResults:
     position: (N, 2) metres in the fan plane, or None where it is not known.
     fan: turns fan pixels into metres; None where nothing states it.
     strays: estimates left out, for they lie on frames that frames.csv does not list.
+    finished: False where run.toml says that the run was cut short.
     """
 
     name: str
@@ -54,6 +55,7 @@ class LogResults:
     declared: BoolArray
     position: FloatArray | None
     strays: int
+    finished: bool
 
 
 def find_logs(results: Path) -> list[Path]:
@@ -142,6 +144,7 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
         declared=table["declared"][listed],
         position=None if position is None else position[listed],
         strays=int(np.count_nonzero(~listed)),
+        finished=run.get("finished", True) is not False,
     )
 
 

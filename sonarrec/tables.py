@@ -46,7 +46,7 @@ def read_table(
         "skipinitialspace": True,
         "index_col": False,
         "keep_default_na": False,
-        "na_values": [""],
+        "na_values": ["", "nan"],
         "low_memory": False,
     }
     try:
@@ -105,7 +105,7 @@ def _column(path: Path, name: str, column: Any, kind: Kind) -> Any:
     if bad.any():
         row = int(np.argmax(bad))
         cell = column.iloc[row]
-        found = "an empty cell" if pd.isna(cell) else repr(str(cell))
+        found = "an empty cell or nan" if pd.isna(cell) else repr(str(cell))
         raise SonarrecError(
             f"{path} line {line_number(path, row)}: {name} must be {_WORDS[kind]}, not {found}"
         )

@@ -102,6 +102,16 @@ def test_truth_without_position_is_scored_under_the_paper_protocol_only(case: Pa
     assert "strict protocol is not scored" in done.output
 
 
+def test_nan_in_columns_that_are_not_scored(case: Path) -> None:
+    text = (
+        "frame,method,orientation_deg,landmark,score,declared\n0,m,nan,1,0.5,1\n1,m,3.5,1,0.5,1\n"
+    )
+    (case / "out" / "estimates.csv").write_text(text)
+    log = read_log(case / "out")
+    assert log.score.tolist() == [0.5, 0.5]
+    assert log.position is None
+
+
 def test_true_and_false_are_flags_too(case: Path) -> None:
     text = ESTIMATES.replace(",1\n", ",True\n").replace(",0\n", ",False\n")
     (case / "out" / "estimates.csv").write_text(text)
@@ -251,6 +261,15 @@ def test_estimates_off_the_listed_frames_are_counted_and_said(case: Path) -> Non
     done = run(case)
     assert done.exit_code == 3
     assert "1 estimates lie on frames that frames.csv does not list" in done.stderr
+
+
+def test_a_run_cut_short_is_not_passed_off_as_whole(case: Path) -> None:
+    (case / "out" / "run.toml").write_text("finished = false\n")
+    done = run(case)
+    assert done.exit_code == 3
+    assert "out: the run was cut short" in done.stderr
+    (case / "out" / "run.toml").write_text("finished = true\n")
+    assert run(case).exit_code == 0
 
 
 def test_an_empty_run_of_ours_is_scored(case: Path) -> None:
