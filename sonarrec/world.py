@@ -236,7 +236,8 @@ class World:
             return
         fading = self._scene.fading
         patch = self._mix @ patches.astype(np.float32)
-        gain_db = object_db[self._owner] + fading.patch_db * patch
+        # Reflections fail far more than they flare.
+        gain_db = np.minimum(object_db[self._owner] + fading.patch_db * patch, 4.0)
         amplitude = self._plain * np.power(np.float32(10), gain_db.astype(np.float32) / 20)
         self._amplitude[self._cells] = amplitude
         glow = 10 ** ((fading.ghost_db + afterglow_db) / 10)
