@@ -1,0 +1,237 @@
+"""Opens recorded logs: any kind of file in, a stream of fan images out.
+
+A further format is one module with a RawLog and one row in READERS.
+"""
+
+from __future__ import annotations
+
+import glob
+import hashlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+from sonarrec.geometry import PolarToFan, Sonar, check_sonar, fan_for_image, load_sonar
+from sonarrec.readers.images import IMAGE_SUFFIXES, ImageFiles, is_image, natural_order
+from sonarrec.readers.raw import RawFrame, RawLog, UnusableError, grey8
+from sonarrec.readers.video import VIDEO_SUFFIXES, VideoFrames
+from sonarrec.records import ByteImage, Fan, Frame, SonarrecError, UsageError
+
+SONAR_FILE = "sonar.toml"
+MAX_PROBLEM_LINES = 20
+
+
+def _open_mcap(path: Path, topic: str | None) -> RawLog:
+    from sonarrec.readers.mcap_file import McapImages  # with its decompressors, only where needed
+
+    return McapImages(path, topic)
+
+
+@dataclass(frozen=True, slots=True)
+class Reader:
+    """One kind of file: its suffixes and how it is opened, with the topic chosen or None."""
+
+    kind: str
+    suffixes: frozenset[str]
+    open: Callable[[Path, str | None], RawLog]
+    has_topics: bool = False
+
+
+READERS = (
+    Reader("image", IMAGE_SUFFIXES, lambda path, _: ImageFiles([path])),
+    Reader("video", VIDEO_SUFFIXES, lambda path, _: VideoFrames(path)),
+    Reader("MCAP", frozenset({".mcap"}), _open_mcap, has_topics=True),
+)
+
+
+class Log:
+    """A recorded log: one pass of Frames, streamed. Use it as a context manager.
+
+    name: of the folder or file, for the results folder. frame_count: frames to come, None where
+    unknown. sonar: the geometry as resolved. fan: the fan images' geometry, None before the first
+    frame. problems: one line for each thing that could not be used (at most MAX_PROBLEM_LINES,
+    then a count), complete after the pass.
+    """
+
+    def __init__(self, path: Path, name: str, files: list[Path], sonar: Sonar, raw: RawLog) -> None:
+        """files: what the log consists of, in order."""
+        self.path = path
+        self.name = name
+        self.sonar = sonar
+        self.frame_count = raw.frame_count
+        self.fan: Fan | None = None
+        self.problems: list[str] = []
+        self._files = files
+        self._raw = raw
+        self._to_fan: PolarToFan | None = None
+        self._shape: tuple[int, ...] | None = None
+
+    def __enter__(self) -> Log:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._raw.close()
+
+    def __iter__(self) -> Iterator[Frame]:
+        """The usable frames in order; each keeps its number in the log.
+
+        Where frames carry no time, it is number / frame_rate_hz, or at one a second without.
+        Raises SonarrecError where no frame can be used, or where the bearings in the sonar
+        geometry do not match the images.
+        """
+        period_ns = 1e9 / (self.sonar.frame_rate_hz or 1.0)
+        used = skipped = 0
+        for index, raw in enumerate(self._raw):
+            try:
+                image, fan = self._fan_image(raw)
+            except UnusableError as error:
+                skipped += 1
+                if skipped <= MAX_PROBLEM_LINES:
+                    self.problems.append(f"{raw.name}: {error}, skipped")
+                continue
+            used += 1
+            stamp = round(index * period_ns) if raw.timestamp_ns is None else raw.timestamp_ns
+            yield Frame(index, stamp, image, fan)
+        if skipped > MAX_PROBLEM_LINES:
+            self.problems.append(f"{skipped - MAX_PROBLEM_LINES} more frames skipped")
+        self.problems.extend(self._raw.faults)
+        if not used:
+            reason = f" ({self.problems[0]})" if self.problems else ""
+            raise SonarrecError(f"{self.path}: not one frame could be used{reason}")
+
+    def _fan_image(self, raw: RawFrame) -> tuple[ByteImage, Fan]:
+        if raw.pixels is None:
+            raise UnusableError(raw.problem or "unreadable")
+        image = grey8(raw.pixels)
+        if self._shape is None:
+            self._shape = image.shape
+            if self.sonar.layout == "polar":
+                self._to_fan = PolarToFan(self.sonar, *image.shape)
+                self.fan = self._to_fan.fan
+            else:
+                self.fan = fan_for_image(self.sonar, *image.shape)
+        if image.shape != self._shape:
+            raise UnusableError(
+                f"{image.shape[1]} x {image.shape[0]} pixels in a log of "
+                f"{self._shape[1]} x {self._shape[0]}"
+            )
+        assert self.fan is not None
+        return (image if self._to_fan is None else self._to_fan(image)), self.fan
+
+    def digest_source(self) -> tuple[int, str]:
+        """(size in bytes, SHA-256 in hex) of the log's file.
+
+        Of several images, the sum of their sizes and the hash over each one's name, a zero byte
+        and its contents, in frame order. Raises SonarrecError where a file cannot be read.
+        """
+        size, digest = 0, hashlib.sha256()
+        for path in self._files:
+            if self._files != [self.path]:
+                digest.update(path.name.encode(errors="surrogateescape") + b"\0")
+            try:
+                with path.open("rb") as file:
+                    while block := file.read(2**20):
+                        size += len(block)
+                        digest.update(block)
+            except OSError as error:
+                raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
+        return size, digest.hexdigest()
+
+
+def open_log(
+    path: str | Path,
+    *,
+    sonar: Sonar | None = None,
+    sonar_file: Path | None = None,
+    topic: str | None = None,
+) -> Log:
+    """Open a folder of images, a glob of images, a video or an MCAP file.
+
+    sonar: keys that win over those in files. sonar_file: in place of the sonar.toml beside the
+    log (for a folder or glob `sonar.toml` beside the images; for one file `NAME.sonar.toml`, else
+    `sonar.toml` in its folder). topic: the image channel of an MCAP file.
+    Raises SonarrecError where the log or its geometry cannot be used, UsageError where the topic
+    cannot be meant.
+    """
+    path = Path(path)
+    if not path.exists() and glob.has_magic(str(path)):
+        files = _glob_images(path)
+        beside = [files[0].parent / SONAR_FILE]
+        name = files[0].resolve().parent.name
+    elif path.is_dir():
+        files = _folder_images(path)
+        beside = [path / SONAR_FILE]
+        name = path.resolve().name
+    elif path.is_file():
+        files = [path]
+        beside = [path.with_name(f"{path.stem}.sonar.toml"), path.with_name(SONAR_FILE)]
+        name = path.stem
+    else:
+        raise SonarrecError(f"{path}: no such file or folder")
+    reader = _reader_of(files[0])
+    if topic is not None and not reader.has_topics:
+        raise UsageError(f"{path}: --topic chooses a channel of an MCAP file; this is none")
+    resolved, where = _resolve_sonar(path, sonar or Sonar(), sonar_file, beside)
+    try:
+        raw = reader.open(path, topic) if files == [path] else ImageFiles(files)
+    except OSError as error:
+        raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
+    try:
+        check_sonar(resolved, where)
+    except SonarrecError:
+        raw.close()
+        raise
+    return Log(path, name or "log", files, resolved, raw)
+
+
+def _glob_images(pattern: Path) -> list[Path]:
+    matches = [Path(m) for m in glob.glob(str(pattern), recursive=True)]  # noqa: PTH207
+    if not matches:
+        raise SonarrecError(f"{pattern}: no file matches this pattern")
+    files = [m for m in matches if is_image(m) and m.is_file()]
+    if not files:
+        raise SonarrecError(f"{pattern}: matches no image; give a video or MCAP file by its name")
+    return sorted(files, key=natural_order)
+
+
+def _folder_images(folder: Path) -> list[Path]:
+    try:
+        entries = list(folder.iterdir())
+    except OSError as error:
+        raise SonarrecError(f"{folder}: cannot be read ({error.strerror})") from None
+    if not entries:
+        raise SonarrecError(f"{folder}: the folder is empty")
+    files = [e for e in entries if is_image(e) and e.is_file()]
+    if not files:
+        raise SonarrecError(
+            f"{folder}: no image in this folder ({', '.join(sorted(IMAGE_SUFFIXES))}); "
+            "give a video or MCAP file by its name"
+        )
+    return sorted(files, key=natural_order)
+
+
+def _reader_of(path: Path) -> Reader:
+    for reader in READERS:
+        if path.suffix.lower() in reader.suffixes:
+            if not path.stat().st_size and reader.kind != "image":
+                raise SonarrecError(f"{path}: the file is empty (zero bytes)")
+            return reader
+    known = ", ".join(s for reader in READERS for s in sorted(reader.suffixes))
+    raise SonarrecError(
+        f"{path}: not a kind of log this program reads (a folder of images, or a file: {known})"
+    )
+
+
+def _resolve_sonar(
+    path: Path, flags: Sonar, sonar_file: Path | None, beside: list[Path]
+) -> tuple[Sonar, str]:
+    """The geometry from file and flags, and the name to give it in errors."""
+    file = sonar_file or next((b for b in beside if b.is_file()), None)
+    stated = Sonar(layout="fan") if file is None else Sonar(layout="fan").updated(load_sonar(file))
+    return stated.updated(flags), str(file or path)

@@ -1,0 +1,169 @@
+"""What every reader yields, and the one place where its pixels become 8-bit grey."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+import cv2
+import numpy as np
+
+from sonarrec.records import ByteImage
+
+
+class UnusableError(Exception):
+    """One frame cannot be used; the text says why. It never leaves the readers."""
+
+
+@dataclass(frozen=True, slots=True)
+class RawFrame:
+    """One frame as its log holds it.
+
+    name: what to call it in a message. timestamp_ns: None where the log carries no time.
+    pixels: (rows, columns) or (rows, columns, channels; BGR first), any dtype; None where it
+    could not be read, and then `problem` says why.
+    """
+
+    name: str
+    timestamp_ns: int | None
+    pixels: np.ndarray | None
+    problem: str | None = None
+
+
+class RawLog(Protocol):
+    """One opened log: a single pass over its frames, in time order, one in memory at a time.
+
+    frame_count: frames to come, None where unknown before the end.
+    faults: lines about what is wrong with the log as a whole, complete after the pass.
+    """
+
+    frame_count: int | None
+    faults: list[str]
+
+    def __iter__(self) -> Iterator[RawFrame]: ...
+
+    def close(self) -> None: ...
+
+
+@contextlib.contextmanager
+def _quiet_stderr() -> Iterator[None]:
+    """Sends file descriptor 2 to nowhere: libpng writes there past every logging setting."""
+    try:
+        kept = os.dup(2)
+    except OSError:  # stderr is closed, so there is nothing to silence
+        yield
+        return
+    try:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, 2)
+        os.close(nowhere)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+
+
+def decode_image(data: bytes | memoryview | np.ndarray) -> np.ndarray:
+    """The pixels of an image file in memory (PNG, JPEG, TIFF, BMP, PGM, ...), as stored.
+
+    Raises UnusableError where OpenCV cannot read it whole.
+    """
+    buffer = np.frombuffer(data, np.uint8)
+    if not buffer.size:
+        raise UnusableError("empty image")
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        with _quiet_stderr():
+            image = cv2.imdecode(buffer, cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        image = None
+    if image is None:
+        raise UnusableError("unreadable image")
+    return np.asarray(image)
+
+
+def grey8(pixels: np.ndarray) -> ByteImage:
+    """(rows, columns) uint8 from the pixels of a RawFrame.
+
+    Colour becomes grey by OpenCV's weights (.299 R + .587 G + .114 B; alpha is left out), 16 bits
+    become 8 by dividing by 257 and rounding, so that full scale stays full scale. Floating-point
+    pixels must lie in 0 to 1 (NaN: no data, 0) and are multiplied by 255.
+    Raises UnusableError for other pixels.
+    """
+    if pixels.dtype not in (np.uint8, np.uint16, np.float32, np.float64):
+        raise UnusableError(f"{pixels.dtype} pixels are not supported")
+    if pixels.dtype.byteorder == ">" or pixels.dtype == np.float64:
+        pixels = pixels.astype(np.float32 if pixels.dtype.kind == "f" else np.uint16)
+    if pixels.ndim == 3 and pixels.shape[2] == 1:
+        pixels = pixels[:, :, 0]
+    if pixels.ndim == 3 and pixels.shape[2] in (3, 4):
+        code = cv2.COLOR_BGR2GRAY if pixels.shape[2] == 3 else cv2.COLOR_BGRA2GRAY
+        pixels = cv2.cvtColor(np.ascontiguousarray(pixels), code)
+    if pixels.ndim != 2 or not pixels.size:
+        raise UnusableError(f"an image of shape {pixels.shape} is not supported")
+    if pixels.dtype == np.uint16:
+        return np.asarray(
+            cv2.convertScaleAbs(np.ascontiguousarray(pixels), alpha=1 / 257), np.uint8
+        )
+    if pixels.dtype == np.float32:
+        pixels = np.nan_to_num(pixels, nan=0.0)
+        if pixels.min() < 0 or pixels.max() > 1:
+            raise UnusableError("floating-point pixels must lie in 0 to 1")
+        return np.asarray(cv2.convertScaleAbs(pixels, alpha=255), np.uint8)
+    return np.ascontiguousarray(pixels)
+
+
+_RAW_ENCODINGS: dict[str, tuple[str, int, bool]] = {
+    # encoding: (dtype without byte order, channels, red first)
+    "mono8": ("u1", 1, False),
+    "8UC1": ("u1", 1, False),
+    "mono16": ("u2", 1, False),
+    "16UC1": ("u2", 1, False),
+    "32FC1": ("f4", 1, False),
+    "bgr8": ("u1", 3, False),
+    "rgb8": ("u1", 3, True),
+    "bgra8": ("u1", 4, False),
+    "rgba8": ("u1", 4, True),
+}
+
+
+def raw_pixels(
+    data: memoryview | bytes,
+    height: int,
+    width: int,
+    encoding: str,
+    step: int,
+    big_endian: bool,
+) -> np.ndarray:
+    """The pixels of an uncompressed image message, without a copy where they lie in BGR order.
+
+    step: bytes from row to row. Some drivers state it wrongly: where step * height is not the
+    length of the data but the pixels without padding are, the width is believed.
+    Raises UnusableError where the numbers do not fit together or the encoding is unknown.
+    """
+    if encoding not in _RAW_ENCODINGS:
+        known = ", ".join(_RAW_ENCODINGS)
+        raise UnusableError(f"encoding {encoding!r} is not supported (only {known})")
+    kind, channels, red_first = _RAW_ENCODINGS[encoding]
+    dtype = np.dtype((">" if big_endian else "<") + kind)
+    row = width * channels * dtype.itemsize
+    if not height or not width:
+        raise UnusableError("empty image")
+    if not (step >= row and step * (height - 1) + row <= len(data) <= step * height):
+        if row * height != len(data):
+            raise UnusableError(
+                f"{width} x {height} {encoding} pixels do not fit {len(data)} bytes (step {step})"
+            )
+        step = row
+    pixels: np.ndarray = np.ndarray(
+        (height, width, channels),
+        dtype,
+        buffer=data,
+        strides=(step, channels * dtype.itemsize, dtype.itemsize),
+    )
+    if red_first:
+        pixels = pixels[:, :, [2, 1, 0, 3][:channels]]
+    return pixels[:, :, 0] if channels == 1 else pixels

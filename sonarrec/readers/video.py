@@ -1,0 +1,58 @@
+"""Reads videos through OpenCV."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+
+from sonarrec.readers.raw import RawFrame
+from sonarrec.records import SonarrecError
+
+VIDEO_SUFFIXES = frozenset({".avi", ".mp4", ".mkv"})
+
+
+class VideoFrames:
+    """The frames of a video, timed by its container."""
+
+    def __init__(self, path: Path) -> None:
+        """Raises SonarrecError where OpenCV cannot open the file as a video."""
+        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # quiet: faults are told by us
+        cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+        self._video = cv2.VideoCapture(str(path))
+        if not self._video.isOpened():
+            raise SonarrecError(f"{path}: does not open as a video (damaged, or an unknown codec)")
+        count = self._video.get(cv2.CAP_PROP_FRAME_COUNT)
+        self.frame_count = round(count) if 0 < count < 1e9 else None
+        rate = self._video.get(cv2.CAP_PROP_FPS)
+        self._period_ns = 1e9 / rate if 0 < rate < 1e6 else None
+        self._path = path
+        self.faults: list[str] = []
+
+    def __iter__(self) -> Iterator[RawFrame]:
+        index, last_ns = 0, -1
+        while True:
+            ok, pixels = self._video.read()
+            if not ok:
+                break
+            timestamp_ns: int | None = round(self._video.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
+            assert timestamp_ns is not None
+            if timestamp_ns > last_ns:
+                last_ns = timestamp_ns
+            else:  # a container without times of its own
+                period = self._period_ns
+                timestamp_ns = None if period is None else round(index * period)
+            yield RawFrame(f"frame {index}", timestamp_ns, pixels)
+            index += 1
+        # Some containers hold no count and OpenCV works it out from the duration, to one frame.
+        if self.frame_count is not None and index < self.frame_count - 1:
+            self.faults.append(
+                f"{self._path.name}: ended after {index} of {self.frame_count} frames; "
+                "cut short or damaged"
+            )
+
+    def close(self) -> None:
+        """Release the file."""
+        self._video.release()
