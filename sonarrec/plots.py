@@ -28,7 +28,7 @@ def draw_roc(path: Path, scored: Sequence[Scored]) -> None:
     protocols = [p for p in PROTOCOLS if any(s.protocol == p for s in scored)]
     worst = max((s.count().fpr for s in scored), default=0.0)
     right = min(1.0, max(0.1, np.ceil(13 * np.nan_to_num(worst)) / 10))
-    figure = Figure(figsize=(5.2 * len(protocols), 5.0), dpi=120, layout="constrained")
+    figure = Figure(figsize=(5.2 * len(protocols), 5.6), dpi=120, layout="constrained")
     FigureCanvasAgg(figure)
     panels = figure.subplots(1, len(protocols), sharey=True, squeeze=False)[0]
     for axes, protocol in zip(panels, protocols, strict=True):
@@ -36,28 +36,32 @@ def draw_roc(path: Path, scored: Sequence[Scored]) -> None:
         for s, (colour, style) in zip(
             (s for s in scored if s.protocol == protocol), looks, strict=False
         ):
-            curve = s.curve()
+            curve, point = s.curve(), s.count()
             at = curve.turns()
-            axes.plot(curve.fpr[at], curve.tpr[at], style, color=colour, lw=1.8, label=s.method)
-            point = s.count()
-            axes.plot(point.fpr, point.tpr, "o", color=colour, ms=9, mec="black", clip_on=False)
-            axes.annotate(
-                f"{point.tpr:.3f} / {point.fpr:.4f}",
-                (point.fpr, point.tpr),
-                xytext=(9, -4),
-                textcoords="offset points",
-                va="top",
-                fontsize=8,
+            axes.plot(curve.fpr[at], curve.tpr[at], style, color=colour, lw=1.8, zorder=3)
+            axes.plot(
+                point.fpr,
+                point.tpr,
+                "o" + style,
                 color=colour,
+                ms=9,
+                mec="black",
+                zorder=4,
+                clip_on=False,
+                label=f"{s.method}, at its operating point: {point.tpr:.3f}, {point.fpr:.4f}",
             )
         if protocol == "paper":
             for name, fpr, tpr, marker in PUBLISHED:
                 axes.plot(
-                    fpr, tpr, marker, color="none", mec="black", ms=8, label=f"published: {name}"
+                    fpr,
+                    tpr,
+                    marker,
+                    color="none",
+                    mec="black",
+                    ms=13,
+                    zorder=5,
+                    label=f"published {name}, in the paper's own basin: {tpr:.3f}, {fpr:.4f}",
                 )
-        axes.plot(
-            [], [], "o", color="white", mec="black", ms=8, label="operating point (TPR / FPR)"
-        )
         axes.set(
             title=f"protocol {protocol}",
             xlabel=f"false positive rate (axis ends at {right:g})",
@@ -66,6 +70,15 @@ def draw_roc(path: Path, scored: Sequence[Scored]) -> None:
         )
         axes.grid(color="0.9")
         axes.set_axisbelow(True)
-        axes.legend(loc="lower right", fontsize=8)
+        axes.legend(
+            loc="upper center",
+            bbox_to_anchor=(0.5, -0.12),
+            fontsize=8,
+            frameon=False,
+            markerscale=0.7,
+            handlelength=3,
+            title="TPR, FPR",
+            title_fontsize=8,
+        )
     panels[0].set_ylabel("true positive rate (micro average)")
     figure.savefig(path)

@@ -8,6 +8,7 @@ import math
 import shutil
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -422,3 +423,40 @@ def test_run_toml_landmarks_set_ids_and_gate(tmp_path: Path) -> None:
     assert found.joined.ids == (9, 8)
     assert counts(scored(found, "strict"), 1) == (1, 0, 0, 0)
     assert counts(scored(found, "strict"), 0) == (0, 1, 0, 0)
+
+
+def test_many_ids_are_still_readable(tmp_path: Path) -> None:
+    """Tables too wide for 100 columns go one below the other; ours come before other methods."""
+    patterns = ["100000", "110000", "101000", "100100", "111000", "111100"]
+    (tmp_path / "six.toml").write_text(
+        'name = "six"\nradius_m = 0.1\nring = [0.8, 1.0]\nsymbol = [0.0, 0.6]\n'
+        + "".join(f"[[landmark]]\nid = {i}\nsectors = {list(map(int, p))}\n"
+                  for i, p in enumerate(patterns, 1))
+    )  # fmt: skip
+    claims = [(0, m, 2.0, 0.0, 6, 0.9, 1) for m in ("another", "framework", "smi")]
+    results, truth = write_case(tmp_path, [0], claims, [(0, 6, 2.0, 0.0, 1.0)])
+    found = evaluate(results, truth, landmarks=str(tmp_path / "six.toml"))
+    assert found.joined.methods == ("smi", "framework", "another")
+    lines = screen(found).splitlines()
+    assert max(map(len, lines)) <= 100
+    assert sum("centre within 0.1 m" in line for line in lines) == 3
+    assert sum("ID.6" in line for line in lines) == 6
+
+
+def test_roc_file_and_picture_agree_with_the_counts(tmp_path: Path) -> None:
+    frames, estimates, truth = random_case(np.random.default_rng(11))
+    results, gt = write_case(tmp_path, frames, estimates, truth)
+    done = CliRunner().invoke(main, ["evaluate", "--ground-truth", str(gt), str(results), "-q"])
+    assert done.exit_code == 0, done.output
+    with (results / "evaluation" / "roc.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    curve = scored(evaluate(results, gt), "strict").curve()
+    mine = [r for r in rows if (r["protocol"], r["landmark"]) == ("strict", "total")]
+    at = curve.turns()
+    assert [float(r["threshold"]) for r in mine] == curve.threshold[at].tolist()
+    assert [int(r["fp"]) for r in mine] == curve.fp[at].tolist()
+    assert [float(r["tpr"]) for r in mine] == curve.tpr[at].tolist()
+    assert mine[0]["threshold"] == "inf"
+    picture = cv2.imread(str(results / "evaluation" / "roc.png"))
+    # The claimed method's colour, #0072B2, is on the paper: there is a curve to see.
+    assert np.count_nonzero((picture == (0xB2, 0x72, 0x00)).all(axis=2)) > 200
