@@ -1,0 +1,190 @@
+"""Settings: presets, files, --set, and what is printed."""
+
+import dataclasses
+import tomllib
+
+import pytest
+from click.testing import CliRunner
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sonarrec import config
+from sonarrec.cli import main
+from sonarrec.records import UsageError
+
+NUMBERS = [
+    f"{section}.{field.name}"
+    for section, kind in config.SECTIONS.items()
+    for field in dataclasses.fields(kind)
+    if not isinstance(field.default, str)
+]
+
+
+@pytest.mark.parametrize("name", list(config.PRESETS))
+def test_printed_toml_reads_back_as_the_same_configuration(name, tmp_path):
+    settings = dataclasses.replace(config.preset(name), seed=7)
+    file = tmp_path / "my.toml"
+    file.write_text(config.as_commented_toml(settings))
+    assert tomllib.loads(file.read_text()) == config.as_table(settings)
+    assert config.load_config(file, config.Config()) == settings
+
+
+@pytest.mark.parametrize("name", list(config.PRESETS))
+def test_every_preset_is_within_what_the_paper_and_the_choices_allow(name):
+    settings = config.preset(name)
+    assert settings.preset == name
+    assert 1000 <= settings.continuity.particles <= 2000
+    assert settings.continuity.spread_limit == 0.25
+    assert settings.continuity.strikes == 5
+    for section, kind in config.SECTIONS.items():
+        for field in dataclasses.fields(kind):
+            value = getattr(getattr(settings, section), field.name)
+            assert type(value) is type(field.default)
+            assert not field.metadata["choices"] or value in field.metadata["choices"]
+            assert field.metadata["meaning"]
+
+
+def test_the_paper_preset_takes_every_rule_as_published():
+    paper = config.preset("paper")
+    assert (paper.candidates.plane, paper.candidates.detector) == ("fan", "edge")
+    assert paper.continuity.motion == "random_walk"
+    assert paper.continuity.sigma_px == 10
+    assert paper.continuity.min_existence == 0  # only the strikes delete
+    assert paper.features.motion_model == "inverse_distance"
+    assert paper.features.measurement == "single"
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("nonsense = 1", "nonsense"),
+        ("[candidates]\nthreshhold = 0.3", "candidates.threshhold"),
+        ('[candidates]\nplane = "sea"', "candidates.plane"),
+        ("[candidates]\nplane = 3", "candidates.plane"),
+        ("[continuity]\nparticles = 1000.5", "continuity.particles"),
+        ("[continuity]\nparticles = true", "continuity.particles"),
+        ('[continuity]\nsigma_px = "ten"', "continuity.sigma_px"),
+        ("[continuity]\nsigma_px = -1", "continuity.sigma_px"),
+        ("[continuity]\nsigma_px = nan", "continuity.sigma_px"),
+        ("[continuity]\nsigma_px = inf", "continuity.sigma_px"),
+        ("features = 4", "features"),
+        ("seed = -1", "seed"),
+        ("seed = 1.5", "seed"),
+        ('preset = "best"', "best"),
+        ("[candidates", "not a readable TOML"),
+    ],
+)
+def test_what_is_no_setting_is_told_by_name(text, named, tmp_path):
+    file = tmp_path / "my.toml"
+    file.write_text(text)
+    with pytest.raises(UsageError) as caught:
+        config.load_config(file, config.Config())
+    assert named in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("candidates.threshold", "stage.key=value"),
+        ("threshold=0.3", "stage.key=value"),
+        ("candidate.threshold=0.3", "candidate"),
+        ("candidates.treshold=0.3", "candidates.treshold"),
+        ("candidates.threshold=", "candidates.threshold"),
+        ("candidates.threshold=high", "candidates.threshold"),
+        ("continuity.particles=1e400", "continuity.particles"),
+        ("features.motion_model=wheels", "features.motion_model"),
+    ],
+)
+def test_an_assignment_that_cannot_be_meant_is_told_by_name(text, named):
+    with pytest.raises(UsageError, match=named):
+        config.with_assignments(config.Config(), [text])
+
+
+@given(name=st.sampled_from(NUMBERS), value=st.integers(1, 9))
+def test_an_assignment_changes_its_own_setting_and_nothing_else(name, value):
+    value = value | 1  # kernel sizes are odd
+    before = config.as_table(config.Config())
+    after = config.as_table(config.with_assignments(config.Config(), [f"{name}={value}"]))
+    section, key = name.split(".")
+    assert after[section][key] == value
+    after[section][key] = before[section][key]
+    assert after == before
+
+
+def test_texts_may_be_bare_or_quoted_and_the_last_assignment_wins():
+    texts = ["features.motion_model=inverse_distance", 'candidates.plane = "fan"']
+    settings = config.with_assignments(config.Config(), [*texts, "candidates.plane=floor"])
+    assert settings.features.motion_model == "inverse_distance"
+    assert settings.candidates.plane == "floor"
+
+
+def printed(*arguments: str) -> dict:
+    result = CliRunner().invoke(main, ["config", *arguments])
+    assert result.exit_code == 0, result.output
+    return tomllib.loads(result.output)
+
+
+def test_preset_then_file_then_set_then_seed(tmp_path):
+    file = tmp_path / "my.toml"
+    file.write_text(
+        "seed = 3\n[candidates]\nthreshold = 0.11\nmin_visible = 0.22\n"
+        "[features]\nmotion_model = 'association'\n"
+    )
+    table = printed("--preset", "paper", "--config", str(file), "--set", "candidates.threshold=0.5")
+    paper = config.as_table(config.preset("paper"))
+    assert table["preset"] == "paper"
+    assert table["seed"] == 3
+    assert table["candidates"]["threshold"] == 0.5  # --set over the file
+    assert table["candidates"]["min_visible"] == 0.22  # the file over the preset
+    assert table["features"]["motion_model"] == "association"
+    assert table["candidates"]["plane"] == paper["candidates"]["plane"]
+    assert printed("--config", str(file), "--seed", "9")["seed"] == 9
+
+
+def test_a_preset_named_in_the_file_serves_unless_the_flag_names_another(tmp_path):
+    file = tmp_path / "my.toml"
+    file.write_text('preset = "paper"\n')
+    assert printed("--config", str(file)) == config.as_table(config.preset("paper"))
+    assert printed("--config", str(file), "--preset", "default") == printed()
+
+
+def test_the_configuration_is_printed_with_units_and_meanings():
+    result = CliRunner().invoke(main, ["config"])
+    assert result.exit_code == 0
+    assert tomllib.loads(result.output) == config.as_table(config.preset("default"))
+    for kind in config.SECTIONS.values():
+        for field in dataclasses.fields(kind):
+            assert f"\n{field.name} = " in result.output
+            assert field.metadata["meaning"] in result.output
+            assert f"[{field.metadata['unit']}]" in result.output or not field.metadata["unit"]
+
+
+def test_a_run_toml_is_a_settings_file_too(tmp_path):
+    import tomli_w
+
+    settings = config.with_assignments(config.preset("paper"), ["continuity.strikes=7"])
+    file = tmp_path / "run.toml"
+    file.write_text(
+        tomli_w.dumps(
+            {"finished": True, "input": {"name": "x"}, "config": config.as_table(settings)}
+        )
+    )
+    assert printed("--config", str(file)) == config.as_table(settings)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--preset", "best"],
+        ["--set", "candidates.plane=sea"],
+        ["--set", "nothing"],
+        ["--config", "missing.toml"],
+        ["--seed", "-1"],
+    ],
+)
+def test_bad_usage_is_exit_code_2_and_no_traceback(arguments):
+    result = CliRunner().invoke(main, ["config", *arguments])
+    assert result.exit_code == 2
+    assert "Traceback" not in result.output
+    assert arguments[1].split("=")[0] in result.output
