@@ -89,15 +89,27 @@ class ResultsWriter:
                 for e in result.estimates
             )
         except OSError as error:
-            raise SonarrecError(
-                f"{self._folder}: cannot write results ({error.strerror}); what is there is good"
-            ) from None
+            raise self._fault(error) from None
 
     def finish(self, problems: Sequence[str]) -> None:
-        """Mark the results as whole: every frame of the log was processed or told of."""
+        """Mark the results as whole: every frame of the log was processed or told of.
+
+        Raises SonarrecError where the disk takes no more.
+        """
         self._run["input"]["frames_processed"] = self.frames
         self._run["input"]["problems"] = list(problems)
-        self._write_run(finished=True)
+        try:
+            # The last rows leave the buffers before run.toml calls them whole.
+            self._frames_file.close()
+            self._estimates_file.close()
+            self._write_run(finished=True)
+        except OSError as error:
+            raise self._fault(error) from None
+
+    def _fault(self, error: OSError) -> SonarrecError:
+        return SonarrecError(
+            f"{self._folder}: cannot write results ({error.strerror}); what is there is good"
+        )
 
     def _write_run(self, finished: bool) -> None:
         """Replace run.toml in one step: readers see the old one or the new one."""
