@@ -1,0 +1,37 @@
+# Needs Python 3.11 or newer and make; everything else goes into .venv.
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+BIN := .venv/bin
+SAMPLE := sample_data/pan
+
+.PHONY: test lint demo bench paper regression clean
+
+.venv/installed: pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+		{ echo "Python 3.11 or newer is needed; set PYTHON=" >&2; exit 1; }
+	$(PYTHON) -m venv .venv
+	$(BIN)/pip install -q -e '.[dev]'
+	@touch $@
+
+test: .venv/installed  # pytest fails where it finds no test (exit code 5)
+	$(BIN)/pytest
+
+lint: .venv/installed
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+demo: .venv/installed  # the sample log, from images to tables
+	$(BIN)/sonarrec run $(SAMPLE) --out build/demo
+	$(BIN)/sonarrec evaluate --ground-truth $(SAMPLE)/gt.csv build/demo/$(notdir $(SAMPLE))
+
+bench: .venv/installed  # cost per frame and memory, beside PNG decoding and a plain loop
+	$(BIN)/python -m tests.bench
+
+paper: .venv/installed  # the paper's experiment, our tables beside the published ones
+	$(BIN)/python -m tests.paper
+
+regression: .venv/installed  # the sample logs' rates against the recorded ones
+	$(BIN)/python -m tests.regression
+
+clean:
+	rm -rf build .venv
