@@ -400,6 +400,12 @@ def test_pixels_become_metres_by_run_toml_or_flags(tmp_path: Path) -> None:
         "tpr": 0.5, "fpr": 1.0, "tp": 1, "tn": 0, "fp": 1, "fn": 1, "total": 3,
     }  # fmt: skip
 
+    # A polar recording has no pixels of its own; run.toml states those of the fan it became.
+    stated = RUN_TOML.replace('"fan"', '"polar"').replace("metres_per", "\n[fan]\nmetres_per")
+    (results / "run.toml").write_text(stated)
+    ours = evaluate(results, truth)
+    assert counts(scored(ours, "strict", "other"), 0) == (1, 0, 1, 1)
+
     (results / "run.toml").write_text(RUN_TOML)
     ours = evaluate(results, truth)
     assert counts(scored(ours, "strict", "other"), 0) == (1, 0, 1, 1)
