@@ -46,13 +46,13 @@ def poses(scene: Scene) -> list[Pose]:
     """The sonar's true pose in every frame."""
     motion, frames = scene.motion, scene.frames
     rng = np.random.default_rng([scene.seed, 2])
+    phase = rng.uniform(0, 2 * np.pi, 3)
     time = np.arange(frames) / scene.rate_hz
     pan = sweep_deg(
         motion.pan_min_deg, motion.pan_max_deg, motion.pan_start_deg, motion.pan_deg_s * time
     )
     jitter = ar1(rng, frames, 1, 1 / scene.rate_hz, motion.yaw_jitter_s)[:, 0]
     pan = pan + motion.yaw_jitter_deg * jitter
-    phase = rng.uniform(0, 2 * np.pi, 3)
     heave = motion.heave_m * np.sin(2 * np.pi * time / motion.heave_period_s + phase[0])
     slow = 2 * np.pi * time / motion.sway_period_s
     return [

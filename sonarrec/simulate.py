@@ -207,18 +207,15 @@ def _shifted(image: np.ndarray, rows: int) -> np.ndarray:
 def _signal_gain_db(scene: Scene, rng: np.random.Generator) -> FloatArray:
     """(frames,) gain of the echoes: frames that fade alone, and bursts of them."""
     fading, frames = scene.fading, scene.frames
-    gain = (
-        -fading.depth_db
-        * rng.gamma(4.0, 0.25, frames)
-        * (rng.random(frames) < fading.frame_probability)
-    )
-    begins = np.flatnonzero(rng.random(frames) < fading.burst_probability)
+    depths, singles, starts, bursts = rng.spawn(4)
+    depth = fading.depth_db * depths.gamma(4.0, 0.25, frames)
+    gain = -depth * (singles.random(frames) < fading.frame_probability)
+    begins = np.flatnonzero(starts.random(frames) < fading.burst_probability)
     for begin in begins:
-        length = 1 + rng.geometric(1 / max(fading.burst_frames, 1.0))
+        length = 1 + bursts.geometric(1 / max(fading.burst_frames, 1.0))
         shape = np.sin(np.pi * (np.arange(length) + 1) / (length + 1)) ** 0.5
-        depth = fading.depth_db * rng.gamma(4.0, 0.25)
         part = gain[begin : begin + length]
-        np.minimum(part, -depth * shape[: len(part)], out=part)
+        np.minimum(part, -depth[begin] * shape[: len(part)], out=part)
     return np.asarray(gain)
 
 
@@ -279,19 +276,22 @@ def render(scene: Scene) -> Iterator[SimulatedFrame]:
     receiver = _Receiver(scene, np.random.default_rng([scene.seed, 3]))
     picture = _Picture(scene, fan)
     noise_rng = np.random.default_rng([scene.seed, 4])
-    rng = np.random.default_rng([scene.seed, 5])
+    # One generator for each process, so that fewer frames are the first of the same log.
+    rngs = np.random.default_rng([scene.seed, 5]).spawn(6)
     fading, noise, sonar = scene.fading, scene.noise, scene.sonar
 
     step_s = 1 / scene.rate_hz
-    gain_db = _signal_gain_db(scene, rng)
+    gain_db = _signal_gain_db(scene, rngs[0])
     things = len(scene.landmarks) + len(scene.objects)
-    object_db = fading.object_db * ar1(rng, scene.frames, things, step_s, fading.time_s)
-    patches = ar1(rng, scene.frames, world.PATCHES, step_s, fading.time_s)
-    afterglow_db = rng.normal(0, 3, things) + 2 * ar1(
-        rng, scene.frames, things, step_s, fading.time_s
+    object_db = fading.object_db * ar1(rngs[1], scene.frames, things, step_s, fading.time_s)
+    patches = ar1(rngs[2], scene.frames, world.PATCHES, step_s, fading.time_s)
+    afterglow_db = rngs[3].normal(0, 3, things) + 2 * ar1(
+        rngs[4], scene.frames, things, step_s, fading.time_s
     )
     time = np.arange(scene.frames) * step_s
-    drift_db = noise.gain_drift_db * np.sin(2 * np.pi * (time / noise.gain_drift_s + rng.uniform()))
+    drift_db = noise.gain_drift_db * np.sin(
+        2 * np.pi * (time / noise.gain_drift_s + rngs[5].uniform())
+    )
     bin_m = fan.window_m / sonar.range_bins
     range_m = sonar.range_min_m + (np.arange(sonar.range_bins) + 0.5) * bin_m
     noise_amplitude = np.float32(10 ** (-noise.snr_db / 20) / math.sqrt(2))
