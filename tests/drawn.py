@@ -91,7 +91,32 @@ def draw_on_floor(
     must know its height: ground range = sqrt(slant range^2 - height^2).
     """
     assert fan.height_m is not None
-    row, column = _fine_grid(fan.rows, fan.columns)
+    row, column = np.mgrid[0 : fan.rows, 0 : fan.columns]
+    slant, bearing, x, y = _on_disc(fan, row, column, range_m, bearing_deg, radius_m)
+    seen = (slant >= fan.range_min_m) & (slant <= fan.range_max_m)
+    seen &= np.abs(np.degrees(bearing)) <= fan.bearing_max_deg
+    brightness = np.zeros((fan.rows, fan.columns))
+    rows, columns = np.nonzero(np.hypot(x, y) < 1.5)
+    if len(rows):
+        box = np.s_[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
+        row, column = _fine_grid(*brightness[box].shape)
+        _, _, x, y = _on_disc(
+            fan, row + rows.min(), column + columns.min(), range_m, bearing_deg, radius_m
+        )
+        brightness[box] = _pixels(pattern(x, y))
+    return brightness, seen
+
+
+def _on_disc(
+    fan: Fan,
+    row: np.ndarray,
+    column: np.ndarray,
+    range_m: float,
+    bearing_deg: float,
+    radius_m: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Slant range (m), bearing (rad) and place on the disc (radii) of fan pixels."""
+    assert fan.height_m is not None
     across = (column - fan.apex_column) * fan.metres_per_pixel
     ahead = (fan.apex_row - row) * fan.metres_per_pixel
     slant, bearing = np.hypot(across, ahead), np.arctan2(across, ahead)
@@ -100,11 +125,7 @@ def draw_on_floor(
     b = math.radians(bearing_deg)
     x = (ground * np.sin(bearing) - place * math.sin(b)) / radius_m
     y = (ground * np.cos(bearing) - place * math.cos(b)) / radius_m
-    seen = (slant >= fan.range_min_m) & (slant <= fan.range_max_m)
-    seen &= np.abs(np.degrees(bearing)) <= fan.bearing_max_deg
-    near = np.hypot(x, y) < 1.5
-    brightness = np.where(near, pattern(np.where(near, x, 9.0), np.where(near, y, 9.0)), 0.0)
-    return _pixels(brightness), _pixels(seen.astype(float)) > 0.5
+    return slant, bearing, x, y
 
 
 def speckled(
