@@ -170,6 +170,8 @@ class McapImages:
             for position, channel in zip(self._positions, self._loose_channels, strict=True):
                 if channel < 0:
                     self._look_into(position)
+        elif self._counts is None and loose.total() == len(self._positions):
+            self._counts = loose
 
     def _add_unit(self, time: int, position: int, channel: int) -> None:
         self._times.append(time)

@@ -93,10 +93,10 @@ def grey8(pixels: np.ndarray) -> ByteImage:
     pixels must lie in 0 to 1 (NaN: no data, 0) and are multiplied by 255.
     Raises UnusableError for other pixels.
     """
-    if pixels.dtype not in (np.uint8, np.uint16, np.float32, np.float64):
-        raise UnusableError(f"{pixels.dtype} pixels are not supported")
-    if pixels.dtype.byteorder == ">" or pixels.dtype == np.float64:
-        pixels = pixels.astype(np.float32 if pixels.dtype.kind == "f" else np.uint16)
+    dtype = pixels.dtype.newbyteorder("=")  # OpenCV knows this machine's byte order only
+    if dtype not in (np.uint8, np.uint16, np.float32, np.float64):
+        raise UnusableError(f"{dtype} pixels are not supported")
+    pixels = pixels.astype(np.float32 if dtype.kind == "f" else dtype, copy=False)
     if pixels.ndim == 3 and pixels.shape[2] == 1:
         pixels = pixels[:, :, 0]
     if pixels.ndim == 3 and pixels.shape[2] in (3, 4):

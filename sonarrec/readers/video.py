@@ -46,8 +46,9 @@ class VideoFrames:
                 timestamp_ns = None if period is None else round(index * period)
             yield RawFrame(f"frame {index}", timestamp_ns, pixels)
             index += 1
-        # Some containers hold no count and OpenCV works it out from the duration, to one frame.
-        if self.frame_count is not None and index < self.frame_count - 1:
+        # Matroska holds no count: OpenCV works it out from the duration, to one frame.
+        slack = 1 if self._path.suffix.lower() == ".mkv" else 0
+        if self.frame_count is not None and index < self.frame_count - slack:
             self.faults.append(
                 f"{self._path.name}: ended after {index} of {self.frame_count} frames; "
                 "cut short or damaged"
