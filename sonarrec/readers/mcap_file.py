@@ -295,8 +295,10 @@ class McapImages:
         _, _, size, crc, name_length = _CHUNK_HEAD.unpack(self._file.read(_CHUNK_HEAD.size))
         name = self._file.read(min(name_length, 32))
         field = self._file.read(8)
-        if name_length > 32 or len(field) < 8:
+        if name_length > 32:
             raise _DamagedError("has no readable head")
+        if len(field) < 8:
+            return b""
         stored = struct.unpack("<Q", field)[0]
         if stored != length - _CHUNK_HEAD.size - name_length - 8:
             raise _DamagedError("contradicts its own length")
