@@ -20,7 +20,7 @@ from sonarrec.geometry import (
     polar_from_pixel,
     slant_range,
 )
-from sonarrec.records import ByteImage, Fan, FloatArray
+from sonarrec.records import ByteImage, Fan, FloatArray, SonarrecError
 
 # Nearer than this multiple of the height the floor is seen so steeply that a pixel of slant range
 # covers several of floor.
@@ -36,7 +36,10 @@ class Plane:
     """
 
     def __init__(self, fan: Fan, radius_m: float, kind: str, disc_radius_px: float) -> None:
-        """kind: "fan" or "floor". disc_radius_px: radius of a disc on the floor plane."""
+        """kind: "fan" or "floor". disc_radius_px: radius of a disc on the floor plane.
+
+        Raises SonarrecError where the floor lies beyond the range window.
+        """
         self.fan = fan
         self.kind = kind
         radius_px = radius_m / fan.metres_per_pixel
@@ -51,6 +54,11 @@ class Plane:
         self.axes = (radius_px * self.scale, radius_px * self.scale)
         self._metres = fan.metres_per_pixel / self.scale
         nearest = max(fan.range_min_m, STEEPEST * (fan.height_m or 0.0))
+        if nearest >= fan.range_max_m:
+            raise SonarrecError(
+                f"sonar geometry: from height_m = {fan.height_m:g} hardly any floor lies within "
+                f"range_max_m = {fan.range_max_m:g}; correct one of them, or use --preset paper"
+            )
         near, far = (float(ground_range(fan, r)) for r in (nearest, fan.range_max_m))
         edges = np.radians([fan.bearing_min_deg, fan.bearing_max_deg])
         left, right = far * np.sin(edges) / self._metres
