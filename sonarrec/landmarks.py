@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
@@ -96,11 +97,14 @@ def landmarks_from_table(table: dict[str, Any], where: str) -> LandmarkSet:
     try:
         ring = tuple(float(v) for v in table["ring"])
         symbol = tuple(float(v) for v in table["symbol"])
+        unknown = {key for row in table["landmark"] for key in row} - {"id", "sectors"}
         rows = [(row["id"], tuple(row["sectors"])) for row in table["landmark"]]
         radius = float(table["radius_m"])
     except (TypeError, ValueError, KeyError) as error:
         raise SonarrecError(f"{where}: not a landmark set ({error!r})") from None
-    if radius <= 0:
+    if unknown:
+        raise SonarrecError(f"{where}: unknown key {min(unknown)!r} in [[landmark]]")
+    if not 0 < radius < math.inf:
         raise SonarrecError(f"{where}: radius_m must be above 0")
     for key, band in (("ring", ring), ("symbol", symbol)):
         if len(band) != 2 or not 0 <= band[0] < band[1] <= 1:
@@ -111,9 +115,10 @@ def landmarks_from_table(table: dict[str, Any], where: str) -> LandmarkSet:
         raise SonarrecError(f"{where}: the symbol must end where the ring begins, or before")
     ids = tuple(i for i, _ in rows)
     sectors = tuple(s for _, s in rows)
-    if not rows or len(set(ids)) != len(ids) or not all(type(i) is int for i in ids):
+    if not rows or not all(type(i) is int for i in ids) or len(set(ids)) != len(ids):
         raise SonarrecError(f"{where}: every [[landmark]] needs an id, a whole number of its own")
-    if len({len(s) for s in sectors}) != 1 or not all(v in (0, 1) for s in sectors for v in s):
+    count = len(sectors[0])
+    if not count or not all(len(s) == count and all(v in (0, 1) for v in s) for s in sectors):
         raise SonarrecError(f"{where}: sectors must be zeros and ones, equally many for every ID")
     for i, first in enumerate(sectors):
         turns = {first[n:] + first[:n] for n in range(len(first))}

@@ -1,0 +1,284 @@
+"""Metres and pixels: against closed forms, brute force and round trips."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sonarrec.geometry import (
+    EXAMPLE_SONAR_TOML,
+    PolarToFan,
+    Sonar,
+    check_sonar,
+    fan_for_image,
+    fan_for_polar,
+    fan_mask,
+    ground_range,
+    in_fan,
+    load_sonar,
+    pixel_from_polar,
+    polar_from_pixel,
+    slant_range,
+    sonar_from_table,
+)
+from sonarrec.records import SonarrecError
+
+BASIN = Sonar(
+    layout="fan",
+    range_min_m=1.25,
+    range_max_m=3.75,
+    field_of_view_deg=28.8,
+    tilt_deg=20.0,
+    height_m=0.68,
+)
+
+sonars = st.builds(
+    lambda low, window, view, tilt: Sonar(
+        range_min_m=low, range_max_m=low + window, field_of_view_deg=view, tilt_deg=tilt
+    ),
+    st.floats(0, 20),
+    st.floats(0.5, 30),
+    st.floats(5, 150),
+    st.floats(0, 60),
+)
+
+
+# Pixels
+
+
+def test_a_fan_image_by_hand() -> None:
+    """512 rows over 2.5 m: the near edge of the window is the lower edge of the last row."""
+    fan = fan_for_image(BASIN, 512, 381)
+    assert fan.metres_per_pixel == 2.5 / 512
+    assert fan.apex_column == 190
+    column, row = pixel_from_polar(fan, np.array([1.25, 3.75]), 0.0)
+    np.testing.assert_allclose(column, 190)
+    np.testing.assert_allclose(row, [511.5, -0.5])
+    column, row = pixel_from_polar(fan, 2.0, 10.0)
+    assert column == pytest.approx(190 + 2.0 * math.sin(math.radians(10)) * 512 / 2.5)
+    assert row == pytest.approx(511.5 + (1.25 - 2.0 * math.cos(math.radians(10))) * 512 / 2.5)
+
+
+def test_stated_scale_and_apex_count() -> None:
+    sonar = BASIN.updated(Sonar(metres_per_pixel=0.01, apex_px=(262.0, 569.0)))
+    fan = fan_for_image(sonar, 400, 500)
+    assert [float(v) for v in pixel_from_polar(fan, 1.0, 0.0)] == [262, 469]
+
+
+@settings(deadline=None, derandomize=True)
+@given(sonars, st.floats(0.01, 50), st.floats(-89, 89))
+def test_round_trip(sonar: Sonar, range_m: float, bearing: float) -> None:
+    for fan in (fan_for_image(sonar, 300, 200), fan_for_polar(sonar, 300)):
+        back = polar_from_pixel(fan, *pixel_from_polar(fan, range_m, bearing))
+        np.testing.assert_allclose(back, (range_m, bearing), atol=1e-8)
+
+
+@settings(deadline=None, derandomize=True, max_examples=60)
+@given(sonars, st.integers(20, 120))
+def test_the_polar_fan_holds_the_whole_window(sonar: Sonar, bins: int) -> None:
+    """Every point of the window falls into the image, and no row or column is there for nothing."""
+    fan = fan_for_polar(sonar, bins)
+    assert sonar.range_min_m is not None
+    assert sonar.range_max_m is not None
+    bearing = np.linspace(fan.bearing_min_deg, fan.bearing_max_deg, 201)
+    for range_m in (sonar.range_min_m, sonar.range_max_m):
+        column, row = pixel_from_polar(fan, range_m, bearing)
+        assert column.min() >= -1
+        assert column.max() <= fan.columns
+        assert row.min() >= -0.5 - 1e-9
+        assert row.max() <= fan.rows - 0.5 + 1e-9
+    assert fan.metres_per_pixel == pytest.approx((sonar.range_max_m - sonar.range_min_m) / bins)
+
+
+def test_fan_mask_against_a_loop() -> None:
+    fan = fan_for_image(BASIN, 48, 40)
+    expected = np.zeros((48, 40), np.uint8)
+    for row in range(48):
+        for column in range(40):
+            across = (column - fan.apex_column) * fan.metres_per_pixel
+            along = (fan.apex_row - row) * fan.metres_per_pixel
+            within = 1.25 <= math.hypot(across, along) <= 3.75
+            if within and abs(math.degrees(math.atan2(across, along))) <= 14.4:
+                expected[row, column] = 255
+    np.testing.assert_array_equal(fan_mask(fan), expected)
+
+
+# Polar to fan
+
+
+def brute_fan(sonar: Sonar, polar: np.ndarray, bearings: np.ndarray) -> np.ndarray:
+    """Bilinear in range bin and beam, one pixel after the other. bearings rise."""
+    bins, beams = polar.shape
+    fan = fan_for_polar(sonar, bins)
+    image = np.zeros((fan.rows, fan.columns))
+    for row in range(fan.rows):
+        for column in range(fan.columns):
+            range_m, bearing = (float(v) for v in polar_from_pixel(fan, column, row))
+            if not in_fan(fan, np.array(range_m), np.array(bearing)):
+                continue
+            at = (range_m - fan.range_min_m) / fan.metres_per_pixel - 0.5
+            at = min(max(at, 0), bins - 1)
+            right = int(np.searchsorted(bearings, bearing))
+            right = min(max(right, 1), beams - 1)
+            share = (bearing - bearings[right - 1]) / (bearings[right] - bearings[right - 1])
+            share = min(max(share, 0), 1)
+            low = min(int(at), bins - 2)
+            upper = polar[low : low + 2, right - 1] * (1 - share)
+            both = upper + polar[low : low + 2, right] * share
+            image[row, column] = both[0] * (1 - (at - low)) + both[1] * (at - low)
+    return image
+
+
+@pytest.mark.parametrize(("uneven", "falling"), [(False, False), (True, False), (True, True)])
+def test_polar_to_fan_against_a_loop(uneven: bool, falling: bool) -> None:
+    polar = np.random.default_rng(0).integers(0, 256, (40, 24), dtype=np.uint8)
+    bearings = -14.4 + 28.8 * (np.arange(24) + 0.5) / 24
+    sonar = BASIN
+    if uneven:
+        bearings = bearings * (1 + 0.02 * np.abs(bearings))
+        stated = bearings[::-1] if falling else bearings
+        sonar = BASIN.updated(Sonar(bearings_deg=tuple(float(b) for b in stated)))
+    expected = brute_fan(sonar, polar.astype(float), bearings)
+    found = PolarToFan(sonar, 40, 24)(np.ascontiguousarray(polar[:, ::-1]) if falling else polar)
+    # cv2.remap places to 1/32 pixel: at most 255 / 32 grey levels in either direction.
+    assert np.abs(found - expected).max() <= 16
+    assert np.abs(found - expected).mean() < 2
+    assert ((found == 0) | (expected > 0)).all()
+
+
+def test_a_polar_target_lands_where_it_should() -> None:
+    """A smooth spot at a known range and bearing has its centre of mass there."""
+    sonar = BASIN.updated(Sonar(layout="polar"))
+    bins, beams = 256, 96
+    range_m = 1.25 + 2.5 * (np.arange(bins) + 0.5) / bins
+    bearing = -14.4 + 28.8 * (np.arange(beams) + 0.5) / beams
+    spot = np.exp(
+        -(((range_m[:, None] - 2.2) / 0.05) ** 2) - (((bearing[None, :] - 6.0) / 1.5) ** 2)
+    )
+    to_fan = PolarToFan(sonar, bins, beams)
+    image = to_fan((255 * spot).astype(np.uint8)).astype(float)
+    row, column = np.mgrid[0 : image.shape[0], 0 : image.shape[1]]
+    centre = (image * column).sum() / image.sum(), (image * row).sum() / image.sum()
+    expected = pixel_from_polar(to_fan.fan, 2.2, 6.0)
+    np.testing.assert_allclose(centre, expected, atol=0.35)
+
+
+def test_bearings_must_match_the_beams() -> None:
+    sonar = BASIN.updated(Sonar(bearings_deg=(-1.0, 0.0, 1.0)))
+    with pytest.raises(SonarrecError, match="3 bearings but the images have 4 beams"):
+        PolarToFan(sonar, 10, 4)
+
+
+# The floor
+
+
+def test_floor_by_hand() -> None:
+    fan = fan_for_image(BASIN, 512, 381)
+    assert float(ground_range(fan, 2.0)) == pytest.approx(math.sqrt(4 - 0.68**2))
+    assert np.isnan(ground_range(fan, 0.5))
+    unknown = fan_for_image(BASIN.updated(Sonar()), 512, 381)
+    assert unknown == fan
+    flat = fan_for_image(
+        Sonar(range_min_m=1.0, range_max_m=2.0, field_of_view_deg=30, tilt_deg=20), 100, 80
+    )
+    assert float(ground_range(flat, 2.0)) == pytest.approx(2 * math.cos(math.radians(20)))
+
+
+@given(st.floats(0.7, 100), st.booleans())
+def test_ground_range_round_trip(range_m: float, with_height: bool) -> None:
+    sonar = BASIN if with_height else Sonar(
+        range_min_m=1.0, range_max_m=2.0, field_of_view_deg=30, tilt_deg=20
+    )  # fmt: skip
+    fan = fan_for_image(sonar, 100, 80)
+    assert float(slant_range(fan, ground_range(fan, range_m))) == pytest.approx(range_m)
+
+
+# sonar.toml
+
+
+def test_the_example_is_valid_and_comes_back(tmp_path: Path) -> None:
+    path = tmp_path / "sonar.toml"
+    path.write_text(EXAMPLE_SONAR_TOML)
+    sonar = load_sonar(path)
+    check_sonar(sonar, "example")
+    assert sonar_from_table(sonar.as_table(), "again") == sonar
+    assert Sonar().updated(sonar) == sonar
+    assert sonar.updated(Sonar(tilt_deg=5.0)).tilt_deg == 5
+    full = sonar.updated(Sonar(apex_px=(1.0, 2.0), bearings_deg=(-1.0, 0.0, 1.0)))
+    assert sonar_from_table(full.as_table(), "again") == full
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("[sonar", "not valid TOML"),
+        ("", r"expected one table \[sonar\]"),
+        ("sonar = 3", r"expected one table \[sonar\]"),
+        ("[sonar]\n[other]", r"expected one table \[sonar\]"),
+        ("[sonar]\nrange_mim_m = 1", "unknown key 'range_mim_m'"),
+        ('[sonar]\nlayout = "round"', 'layout must be "fan" or "polar"'),
+        ('[sonar]\ntilt_deg = "20"', "tilt_deg must be a finite number"),
+        ("[sonar]\ntilt_deg = nan", "tilt_deg must be a finite number"),
+        ("[sonar]\ntilt_deg = true", "tilt_deg must be a finite number"),
+        ("[sonar]\napex_px = [1]", r"apex_px must be \[column, row\]"),
+        ("[sonar]\nbearings_deg = 3", "bearings_deg must be a list of numbers"),
+        ('[sonar]\nbearings_deg = ["a"]', "bearings_deg must be a list of numbers"),
+        ("[sonar]\nbearings_deg = [1, inf]", "bearings_deg must be a list of numbers"),
+    ],
+)
+def test_a_sonar_toml_that_cannot_be_meant(text: str, says: str, tmp_path: Path) -> None:
+    path = tmp_path / "sonar.toml"
+    path.write_text(text)
+    with pytest.raises(SonarrecError, match=says) as caught:
+        load_sonar(path)
+    assert str(path) in str(caught.value)
+
+
+def test_a_sonar_toml_that_cannot_be_read(tmp_path: Path) -> None:
+    with pytest.raises(SonarrecError, match="cannot be read"):
+        load_sonar(tmp_path / "sonar.toml")
+    (tmp_path / "sonar.toml").write_bytes(b"\xff\xfe\xff")
+    with pytest.raises(SonarrecError, match="cannot be read"):
+        load_sonar(tmp_path / "sonar.toml")
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"range_min_m": 3.75}, "range_min_m = 3.75 must be"),
+        ({"range_min_m": -1.0}, "range_min_m = -1 must be"),
+        ({"field_of_view_deg": 0.0}, "field_of_view_deg = 0"),
+        ({"field_of_view_deg": 180.0}, "field_of_view_deg = 180"),
+        ({"tilt_deg": 90.0}, "tilt_deg = 90"),
+        ({"tilt_deg": -5.0}, "tilt_deg = -5"),
+        ({"height_m": 0.0}, "height_m = 0"),
+        ({"height_m": 4.0}, "height_m = 4"),
+        ({"frame_rate_hz": 0.0}, "frame_rate_hz = 0"),
+        ({"metres_per_pixel": -1.0}, "metres_per_pixel = -1"),
+        ({"bearings_deg": (1.0,)}, "bearings_deg must rise or fall"),
+        ({"bearings_deg": ()}, "bearings_deg must rise or fall"),
+        ({"bearings_deg": (0.0, 2.0, 1.0)}, "bearings_deg must rise or fall"),
+        ({"bearings_deg": (0.0, 90.0)}, "between -90 and 90"),
+    ],
+)
+def test_contradictions(change: dict[str, Any], says: str) -> None:
+    check_sonar(BASIN, "here")
+    with pytest.raises(SonarrecError, match=says) as caught:
+        check_sonar(BASIN.updated(Sonar(**change)), "here")
+    assert "here: " in str(caught.value)
+    assert EXAMPLE_SONAR_TOML in str(caught.value)
+
+
+def test_what_is_missing_is_named() -> None:
+    with pytest.raises(SonarrecError, match="lacks range_max_m, tilt_deg, field_of_view_deg"):
+        check_sonar(Sonar(range_min_m=1.0), "here")
+    bearings = Sonar(range_min_m=1.0, range_max_m=2.0, tilt_deg=3.0, bearings_deg=(-1.0, 1.0))
+    check_sonar(bearings, "here")  # the bearings tell the field of view
+    fan = fan_for_polar(bearings, 10)
+    assert (fan.bearing_min_deg, fan.bearing_max_deg) == (-2, 2)
