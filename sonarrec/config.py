@@ -14,9 +14,18 @@ from typing import Any
 
 from sonarrec.records import UsageError
 
+# Settings with these units lie within 0 to 1.
+SHARES = ("share", "probability", "0 to 1")
 
-def _setting(default: Any, unit: str, meaning: str, choices: tuple[str, ...] = ()) -> Any:
-    return field(default=default, metadata={"unit": unit, "meaning": meaning, "choices": choices})
+
+def _setting(
+    default: Any, unit: str, meaning: str, choices: tuple[str, ...] = (), least: float = 0
+) -> Any:
+    limits = (least, 1.0 if unit in SHARES else float("inf"))
+    return field(
+        default=default,
+        metadata={"unit": unit, "meaning": meaning, "choices": choices, "limits": limits},
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +47,10 @@ class Candidates:
         ("edge", "ring"),
     )
     disc_radius_px: float = _setting(
-        15.0, "pixels", "radius of the landmark on the floor plane; never finer than the fan"
+        15.0,
+        "pixels",
+        "radius of the landmark on the floor plane; never finer than the fan",
+        least=3,
     )
     threshold: float = _setting(
         0.4,
@@ -47,12 +59,21 @@ class Candidates:
         "all N pixels, which no recording reaches); ring: see ring_full_contrast",
     )
     ring_full_contrast: float = _setting(
-        1.6, "speckle sigmas", "ring: mean contrast of ring over surroundings that scores 1"
+        1.6,
+        "speckle sigmas",
+        "ring: mean contrast of ring over surroundings that scores 1",
+        least=0.01,
     )
-    min_visible: float = _setting(0.35, "share", "least share of the ring inside the fan")
+    min_visible: float = _setting(
+        0.35, "share", "least share of the ring inside the fan", least=0.01
+    )
     max_candidates: int = _setting(8, "", "per frame, the best ones")
     separation: float = _setting(0.6, "disc diameters", "least distance between candidates")
-    blur_px: int = _setting(13, "pixels", "edge: size of the Gaussian kernel before Canny, odd")
+    blur_px: int = _setting(
+        13,
+        "pixels",
+        "edge: size of the Gaussian kernel before Canny, odd (an even one is one more)",
+    )
     canny_low: float = _setting(1.0, "frame sigmas", "edge: Canny's lower threshold")
     canny_high: float = _setting(3.0, "frame sigmas", "edge: Canny's upper threshold")
     edge_tolerance_px: int = _setting(
@@ -64,7 +85,7 @@ class Candidates:
 class Continuity:
     """Stage 2, continuity evaluation with a particle filter (Section 3.3)."""
 
-    particles: int = _setting(1000, "", "in each group; 1000 to 2000 in the paper")
+    particles: int = _setting(1000, "", "in each group; 1000 to 2000 in the paper", least=1)
     sigma_px: float = _setting(10.0, "fan pixels", "random walk of a particle per frame, Eq. 3")
     motion: str = _setting(
         "image",
@@ -207,6 +228,10 @@ def with_table(config: Config, table: Mapping[str, Any], where: str) -> Config:
                 )
             label = f"{where}: {name}.{key}"
             value = _checked(value, known[key].default, label)
+            if not isinstance(value, str):
+                least, most = known[key].metadata["limits"]
+                if not least <= value <= most:
+                    raise UsageError(f"{label} must be {least:g} to {most:g}, not {value!r}")
             choices = known[key].metadata["choices"]
             if choices and value not in choices:
                 raise UsageError(f"{label} must be one of {', '.join(choices)}, not {value!r}")

@@ -89,7 +89,7 @@ class CandidateSelector:
         """Share of the outline's pixels that lie on or near an edge, per pixel."""
         config = self._config
         sigma = float(cv2.meanStdDev(image, mask=self._inside)[1][0, 0])
-        blurred = cv2.GaussianBlur(image, (config.blur_px, config.blur_px), 0)
+        blurred = cv2.GaussianBlur(image, (config.blur_px | 1, config.blur_px | 1), 0)
         edges = cv2.Canny(blurred, config.canny_low * sigma, config.canny_high * sigma)
         edges = cv2.dilate(cv2.bitwise_and(edges, edges, mask=self._away), self._tolerance)
         on_edge = (edges > 0).astype(np.float32)

@@ -15,7 +15,7 @@ from sonarrec.geometry import Sonar, fan_for_image, load_sonar
 from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.output import ResultsWriter
 from sonarrec.recogniser import FRAMEWORK, SMI, Recogniser
-from sonarrec.records import Frame, FrameResult, SonarrecError
+from sonarrec.records import Frame, FrameResult, SonarrecError, UsageError
 
 BASIN = load_landmarks("basin")
 BASIN_A = Path(__file__).parents[2] / "shared" / "data" / "basin_a"
@@ -176,6 +176,31 @@ def test_a_set_of_other_landmarks_is_data_only(name, landmark):
     claims = {e.landmark for e in results[-1].estimates if e.method == FRAMEWORK and e.declared}
     if name == "default":
         assert claims == {other.ids[landmark]}
+
+
+NUMBERS = [
+    (section, field.name)
+    for section, kind in config.SECTIONS.items()
+    for field in dataclasses.fields(kind)
+    if not isinstance(field.default, str)
+]
+
+
+@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("value", [0, 1, 2])
+def test_extreme_settings_are_refused_or_run(name, value):
+    log = drawn_log(SECTORS[1], 3, fan=make_fan(160))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for section, key in NUMBERS:
+            try:
+                settings = config.with_assignments(
+                    config.preset(name), ["continuity.particles=50", f"{section}.{key}={value}"]
+                )
+            except UsageError:
+                continue
+            for result in run(log, settings):
+                check(result)
 
 
 def tiny_sonar(**changed) -> Sonar:
