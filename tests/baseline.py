@@ -70,8 +70,7 @@ class HoughSmi:
         # Eq. 1: the disc is squeezed along the range by cos(tilt).
         self._squeeze = float(np.cos(np.radians(fan.tilt_deg)))
         self.radius = landmarks.radius_m / fan.metres_per_pixel
-        mean = self.radius * (1 + self._squeeze) / 2 * s.scale
-        self._radii = (round(mean * (1 - s.slack)), round(mean * (1 + s.slack)))
+        self._radii = tuple(round(self.radius * s.scale * (1 + d)) for d in (-s.slack, s.slack))
         self._mask = fan_mask(fan)
         inner, outer = landmarks.symbol, landmarks.ring
         lines = np.concatenate(
@@ -89,9 +88,9 @@ class HoughSmi:
 
     def __call__(self, image: np.ndarray) -> list[Sight]:
         s = self.settings
-        small = image
-        if s.scale != 1:
-            small = cv2.resize(image, None, fx=s.scale, fy=s.scale, interpolation=cv2.INTER_AREA)
+        # Stretched along the range, so that discs are the circles HoughCircles looks for.
+        stretch = s.scale / self._squeeze
+        small = cv2.resize(image, None, fx=s.scale, fy=stretch, interpolation=cv2.INTER_AREA)
         small = cv2.GaussianBlur(small, (s.blur, s.blur), 0)
         found = cv2.HoughCircles(
             small,
@@ -108,7 +107,7 @@ class HoughSmi:
         return [
             sight
             for x, y, _ in found.reshape(-1, 3)
-            if (sight := self._identify(image, x / s.scale, y / s.scale)) is not None
+            if (sight := self._identify(image, x / s.scale, y / stretch)) is not None
         ]
 
     def _identify(self, image: np.ndarray, x: float, y: float) -> Sight | None:
@@ -240,9 +239,9 @@ def tune() -> Settings:
 
         grid: dict[str, tuple[Any, ...]] = {
             "scale": (0.5, 1.0),
-            "blur": (3, 5, 7, 9, 13),
-            "edge": (30, 60, 100, 150),
-            "votes": (8, 12, 16, 20, 26),
+            "blur": (5, 7, 9, 13),
+            "edge": (30, 60, 100),
+            "votes": (8, 11, 14, 18, 24),
             "slack": (0.06, 0.12, 0.2),
             "similarity": (0.7, 0.75, 0.8, 0.85, 0.9),
             "ring": (0.5, 0.6, 0.7, 0.8),

@@ -131,7 +131,7 @@ def main() -> None:
     truth = log / "gt.csv"
     for preset in ("paper", "default"):
         out = BUILD / preset
-        sonarrec("run", log, "--preset", preset, "--out", out)
+        sonarrec("run", "-q", log, "--preset", preset, "--out", out)
         sonarrec("evaluate", "-q", "--ground-truth", truth, out / log.name)
     for preset in ("paper", "default"):
         found = rates(BUILD / preset / log.name)

@@ -1,0 +1,557 @@
+"""End to end: what a user types, what comes back, and the exit code."""
+
+from __future__ import annotations
+
+import csv
+import os
+import subprocess
+import sys
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+
+import click
+import cv2
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from sonarrec.cli import main
+from sonarrec.mcap_writer import McapImageWriter
+from sonarrec.recogniser import Recogniser
+
+ROOT = Path(__file__).resolve().parents[1]
+SAMPLE = ROOT / "sample_data" / "pan"
+FIELD = ROOT.parent / "shared" / "data"
+HEAVY = ("pandas", "scipy", "matplotlib")
+
+needs_field_data = pytest.mark.skipif(
+    not FIELD.is_dir(), reason=f"test recordings not found in {FIELD}"
+)
+
+
+def sonarrec(*arguments: str | Path, code: int = 0) -> Result:
+    """One command; a traceback or another exit code than `code` fails the test."""
+    result = CliRunner().invoke(main, [str(a) for a in arguments])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    assert result.exit_code == code, result.output
+    return result
+
+
+def one_line_fault(*arguments: str | Path, code: int = 1) -> str:
+    """The message of a command that fails: on stderr, from the program, without a traceback."""
+    result = sonarrec(*arguments, code=code)
+    assert result.stderr.startswith("sonarrec: ")
+    assert result.stdout == ""
+    assert "Traceback" not in result.stderr
+    return result.stderr
+
+
+def table(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def rates(results: Path) -> dict[tuple[str, str], tuple[float, float]]:
+    """(protocol, method): TPR and FPR in total, from confusion.csv."""
+    return {
+        (r["protocol"], r["method"]): (float(r["tpr"] or "nan"), float(r["fpr"]))
+        for r in table(results / "evaluation" / "confusion.csv")
+        if r["landmark"] == "total"
+    }
+
+
+@pytest.fixture
+def work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder to work in, as a user would."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def pings(work: Path) -> Path:
+    """A folder of ten frames with their geometry."""
+    folder = work / "pings"
+    folder.mkdir()
+    for name in (*(f"{n:06d}.png" for n in range(10)), "sonar.toml"):
+        (folder / name).write_bytes((SAMPLE / name).read_bytes())
+    return folder
+
+
+@pytest.fixture
+def mcap(pings: Path) -> Path:
+    """The same ten frames as one MCAP, a chunk for each so that a cut loses few."""
+    path = pings.parent / "log.mcap"
+    with McapImageWriter(path) as writer:
+        for number, image in enumerate(sorted(pings.glob("*.png"))):
+            writer.write(number * 250_000_000, cv2.imread(str(image), cv2.IMREAD_GRAYSCALE))
+    path.with_suffix(".sonar.toml").write_bytes((pings / "sonar.toml").read_bytes())
+    return path
+
+
+# What works
+
+
+def test_the_readme_commands(work: Path) -> None:
+    for name in ("pan.mcap", "pan.sonar.toml"):
+        (work / name).write_bytes((SAMPLE.parent / name).read_bytes())
+    told = sonarrec("run", "pan.mcap")
+    assert "128 frames" in told.stdout
+    assert told.stderr == ""
+    results = work / "sonarrec_out" / "pan"
+    assert len(table(results / "frames.csv")) == 128
+    told = sonarrec("evaluate", "--ground-truth", SAMPLE / "gt.csv")
+    assert "framework" in told.stdout
+    files = {p.name for p in (work / "sonarrec_out" / "evaluation").iterdir()}
+    assert files == {"confusion.csv", "roc.csv", "roc.png", "evaluation.json"}
+    tpr, fpr = rates(work / "sonarrec_out")["strict", "framework"]
+    assert tpr > 0.9
+    assert fpr < 0.02
+
+
+def test_estimates_keep_the_contract(pings: Path) -> None:
+    sonarrec("run", pings)
+    results = Path("sonarrec_out/pings")
+    frames = table(results / "frames.csv")
+    assert [int(r["frame"]) for r in frames] == list(range(10))
+    assert list(frames[0])[:4] == ["frame", "timestamp_ns", "candidates", "tracks"]
+    rows = table(results / "estimates.csv")
+    expected = (
+        "frame,timestamp_ns,method,object,x_px,y_px,range_m,bearing_deg,orientation_deg,"
+        "existence,p_1,p_2,p_3,p_4,p_none,landmark,score,declared"
+    )
+    assert [c for c in rows[0] if c in expected.split(",")] == expected.split(",")
+    for row in rows:
+        beliefs = {c: float(row[c]) for c in row if c.startswith("p_")}
+        assert sum(beliefs.values()) == pytest.approx(1, abs=1e-5)
+        assert 0 <= float(row["score"]) <= 1
+        assert row["declared"] in "01"
+        ids = {c: v for c, v in beliefs.items() if c != "p_none"}
+        assert ids[f"p_{row['landmark']}"] == max(ids.values())
+    for frame in frames:
+        for method, column in (("smi", "candidates"), ("framework", "tracks")):
+            seen = [r for r in rows if r["frame"] == frame["frame"] and r["method"] == method]
+            assert len(seen) == int(frame[column])
+            assert len({r["object"] for r in seen}) == len(seen)
+
+
+def test_run_toml_gives_the_same_bytes_again(pings: Path) -> None:
+    settings = ("--seed", "7", "--set", "continuity.particles=1200", "--preset", "paper")
+    sonarrec("run", pings, "--tilt-deg", "19", *settings)
+    first = Path("sonarrec_out/pings")
+    run = tomllib.loads((first / "run.toml").read_text())
+    assert run["finished"] is True
+    assert run["config"]["seed"] == 7
+    assert run["config"]["preset"] == "paper"
+    assert run["config"]["continuity"]["particles"] == 1200
+    assert run["sonar"]["tilt_deg"] == 19
+    assert run["input"]["frames_processed"] == 10
+    sonarrec("run", pings, "--config", first / "run.toml", "--out", "again")
+    for name in ("frames.csv", "estimates.csv", "run.toml"):
+        assert (first / name).read_bytes() == (Path("again/pings") / name).read_bytes(), name
+
+
+def test_settings_change_results(pings: Path) -> None:
+    def estimates(*options: str) -> bytes:
+        sonarrec("run", pings, *options)
+        return Path("sonarrec_out/pings/estimates.csv").read_bytes()
+
+    usual = estimates()
+    assert estimates() == usual
+    assert estimates("--seed", "1") != usual
+    assert estimates("--set", "candidates.threshold=0.9") != usual
+    assert estimates("--preset", "paper") != usual
+    assert estimates("--height-m", "0.6") != usual
+
+
+def test_config_prints_what_config_reads(pings: Path) -> None:
+    for preset in ("default", "paper"):
+        Path("my.toml").write_text(sonarrec("config", "--preset", preset).stdout)
+        sonarrec("run", pings, "--preset", preset, "--out", "a")
+        sonarrec("run", pings, "--config", "my.toml", "--out", "b")
+        written = [Path(out, "pings", "estimates.csv").read_bytes() for out in "ab"]
+        assert written[0] == written[1]
+
+
+def test_folder_glob_and_mcap_agree(pings: Path, mcap: Path) -> None:
+    sonarrec("run", pings, "--out", "folder")
+    sonarrec("run", mcap, "--out", "mcap")
+    sonarrec("run", "pings/*.png", "--out", "glob")
+    folder = Path("folder/pings/estimates.csv").read_bytes()
+    assert Path("mcap/log/estimates.csv").read_bytes() == folder
+    assert Path("glob/pings/estimates.csv").read_bytes() == folder
+
+
+def test_several_logs_in_one_call(pings: Path, mcap: Path) -> None:
+    told = sonarrec("run", pings, mcap).stdout
+    assert "pings: 10 frames" in told
+    assert "log: 10 frames" in told
+    assert Path("sonarrec_out/log/run.toml").is_file()
+
+
+EIGHT = {
+    1: (1, 0, 0, 0, 0, 0),
+    2: (1, 1, 0, 0, 0, 0),
+    3: (1, 0, 1, 0, 0, 0),
+    4: (1, 0, 0, 1, 0, 0),
+    5: (1, 1, 1, 0, 0, 0),
+    6: (1, 1, 0, 1, 0, 0),
+    7: (1, 0, 1, 0, 1, 0),
+    8: (1, 1, 1, 1, 0, 0),
+}
+
+
+def test_another_landmark_set(work: Path) -> None:
+    sectors = "".join(f"[[landmark]]\nid = {i}\nsectors = {list(s)}\n" for i, s in EIGHT.items())
+    head = 'name = "six"\nradius_m = 0.16\nring = [0.78, 1.0]\nsymbol = [0.1, 0.6]\n'
+    (work / "six.toml").write_text(head + sectors)
+    inner = head.replace('name = "six"', '[landmark_set]\nname = "six"')
+    placed = "".join(
+        f"[[landmark]]\nid = {i}\nground_m = {g}\nazimuth_deg = {a}\norientation_deg = {o}\n"
+        for i, g, a, o in ((7, 1.7, -9, 20), (5, 2.1, 4, 100), (2, 1.7, 12, 300))
+    )
+    (work / "scene.toml").write_text(
+        "frames = 40\n"
+        + inner
+        + sectors.replace("[[landmark]]", "[[landmark_set.landmark]]")
+        + "[sonar]\nrange_bins = 320\n"
+        + "[motion]\npan_min_deg = -8.0\npan_max_deg = 8.0\npan_start_deg = -8.0\n"
+        + placed
+    )
+    sonarrec("simulate", "--scene", "scene.toml", "--out", "log")
+    sonarrec("run", "log", "--landmarks", "six.toml")
+    rows = table(work / "sonarrec_out" / "log" / "estimates.csv")
+    assert [c for c in rows[0] if c.startswith("p_")] == [f"p_{i}" for i in EIGHT] + ["p_none"]
+    sonarrec("evaluate", "--ground-truth", "log/gt.csv")
+    tpr, fpr = rates(work / "sonarrec_out")["strict", "framework"]
+    assert tpr > 0.7
+    assert fpr < 0.02
+
+
+# What is said, and what is not
+
+
+def test_silent_where_stderr_is_no_terminal(pings: Path) -> None:
+    command = [sys.executable, "-m", "sonarrec", "run", str(pings)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stderr == ""
+    assert "10 frames" in done.stdout
+    assert subprocess.run([*command, "-q"], capture_output=True, check=True).stdout == b""
+
+
+def test_progress_on_a_terminal(pings: Path) -> None:
+    termios = pytest.importorskip("termios")
+    ours, theirs = os.openpty()
+    termios.tcsetwinsize(theirs, (24, 100))  # tqdm draws nothing on a terminal without columns
+    command = [sys.executable, "-m", "sonarrec", "run", str(pings)]
+    subprocess.run(command, stderr=theirs, stdout=subprocess.DEVNULL, check=True, timeout=60)
+    os.set_blocking(ours, False)
+    told = os.read(ours, 100_000).decode()
+    os.close(ours)
+    os.close(theirs)
+    assert "frame" in told
+    assert "Traceback" not in told
+
+
+def modules_after(code: str) -> set[str]:
+    """Which of the HEAVY modules a piece of code has imported, in a process of its own."""
+    tail = f"\nimport sys\nprint([m for m in {HEAVY} if m in sys.modules], file=sys.stderr)"
+    done = subprocess.run(
+        [sys.executable, "-c", code + tail], capture_output=True, text=True, check=True
+    )
+    return {m for m in HEAVY if m in done.stderr}
+
+
+def as_main(*arguments: str) -> str:
+    return (
+        f"import runpy, sys\nsys.argv = ['sonarrec', *{list(arguments)!r}]\n"
+        "try:\n    runpy.run_module('sonarrec', run_name='__main__')\n"
+        "except SystemExit as end:\n    assert not end.code\n"
+    )
+
+
+def test_heavy_imports_are_late(pings: Path) -> None:
+    assert modules_after("import pandas") == {"pandas"}
+    assert modules_after(as_main("--help")) == set()
+    assert modules_after(as_main("run", str(pings), "-q")) == set()
+
+
+def test_every_command_has_an_example() -> None:
+    for name in main.commands:
+        assert "Example" in sonarrec(name, "--help").stdout, name
+
+
+def test_every_command_and_option_is_in_the_readme() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    for name, command in main.commands.items():
+        assert f"sonarrec {name}" in text, name
+        for parameter in command.params:
+            if isinstance(parameter, click.Option):
+                assert any(f"{o}`" in text or f"{o} " in text for o in parameter.opts), (
+                    f"sonarrec {name} {parameter.opts[0]}"
+                )
+
+
+# What cannot be used: one clear line and the right exit code
+
+
+def test_missing_path(work: Path) -> None:
+    assert "no such file or folder" in one_line_fault("run", "nowhere")
+    assert not (work / "sonarrec_out").exists()
+
+
+def test_empty_folder(work: Path) -> None:
+    (work / "pings").mkdir()
+    assert "empty" in one_line_fault("run", "pings")
+    assert not (work / "sonarrec_out").exists()
+
+
+def test_unreadable_image_in_the_middle(pings: Path) -> None:
+    whole = (pings / "000004.png").read_bytes()
+    (pings / "000004.png").write_bytes(whole[: len(whole) // 2])
+    told = sonarrec("run", pings, code=3)
+    assert "000004.png" in told.stderr
+    results = Path("sonarrec_out/pings")
+    numbers = [int(r["frame"]) for r in table(results / "frames.csv")]
+    assert numbers == [0, 1, 2, 3, 5, 6, 7, 8, 9]
+    run = tomllib.loads((results / "run.toml").read_text())
+    assert run["finished"] is True
+    assert run["input"]["frames_processed"] == 9
+    assert "000004.png" in run["input"]["problems"][0]
+
+
+def test_images_of_changing_size(pings: Path) -> None:
+    cv2.imwrite(str(pings / "000003.png"), np.zeros((20, 30), np.uint8))
+    told = sonarrec("run", pings, code=3)
+    assert "000003.png" in told.stderr
+    assert "30 x 20" in told.stderr
+    assert len(table(Path("sonarrec_out/pings/frames.csv"))) == 9
+
+
+def test_no_image_can_be_read(pings: Path) -> None:
+    for path in pings.glob("*.png"):
+        path.write_bytes(b"no image")
+    one_line_fault("run", pings)
+    assert not Path("sonarrec_out/pings").exists()
+
+
+def test_no_geometry(pings: Path) -> None:
+    (pings / "sonar.toml").unlink()
+    message = one_line_fault("run", pings)
+    assert "range_min_m" in message
+    example = message[message.index("[sonar]") :]
+    assert tomllib.loads(example)["sonar"]["layout"] == "fan"
+    (pings / "sonar.toml").write_text(example)  # what the message shows can be used as it is
+    sonarrec("run", pings)
+
+
+def test_geometry_by_flags_alone(pings: Path) -> None:
+    sonarrec("run", pings, "--out", "by_file")
+    sonar = tomllib.loads((pings / "sonar.toml").read_text())["sonar"]
+    (pings / "sonar.toml").unlink()
+    flags = [a for k, v in sonar.items() for a in (f"--{k.replace('_', '-')}", str(v))]
+    sonarrec("run", pings, *flags, "--out", "by_flags")
+    written = [Path(out, "pings/estimates.csv").read_bytes() for out in ("by_file", "by_flags")]
+    assert written[0] == written[1]
+
+
+@pytest.mark.parametrize(
+    ("flags", "word"),
+    [
+        (("--range-min-m", "4"), "range_min_m"),
+        (("--field-of-view-deg", "200"), "field_of_view_deg"),
+        (("--height-m", "9"), "height_m"),
+        (("--tilt-deg", "95"), "tilt_deg"),
+    ],
+)
+def test_contradictory_geometry(pings: Path, flags: tuple[str, ...], word: str) -> None:
+    message = one_line_fault("run", pings, *flags)
+    assert word in message
+    assert "[sonar]" in message
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        (("--set", "candidates.treshold=0.5"), "treshold"),
+        (("--set", "candidate.threshold=0.5"), "candidate"),
+        (("--set", "candidates.threshold=high"), "threshold"),
+        (("--set", "candidates.threshold"), "stage.key=value"),
+        (("--preset", "best"), "best"),
+        (("--config", "bad.toml"), "particle_count"),
+        (("--topic", "/sonar"), "--topic"),
+    ],
+)
+def test_settings_that_cannot_be_meant(pings: Path, options: tuple[str, ...], word: str) -> None:
+    Path("bad.toml").write_text("[continuity]\nparticle_count = 5\n")
+    message = one_line_fault("run", pings, *options, code=2)
+    assert word in message
+    assert message.count("\n") == 1
+    assert not Path("sonarrec_out").exists()
+
+
+def test_clicks_own_usage_errors(pings: Path) -> None:
+    assert "Usage" in sonarrec("run", code=2).stderr
+    assert "--nonsense" in sonarrec("run", pings, "--nonsense", code=2).stderr
+    assert "--seed" in sonarrec("run", pings, "--seed", "-1", code=2).stderr
+
+
+def test_mcap_without_images(work: Path) -> None:
+    from mcap.writer import Writer
+
+    with (work / "log.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
+        channel = writer.register_channel("/chatter", "cdr", schema)
+        writer.add_message(channel, 0, b"\0\1\0\0\1\0\0\0\0", 0)
+        writer.finish()
+    message = one_line_fault("run", "log.mcap", "--range-min-m", "1", "--tilt-deg", "20")
+    assert "/chatter" in message
+    assert "std_msgs/msg/String" in message
+
+
+def test_mcap_with_several_image_channels(work: Path) -> None:
+    from mcap.writer import Writer
+
+    with (work / "log.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("foxglove.RawImage", "jsonschema", b"{}")
+        for topic in ("/left", "/right"):
+            writer.register_channel(topic, "json", schema)
+        writer.finish()
+    result = CliRunner().invoke(main, ["run", "log.mcap"])
+    assert result.exit_code in (1, 2)
+    assert "/left" in result.stderr
+    assert "/right" in result.stderr
+    assert "--topic" in result.stderr
+
+
+def test_truncated_mcap(mcap: Path) -> None:
+    sonarrec("run", mcap, "--out", "whole")
+    data = mcap.read_bytes()
+    mcap.write_bytes(data[: len(data) // 2])
+    told = sonarrec("run", mcap, "--out", "cut", code=3)
+    assert "log.mcap" in told.stderr
+    whole, cut = (Path(out, "log", "estimates.csv").read_text() for out in ("whole", "cut"))
+    frames = len(table(Path("cut/log/frames.csv")))
+    # A whole frame is 4 to 6 per cent of the file: what lies before the cut is processed.
+    assert 3 <= frames < 10
+    assert whole.startswith(cut)
+
+
+def test_died_in_the_middle_is_not_passed_off_as_whole(
+    pings: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sonarrec("run", pings)
+    step, calls = Recogniser.step, []
+
+    def failing(*arguments: object) -> object:
+        calls.append(1)
+        if len(calls) == 5:
+            raise RuntimeError("power cut")
+        return step(*arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Recogniser, "step", failing)
+    with pytest.raises(RuntimeError, match="power cut"):
+        sonarrec("run", pings)
+    run = tomllib.loads(Path("sonarrec_out/pings/run.toml").read_text())
+    assert run["finished"] is False
+    assert len(table(Path("sonarrec_out/pings/frames.csv"))) == 4
+
+
+def test_results_folder_that_cannot_be_written(pings: Path) -> None:
+    Path("taken").write_text("a file, not a folder")
+    assert "taken" in sonarrec("run", pings, "--out", "taken/x", code=1).stderr
+
+
+@pytest.fixture
+def processed(pings: Path) -> Path:
+    sonarrec("run", pings)
+    return pings
+
+
+def write_truth(change: Callable[[str], str]) -> None:
+    lines = (SAMPLE / "gt.csv").read_text().splitlines()
+    kept = [lines[0], *(x for x in lines[1:] if int(x.split(",")[0]) < 10)]
+    Path("gt.csv").write_text(change("\n".join(kept) + "\n"))
+
+
+@pytest.mark.usefixtures("processed")
+def test_truth_with_wrong_columns() -> None:
+    write_truth(lambda text: text.replace("landmark", "marker", 1))
+    message = one_line_fault("evaluate", "--ground-truth", "gt.csv")
+    assert "frame,landmark,x_px,y_px,visible" in message
+    assert not Path("sonarrec_out/evaluation").exists()
+
+
+@pytest.mark.usefixtures("processed")
+def test_truth_of_frames_that_were_not_processed() -> None:
+    write_truth(lambda text: text + "10,1,100,100,1.75,0,1.0,0\n")
+    told = sonarrec("evaluate", "--ground-truth", "gt.csv", code=3)
+    assert "1 of" in told.stderr
+    assert "not processed" in told.stderr
+    write_truth(lambda text: text.splitlines()[0] + "\n500,1,100,100,1.75,0,1.0,0\n")
+    assert "none of" in one_line_fault("evaluate", "--ground-truth", "gt.csv")
+
+
+@pytest.mark.usefixtures("work")
+def test_evaluate_without_results() -> None:
+    write_truth(str)
+    assert "sonarrec run" in one_line_fault("evaluate", "--ground-truth", "gt.csv")
+
+
+def test_another_programs_results(work: Path) -> None:
+    """Scored from frames.csv and estimates.csv alone, by range and bearing."""
+    write_truth(str)
+    mine = work / "mine"
+    mine.mkdir()
+    (mine / "frames.csv").write_text("frame\n" + "".join(f"{n}\n" for n in range(10)))
+    rows = [r for r in table(Path("gt.csv")) if float(r["visible"]) >= 0.9]
+    assert rows
+    lines = [
+        f"{r['frame']},theirs,{r['range_m']},{r['bearing_deg']},{r['landmark']},0.9,1" for r in rows
+    ]
+    (mine / "estimates.csv").write_text(
+        "frame,method,range_m,bearing_deg,landmark,score,declared\n" + "\n".join(lines) + "\n"
+    )
+    sonarrec("evaluate", "--ground-truth", "gt.csv", "mine")
+    assert rates(mine)["strict", "theirs"] == (1.0, 0.0)
+
+
+# The least it must show
+
+
+@needs_field_data
+@pytest.mark.parametrize("name", ["basin_a", "basin_b"])
+def test_basin(work: Path, name: str) -> None:
+    sonarrec("run", FIELD / name)
+    results = work / "sonarrec_out" / name
+    sonarrec("evaluate", "--ground-truth", FIELD / name / "gt.csv", results)
+    found = rates(results)
+    tpr, fpr = found["strict", "framework"]
+    single_tpr, single_fpr = found["strict", "smi"]
+    assert tpr >= 0.90
+    assert fpr <= 0.02
+    assert tpr > single_tpr
+    assert fpr < single_fpr
+
+
+@needs_field_data
+def test_nothing_is_declared_in_rivers(work: Path) -> None:
+    videos = sorted((FIELD / "river").glob("*.avi"))
+    assert videos
+    sonarrec("run", *videos)
+    frames, declared = 0, set()
+    for video in videos:
+        results = work / "sonarrec_out" / video.stem
+        frames += len(table(results / "frames.csv"))
+        declared |= {
+            (video.stem, r["frame"])
+            for r in table(results / "estimates.csv")
+            if r["method"] == "framework" and r["declared"] == "1"
+        }
+    assert frames > 200
+    assert len(declared) < 0.01 * frames
