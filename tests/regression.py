@@ -20,9 +20,9 @@ BUILD = ROOT / "build" / "regression"
 COLUMNS = ("log", "protocol", "method", "landmark", "rate", "value", "band")
 
 # What a band absorbs: other builds of OpenCV and numpy round differently in the last bit, which
-# moves particles and, through them, some frames at the ends of a pass. An ID has 40 to 160 positive
-# frames in a sample log: .03 is a few of them at the edges, less than one object lost for a quarter
-# of a pass. An FPR has three times as many negatives under it, all IDs together ten times.
+# moves particles and, through them, a frame or two at the ends of a pass. So a band is two frames
+# of those that the rate is over, and no less than this: .03 of the 60 to 150 positives of a sample
+# log, .01 of its 300 negatives. One object lost for a tenth of a pass, or one fake claimed, is more.
 BANDS = {"tpr": 0.03, "fpr": 0.01}
 
 
@@ -48,10 +48,10 @@ def sonarrec(*arguments: str | Path) -> None:
         raise SystemExit(f"{' '.join(words[1:])}\nexit {done.returncode}\n{done.stderr}")
 
 
-def measure() -> tuple[dict[tuple[str, ...], float], list[str]]:
-    """Every rate by (log, protocol, method, landmark, rate), and what is not byte for byte."""
+def measure() -> tuple[dict[tuple[str, ...], tuple[float, float]], list[str]]:
+    """(value, band) by (log, protocol, method, landmark, rate); what is not byte for byte."""
     shutil.rmtree(BUILD, ignore_errors=True)
-    rates: dict[tuple[str, ...], float] = {}
+    rates: dict[tuple[str, ...], tuple[float, float]] = {}
     results: dict[str, Path] = {}
     unequal = []
     for name, log, truth in sample_logs():
@@ -61,10 +61,11 @@ def measure() -> tuple[dict[tuple[str, ...], float], list[str]]:
         sonarrec("evaluate", "--ground-truth", truth, results[name], "-q")
         with (results[name] / "evaluation" / "confusion.csv").open(encoding="utf-8") as file:
             for row in csv.DictReader(file):
-                for rate in ("tpr", "fpr"):
+                for rate, (part, rest) in {"tpr": ("tp", "fn"), "fpr": ("fp", "tn")}.items():
                     if row[rate]:
                         key = (name, row["protocol"], row["method"], row["landmark"], rate)
-                        rates[key] = float(row[rate])
+                        band = max(BANDS[rate], 2 / (int(row[part]) + int(row[rest])))
+                        rates[key] = (float(row[rate]), band)
 
     def compare(first: Path, second: Path, what: str) -> None:
         for table in ("frames.csv", "estimates.csv"):
@@ -82,16 +83,18 @@ def measure() -> tuple[dict[tuple[str, ...], float], list[str]]:
     return rates, unequal
 
 
-def record(rates: dict[tuple[str, ...], float]) -> None:
+def record(rates: dict[tuple[str, ...], tuple[float, float]]) -> None:
     """Write the record."""
     with RECORD.open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file, lineterminator="\n")
         table.writerow(COLUMNS)
-        for key, value in rates.items():
-            table.writerow([*key, f"{value:.4f}", BANDS[key[-1]]])
+        for key, (value, band) in rates.items():
+            table.writerow([*key, f"{value:.4f}", f"{band:.4f}"])
 
 
-def moved(rates: dict[tuple[str, ...], float], recorded: list[dict[str, str]]) -> list[str]:
+def moved(
+    rates: dict[tuple[str, ...], tuple[float, float]], recorded: list[dict[str, str]]
+) -> list[str]:
     """One line per rate that left its band, is gone or is new."""
     lines = []
     known = set()
@@ -102,11 +105,11 @@ def moved(rates: dict[tuple[str, ...], float], recorded: list[dict[str, str]]) -
         value, band = float(row["value"]), float(row["band"])
         if key not in rates:
             lines.append(f"{what}: was {value:.4f}, is no longer measured")
-        elif abs(rates[key] - value) > band + 1e-9:
-            lines.append(f"{what}: was {value:.4f}, is {rates[key]:.4f}, band +-{band:g}")
+        elif abs(rates[key][0] - value) > band + 1e-4:  # the record has four digits
+            lines.append(f"{what}: was {value:.4f}, is {rates[key][0]:.4f}, band +-{band:g}")
     lines += [
         f"{' '.join(key[:-1])} {key[-1].upper()}: is {value:.4f}, not in the record"
-        for key, value in rates.items()
+        for key, (value, _) in rates.items()
         if key not in known
     ]
     return lines
