@@ -187,7 +187,9 @@ def accuracy(work: Path) -> None:
             (rival / name).write_bytes((results / name).read_bytes())
         images = [read_grey(p) for p in sorted(log.glob("*.png"))]
         fan = fan_of(log, images[0])
-        write_estimates(rival / "estimates.csv", enumerate(images), fan, scene.landmark_set)
+        loop = HoughSmi(fan, scene.landmark_set)
+        sights = enumerate(map(loop, images))
+        write_estimates(rival / "estimates.csv", sights, loop, fan, scene.landmark_set)
         found = {
             (s.method, s.protocol): s.count()
             for folder in (results, rival)

@@ -22,7 +22,7 @@ COLUMNS = ("log", "protocol", "method", "landmark", "rate", "value", "band")
 # What a band absorbs: other builds of OpenCV and numpy round differently in the last bit, which
 # moves particles and, through them, a frame or two at the ends of a pass. So a band is two frames
 # of those that the rate is over, and no less than this: .03 of the 60 to 150 positives of a sample
-# log, .01 of its 300 negatives. One object lost for a tenth of a pass, or one fake claimed, is more.
+# log, .01 of its 300 negatives. One object lost for a fifth of a pass is more.
 BANDS = {"tpr": 0.03, "fpr": 0.01}
 
 

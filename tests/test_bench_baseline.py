@@ -65,7 +65,9 @@ def test_estimates_carry_the_contract(tmp_path: Path) -> None:
     rng = np.random.default_rng(7)
     frames = [(n, drawn_landmark(1, 30, rng)) for n in range(8)]
     path = tmp_path / "estimates.csv"
-    rows = write_estimates(path, frames, FAN, load_landmarks("basin"))
+    loop = HoughSmi(FAN, load_landmarks("basin"))
+    sights = [(n, loop(image)) for n, image in frames]
+    rows = write_estimates(path, sights, loop, FAN, load_landmarks("basin"))
     with path.open(newline="") as file:
         table = list(csv.DictReader(file))
     assert len(table) == rows > 0
