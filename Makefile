@@ -3,7 +3,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 SAMPLE := sample_data/pan
 
-.PHONY: test lint demo bench paper regression clean
+.PHONY: test lint demo bench paper model regression clean
 
 .venv/installed: pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
@@ -29,6 +29,9 @@ bench: .venv/installed  # cost per frame and memory, beside PNG decoding and a p
 
 paper: .venv/installed  # the paper's experiment, our tables beside the published ones
 	$(BIN)/python -m tests.paper
+
+model: .venv/installed  # the built-in appearance model, from simulated recordings (minutes)
+	$(BIN)/python -m sonarrec.calibration
 
 regression: .venv/installed  # the sample logs' rates against the recorded ones
 	$(BIN)/python -m tests.regression

@@ -1,21 +1,26 @@
 """Learns the appearance model of stage 3 from recordings whose truth is known.
 
-`python -m sonarrec.calibration` makes the built-in one from simulated recordings: `make model`.
+`make model` (`python -m sonarrec.calibration`) makes the built-in one from simulated recordings.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from sonarrec.appearance import FEATURES, AppearanceModel
-from sonarrec.config import Config
+from sonarrec.appearance import BUILT_IN, FEATURES, AppearanceModel
+from sonarrec.config import Config, preset
+from sonarrec.geometry import PolarToFan
 from sonarrec.landmarks import LandmarkSet
+from sonarrec.random_scenes import KINDS_OF_SCENE, random_scene
 from sonarrec.recogniser import FRAMEWORK, Recogniser
 from sonarrec.records import FloatArray, Frame
+from sonarrec.scene import Scene, scene_sonar
+from sonarrec.simulate import render
 
 # A track this near a true centre, in disc diameters, is on it; one farther than OFF is not. Those
 # between are neither and teach nothing.
@@ -114,3 +119,49 @@ def fit(samples: Samples, ridge: float = 1.0) -> AppearanceModel:
         if np.abs(step).max() < 1e-6:
             break
     return AppearanceModel(weights)
+
+
+# Seeds of the built-in model. Those from 2000 on are for choosing settings, those from 3000 on for
+# figures that are reported: no recording serves two ends.
+MODEL_SEEDS = range(1000, 1006)
+
+
+def simulated(seed: int, kind: str) -> Samples:
+    """Samples from one random simulated recording."""
+    scene = random_scene(seed, kind)
+    return gather(simulated_frames(scene), preset("default"), scene.landmark_set)
+
+
+def simulated_frames(scene: Scene) -> Iterator[tuple[Frame, Sequence[Truth]]]:
+    """A scene's frames as a reader would give them, with their truth."""
+    to_fan = None
+    for frame in render(scene):
+        image = frame.image
+        if scene.sonar.layout == "polar":
+            to_fan = to_fan or PolarToFan(scene_sonar(scene), *image.shape)
+            image = to_fan(image)
+        truths = [Truth(t.landmark, t.range_m, t.bearing_deg) for t in frame.truth]
+        yield Frame(frame.index, frame.timestamp_ns, image, frame.fan), truths
+
+
+def make_model() -> None:
+    """Write the built-in model anew: every kind of scene, MODEL_SEEDS of each."""
+    drawn = [(seed, kind) for seed in MODEL_SEEDS for kind in KINDS_OF_SCENE]
+    with ProcessPoolExecutor() as workers:
+        parts = list(workers.map(simulated, *zip(*drawn, strict=True)))
+    samples = Samples(
+        np.concatenate([p.features for p in parts]), np.concatenate([p.label for p in parts])
+    )
+    model = fit(samples)
+    lines = [
+        "# Log odds of an ID against 'none of these' = sum of weight x feature; see appearance.py.",
+        f"# Made by `make model`: {len(drawn)} simulated recordings (seeds {MODEL_SEEDS.start} to",
+        f"# {MODEL_SEEDS.stop - 1} of every kind of scene), {len(samples.label)} tracks in frames.",
+        "[weights]",
+    ]
+    lines += [f"{name} = {w:.4f}" for name, w in zip(FEATURES, model.weights, strict=True)]
+    BUILT_IN.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    make_model()

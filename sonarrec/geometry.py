@@ -302,21 +302,25 @@ class PolarToFan:
 # shrinks by cos(grazing angle), across it grows by the inverse, and tilt drops out.
 
 
-def ground_range(fan: Fan, range_m: FloatArray | float) -> FloatArray:
-    """Ground range (m) of floor points at slant range (m); NaN nearer than the floor.
+def floor_depth(fan: Fan) -> float:
+    """Height of the sonar above the floor, m.
 
-    Without a height every floor point is taken to be seen at the tilt angle, as Eq. 1 does.
+    Where it is not stated the beam's axis is taken to meet the floor in the middle of the window:
+    there, and only there, the exact squeeze is Eq. 1's cos(tilt).
     """
+    if fan.height_m is not None:
+        return fan.height_m
+    middle = (fan.range_min_m + fan.range_max_m) / 2
+    return middle * math.sin(math.radians(fan.tilt_deg))
+
+
+def ground_range(fan: Fan, range_m: FloatArray | float) -> FloatArray:
+    """Ground range (m) of floor points at slant range (m); NaN nearer than the floor."""
     slant = np.asarray(range_m, dtype=float)
-    if fan.height_m is None:
-        return np.asarray(slant * math.cos(math.radians(fan.tilt_deg)))
     with np.errstate(invalid="ignore"):
-        return np.asarray(np.sqrt(slant**2 - fan.height_m**2))
+        return np.asarray(np.sqrt(slant**2 - floor_depth(fan) ** 2))
 
 
 def slant_range(fan: Fan, ground_m: FloatArray | float) -> FloatArray:
     """Slant range (m) of floor points at ground range (m): the inverse of ground_range."""
-    ground = np.asarray(ground_m, dtype=float)
-    if fan.height_m is None:
-        return np.asarray(ground / math.cos(math.radians(fan.tilt_deg)))
-    return np.asarray(np.hypot(ground, fan.height_m))
+    return np.asarray(np.hypot(np.asarray(ground_m, dtype=float), floor_depth(fan)))

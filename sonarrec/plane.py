@@ -14,6 +14,7 @@ import numpy as np
 
 from sonarrec.geometry import (
     fan_mask,
+    floor_depth,
     ground_range,
     in_fan,
     pixel_from_polar,
@@ -53,11 +54,12 @@ class Plane:
         self.scale = min(1.0, disc_radius_px / radius_px)
         self.axes = (radius_px * self.scale, radius_px * self.scale)
         self._metres = fan.metres_per_pixel / self.scale
-        nearest = max(fan.range_min_m, STEEPEST * (fan.height_m or 0.0))
+        nearest = max(fan.range_min_m, STEEPEST * floor_depth(fan))
         if nearest >= fan.range_max_m:
             raise SonarrecError(
-                f"sonar geometry: from height_m = {fan.height_m:g} hardly any floor lies within "
-                f"range_max_m = {fan.range_max_m:g}; correct one of them, or use --preset paper"
+                f"sonar geometry: from height_m = {floor_depth(fan):g} hardly any floor lies "
+                f"within range_max_m = {fan.range_max_m:g}; correct one of them, or use "
+                "--preset paper"
             )
         near, far = (float(ground_range(fan, r)) for r in (nearest, fan.range_max_m))
         edges = np.radians([fan.bearing_min_deg, fan.bearing_max_deg])

@@ -65,15 +65,22 @@ class CandidateSelector:
 
     def __call__(self, image: ByteImage) -> Selection:
         """Candidates in a working image (uint8, the plane's shape)."""
-        score = (
-            self._edge_score(image) if self._config.detector == "edge" else self._ring_score(image)
-        )
-        peaks = (score >= self._config.threshold) & (score == cv2.dilate(score, np.ones((3, 3))))
-        row, column = np.nonzero(peaks)
-        order = np.argsort(-score[row, column], kind="stable")[:MOST_PEAKS]
-        positions = _refine(score, column[order], row[order])
+        if self._config.detector == "edge":
+            score = self._edge_score(image)
+            # The tolerance makes plateaus; the middle of one is where the circle is, and its
+            # best pixel is what the circle scores.
+            size = 2 * self._config.edge_tolerance_px + 3
+            hill = np.asarray(cv2.GaussianBlur(score, (size, size), 0), np.float32)
+            best = cv2.dilate(score, np.ones((size, size), np.uint8))
+        else:
+            score = hill = best = self._ring_score(image)
+        top = hill == cv2.dilate(hill, np.ones((3, 3), np.uint8))
+        row, column = np.nonzero((best >= self._config.threshold) & top)
+        order = np.lexsort((-hill[row, column], -best[row, column]))[:MOST_PEAKS]
+        row, column = row[order], column[order]
+        positions = _refine(hill, column, row)
         kept = self._apart(positions)[: self._config.max_candidates]
-        scores = np.minimum(score[row, column][order][kept], 1).astype(float)
+        scores = np.minimum(best[row, column][kept], 1).astype(float)
         return Selection(np.clip(score, 0, 1), positions[kept], scores)
 
     def _apart(self, positions: FloatArray) -> npt.NDArray[np.intp]:

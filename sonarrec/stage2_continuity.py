@@ -73,9 +73,6 @@ class ContinuityFilter:
         groups, n = self._particles.shape[:2]
         if groups == 0:
             return np.empty((0, 2)), np.empty((0, 2))
-        self._particles += self._rng.standard_normal(
-            self._particles.shape, np.float32
-        ) * np.float32(self._sigma)
         column, row = np.rint(self._particles).astype(np.intp).transpose(2, 0, 1)
         rows, columns = score_map.shape
         within = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)

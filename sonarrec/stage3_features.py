@@ -79,8 +79,8 @@ class FeatureEstimator:
         self._config = config
         self._model = model
         self._numbers = np.empty(0, np.int64)
-        self._positions = np.empty((0, 2))
-        self._beliefs = np.empty((0, len(model)))
+        self._positions: FloatArray = np.empty((0, 2))
+        self._beliefs: FloatArray = np.empty((0, len(model)))
 
     def step(self, groups: Groups, measured: FloatArray) -> FloatArray:
         """(n, H) beliefs after this frame; measured: (n, H) normalised similarities."""

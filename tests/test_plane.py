@@ -8,6 +8,7 @@ from drawn import draw_on_floor, make_fan
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sonarrec.geometry import floor_depth
 from sonarrec.plane import Plane
 
 WINDOWS = [  # range_min_m, range_max_m, height_m
@@ -39,6 +40,7 @@ def test_round_trips(kind, window, height_known, share, bearing_deg):
     near, far, height = window
     fan = make_fan(120, near, far, height_m=height if height_known else None)
     plane = Plane(fan, 0.15, kind, 10.0)
+    near = max(near, floor_depth(fan)) if kind == "floor" else near  # nearer there is no floor
     range_m = near + share * (far - near)
     column, row = plane.from_polar(np.array([range_m]), np.array([bearing_deg]))
     back = plane.to_polar(column, row)

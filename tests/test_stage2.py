@@ -114,9 +114,6 @@ def test_groups_do_not_exchange_particles():
             assert np.median(np.abs(particles - place)) < 15
 
 
-@pytest.mark.xfail(
-    reason="every particle walks twice a frame, once more before it is weighed", strict=False
-)
 def test_a_particle_walks_randn_sigma_in_each_frame():
     """Eq. 3. On an even map resampling keeps every particle, so each step can be seen."""
     follow = new_filter()
@@ -197,7 +194,7 @@ def test_a_known_pan_moves_the_groups(pan_deg):
 
 
 def test_a_group_pulled_off_what_the_pan_says_is_deleted():
-    settings = dataclasses.replace(PAPER, motion="image", jump=0.25)
+    settings = dataclasses.replace(PAPER, motion="image", jump=0.25, sigma_known_px=10.0)
     follow = new_filter(settings)
     follow.step(selection(peaks(START), START))
     assert list(follow.step(selection(peaks(START)), 0.0).numbers) == [1]
