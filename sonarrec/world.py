@@ -120,7 +120,8 @@ class World:
         # mean of exp(i phase) is the correlation: Cauchy rates make it exp(-time), Gaussian ones
         # exp(-distance^2 / 2).
         self._turn = rng.standard_normal((4, rows * columns), dtype=np.float32)
-        self._turn[0] /= rng.standard_normal(rows * columns, dtype=np.float32)
+        with np.errstate(divide="ignore"):  # a draw of exactly 0 is clipped like any huge rate
+            self._turn[0] /= rng.standard_normal(rows * columns, dtype=np.float32)
         np.clip(self._turn, -100, 100, out=self._turn)
 
     def _draw(
