@@ -16,11 +16,11 @@ from sonarrec.appearance import BUILT_IN, FEATURES, AppearanceModel
 from sonarrec.config import Config, preset
 from sonarrec.geometry import PolarToFan
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.random_scenes import KINDS_OF_SCENE, random_scene
 from sonarrec.recogniser import FRAMEWORK, Recogniser
 from sonarrec.records import FloatArray, Frame
-from sonarrec.scene import Scene, scene_sonar
-from sonarrec.simulate import render
+from sonarrec.simulation.random_scenes import KINDS_OF_SCENE, random_scene
+from sonarrec.simulation.scene import Scene, scene_sonar
+from sonarrec.simulation.simulate import render
 
 # A track this near a true centre, in disc diameters, is on it; one farther than OFF is not. Those
 # between are neither and teach nothing.

@@ -224,8 +224,8 @@ def tune() -> Settings:
     """
     import tempfile
 
-    from sonarrec.evaluation import evaluate
-    from sonarrec.simulate import random_scene, write_recording
+    from sonarrec.evaluation.scoring import evaluate
+    from sonarrec.simulation.simulate import random_scene, write_recording
 
     landmarks = load_landmarks("basin")
     with tempfile.TemporaryDirectory() as name:

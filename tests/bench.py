@@ -20,12 +20,12 @@ import cv2
 import numpy as np
 
 from sonarrec.config import preset
-from sonarrec.evaluation import evaluate
+from sonarrec.evaluation.scoring import evaluate
 from sonarrec.landmarks import load_landmarks
 from sonarrec.mcap_writer import McapImageWriter
 from sonarrec.pipeline import process
-from sonarrec.scene import MotionSection, PlacedLandmark, Scene
-from sonarrec.simulate import load_scene, random_scene, write_recording
+from sonarrec.simulation.scene import MotionSection, PlacedLandmark, Scene
+from sonarrec.simulation.simulate import load_scene, random_scene, write_recording
 from tests.baseline import METHOD, HoughSmi, fan_of, read_grey, write_estimates
 
 FRAMES = 144

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sonarrec.scene import load_scene, scene_table
+from sonarrec.simulation.scene import load_scene, scene_table
 
 BUILD = Path("build") / "paper"
 # Tables 4 and 5: TPR and FPR of ID.1 to ID.4 and in total. 0/0 is printed as 0.

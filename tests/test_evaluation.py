@@ -16,9 +16,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sonarrec.cli import main
-from sonarrec.evaluation import Evaluation, Scored, evaluate
+from sonarrec.evaluation.scoring import Evaluation, Scored, evaluate
+from sonarrec.evaluation.tabulate import rate, screen
 from sonarrec.landmarks import load_landmarks
-from sonarrec.tabulate import rate, screen
 
 IDS = (1, 2, 3, 4)
 ESTIMATE_HEADER = ("frame", "method", "range_m", "bearing_deg", "landmark", "score", "declared")

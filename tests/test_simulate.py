@@ -16,9 +16,9 @@ from mcap.reader import make_reader
 
 from sonarrec.cli import main
 from sonarrec.geometry import load_sonar
-from sonarrec.motion import sweep_deg
 from sonarrec.records import SonarrecError
-from sonarrec.scene import (
+from sonarrec.simulation.motion import sweep_deg
+from sonarrec.simulation.scene import (
     BUILT_IN,
     FadingSection,
     FloorSection,
@@ -34,14 +34,14 @@ from sonarrec.scene import (
     scene_sonar,
     scene_table,
 )
-from sonarrec.simulate import (
+from sonarrec.simulation.simulate import (
     KINDS_OF_SCENE,
     load_scene,
     random_scene,
     render,
     write_recording,
 )
-from sonarrec.world import object_radius
+from sonarrec.simulation.world import object_radius
 
 # A still sonar over an even floor, without faults. speckle_s far below the frame time gives every
 # frame speckle of its own, so that a mean over frames tends to the expected power.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sonarrec.records import FloatArray
-from sonarrec.scene import Scene
+from sonarrec.simulation.scene import Scene
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ import numpy as np
 
 from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.records import SonarrecError
-from sonarrec.scene import (
+from sonarrec.simulation.scene import (
     KINDS,
     FadingSection,
     FloorSection,
@@ -23,7 +23,7 @@ from sonarrec.scene import (
     SonarSection,
     check_scene,
 )
-from sonarrec.world import object_radius
+from sonarrec.simulation.world import object_radius
 
 KINDS_OF_SCENE = (
     "plain",

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from sonarrec.evaluation import PROTOCOLS, Scored
+from sonarrec.evaluation.scoring import PROTOCOLS, Scored
 
 # Okabe and Ito's colours, told apart with any colour vision; line styles tell them apart in grey.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")

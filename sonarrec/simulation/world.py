@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from sonarrec.records import FloatArray
-from sonarrec.scene import KINDS, ROUND, PlacedLandmark, PlacedObject, Scene
+from sonarrec.simulation.scene import KINDS, ROUND, PlacedLandmark, PlacedObject, Scene
 
 STEP_DEG = 0.1  # azimuth between scatterers: three or more within a beam
 MARGIN_DEG = 4.0  # beyond the fan's edges, for side lobes

@@ -8,7 +8,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from sonarrec.evaluation import Count, Evaluation, Scored
+from sonarrec.evaluation.scoring import Count, Evaluation, Scored
 from sonarrec.records import SonarrecError
 
 CONFUSION = ("protocol", "method", "landmark", "tpr", "fpr", "tp", "tn", "fp", "fn", "total")
@@ -143,7 +143,7 @@ def write_evaluation(folder: Path, evaluation: Evaluation) -> None:
     evaluation.json goes last, so where it stands the others are whole.
     Raises SonarrecError where they cannot be written.
     """
-    from sonarrec.plots import draw_roc
+    from sonarrec.evaluation.plots import draw_roc
 
     text = json.dumps(as_json(evaluation), indent=2, allow_nan=False)
     try:

@@ -17,10 +17,10 @@ import cv2
 import numpy as np
 
 from sonarrec.geometry import in_fan, pixel_from_polar, polar_from_pixel
-from sonarrec.motion import Pose, ar1, poses
-from sonarrec.random_scenes import KINDS_OF_SCENE, random_scene
 from sonarrec.records import ByteImage, Fan, FloatArray, SonarrecError
-from sonarrec.scene import (
+from sonarrec.simulation.motion import Pose, ar1, poses
+from sonarrec.simulation.random_scenes import KINDS_OF_SCENE, random_scene
+from sonarrec.simulation.scene import (
     Scene,
     SonarSection,
     check_scene,
@@ -30,7 +30,7 @@ from sonarrec.scene import (
     scene_sonar,
     scene_table,
 )
-from sonarrec.world import World, object_radius
+from sonarrec.simulation.world import World, object_radius
 
 __all__ = [
     "KINDS_OF_SCENE",

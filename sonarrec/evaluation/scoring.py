@@ -15,10 +15,17 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from sonarrec.evaluation.results import (
+    METHODS,
+    BoolArray,
+    IntArray,
+    LogResults,
+    find_logs,
+    read_log,
+)
+from sonarrec.evaluation.truth import Truth, TruthTable, match_truth, read_truth
 from sonarrec.geometry import Sonar
 from sonarrec.records import FloatArray, SonarrecError, UsageError
-from sonarrec.results import METHODS, BoolArray, IntArray, LogResults, find_logs, read_log
-from sonarrec.truth import Truth, TruthTable, match_truth, read_truth
 
 PROTOCOLS = ("paper", "strict")
 NEGATIVE, POSITIVE, IGNORED = 0, 1, 2

@@ -10,10 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sonarrec.geometry import Sonar, check_sonar, fan_for_image, sonar_from_table
-from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
-from sonarrec.records import Fan, FloatArray, SonarrecError
-from sonarrec.tables import (
+from sonarrec.evaluation.tables import (
     POSITION_KINDS,
     Kind,
     line_number,
@@ -21,6 +18,9 @@ from sonarrec.tables import (
     position_pair,
     read_table,
 )
+from sonarrec.geometry import Sonar, check_sonar, fan_for_image, sonar_from_table
+from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
+from sonarrec.records import Fan, FloatArray, SonarrecError
 
 METHODS = ("smi", "framework")
 """The methods that every run of ours holds, also where one of them saw nothing."""

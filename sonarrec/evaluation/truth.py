@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from sonarrec.records import FloatArray, SonarrecError
-from sonarrec.results import BoolArray, IntArray, LogResults
-from sonarrec.tables import (
+from sonarrec.evaluation.results import BoolArray, IntArray, LogResults
+from sonarrec.evaluation.tables import (
     POSITION_KINDS,
     Kind,
     Table,
@@ -19,6 +18,7 @@ from sonarrec.tables import (
     position_pair,
     read_table,
 )
+from sonarrec.records import FloatArray, SonarrecError
 
 HEADER = "frame,landmark,x_px,y_px,visible"
 

@@ -1,0 +1,42 @@
+"""The command line: parse, call one function, print. One command, one file, one screen."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from sonarrec import __version__
+from sonarrec.cli.config import config
+from sonarrec.cli.evaluate import evaluate
+from sonarrec.cli.run import run
+from sonarrec.cli.simulate import simulate
+from sonarrec.records import SonarrecError, UsageError
+
+
+class _Program(click.Group):
+    def invoke(self, ctx: click.Context) -> Any:
+        """Faults of the input become one line; our own bugs keep their traceback."""
+        try:
+            return super().invoke(ctx)
+        except SonarrecError as error:
+            click.echo(f"sonarrec: {error}", err=True)
+            ctx.exit(2 if isinstance(error, UsageError) else 1)
+
+
+@click.group(
+    cls=_Program,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
+@click.version_option(__version__, prog_name="sonarrec")
+def main() -> None:
+    """Recognise landmarks in recorded imaging-sonar logs, and score it against ground truth.
+
+    \b
+    Exit codes: 0 done; 1 failed; 2 bad usage; 3 finished, but part of the input
+    could not be used.
+    """
+
+
+for command in (run, evaluate, simulate, config):
+    main.add_command(command)

@@ -1,0 +1,35 @@
+"""`sonarrec config`: print the settings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from sonarrec.cli.options import (
+    chosen_settings,
+    config_option,
+    preset_option,
+    seed_option,
+    set_option,
+)
+
+
+@click.command()
+@preset_option
+@config_option
+@set_option
+@seed_option
+def config(
+    preset: str | None, config_file: Path | None, assignments: tuple[str, ...], seed: int | None
+) -> None:
+    """Print the configuration, with units and meanings, as a file for --config.
+
+    \b
+    Examples:
+      sonarrec config > my.toml
+      sonarrec config --preset paper
+    """
+    from sonarrec.config import as_commented_toml
+
+    click.echo(as_commented_toml(chosen_settings(preset, config_file, assignments, seed)), nl=False)

@@ -1,0 +1,86 @@
+"""Options that several commands share, and what they mean."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from sonarrec.records import UsageError
+
+PARTLY = 3  # exit code: finished, but part of the input could not be used
+FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+def sonar_options(command: Command) -> Command:
+    """The flags that set keys of the sonar geometry, over what sonar.toml says."""
+    numbers = {
+        "range_min_m": "Slant range of the window's near end, m.",
+        "range_max_m": "Slant range of the window's far end, m.",
+        "field_of_view_deg": "Horizontal field of view, deg.",
+        "tilt_deg": "Downward tilt of the sonar, deg.",
+        "height_m": "Height of the sonar above the floor, m.",
+        "frame_rate_hz": "Frames per second, where frames carry no time.",
+        "metres_per_pixel": "Scale of a fan image.",
+    }
+    options = [
+        click.option(
+            "--sonar", "sonar_file", type=FILE, help="Sonar geometry; see FORMATS in the README."
+        ),
+        click.option("--layout", type=click.Choice(["fan", "polar"]), help="Layout of the images."),
+        *(
+            click.option(f"--{key.replace('_', '-')}", key, type=float, help=text)
+            for key, text in numbers.items()
+        ),
+        click.option(
+            "--apex-px", type=float, nargs=2, metavar="COLUMN ROW", help="Apex of a fan image."
+        ),
+        click.option(
+            "--bearings-deg", metavar="B,B,...", help="One bearing per beam of a polar image."
+        ),
+    ]
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+def sonar_from_flags(flags: dict[str, Any]) -> Any:
+    from sonarrec.geometry import sonar_from_table
+
+    stated = {key: value for key, value in flags.items() if value is not None}
+    if "bearings_deg" in stated:
+        try:
+            stated["bearings_deg"] = [float(b) for b in stated["bearings_deg"].split(",")]
+        except ValueError:
+            raise UsageError("--bearings-deg: expected numbers with commas between") from None
+    return sonar_from_table(stated, "command line")
+
+
+preset_option = click.option(
+    "--preset", default=None, help="default, or paper: every rule as published."
+)
+config_option = click.option(
+    "--config", "config_file", type=FILE, help="Settings (TOML), or the run.toml of an earlier run."
+)
+set_option = click.option(
+    "--set", "assignments", multiple=True, metavar="STAGE.KEY=VALUE", help="Change one setting."
+)
+seed_option = click.option("--seed", type=click.IntRange(min=0), help="Of all that is random.")
+
+
+def chosen_settings(
+    preset: str | None, config_file: Path | None, assignments: tuple[str, ...], seed: int | None
+) -> Any:
+    """Preset, then file, then --set, then --seed: the later wins."""
+    from dataclasses import replace
+
+    from sonarrec import config
+
+    settings = config.preset(preset or "default")
+    if config_file is not None:
+        settings = config.load_config(config_file, settings, keep_preset=preset is not None)
+    settings = config.with_assignments(settings, assignments)
+    return settings if seed is None else replace(settings, seed=seed)

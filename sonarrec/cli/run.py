@@ -1,0 +1,105 @@
+"""`sonarrec run`: recognise the landmarks in recorded logs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from sonarrec.cli.options import (
+    PARTLY,
+    chosen_settings,
+    config_option,
+    preset_option,
+    seed_option,
+    set_option,
+    sonar_from_flags,
+    sonar_options,
+)
+from sonarrec.records import FrameResult
+
+
+@click.command()
+@click.argument("log", nargs=-1, required=True)
+@click.option(
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=Path("sonarrec_out"),
+    show_default=True,
+    help="Results go to OUT/<log name>.",
+)
+@click.option("--topic", help="Channel of an MCAP that holds several image channels.")
+@click.option("--landmarks", help="Landmark set: a built-in name or a TOML file.  [default: basin]")
+@preset_option
+@config_option
+@set_option
+@seed_option
+@sonar_options
+@click.option("-q", "--quiet", is_flag=True, help="No progress bar and no summary.")
+def run(
+    log: tuple[str, ...],
+    out: Path,
+    topic: str | None,
+    landmarks: str | None,
+    preset: str | None,
+    config_file: Path | None,
+    assignments: tuple[str, ...],
+    seed: int | None,
+    sonar_file: Path | None,
+    quiet: bool,
+    **flags: Any,
+) -> None:
+    """Recognise landmarks in LOG, frame by frame.
+
+    LOG is an MCAP file, a folder of images, a quoted glob of images or a video. The sonar's
+    geometry is read from sonar.toml beside it (NAME.sonar.toml for one file), from --sonar, or
+    from the flags. Several LOGs are processed one after the other.
+
+    \b
+    Examples:
+      sonarrec run log.mcap
+      sonarrec run pings/ --tilt-deg 22 --height-m 0.7
+      sonarrec run 'dump/*.png' --preset paper --out results
+    """
+    from sonarrec.pipeline import process
+
+    settings = chosen_settings(preset, config_file, assignments, seed)
+    sonar = sonar_from_flags(flags)
+    partly = False
+    for path in log:
+        summary = process(
+            path,
+            out,
+            settings,
+            landmarks=landmarks,
+            sonar=sonar,
+            sonar_file=sonar_file,
+            earlier_run=config_file,
+            topic=topic,
+            observe=_progress_bar(quiet),
+        )
+        for problem in summary.problems:
+            click.echo(f"sonarrec: {problem}", err=True)
+        partly |= bool(summary.problems)
+        if not quiet:
+            click.echo(f"{summary.folder}: {summary.frames} frames")
+            for line in summary.sightings:
+                click.echo(f"  {line}")
+    if partly:
+        click.get_current_context().exit(PARTLY)
+
+
+def _progress_bar(quiet: bool) -> Callable[[FrameResult, int | None], None]:
+    """A tqdm bar on stderr; silent when quiet and where stderr is no terminal."""
+    from tqdm import tqdm
+
+    bar = tqdm(unit="frame", leave=False, disable=True if quiet else None)
+
+    def observe(result: FrameResult, total: int | None) -> None:
+        bar.total = total
+        bar.set_postfix_str(f"{result.tracks} tracks in view", refresh=False)
+        bar.update()
+
+    return observe

@@ -1,0 +1,1 @@
+"""Estimates scored against ground truth."""

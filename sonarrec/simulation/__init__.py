@@ -1,0 +1,1 @@
+"""The simulator: recordings with known truth, from a scene's description."""
