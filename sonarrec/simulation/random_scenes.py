@@ -39,15 +39,29 @@ KINDS_OF_SCENE = (
     "small_discs",
     "no_landmark",
 )
+# Beside the study's pool: discs of 0.06 m radius at the 2.5 m window, all that is hard at once,
+# and landmark sets, windows and images unlike the basin's.
+STRETCH_KINDS = ("tiny_discs", "all_hard", "other_sets")
+ALL_KINDS = KINDS_OF_SCENE + STRETCH_KINDS
+_UNSTEADY = ("jitter", "all_hard")
+_FADING = ("fading", "all_hard")
+_FAKES = ("near_miss", "no_landmark", "all_hard")
 # kind of scene: (range_min, range_max, height, tilt) before they are varied
 _WINDOWS = {"window_1_25": (1.4, 2.65, 0.66, 20.0), "window_5": (1.25, 6.25, 1.0, 18.0)}
 
 
 def _sonar(kind: str, rng: np.random.Generator) -> SonarSection:
     low, high, height, tilt = _WINDOWS.get(kind, (1.25, 3.75, 0.68, 20.0))
+    bins = 512
+    if kind == "other_sets":
+        bins = int(rng.choice([256, 512, 768, 1024]))
+        window = float(rng.choice([1.25, 2.5, 5.0, 10.0]))
+        low, height, tilt = (1.25, 0.68, 20.0) if window < 5 else (1.5, 0.2 * window, 19.0)
+        high = low + window
     sonar = SonarSection(
         range_min_m=low,
         range_max_m=high,
+        range_bins=bins,
         height_m=round(height * rng.uniform(0.9, 1.1), 3),
         tilt_deg=round(tilt + rng.uniform(-2, 2), 2),
         beam_width_deg=round(rng.uniform(0.32, 0.5), 3),
@@ -56,7 +70,7 @@ def _sonar(kind: str, rng: np.random.Generator) -> SonarSection:
         cross_talk_db=round(rng.uniform(-42, -29), 1),
         pulse_m=round(rng.uniform(1.0, 2.2) * (high - low) / 512, 4),
     )
-    if kind == "jitter":
+    if kind in _UNSTEADY:
         return replace(
             sonar,
             tilt_error_deg=round(rng.uniform(-3, 3), 2),
@@ -67,8 +81,8 @@ def _sonar(kind: str, rng: np.random.Generator) -> SonarSection:
 
 def _nuisances(kind: str, rng: np.random.Generator) -> dict[str, Any]:
     """The sections that say how the picture suffers, drawn about each kind's level."""
-    hard, faint = kind == "fading", kind == "low_contrast"
-    jitter = kind == "jitter"
+    hard, faint = kind in _FADING, kind == "low_contrast"
+    jitter = kind in _UNSTEADY
     u = rng.uniform
     return {
         "motion": MotionSection(
@@ -103,7 +117,7 @@ def _nuisances(kind: str, rng: np.random.Generator) -> dict[str, Any]:
             ghost_blur_m=round(u(0.02, 0.08), 3),
         ),
         "noise": NoiseSection(
-            snr_db=round(u(4, 9) if faint else u(10, 26), 1),
+            snr_db=9.0 if kind == "all_hard" else round(u(4, 9) if faint else u(10, 26), 1),
             smear=round(u(0, 0.5), 2),
             shadow_db=round(u(-20, -9), 1),
             gain_drift_db=round(u(1.5, 4) if hard or faint else u(0, 1.5), 2),
@@ -121,8 +135,12 @@ def _nuisances(kind: str, rng: np.random.Generator) -> dict[str, Any]:
     }
 
 
-def _landmark_set(kind: str, rng: np.random.Generator) -> LandmarkSet:
+def _landmark_set(kind: str, sonar: SonarSection, rng: np.random.Generator) -> LandmarkSet:
     discs = load_landmarks("basin")
+    if kind == "other_sets":
+        return _other_set(sonar, rng)
+    if kind == "tiny_discs":
+        return replace(discs, name="tiny_discs", radius_m=0.06)
     if kind == "ring_widths":
         inner = rng.uniform(0.72, 0.88)
         return replace(
@@ -134,6 +152,29 @@ def _landmark_set(kind: str, rng: np.random.Generator) -> LandmarkSet:
     if kind == "small_discs":
         return replace(discs, name="small_discs", radius_m=round(rng.uniform(0.09, 0.12), 3))
     return discs
+
+
+def _other_set(sonar: SonarSection, rng: np.random.Generator) -> LandmarkSet:
+    """Three to eight IDs of three to six sectors, no two alike at any rotation."""
+    sectors = int(rng.integers(3, 7))
+    rotations = {
+        min(tuple(np.roll(code, turn).tolist()) for turn in range(sectors))
+        for code in (
+            [(number >> bit) & 1 for bit in range(sectors)] for number in range(1, 2**sectors - 1)
+        )
+    }
+    codes = sorted(rotations)
+    count = min(int(rng.integers(3, 9)), len(codes))
+    drawn = rng.choice(len(codes), count, replace=False)
+    window_m = sonar.range_max_m - sonar.range_min_m
+    return LandmarkSet(
+        name="other_sets",
+        radius_m=round(float(np.clip(window_m * rng.uniform(0.04, 0.1), 0.08, 0.5)), 3),
+        ring=(0.80, 1.00),
+        symbol=(0.0, 0.62),
+        ids=tuple(range(1, count + 1)),
+        sectors=tuple(codes[i] for i in sorted(drawn)),
+    )
 
 
 class _Floor:
@@ -164,26 +205,27 @@ class _Floor:
 
 
 def random_scene(seed: int, kind: str = "plain", **overrides: Any) -> Scene:
-    """Draw a scene: landmarks and distractors at random, nuisances by kind (KINDS_OF_SCENE).
+    """Draw a scene: landmarks and distractors at random, nuisances by kind (ALL_KINDS).
 
     overrides: fields of Scene put in place of those drawn. `sonar` and `landmark_set` take part
     in the layout; with `landmarks` or `objects` given, none of these is drawn.
     Raises SonarrecError on an unknown kind or a scene that contradicts itself.
     """
-    if kind not in KINDS_OF_SCENE:
-        raise SonarrecError(f"unknown kind of scene {kind!r}; known: {', '.join(KINDS_OF_SCENE)}")
-    rng = np.random.default_rng([seed, KINDS_OF_SCENE.index(kind)])
+    if kind not in ALL_KINDS:
+        raise SonarrecError(f"unknown kind of scene {kind!r}; known: {', '.join(ALL_KINDS)}")
+    rng = np.random.default_rng([seed, ALL_KINDS.index(kind)])
+    sonar = overrides.get("sonar") or _sonar(kind, rng)
     scene = Scene(
         name=f"{kind}_{seed}",
         seed=seed,
-        landmark_set=overrides.get("landmark_set") or _landmark_set(kind, rng),
-        sonar=overrides.get("sonar") or _sonar(kind, rng),
+        landmark_set=overrides.get("landmark_set") or _landmark_set(kind, sonar, rng),
+        sonar=sonar,
         **_nuisances(kind, rng),
     )
     discs = scene.landmark_set
     floor = _Floor(scene.sonar, rng)
     # Far out the floor lies at the beam's edge: discs keep to where a sonar would be used.
-    share = 0.6 if kind == "window_5" else 0.85
+    share = 0.6 if scene.sonar.range_max_m > 4 else 0.85
     faint = rng.uniform(4, 7) if kind == "low_contrast" else 0.0
     bright = rng.uniform(9, 14) - faint
     plate = rng.uniform(-10, -4) + faint / 2
@@ -206,7 +248,7 @@ def random_scene(seed: int, kind: str = "plain", **overrides: Any) -> Scene:
 
     kinds = ["blank", "filled", "tyre", "stone", "stone"]
     kinds += [str(k) for k in rng.choice(["mesh", "beam", "stone"], 2)]
-    if kind in ("near_miss", "no_landmark"):
+    if kind in _FAKES:
         kinds += ["spokes", "half_ring", "blank", "filled"]
     else:
         kinds += [str(k) for k in rng.choice(["spokes", "half_ring", "blank", "filled"], 1)]
