@@ -195,6 +195,18 @@ def fan_for_image(sonar: Sonar, rows: int, columns: int) -> Fan:
     )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PolarGrid:
+    """Where the samples of a polar image lie: rows are range bins, columns are beams.
+
+    ranges_m: (rows,) slant ranges of the bins' centres, rising. bearings_deg: (columns,) of the
+    beams' centres, rising or falling, positive to the right. Neither need be evenly spaced.
+    """
+
+    ranges_m: FloatArray
+    bearings_deg: FloatArray
+
+
 def fan_for_polar(sonar: Sonar, range_bins: int) -> Fan:
     """The fan into which a polar image of `range_bins` rows is resampled.
 

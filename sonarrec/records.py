@@ -47,18 +47,36 @@ class Fan:
 
 
 @dataclass(frozen=True, slots=True)
+class Stamps:
+    """The times that a log keeps of one frame, in ns; None where it keeps no such time.
+
+    log: when it was recorded, which is the frames' order. publish: when it was sent.
+    header: the stamp inside the message.
+    """
+
+    log: int | None = None
+    publish: int | None = None
+    header: int | None = None
+
+
+NO_STAMPS = Stamps()
+
+
+@dataclass(frozen=True, slots=True)
 class Frame:
     """One ping as a fan image.
 
     index: 0-based position in the log (unusable frames keep their number).
     timestamp_ns: time in ns; where the log carries none, index / frame rate.
     image: (fan.rows, fan.columns) uint8, log-compressed intensity.
+    stamps: every time that the log keeps of the frame.
     """
 
     index: int
     timestamp_ns: int
     image: ByteImage
     fan: Fan
+    stamps: Stamps = NO_STAMPS
 
 
 @dataclass(frozen=True, slots=True)

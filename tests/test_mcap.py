@@ -30,7 +30,8 @@ from mcap.records import Chunk, Header
 
 from sonarrec.mcap_writer import SCHEMAS, McapImageWriter
 from sonarrec.readers import open_log
-from sonarrec.readers.mcap_file import DECODERS, MAGIC
+from sonarrec.readers.mcap_file import MAGIC
+from sonarrec.readers.messages import KINDS, decoder_for
 from sonarrec.readers.raw import UnusableError
 from sonarrec.records import Frame, SonarrecError, UsageError
 
@@ -177,7 +178,7 @@ MESSAGES = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("kind", DECODERS, ids=" ".join)
+@pytest.mark.parametrize("kind", KINDS, ids=" ".join)
 @settings(max_examples=80, deadline=None, derandomize=True)
 @given(data=st.data())
 def test_damaged_messages_never_escape(kind: tuple[str, str], data: st.DataObject) -> None:
@@ -192,7 +193,9 @@ def test_damaged_messages_never_escape(kind: tuple[str, str], data: st.DataObjec
         message[place] = data.draw(st.integers(0, 255))
     message = message[: data.draw(st.integers(0, len(message)) | st.just(len(message)))]
     try:
-        pixels = DECODERS[kind](memoryview(bytes(message)))
+        decode = decoder_for(kind[0], "", b"", kind[1])
+        assert decode is not None
+        pixels = decode(memoryview(bytes(message))).pixels
     except UnusableError:
         return
     assert pixels.ndim in (2, 3)
@@ -207,8 +210,10 @@ def test_damaged_messages_never_escape(kind: tuple[str, str], data: st.DataObjec
      b'{"data": "AAAA", "width": 2, "height": 2, "encoding": ["mono8"]}'],
 )  # fmt: skip
 def test_json_that_is_no_image(message: bytes) -> None:
+    decode = decoder_for("foxglove.RawImage", "", b"", "json")
+    assert decode is not None
     with pytest.raises(UnusableError):
-        DECODERS["foxglove/RawImage", "json"](memoryview(message))
+        decode(memoryview(message))
 
 
 # Channels

@@ -97,7 +97,7 @@ class Log:
                 continue
             used += 1
             stamp = round(index * period_ns) if raw.timestamp_ns is None else raw.timestamp_ns
-            yield Frame(index, stamp, image, fan)
+            yield Frame(index, stamp, image, fan, raw.stamps)
         if skipped > MAX_PROBLEM_LINES:
             self.problems.append(f"{skipped - MAX_PROBLEM_LINES} more frames skipped")
         self.problems.extend(self._raw.faults)

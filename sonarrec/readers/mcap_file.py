@@ -13,7 +13,7 @@ import struct
 import zlib
 from array import array
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -26,9 +26,9 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema, Statistics
 
-from sonarrec.readers import foxglove, ros2
+from sonarrec.readers.messages import KINDS, Decoder, decoder_for
 from sonarrec.readers.raw import RawFrame, UnusableError
-from sonarrec.records import SonarrecError, UsageError
+from sonarrec.records import SonarrecError, Stamps, UsageError
 
 MAGIC = b"\x89MCAP0\r\n"
 MAX_CHUNK_BYTES = 256 * 2**20
@@ -36,17 +36,6 @@ _MAX_DEFINITION_BYTES = 16 * 2**20
 _RECORD_HEAD = struct.Struct("<BQ")  # opcode, length of what follows
 _MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 _CHUNK_HEAD = struct.Struct("<QQQII")  # start, end, inflated size, CRC, length of compression
-
-# Schema names are compared as package/Name: "sensor_msgs/msg/Image" and the dotted names of some
-# recorders mean the same.
-DECODERS: dict[tuple[str, str], Callable[[memoryview], np.ndarray]] = {
-    ("sensor_msgs/Image", "cdr"): ros2.ros2_image,
-    ("sensor_msgs/CompressedImage", "cdr"): ros2.ros2_compressed_image,
-    ("foxglove/RawImage", "protobuf"): foxglove.protobuf_raw_image,
-    ("foxglove/CompressedImage", "protobuf"): foxglove.protobuf_compressed_image,
-    ("foxglove/RawImage", "json"): foxglove.json_raw_image,
-    ("foxglove/CompressedImage", "json"): foxglove.json_compressed_image,
-}
 
 
 class _DamagedError(Exception):
@@ -61,6 +50,7 @@ class _Message:
     position: int
     offset: int
     channel: int
+    publish_time: int
     data: memoryview
 
 
@@ -109,7 +99,7 @@ class McapImages:
         """
         self._path = path
         self.faults: list[str] = []
-        self._schemas: dict[int, str] = {}
+        self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
         self._counts: Counter[int] | None = None
         # Chunks, and messages outside of any, by first log time and position in the file.
@@ -184,7 +174,7 @@ class McapImages:
         try:
             if opcode == Opcode.SCHEMA:
                 schema = Schema.read(stream)
-                self._schemas[schema.id] = schema.name
+                self._schemas[schema.id] = schema
             elif opcode == Opcode.CHANNEL:
                 channel = Channel.read(stream)
                 self._channels[channel.id] = channel
@@ -205,22 +195,25 @@ class McapImages:
             elif opcode == Opcode.MESSAGE and len(body) >= _MESSAGE_HEAD.size:
                 self._counts[_MESSAGE_HEAD.unpack_from(body)[0]] += 1
 
-    def _choose(self, topic: str | None) -> dict[int, Callable[[memoryview], np.ndarray]]:
+    def _choose(self, topic: str | None) -> dict[int, Decoder]:
         """The decoder of every channel of the chosen topic."""
         decoders = {}
+        none = Schema(id=0, name="", encoding="", data=b"")
         for channel in self._channels.values():
-            name = self._schemas.get(channel.schema_id, "").replace(".", "/").replace("/msg/", "/")
-            decoder = DECODERS.get((name, channel.message_encoding))
+            schema = self._schemas.get(channel.schema_id, none)
+            decoder = decoder_for(
+                schema.name, schema.encoding, schema.data, channel.message_encoding
+            )
             if decoder is not None:
                 decoders[channel.id] = decoder
         topics = sorted({self._channels[c].topic for c in decoders})
         if not topics:
             there = sorted(
-                f"{c.topic} ({self._schemas.get(c.schema_id) or 'no schema'}, "
+                f"{c.topic} ({self._schemas.get(c.schema_id, none).name or 'no schema'}, "
                 f"{c.message_encoding or 'no encoding'})"
                 for c in self._channels.values()
             )
-            kinds = ", ".join(f"{name} in {encoding}" for name, encoding in DECODERS)
+            kinds = ", ".join(f"{name} in {encoding}" for name, encoding in KINDS)
             raise SonarrecError(
                 f"{self._path}: no image channel; it holds {', '.join(there) or 'no channel'}, "
                 f"and this reads {kinds}"
@@ -243,11 +236,12 @@ class McapImages:
         for number, message in enumerate(self._in_time_order()):
             name = f"message {number} of {self._channels[message.channel].topic}"
             try:
-                pixels = self._decoders[message.channel](message.data)
+                ping = self._decoders[message.channel](message.data)
             except UnusableError as error:
                 yield RawFrame(name, message.log_time, None, str(error))
             else:
-                yield RawFrame(name, message.log_time, pixels)
+                stamps = Stamps(message.log_time, message.publish_time, ping.stamp_ns)
+                yield RawFrame(name, message.log_time, ping.pixels, None, ping.grid, stamps)
 
     def _in_time_order(self) -> Iterator[_Message]:
         times = np.frombuffer(self._times, np.uint64)
@@ -280,10 +274,10 @@ class McapImages:
         for opcode, offset, body in _records_in(contents):
             if opcode != Opcode.MESSAGE or len(body) < _MESSAGE_HEAD.size:
                 continue
-            channel, _, log_time, _ = _MESSAGE_HEAD.unpack_from(body)
+            channel, _, log_time, publish_time = _MESSAGE_HEAD.unpack_from(body)
             if channel in self._decoders:
                 data = body[_MESSAGE_HEAD.size :]
-                yield _Message(log_time, position, offset, channel, data)
+                yield _Message(log_time, position, offset, channel, publish_time, data)
 
     def _chunk(self, position: int) -> bytes:
         """The inflated contents of the chunk at a position; of the file's cut end, what is whole.

@@ -11,7 +11,8 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from sonarrec.records import ByteImage
+from sonarrec.geometry import PolarGrid
+from sonarrec.records import NO_STAMPS, ByteImage, Stamps
 
 
 class UnusableError(Exception):
@@ -19,18 +20,34 @@ class UnusableError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
+class Ping:
+    """What one message holds.
+
+    pixels: (rows, columns) or (rows, columns, channels; BGR first), any dtype. stamp_ns: the
+    header's stamp, None without one. grid: where the samples of a polar ping lie; None for an
+    image that does not say what it shows.
+    """
+
+    pixels: np.ndarray
+    stamp_ns: int | None = None
+    grid: PolarGrid | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class RawFrame:
     """One frame as its log holds it.
 
     name: what to call it in a message. timestamp_ns: None where the log carries no time.
-    pixels: (rows, columns) or (rows, columns, channels; BGR first), any dtype; None where it
-    could not be read, and then `problem` says why.
+    pixels, grid: as of a Ping; pixels is None where it could not be read, and then `problem` says
+    why. stamps: every time that the log keeps of it.
     """
 
     name: str
     timestamp_ns: int | None
     pixels: np.ndarray | None
     problem: str | None = None
+    grid: PolarGrid | None = None
+    stamps: Stamps = NO_STAMPS
 
 
 class RawLog(Protocol):
