@@ -1,0 +1,1 @@
+"""Results seen on top of the recording: pictures, videos and Foxglove annotations."""
