@@ -11,6 +11,7 @@ from sonarrec.cli.config import config
 from sonarrec.cli.evaluate import evaluate
 from sonarrec.cli.run import run
 from sonarrec.cli.simulate import simulate
+from sonarrec.cli.truth import truth
 from sonarrec.records import SonarrecError, UsageError
 
 
@@ -38,5 +39,5 @@ def main() -> None:
     """
 
 
-for command in (run, evaluate, simulate, config):
+for command in (run, evaluate, simulate, config, truth):
     main.add_command(command)

@@ -1,7 +1,9 @@
-"""Ground truth: gt.csv read and checked, and matched to the frames that were processed."""
+"""Ground truth: gt.csv read, checked, written, and matched to the frames that were processed."""
 
 from __future__ import annotations
 
+import csv
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +14,6 @@ from sonarrec.evaluation.results import BoolArray, IntArray, LogResults
 from sonarrec.evaluation.tables import (
     POSITION_KINDS,
     Kind,
-    Table,
     line_number,
     plane_position,
     position_pair,
@@ -64,6 +65,29 @@ def read_truth(path: Path) -> TruthTable:
 
     Raises SonarrecError on wrong columns, on a cell that cannot be meant and on a repeated row.
     """
+    table = read_rows(path)
+    wrong = (table.visible < 0) | (table.visible > 1)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise SonarrecError(
+            f"{path} line {line_number(path, row)}: visible is the share of the disc in view, "
+            f"0 to 1, not {table.visible[row]:g}"
+        )
+    repeated = repeated_rows(table)
+    if len(repeated):
+        first, second = repeated[0]
+        raise SonarrecError(
+            f"{path} line {line_number(path, second)}: repeats line {line_number(path, first)} "
+            f"(same {table.key}, landmark and position); delete one of them"
+        )
+    return table
+
+
+def read_rows(path: Path) -> TruthTable:
+    """Read gt.csv as it is written: `visible` of any value, and rows that repeat others.
+
+    Raises SonarrecError on wrong columns and on a cell that is no number.
+    """
     kinds: dict[str, Kind] = {
         "frame": "whole",
         "timestamp_ns": "whole",
@@ -80,36 +104,44 @@ def read_truth(path: Path) -> TruthTable:
         )
     visible = table.get("visible", np.ones(len(table["landmark"])))
     visible = np.where(np.isnan(visible), 1.0, visible)
-    wrong = (visible < 0) | (visible > 1)
-    if wrong.any():
-        row = int(np.argmax(wrong))
-        raise SonarrecError(
-            f"{path} line {line_number(path, row)}: visible is the share of the disc in view, "
-            f"0 to 1, not {visible[row]:g}"
-        )
     position = position_pair(path, table)
-    if position is not None:
-        _no_repeats(path, key, table, position)
     return TruthTable(path, key, table[key], table["landmark"], visible, table.get("log"), position)
 
 
-def _no_repeats(
-    path: Path, key: str, table: Table, position: tuple[str, FloatArray, FloatArray]
-) -> None:
-    """One ID may be in view twice, but not twice in one place."""
-    log = table["log"].codes if "log" in table else np.zeros(len(table[key]))
-    cells = (position[2], position[1], table["landmark"], table[key], log)
+def repeated_rows(table: TruthTable) -> IntArray:
+    """(n, 2) pairs of rows that are the same, rising; (0, 2) where positions are not told.
+
+    One ID may be in view twice, but not twice in one place.
+    """
+    if table.position is None:
+        return np.empty((0, 2), dtype=np.int64)
+    log = np.zeros(len(table.at)) if table.log is None else table.log.codes
+    cells = (table.position[2], table.position[1], table.landmark, table.at, log)
     order = np.lexsort(cells)
     same = np.ones(max(len(order) - 1, 0), dtype=bool)
     for cell in cells:
         same &= np.diff(cell[order]) == 0
-    if same.any():
-        first = int(np.argmax(same))
-        a, b = sorted(line_number(path, int(order[i])) for i in (first, first + 1))
+    first = np.flatnonzero(same)
+    pairs = np.sort(np.column_stack([order[first], order[first + 1]]), axis=1)
+    return np.asarray(pairs[np.argsort(pairs[:, 1])], dtype=np.int64)
+
+
+def write_truth(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Write a new gt.csv. Raises SonarrecError where it exists or cannot be written.
+
+    A file that a person may have corrected by hand is never written over.
+    """
+    try:
+        with path.open("x", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(header)
+            writer.writerows(rows)
+    except FileExistsError:
         raise SonarrecError(
-            f"{path} line {b}: repeats line {a} (same {key}, landmark and position); "
-            "delete one of them"
-        )
+            f"{path}: exists already and is left as it is; choose another --out"
+        ) from None
+    except OSError as error:
+        raise SonarrecError(f"{path}: cannot be written ({error.strerror})") from None
 
 
 def match_truth(table: TruthTable, log: LogResults, tolerance_s: float | None = None) -> Truth:

@@ -1,0 +1,114 @@
+"""What every annotation format comes down to: labelled shapes on numbered or named frames."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sonarrec.records import SonarrecError
+
+PARTLY_HIDDEN = 0.5
+"""`visible` of a shape flagged as occluded: by how much, the flag does not tell."""
+
+HALF_A_PIXEL = 0.5
+"""Drawing tools put (0, 0) at the image's corner, we at the centre of its first pixel."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """One labelled shape on one frame.
+
+    frame: its number as the file counts, or the name of its image. x, y: the shape's centre,
+    pixels, (0, 0) at the centre of the first pixel. visible: 0 to 1, None where nothing is said.
+    """
+
+    frame: int | str
+    label: str
+    x: float
+    y: float
+    visible: float | None
+
+
+@dataclass(slots=True)
+class Annotations:
+    """One file, or folder of files, as read.
+
+    first_frame: what the file calls the first frame of the log. images: every image listed, also
+    those with no shape on them. sizes: (columns, rows) of the images, as far as they are told.
+    interpolated: shapes filled in between keyframes. unused: what was passed over, counted.
+    """
+
+    shapes: list[Shape] = field(default_factory=list)
+    first_frame: int = 0
+    images: list[str] = field(default_factory=list)
+    sizes: set[tuple[int, int]] = field(default_factory=set)
+    interpolated: int = 0
+    unused: Counter[str] = field(default_factory=Counter)
+
+
+def centre_of_area(points: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """Centroid of a polygon's area; of a degenerate one the mean of its points.
+
+    A person sets the points of an outline unevenly, which the mean of the points would follow.
+    """
+    x, y = np.asarray(points, dtype=float).T
+    middle_x, middle_y = x.mean(), y.mean()
+    x, y = x - middle_x, y - middle_y
+    cross = x * np.roll(y, -1) - np.roll(x, -1) * y
+    area = cross.sum() / 2
+    if abs(area) < 1e-9:
+        return float(middle_x), float(middle_y)
+    return (
+        float(middle_x + ((x + np.roll(x, -1)) * cross).sum() / (6 * area)),
+        float(middle_y + ((y + np.roll(y, -1)) * cross).sum() / (6 * area)),
+    )
+
+
+def stated_visible(attributes: Mapping[str, Any]) -> float | None:
+    """`visible` as free attributes tell it: a share of this name or visibility; a flag occluded.
+
+    Raises ValueError on a share that is no number from 0 to 1.
+    """
+    told = {str(name).strip().lower(): value for name, value in attributes.items()}
+    for name in ("visible", "visibility"):
+        if name in told:
+            share = float(told[name])
+            if not 0 <= share <= 1:
+                raise ValueError(f"{name} must be a share, 0 to 1, not {share:g}")
+            return share
+    if str(told.get("occluded", "")).strip().lower() in ("1", "true"):
+        return PARTLY_HIDDEN
+    return None
+
+
+def finite(value: Any) -> float:
+    """A coordinate as a number. Raises ValueError or TypeError where it is none."""
+    number = float(value)
+    if not math.isfinite(number):
+        raise ValueError(f"{value!r} is no coordinate")
+    return number
+
+
+def read_text(path: Path) -> str:
+    """The text of an annotation file. Raises SonarrecError where there is none."""
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        raise SonarrecError(f"{path}: not a text file; unpack an archive first") from None
+    except OSError as error:
+        raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
+
+
+def read_json(path: Path) -> Any:
+    """The document in a JSON file. Raises SonarrecError where there is none."""
+    try:
+        return json.loads(read_text(path))
+    except (json.JSONDecodeError, RecursionError) as error:
+        raise SonarrecError(f"{path}: not valid JSON ({error})") from None

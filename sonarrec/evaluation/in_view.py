@@ -1,0 +1,36 @@
+"""How much of a landmark the sonar sees: the `visible` of ground truth, from the geometry alone."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sonarrec.geometry import floor_depth, ground_range, in_fan
+from sonarrec.records import Fan, FloatArray
+
+_POINTS = 500  # of a disc: shares are good to a hundredth
+_BATCH = 2_000  # discs at a time, which bounds the memory
+
+
+def share_in_fan(
+    fan: Fan, range_m: FloatArray, bearing_deg: FloatArray, radius_m: float
+) -> FloatArray:
+    """(N,) share, 0 to 1, of floor discs that lies inside the fan.
+
+    range_m: (N,) slant range of the centres; nearer than the floor it counts as straight below.
+    bearing_deg: (N,) positive to the right. radius_m: of every disc.
+    """
+    # Points spread evenly over the disc: a sunflower's seeds.
+    n = np.arange(_POINTS) + 0.5
+    distance = radius_m * np.sqrt(n / _POINTS)
+    turn = n * np.pi * (3 - np.sqrt(5))
+    right, ahead = distance * np.cos(turn), distance * np.sin(turn)
+    share = np.empty(len(range_m))
+    for start in range(0, len(range_m), _BATCH):
+        batch = slice(start, start + _BATCH)
+        ground = np.nan_to_num(ground_range(fan, range_m[batch]))[:, None]
+        bearing = np.radians(bearing_deg[batch])[:, None]
+        across = ground * np.sin(bearing) + right
+        along = ground * np.cos(bearing) + ahead
+        slant = np.sqrt(across**2 + along**2 + floor_depth(fan) ** 2)
+        share[batch] = in_fan(fan, slant, np.degrees(np.arctan2(across, along))).mean(axis=1)
+    return share
