@@ -79,7 +79,7 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
     `landmarks` and the keys stated in `sonar` go before what run.toml says.
     Raises SonarrecError on any fault.
     """
-    run = _read_run(folder / "run.toml")
+    run = read_run(folder / "run.toml")
     if landmarks is not None or "landmarks" not in run:
         landmark_set = load_landmarks(landmarks or "basin")
     else:
@@ -148,7 +148,7 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
     )
 
 
-def _read_run(path: Path) -> dict[str, Any]:
+def read_run(path: Path) -> dict[str, Any]:
     """run.toml as a table, {} where it is missing or empty."""
     if not path.is_file():
         return {}
