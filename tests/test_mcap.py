@@ -31,7 +31,7 @@ from mcap.records import Chunk, Header
 from sonarrec.mcap_writer import SCHEMAS, McapImageWriter
 from sonarrec.readers import open_log
 from sonarrec.readers.mcap_file import MAGIC
-from sonarrec.readers.messages import KINDS, decoder_for
+from sonarrec.readers.messages import decoder_for
 from sonarrec.readers.raw import UnusableError
 from sonarrec.records import Frame, SonarrecError, UsageError
 
@@ -178,7 +178,11 @@ MESSAGES = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("kind", KINDS, ids=" ".join)
+DAMAGED = [(name, "cdr" if name.startswith("sensor") else "protobuf") for name in MESSAGES]
+DAMAGED += [("foxglove/RawImage", "json"), ("foxglove/CompressedImage", "json")]
+
+
+@pytest.mark.parametrize("kind", DAMAGED, ids=" ".join)
 @settings(max_examples=80, deadline=None, derandomize=True)
 @given(data=st.data())
 def test_damaged_messages_never_escape(kind: tuple[str, str], data: st.DataObject) -> None:

@@ -1,15 +1,43 @@
-"""Decodes the image messages of Foxglove: protobuf and JSON."""
+"""Takes Foxglove's image messages apart: protobuf and flatbuffers."""
 
 from __future__ import annotations
 
-import base64
-import json
 import struct
 from typing import Any
 
-import numpy as np
+from sonarrec.readers.raw import UnusableError
 
-from sonarrec.readers.raw import UnusableError, decode_image, raw_pixels
+# Their fields, in the order of the flatbuffers tables, with the protobuf field numbers. Both stay
+# as they are in every version: that is how these formats grow.
+FIELDS = {
+    "foxglove/RawImage": {
+        "timestamp": 1, "frame_id": 7, "width": 2, "height": 3, "encoding": 4, "step": 5, "data": 6,
+    },
+    "foxglove/CompressedImage": {"timestamp": 1, "frame_id": 4, "data": 2, "format": 3},
+}  # fmt: skip
+_TEXTS = ("frame_id", "encoding", "format")
+_NUMBERS = ("width", "height", "step")
+
+
+def decode_protobuf(name: str, message: memoryview) -> dict[str, Any]:
+    """The fields of a protobuf message of FIELDS. Raises UnusableError where it is malformed."""
+    numbered = protobuf_fields(message)
+    fields: dict[str, Any] = {}
+    for key, number in FIELDS[name].items():
+        value = numbered.get(number)
+        if value is None:  # proto3 leaves zeros and empty fields out
+            value = 0 if key in _NUMBERS else memoryview(b"")
+        if isinstance(value, int) != (key in _NUMBERS):
+            raise UnusableError(f"malformed message (field {number} is not its {key})")
+        fields[key] = value
+    clock = protobuf_fields(fields["timestamp"])
+    fields["timestamp"] = {"sec": clock.get(1, 0), "nanosec": clock.get(2, 0)}
+    return _with_texts(fields)
+
+
+def _with_texts(fields: dict[str, Any]) -> dict[str, Any]:
+    texts = {k: bytes(fields[k]).decode(errors="replace") for k in _TEXTS if k in fields}
+    return fields | texts
 
 
 def _varint(message: memoryview, at: int) -> tuple[int, int]:
@@ -52,53 +80,41 @@ def protobuf_fields(message: memoryview) -> dict[int, int | memoryview]:
     return fields
 
 
-def _number(fields: dict[int, int | memoryview], number: int) -> int:
-    value = fields.get(number, 0)  # proto3 leaves zeros out
-    if not isinstance(value, int):
-        raise UnusableError(f"malformed message (field {number} is no number)")
-    return value
-
-
-def _octets(fields: dict[int, int | memoryview], number: int) -> memoryview:
-    value = fields.get(number, memoryview(b""))
-    if isinstance(value, int):
-        raise UnusableError(f"malformed message (field {number} holds no bytes)")
-    return value
-
-
-def protobuf_raw_image(message: memoryview) -> np.ndarray:
-    """Pixels of a protobuf foxglove.RawImage. Raises UnusableError where it is malformed."""
-    fields = protobuf_fields(message)
-    encoding = bytes(_octets(fields, 4)).decode(errors="replace")
-    width, height, step = (_number(fields, n) for n in (2, 3, 5))
-    return raw_pixels(_octets(fields, 6), height, width, encoding, step, big_endian=False)
-
-
-def protobuf_compressed_image(message: memoryview) -> np.ndarray:
-    """Pixels of a protobuf foxglove.CompressedImage. Raises UnusableError where malformed."""
-    return decode_image(_octets(protobuf_fields(message), 2))
-
-
-def _json_object(message: memoryview) -> tuple[dict[str, Any], bytes]:
-    """A JSON message and its decoded data."""
+def decode_flatbuffer(name: str, message: memoryview) -> dict[str, Any]:
+    """The fields of a flatbuffers message of FIELDS. Raises UnusableError where it is malformed."""
     try:
-        table = json.loads(bytes(message))
-        return table, base64.b64decode(table["data"], validate=True)
-    except (ValueError, TypeError, KeyError, RecursionError):
-        raise UnusableError("malformed message (no JSON object with base64 data)") from None
+        root = _uint(message, 0)
+        vtable = root - struct.unpack_from("<i", message, root)[0]
+        if vtable < 0:
+            raise UnusableError("malformed message (bad vtable)")
+        slots = (struct.unpack_from("<H", message, vtable)[0] - 4) // 2
+        fields: dict[str, Any] = {}
+        for slot, key in enumerate(FIELDS[name]):
+            # A table holds offsets to its fields; 0, or none so far, leaves the default.
+            offset = (
+                struct.unpack_from("<H", message, vtable + 4 + 2 * slot)[0] if slot < slots else 0
+            )
+            at = root + offset
+            if key == "timestamp":
+                sec, nanosec = struct.unpack_from("<II", message, at) if offset else (0, 0)
+                fields[key] = {"sec": sec, "nanosec": nanosec}
+            elif key in _NUMBERS:
+                fields[key] = _uint(message, at) if offset else 0
+            else:
+                fields[key] = _vector(message, at) if offset else memoryview(b"")
+    except struct.error:
+        raise UnusableError("malformed message (it ends too early)") from None
+    return _with_texts(fields)
 
 
-def json_raw_image(message: memoryview) -> np.ndarray:
-    """Pixels of a JSON foxglove.RawImage. Raises UnusableError where it is malformed."""
-    table, data = _json_object(message)
-    values = [table.get(key, 0) for key in ("height", "width", "step")]
-    encoding = table.get("encoding")
-    if not all(type(v) is int and v >= 0 for v in values) or not isinstance(encoding, str):
-        raise UnusableError("malformed message (height, width, step or encoding)")
-    height, width, step = values
-    return raw_pixels(data, height, width, encoding, step, big_endian=False)
+def _uint(message: memoryview, at: int) -> int:
+    return int(struct.unpack_from("<I", message, at)[0])
 
 
-def json_compressed_image(message: memoryview) -> np.ndarray:
-    """Pixels of a JSON foxglove.CompressedImage. Raises UnusableError where it is malformed."""
-    return decode_image(_json_object(message)[1])
+def _vector(message: memoryview, at: int) -> memoryview:
+    """The bytes of the string or vector to which the offset at `at` points."""
+    start = at + _uint(message, at)
+    data = message[start + 4 : start + 4 + _uint(message, start)]
+    if len(data) != _uint(message, start):
+        raise UnusableError("malformed message (it ends too early)")
+    return data

@@ -26,7 +26,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema, Statistics
 
-from sonarrec.readers.messages import KINDS, Decoder, decoder_for
+from sonarrec.readers.messages import READABLE, Decoder, decoder_for
 from sonarrec.readers.raw import RawFrame, UnusableError
 from sonarrec.records import SonarrecError, Stamps, UsageError
 
@@ -213,10 +213,9 @@ class McapImages:
                 f"{c.message_encoding or 'no encoding'})"
                 for c in self._channels.values()
             )
-            kinds = ", ".join(f"{name} in {encoding}" for name, encoding in KINDS)
             raise SonarrecError(
                 f"{self._path}: no image channel; it holds {', '.join(there) or 'no channel'}, "
-                f"and this reads {kinds}"
+                f"and this reads {READABLE}"
             )
         if topic is None and len(topics) > 1:
             raise UsageError(

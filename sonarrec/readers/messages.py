@@ -1,42 +1,268 @@
-"""Which messages are sonar images, and how each is decoded."""
+"""Which messages are sonar images, and how each is read.
+
+A further message type is one function, from Fields to a Ping, and one row in MESSAGES. How the
+fields come out of the bytes (CDR, ROS 1, JSON, protobuf, flatbuffers) is told apart from that.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 
-from sonarrec.readers import foxglove, ros2
-from sonarrec.readers.raw import Ping
+from sonarrec.geometry import PolarGrid
+from sonarrec.readers import foxglove, ros_wire
+from sonarrec.readers.fields import Fields
+from sonarrec.readers.raw import Ping, UnusableError, decode_image, raw_pixels
+from sonarrec.readers.ros_definitions import (
+    DefinitionError,
+    Struct,
+    definition_text,
+    known,
+    parse_definition,
+)
+from sonarrec.records import FloatArray
 
-Decoder = Callable[[memoryview], Ping]
-"""One message's bytes to a Ping; raises UnusableError where they cannot be used."""
+# What each message means
 
-_PIXELS: dict[tuple[str, str], Callable[[memoryview], np.ndarray]] = {
-    ("sensor_msgs/Image", "cdr"): ros2.ros2_image,
-    ("sensor_msgs/CompressedImage", "cdr"): ros2.ros2_compressed_image,
-    ("foxglove/RawImage", "protobuf"): foxglove.protobuf_raw_image,
-    ("foxglove/CompressedImage", "protobuf"): foxglove.protobuf_compressed_image,
-    ("foxglove/RawImage", "json"): foxglove.json_raw_image,
-    ("foxglove/CompressedImage", "json"): foxglove.json_compressed_image,
+
+def read_image(message: Fields) -> Ping:
+    """sensor_msgs/Image, foxglove.RawImage: pixels as they lie in memory."""
+    encoding = message.text("encoding")
+    height, width, step = message.whole("height"), message.whole("width"), message.whole("step", 0)
+    big_endian = message.whole("is_bigendian", 0) != 0
+    pixels = raw_pixels(message.octets("data"), height, width, encoding, step, big_endian)
+    return Ping(pixels, message.stamp_ns())
+
+
+def read_compressed_image(message: Fields) -> Ping:
+    """sensor_msgs/CompressedImage, foxglove.CompressedImage: an image file.
+
+    The format ("png", "mono8; png compressed mono8", ...) is not needed: the data tell it.
+    """
+    return Ping(decode_image(message.octets("data")), message.stamp_ns())
+
+
+# marine_acoustic_msgs/SonarImageData numbers its types so.
+_SAMPLE_TYPES = ("u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f4", "f8")
+
+
+def _samples(image: Fields, bins: int, beams: int) -> np.ndarray:
+    """(bins, beams) samples of a SonarImageData, taken to be range-major."""
+    number = image.whole("dtype")
+    if number >= len(_SAMPLE_TYPES):
+        raise UnusableError(f"unknown sample type {number}")
+    order = ">" if image.whole("is_bigendian") else "<"
+    dtype = np.dtype(order + _SAMPLE_TYPES[number])
+    data = image.octets("data")
+    if bins * beams * dtype.itemsize != len(data):
+        raise UnusableError(
+            f"{beams} beams of {bins} samples, {dtype.itemsize} bytes each, do not fit "
+            f"{len(data)} bytes"
+        )
+    return np.frombuffer(data, dtype).reshape(bins, beams)
+
+
+def _beam_count(image: Fields, bearings: np.ndarray) -> int:
+    beams = image.whole("beam_count")
+    if beams != len(bearings):
+        raise UnusableError(f"{beams} beams with {len(bearings)} directions")
+    return beams
+
+
+def _left_to_right(bearings_deg: FloatArray) -> FloatArray:
+    """Drivers disagree on which side is positive, but all list their beams from left to right."""
+    return bearings_deg if bearings_deg[0] <= bearings_deg[-1] else -bearings_deg
+
+
+def _fan_bearings(directions: FloatArray) -> FloatArray:
+    """(beams,) degrees from left to right, of (beams, 3) unit vectors.
+
+    Forward is the axis they point along on the whole (z in the definition, x in some drivers),
+    across it the one along which they differ most.
+    """
+    if len(directions) < 2:
+        raise UnusableError("fewer than two beams")
+    middle = directions.mean(axis=0)
+    forward = int(np.argmax(np.abs(middle)))
+    spread = np.ptp(directions, axis=0)
+    spread[forward] = -1
+    across = int(np.argmax(spread))
+    ahead = directions[:, forward] * np.sign(middle[forward])
+    return _left_to_right(np.degrees(np.arctan2(directions[:, across], ahead)))
+
+
+def _grid(ranges_m: FloatArray, bearings_deg: FloatArray) -> PolarGrid:
+    """Raises UnusableError where ranges do not rise or bearings do not run one way."""
+    try:
+        return PolarGrid.from_centres(ranges_m, bearings_deg)
+    except ValueError as error:
+        raise UnusableError(str(error)) from None
+
+
+def read_projected_sonar_image(message: Fields) -> Ping:
+    """marine_acoustic_msgs/ProjectedSonarImage: a direction per beam, a range per bin."""
+    image = message.inner("image")
+    bearings = _fan_bearings(message.vectors("beam_directions"))
+    ranges = message.numbers("ranges")
+    pixels = _samples(image, len(ranges), _beam_count(image, bearings))
+    return Ping(pixels, message.stamp_ns(), _grid(ranges, bearings))
+
+
+def read_raw_sonar_image(message: Fields) -> Ping:
+    """marine_acoustic_msgs/RawSonarImage: ranges follow from the time of each sample."""
+    image = message.inner("image")
+    angles = message.numbers("rx_angles")
+    if len(angles) < 2:
+        raise UnusableError("fewer than two beams")
+    bearings = _left_to_right(np.degrees(angles))
+    speed = message.inner("ping_info").number("sound_speed")
+    rate = message.number("sample_rate")
+    if speed <= 0 or rate <= 0:
+        raise UnusableError(f"sound speed {speed:g} m/s at {rate:g} samples a second")
+    bins = message.whole("samples_per_beam")
+    pixels = _samples(image, bins, _beam_count(image, bearings))
+    ranges = (message.whole("sample0") + np.arange(bins)) * speed / (2 * rate)
+    return Ping(pixels, message.stamp_ns(), _grid(ranges, bearings))
+
+
+def _oculus_grid(message: Fields, bins: int) -> PolarGrid:
+    """Bearings in hundredths of a degree; bins of one length from the sonar on."""
+    resolution = message.number("range_resolution")
+    if resolution <= 0:
+        raise UnusableError(f"range resolution {resolution:g} m")
+    ranges = (np.arange(bins) + 0.5) * resolution
+    return _grid(ranges, message.numbers("bearings") / 100)
+
+
+def read_oculus_ping(message: Fields) -> Ping:
+    """sonar_oculus/OculusPing: an image, compressed in later versions, and its geometry."""
+    inner = message.inner("ping")
+    image = read_image(inner) if "encoding" in inner else read_compressed_image(inner)
+    return Ping(image.pixels, message.stamp_ns(), _oculus_grid(message, len(image.pixels)))
+
+
+def read_oculus_interfaces_ping(message: Fields) -> Ping:
+    """oculus_interfaces/Ping: rows may begin with a gain, by whose root they are divided."""
+    bins, beams, step = (message.whole(k) for k in ("n_ranges", "n_beams", "step"))
+    size = message.whole("sample_size")
+    if size not in (1, 2, 4):
+        raise UnusableError(f"samples of {size} bytes")
+    data = message.octets("ping_data")
+    head = 4 if message.whole("has_gains") else 0
+    row = head + beams * size
+    if len(data) != bins * step or step < row:  # as with images, a wrong step is not believed
+        step = row
+    if not bins or not beams or len(data) != bins * step:
+        raise UnusableError(f"{beams} beams of {bins} samples do not fit {len(data)} bytes")
+    rows = np.frombuffer(data, np.uint8).reshape(bins, step)
+    pixels = np.ascontiguousarray(rows[:, head:row]).view(f"<u{size}")
+    if head:
+        gains = np.ascontiguousarray(rows[:, :head]).view("<u4")
+        pixels = (pixels / np.sqrt(np.maximum(gains, 1))).astype(np.float32)
+    return Ping(pixels, message.stamp_ns(), _oculus_grid(message, bins))
+
+
+@dataclass(frozen=True, slots=True)
+class MessageType:
+    """How a message is read, and whether it is polar and tells its own geometry."""
+
+    read: Callable[[Fields], Ping]
+    polar: bool = False
+
+
+_IMAGE, _COMPRESSED = MessageType(read_image), MessageType(read_compressed_image)
+_PROJECTED = MessageType(read_projected_sonar_image, polar=True)
+_OCULUS = MessageType(read_oculus_ping, polar=True)
+MESSAGES = {
+    "sensor_msgs/Image": _IMAGE,
+    "sensor_msgs/CompressedImage": _COMPRESSED,
+    "foxglove/RawImage": _IMAGE,
+    "foxglove/CompressedImage": _COMPRESSED,
+    "foxglove_msgs/RawImage": _IMAGE,
+    "foxglove_msgs/CompressedImage": _COMPRESSED,
+    "marine_acoustic_msgs/ProjectedSonarImage": _PROJECTED,
+    "marine_acoustic_msgs/RawSonarImage": MessageType(read_raw_sonar_image, polar=True),
+    "acoustic_msgs/ProjectedSonarImage": _PROJECTED,  # its name before 2022
+    "sonar_oculus/OculusPing": _OCULUS,
+    "sonar_oculus/OculusPingUncompressed": _OCULUS,
+    "oculus_interfaces/Ping": MessageType(read_oculus_interfaces_ping, polar=True),
 }
 
-KINDS = tuple(_PIXELS)
-"""The (message type, message encoding) pairs that are read."""
+READABLE = f"{', '.join(MESSAGES)} (CDR, ROS 1 or JSON; foxglove also protobuf and flatbuffer)"
+"""What is read, for error messages."""
 
 
 def message_type(schema_name: str) -> str:
     """package/Name of a schema: "sensor_msgs/msg/Image" and the dotted names of some recorders
-    mean the same."""
+    ("sensor_msgs.msg.Image") mean the same."""
     return schema_name.replace(".", "/").replace("/msg/", "/")
+
+
+# How fields come out of bytes
+
+
+def _json(message: memoryview) -> Mapping[str, Any]:
+    try:
+        table = json.loads(bytes(message))
+    except (ValueError, RecursionError):
+        table = None
+    if not isinstance(table, dict):
+        raise UnusableError("malformed message (no JSON object)")
+    return table
+
+
+def _ros_layout(name: str, ros1: bool, schema_encoding: str, schema_data: bytes) -> Struct | None:
+    """The layout that the log states, which may be of another version than ours; else ours."""
+    if schema_encoding in ("ros1msg", "ros2msg") and schema_data.strip():
+        try:
+            return parse_definition(schema_data.decode(errors="replace"), name)
+        except DefinitionError:
+            pass
+    return parse_definition(definition_text(name, ros1), name) if known(name) else None
+
+
+@dataclass(frozen=True, slots=True)
+class Decoder:
+    """Gives the Ping of one message's bytes; raises UnusableError where they cannot be used.
+
+    polar: its pings tell their own geometry.
+    """
+
+    fields: Callable[[memoryview], Mapping[str, Any]]
+    type: MessageType
+
+    @property
+    def polar(self) -> bool:
+        """Whether pings tell their own geometry."""
+        return self.type.polar
+
+    def __call__(self, message: memoryview) -> Ping:
+        return self.type.read(Fields(self.fields(message)))
 
 
 def decoder_for(
     schema_name: str, schema_encoding: str, schema_data: bytes, message_encoding: str
 ) -> Decoder | None:
-    """The decoder of a channel's messages, or None where they are no sonar images.
+    """The decoder of a channel's messages, or None where they are not read.
 
     schema_encoding, schema_data: the message definition as the file holds it ("ros2msg", ...).
     """
-    pixels = _PIXELS.get((message_type(schema_name), message_encoding))
-    return None if pixels is None else lambda message: Ping(pixels(message))
+    name = message_type(schema_name)
+    kind = MESSAGES.get(name)
+    if kind is None:
+        return None
+    if message_encoding == "json":
+        return Decoder(_json, kind)
+    if name in foxglove.FIELDS:
+        if message_encoding == "protobuf":
+            return Decoder(partial(foxglove.decode_protobuf, name), kind)
+        if message_encoding == "flatbuffer":
+            return Decoder(partial(foxglove.decode_flatbuffer, name), kind)
+    decode = {"cdr": ros_wire.decode_cdr, "ros1": ros_wire.decode_ros1}.get(message_encoding)
+    layout = _ros_layout(name, message_encoding == "ros1", schema_encoding, schema_data)
+    return None if decode is None or layout is None else Decoder(partial(decode, layout), kind)

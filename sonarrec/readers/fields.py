@@ -1,0 +1,112 @@
+"""The fields of one message, whatever it was encoded in, with the types that are asked of them."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from sonarrec.readers.raw import UnusableError
+
+
+class Fields:
+    """Fields as the decoders give them: from binary messages or from JSON, where bytes are base64
+    or a list of numbers. Every method raises UnusableError where a field is missing or of
+    another kind.
+    """
+
+    def __init__(self, values: Mapping[str, Any]) -> None:
+        self._values = values
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._values
+
+    def _get(self, name: str) -> Any:
+        try:
+            return self._values[name]
+        except KeyError:
+            raise UnusableError(f"malformed message (no field {name!r})") from None
+
+    def _wrong(self, name: str, wanted: str) -> UnusableError:
+        return UnusableError(f"malformed message (field {name!r} is no {wanted})")
+
+    def inner(self, name: str) -> Fields:
+        """The message inside."""
+        value = self._get(name)
+        if not isinstance(value, Mapping):
+            raise self._wrong(name, "message")
+        return Fields(value)
+
+    def whole(self, name: str, default: int | None = None) -> int:
+        """A whole number that is not negative; a field that is missing has the default."""
+        value = default if default is not None and name not in self else self._get(name)
+        if not isinstance(value, int) or value < 0:
+            raise self._wrong(name, "whole number")
+        return int(value)
+
+    def number(self, name: str) -> float:
+        """A finite number."""
+        value = self._get(name)
+        if not isinstance(value, int | float) or not np.isfinite(value):
+            raise self._wrong(name, "number")
+        return float(value)
+
+    def text(self, name: str) -> str:
+        """A string."""
+        value = self._get(name)
+        if not isinstance(value, str):
+            raise self._wrong(name, "text")
+        return value
+
+    def octets(self, name: str) -> memoryview:
+        """Bytes, without a copy where the message holds them as such."""
+        value = self._get(name)
+        try:
+            if isinstance(value, str):
+                value = base64.b64decode(value, validate=True)
+            elif isinstance(value, list):
+                value = bytes(value)
+            return memoryview(value).cast("B")
+        except (TypeError, ValueError):
+            raise self._wrong(name, "bytes") from None
+
+    def numbers(self, name: str) -> np.ndarray:
+        """(n,) float64, finite."""
+        value = self._get(name)
+        try:
+            array = np.asarray(value, dtype=np.float64)
+        except (TypeError, ValueError, OverflowError):
+            raise self._wrong(name, "list of numbers") from None
+        if array.ndim != 1 or not np.isfinite(array).all():
+            raise self._wrong(name, "list of numbers")
+        return array
+
+    def vectors(self, name: str) -> np.ndarray:
+        """(n, 3) float64, finite: a list of geometry_msgs/Vector3."""
+        value = self._get(name)
+        if isinstance(value, list):  # from JSON
+            if not all(isinstance(v, Mapping) for v in value):
+                raise self._wrong(name, "list of vectors")
+            value = {axis: [v.get(axis, 0.0) for v in value] for axis in "xyz"}
+        columns = Fields(value) if isinstance(value, Mapping) else Fields({})
+        try:
+            return np.column_stack([columns.numbers(axis) for axis in "xyz"])
+        except ValueError:
+            raise self._wrong(name, "list of vectors") from None
+
+    def stamp_ns(self) -> int | None:
+        """The header's stamp, or Foxglove's timestamp, in ns; None without either."""
+        clock: Any = self._values.get("timestamp")
+        header = self._values.get("header")
+        if isinstance(header, Mapping):
+            clock = header.get("stamp", clock)
+        if not isinstance(clock, Mapping):
+            return None
+        # ROS 2, Foxglove and ROS 1 call them by different names in JSON.
+        sec = next((clock[k] for k in ("sec", "secs") if k in clock), None)
+        nanosec = next((clock[k] for k in ("nanosec", "nsec", "nsecs") if k in clock), 0)
+        if not isinstance(sec, int) or not isinstance(nanosec, int):
+            return None
+        return sec * 10**9 + nanosec
