@@ -9,6 +9,8 @@ import click
 from sonarrec import __version__
 from sonarrec.cli.config import config
 from sonarrec.cli.evaluate import evaluate
+from sonarrec.cli.overlay import overlay
+from sonarrec.cli.report import report
 from sonarrec.cli.run import run
 from sonarrec.cli.simulate import simulate
 from sonarrec.cli.truth import truth
@@ -39,5 +41,5 @@ def main() -> None:
     """
 
 
-for command in (run, evaluate, simulate, config, truth):
+for command in (run, evaluate, report, overlay, simulate, config, truth):
     main.add_command(command)

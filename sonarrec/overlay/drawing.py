@@ -20,7 +20,7 @@ from sonarrec.geometry import (
 )
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.plane import STEEPEST
-from sonarrec.records import ByteImage, Estimate, Fan, FloatArray, FrameResult
+from sonarrec.records import ByteImage, Estimate, Fan, FloatArray
 
 Colour = tuple[int, int, int]
 """Red, green, blue, 0 to 255."""
@@ -37,6 +37,8 @@ OKABE_ITO: tuple[Colour, ...] = (
 )
 UNNAMED: Colour = (200, 200, 200)
 TRUTH: Colour = (255, 255, 255)
+AROUND = 1.15
+"""Radius, in discs, at which truth is drawn: it must not hide under an estimate."""
 TRAIL_FRAMES = 20
 STRIP_FRAMES = 120
 """How far back trails and the probability strip reach."""
@@ -54,6 +56,15 @@ class Mark:
     landmark: int
     x_px: float
     y_px: float
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """What one method says in one frame: its number, its time in ns and the estimates."""
+
+    index: int
+    timestamp_ns: int
+    estimates: tuple[Estimate, ...]
 
 
 def landmark_colours(ids: Sequence[int]) -> dict[int, Colour]:
@@ -90,7 +101,7 @@ def disc_outline(fan: Fan, radius_m: float, x_px: float, y_px: float) -> FloatAr
     return np.asarray(outline + np.array([x_px, y_px]) - drawn_at)
 
 
-def trails(history: Sequence[FrameResult]) -> dict[int, FloatArray]:
+def trails(history: Sequence[Moment]) -> dict[int, FloatArray]:
     """(n, 2) fan pixels, oldest first, where each object of the newest frame has been.
 
     Only of methods that follow objects: numbers of single-frame candidates say nothing.
@@ -157,15 +168,16 @@ def draw_frame(
             pen.line(paths[e.object], colour, 1)
         outline = disc_outline(fan, landmarks.radius_m, e.x_px, e.y_px)
         pen.line(outline, colour, 2 if e.declared else 1, closed=True)
-        pen.label(caption(e, landmarks), outline, colour)
+        around = disc_outline(fan, AROUND * landmarks.radius_m, e.x_px, e.y_px)
+        pen.label(caption(e, landmarks), around, colour)
     for mark in truth:
-        outline = disc_outline(fan, 1.15 * landmarks.radius_m, mark.x_px, mark.y_px)
+        outline = disc_outline(fan, AROUND * landmarks.radius_m, mark.x_px, mark.y_px)
         pen.dashes(outline, TRUTH)
         pen.label(f"ID.{mark.landmark}", outline, TRUTH, below=True)
     return pen.canvas
 
 
-def draw_strip(history: Sequence[FrameResult], landmarks: LandmarkSet, width: int) -> ByteImage:
+def draw_strip(history: Sequence[Moment], landmarks: LandmarkSet, width: int) -> ByteImage:
     """The probability of each ID along every track, up to the newest frame (Figure 14).
 
     history: one method's results, of which the last STRIP_FRAMES frames are shown. Thick where
@@ -272,9 +284,8 @@ class _Pen:
         x = (low[0] + high[0] - width) / 2
         x = min(max(x, 2), self.canvas.shape[1] - width - 2)
         y = min(max(y, height + 2), self.canvas.shape[0] - drop)
-        # A halo of displaced copies: with thicker strokes the letters would be spaced apart.
-        for right, down in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
-            self.text(text, (x + right, y + down), _BLACK)
+        rows = slice(max(0, round(y - height) - 3), round(y + drop))
+        self.canvas[rows, max(0, round(x) - 3) : round(x + width) + 3] //= 4
         self.text(text, (x, y), colour)
 
     def text(

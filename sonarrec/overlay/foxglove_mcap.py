@@ -1,0 +1,262 @@
+"""Writes what is drawn as an MCAP file that Foxglove shows on top of the recording."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import cv2
+import numpy as np
+from mcap.writer import CompressionType, Writer
+
+from sonarrec.landmarks import LandmarkSet
+from sonarrec.overlay.drawing import (
+    AROUND,
+    TRUTH,
+    UNNAMED,
+    Colour,
+    Mark,
+    caption,
+    disc_outline,
+    landmark_colours,
+)
+from sonarrec.records import Estimate, FloatArray, Frame, SonarrecError
+
+ANNOTATIONS_TOPIC = "/sonarrec/annotations"
+FAN_TOPIC = "/sonarrec/fan"
+LINE_LOOP, LINE_STRIP, LINE_LIST = 2, 3, 4
+
+# The schemas that Foxglove publishes, without their descriptions.
+
+
+def _object(properties: Mapping[str, Any], optional: Sequence[str] = ()) -> dict[str, Any]:
+    required = [name for name in properties if name not in optional]
+    return {"type": "object", "properties": dict(properties), "required": required}
+
+
+def _list(items: Mapping[str, Any]) -> dict[str, Any]:
+    return {"type": "array", "items": dict(items)}
+
+
+_NUMBER, _TEXT = {"type": "number"}, {"type": "string"}
+_TIME = {
+    "title": "time",
+    **_object(
+        {
+            "sec": {"type": "integer", "minimum": 0},
+            "nsec": {"type": "integer", "minimum": 0, "maximum": 999_999_999},
+        }
+    ),
+}
+_POINT = _object({"x": _NUMBER, "y": _NUMBER})
+_COLOUR = _object(dict.fromkeys("rgba", _NUMBER))
+_METADATA = _list(_object({"key": _TEXT, "value": _TEXT}))
+ANNOTATIONS_SCHEMA = {
+    "title": "foxglove.ImageAnnotations",
+    **_object(
+        {
+            "timestamp": _TIME,
+            "circles": _list(
+                _object(
+                    {
+                        "timestamp": _TIME,
+                        "position": _POINT,
+                        "diameter": _NUMBER,
+                        "thickness": _NUMBER,
+                        "fill_color": _COLOUR,
+                        "outline_color": _COLOUR,
+                    }
+                )
+            ),
+            "points": _list(
+                _object(
+                    {
+                        "timestamp": _TIME,
+                        "type": {"oneOf": [{"const": n} for n in range(5)]},
+                        "points": _list(_POINT),
+                        "outline_color": _COLOUR,
+                        "outline_colors": _list(_COLOUR),
+                        "fill_color": _COLOUR,
+                        "thickness": _NUMBER,
+                    }
+                )
+            ),
+            "texts": _list(
+                _object(
+                    {
+                        "timestamp": _TIME,
+                        "position": _POINT,
+                        "text": _TEXT,
+                        "font_size": _NUMBER,
+                        "text_color": _COLOUR,
+                        "background_color": _COLOUR,
+                    }
+                )
+            ),
+            "metadata": _METADATA,
+        },
+        optional=("timestamp", "metadata"),
+    ),
+}
+IMAGE_SCHEMA = {
+    "title": "foxglove.CompressedImage",
+    **_object(
+        {
+            "timestamp": _TIME,
+            "frame_id": _TEXT,
+            "data": {"type": "string", "contentEncoding": "base64"},
+            "format": _TEXT,
+        }
+    ),
+}
+
+
+class FoxgloveFile:
+    """Annotations of every frame, and the fan where the recording holds no such image.
+
+    Use it as a context manager. Left by an exception, the file keeps what was written but gets
+    no footer.
+    """
+
+    def __init__(self, path: Path, landmarks: LandmarkSet, *, with_images: bool) -> None:
+        """Raises SonarrecError where the file cannot be made."""
+        self._path = path
+        self._landmarks = landmarks
+        try:
+            self._file = path.open("wb")
+            self._writer = Writer(self._file, compression=CompressionType.ZSTD)
+            self._writer.start(library="sonarrec")
+        except OSError as error:
+            raise SonarrecError(f"{path}: cannot be written ({error.strerror})") from None
+        self._annotations = self._channel(ANNOTATIONS_TOPIC, ANNOTATIONS_SCHEMA)
+        self._images = self._channel(FAN_TOPIC, IMAGE_SCHEMA) if with_images else None
+
+    def write(
+        self,
+        frame: Frame,
+        estimates: Sequence[Estimate],
+        paths: Mapping[int, FloatArray],
+        truth: Sequence[Mark],
+    ) -> None:
+        """Append one frame. Raises SonarrecError where the disk takes no more."""
+        logged = frame.timestamp_ns if frame.stamps.log is None else frame.stamps.log
+        # Foxglove pairs annotations with the image whose own stamp is the same to the nanosecond.
+        stamp = logged if frame.stamps.header is None else frame.stamps.header
+        if self._images is not None:
+            self._add(self._images, image_message(frame, stamp), logged)
+        message = annotations_message(frame, stamp, self._landmarks, estimates, paths, truth)
+        self._add(self._annotations, message, logged)
+
+    def _channel(self, topic: str, schema: Mapping[str, Any]) -> int:
+        data = json.dumps(schema).encode()
+        number = self._writer.register_schema(schema["title"], "jsonschema", data)
+        return self._writer.register_channel(topic, "json", number)
+
+    def _add(self, channel: int, message: Mapping[str, Any], log_time: int) -> None:
+        try:
+            self._writer.add_message(channel, log_time, json.dumps(message).encode(), log_time)
+        except OSError as error:
+            raise SonarrecError(f"{self._path}: cannot be written ({error.strerror})") from None
+
+    def __enter__(self) -> FoxgloveFile:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        with self._file:
+            if kind is None:
+                self._writer.finish()  # type: ignore[no-untyped-call]
+
+
+def annotations_message(
+    frame: Frame,
+    stamp_ns: int,
+    landmarks: LandmarkSet,
+    estimates: Sequence[Estimate],
+    paths: Mapping[int, FloatArray],
+    truth: Sequence[Mark] = (),
+) -> dict[str, Any]:
+    """A foxglove.ImageAnnotations message, in pixels of the fan image.
+
+    It is never empty: older versions take the time from the elements and would hold the image
+    back at a frame without any.
+    """
+    fan, time = frame.fan, _time(stamp_ns)
+    size = max(fan.rows, fan.columns) / 512
+    colours = landmark_colours(landmarks.ids)
+    points, texts = [], []
+
+    def line(kind: int, at: FloatArray, colour: Colour, width: float) -> None:
+        points.append(
+            {
+                "timestamp": time,
+                "type": kind,
+                "points": [_point(x, y) for x, y in at.tolist()],
+                "outline_color": _colour(colour),
+                "outline_colors": [],
+                "fill_color": _colour(colour, 0),
+                "thickness": width * size,
+            }
+        )
+
+    def text(words: str, x: float, y: float, colour: Colour) -> None:
+        texts.append(
+            {
+                "timestamp": time,
+                "position": _point(x, y),
+                "text": words,
+                "font_size": 14 * size,
+                "text_color": _colour(colour),
+                "background_color": _colour((0, 0, 0), 0.75),
+            }
+        )
+
+    text(f"frame {frame.index}", 4 * size, 18 * size, UNNAMED)
+    for e in estimates:
+        colour = colours[e.landmark] if e.declared else UNNAMED
+        outline = disc_outline(fan, landmarks.radius_m, e.x_px, e.y_px)
+        line(LINE_LOOP, outline, colour, 2 if e.declared else 1)
+        if e.object in paths:
+            line(LINE_STRIP, paths[e.object], colour, 1)
+        if words := caption(e, landmarks):
+            left, top = outline.min(axis=0)
+            text(words, left, top - 4 * size, colour)
+    for mark in truth:
+        outline = disc_outline(fan, AROUND * landmarks.radius_m, mark.x_px, mark.y_px)
+        line(LINE_LIST, outline, TRUTH, 1)
+        left, bottom = outline[:, 0].min(), outline[:, 1].max()
+        text(f"ID.{mark.landmark}", left, bottom + 18 * size, TRUTH)
+    return {"timestamp": time, "circles": [], "points": points, "texts": texts, "metadata": []}
+
+
+def image_message(frame: Frame, stamp_ns: int) -> dict[str, Any]:
+    """A foxglove.CompressedImage message of the fan, without loss."""
+    png = cv2.imencode(".png", np.asarray(frame.image))[1].tobytes()
+    return {
+        "timestamp": _time(stamp_ns),
+        "frame_id": "sonar",
+        "data": base64.b64encode(png).decode(),
+        "format": "png",
+    }
+
+
+def _time(stamp_ns: int) -> dict[str, int]:
+    seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
+    return {"sec": seconds, "nsec": nanoseconds}
+
+
+def _point(x: float, y: float) -> dict[str, float]:
+    # Foxglove counts from the corner of the first pixel, we from its centre.
+    return {"x": round(x + 0.5, 2), "y": round(y + 0.5, 2)}
+
+
+def _colour(colour: Colour, alpha: float = 1) -> dict[str, float]:
+    return dict(zip("rgba", (*(round(c / 255, 3) for c in colour), alpha), strict=True))

@@ -1,0 +1,227 @@
+"""One log and its results, drawn together: `sonarrec overlay`, for programs as well."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sonarrec.evaluation.results import read_log, read_run
+from sonarrec.evaluation.tables import read_table
+from sonarrec.evaluation.truth import match_truth, read_truth
+from sonarrec.geometry import Sonar, sonar_from_table
+from sonarrec.landmarks import landmarks_from_table, load_landmarks
+from sonarrec.overlay.drawing import (
+    STRIP_FRAMES,
+    Mark,
+    Moment,
+    draw_frame,
+    draw_picture,
+    draw_strip,
+    trails,
+)
+from sonarrec.overlay.estimates import choose_method, read_estimates
+from sonarrec.overlay.foxglove_mcap import FoxgloveFile
+from sonarrec.overlay.video import ImageFolder, VideoFile
+from sonarrec.readers import Log, open_log
+from sonarrec.records import Estimate, Fan, Frame, SonarrecError, UsageError
+
+
+@dataclass(frozen=True, slots=True)
+class Targets:
+    """What to write: an MCAP file for Foxglove, an MP4, a folder of PNGs; None: not that."""
+
+    mcap: Path | None = None
+    video: Path | None = None
+    images: Path | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Overlaid:
+    """What became of it: the method shown, frames written, and what could not be used."""
+
+    method: str
+    frames: int
+    problems: list[str]
+
+
+def write_overlay(
+    path: str | Path,
+    targets: Targets,
+    *,
+    results: Path = Path("sonarrec_out"),
+    method: str | None = None,
+    span: tuple[int, int | None] = (0, None),
+    ground_truth: Path | None = None,
+    landmarks: str | None = None,
+    sonar: Sonar | None = None,
+    sonar_file: Path | None = None,
+    topic: str | None = None,
+    observe: Callable[[int | None], None] | None = None,
+) -> Overlaid:
+    """Draw the results of one log onto its frames, in one pass.
+
+    results: the folder of this log's results, or one that holds it. method: None for the
+    framework. span: frames from the first number up to, not including, the second. landmarks,
+    sonar, sonar_file: where run.toml does not tell them; they win over it. observe: called after
+    every frame with the number of frames, where that is known.
+    Raises SonarrecError where something cannot be used or the results are of another log,
+    UsageError where an option cannot be meant.
+    """
+    path = Path(path)
+    _spare_the_log(path, targets)
+    folder = _results_folder(path, results)
+    run = read_run(folder / "run.toml")
+    if landmarks is None and "landmarks" in run:
+        landmark_set = landmarks_from_table(run["landmarks"], str(folder / "run.toml"))
+    else:
+        landmark_set = load_landmarks(landmarks or "basin")
+    stated = sonar or Sonar()
+    if "sonar" in run and sonar_file is None:
+        stated = sonar_from_table(run["sonar"], str(folder / "run.toml")).updated(stated)
+    table = folder / "estimates.csv"
+    method = choose_method(table, method)
+    with open_log(path, sonar=stated, sonar_file=sonar_file, topic=topic) as log:
+        problems = _check_same(log, folder, run)
+        frames = iter(log)
+        first = next(frames)  # a log without a usable frame raises
+        fan = first.fan
+        truth: dict[int, list[Mark]] = {}
+        if ground_truth is not None:
+            truth = _truth_marks(ground_truth, folder, landmarks, log.sonar, fan)
+        rows = read_estimates(table, method, landmark_set, fan)
+        history: deque[Moment] = deque(maxlen=STRIP_FRAMES)
+        written = 0
+        with ExitStack() as stack:
+            foxglove = video = images = None
+            if targets.mcap is not None:
+                # A recording that Foxglove cannot show as a fan is shown by ours.
+                bare = first.stamps.log is None or log.sonar.layout == "polar"
+                foxglove = FoxgloveFile(targets.mcap, landmark_set, with_images=bare)
+                stack.enter_context(foxglove)
+            if targets.video is not None:
+                rate = _frame_rate(folder, log.sonar)
+                video = stack.enter_context(VideoFile(targets.video, rate))
+            if targets.images is not None:
+                images = ImageFolder(targets.images)
+            for frame, estimates in _with_estimates(chain([first], frames), rows):
+                if span[1] is not None and frame.index >= span[1]:
+                    break
+                history.append(Moment(frame.index, frame.timestamp_ns, estimates))
+                if observe is not None:
+                    observe(log.frame_count)
+                if frame.index < span[0]:
+                    continue
+                written += 1
+                paths = trails(history)
+                marks = truth.get(frame.index, ())
+                if foxglove is not None:
+                    foxglove.write(frame, estimates, paths, marks)
+                if video is None and images is None:
+                    continue
+                drawn = draw_frame(
+                    frame.image, fan, landmark_set, estimates, paths=paths, truth=marks
+                )
+                strip = draw_strip(history, landmark_set, max(drawn.shape[1], 512))
+                picture = draw_picture(drawn, strip)
+                if video is not None:
+                    video.write(picture)
+                if images is not None:
+                    images.write(frame.index, picture)
+        problems += log.problems
+    if not written:
+        raise UsageError(f"{path}: no frame in --frames {span[0]}:{span[1] or ''}")
+    return Overlaid(method, written, problems)
+
+
+def _spare_the_log(path: Path, targets: Targets) -> None:
+    """Raises UsageError where a target would overwrite the recording or mix with its images."""
+    for target in (targets.mcap, targets.video, targets.images):
+        if target is None:
+            continue
+        folder = path if path.is_dir() or path.is_file() else path.parent
+        if target.resolve() in (path.resolve(), folder.resolve()):
+            raise UsageError(f"{target}: this is the recording itself; write somewhere else")
+
+
+def _results_folder(path: Path, results: Path) -> Path:
+    """The log's own folder of results. Raises SonarrecError where there is none."""
+    if path.is_dir():
+        name = path.resolve().name
+    else:
+        name = path.stem if path.is_file() else path.parent.resolve().name
+    for folder in (results, results / name):
+        if (folder / "frames.csv").is_file():
+            return folder
+    raise SonarrecError(
+        f"{results}: no results of {path} here (no frames.csv, nor {name}/frames.csv); "
+        f"`sonarrec run {path}` writes them"
+    )
+
+
+def _check_same(log: Log, folder: Path, run: dict[str, Any]) -> list[str]:
+    """What is amiss, in lines; SonarrecError where the results are of another log."""
+    made_from = run.get("input", {})
+    if "sha256" in made_from:
+        size, digest = log.digest_source()
+        if (size, digest) != (made_from.get("bytes"), made_from["sha256"]):
+            raise SonarrecError(
+                f"{folder}: results of another log, {made_from.get('name')} with "
+                f"{made_from.get('bytes')} bytes and SHA-256 {made_from['sha256'][:12]}..., not of "
+                f"{log.path} with {size} and {digest[:12]}...; give the log they were made from, "
+                f"or `sonarrec run {log.path}`"
+            )
+    last = int(_frames_table(folder)["frame"].max(initial=-1))
+    if log.frame_count is not None and last >= log.frame_count:
+        raise SonarrecError(
+            f"{folder / 'frames.csv'}: results of another log: frame {last} is listed, but "
+            f"{log.path} has only {log.frame_count} frames"
+        )
+    if run.get("finished", True) is False:
+        return [f"{folder}: the run was cut short; frames after {last} have no results"]
+    return []
+
+
+def _frames_table(folder: Path) -> dict[str, Any]:
+    kinds: dict[str, Any] = {"frame": "whole", "timestamp_ns": "whole"}
+    return read_table(folder / "frames.csv", kinds, ("frame",), "frame,timestamp_ns")
+
+
+def _frame_rate(folder: Path, sonar: Sonar) -> float:
+    """Frames per second: of the results' times, else of the sonar, else 10."""
+    times = _frames_table(folder).get("timestamp_ns", ())
+    between = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    return 1e9 / between if between > 0 else sonar.frame_rate_hz or 10.0
+
+
+def _with_estimates(
+    frames: Iterable[Frame], rows: Iterator[tuple[int, tuple[Estimate, ...]]]
+) -> Iterator[tuple[Frame, tuple[Estimate, ...]]]:
+    """Every frame with its estimates; both come in rising order."""
+    at, estimates = -1, tuple[Estimate, ...]()
+    for frame in frames:
+        while at < frame.index:
+            at, estimates = next(rows, (np.iinfo(np.int64).max, ()))
+        yield frame, estimates if at == frame.index else ()
+
+
+def _truth_marks(
+    path: Path, folder: Path, landmarks: str | None, sonar: Sonar, fan: Fan
+) -> dict[int, list[Mark]]:
+    """The landmarks in view by frame. Raises SonarrecError where gt.csv has no positions."""
+    pixels = Sonar(metres_per_pixel=fan.metres_per_pixel, apex_px=(fan.apex_column, fan.apex_row))
+    log = read_log(folder, landmarks, sonar.updated(pixels))
+    truth = match_truth(read_truth(path), log)
+    if truth.position is None:
+        raise SonarrecError(f"{path}: no positions (x_px,y_px or range_m,bearing_deg) to draw")
+    marks: dict[int, list[Mark]] = {}
+    place = truth.position / fan.metres_per_pixel * (1, -1) + (fan.apex_column, fan.apex_row)
+    for row, k, (x, y) in zip(truth.row, truth.landmark, place.tolist(), strict=True):
+        marks.setdefault(int(log.frame[row]), []).append(Mark(log.landmarks.ids[k], x, y))
+    return marks

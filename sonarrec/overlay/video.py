@@ -1,0 +1,83 @@
+"""Drawn frames as a video or as a folder of images."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from types import TracebackType
+
+import cv2
+
+from sonarrec.records import ByteImage, SonarrecError, UsageError
+
+
+class VideoFile:
+    """Writes pictures of one size as an MP4; use it as a context manager.
+
+    MPEG-4 Part 2 is the most widely played of what OpenCV writes everywhere: H.264 is not in it.
+    """
+
+    def __init__(self, path: Path, frame_rate_hz: float) -> None:
+        """Raises UsageError where the name is no MP4's."""
+        if path.suffix.lower() != ".mp4":
+            raise UsageError(f"{path}: a video is written as NAME.mp4")
+        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # quiet: faults are told by us
+        cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+        self._path = path
+        # MPEG-4 divides a second into 65,535 parts at the most; players want one frame a second.
+        self._rate = round(min(max(frame_rate_hz, 1.0), 60.0), 3)
+        self._video: cv2.VideoWriter | None = None
+        self._frames = 0
+
+    def write(self, picture: ByteImage) -> None:
+        """Append (rows, columns, 3) uint8 BGR. Raises SonarrecError where it cannot be written."""
+        if self._video is None:
+            code = cv2.VideoWriter.fourcc(*"mp4v")
+            rows, columns = picture.shape[:2]
+            self._video = cv2.VideoWriter(str(self._path), code, self._rate, (columns, rows))
+            if not self._video.isOpened():
+                raise SonarrecError(f"{self._path}: cannot be written")
+        self._video.write(picture)
+        self._frames += 1
+
+    def __enter__(self) -> VideoFile:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close the file. Raises SonarrecError where it did not become a whole video."""
+        if self._video is None:
+            return
+        self._video.release()
+        if kind is None:
+            # OpenCV tells of no failed write.
+            written = cv2.VideoCapture(str(self._path)).get(cv2.CAP_PROP_FRAME_COUNT)
+            if written != self._frames:
+                raise SonarrecError(
+                    f"{self._path}: {self._frames} frames did not become a whole video "
+                    "(is the disk full?)"
+                )
+
+
+class ImageFolder:
+    """Writes pictures as DIR/NNNNNN.png, NNNNNN the frame's number."""
+
+    def __init__(self, folder: Path) -> None:
+        """Raises SonarrecError where the folder cannot be made."""
+        self._folder = folder
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise SonarrecError(f"{folder}: cannot be made ({error.strerror})") from None
+
+    def write(self, number: int, picture: ByteImage) -> None:
+        """Write one picture, (rows, columns, 3) uint8 BGR. Raises SonarrecError where it fails."""
+        path = self._folder / f"{number:06d}.png"
+        try:
+            path.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
+        except OSError as error:
+            raise SonarrecError(f"{path}: cannot be written ({error.strerror})") from None
