@@ -88,6 +88,8 @@ class Log:
         period_ns = 1e9 / (self.sonar.frame_rate_hz or 1.0)
         used = skipped = 0
         for index, raw in enumerate(self._raw):
+            if raw.pixels is None and raw.problem is None:
+                continue  # told in the faults, with others
             try:
                 image, fan = self._fan_image(raw)
             except UnusableError as error:
@@ -107,7 +109,7 @@ class Log:
 
     def _fan_image(self, raw: RawFrame) -> tuple[ByteImage, Fan]:
         if raw.pixels is None:
-            raise UnusableError(raw.problem or "unreadable")
+            raise UnusableError(str(raw.problem))
         image = grey8(raw.pixels)
         if self._shape is None:
             self._shape = image.shape

@@ -11,7 +11,7 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from sonarrec.geometry import PolarGrid
+from sonarrec.geometry import Sonar
 from sonarrec.records import NO_STAMPS, ByteImage, Stamps
 
 
@@ -24,13 +24,13 @@ class Ping:
     """What one message holds.
 
     pixels: (rows, columns) or (rows, columns, channels; BGR first), any dtype. stamp_ns: the
-    header's stamp, None without one. grid: where the samples of a polar ping lie; None for an
-    image that does not say what it shows.
+    header's stamp, None without one. sonar: the geometry that a polar ping tells of itself (all
+    but tilt and height); None for an image that does not say what it shows.
     """
 
     pixels: np.ndarray
     stamp_ns: int | None = None
-    grid: PolarGrid | None = None
+    sonar: Sonar | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,26 +38,29 @@ class RawFrame:
     """One frame as its log holds it.
 
     name: what to call it in a message. timestamp_ns: None where the log carries no time.
-    pixels, grid: as of a Ping; pixels is None where it could not be read, and then `problem` says
-    why. stamps: every time that the log keeps of it.
+    pixels, sonar: as of a Ping; pixels is None where it could not be read, and then `problem` says
+    why; without a problem it is one of many lost together, which the log's `faults` tell once.
+    stamps: every time that the log keeps of it.
     """
 
     name: str
     timestamp_ns: int | None
     pixels: np.ndarray | None
     problem: str | None = None
-    grid: PolarGrid | None = None
+    sonar: Sonar | None = None
     stamps: Stamps = NO_STAMPS
 
 
 class RawLog(Protocol):
     """One opened log: a single pass over its frames, in time order, one in memory at a time.
 
-    frame_count: frames to come, None where unknown before the end.
+    frame_count: frames to come, None where unknown before the end. polar: its frames tell their
+    own geometry.
     faults: lines about what is wrong with the log as a whole, complete after the pass.
     """
 
     frame_count: int | None
+    polar: bool
     faults: list[str]
 
     def __iter__(self) -> Iterator[RawFrame]: ...

@@ -1,0 +1,284 @@
+"""What an MCAP file holds: whole, cut short, unindexed or damaged.
+
+The `mcap` package reads whole files well, but no further than the first damage. This seeks from
+record to record, with or without an index. The records' own layouts come from the package.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from array import array
+from collections import Counter
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path
+from typing import BinaryIO
+
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, Footer, Header, Schema, Statistics
+
+from sonarrec.readers.mcap_chunks import (
+    RECORD_HEAD,
+    ChunkHead,
+    ChunkStore,
+    Contents,
+    DamagedError,
+    pieces_of,
+    read_chunk_head,
+)
+from sonarrec.records import SonarrecError
+
+MAGIC = b"\x89MCAP0\r\n"
+MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
+CHUNK = -1  # in place of a channel
+_MAX_DEFINITION_BYTES = 4 * 2**20
+_CHUNK_INDEX_HEAD = struct.Struct("<QQQ")  # start, end, position of the chunk
+_CRC = struct.Struct("<I")
+_FOOTER_BYTES = 20
+
+
+def records_in(contents: Contents, at: int) -> Iterator[tuple[int, int, int]]:
+    """(opcode, start of the body, its length) of every whole record from `at` on."""
+    file = contents.file
+    while at + RECORD_HEAD.size <= contents.end:
+        file.seek(at)
+        head = file.read(RECORD_HEAD.size)
+        if len(head) < RECORD_HEAD.size:  # the file has become shorter
+            return
+        opcode, length = RECORD_HEAD.unpack(head)
+        body = at + RECORD_HEAD.size
+        if opcode == 0 or body + length > contents.end:
+            return
+        yield opcode, body, length
+        at = body + length
+
+
+class McapFile:
+    """An MCAP file, opened, and what it holds.
+
+    schemas, channels: by id. counts: messages by channel. header: profile and library, None
+    without one. span: first and last log time in ns, None without a message. chunks: how many,
+    by compression. whole: it has its footer. faults: lines about what is wrong.
+
+    times, positions, channels_of_units: what there is to read, by first log time (ns) and place:
+    chunks (channel CHUNK), and runs of messages outside of any chunk, each of one channel whose
+    times do not go back. stated: the counts of the summary, None without one.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Raises SonarrecError where the file is no MCAP, OSError where it cannot be read."""
+        self.path = path
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self.counts: Counter[int] = Counter()
+        self.header: Header | None = None
+        self.span: tuple[int, int] | None = None
+        self.chunks: Counter[str] = Counter()
+        self.whole = False
+        self.faults: list[str] = []
+        self.times, self.positions = array("Q"), array("Q")
+        self.channels_of_units = array("l")
+        self.stated: Counter[int] | None = None
+        self._data_end: tuple[int, int] | None = None  # position and checksum
+        self.file = path.open("rb")
+        self.store = ChunkStore(self.file)
+        try:
+            self.size = self.file.seek(0, 2)
+            self._scan()
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Close the file."""
+        self.store.close()
+        self.file.close()
+
+    def chunk_at(self, position: int) -> ChunkHead:
+        """The head of a chunk. Raises DamagedError where it makes no sense."""
+        head = read_chunk_head(self.file, position, self.size)
+        if head is None:
+            raise DamagedError("has no readable head")
+        return head
+
+    def fault(self, text: str) -> None:
+        """Add a line about what is wrong."""
+        self.faults.append(f"{self.path.name}: {text}")
+
+    def data_are_sound(self) -> bool:
+        """Whether all before the summary keeps its checksum, if there is one. Reads all of it."""
+        if self._data_end is None or not self._data_end[1]:
+            return True
+        end, stated = self._data_end
+        # Writers differ on whether the first eight bytes belong to it.
+        return stated in (self._crc(0, end), self._crc(len(MAGIC), end))
+
+    def _scan(self) -> None:
+        self.file.seek(0)
+        if self.file.read(len(MAGIC)) != MAGIC:
+            raise SonarrecError(f"{self.path}: not an MCAP file (it does not begin like one)")
+        stop = self._scan_from(len(MAGIC))
+        while not self.whole:
+            resume = next((p for p in self._indexed_positions() if p > stop), None)
+            if resume is None:
+                self.fault(self._cut_text(stop))
+                break
+            self.fault(
+                f"damaged at byte {stop}; all from there to byte {resume}, where the index knows "
+                "what follows, is lost"
+            )
+            stop = self._scan_from(resume)
+        if self.stated is not None and set(self.stated) <= set(self.channels):
+            self.counts = self.stated
+            return
+        for position, channel in zip(self.positions, self.channels_of_units, strict=True):
+            if channel == CHUNK:
+                self._look_into(position)
+
+    def _cut_text(self, at: int) -> str:
+        where = f"cut short or damaged at byte {at} (file ends at {self.size}, without a footer); "
+        if self._data_end is not None:
+            return where + "only the summary is lost, no message"
+        return where + "everything whole before that was read, what followed cannot be counted"
+
+    def _scan_from(self, at: int) -> int:
+        """Note every record from `at` on, to the footer or to the first that is not whole.
+
+        Returns where that is.
+        """
+        last_times: dict[int, int] = {}
+        while at + RECORD_HEAD.size <= self.size:
+            self.file.seek(at)
+            opcode, length = RECORD_HEAD.unpack(self.file.read(RECORD_HEAD.size))
+            body = at + RECORD_HEAD.size
+            if opcode == Opcode.CHUNK:
+                self._add_chunk(at)
+            if opcode == 0 or body + length > self.size:
+                break
+            self.file.seek(body)
+            if opcode == Opcode.MESSAGE and length >= MESSAGE_HEAD.size:
+                channel, _, time, _ = MESSAGE_HEAD.unpack(self.file.read(MESSAGE_HEAD.size))
+                if time < last_times.get(channel, time + 1):
+                    self._add_unit(time, at, channel)
+                last_times[channel] = time
+                self._count(channel, time)
+            elif opcode == Opcode.FOOTER and length == _FOOTER_BYTES:
+                self.file.seek(body + length)
+                self.whole = self.file.read(len(MAGIC)) == MAGIC
+                break
+            elif opcode == Opcode.DATA_END and length == _CRC.size:
+                self._data_end = at, _CRC.unpack(self.file.read(_CRC.size))[0]
+                if not self._summary_is_sound():
+                    self.fault("the summary fails its checksum and was not used")
+                    self.whole = True
+                    break
+            else:
+                self._define(self.file, opcode, length)
+            at = body + length
+        return at
+
+    def _add_chunk(self, position: int) -> None:
+        try:
+            head = read_chunk_head(self.file, position, self.size)
+        except DamagedError as error:
+            self.fault(f"the chunk at byte {position} {error}; its frames are lost")
+            return
+        if head is not None:
+            self.chunks[head.compression or "none"] += 1
+            self._add_unit(head.start_time, position, CHUNK)
+
+    def _add_unit(self, time: int, position: int, channel: int) -> None:
+        self.times.append(time)
+        self.positions.append(position)
+        self.channels_of_units.append(channel)
+
+    def _count(self, channel: int, time: int) -> None:
+        self.counts[channel] += 1
+        first, last = self.span or (time, time)
+        self.span = min(first, time), max(last, time)
+
+    def _define(self, file: BinaryIO, opcode: int, length: int) -> None:
+        """Take note of a record that tells what there is; a damaged one is left out."""
+        if opcode not in (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS):
+            return
+        stream = ReadDataStream(BytesIO(file.read(min(length, _MAX_DEFINITION_BYTES))))
+        try:
+            if opcode == Opcode.HEADER:
+                self.header = Header.read(stream)
+            elif opcode == Opcode.SCHEMA:
+                schema = Schema.read(stream)
+                self.schemas[schema.id] = schema
+            elif opcode == Opcode.CHANNEL:
+                channel = Channel.read(stream)
+                self.channels[channel.id] = channel
+            else:
+                statistics = Statistics.read(stream)
+                self.stated = Counter(statistics.channel_message_counts)
+                if statistics.message_count:
+                    self.span = statistics.message_start_time, statistics.message_end_time
+        except (struct.error, UnicodeDecodeError, McapError):
+            return
+
+    def _look_into(self, position: int) -> None:
+        """Note what a chunk defines, and count what it holds."""
+        try:
+            contents = self.store.open(self.chunk_at(position))
+        except DamagedError:
+            return  # told when the messages are read
+        for opcode, body, length in records_in(contents, contents.start):
+            contents.file.seek(body)
+            if opcode == Opcode.MESSAGE and length >= MESSAGE_HEAD.size:
+                channel, _, time, _ = MESSAGE_HEAD.unpack(contents.file.read(MESSAGE_HEAD.size))
+                self._count(channel, time)
+            else:
+                self._define(contents.file, opcode, length)
+        self.store.release(contents)
+
+    # The end of the file: what tells how to go on after damage.
+
+    def _footer(self) -> tuple[int, Footer] | None:
+        """Position and contents of the footer, where the file ends in one."""
+        position = self.size - len(MAGIC) - _FOOTER_BYTES - RECORD_HEAD.size
+        if position < len(MAGIC):
+            return None
+        self.file.seek(position)
+        record = self.file.read()
+        head = RECORD_HEAD.pack(Opcode.FOOTER, _FOOTER_BYTES)
+        if not record.startswith(head) or not record.endswith(MAGIC):
+            return None
+        return position, Footer.read(ReadDataStream(BytesIO(record[len(head) :])))
+
+    def _summary_is_sound(self) -> bool:
+        """Whether the summary keeps the checksum in the footer, if there are both."""
+        found = self._footer()
+        if found is None or not found[1].summary_crc:
+            return True
+        position, footer = found
+        start = footer.summary_start or position
+        end = position + RECORD_HEAD.size + _FOOTER_BYTES - _CRC.size
+        return start <= position and self._crc(start, end) == footer.summary_crc
+
+    def _crc(self, start: int, end: int) -> int:
+        crc = 0
+        for piece in pieces_of(self.file, start, end):
+            crc = zlib.crc32(piece, crc)
+        return crc
+
+    def _indexed_positions(self) -> list[int]:
+        """Where, by the summary, chunks begin and it itself begins; rising."""
+        found = self._footer()
+        if found is None or not found[1].summary_start or not self._summary_is_sound():
+            return []
+        end, footer = found
+        positions = [footer.summary_start]
+        for opcode, body, length in records_in(
+            Contents(self.file, footer.summary_start, end), footer.summary_start
+        ):
+            if opcode == Opcode.CHUNK_INDEX and length >= _CHUNK_INDEX_HEAD.size:
+                self.file.seek(body)
+                head = self.file.read(_CHUNK_INDEX_HEAD.size)
+                positions.append(_CHUNK_INDEX_HEAD.unpack(head)[2])
+        return sorted(p for p in positions if p < end)
