@@ -168,7 +168,12 @@ def match_truth(table: TruthTable, log: LogResults, tolerance_s: float | None = 
         matched = log.frame[row] == at
         kept = matched
     else:
-        row, matched, kept = _match_times(table, log, at, tolerance_s)
+        if log.timestamp_ns is None:
+            raise SonarrecError(
+                f"{table.path} tells frames by timestamp_ns, but the frames.csv of {log.name} has "
+                "no such column; add it, or give the truth by frame"
+            )
+        row, matched, kept = match_times(log.timestamp_ns, at, tolerance_s)
     position = None
     if table.position is not None:
         position = plane_position(table.position, log.fan)
@@ -185,17 +190,16 @@ def match_truth(table: TruthTable, log: LogResults, tolerance_s: float | None = 
     )
 
 
-def _match_times(
-    table: TruthTable, log: LogResults, at: IntArray, tolerance_s: float | None
+def match_times(
+    timestamp_ns: IntArray, at: IntArray, tolerance_s: float | None = None
 ) -> tuple[IntArray, BoolArray, BoolArray]:
-    """Per row: nearest row of log.frame; within the tolerance; of that frame's nearest stamp."""
-    if log.timestamp_ns is None:
-        raise SonarrecError(
-            f"{table.path} tells frames by timestamp_ns, but the frames.csv of {log.name} has no "
-            "such column; add it, or give the truth by frame"
-        )
-    order = np.argsort(log.timestamp_ns, kind="stable")
-    times = log.timestamp_ns[order]
+    """Per time in `at`: (nearest frame, as index; within the tolerance; of its nearest stamp).
+
+    timestamp_ns: (F,) of the frames. at: (R,) ns. tolerance_s: default half the median time
+    between frames.
+    """
+    order = np.argsort(timestamp_ns, kind="stable")
+    times = timestamp_ns[order]
     if tolerance_s is not None:
         tolerance = tolerance_s * 1e9
     else:
