@@ -1,0 +1,93 @@
+"""`sonarrec report`: one page that shows what was recognised, and how well."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from sonarrec.cli.options import FILE, PARTLY, sonar_from_flags, sonar_options
+
+
+@click.command()
+@click.argument("results", type=click.Path(path_type=Path), default=Path("sonarrec_out"))
+@click.option("--ground-truth", type=FILE, help="gt.csv; without it nothing is scored.")
+@click.option(
+    "--log",
+    "recordings",
+    type=click.Path(path_type=Path),
+    multiple=True,
+    help="The log that RESULTS came from, for frames on the page; once for each of several.",
+)
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="The page.  [default: RESULTS/report.html]",
+)
+@click.option(
+    "--min-visible",
+    type=float,
+    default=0.9,
+    show_default=True,
+    help="Share of the disc in view from which a landmark counts; with less it is ignored.",
+)
+@click.option(
+    "--tolerance",
+    type=float,
+    metavar="SECONDS",
+    help="For truth matched by timestamp_ns.  [default: half the time between frames]",
+)
+@click.option("--landmarks", help="Landmark set.  [default: that of run.toml, else basin]")
+@click.option("--topic", help="Channel of an MCAP --log that holds several image channels.")
+@sonar_options
+@click.option("-q", "--quiet", is_flag=True, help="Write the page only; print nothing.")
+def report(
+    results: Path,
+    ground_truth: Path | None,
+    recordings: tuple[Path, ...],
+    out: Path | None,
+    min_visible: float,
+    tolerance: float | None,
+    landmarks: str | None,
+    topic: str | None,
+    sonar_file: Path | None,
+    quiet: bool,
+    **flags: Any,
+) -> None:
+    """Write RESULTS as one HTML page that needs nothing else: no network, no other file.
+
+    RESULTS is the folder of one log, or one that holds several (default: sonarrec_out). The page
+    shows what was seen, when and how surely, and the probabilities along each track; with ground
+    truth also the paper's tables, the ROC and the worst mistakes; with the log also its frames.
+    The geometry matters only where run.toml does not tell it.
+
+    \b
+    Examples:
+      sonarrec report
+      sonarrec report sonarrec_out/log_7 --log log_7.mcap
+      sonarrec report --ground-truth gt.csv --log pings/ -o report.html
+    """
+    from sonarrec.geometry import Sonar, load_sonar
+    from sonarrec.report.build import write_report
+
+    stated = load_sonar(sonar_file) if sonar_file else Sonar()
+    written = write_report(
+        out or results / "report.html",
+        results,
+        ground_truth=ground_truth,
+        recordings=recordings,
+        min_visible=min_visible,
+        tolerance_s=tolerance,
+        landmarks=landmarks,
+        sonar=stated.updated(sonar_from_flags(flags)),
+        topic=topic,
+    )
+    for problem in written.unused:
+        click.echo(f"sonarrec: {problem}", err=True)
+    if not quiet:
+        size = written.path.stat().st_size / 1e6
+        click.echo(f"{written.path}: {written.pictures} frames shown, {size:.1f} MB")
+    if written.unused:
+        click.get_current_context().exit(PARTLY)

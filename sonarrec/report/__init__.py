@@ -1,0 +1,1 @@
+"""A recording and its results as one self-contained HTML page."""

@@ -1,0 +1,142 @@
+"""`sonarrec report`, for programs as well: results and truth in, one HTML file out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from sonarrec.evaluation.scoring import Evaluation, evaluate
+from sonarrec.evaluation.truth import read_truth
+from sonarrec.geometry import Sonar, sonar_from_table
+from sonarrec.readers import open_log
+from sonarrec.records import SonarrecError, UsageError
+from sonarrec.report.logs import ReportedLog, read_logs, sightings
+from sonarrec.report.mistakes import episodes, told
+from sonarrec.report.page import render
+from sonarrec.report.pictures import Picture, Wanted, draw
+
+MOST_SEEN = 3
+MOST_MISTAKEN = 6
+"""Pictures of sightings, and of each method's mistakes: each adds some 60 kB to the page."""
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What was written. unused: one line for each part of the input that could not be used."""
+
+    path: Path
+    pictures: int
+    unused: tuple[str, ...]
+
+
+def write_report(
+    path: Path,
+    results: Path,
+    *,
+    ground_truth: Path | None = None,
+    recordings: Sequence[Path] = (),
+    min_visible: float = 0.9,
+    tolerance_s: float | None = None,
+    landmarks: str | None = None,
+    sonar: Sonar | None = None,
+    topic: str | None = None,
+) -> Report:
+    """Write the report on a results folder (of one log or of several) to `path`.
+
+    recordings: the logs that the results came from, told apart by their names; without them the
+    page has no frames. The other arguments are those of `evaluation.scoring.evaluate`; topic
+    chooses the channel of an MCAP recording.
+    Raises SonarrecError where files cannot be used, read or written.
+    """
+    sonar = sonar or Sonar()
+    evaluation = None
+    if ground_truth is not None:
+        evaluation = evaluate(
+            results,
+            ground_truth,
+            min_visible=min_visible,
+            tolerance_s=tolerance_s,
+            landmarks=landmarks,
+            sonar=sonar,
+        )
+    logs = read_logs(
+        results,
+        None if ground_truth is None else read_truth(ground_truth),
+        min_visible=min_visible,
+        tolerance_s=tolerance_s,
+        landmarks=landmarks,
+        sonar=sonar,
+    )
+    pictures = _draw_all(logs, evaluation, recordings, sonar, topic)
+    page = render(logs, evaluation, ground_truth, pictures)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise SonarrecError(f"{path}: cannot be written ({error.strerror})") from None
+    return Report(path, len(pictures), evaluation.unused if evaluation is not None else ())
+
+
+def _draw_all(
+    logs: Sequence[ReportedLog],
+    evaluation: Evaluation | None,
+    recordings: Sequence[Path],
+    sonar: Sonar,
+    topic: str | None,
+) -> list[Picture]:
+    """The frames worth seeing of the logs whose recordings were given."""
+    sources = dict(_matched(logs, path) for path in recordings)
+    wanted = _wanted([log for log in logs if log.results.name in sources], evaluation)
+    drawn: dict[Wanted, Picture] = {}
+    for log in logs:
+        mine = [w for w in wanted if w.log == log.results.name]
+        if mine:
+            geometry = sonar_from_table(log.run.get("sonar", {}), str(log.folder / "run.toml"))
+            source = sources[log.results.name]
+            with open_log(source, sonar=geometry.updated(sonar), topic=topic) as recording:
+                drawn |= draw(recording, log, mine)
+    return [drawn[w] for w in wanted]
+
+
+def _matched(logs: Sequence[ReportedLog], path: Path) -> tuple[str, Path]:
+    """(name of the log whose recording this is, path); the only log's whatever its name."""
+    names = [log.results.name for log in logs]
+    if len(names) == 1:
+        return names[0], path
+    for name in (path.resolve().name, path.stem):
+        if name in names:
+            return name, path
+    raise UsageError(f"--log {path}: no results bear this name; there are {', '.join(names)}")
+
+
+def _wanted(logs: Sequence[ReportedLog], evaluation: Evaluation | None) -> list[Wanted]:
+    """Of each sighting the surest frame, in order of time; of each mistake the worst, in order."""
+    seen = [
+        Wanted(
+            log.results.name,
+            log.tracker,
+            s.surest,
+            f"Frame {s.surest}: ID.{s.landmark}, score {s.best:.2f}",
+            is_mistake=False,
+        )
+        for log in logs
+        for s in sightings(log)
+    ]
+    wanted = seen[:MOST_SEEN]
+    if evaluation is None:
+        return wanted
+    by_name = {log.results.name: log for log in logs}
+    for method in evaluation.joined.methods:
+        found = [e for e in episodes(evaluation, method) if e.log in by_name]
+        wanted += [
+            Wanted(
+                e.log,
+                method,
+                e.worst,
+                f"Frame {e.worst}: {told(e, by_name[e.log])}",
+                is_mistake=True,
+            )
+            for e in found[:MOST_MISTAKEN]
+        ]
+    return wanted

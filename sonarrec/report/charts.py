@@ -1,0 +1,335 @@
+"""Charts as SVG paths and tick labels; colours, sizes and fonts are the style sheet's.
+
+Paths are drawn on a sheet of WIDTH x HEIGHT that the page stretches to any size, with strokes
+that keep their width; tick labels are text beside it. So charts stay legible on any screen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from matplotlib.ticker import MaxNLocator
+
+from sonarrec.evaluation.plots import PUBLISHED
+from sonarrec.evaluation.results import IntArray
+from sonarrec.evaluation.scoring import Scored
+from sonarrec.landmarks import LandmarkSet
+from sonarrec.records import FloatArray
+from sonarrec.report.logs import ReportedLog, Track, alongside
+
+WIDTH, HEIGHT = 2000, 1000
+MOST_POINTS = 400
+"""Of one drawn line or row of bars: about one to three screen pixels each."""
+UNSEEN = 0.01
+"""A probability that stays below this all along a track is not drawn: it would lie on the axis."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """A label at a share (%) of the axis."""
+
+    at: float
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """One path of a chart. colour: index of the ID or method, None for neutral ink."""
+
+    path: str
+    colour: int | None
+    kind: str = "line"
+    label: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Dot:
+    """A marked point, in % of the sheet from the left and from the bottom."""
+
+    x: float
+    y: float
+    label: str
+    colour: int | None
+    kind: str = "dot"
+
+
+@dataclass(frozen=True, slots=True)
+class Chart:
+    """One pair of axes. told: what it shows, in words, for those who cannot see it."""
+
+    told: str
+    shapes: list[Shape]
+    x_ticks: list[Tick] = field(default_factory=list)
+    y_ticks: list[Tick] = field(default_factory=list)
+    dots: list[Dot] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """Values from low to high, told as shares of the sheet."""
+
+    low: float
+    high: float
+
+    def share(self, values: FloatArray | float) -> FloatArray:
+        """0 at low, 1 at high."""
+        return np.asarray((np.asarray(values, dtype=float) - self.low) / (self.high - self.low))
+
+    def ticks(self, most: int = 6) -> list[Tick]:
+        """Round values along the axis."""
+        values = MaxNLocator(nbins=most, steps=[1, 2, 2.5, 5, 10]).tick_values(self.low, self.high)
+        shares = self.share(np.asarray(values))
+        inside = (shares > -1e-9) & (shares < 1 + 1e-9)
+        return [
+            Tick(round(100 * float(at), 2), f"{value:g}")
+            for at, value in zip(shares[inside], np.asarray(values)[inside], strict=True)
+        ]
+
+
+UNIT = Axis(0.0, 1.0)
+
+
+def polyline(x: FloatArray, y: FloatArray) -> str:
+    """A path through the points, shares of the sheet from bottom left; it breaks where y is NaN."""
+    drawn = np.isfinite(y)
+    at = np.rint(np.stack([x, 1 - np.where(drawn, y, 0)], axis=1) * (WIDTH, HEIGHT)).astype(int)
+    runs = np.split(np.arange(len(y)), np.flatnonzero(np.diff(drawn)) + 1)
+    parts = []
+    for run in runs:
+        if len(run) and drawn[run[0]]:
+            # A point alone is a line of no length: round caps make a dot of it.
+            points = at[run] if len(run) > 1 else at[[run[0], run[0]]]
+            parts.append("M" + "L".join(f"{a} {b}" for a, b in points.tolist()))
+    return "".join(parts)
+
+
+def thinned(y: FloatArray, most: int = MOST_POINTS) -> IntArray:
+    """Indices of at most `most` values that keep every peak and dip: of each of `most` / 2 equal
+    stretches the least and the greatest."""
+    if len(y) <= most:
+        return np.arange(len(y))
+    size = -(-len(y) // (most // 2))
+    padded = np.append(y, np.full(-len(y) % size, np.nan)).reshape(-1, size)
+    low = np.argmin(np.where(np.isnan(padded), np.inf, padded), axis=1)
+    high = np.argmax(np.where(np.isnan(padded), -np.inf, padded), axis=1)
+    start = np.arange(len(padded)) * size
+    return np.unique(np.concatenate([start + low, start + high]))
+
+
+def bars(axis: Axis, start: FloatArray, width: float, height: FloatArray) -> str:
+    """A path of one bar per value above 0, from the bottom up.
+
+    start: (n,) left edges, rising. height: (n,) 0 to 1. Where there are too many to tell apart,
+    neighbours become one bar of the tallest one's height; neighbours of one height touch.
+    """
+    size = -(-len(start) // MOST_POINTS)
+    first = np.arange(0, len(start), size)
+    last = np.minimum(first + size, len(start)) - 1
+    top = np.rint(np.maximum.reduceat(height, first) * HEIGHT).astype(int)
+    left = np.rint(axis.share(start[first]) * WIDTH).astype(int)
+    right = np.append(start[1:], np.inf)[last]
+    right = np.rint(axis.share(np.minimum(right, start[last] + width)) * WIDTH).astype(int)
+    joins = np.zeros(len(first), dtype=bool)
+    joins[1:] = (top[1:] == top[:-1]) & (left[1:] == right[:-1])
+    begin = np.flatnonzero(~joins)
+    end = np.append(begin[1:], len(first)) - 1
+    return "".join(
+        f"M{left[b]} {HEIGHT}v{-top[b]}h{right[e] - left[b]}v{top[b]}z"
+        for b, e in zip(begin.tolist(), end.tolist(), strict=True)
+        if top[b]
+    )
+
+
+def time_axis(log: ReportedLog) -> tuple[Axis, float]:
+    """The whole log's axis, and the usual time between two frames."""
+    period = float(np.median(np.diff(log.time))) if len(log.time) > 1 else 1.0
+    return Axis(float(log.time[0]), float(log.time[-1]) + period), period
+
+
+@dataclass(frozen=True, slots=True)
+class Lane:
+    """One row of the timeline: what truth or a method says of one ID."""
+
+    name: str
+    chart: Chart
+    is_truth: bool
+
+
+def timeline(log: ReportedLog) -> list[tuple[int, list[Lane]]]:
+    """Per ID (index) that is in view or declared anywhere: truth, the tracker, other methods.
+
+    A bar stands where the method declares the ID; its height is the score.
+    """
+    axis, period = time_axis(log)
+    found = log.results
+    order = sorted(found.methods, key=lambda m: (m != log.tracker, found.methods.index(m)))
+    rows = []
+    for k, landmark in enumerate(found.landmarks.ids):
+        lanes = []
+        anything = False
+        if log.in_view is not None:
+            there = log.in_view[:, k].astype(float)
+            anything |= bool(there.any())
+            told = f"ID.{landmark} is in view in {int(there.sum())} of {len(there)} frames"
+            path = bars(axis, log.time, period, there)
+            lanes.append(Lane("truth", Chart(told, [Shape(path, None, "bar")]), True))
+        for method in order:
+            mine = log.of_method(method) & found.declared & (found.landmark == k)
+            surest = np.zeros(len(found.frame))
+            np.maximum.at(surest, found.row[mine], found.score[mine])
+            claims = int(np.count_nonzero(np.bincount(found.row[mine])))
+            anything |= claims > 0
+            told = f"{method} declares ID.{landmark} in {claims} of {len(surest)} frames"
+            path = bars(axis, log.time, period, surest)
+            lanes.append(Lane(method, Chart(told, [Shape(path, k, "bar")]), False))
+        if anything:
+            rows.append((k, lanes))
+    return rows
+
+
+def roc(scored: Sequence[Scored], k: int | None = None) -> Chart:
+    """The ROC of each method under one protocol: of the k-th ID, or over all IDs.
+
+    The FPR axis ends a little beyond the worst operating point, at 0.1 or more: what lies to the
+    right of it is no place to work at.
+    """
+    points = [s.count(k) for s in scored]
+    worst = max((p.fpr for p in points if np.isfinite(p.fpr)), default=0.0)
+    axis = Axis(0.0, min(1.0, max(0.1, float(np.ceil(13 * worst)) / 10)))
+    shapes, dots, told = [], [], []
+    for n, (s, point) in enumerate(zip(scored, points, strict=True)):
+        curve = s.curve(k)
+        at = curve.turns(2 * MOST_POINTS)
+        shapes.append(Shape(polyline(axis.share(curve.fpr[at]), curve.tpr[at]), n, label=s.method))
+        label = f"{s.method} at its operating point: TPR {point.tpr:.4f}, FPR {point.fpr:.4f}"
+        told.append(label)
+        if np.isfinite(point.tpr) and np.isfinite(point.fpr):
+            dots.append(Dot(100 * float(axis.share(point.fpr)), 100 * point.tpr, label, n))
+    if k is None and all(s.protocol == "paper" for s in scored):
+        for name, fpr, tpr, _ in PUBLISHED:
+            label = f"published {name}: TPR {tpr:.4f}, FPR {fpr:.4f}"
+            told.append(label)
+            dots.append(Dot(100 * float(axis.share(fpr)), 100 * tpr, label, None, name))
+    return Chart("; ".join(told), shapes, axis.ticks(5), UNIT.ticks(5), dots)
+
+
+@dataclass(frozen=True, slots=True)
+class TrackPanel:
+    """The probabilities that one method gives one track's object, and what it declares."""
+
+    method: str
+    chart: Chart
+    declared: Chart
+    frames: int
+
+
+def track_axis(log: ReportedLog, track: Track) -> Axis:
+    """From the track's first frame to its last, half a frame more at both ends."""
+    _, period = time_axis(log)
+    time = log.time[track.row]
+    return Axis(float(time[0]) - period / 2, float(time[-1]) + period / 2)
+
+
+def track_panels(log: ReportedLog, track: Track) -> list[TrackPanel]:
+    """Probability over time (the paper's Figure 14), per method, the single-frame one first."""
+    panels = []
+    for method in log.results.methods:
+        at = track.at if method == log.tracker else alongside(log, track, method)
+        if (at >= 0).any():
+            panels.append(_panel(log, track, method, at))
+    return panels
+
+
+def _panel(log: ReportedLog, track: Track, method: str, at: IntArray) -> TrackPanel:
+    """at: (n,) the method's estimate in each of the track's frames, -1 for none."""
+    assert log.probabilities is not None
+    found = log.results
+    axis = track_axis(log, track)
+    _, period = time_axis(log)
+    # One place per frame of the log, so that a line breaks where the object was not seen.
+    rows = np.arange(track.row[0], track.row[-1] + 1)
+    seen = at >= 0
+    belief = np.full((len(rows), log.probabilities.shape[1]), np.nan)
+    belief[track.row[seen] - rows[0]] = log.probabilities[at[seen]]
+    x = axis.share(log.time[rows])
+    shapes, told = [], []
+    for k in [belief.shape[1] - 1, *range(belief.shape[1] - 1)]:
+        name = "none" if k == len(found.landmarks.ids) else f"ID.{found.landmarks.ids[k]}"
+        if np.nanmax(belief[:, k]) < UNSEEN:
+            continue
+        keep = thinned(belief[:, k])
+        colour = None if name == "none" else k
+        kind = "line thin" if colour is None else "line"
+        shapes.append(Shape(polyline(x[keep], belief[keep, k]), colour, kind, name))
+        told.append(f"{name} {np.nanmean(belief[:, k]):.2f}")
+    strip = []
+    for k in range(len(found.landmarks.ids)):
+        claims = np.zeros(len(rows))
+        mine = seen.copy()
+        mine[seen] = found.declared[at[seen]] & (found.landmark[at[seen]] == k)
+        claims[track.row[mine] - rows[0]] = 1
+        if mine.any():
+            strip.append(Shape(bars(axis, log.time[rows] - period / 2, period, claims), k, "bar"))
+    count = int(seen.sum())
+    return TrackPanel(
+        method=method,
+        chart=Chart(
+            f"{method}, mean probability over {count} frames: {', '.join(told)}",
+            shapes,
+            y_ticks=UNIT.ticks(2),
+        ),
+        declared=Chart(f"frames in which {method} declares an ID", strip),
+        frames=count,
+    )
+
+
+def truth_strip(log: ReportedLog, track: Track) -> Chart | None:
+    """Which landmark truly lies beneath the track, frame by frame; None where that is not known."""
+    if log.truth_near is None:
+        return None
+    axis = track_axis(log, track)
+    _, period = time_axis(log)
+    beneath = log.truth_near[track.at]
+    shapes = [
+        Shape(bars(axis, log.time[track.row] - period / 2, period, (beneath == k) * 1.0), k, "bar")
+        for k in np.unique(beneath[beneath >= 0]).tolist()
+    ]
+    return Chart("the landmark that truly lies here", shapes)
+
+
+def glyph(landmarks: LandmarkSet, k: int) -> str:
+    """A path that draws the k-th landmark, seen from above at orientation 0, on a 100 x 100 sheet.
+
+    To be filled by the even-odd rule.
+    """
+    ring = "".join(_circle(share) for share in landmarks.ring)
+    inner, outer = landmarks.symbol
+    sectors = landmarks.sectors[k]
+    step = 2 * np.pi / len(sectors)
+    return ring + "".join(
+        # In halves: an arc from a point to itself would be no arc.
+        _wedge(n * step + half * step / 2, step / 2, inner, outer)
+        for n, bright in enumerate(sectors)
+        for half in range(2)
+        if bright
+    )
+
+
+def _circle(share: float) -> str:
+    r = 49 * share
+    return f"M{50 - r:g} 50a{r:g} {r:g} 0 1 0 {2 * r:g} 0a{r:g} {r:g} 0 1 0 {-2 * r:g} 0z"
+
+
+def _wedge(begin: float, angle: float, inner: float, outer: float) -> str:
+    """Counter-clockwise from `begin` (rad from the right), between two shares of the radius."""
+    turn = np.array([begin, begin + angle])
+    x, y = np.cos(turn), np.sin(turn)
+    (ax, bx), (ay, by) = 50 + 49 * outer * x, 50 - 49 * outer * y
+    (cx, dx), (cy, dy) = 50 + 49 * inner * x, 50 - 49 * inner * y
+    big, small = 49 * outer, 49 * inner
+    return (
+        f"M{ax:.1f} {ay:.1f}A{big:.1f} {big:.1f} 0 0 0 {bx:.1f} {by:.1f}"
+        f"L{dx:.1f} {dy:.1f}A{small:.1f} {small:.1f} 0 0 1 {cx:.1f} {cy:.1f}z"
+    )

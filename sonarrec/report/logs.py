@@ -1,0 +1,254 @@
+"""What one log's results say, gathered for the page: sightings, tracks, and what truth is near."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from sonarrec.evaluation.results import (
+    BoolArray,
+    IntArray,
+    LogResults,
+    find_logs,
+    read_log,
+    read_run,
+)
+from sonarrec.evaluation.tables import Kind, read_table
+from sonarrec.evaluation.truth import Truth, TruthTable, match_truth
+from sonarrec.geometry import Sonar
+from sonarrec.records import FloatArray
+
+SINGLE_FRAME = "smi"
+"""The one method of ours whose object numbers mean nothing from one frame to the next."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReportedLog:
+    """One log's results and, where it is known, its truth. N estimates over F frames.
+
+    folder: where the results are. run: run.toml as tables, {} without. time: (F,) seconds since
+    the first frame, or frame numbers where no times are given; clock says which ("s" or "frame").
+    object: (N,) and probabilities: (N, K + 1), per ID and none; None where the table lacks them.
+    truth_near: (N,) index into the IDs of the truth nearest to each estimate, -1 where none lies
+    within half a disc diameter; None without truth or positions.
+    in_view: (F, K) which landmarks count as in view; None without truth.
+    """
+
+    folder: Path
+    results: LogResults
+    truth: Truth | None
+    run: dict[str, Any]
+    time: FloatArray
+    clock: str
+    object: IntArray | None
+    probabilities: FloatArray | None
+    truth_near: IntArray | None
+    in_view: BoolArray | None
+
+    @property
+    def tracker(self) -> str:
+        """The method that the page follows: the framework, or the first that has tracks."""
+        names = [m for m in self.results.methods if m != SINGLE_FRAME]
+        return "framework" if "framework" in names else (names or [SINGLE_FRAME])[0]
+
+    def of_method(self, name: str) -> BoolArray:
+        """(N,) which estimates are the method's."""
+        if name not in self.results.methods:
+            return np.zeros(len(self.results.row), dtype=bool)
+        return np.asarray(self.results.method == self.results.methods.index(name))
+
+
+@dataclass(frozen=True, slots=True)
+class Sighting:
+    """One landmark as one track declared it.
+
+    landmark: ID. track: number, None for a method without tracks. first, last: index into the
+    log's frames. claims: frames in which it was declared. best, mean: score of those. surest:
+    frame number of the best.
+    right: how many of the claims have that ID's truth beneath them; None where unknown.
+    """
+
+    landmark: int
+    track: int | None
+    first: int
+    last: int
+    claims: int
+    best: float
+    mean: float
+    surest: int
+    right: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """One object followed by the tracker.
+
+    number: its name in estimates.csv. at: (n,) its estimates, in frame order. row: (n,) index
+    into the log's frames, rising.
+    """
+
+    number: int
+    at: IntArray
+    row: IntArray
+
+
+def read_logs(
+    results: Path,
+    truth: TruthTable | None,
+    *,
+    min_visible: float,
+    tolerance_s: float | None,
+    landmarks: str | None,
+    sonar: Sonar,
+) -> list[ReportedLog]:
+    """Read every log of a results folder. Raises SonarrecError where files cannot be used."""
+    logs = []
+    for folder in find_logs(results):
+        log = read_log(folder, landmarks, sonar)
+        found = None if truth is None else match_truth(truth, log, tolerance_s)
+        logs.append(_reported(folder, log, found, min_visible))
+    return logs
+
+
+def _reported(
+    folder: Path, log: LogResults, truth: Truth | None, min_visible: float
+) -> ReportedLog:
+    path = folder / "estimates.csv"
+    beliefs = [f"p_{i}" for i in log.landmarks.ids] + ["p_none"]
+    kinds: dict[str, Kind] = {"frame": "whole", "object": "whole"}
+    kinds |= dict.fromkeys(beliefs, "number")
+    table = read_table(path, kinds, ("frame",), "frame,method,object,landmark,score,declared")
+    listed = np.isin(table["frame"], log.frame)  # the estimates that LogResults holds
+    time, clock = log.frame.astype(float), "frame"
+    stamps = log.timestamp_ns
+    if stamps is not None and (np.diff(stamps) > 0).all():
+        time, clock = (stamps - stamps[0]) / 1e9, "s"
+    in_view = None
+    if truth is not None:
+        in_view = np.zeros((len(log.frame), len(log.landmarks.ids)), dtype=bool)
+        whole = truth.visible >= min_visible
+        in_view[truth.row[whole], truth.landmark[whole]] = True
+    return ReportedLog(
+        folder=folder,
+        results=log,
+        truth=truth,
+        run=read_run(folder / "run.toml"),
+        time=time,
+        clock=clock,
+        object=table["object"][listed] if "object" in table else None,
+        probabilities=np.column_stack([table[name][listed] for name in beliefs])
+        if all(name in table for name in beliefs)
+        else None,
+        truth_near=None if truth is None else nearest_truth(log, truth),
+        in_view=in_view,
+    )
+
+
+def nearest_truth(log: LogResults, truth: Truth) -> IntArray | None:
+    """(N,) landmark (index) of the truth nearest to each estimate, -1 beyond a disc's radius."""
+    if log.position is None or truth.position is None:
+        return None
+    estimates = pd.DataFrame({"row": log.row, "at": np.arange(len(log.row))})
+    truths = pd.DataFrame({"row": truth.row, "truth": np.arange(len(truth.row))})
+    pairs = estimates.merge(truths, on="row")
+    at, of = pairs["at"].to_numpy(), pairs["truth"].to_numpy()
+    away = np.linalg.norm(log.position[at] - truth.position[of], axis=1)
+    # Written farthest first, so that the nearest one stays.
+    order = np.argsort(-away, kind="stable")
+    order = order[away[order] <= log.landmarks.radius_m]
+    nearest = np.full(len(log.row), -1, dtype=np.int64)
+    nearest[at[order]] = truth.landmark[of[order]]
+    return nearest
+
+
+def sightings(log: ReportedLog) -> list[Sighting]:
+    """What the tracker declared, in order of first sight: one entry per ID and track."""
+    found = log.results
+    mine = np.flatnonzero(log.of_method(log.tracker) & found.declared)
+    tracked = log.object is not None and log.tracker != SINGLE_FRAME
+    claims = pd.DataFrame(
+        {
+            "landmark": found.landmark[mine],
+            "track": log.object[mine] if tracked and log.object is not None else 0,
+            "row": found.row[mine],
+            "score": found.score[mine],
+            "right": 0 if log.truth_near is None else log.truth_near[mine] == found.landmark[mine],
+        }
+    )
+    told = claims.groupby(["landmark", "track"], as_index=False).agg(
+        first=("row", "min"),
+        last=("row", "max"),
+        claims=("row", "nunique"),
+        best=("score", "max"),
+        mean=("score", "mean"),
+        surest=("score", "idxmax"),
+        right=("right", "sum"),
+    )
+    return [
+        Sighting(
+            landmark=found.landmarks.ids[row.landmark],
+            track=int(row.track) if tracked else None,
+            first=int(row.first),
+            last=int(row.last),
+            claims=int(row.claims),
+            best=float(row.best),
+            mean=float(row.mean),
+            surest=int(found.frame[claims["row"][row.surest]]),
+            right=None if log.truth_near is None else int(row.right),
+        )
+        for row in told.sort_values(["first", "track"]).itertuples()
+    ]
+
+
+def tracks(log: ReportedLog, most: int) -> tuple[list[Track], int]:
+    """The tracks most worth showing, in order of first sight, and how many there are in all.
+
+    Those declared in the most frames go first, then the longest.
+    """
+    if log.object is None or log.probabilities is None or log.tracker == SINGLE_FRAME:
+        return [], 0
+    found = log.results
+    mine = np.flatnonzero(log.of_method(log.tracker))
+    numbers, which = np.unique(log.object[mine], return_inverse=True)
+    declared = np.bincount(which, weights=found.declared[mine], minlength=len(numbers))
+    length = np.bincount(which, minlength=len(numbers))
+    chosen = np.lexsort((-length, -declared))[:most]
+    shown = []
+    for n in chosen.tolist():
+        at = mine[which == n]
+        at = at[np.unique(found.row[at], return_index=True)[1]]
+        shown.append(Track(int(numbers[n]), at, found.row[at]))
+    shown.sort(key=lambda track: (int(track.row[0]), track.number))
+    return shown, len(numbers)
+
+
+def alongside(log: ReportedLog, track: Track, method: str) -> IntArray:
+    """(n,) the method's estimate nearest to the track in each of its frames, -1 where none is.
+
+    Nearest within half a disc diameter. Without positions nothing can be matched.
+    """
+    found = log.results
+    matched = np.full(len(track.at), -1, dtype=np.int64)
+    if found.position is None:
+        return matched
+    other = np.flatnonzero(log.of_method(method) & np.isin(found.row, track.row))
+    beside = np.searchsorted(track.row, found.row[other])
+    away = np.linalg.norm(found.position[other] - found.position[track.at[beside]], axis=1)
+    order = np.argsort(-away, kind="stable")
+    order = order[away[order] <= found.landmarks.radius_m]
+    matched[beside[order]] = other[order]
+    return matched
+
+
+def true_landmark(log: ReportedLog, track: Track) -> int | None:
+    """The ID that truly lies beneath the track most of the time; None where none does."""
+    if log.truth_near is None:
+        return None
+    beneath = log.truth_near[track.at]
+    if not (beneath >= 0).any():
+        return None
+    return log.results.landmarks.ids[int(np.bincount(beneath[beneath >= 0]).argmax())]

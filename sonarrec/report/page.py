@@ -1,0 +1,286 @@
+"""The page put together: what each section shows, handed to the template."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from sonarrec import __version__
+from sonarrec.evaluation.plots import COLOURS
+from sonarrec.evaluation.scoring import Count, Evaluation, Scored
+from sonarrec.evaluation.tabulate import rate
+from sonarrec.overlay.drawing import landmark_colours
+from sonarrec.report import charts
+from sonarrec.report.logs import ReportedLog, Sighting, Track, sightings, tracks, true_landmark
+from sonarrec.report.mistakes import Episode, episodes, protocol_of_mistakes, told
+from sonarrec.report.pictures import Picture
+
+MOST_TRACKS = 12
+MOST_SIGHTINGS = 40
+MOST_MISTAKES = 20
+
+
+@dataclass(frozen=True, slots=True)
+class TrackView:
+    """One track's block: what it is, the strip of truth and a panel per method."""
+
+    track: Track
+    claims: str
+    frames: str
+    times: str
+    ticks: list[charts.Tick]
+    truth: int | None
+    strip: charts.Chart | None
+    panels: list[charts.TrackPanel]
+
+
+@dataclass(frozen=True, slots=True)
+class LogView:
+    """One log's part of the page."""
+
+    log: ReportedLog
+    facts: list[tuple[str, str]]
+    timeline: list[tuple[int, list[charts.Lane]]]
+    time_ticks: list[charts.Tick]
+    unseen: list[int]
+    sightings: list[Sighting]
+    sightings_left: int
+    tracks: list[TrackView]
+    tracks_in_all: int
+    settings: list[tuple[str, list[tuple[str, str]]]]
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """One of the paper's tables: heading cells, then rows of a label and cells."""
+
+    method: str
+    protocol: str
+    heading: list[str]
+    rows: list[tuple[str, list[str]]]
+
+
+@dataclass(frozen=True, slots=True)
+class MistakeView:
+    """One episode as told."""
+
+    episode: Episode
+    sentence: str
+    frames: str
+
+
+@dataclass(frozen=True, slots=True)
+class Mistakes:
+    """One method's episodes, the worst first."""
+
+    method: str
+    count: Count
+    shown: list[MistakeView]
+    left: int
+
+
+def render(
+    logs: Sequence[ReportedLog],
+    evaluation: Evaluation | None = None,
+    truth: Path | None = None,
+    pictures: Sequence[Picture] = (),
+) -> str:
+    """The whole page as HTML.
+
+    evaluation, truth: None where there is no ground truth. pictures: in the order to be shown.
+    """
+    environment = Environment(
+        loader=PackageLoader("sonarrec.report", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.globals["number"] = _number
+    environment.globals["rate"] = _rate
+    landmarks = logs[0].results.landmarks
+    most_tracks = MOST_TRACKS if len(logs) == 1 else max(1, 2 * MOST_TRACKS // len(logs))
+    methods = evaluation.joined.methods if evaluation else logs[0].results.methods
+    scored = evaluation.scored if evaluation else ()
+    protocols = [p for p in ("strict", "paper") if any(s.protocol == p for s in scored)]
+    tables = [_table(s) for s in scored]
+    return environment.get_template("report.html").render(
+        version=__version__,
+        title=", ".join(log.results.name for log in logs[:3]) + (", ..." if logs[3:] else ""),
+        colours=[f"#{r:02x}{g:02x}{b:02x}" for r, g, b in landmark_colours(landmarks.ids).values()],
+        method_colours=[COLOURS[n % len(COLOURS)] for n in range(len(methods))],
+        landmarks=landmarks,
+        glyphs=[charts.glyph(landmarks, k) for k in range(len(landmarks.ids))],
+        methods=methods,
+        logs=[_log_view(log, most_tracks) for log in logs],
+        tracker=logs[0].tracker,
+        truth=None if truth is None else truth.name,
+        evaluation=evaluation,
+        protocols=protocols,
+        rates=[(m, [_of(scored, m, p).count() for p in protocols]) for m in methods]
+        if scored
+        else [],
+        tables=tables,
+        starred=any("*" in cell for table in tables for _, cells in table.rows for cell in cells),
+        curves=[] if evaluation is None else _curves(evaluation),
+        mistakes=[] if evaluation is None else _mistakes(logs, evaluation),
+        seen_pictures=[p for p in pictures if not p.wanted.is_mistake],
+        mistake_pictures=[p for p in pictures if p.wanted.is_mistake],
+        with_pictures=bool(pictures),
+    )
+
+
+def _of(scored: Sequence[Scored], method: str, protocol: str) -> Scored:
+    return next(s for s in scored if (s.method, s.protocol) == (method, protocol))
+
+
+def _log_view(log: ReportedLog, most_tracks: int) -> LogView:
+    found = sightings(log)
+    shown, in_all = tracks(log, most_tracks)
+    rows = charts.timeline(log)
+    seen = {k for k, _ in rows}
+    return LogView(
+        log=log,
+        facts=list(_facts(log)),
+        timeline=rows,
+        time_ticks=charts.time_axis(log)[0].ticks(),
+        unseen=[i for k, i in enumerate(log.results.landmarks.ids) if k not in seen],
+        sightings=found[:MOST_SIGHTINGS],
+        sightings_left=len(found[MOST_SIGHTINGS:]),
+        tracks=[_track_view(log, track) for track in shown],
+        tracks_in_all=in_all,
+        settings=list(_settings(log.run)),
+    )
+
+
+def _facts(log: ReportedLog) -> Iterator[tuple[str, str]]:
+    """The recording in a line: what was looked at, and through which window."""
+    found, run = log.results, log.run
+    yield "frames", f"{len(found.frame):,}"
+    if log.clock == "s" and len(log.time) > 1:
+        axis, period = charts.time_axis(log)
+        yield "length", f"{axis.high - axis.low:,.1f} s at {1 / period:.3g} Hz"
+    if found.timestamp_ns is not None and found.timestamp_ns[0] > 10**17:  # years after 1970
+        start = datetime.fromtimestamp(int(found.timestamp_ns[0]) // 10**9, UTC)
+        yield "start", f"{start:%Y-%m-%d %H:%M:%S} UTC"
+    sonar = run.get("sonar", {})
+    if {"range_min_m", "range_max_m"} <= set(sonar):
+        yield "range window", f"{sonar['range_min_m']:g} to {sonar['range_max_m']:g} m"
+    if "tilt_deg" in sonar:
+        yield "tilt", f"{sonar['tilt_deg']:g} deg"
+    yield "landmark set", f"{found.landmarks.name}, radius {found.landmarks.radius_m:g} m"
+    if "preset" in run.get("config", {}):
+        yield "preset", str(run["config"]["preset"])
+
+
+def _track_view(log: ReportedLog, track: Track) -> TrackView:
+    found = log.results
+    ids = found.landmarks.ids
+    claims = []
+    for k in range(len(ids)):
+        count = int((found.declared[track.at] & (found.landmark[track.at] == k)).sum())
+        if count:
+            claims.append(f"ID.{ids[k]} in {count} of {len(track.at)} frames")
+    first, last = int(track.row[0]), int(track.row[-1])
+    return TrackView(
+        track=track,
+        claims=", ".join(claims),
+        frames=_span(int(found.frame[first]), int(found.frame[last])),
+        times=f"{log.time[first]:.1f} to {log.time[last]:.1f} s" if log.clock == "s" else "",
+        ticks=charts.track_axis(log, track).ticks(),
+        truth=true_landmark(log, track),
+        strip=charts.truth_strip(log, track),
+        panels=charts.track_panels(log, track),
+    )
+
+
+def _settings(run: dict[str, Any]) -> Iterator[tuple[str, list[tuple[str, str]]]]:
+    """run.toml as (table name, its plain keys and values), tables within tables after it."""
+
+    def plain(value: Any) -> str:
+        if isinstance(value, dict):
+            return ", ".join(f"{key} {plain(v)}" for key, v in value.items())
+        if isinstance(value, list):
+            return (
+                "; ".join(map(plain, value))
+                if value and isinstance(value[0], dict)
+                else (", ".join(map(plain, value)) or "none")
+            )
+        return str(value).lower() if isinstance(value, bool) else f"{value}"
+
+    top = [(key, plain(v)) for key, v in run.items() if not isinstance(v, dict)]
+    if top:
+        yield "run", top
+    for name, table in run.items():
+        if isinstance(table, dict):
+            yield name, [(k, plain(v)) for k, v in table.items() if not isinstance(v, dict)]
+            for inner, deeper in table.items():
+                if isinstance(deeper, dict):
+                    yield f"{name}.{inner}", [(k, plain(v)) for k, v in deeper.items()]
+
+
+def _table(scored: Scored) -> Table:
+    counts = [scored.count(k) for k in range(len(scored.ids))] + [scored.count()]
+    return Table(
+        method=scored.method,
+        protocol=scored.protocol,
+        heading=[f"ID.{i}" for i in scored.ids] + ["Total"],
+        rows=[
+            ("TPR", [rate(c.tp, c.tp + c.fn).strip() for c in counts]),
+            ("FPR", [rate(c.fp, c.fp + c.tn).strip() for c in counts]),
+            *(
+                (label, [f"{getattr(c, label.lower()):,}" for c in counts])
+                for label in ("TP", "TN", "FP", "FN", "Total")
+            ),
+        ],
+    )
+
+
+def _curves(
+    evaluation: Evaluation,
+) -> list[tuple[str, charts.Chart, list[tuple[int, charts.Chart]]]]:
+    """Per protocol: its name, the curve over all IDs, and (index of an ID, its curve)."""
+    found = []
+    for protocol in ("strict", "paper"):
+        scored = [s for s in evaluation.scored if s.protocol == protocol]
+        if scored:
+            each = [
+                (k, charts.roc(scored, k))
+                for k in range(len(evaluation.joined.ids))
+                if scored[0].count(k).tp + scored[0].count(k).fn
+            ]
+            found.append((protocol, charts.roc(scored), each))
+    return found
+
+
+def _mistakes(logs: Sequence[ReportedLog], evaluation: Evaluation) -> list[Mistakes]:
+    by_name = {log.results.name: log for log in logs}
+    tracker = logs[0].tracker
+    found = []
+    for method in sorted(evaluation.joined.methods, key=lambda m: m != tracker):
+        count = _of(evaluation.scored, method, protocol_of_mistakes(evaluation)).count()
+        wrong = episodes(evaluation, method)
+        shown = []
+        for episode in wrong[:MOST_MISTAKES]:
+            frames = _span(episode.first, episode.last)
+            shown.append(MistakeView(episode, told(episode, by_name[episode.log]), frames))
+        found.append(Mistakes(method, count, shown, len(wrong) - len(shown)))
+    return found
+
+
+def _span(first: int, last: int) -> str:
+    return f"{first}" if first == last else f"{first} to {last}"
+
+
+def _number(value: float, digits: int) -> str:
+    return f"{value:,.{digits}f}"
+
+
+def _rate(part: int, whole: int) -> str:
+    """A rate to four digits; a dash where there is nothing to measure."""
+    return rate(part, whole).strip() if whole else "-"
