@@ -16,7 +16,7 @@ from sonarrec.evaluation.results import read_log, read_run
 from sonarrec.evaluation.tables import read_table
 from sonarrec.evaluation.truth import match_truth, read_truth
 from sonarrec.geometry import Sonar, sonar_from_table
-from sonarrec.landmarks import landmarks_from_table, load_landmarks
+from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
 from sonarrec.overlay.drawing import (
     STRIP_FRAMES,
     Mark,
@@ -90,7 +90,7 @@ def write_overlay(
     with open_log(path, sonar=stated, sonar_file=sonar_file, topic=topic) as log:
         problems = _check_same(log, folder, run)
         frames = iter(log)
-        first = next(frames)  # a log without a usable frame raises
+        first = next(frames)  # raises where there is no usable frame
         fan = first.fan
         truth: dict[int, list[Mark]] = {}
         if ground_truth is not None:
@@ -99,17 +99,7 @@ def write_overlay(
         history: deque[Moment] = deque(maxlen=STRIP_FRAMES)
         written = 0
         with ExitStack() as stack:
-            foxglove = video = images = None
-            if targets.mcap is not None:
-                # A recording that Foxglove cannot show as a fan is shown by ours.
-                bare = first.stamps.log is None or log.sonar.layout == "polar"
-                foxglove = FoxgloveFile(targets.mcap, landmark_set, with_images=bare)
-                stack.enter_context(foxglove)
-            if targets.video is not None:
-                rate = _frame_rate(folder, log.sonar)
-                video = stack.enter_context(VideoFile(targets.video, rate))
-            if targets.images is not None:
-                images = ImageFolder(targets.images)
+            annotations, pictures = _open_targets(targets, stack, log, first, landmark_set, folder)
             for frame, estimates in _with_estimates(chain([first], frames), rows):
                 if span[1] is not None and frame.index >= span[1]:
                     break
@@ -119,25 +109,45 @@ def write_overlay(
                 if frame.index < span[0]:
                     continue
                 written += 1
-                paths = trails(history)
-                marks = truth.get(frame.index, ())
-                if foxglove is not None:
-                    foxglove.write(frame, estimates, paths, marks)
-                if video is None and images is None:
-                    continue
-                drawn = draw_frame(
-                    frame.image, fan, landmark_set, estimates, paths=paths, truth=marks
-                )
-                strip = draw_strip(history, landmark_set, max(drawn.shape[1], 512))
-                picture = draw_picture(drawn, strip)
-                if video is not None:
-                    video.write(picture)
-                if images is not None:
-                    images.write(frame.index, picture)
+                paths, marks = trails(history), truth.get(frame.index, [])
+                if annotations is not None:
+                    annotations.write(frame, estimates, paths, marks)
+                if pictures:
+                    drawn = draw_frame(
+                        frame.image, frame.fan, landmark_set, estimates, paths=paths, truth=marks
+                    )
+                    strip = draw_strip(history, landmark_set, max(drawn.shape[1], 512))
+                    picture = draw_picture(drawn, strip)
+                    for target in pictures:
+                        target.write(frame.index, picture)
         problems += log.problems
     if not written:
-        raise UsageError(f"{path}: no frame in --frames {span[0]}:{span[1] or ''}")
+        raise UsageError(f"{path}: no frame lies in --frames {span[0]}:{span[1] or ''}")
     return Overlaid(method, written, problems)
+
+
+def _open_targets(
+    targets: Targets,
+    stack: ExitStack,
+    log: Log,
+    first: Frame,
+    landmarks: LandmarkSet,
+    results: Path,
+) -> tuple[FoxgloveFile | None, list[VideoFile | ImageFolder]]:
+    """What frames are written to, closed with the stack."""
+    annotations = None
+    pictures: list[VideoFile | ImageFolder] = []
+    if targets.mcap is not None:
+        # Where the recording holds nothing that Foxglove shows as this fan, the overlay does.
+        unseen = first.stamps.log is None or log.sonar.layout == "polar"
+        annotations = FoxgloveFile(targets.mcap, landmarks, with_images=unseen)
+        stack.enter_context(annotations)
+    if targets.video is not None:
+        video = VideoFile(targets.video, _frame_rate(results, log.sonar))
+        pictures.append(stack.enter_context(video))
+    if targets.images is not None:
+        pictures.append(ImageFolder(targets.images))
+    return annotations, pictures
 
 
 def _spare_the_log(path: Path, targets: Targets) -> None:

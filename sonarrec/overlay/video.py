@@ -29,7 +29,7 @@ class VideoFile:
         self._video: cv2.VideoWriter | None = None
         self._frames = 0
 
-    def write(self, picture: ByteImage) -> None:
+    def write(self, _: int, picture: ByteImage) -> None:
         """Append (rows, columns, 3) uint8 BGR. Raises SonarrecError where it cannot be written."""
         if self._video is None:
             code = cv2.VideoWriter.fourcc(*"mp4v")
