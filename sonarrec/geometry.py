@@ -5,6 +5,7 @@ Every conversion between metres and pixels in the program is made here.
 
 from __future__ import annotations
 
+import functools
 import math
 import tomllib
 from collections.abc import Mapping
@@ -28,13 +29,24 @@ height_m = 0.68             # above the floor; optional
 frame_rate_hz = 4.0         # where frames carry no time; optional
 """
 
+CHOICES = {
+    "layout": ("fan", "polar"),
+    "beam_order": ("range-major", "beam-major"),
+    "pixel_scale": ("linear", "log", "db"),
+}
+"""The keys of a Sonar that are one of a few words."""
+
 
 @dataclass(frozen=True, slots=True)
 class Sonar:
-    """The sonar's geometry as a sonar.toml states it; None where it says nothing.
+    """The sonar's geometry as a sonar.toml or a message states it; None where it says nothing.
 
     layout: "fan" or "polar". Ranges and height in metres, angles in degrees (tilt downward),
-    apex_px: (column, row) of the fan's apex. bearings_deg: one per beam of a polar image.
+    apex_px: (column, row) of the fan's apex. bearings_deg: one per beam of a polar image, and
+    ranges_m: one per range bin, at its middle, both where they are not evenly spaced.
+    beam_order: of a polar image, "range-major" (a row per range bin) or "beam-major" (a row per
+    beam). flip: left and right are exchanged. pixel_scale, full_scale, dynamic_range_db: how
+    pixels become 8-bit grey, see `readers.grey`.
     """
 
     layout: Literal["fan", "polar"] | None = None
@@ -47,6 +59,12 @@ class Sonar:
     metres_per_pixel: float | None = None
     apex_px: tuple[float, float] | None = None
     bearings_deg: tuple[float, ...] | None = None
+    ranges_m: tuple[float, ...] | None = None
+    beam_order: Literal["range-major", "beam-major"] | None = None
+    flip: bool | None = None
+    pixel_scale: Literal["linear", "log", "db"] | None = None
+    full_scale: float | None = None
+    dynamic_range_db: float | None = None
 
     def updated(self, other: Sonar) -> Sonar:
         """This geometry with every key that `other` states put in its place."""
@@ -91,11 +109,16 @@ def sonar_from_table(table: Mapping[str, Any], where: str) -> Sonar:
         )
     values: dict[str, Any] = {}
     for key, value in table.items():
-        if key == "layout":
-            if value not in ("fan", "polar"):
-                raise SonarrecError(f'{where}: layout must be "fan" or "polar", not {value!r}')
+        if key in CHOICES:
+            if value not in CHOICES[key]:
+                allowed = " or ".join(f'"{choice}"' for choice in CHOICES[key])
+                raise SonarrecError(f"{where}: {key} must be {allowed}, not {value!r}")
             values[key] = value
-        elif key in ("apex_px", "bearings_deg"):
+        elif key == "flip":
+            if not isinstance(value, bool):
+                raise SonarrecError(f"{where}: flip must be true or false, not {value!r}")
+            values[key] = value
+        elif key in ("apex_px", "bearings_deg", "ranges_m"):
             if not isinstance(value, list | tuple) or not all(_is_number(v) for v in value):
                 raise SonarrecError(f"{where}: {key} must be a list of numbers")
             if key == "apex_px" and len(value) != 2:
@@ -121,7 +144,8 @@ def check_sonar(sonar: Sonar, where: str) -> None:
     if missing:
         raise SonarrecError(
             f"{where}: sonar geometry lacks {', '.join(missing)}. Put a sonar.toml beside "
-            f"the log (or use --sonar FILE, or flags such as --range-min-m); like this:\n"
+            f"the log (or use --sonar FILE, or flags such as --{missing[0].replace('_', '-')}); "
+            f"like this:\n"
             f"{EXAMPLE_SONAR_TOML}"
         )
     low, high = sonar.range_min_m, sonar.range_max_m
@@ -148,7 +172,7 @@ def check_sonar(sonar: Sonar, where: str) -> None:
             f"height_m = {sonar.height_m:g} must be above 0 and below range_max_m = {high:g}, "
             "or no floor is in the window"
         )
-    for key in ("frame_rate_hz", "metres_per_pixel"):
+    for key in ("frame_rate_hz", "metres_per_pixel", "dynamic_range_db"):
         value = getattr(sonar, key)
         if value is not None and value <= 0:
             raise contradiction(f"{key} = {value:g} must be above 0")
@@ -158,6 +182,12 @@ def check_sonar(sonar: Sonar, where: str) -> None:
             raise contradiction("bearings_deg must rise or fall steadily from beam to beam")
         if max(abs(b) for b in sonar.bearings_deg) >= 90:
             raise contradiction("bearings_deg must lie between -90 and 90")
+    if sonar.ranges_m is not None:
+        ranges = np.asarray(sonar.ranges_m)
+        if len(ranges) < 2 or not np.all(np.diff(ranges) > 0):
+            raise contradiction("ranges_m must rise from bin to bin")
+        if not low <= ranges[0] < ranges[-1] <= high:
+            raise contradiction("ranges_m must lie between range_min_m and range_max_m")
 
 
 def _bearing_limits(sonar: Sonar) -> tuple[float, float]:
@@ -165,7 +195,7 @@ def _bearing_limits(sonar: Sonar) -> tuple[float, float]:
     if sonar.bearings_deg is None:
         assert sonar.field_of_view_deg is not None
         return -sonar.field_of_view_deg / 2, sonar.field_of_view_deg / 2
-    bearings = np.sort(np.asarray(sonar.bearings_deg))
+    bearings = np.sort(np.asarray(sonar.bearings_deg) * (-1 if sonar.flip else 1))
     return (
         float(bearings[0] - (bearings[1] - bearings[0]) / 2),
         float(bearings[-1] + (bearings[-1] - bearings[-2]) / 2),
@@ -192,62 +222,6 @@ def fan_for_image(sonar: Sonar, rows: int, columns: int) -> Fan:
         bearing_max_deg=high,
         tilt_deg=sonar.tilt_deg,
         height_m=sonar.height_m,
-    )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PolarGrid:
-    """Where the samples of a polar image lie: rows are range bins, columns are beams.
-
-    ranges_m: (rows,) slant ranges of the bins' centres, rising. bearings_deg: (columns,) of the
-    beams' centres, rising or falling, positive to the right. Neither need be evenly spaced.
-    range_limits_m, bearing_limits_deg: the edges, half a bin or beam beyond the outermost centres.
-    """
-
-    ranges_m: FloatArray
-    bearings_deg: FloatArray
-    range_limits_m: tuple[float, float]
-    bearing_limits_deg: tuple[float, float]
-
-    @classmethod
-    def from_centres(cls, ranges_m: FloatArray, bearings_deg: FloatArray) -> PolarGrid:
-        """Raises ValueError where the centres do not rise, or are no window in front of a sonar."""
-        steps, turns = np.diff(ranges_m), np.diff(bearings_deg)
-        if len(ranges_m) < 2 or ranges_m[0] < 0 or not np.all(steps > 0):
-            raise ValueError("ranges do not rise from bin to bin")
-        if len(bearings_deg) < 2 or not (np.all(turns > 0) or np.all(turns < 0)):
-            raise ValueError("bearings do not run one way from beam to beam")
-        if np.abs(bearings_deg).max() >= 90:
-            raise ValueError("bearings reach 90 deg and more")
-        edges = max(ranges_m[0] - steps[0] / 2, 0.0), ranges_m[-1] + steps[-1] / 2
-        return cls(
-            ranges_m,
-            bearings_deg,
-            (float(edges[0]), float(edges[1])),
-            _edges(np.sort(bearings_deg)),
-        )
-
-    def same_as(self, other: PolarGrid) -> bool:
-        """Whether samples lie in the same places, to what resampling can resolve."""
-        return _alike(self.ranges_m, other.ranges_m) and _alike(
-            self.bearings_deg, other.bearings_deg
-        )
-
-
-def _edges(centres: FloatArray) -> tuple[float, float]:
-    """Half a step beyond the first and last of rising centres."""
-    return (
-        float(centres[0] - (centres[1] - centres[0]) / 2),
-        float(centres[-1] + (centres[-1] - centres[-2]) / 2),
-    )
-
-
-def _alike(some: FloatArray, other: FloatArray) -> bool:
-    """Equal to a 64th of a step: cv2.remap places to a 32nd."""
-    if some is other:
-        return True
-    return some.shape == other.shape and bool(
-        np.abs(some - other).max() * 64 <= np.abs(np.diff(some)).min()
     )
 
 
@@ -316,35 +290,53 @@ def fan_mask(fan: Fan) -> ByteImage:
     return in_fan(fan, *polar_from_pixel(fan, column, row)).astype(np.uint8) * 255
 
 
+@functools.lru_cache(maxsize=1)
+def _polar_of_pixels(fan: Fan) -> tuple[FloatArray, FloatArray]:
+    row, column = np.mgrid[0 : fan.rows, 0 : fan.columns]
+    return polar_from_pixel(fan, column, row)
+
+
 class PolarToFan:
     """Resamples polar images (rows = range bins, nearest first; columns = beams) into a fan."""
 
-    def __init__(self, sonar: Sonar, range_bins: int, beams: int) -> None:
-        """Raises SonarrecError where bearings_deg does not match the number of beams."""
-        self.fan = fan = fan_for_polar(sonar, range_bins)
-        if sonar.bearings_deg is not None and len(sonar.bearings_deg) != beams:
-            raise SonarrecError(
-                f"bearings_deg has {len(sonar.bearings_deg)} bearings but the images have {beams} "
-                "beams; give one per image column"
-            )
-        row, column = np.mgrid[0 : fan.rows, 0 : fan.columns]
-        range_m, bearing_deg = polar_from_pixel(fan, column, row)
+    def __init__(self, sonar: Sonar, range_bins: int, beams: int, fan: Fan | None = None) -> None:
+        """fan: of another ping, whose window may differ; outside of its own, a ping shows 0.
+
+        Raises SonarrecError where bearings_deg or ranges_m does not match the image.
+        """
+        for key, name, count in (
+            ("bearings_deg", "beams", beams),
+            ("ranges_m", "range bins", range_bins),
+        ):
+            stated = getattr(sonar, key)
+            if stated is not None and len(stated) != count:
+                what = key.partition("_")[0]
+                raise SonarrecError(
+                    f"{key} has {len(stated)} {what} but the images have {count} {name}; "
+                    f"give one per image {'column' if name == 'beams' else 'row'}"
+                )
+        own = fan_for_polar(sonar, range_bins)
+        self.fan = fan = fan or own
+        range_m, bearing_deg = _polar_of_pixels(fan)
         if sonar.bearings_deg is None:
-            span = fan.bearing_max_deg - fan.bearing_min_deg
-            beam = (bearing_deg - fan.bearing_min_deg) / span * beams - 0.5
+            span = own.bearing_max_deg - own.bearing_min_deg
+            side = -bearing_deg if sonar.flip else bearing_deg
+            beam = (side - own.bearing_min_deg) / span * beams - 0.5
         else:
-            order = np.argsort(sonar.bearings_deg)
-            beam = np.interp(
-                bearing_deg, np.asarray(sonar.bearings_deg)[order], order.astype(float)
-            )
-        range_bin = (range_m - fan.range_min_m) / fan.metres_per_pixel - 0.5
+            bearings = np.asarray(sonar.bearings_deg) * (-1 if sonar.flip else 1)
+            order = np.argsort(bearings)
+            beam = np.interp(bearing_deg, bearings[order], order.astype(float))
+        if sonar.ranges_m is None:
+            range_bin = (range_m - own.range_min_m) / own.metres_per_pixel - 0.5
+        else:
+            range_bin = np.interp(range_m, sonar.ranges_m, np.arange(range_bins, dtype=float))
         # Half a bin beyond the outermost centres repeats the outermost sample.
         beam = np.clip(beam, 0, beams - 1)
         range_bin = np.clip(range_bin, 0, range_bins - 1)
         self._columns, self._weights = cv2.convertMaps(
             beam.astype(np.float32), range_bin.astype(np.float32), cv2.CV_16SC2
         )
-        self._outside = ~in_fan(fan, range_m, bearing_deg)
+        self._outside = ~(in_fan(fan, range_m, bearing_deg) & in_fan(own, range_m, bearing_deg))
 
     def __call__(self, polar: ByteImage) -> ByteImage:
         """(range_bins, beams) uint8 to (fan.rows, fan.columns) uint8; 0 outside the fan."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -44,6 +45,10 @@ class Fan:
     def window_m(self) -> float:
         """Length of the range window in metres."""
         return self.range_max_m - self.range_min_m
+
+
+Clock = Literal["log", "publish", "header"]
+"""Which of the times in Stamps names a frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,16 +99,18 @@ class Selection:
 
 @dataclass(frozen=True, slots=True)
 class Groups:
-    """Stage 2: the particle groups (tracks) alive after one frame, oldest first.
+    """Stage 2: the particle groups (tracks) in view after one frame, by rising number.
 
     numbers: (n,) int, stable over frames. positions: (n, 2) float, (column, row) in plane pixels.
     spread: (n, 2) standard deviation per axis in disc diameters. existence: (n,) 0 to 1.
+    remembered: (m,) numbers of those that left the view and may return.
     """
 
     numbers: npt.NDArray[np.int64]
     positions: FloatArray
     spread: FloatArray
     existence: FloatArray
+    remembered: npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,8 @@ from logs import PERIOD_NS, SONAR_TOML, cdr_image, frames, image_folder, mcap_fi
 from sonarrec.geometry import PolarToFan, Sonar, load_sonar
 from sonarrec.mcap_writer import SCHEMAS, McapImageWriter
 from sonarrec.readers import MAX_PROBLEM_LINES, open_log
-from sonarrec.readers.raw import UnusableError, grey8
+from sonarrec.readers.grey import grey_scale, single_channel, to_grey8
+from sonarrec.readers.raw import UnusableError
 from sonarrec.records import Frame, SonarrecError, UsageError
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
@@ -342,6 +343,12 @@ def test_a_topic_is_for_mcap(tmp_path: Path) -> None:
         open_log(image_folder(tmp_path / "log", frames(1)), topic="/a")
 
 
+def grey8(pixels: np.ndarray, sonar: Sonar = Sonar(), amplitudes: bool = False) -> np.ndarray:  # noqa: B008
+    """One frame by the scale that it would settle as the first of a log."""
+    channel = single_channel(pixels)
+    return to_grey8(channel, grey_scale(sonar, channel, amplitudes))
+
+
 def test_grey8() -> None:
     every = np.arange(65536, dtype=np.uint16).reshape(256, 256)
     expected = np.round(every / 257).astype(np.uint8)
@@ -353,15 +360,14 @@ def test_grey8() -> None:
     floats = np.array([[0.0, 0.5, 1.0, np.nan]])
     np.testing.assert_array_equal(grey8(floats), [[0, 128, 255, 0]])
     for wrong in (
-        np.array([[1.5]]),
-        np.array([[-0.1]], np.float32),
-        np.zeros((3, 3), np.int16),
         np.zeros((3, 3, 2), np.uint8),
         np.zeros((0, 3), np.uint8),
         np.zeros(3, np.uint8),
+        np.zeros((3, 3), np.float32),  # amplitudes of a blank ping
+        np.zeros((3, 3), np.complex64),
     ):
         with pytest.raises(UnusableError):
-            grey8(wrong)
+            grey8(wrong, amplitudes=True)
 
 
 @pytest.mark.parametrize("name", ["png", "mcap, sensor_msgs/msg/Image, zstd"])

@@ -12,11 +12,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
-from sonarrec.geometry import PolarToFan, Sonar, check_sonar, fan_for_image, load_sonar
+from sonarrec.geometry import Sonar, check_sonar, load_sonar
+from sonarrec.readers.fans import FanImages
+from sonarrec.readers.grey import GreyScale
 from sonarrec.readers.images import IMAGE_SUFFIXES, ImageFiles, is_image, natural_order
-from sonarrec.readers.raw import RawFrame, RawLog, UnusableError, grey8
+from sonarrec.readers.raw import RawFrame, RawLog, UnusableError
 from sonarrec.readers.video import VIDEO_SUFFIXES, VideoFrames
-from sonarrec.records import ByteImage, Fan, Frame, SonarrecError, UsageError
+from sonarrec.records import Clock, Fan, Frame, SonarrecError, UsageError
 
 SONAR_FILE = "sonar.toml"
 MAX_PROBLEM_LINES = 20
@@ -49,23 +51,38 @@ class Log:
     """A recorded log: one pass of Frames, streamed. Use it as a context manager.
 
     name: of the folder or file, for the results folder. frame_count: frames to come, None where
-    unknown. sonar: the geometry as resolved. fan: the fan images' geometry, None before the first
-    frame. problems: one line for each thing that could not be used (at most MAX_PROBLEM_LINES,
-    then a count), complete after the pass.
+    unknown. sonar: the geometry as stated by file and flags. problems: one line for each thing that
+    could not be used (at most MAX_PROBLEM_LINES, then a count), complete after the pass.
     """
 
-    def __init__(self, path: Path, name: str, files: list[Path], sonar: Sonar, raw: RawLog) -> None:
-        """files: what the log consists of, in order."""
+    def __init__(
+        self, path: Path, name: str, files: list[Path], sonar: Sonar, raw: RawLog, time: Clock
+    ) -> None:
+        """files: what the log consists of, in order. time: which of its times names a frame."""
         self.path = path
         self.name = name
         self.sonar = sonar
         self.frame_count = raw.frame_count
-        self.fan: Fan | None = None
         self.problems: list[str] = []
         self._files = files
         self._raw = raw
-        self._to_fan: PolarToFan | None = None
-        self._shape: tuple[int, ...] | None = None
+        self._time = time
+        self._images = FanImages(sonar, str(path))
+
+    @property
+    def fan(self) -> Fan | None:
+        """The fan images' geometry, None before the first frame."""
+        return self._images.fan
+
+    @property
+    def scale(self) -> GreyScale | None:
+        """How pixels became 8-bit grey, None before the first frame."""
+        return self._images.scale
+
+    @property
+    def notes(self) -> list[str]:
+        """What the user states against the log's own messages, complete after the pass."""
+        return self._images.notes
 
     def __enter__(self) -> Log:
         return self
@@ -85,20 +102,19 @@ class Log:
         Raises SonarrecError where no frame can be used, or where the bearings in the sonar
         geometry do not match the images.
         """
-        period_ns = 1e9 / (self.sonar.frame_rate_hz or 1.0)
         used = skipped = 0
         for index, raw in enumerate(self._raw):
             if raw.pixels is None and raw.problem is None:
                 continue  # told in the faults, with others
             try:
-                image, fan = self._fan_image(raw)
+                image, fan = self._images(raw)
+                stamp = self._named(index, raw)
             except UnusableError as error:
                 skipped += 1
                 if skipped <= MAX_PROBLEM_LINES:
                     self.problems.append(f"{raw.name}: {error}, skipped")
                 continue
             used += 1
-            stamp = round(index * period_ns) if raw.timestamp_ns is None else raw.timestamp_ns
             yield Frame(index, stamp, image, fan, raw.stamps)
         if skipped > MAX_PROBLEM_LINES:
             self.problems.append(f"{skipped - MAX_PROBLEM_LINES} more frames skipped")
@@ -107,24 +123,14 @@ class Log:
             reason = f" ({self.problems[0]})" if self.problems else ""
             raise SonarrecError(f"{self.path}: not one frame could be used{reason}")
 
-    def _fan_image(self, raw: RawFrame) -> tuple[ByteImage, Fan]:
-        if raw.pixels is None:
-            raise UnusableError(str(raw.problem))
-        image = grey8(raw.pixels)
-        if self._shape is None:
-            self._shape = image.shape
-            if self.sonar.layout == "polar":
-                self._to_fan = PolarToFan(self.sonar, *image.shape)
-                self.fan = self._to_fan.fan
-            else:
-                self.fan = fan_for_image(self.sonar, *image.shape)
-        if image.shape != self._shape:
-            raise UnusableError(
-                f"{image.shape[1]} x {image.shape[0]} pixels in a log of "
-                f"{self._shape[1]} x {self._shape[0]}"
-            )
-        assert self.fan is not None
-        return (image if self._to_fan is None else self._to_fan(image)), self.fan
+    def _named(self, index: int, raw: RawFrame) -> int:
+        """The time that names a frame, ns. Raises UnusableError where the log has no such time."""
+        stamps = raw.stamps
+        named = {"log": raw.timestamp_ns, "publish": stamps.publish, "header": stamps.header}
+        stamp = named[self._time]
+        if stamp is None and self._time != "log":
+            raise UnusableError(f"without a {self._time} time; --time log needs none")
+        return round(index * 1e9 / (self.sonar.frame_rate_hz or 1.0)) if stamp is None else stamp
 
     def digest_source(self) -> tuple[int, str]:
         """(size in bytes, SHA-256 in hex) of the log's file.
@@ -152,12 +158,14 @@ def open_log(
     sonar: Sonar | None = None,
     sonar_file: Path | None = None,
     topic: str | None = None,
+    time: Clock = "log",
 ) -> Log:
     """Open a folder of images, a glob of images, a video or an MCAP file.
 
     sonar: keys that win over those in files. sonar_file: in place of the sonar.toml beside the
     log (for a folder or glob `sonar.toml` beside the images; for one file `NAME.sonar.toml`, else
-    `sonar.toml` in its folder). topic: the image channel of an MCAP file.
+    `sonar.toml` in its folder). topic: the image channel of an MCAP file. time: which of the times
+    in it names a frame; frames come in the order of log time whatever it is.
     Raises SonarrecError where the log or its geometry cannot be used, UsageError where the topic
     cannot be meant.
     """
@@ -179,17 +187,21 @@ def open_log(
     reader = _reader_of(files[0])
     if topic is not None and not reader.has_topics:
         raise UsageError(f"{path}: --topic chooses a channel of an MCAP file; this is none")
+    if time != "log" and not reader.has_topics:
+        raise UsageError(f"{path}: --time chooses a clock of an MCAP file; this is none")
     resolved, where = _resolve_sonar(path, sonar or Sonar(), sonar_file, beside)
     try:
         raw = reader.open(path, topic) if files == [path] else ImageFiles(files)
     except OSError as error:
         raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
     try:
-        check_sonar(resolved, where)
+        if not raw.polar:  # what polar messages tell of themselves need not be stated
+            resolved = Sonar(layout="fan").updated(resolved)
+            check_sonar(resolved, where)
     except SonarrecError:
         raw.close()
         raise
-    return Log(path, name or "log", files, resolved, raw)
+    return Log(path, name or "log", files, resolved, raw, time)
 
 
 def _glob_images(pattern: Path) -> list[Path]:
@@ -235,5 +247,5 @@ def _resolve_sonar(
 ) -> tuple[Sonar, str]:
     """The geometry from file and flags, and the name to give it in errors."""
     file = sonar_file or next((b for b in beside if b.is_file()), None)
-    stated = Sonar(layout="fan") if file is None else Sonar(layout="fan").updated(load_sonar(file))
+    stated = Sonar() if file is None else load_sonar(file)
     return stated.updated(flags), str(file or path)

@@ -47,6 +47,7 @@ class McapImages:
         except BaseException:
             self._log.close()
             raise
+        self.polar = any(decoder.polar for decoder in self._decoders.values())
         self.faults = self._log.faults
         self.frame_count: int | None = sum(self._log.counts[c] for c in self._decoders)
 
@@ -66,7 +67,7 @@ class McapImages:
                 yield RawFrame(name, message.log_time, None, str(error))
             else:
                 stamps = Stamps(message.log_time, message.publish_time, ping.stamp_ns)
-                yield RawFrame(name, message.log_time, ping.pixels, None, ping.grid, stamps)
+                yield RawFrame(name, message.log_time, ping.pixels, None, ping.sonar, stamps)
 
 
 def _choose(log: McapFile, topic: str | None) -> dict[int, Decoder]:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from sonarrec.geometry import PolarGrid
+from sonarrec.geometry import Sonar
 from sonarrec.readers import foxglove, ros_wire
 from sonarrec.readers.fields import Fields
 from sonarrec.readers.raw import Ping, UnusableError, decode_image, raw_pixels
@@ -76,7 +76,8 @@ def _beam_count(image: Fields, bearings: np.ndarray) -> int:
 
 def _left_to_right(bearings_deg: FloatArray) -> FloatArray:
     """Drivers disagree on which side is positive, but all list their beams from left to right."""
-    return bearings_deg if bearings_deg[0] <= bearings_deg[-1] else -bearings_deg
+    falls = len(bearings_deg) > 1 and bearings_deg[0] > bearings_deg[-1]
+    return -bearings_deg if falls else bearings_deg
 
 
 def _fan_bearings(directions: FloatArray) -> FloatArray:
@@ -96,12 +97,32 @@ def _fan_bearings(directions: FloatArray) -> FloatArray:
     return _left_to_right(np.degrees(np.arctan2(directions[:, across], ahead)))
 
 
-def _grid(ranges_m: FloatArray, bearings_deg: FloatArray) -> PolarGrid:
-    """Raises UnusableError where ranges do not rise or bearings do not run one way."""
-    try:
-        return PolarGrid.from_centres(ranges_m, bearings_deg)
-    except ValueError as error:
-        raise UnusableError(str(error)) from None
+def _geometry(ranges_m: FloatArray, bearings_deg: FloatArray) -> Sonar:
+    """The geometry of a ping from the middles of its bins and beams.
+
+    Raises UnusableError where they are no window in front of a sonar.
+    """
+    steps = np.diff(ranges_m)
+    if len(ranges_m) < 2 or ranges_m[0] < 0 or not np.all(steps > 0):
+        raise UnusableError("ranges do not rise from bin to bin")
+    turns = np.diff(bearings_deg)
+    if len(bearings_deg) < 2 or not (np.all(turns > 0) or np.all(turns < 0)):
+        raise UnusableError("bearings do not run one way from beam to beam")
+    if np.abs(bearings_deg).max() >= 90:
+        raise UnusableError("bearings of 90 deg and more")
+    even = np.linspace(ranges_m[0], ranges_m[-1], len(ranges_m))
+    first = last = even[1] - even[0]
+    ranges = None
+    if np.abs(ranges_m - even).max() > first / 64:  # resampling does not resolve less
+        first, last = steps[0], steps[-1]
+        ranges = tuple(ranges_m.tolist())
+    return Sonar(
+        layout="polar",
+        range_min_m=max(float(ranges_m[0] - first / 2), 0.0),
+        range_max_m=float(ranges_m[-1] + last / 2),
+        bearings_deg=tuple(bearings_deg.tolist()),
+        ranges_m=ranges,
+    )
 
 
 def read_projected_sonar_image(message: Fields) -> Ping:
@@ -110,16 +131,13 @@ def read_projected_sonar_image(message: Fields) -> Ping:
     bearings = _fan_bearings(message.vectors("beam_directions"))
     ranges = message.numbers("ranges")
     pixels = _samples(image, len(ranges), _beam_count(image, bearings))
-    return Ping(pixels, message.stamp_ns(), _grid(ranges, bearings))
+    return Ping(pixels, message.stamp_ns(), _geometry(ranges, bearings))
 
 
 def read_raw_sonar_image(message: Fields) -> Ping:
     """marine_acoustic_msgs/RawSonarImage: ranges follow from the time of each sample."""
     image = message.inner("image")
-    angles = message.numbers("rx_angles")
-    if len(angles) < 2:
-        raise UnusableError("fewer than two beams")
-    bearings = _left_to_right(np.degrees(angles))
+    bearings = _left_to_right(np.degrees(message.numbers("rx_angles")))
     speed = message.inner("ping_info").number("sound_speed")
     rate = message.number("sample_rate")
     if speed <= 0 or rate <= 0:
@@ -127,23 +145,23 @@ def read_raw_sonar_image(message: Fields) -> Ping:
     bins = message.whole("samples_per_beam")
     pixels = _samples(image, bins, _beam_count(image, bearings))
     ranges = (message.whole("sample0") + np.arange(bins)) * speed / (2 * rate)
-    return Ping(pixels, message.stamp_ns(), _grid(ranges, bearings))
+    return Ping(pixels, message.stamp_ns(), _geometry(ranges, bearings))
 
 
-def _oculus_grid(message: Fields, bins: int) -> PolarGrid:
+def _oculus_geometry(message: Fields, bins: int) -> Sonar:
     """Bearings in hundredths of a degree; bins of one length from the sonar on."""
     resolution = message.number("range_resolution")
     if resolution <= 0:
         raise UnusableError(f"range resolution {resolution:g} m")
     ranges = (np.arange(bins) + 0.5) * resolution
-    return _grid(ranges, message.numbers("bearings") / 100)
+    return _geometry(ranges, message.numbers("bearings") / 100)
 
 
 def read_oculus_ping(message: Fields) -> Ping:
     """sonar_oculus/OculusPing: an image, compressed in later versions, and its geometry."""
     inner = message.inner("ping")
     image = read_image(inner) if "encoding" in inner else read_compressed_image(inner)
-    return Ping(image.pixels, message.stamp_ns(), _oculus_grid(message, len(image.pixels)))
+    return Ping(image.pixels, message.stamp_ns(), _oculus_geometry(message, len(image.pixels)))
 
 
 def read_oculus_interfaces_ping(message: Fields) -> Ping:
@@ -164,7 +182,7 @@ def read_oculus_interfaces_ping(message: Fields) -> Ping:
     if head:
         gains = np.ascontiguousarray(rows[:, :head]).view("<u4")
         pixels = (pixels / np.sqrt(np.maximum(gains, 1))).astype(np.float32)
-    return Ping(pixels, message.stamp_ns(), _oculus_grid(message, bins))
+    return Ping(pixels, message.stamp_ns(), _oculus_geometry(message, bins))
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from sonarrec.geometry import Sonar
-from sonarrec.records import NO_STAMPS, ByteImage, Stamps
+from sonarrec.records import NO_STAMPS, Stamps
 
 
 class UnusableError(Exception):
@@ -103,37 +103,6 @@ def decode_image(data: bytes | memoryview | np.ndarray) -> np.ndarray:
     if image is None:
         raise UnusableError("unreadable image")
     return np.asarray(image)
-
-
-def grey8(pixels: np.ndarray) -> ByteImage:
-    """(rows, columns) uint8 from the pixels of a RawFrame.
-
-    Colour becomes grey by OpenCV's weights (.299 R + .587 G + .114 B; alpha is left out), 16 bits
-    become 8 by dividing by 257 and rounding, so that full scale stays full scale. Floating-point
-    pixels must lie in 0 to 1 (NaN: no data, 0) and are multiplied by 255.
-    Raises UnusableError for other pixels.
-    """
-    dtype = pixels.dtype.newbyteorder("=")  # OpenCV knows this machine's byte order only
-    if dtype not in (np.uint8, np.uint16, np.float32, np.float64):
-        raise UnusableError(f"{dtype} pixels are not supported")
-    pixels = pixels.astype(np.float32 if dtype.kind == "f" else dtype, copy=False)
-    if pixels.ndim == 3 and pixels.shape[2] == 1:
-        pixels = pixels[:, :, 0]
-    if pixels.ndim == 3 and pixels.shape[2] in (3, 4):
-        code = cv2.COLOR_BGR2GRAY if pixels.shape[2] == 3 else cv2.COLOR_BGRA2GRAY
-        pixels = cv2.cvtColor(np.ascontiguousarray(pixels), code)
-    if pixels.ndim != 2 or not pixels.size:
-        raise UnusableError(f"an image of shape {pixels.shape} is not supported")
-    if pixels.dtype == np.uint16:
-        return np.asarray(
-            cv2.convertScaleAbs(np.ascontiguousarray(pixels), alpha=1 / 257), np.uint8
-        )
-    if pixels.dtype == np.float32:
-        pixels = np.nan_to_num(pixels, nan=0.0)
-        if pixels.min() < 0 or pixels.max() > 1:
-            raise UnusableError("floating-point pixels must lie in 0 to 1")
-        return np.asarray(cv2.convertScaleAbs(pixels, alpha=255), np.uint8)
-    return np.ascontiguousarray(pixels)
 
 
 _RAW_ENCODINGS: dict[str, tuple[str, int, bool]] = {

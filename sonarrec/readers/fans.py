@@ -1,0 +1,165 @@
+"""Turns what a log holds into fan images of one geometry."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from sonarrec.geometry import PolarToFan, Sonar, check_sonar, fan_for_image, fan_for_polar
+from sonarrec.readers.grey import GreyScale, grey_scale, single_channel, to_grey8
+from sonarrec.readers.raw import RawFrame, UnusableError
+from sonarrec.records import ByteImage, Fan, SonarrecError
+
+MIN_SHARED_WINDOW = 0.5
+"""A ping whose window covers less of the fan's is not used."""
+
+
+class FanImages:
+    """Makes the fan images of one log; the first frame settles the fan and the grey scale.
+
+    A polar message tells its own window, which may change from ping to ping: later pings are
+    resampled into the fan of the first, so that a metre stays a metre, and show 0 where they hold
+    nothing. What the user states goes before what messages tell.
+
+    fan, scale: None before the first frame. notes: lines on what was stated against the messages.
+    """
+
+    def __init__(self, stated: Sonar, where: str) -> None:
+        """stated: by the user; complete where frames do not tell their geometry. where: names it
+        in errors."""
+        self.sonar = stated
+        self.fan: Fan | None = None
+        self.scale: GreyScale | None = None
+        self.notes: list[str] = []
+        self._where = where
+        self._shape: tuple[int, ...] | None = None
+        self._told: Sonar | None = None
+        self._to_fan: PolarToFan | None = None
+        self._beam_major: bool | None = None
+
+    def __call__(self, raw: RawFrame) -> tuple[ByteImage, Fan]:
+        """One frame's image, (fan.rows, fan.columns) uint8, and the fan.
+
+        Raises UnusableError where the frame cannot be used, SonarrecError where the geometry
+        cannot be that of the log.
+        """
+        if raw.pixels is None:
+            raise UnusableError(str(raw.problem))
+        pixels = single_channel(raw.pixels)
+        scale = self.scale or grey_scale(self.sonar, pixels, amplitudes=raw.sonar is not None)
+        image = to_grey8(pixels, scale)
+        image = self._image(image) if raw.sonar is None else self._ping(image, raw.sonar)
+        self.scale = scale
+        assert self.fan is not None
+        return image, self.fan
+
+    def _image(self, image: ByteImage) -> ByteImage:
+        """A frame that does not tell its geometry."""
+        polar = self.sonar.layout == "polar"
+        if polar and self.sonar.beam_order == "beam-major":
+            image = np.ascontiguousarray(image.T)
+        if self._shape is None:
+            if polar:
+                self._to_fan = PolarToFan(self.sonar, *image.shape)
+                self.fan = self._to_fan.fan
+            else:
+                self.fan = fan_for_image(self.sonar, *image.shape)
+            self._shape = image.shape
+        if image.shape != self._shape:
+            raise UnusableError(
+                f"{image.shape[1]} x {image.shape[0]} pixels in a log of "
+                f"{self._shape[1]} x {self._shape[0]}"
+            )
+        if self._to_fan is not None:
+            return self._to_fan(image)
+        return np.ascontiguousarray(image[:, ::-1]) if self.sonar.flip else image
+
+    def _ping(self, image: ByteImage, told: Sonar) -> ByteImage:
+        """A polar frame and the geometry it tells."""
+        beam_major = self._beam_major
+        if beam_major is None:
+            order = self.sonar.beam_order or told.beam_order
+            beam_major = looks_beam_major(image) if order is None else order == "beam-major"
+        if beam_major:
+            image = np.ascontiguousarray(image.reshape(image.shape[::-1]).T)
+        if told != self._told:
+            self._to_fan = self._resampling(told, image.shape)
+            self.fan = self._to_fan.fan
+            self._told = told
+        self._beam_major = beam_major
+        assert self._to_fan is not None
+        return self._to_fan(image)
+
+    def _resampling(self, told: Sonar, shape: tuple[int, int]) -> PolarToFan:
+        sonar, against = _as_stated(told, self.sonar, bins=shape[0])
+        try:
+            check_sonar(sonar, self._where)
+            to_fan = PolarToFan(sonar, *shape, self.fan)
+        except SonarrecError as error:
+            if self.fan is None:
+                raise
+            raise UnusableError(str(error).partition("\n")[0]) from None
+        fan, window = to_fan.fan, fan_for_polar(sonar, shape[0])
+        near = max(fan.range_min_m, window.range_min_m)
+        far = min(fan.range_max_m, window.range_max_m)
+        if far - near < MIN_SHARED_WINDOW * fan.window_m:
+            raise UnusableError(
+                f"its window, {window.range_min_m:.3g} to {window.range_max_m:.3g} m, shows less "
+                f"than half of the first ping's, {fan.range_min_m:.3g} to {fan.range_max_m:.3g} m"
+            )
+        if against and not self.notes:
+            self.notes.append(f"{self._where}: stated against the messages: {', '.join(against)}")
+        return to_fan
+
+
+def _as_stated(told: Sonar, stated: Sonar, bins: int) -> tuple[Sonar, list[str]]:
+    """A message's geometry with what the user states in its place, and where they contradict.
+
+    Ranges that agree to half a bin, and a field of view to half a beam, contradict nothing.
+    """
+    assert told.bearings_deg is not None
+    assert told.range_min_m is not None
+    assert told.range_max_m is not None
+    against = []
+    if stated.layout == "fan":
+        against.append('layout = "fan" (they are polar, and read so)')
+    sonar = told.updated(replace(stated, layout=None))
+    bin_m = (told.range_max_m - told.range_min_m) / bins
+    for key in ("range_min_m", "range_max_m"):
+        mine, theirs = getattr(stated, key), getattr(told, key)
+        if mine is None:
+            continue
+        if abs(mine - theirs) > bin_m / 2:
+            against.append(f"{key} = {mine:g} (not {theirs:.4g})")
+            sonar = replace(sonar, ranges_m=stated.ranges_m)
+        elif stated.ranges_m is None and told.ranges_m is not None:
+            sonar = replace(sonar, **{key: theirs})  # the bins' own middles end there
+    if stated.bearings_deg is not None and stated.bearings_deg != told.bearings_deg:
+        against.append("bearings_deg")
+    elif stated.bearings_deg is None and stated.field_of_view_deg is not None:
+        bearings = np.asarray(told.bearings_deg)
+        beam_deg = float(np.ptp(bearings)) / (len(bearings) - 1)
+        theirs = beam_deg * len(bearings)
+        if abs(stated.field_of_view_deg - theirs) > beam_deg / 2:
+            against.append(f"field_of_view_deg = {stated.field_of_view_deg:g} (not {theirs:.4g})")
+            sonar = replace(sonar, bearings_deg=None)
+    return sonar, against
+
+
+def looks_beam_major(image: ByteImage) -> bool:
+    """Whether samples that were taken to be range-major, (bins, beams), are beam-major instead.
+
+    A sample resembles the next range bin of its beam and the next beam of its range. In
+    range-major data the first lies `beams` samples on, in beam-major data the second lies `bins`
+    samples on. Data that decide nothing (a square, a blank ping) are range-major, as most are.
+    """
+    bins, beams = image.shape
+    samples = image.ravel()
+    if bins == beams:
+        return False
+    bin_step, beam_step = (
+        float(np.mean(cv2.absdiff(samples[lag:], samples[:-lag]))) for lag in (beams, bins)
+    )
+    return beam_step < 0.95 * bin_step

@@ -1,0 +1,130 @@
+"""The one place where pixels become 8-bit grey, on the logarithmic scale that recognition expects.
+
+| pixels | `pixel_scale` | `full_scale`, which becomes 255 |
+|---|---|---|
+| 8 and 16 bit | linear: sonars compress before they store so few bits | 255, 65535 |
+| floating-point images within 0 to 1 | linear | 1 |
+| floating-point, some negative | db: decibels | by the first frame |
+| 32 and 64 bit, all other floating-point | log: echo amplitudes | by the first frame |
+
+`linear` is 255 v / full_scale, `log` 255 (1 + 20 log10(v / full_scale) / dynamic_range_db), `db`
+255 (1 + (v - full_scale) / dynamic_range_db), each cut to 0 to 255. These are the defaults; keys of
+the geometry state others. A full scale by the first frame puts the median of its echoes at a third
+of the range: floor speckle, whatever bright things lie on it. Later frames never enter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from sonarrec.geometry import Sonar
+from sonarrec.readers.raw import UnusableError
+from sonarrec.records import ByteImage
+
+DYNAMIC_RANGE_DB = 50.0
+_MEDIAN_AT = 1 / 3  # where floor speckle lies in the range: high enough for shadows to show
+
+
+@dataclass(frozen=True, slots=True)
+class GreyScale:
+    """How the pixels of one log become grey; see the module. bounded: pixels below 0 or above
+    full_scale are a fault rather than black or white."""
+
+    pixel_scale: Literal["linear", "log", "db"]
+    full_scale: float
+    dynamic_range_db: float
+    bounded: bool = False
+
+
+def single_channel(pixels: np.ndarray) -> np.ndarray:
+    """(rows, columns) in this machine's byte order, of pixels as a Ping holds them.
+
+    Colour becomes grey by OpenCV's weights (.299 R + .587 G + .114 B; alpha is left out).
+    Raises UnusableError for other pixels.
+    """
+    if pixels.dtype.kind not in "uif" or pixels.dtype == np.float16:
+        raise UnusableError(f"{pixels.dtype} pixels are not supported")
+    pixels = pixels.astype(pixels.dtype.newbyteorder("="), copy=False)
+    if pixels.dtype == np.float64:
+        pixels = pixels.astype(np.float32)
+    if pixels.ndim == 3 and pixels.shape[2] == 1:
+        pixels = pixels[:, :, 0]
+    if pixels.ndim == 3 and pixels.shape[2] in (3, 4):
+        if pixels.dtype not in (np.uint8, np.uint16, np.float32):
+            raise UnusableError(f"{pixels.dtype} colour pixels are not supported")
+        code = cv2.COLOR_BGR2GRAY if pixels.shape[2] == 3 else cv2.COLOR_BGRA2GRAY
+        pixels = np.asarray(cv2.cvtColor(np.ascontiguousarray(pixels), code))
+    if pixels.ndim != 2 or not pixels.size:
+        raise UnusableError(f"an image of shape {pixels.shape} is not supported")
+    return pixels
+
+
+def grey_scale(sonar: Sonar, pixels: np.ndarray, amplitudes: bool) -> GreyScale:
+    """The scale of a log by its first frame, where `sonar` does not state it.
+
+    pixels: of single_channel. amplitudes: floating-point pixels are echo amplitudes, whatever
+    their size. Raises UnusableError where the frame holds nothing to go by.
+    """
+    floating = pixels.dtype.kind == "f"
+    narrow = not floating and pixels.itemsize <= 2
+    low, high = (float(np.nanmin(pixels)), float(np.nanmax(pixels))) if floating else (0.0, 0.0)
+    unit = floating and not amplitudes and low >= 0 and high <= 1
+    scale = sonar.pixel_scale or (
+        "linear" if narrow or unit else "db" if floating and low < 0 else "log"
+    )
+    span = sonar.dynamic_range_db or DYNAMIC_RANGE_DB
+    if sonar.full_scale is not None:
+        full = sonar.full_scale
+    elif narrow and scale != "db":
+        full = float(np.iinfo(pixels.dtype).max)
+    elif unit and scale != "db":
+        full = 1.0
+    else:
+        full = _full_scale(pixels, scale, span)
+    return GreyScale(scale, full, span, bounded=unit and sonar.full_scale is None)
+
+
+def _full_scale(pixels: np.ndarray, scale: str, span: float) -> float:
+    echoes = pixels[np.isfinite(pixels) & ((pixels != 0) if scale == "db" else (pixels > 0))]
+    if not echoes.size:
+        raise UnusableError("no echo to take the grey scale from (full_scale states it)")
+    if scale == "linear":
+        return float(echoes.max())
+    median = float(np.median(echoes))
+    above = (1 - _MEDIAN_AT) * span
+    return median + above if scale == "db" else float(median * 10 ** (above / 20))
+
+
+def to_grey8(pixels: np.ndarray, scale: GreyScale) -> ByteImage:
+    """(rows, columns) uint8 from the pixels of single_channel; NaN (no data) becomes 0.
+
+    Raises UnusableError where pixels are out of bounds.
+    """
+    full = scale.full_scale
+    if scale.pixel_scale == "linear":
+        if pixels.dtype == np.uint8 and full == 255:
+            return np.ascontiguousarray(pixels)
+        if pixels.dtype == np.uint16:
+            return _rounded(np.ascontiguousarray(pixels), 255 / full)
+    values = np.nan_to_num(pixels.astype(np.float32), nan=0.0, posinf=np.inf, neginf=-np.inf)
+    if scale.bounded and (values.min() < 0 or values.max() > full):
+        raise UnusableError(
+            f"floating-point pixels must lie in 0 to {full:g}, as in the first frame"
+        )
+    if scale.pixel_scale == "log":
+        decibels = np.log10(np.maximum(values, np.finfo(np.float32).tiny)) * np.float32(20)
+        values = decibels - np.float32(20 * np.log10(full)) + np.float32(scale.dynamic_range_db)
+    elif scale.pixel_scale == "db":
+        no_data = np.isnan(pixels)
+        values = values - np.float32(full - scale.dynamic_range_db)
+        values[no_data] = 0
+    white = full if scale.pixel_scale == "linear" else scale.dynamic_range_db
+    return _rounded(np.clip(values, 0, np.float32(white)), 255 / white)
+
+
+def _rounded(values: np.ndarray, factor: float) -> ByteImage:
+    return np.asarray(cv2.convertScaleAbs(values, alpha=factor), np.uint8)
