@@ -21,7 +21,7 @@ from sonarrec.readers import Log
 from sonarrec.readers.images import is_image, natural_order
 from sonarrec.records import Fan, FloatArray, SonarrecError, UsageError
 
-_PLAIN_LABEL = re.compile(r"(?:id|landmark)?[\s._-]*(\d+)", re.IGNORECASE)
+_PLAIN_LABEL = re.compile(r"(?:(?:id|landmark)[\s._-]*)?(\d+)", re.IGNORECASE)
 _BY_NUMBER = "frames by the number that ends every image name"
 _FEW = 5  # names told in one line
 
@@ -98,18 +98,16 @@ def convert(
         unused.append(
             f"{missing.total()} shapes on images that are not in the log: {_some(missing)}"
         )
-    used = [s for s in found.shapes if ids.get(s.label) is not None and s.frame in frames]
+    used = [s for s in found.shapes if s.label in ids and s.frame in frames]
     if unused and not used:
         raise SonarrecError(f"{source}: nothing can be used: {'; '.join(unused)}")
     x, y, visible = _in_fan_pixels(source, found, used, log, landmarks.radius_m)
     # Tracks drawn in overlapping parts of one job hold a shape twice.
-    rows = sorted(
-        {
-            (frames[s.frame], ids[s.label], f"{x[n]:.2f}", f"{y[n]:.2f}", f"{visible[n]:.3f}")
-            for n, s in enumerate(used)
-        },
-        key=lambda row: row[:2],
+    cells = (
+        (frames[s.frame], ids[s.label], f"{x[n]:.2f}", f"{y[n]:.2f}", f"{visible[n]:.3f}")
+        for n, s in enumerate(used)
     )
+    rows = sorted(dict.fromkeys(cells), key=lambda row: row[:2])
     write_truth(out, HEADER.replace("frame", key).split(","), rows)
     notes = [rule]
     if found.interpolated:
@@ -122,15 +120,15 @@ def convert(
 
 def _landmark_ids(
     labels: Counter[str], given: Mapping[str, int | None], landmarks: LandmarkSet
-) -> tuple[dict[str, int | None], list[str]]:
-    """(ID per label, None to leave it out; lines about labels that have no ID)."""
+) -> tuple[dict[str, int], list[str]]:
+    """(ID per label that has one, lines about labels that should have one)."""
     known = ", ".join(map(str, landmarks.ids))
     for label, landmark in given.items():
         if label not in labels:
             raise UsageError(f"--map {label}: no shape has this label; labels: {_some(labels)}")
         if landmark is not None and landmark not in landmarks.ids:
             raise UsageError(f"--map {label}: ID {landmark} is not in {landmarks.name!r} ({known})")
-    ids = dict(given)
+    ids = {label: landmark for label, landmark in given.items() if landmark is not None}
     unused = []
     for label, count in labels.items():
         if label in given:
@@ -138,13 +136,13 @@ def _landmark_ids(
         plain = _PLAIN_LABEL.fullmatch(label.strip())
         if plain is None:
             unused.append(
-                f"{count} shapes labelled {label!r}: no ID; use --map {label!r}=ID, "
-                "or =none to leave them out"
+                f"label {label!r} ({count} times) has no ID: give one by --map '{label}=ID', "
+                f"or leave it out by --map '{label}=none'"
             )
         elif int(plain[1]) not in landmarks.ids:
             unused.append(
-                f"{count} shapes labelled {label!r}: not in the set {landmarks.name!r} ({known}); "
-                "name the right set with --landmarks"
+                f"label {label!r} ({count} times) is not in the set {landmarks.name!r} ({known}): "
+                "name the right set by --landmarks"
             )
         else:
             ids[label] = int(plain[1])

@@ -12,7 +12,7 @@ import numpy as np
 from sonarrec.evaluation.results import IntArray
 from sonarrec.evaluation.truth_check import CheckedTruth
 from sonarrec.overlay.drawing import Colour, disc_outline, landmark_colours
-from sonarrec.records import ByteImage, FloatArray, Frame
+from sonarrec.records import ByteImage, FloatArray, Frame, SonarrecError
 
 TILES = 8
 """Frames shown of a pass, from its first to its last."""
@@ -38,8 +38,9 @@ def draw_contact_sheet(truth: CheckedTruth, frames: Iterable[Frame], out: Path) 
     """Write a PNG that shows where the truth puts the landmarks; its number of strips.
 
     First what was found wrong, then a strip for each pass of a landmark through the view, at most
-    MOST_STRIPS evenly chosen. frames: of the log, read as far as needed. 0, and no picture, where
-    no row with a position lies on a frame of the log.
+    MOST_STRIPS of them, evenly chosen. frames: of the log, read as far as needed. 0, and no picture, where
+    no row with a position lies on a frame of the log. Raises SonarrecError where `out` cannot be
+    written.
     """
     strips = _strips(truth)
     if not strips:
@@ -162,4 +163,7 @@ def _draw(
             line.set_clip_path(frame)
             axes.text(x, y + SIDE + 10, caption, color=ink, fontsize=8, va="center")
     axes.set(xlim=(0, width), ylim=(height, 0), aspect="auto")
-    figure.savefig(out, facecolor=_GROUND)
+    try:
+        figure.savefig(out, format="png", facecolor=_GROUND)
+    except OSError as error:
+        raise SonarrecError(f"{out}: cannot be written ({error.strerror})") from None

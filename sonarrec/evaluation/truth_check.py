@@ -256,7 +256,10 @@ def _jumps(line: IntArray, places: _Places, radius_m: float, max_pan_deg: float)
     group = np.cumsum(new) - 1
 
     def led_from(back: int) -> tuple[FloatArray, IntArray]:
-        """Per row, how much too far the nearest row `back` groups earlier is (1: just not)."""
+        """Per row: the shortest way from a row `back` groups earlier, 1 being the limit; that row.
+
+        (inf, -1) where the ID has no such group.
+        """
         earlier = np.maximum(group - back, 0)
         count = np.where(group >= back, sizes[earlier], 0)
         least = np.full(len(order), np.inf)
