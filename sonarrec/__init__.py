@@ -1,5 +1,10 @@
 """sonarrec: recognise landmarks in recorded imaging-sonar logs."""
 
+import os
 from importlib.metadata import version
+
+# OpenCV reads it when it is loaded: an image file whose header states more than 4096 x 4096 pixels
+# is refused, before room is made for it.
+os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(2**24))
 
 __version__ = version("sonarrec")

@@ -281,9 +281,10 @@ def lz4_cut_block(block: bytes, history: bytes, size: int) -> bytes:
             match, at = _lz4_length(block, at + 2, token & 15)
             if not 0 < distance <= len(out):
                 raise DamagedError("does not inflate (a match before the beginning)")
-            match = min(match + 4, most - len(out))
-            pattern = out[-distance:][:match]  # repeats where it is shorter than the match
-            out += (pattern * (match // len(pattern) + 1))[:match]
+            match = max(0, min(match + 4, most - len(out)))
+            start = len(out) - distance
+            pattern = out[start : start + match]  # repeats where it is shorter than the match
+            out += (pattern * (match // distance + 1))[:match]
     except IndexError:  # the cut
         pass
     return bytes(out[len(history) : most])
