@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
+from types import MappingProxyType, TracebackType
 from typing import Any, Self
 
 import tomli_w
@@ -15,9 +15,17 @@ import tomli_w
 from sonarrec import __version__, config
 from sonarrec.geometry import Sonar
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import Fan, FrameResult, SonarrecError
+from sonarrec.records import NO_STAMPS, Fan, FrameResult, SonarrecError, Stamps
 
-FRAME_COLUMNS = ("frame", "timestamp_ns", "candidates", "tracks")
+FRAME_COLUMNS = (
+    "frame",
+    "timestamp_ns",
+    "candidates",
+    "tracks",
+    "log_time_ns",
+    "publish_time_ns",
+    "header_stamp_ns",
+)
 
 
 def estimate_columns(ids: Sequence[int]) -> list[str]:
@@ -62,12 +70,23 @@ class ResultsWriter:
         self._frames.writerow(FRAME_COLUMNS)
         self._estimates.writerow(estimate_columns(landmarks.ids))
 
-    def write(self, result: FrameResult) -> None:
-        """Append one frame. Raises SonarrecError where the disk takes no more."""
+    def write(self, result: FrameResult, stamps: Stamps = NO_STAMPS) -> None:
+        """Append one frame and the times that its log keeps of it.
+
+        Raises SonarrecError where the disk takes no more.
+        """
         self.frames += 1
         try:
             self._frames.writerow(
-                (result.index, result.timestamp_ns, result.candidates, result.tracks)
+                (
+                    result.index,
+                    result.timestamp_ns,
+                    result.candidates,
+                    result.tracks,
+                    stamps.log,
+                    stamps.publish,
+                    stamps.header,
+                )
             )
             self._estimates.writerows(
                 (
@@ -137,11 +156,13 @@ def run_table(
     fan: Fan,
     landmarks: LandmarkSet,
     source: tuple[str, int, str],
+    reading: Mapping[str, Any] = MappingProxyType({}),
 ) -> dict[str, Any]:
     """The tables of run.toml: all that is needed to get the same results again.
 
-    source: the input's name, size in bytes and SHA-256. The scale and apex of the fan are written
-    out also where sonar.toml leaves them to their defaults, so that fan pixels can be read later.
+    sonar: as stated, which serves a run again. source: the input's name, size in bytes and SHA-256.
+    reading: how it was read (`Log.reading`). The fan is written out also where the geometry leaves
+    it to defaults or to the log's messages, so that fan pixels can be read later.
     """
     resolved = Sonar(metres_per_pixel=fan.metres_per_pixel, apex_px=(fan.apex_column, fan.apex_row))
     table = sonar.as_table() | {
@@ -153,7 +174,7 @@ def run_table(
     name, size, digest = source
     return {
         "program": {"name": "sonarrec", "version": __version__},
-        "input": {"name": name, "bytes": size, "sha256": digest},
+        "input": {"name": name, "bytes": size, "sha256": digest, **reading},
         "config": config.as_table(settings),
         "sonar": table,
         "fan": {
@@ -161,6 +182,11 @@ def run_table(
             "columns": fan.columns,
             "metres_per_pixel": fan.metres_per_pixel,
             "apex_px": [fan.apex_column, fan.apex_row],
+            "range_min_m": fan.range_min_m,
+            "range_max_m": fan.range_max_m,
+            "field_of_view_deg": fan.bearing_max_deg - fan.bearing_min_deg,
+            "tilt_deg": fan.tilt_deg,
+            **({} if fan.height_m is None else {"height_m": fan.height_m}),
         },
         "landmarks": landmarks.as_table(),
     }

@@ -14,16 +14,18 @@ from sonarrec.landmarks import landmarks_from_table, load_landmarks
 from sonarrec.output import ResultsWriter, Sightings, run_table
 from sonarrec.readers import open_log
 from sonarrec.recogniser import FRAMEWORK, Recogniser
-from sonarrec.records import FrameResult, SonarrecError
+from sonarrec.records import Clock, FrameResult, SonarrecError
 
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """What became of one log: where the results are, and what could not be used."""
+    """What became of one log: where the results are, what could not be used, and what was stated
+    against the log's own messages."""
 
     folder: Path
     frames: int
     problems: list[str]
+    notes: list[str]
     sightings: list[str]
 
 
@@ -37,12 +39,15 @@ def process(
     sonar_file: Path | None = None,
     earlier_run: Path | None = None,
     topic: str | None = None,
+    time: Clock | None = None,
     observe: Callable[[FrameResult, int | None], None] | None = None,
 ) -> Summary:
     """Run one log and write `out`/<log name>/.
 
-    sonar: geometry that wins over every file. earlier_run: a run.toml whose geometry and landmark
-    set serve where nothing else is given; a plain settings file has neither and changes nothing.
+    sonar: geometry that wins over every file. time: which of the log's times names a frame,
+    default its log time. earlier_run: a run.toml whose geometry and landmark set, and whose topic
+    and time if it was of this log, serve where nothing else is given; a plain settings file has
+    none of them and changes nothing.
     observe: told each result and the number of frames, where that is known. Raises SonarrecError
     for input or settings that cannot be used.
     """
@@ -51,11 +56,14 @@ def process(
         table = tomllib.loads(earlier_run.read_text(encoding="utf-8"))
         if "sonar" in table and sonar_file is None:
             sonar = sonar_from_table(table["sonar"], str(earlier_run)).updated(sonar)
+        earlier = table.get("input", {})
+        if earlier.get("name") == Path(path).stem:
+            topic, time = topic or earlier.get("topic"), time or earlier.get("time")
     if earlier_run is not None and landmarks is None and "landmarks" in table:
         landmark_set = landmarks_from_table(table["landmarks"], str(earlier_run))
     else:
         landmark_set = load_landmarks(landmarks or "basin")
-    with open_log(path, sonar=sonar, sonar_file=sonar_file, topic=topic) as log:
+    with open_log(path, sonar=sonar, sonar_file=sonar_file, topic=topic, time=time or "log") as log:
         frames = iter(log)
         first = next(frames, None)
         if first is None:
@@ -63,14 +71,16 @@ def process(
             raise SonarrecError(f"{path}: no usable frame{told}")
         recogniser = Recogniser(settings, first.fan, landmark_set)
         source = (log.name, *log.digest_source())
-        run = run_table(settings, log.sonar, first.fan, landmark_set, source)
+        run = run_table(settings, log.stated, first.fan, landmark_set, source, log.reading())
         sightings = Sightings(FRAMEWORK)
         with ResultsWriter(out / log.name, landmark_set, run) as writer:
             for frame in chain([first], frames):
                 result = recogniser.step(frame)
-                writer.write(result)
+                writer.write(result, frame.stamps)
                 sightings.add(result)
                 if observe is not None:
                     observe(result, log.frame_count)
             writer.finish(log.problems)
-        return Summary(out / log.name, writer.frames, list(log.problems), sightings.table())
+        return Summary(
+            out / log.name, writer.frames, list(log.problems), list(log.notes), sightings.table()
+        )

@@ -14,7 +14,7 @@ from sonarrec import config
 from sonarrec.geometry import Sonar, load_sonar, sonar_from_table
 from sonarrec.landmarks import landmarks_from_table, load_landmarks
 from sonarrec.output import ResultsWriter, Sightings, estimate_columns, run_table
-from sonarrec.records import Estimate, FrameResult, SonarrecError
+from sonarrec.records import Estimate, FrameResult, SonarrecError, Stamps
 
 BASIN = load_landmarks("basin")
 CONTRACT = (
@@ -62,7 +62,9 @@ def test_headers_are_the_contract_s(tmp_path):
     with ResultsWriter(tmp_path / "log_a", BASIN, tables()) as writer:
         writer.finish([])
     assert (tmp_path / "log_a/estimates.csv").read_bytes() == CONTRACT.encode() + b"\n"
-    assert (tmp_path / "log_a/frames.csv").read_bytes() == b"frame,timestamp_ns,candidates,tracks\n"
+    assert (tmp_path / "log_a/frames.csv").read_bytes() == (
+        b"frame,timestamp_ns,candidates,tracks,log_time_ns,publish_time_ns,header_stamp_ns\n"
+    )
     assert estimate_columns((7, 12))[10:13] == ["p_7", "p_12", "p_none"]
 
 
@@ -75,13 +77,13 @@ def test_what_is_written_is_what_was_estimated(tmp_path):
         given.append(estimate(object=i, probabilities=p, landmark=best, declared=i % 2 == 0))
     with ResultsWriter(tmp_path, BASIN, tables()) as writer:
         writer.write(result(5, *given[:30]))
-        writer.write(result(6))
+        writer.write(result(6), Stamps(log=1500000001, header=-7))
         writer.write(result(7, *given[30:]))
         writer.finish([])
     assert rows(tmp_path / "frames.csv")[1:] == [
-        ["5", "1250000000", "4", "2"],
-        ["6", "1500000000", "4", "2"],
-        ["7", "1750000000", "4", "2"],
+        ["5", "1250000000", "4", "2", "", "", ""],
+        ["6", "1500000000", "4", "2", "1500000001", "", "-7"],
+        ["7", "1750000000", "4", "2", "", "", ""],
     ]
     header, *body = rows(tmp_path / "estimates.csv")
     assert len(body) == 40

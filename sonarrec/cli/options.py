@@ -41,6 +41,45 @@ def sonar_options(command: Command) -> Command:
         click.option(
             "--bearings-deg", metavar="B,B,...", help="One bearing per beam of a polar image."
         ),
+        click.option(
+            "--ranges-m", metavar="R,R,...", help="One slant range per row of a polar image."
+        ),
+    ]
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+def pixel_options(command: Command) -> Command:
+    """The flags that say how a log's samples lie and what they mean; keys of sonar.toml as well."""
+    options = [
+        click.option(
+            "--beam-order",
+            type=click.Choice(["range-major", "beam-major"]),
+            help="Polar samples: all beams of one range first, or all ranges of one beam.  "
+            "[default: found from the first ping]",
+        ),
+        click.option(
+            "--flip/--no-flip", default=None, help="Exchange left and right, where a driver did."
+        ),
+        click.option(
+            "--pixel-scale",
+            type=click.Choice(["linear", "log", "db"]),
+            help="What pixels hold: ready to show, echo amplitudes, decibels.  "
+            "[default: linear to 16 bit and within 0 to 1, else log; db where negative]",
+        ),
+        click.option(
+            "--full-scale",
+            type=float,
+            metavar="VALUE",
+            help="The pixel value that becomes white.  "
+            "[default: the type's largest; for log and db by the first ping]",
+        ),
+        click.option(
+            "--dynamic-range-db",
+            type=float,
+            help="From black to white for log and db.  [default: 50]",
+        ),
     ]
     for option in reversed(options):
         command = option(command)
@@ -51,11 +90,13 @@ def sonar_from_flags(flags: dict[str, Any]) -> Any:
     from sonarrec.geometry import sonar_from_table
 
     stated = {key: value for key, value in flags.items() if value is not None}
-    if "bearings_deg" in stated:
-        try:
-            stated["bearings_deg"] = [float(b) for b in stated["bearings_deg"].split(",")]
-        except ValueError:
-            raise UsageError("--bearings-deg: expected numbers with commas between") from None
+    for key in ("bearings_deg", "ranges_m"):
+        if key in stated:
+            try:
+                stated[key] = [float(number) for number in stated[key].split(",")]
+            except ValueError:
+                flag = f"--{key.replace('_', '-')}"
+                raise UsageError(f"{flag}: expected numbers with commas between") from None
     return sonar_from_table(stated, "command line")
 
 

@@ -12,13 +12,14 @@ from sonarrec.cli.options import (
     PARTLY,
     chosen_settings,
     config_option,
+    pixel_options,
     preset_option,
     seed_option,
     set_option,
     sonar_from_flags,
     sonar_options,
 )
-from sonarrec.records import FrameResult
+from sonarrec.records import Clock, FrameResult
 
 
 @click.command()
@@ -31,17 +32,25 @@ from sonarrec.records import FrameResult
     help="Results go to OUT/<log name>.",
 )
 @click.option("--topic", help="Channel of an MCAP that holds several image channels.")
+@click.option(
+    "--time",
+    "clock",
+    type=click.Choice(["log", "publish", "header"]),
+    help="Which time of an MCAP message names a frame; the order is log time.  [default: log]",
+)
 @click.option("--landmarks", help="Landmark set: a built-in name or a TOML file.  [default: basin]")
 @preset_option
 @config_option
 @set_option
 @seed_option
 @sonar_options
+@pixel_options
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar and no summary.")
 def run(
     log: tuple[str, ...],
     out: Path,
     topic: str | None,
+    clock: Clock | None,
     landmarks: str | None,
     preset: str | None,
     config_file: Path | None,
@@ -55,12 +64,14 @@ def run(
 
     LOG is an MCAP file, a folder of images, a quoted glob of images or a video. The sonar's
     geometry is read from sonar.toml beside it (NAME.sonar.toml for one file), from --sonar, or
-    from the flags. Several LOGs are processed one after the other.
+    from the flags; polar sonar messages tell their own, all but the tilt and the height. Several
+    LOGs are processed one after the other.
 
     \b
     Examples:
       sonarrec run log.mcap
       sonarrec run pings/ --tilt-deg 22 --height-m 0.7
+      sonarrec run dive.mcap --topic /oculus/ping --tilt-deg 20 --time header
       sonarrec run 'dump/*.png' --preset paper --out results
     """
     from sonarrec.pipeline import process
@@ -78,8 +89,11 @@ def run(
             sonar_file=sonar_file,
             earlier_run=config_file,
             topic=topic,
+            time=clock,
             observe=_progress_bar(quiet),
         )
+        for note in summary.notes:
+            click.echo(f"sonarrec: note: {note}", err=True)
         for problem in summary.problems:
             click.echo(f"sonarrec: {problem}", err=True)
         partly |= bool(summary.problems)

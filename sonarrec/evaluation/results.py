@@ -164,7 +164,7 @@ def _fan(run: dict[str, Any], path: Path, given: Sonar | None) -> Fan | None:
     table = {key: value for key, value in run.get("sonar", {}).items() if key in known}
     # [fan] describes the images that pixels refer to, also where the recording was polar.
     fan = run.get("fan", {})
-    table |= {key: fan[key] for key in ("metres_per_pixel", "apex_px") if key in fan}
+    table |= {key: value for key, value in fan.items() if key in known}
     sonar = sonar_from_table(table, str(path)).updated(given or Sonar())
     if sonar.metres_per_pixel is None or sonar.apex_px is None:
         return None

@@ -8,13 +8,13 @@ from __future__ import annotations
 import glob
 import hashlib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 from sonarrec.geometry import Sonar, check_sonar, load_sonar
 from sonarrec.readers.fans import FanImages
-from sonarrec.readers.grey import GreyScale
 from sonarrec.readers.images import IMAGE_SUFFIXES, ImageFiles, is_image, natural_order
 from sonarrec.readers.raw import RawFrame, RawLog, UnusableError
 from sonarrec.readers.video import VIDEO_SUFFIXES, VideoFrames
@@ -51,33 +51,43 @@ class Log:
     """A recorded log: one pass of Frames, streamed. Use it as a context manager.
 
     name: of the folder or file, for the results folder. frame_count: frames to come, None where
-    unknown. sonar: the geometry as stated by file and flags. problems: one line for each thing that
+    unknown. stated: the geometry as file and flags state it. problems: one line for each thing that
     could not be used (at most MAX_PROBLEM_LINES, then a count), complete after the pass.
     """
 
     def __init__(
-        self, path: Path, name: str, files: list[Path], sonar: Sonar, raw: RawLog, time: Clock
+        self, path: Path, name: str, files: list[Path], stated: Sonar, raw: RawLog, time: Clock
     ) -> None:
         """files: what the log consists of, in order. time: which of its times names a frame."""
         self.path = path
         self.name = name
-        self.sonar = sonar
+        self.stated = stated
         self.frame_count = raw.frame_count
         self.problems: list[str] = []
         self._files = files
         self._raw = raw
         self._time = time
-        self._images = FanImages(sonar, str(path))
+        self._images = FanImages(stated, str(path))
+
+    @property
+    def sonar(self) -> Sonar:
+        """The geometry as resolved: of polar messages that of the first ping once it was read."""
+        return self._images.sonar
 
     @property
     def fan(self) -> Fan | None:
         """The fan images' geometry, None before the first frame."""
         return self._images.fan
 
-    @property
-    def scale(self) -> GreyScale | None:
-        """How pixels became 8-bit grey, None before the first frame."""
-        return self._images.scale
+    def reading(self) -> dict[str, Any]:
+        """How the log was read, for run.toml: what was chosen, and what the first frame settled."""
+        settled: dict[str, Any] = {"time": self._time}
+        if self._raw.topic is not None:
+            settled["topic"] = self._raw.topic
+        if self._raw.polar and self.sonar.beam_order is not None:
+            settled["beam_order"] = self.sonar.beam_order
+        scale = self._images.scale
+        return settled if scale is None else settled | scale.as_table()
 
     @property
     def notes(self) -> list[str]:
@@ -194,9 +204,10 @@ def open_log(
         raw = reader.open(path, topic) if files == [path] else ImageFiles(files)
     except OSError as error:
         raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
+    if resolved.layout is None:
+        resolved = replace(resolved, layout="polar" if raw.polar else "fan")
     try:
         if not raw.polar:  # what polar messages tell of themselves need not be stated
-            resolved = Sonar(layout="fan").updated(resolved)
             check_sonar(resolved, where)
     except SonarrecError:
         raw.close()

@@ -23,13 +23,15 @@ class FanImages:
     resampled into the fan of the first, so that a metre stays a metre, and show 0 where they hold
     nothing. What the user states goes before what messages tell.
 
-    fan, scale: None before the first frame. notes: lines on what was stated against the messages.
+    sonar: the geometry, of polar messages that of the first ping once it was read. fan, scale: None
+    before the first frame. notes: lines on what was stated against the messages.
     """
 
     def __init__(self, stated: Sonar, where: str) -> None:
         """stated: by the user; complete where frames do not tell their geometry. where: names it
         in errors."""
         self.sonar = stated
+        self._stated = stated
         self.fan: Fan | None = None
         self.scale: GreyScale | None = None
         self.notes: list[str] = []
@@ -48,7 +50,7 @@ class FanImages:
         if raw.pixels is None:
             raise UnusableError(str(raw.problem))
         pixels = single_channel(raw.pixels)
-        scale = self.scale or grey_scale(self.sonar, pixels, amplitudes=raw.sonar is not None)
+        scale = self.scale or grey_scale(self._stated, pixels, amplitudes=raw.sonar is not None)
         image = to_grey8(pixels, scale)
         image = self._image(image) if raw.sonar is None else self._ping(image, raw.sonar)
         self.scale = scale
@@ -80,20 +82,24 @@ class FanImages:
         """A polar frame and the geometry it tells."""
         beam_major = self._beam_major
         if beam_major is None:
-            order = self.sonar.beam_order or told.beam_order
+            order = self._stated.beam_order or told.beam_order
             beam_major = looks_beam_major(image) if order is None else order == "beam-major"
         if beam_major:
             image = np.ascontiguousarray(image.reshape(image.shape[::-1]).T)
         if told != self._told:
-            self._to_fan = self._resampling(told, image.shape)
-            self.fan = self._to_fan.fan
+            sonar, self._to_fan = self._resampling(told, image.shape)
             self._told = told
+            if self.fan is None:
+                self.sonar = replace(
+                    sonar, beam_order="beam-major" if beam_major else "range-major"
+                )
+                self.fan = self._to_fan.fan
         self._beam_major = beam_major
         assert self._to_fan is not None
         return self._to_fan(image)
 
-    def _resampling(self, told: Sonar, shape: tuple[int, int]) -> PolarToFan:
-        sonar, against = _as_stated(told, self.sonar, bins=shape[0])
+    def _resampling(self, told: Sonar, shape: tuple[int, int]) -> tuple[Sonar, PolarToFan]:
+        sonar, against = _as_stated(told, self._stated, bins=shape[0])
         try:
             check_sonar(sonar, self._where)
             to_fan = PolarToFan(sonar, *shape, self.fan)
@@ -111,7 +117,7 @@ class FanImages:
             )
         if against and not self.notes:
             self.notes.append(f"{self._where}: stated against the messages: {', '.join(against)}")
-        return to_fan
+        return sonar, to_fan
 
 
 def _as_stated(told: Sonar, stated: Sonar, bins: int) -> tuple[Sonar, list[str]]:

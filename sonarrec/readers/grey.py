@@ -16,7 +16,7 @@ of the range: floor speckle, whatever bright things lie on it. Later frames neve
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -38,6 +38,12 @@ class GreyScale:
     full_scale: float
     dynamic_range_db: float
     bounded: bool = False
+
+    def as_table(self) -> dict[str, Any]:
+        """The keys of the geometry that would state this scale."""
+        table = {"pixel_scale": self.pixel_scale, "full_scale": self.full_scale}
+        linear = self.pixel_scale == "linear"
+        return table if linear else table | {"dynamic_range_db": self.dynamic_range_db}
 
 
 def single_channel(pixels: np.ndarray) -> np.ndarray:

@@ -33,6 +33,7 @@ class ImageFiles:
     def __init__(self, files: Sequence[Path]) -> None:
         self.files = sorted(files, key=natural_order)
         self.frame_count: int | None = len(self.files)
+        self.topic: str | None = None
         self.polar = False
         self.faults: list[str] = []
         self._stamped = all(re.fullmatch(r"[0-9]{19}", f.stem) for f in self.files)

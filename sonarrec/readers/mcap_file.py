@@ -47,6 +47,7 @@ class McapImages:
         except BaseException:
             self._log.close()
             raise
+        self.topic: str | None = self._log.channels[next(iter(self._decoders))].topic
         self.polar = any(decoder.polar for decoder in self._decoders.values())
         self.faults = self._log.faults
         self.frame_count: int | None = sum(self._log.counts[c] for c in self._decoders)

@@ -54,12 +54,13 @@ class RawFrame:
 class RawLog(Protocol):
     """One opened log: a single pass over its frames, in time order, one in memory at a time.
 
-    frame_count: frames to come, None where unknown before the end. polar: its frames tell their
-    own geometry.
+    frame_count: frames to come, None where unknown before the end. topic: the channel read, None
+    where there are none. polar: its frames tell their own geometry.
     faults: lines about what is wrong with the log as a whole, complete after the pass.
     """
 
     frame_count: int | None
+    topic: str | None
     polar: bool
     faults: list[str]
 

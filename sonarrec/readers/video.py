@@ -29,6 +29,7 @@ class VideoFrames:
         rate = self._video.get(cv2.CAP_PROP_FPS)
         self._period_ns = 1e9 / rate if 0 < rate < 1e6 else None
         self._path = path
+        self.topic: str | None = None
         self.polar = False
         self.faults: list[str] = []
 
