@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 
 import cv2
 import numpy as np
@@ -185,19 +186,22 @@ def draw_strip(history: Sequence[Moment], landmarks: LandmarkSet, width: int) ->
     """
     newest = history[-1]
     unit = _unit(width)
-    pen = _Pen(np.zeros((round(128 * unit), width, 3), np.uint8), unit)
+    colours = landmark_colours(landmarks.ids)
     left, right = 34 * unit, width - 10 * unit
-    top, bottom = 24 * unit, 116 * unit
+    # A legend of many IDs takes more lines.
+    per_line = max(1, int((right - left - 210 * unit) / (46 * unit)))
+    top = (24 + 16 * ((len(colours) - 1) // per_line)) * unit
+    bottom = top + 92 * unit
+    pen = _Pen(np.zeros((round(bottom + 12 * unit), width, 3), np.uint8), unit)
+    for n, (landmark, colour) in enumerate(colours.items()):
+        at = (left + n % per_line * 46 * unit, (15 + 16 * (n // per_line)) * unit)
+        pen.text(f"ID.{landmark}", at, colour)
+    told = f"frame {newest.index}  {_clock(newest.timestamp_ns)}"
+    pen.text(told, (right, 15 * unit), UNNAMED, align_right=True)
     for share in (0.0, 0.5, 1.0):
         level = bottom - share * (bottom - top)
         pen.lines(np.array([[[left, level], [right, level]]]), (70, 70, 70), 1)
         pen.text(f"{share:g}", (6 * unit, level + 5 * unit), UNNAMED)
-    colours = landmark_colours(landmarks.ids)
-    at = left
-    for landmark, colour in colours.items():
-        at += pen.text(f"ID.{landmark}", (at, 15 * unit), colour) + 10 * unit
-    told = f"frame {newest.index}  {newest.timestamp_ns / 1e9:.2f} s"
-    pen.text(told, (right, 15 * unit), UNNAMED, align_right=True)
 
     shown = [
         (result.index, e)
@@ -236,6 +240,14 @@ def draw_picture(frame: ByteImage, strip: ByteImage) -> ByteImage:
         picture[at : at + part.shape[0], left : left + part.shape[1]] = part
         at += part.shape[0]
     return picture
+
+
+def _clock(timestamp_ns: int) -> str:
+    """Seconds, or the time of day where they count from 1970."""
+    seconds = timestamp_ns / 1e9
+    if seconds < 1e8:
+        return f"{seconds:.2f} s"
+    return f"{datetime.fromtimestamp(seconds, UTC):%H:%M:%S.%f}"[:-4] + " UTC"
 
 
 def _unit(longer_side: int) -> float:
@@ -290,8 +302,8 @@ class _Pen:
 
     def text(
         self, text: str, at: tuple[float, float], colour: Colour, align_right: bool = False
-    ) -> int:
-        """Text from its bottom-left corner (or right), in pixels of the canvas; its width."""
+    ) -> None:
+        """Text from its bottom-left corner (or right), in pixels of the canvas."""
         width = int(cv2.getTextSize(text, _FONT, self._unit / 2, self._thickness)[0][0])
         corner = (round(at[0]) - (width if align_right else 0), round(at[1]))
         cv2.putText(
@@ -304,4 +316,3 @@ class _Pen:
             self._thickness,
             cv2.LINE_AA,
         )
-        return width

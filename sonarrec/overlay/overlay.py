@@ -69,8 +69,8 @@ def write_overlay(
 
     results: the folder of this log's results, or one that holds it. method: None for the
     framework. span: frames from the first number up to, not including, the second. landmarks,
-    sonar, sonar_file: where run.toml does not tell them; they win over it. observe: called after
-    every frame with the number of frames, where that is known.
+    sonar, sonar_file, topic: where run.toml does not tell them; they win over it. observe: called
+    after every frame with the number of frames, where that is known.
     Raises SonarrecError where something cannot be used or the results are of another log,
     UsageError where an option cannot be meant.
     """
@@ -87,7 +87,9 @@ def write_overlay(
         stated = sonar_from_table(run["sonar"], str(folder / "run.toml")).updated(stated)
     table = folder / "estimates.csv"
     method = choose_method(table, method)
-    with open_log(path, sonar=stated, sonar_file=sonar_file, topic=topic) as log:
+    read_as = run.get("input", {})
+    topic, time = topic or read_as.get("topic"), read_as.get("time", "log")
+    with open_log(path, sonar=stated, sonar_file=sonar_file, topic=topic, time=time) as log:
         problems = _check_same(log, folder, run)
         frames = iter(log)
         first = next(frames)  # raises where there is no usable frame
@@ -139,7 +141,7 @@ def _open_targets(
     pictures: list[VideoFile | ImageFolder] = []
     if targets.mcap is not None:
         # Where the recording holds nothing that Foxglove shows as this fan, the overlay does.
-        unseen = first.stamps.log is None or log.sonar.layout == "polar"
+        unseen = first.stamps.log is None or log.sonar.layout == "polar" or bool(log.sonar.flip)
         annotations = FoxgloveFile(targets.mcap, landmarks, with_images=unseen)
         stack.enter_context(annotations)
     if targets.video is not None:
