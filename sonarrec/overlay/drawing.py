@@ -160,7 +160,7 @@ def draw_frame(
     scale = enlargement(fan)
     size = (fan.columns * scale, fan.rows * scale)
     enlarged = cv2.resize(image, size, interpolation=cv2.INTER_LINEAR)
-    pen = _Pen(cv2.cvtColor(enlarged, cv2.COLOR_GRAY2BGR), _unit(max(size)), scale)
+    pen = _Pen(cv2.cvtColor(enlarged, cv2.COLOR_GRAY2BGR), pixel_unit(max(size)), scale)
     colours = landmark_colours(landmarks.ids)
     # The declared last, on top of the others.
     for e in sorted(estimates, key=lambda e: (e.declared, e.score)):
@@ -185,7 +185,7 @@ def draw_strip(history: Sequence[Moment], landmarks: LandmarkSet, width: int) ->
     declared; of methods that do not follow objects, points. Returns (rows, width, 3) uint8 BGR.
     """
     newest = history[-1]
-    unit = _unit(width)
+    unit = pixel_unit(width)
     colours = landmark_colours(landmarks.ids)
     left, right = 34 * unit, width - 10 * unit
     # A legend of many IDs takes more lines.
@@ -250,7 +250,7 @@ def _clock(timestamp_ns: int) -> str:
     return f"{datetime.fromtimestamp(seconds, UTC):%H:%M:%S.%f}"[:-4] + " UTC"
 
 
-def _unit(longer_side: int) -> float:
+def pixel_unit(longer_side: int) -> float:
     """Pixels of a picture per pixel of text and line width laid out for 512 of them."""
     return max(1.0, longer_side / 640)
 

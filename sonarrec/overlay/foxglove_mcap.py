@@ -23,6 +23,7 @@ from sonarrec.overlay.drawing import (
     caption,
     disc_outline,
     landmark_colours,
+    pixel_unit,
 )
 from sonarrec.records import Estimate, FloatArray, Frame, SonarrecError
 
@@ -190,7 +191,7 @@ def annotations_message(
     back at a frame without any.
     """
     fan, time = frame.fan, _time(stamp_ns)
-    size = max(fan.rows, fan.columns) / 512
+    size = pixel_unit(max(fan.rows, fan.columns))
     colours = landmark_colours(landmarks.ids)
     points, texts = [], []
 
