@@ -88,6 +88,7 @@ def report(
         click.echo(f"sonarrec: {problem}", err=True)
     if not quiet:
         size = written.path.stat().st_size / 1e6
-        click.echo(f"{written.path}: {written.pictures} frames shown, {size:.1f} MB")
+        frames = "1 frame" if written.pictures == 1 else f"{written.pictures} frames"
+        click.echo(f"{written.path}: {size:.1f} MB, {frames} of the log")
     if written.unused:
         click.get_current_context().exit(PARTLY)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
 
 from sonarrec.evaluation.scoring import Evaluation, evaluate
 from sonarrec.evaluation.truth import read_truth
@@ -69,13 +71,30 @@ def write_report(
         sonar=sonar,
     )
     pictures = _draw_all(logs, evaluation, recordings, sonar, topic)
-    page = render(logs, evaluation, ground_truth, pictures)
+    unused = evaluation.unused if evaluation is not None else tuple(_left_out(logs))
+    page = render(logs, evaluation, ground_truth, pictures, unused)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(page, encoding="utf-8")
     except OSError as error:
         raise SonarrecError(f"{path}: cannot be written ({error.strerror})") from None
-    return Report(path, len(pictures), evaluation.unused if evaluation is not None else ())
+    return Report(path, len(pictures), unused)
+
+
+def _left_out(logs: Sequence[ReportedLog]) -> Iterator[str]:
+    """What `evaluate` tells of results that are not whole, where nothing is evaluated."""
+    for log in logs:
+        name, found = log.results.name, log.results
+        if not found.finished:
+            yield (
+                f"{name}: the run was cut short (run.toml says finished = false); "
+                f"only its {len(found.frame)} frames are shown"
+            )
+        if found.strays:
+            yield (
+                f"{name}: {found.strays} estimates lie on frames that frames.csv does not list; "
+                "they are not shown"
+            )
 
 
 def _draw_all(
@@ -113,15 +132,9 @@ def _matched(logs: Sequence[ReportedLog], path: Path) -> tuple[str, Path]:
 def _wanted(logs: Sequence[ReportedLog], evaluation: Evaluation | None) -> list[Wanted]:
     """Of each sighting the surest frame, in order of time; of each mistake the worst, in order."""
     seen = [
-        Wanted(
-            log.results.name,
-            log.tracker,
-            s.surest,
-            f"Frame {s.surest}: ID.{s.landmark}, score {s.best:.2f}",
-            is_mistake=False,
-        )
+        Wanted(log.results.name, log.tracker, frame, f"Frame {frame}: {text}", is_mistake=False)
         for log in logs
-        for s in sightings(log)
+        for frame, text in _surest(log)
     ]
     wanted = seen[:MOST_SEEN]
     if evaluation is None:
@@ -140,3 +153,15 @@ def _wanted(logs: Sequence[ReportedLog], evaluation: Evaluation | None) -> list[
             for e in found[:MOST_MISTAKEN]
         ]
     return wanted
+
+
+def _surest(log: ReportedLog) -> list[tuple[int, str]]:
+    """(frame, what is seen there) of each sighting; without any, of what came nearest to one."""
+    found = [(s.surest, f"ID.{s.landmark}, score {s.best:.2f}") for s in sightings(log)]
+    mine = np.flatnonzero(log.of_method(log.tracker))
+    if found or not len(mine):
+        return found
+    best = mine[np.argmax(log.results.score[mine])]
+    landmark = log.results.landmarks.ids[log.results.landmark[best]]
+    text = f"nothing declared; nearest to it ID.{landmark}, score {log.results.score[best]:.2f}"
+    return [(int(log.results.frame[log.results.row[best]]), text)]

@@ -92,16 +92,17 @@ UNIT = Axis(0.0, 1.0)
 
 
 def polyline(x: FloatArray, y: FloatArray) -> str:
-    """A path through the points, shares of the sheet from bottom left; it breaks where y is NaN."""
-    drawn = np.isfinite(y)
-    at = np.rint(np.stack([x, 1 - np.where(drawn, y, 0)], axis=1) * (WIDTH, HEIGHT)).astype(int)
+    """A path through points, shares of the sheet from the bottom left; it breaks at NaN."""
+    drawn = np.isfinite(x) & np.isfinite(y)
+    points = np.stack([np.where(drawn, x, 0), np.where(drawn, 1 - y, 0)], axis=1)
+    at = np.rint(points * (WIDTH, HEIGHT)).astype(int)
     runs = np.split(np.arange(len(y)), np.flatnonzero(np.diff(drawn)) + 1)
     parts = []
     for run in runs:
         if len(run) and drawn[run[0]]:
             # A point alone is a line of no length: round caps make a dot of it.
-            points = at[run] if len(run) > 1 else at[[run[0], run[0]]]
-            parts.append("M" + "L".join(f"{a} {b}" for a, b in points.tolist()))
+            corners = at[run] if len(run) > 1 else at[[run[0], run[0]]]
+            parts.append("M" + "L".join(f"{a} {b}" for a, b in corners.tolist()))
     return "".join(parts)
 
 

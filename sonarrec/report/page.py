@@ -8,13 +8,14 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from sonarrec import __version__
 from sonarrec.evaluation.plots import COLOURS
 from sonarrec.evaluation.scoring import Count, Evaluation, Scored
 from sonarrec.evaluation.tabulate import rate
-from sonarrec.overlay.drawing import landmark_colours
+from sonarrec.overlay.drawing import Colour, landmark_colours
 from sonarrec.report import charts
 from sonarrec.report.logs import ReportedLog, Sighting, Track, sightings, tracks, true_landmark
 from sonarrec.report.mistakes import Episode, episodes, protocol_of_mistakes, told
@@ -45,6 +46,7 @@ class LogView:
 
     log: ReportedLog
     facts: list[tuple[str, str]]
+    problems: list[str]
     timeline: list[tuple[int, list[charts.Lane]]]
     time_ticks: list[charts.Tick]
     unseen: list[int]
@@ -89,10 +91,12 @@ def render(
     evaluation: Evaluation | None = None,
     truth: Path | None = None,
     pictures: Sequence[Picture] = (),
+    unused: Sequence[str] = (),
 ) -> str:
     """The whole page as HTML.
 
     evaluation, truth: None where there is no ground truth. pictures: in the order to be shown.
+    unused: one line for each part of the input that could not be used.
     """
     environment = Environment(
         loader=PackageLoader("sonarrec.report", "."),
@@ -103,16 +107,19 @@ def render(
     )
     environment.globals["number"] = _number
     environment.globals["rate"] = _rate
+    environment.globals["span"] = _span
     landmarks = logs[0].results.landmarks
     most_tracks = MOST_TRACKS if len(logs) == 1 else max(1, 2 * MOST_TRACKS // len(logs))
     methods = evaluation.joined.methods if evaluation else logs[0].results.methods
     scored = evaluation.scored if evaluation else ()
     protocols = [p for p in ("strict", "paper") if any(s.protocol == p for s in scored)]
     tables = [_table(s) for s in scored]
+    colours = list(landmark_colours(landmarks.ids).values())
     return environment.get_template("report.html").render(
         version=__version__,
         title=", ".join(log.results.name for log in logs[:3]) + (", ..." if logs[3:] else ""),
-        colours=[f"#{r:02x}{g:02x}{b:02x}" for r, g, b in landmark_colours(landmarks.ids).values()],
+        light_colours=[darkened(colour) for colour in colours],
+        dark_colours=["#{:02x}{:02x}{:02x}".format(*colour) for colour in colours],
         method_colours=[COLOURS[n % len(COLOURS)] for n in range(len(methods))],
         landmarks=landmarks,
         glyphs=[charts.glyph(landmarks, k) for k in range(len(landmarks.ids))],
@@ -131,7 +138,7 @@ def render(
         mistakes=[] if evaluation is None else _mistakes(logs, evaluation),
         seen_pictures=[p for p in pictures if not p.wanted.is_mistake],
         mistake_pictures=[p for p in pictures if p.wanted.is_mistake],
-        with_pictures=bool(pictures),
+        unused=unused,
     )
 
 
@@ -147,6 +154,7 @@ def _log_view(log: ReportedLog, most_tracks: int) -> LogView:
     return LogView(
         log=log,
         facts=list(_facts(log)),
+        problems=[str(p) for p in log.run.get("input", {}).get("problems", [])],
         timeline=rows,
         time_ticks=charts.time_axis(log)[0].ticks(),
         unseen=[i for k, i in enumerate(log.results.landmarks.ids) if k not in seen],
@@ -284,3 +292,17 @@ def _number(value: float, digits: int) -> str:
 def _rate(part: int, whole: int) -> str:
     """A rate to four digits; a dash where there is nothing to measure."""
     return rate(part, whole).strip() if whole else "-"
+
+
+def darkened(colour: Colour) -> str:
+    """The colour, in hexadecimal, as dark as it has to be to stand out on white.
+
+    The overlay's colours are made for black. Its hue stays; its luminance (WCAG 2) falls to what
+    gives a contrast of 3.1 to 1, where 3 is asked of what is drawn.
+    """
+    share = np.array(colour) / 255
+    linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+    luminance = float(linear @ (0.2126, 0.7152, 0.0722))
+    linear = linear * min(1.0, (1.05 / 3.1 - 0.05) / max(luminance, 1e-9))
+    share = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return "#{:02x}{:02x}{:02x}".format(*np.rint(255 * share).astype(int).tolist())
