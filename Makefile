@@ -3,7 +3,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 SAMPLE := sample_data/pan
 
-.PHONY: test lint demo bench paper model regression clean
+.PHONY: test lint demo bench memory fuzz paper model regression clean
 
 .venv/installed: pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
@@ -26,6 +26,12 @@ demo: .venv/installed  # the sample log, from images to tables
 
 bench: .venv/installed  # cost per frame and memory, beside PNG decoding and a plain loop
 	$(BIN)/python -m tests.bench
+
+memory: .venv/installed  # peak memory of reading 1 GB logs in the shapes that cost most
+	$(BIN)/python -m tests.memory
+
+fuzz: .venv/installed  # 2,000 damaged logs through `sonarrec info` and `sonarrec run`
+	$(BIN)/python -m tests.fuzz --files 2000
 
 paper: .venv/installed  # the paper's experiment, our tables beside the published ones
 	$(BIN)/python -m tests.paper

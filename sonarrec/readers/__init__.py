@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import glob
 import hashlib
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -22,6 +24,7 @@ from sonarrec.records import Clock, Fan, Frame, SonarrecError, UsageError
 
 SONAR_FILE = "sonar.toml"
 MAX_PROBLEM_LINES = 20
+SETTLING_FRAMES = 3  # whose commonest size is taken to be the log's
 
 
 def _open_mcap(path: Path, topic: str | None) -> RawLog:
@@ -113,7 +116,7 @@ class Log:
         geometry do not match the images.
         """
         used = skipped = 0
-        for index, raw in enumerate(self._raw):
+        for index, raw in enumerate(_settled(self._raw)):
             if raw.pixels is None and raw.problem is None:
                 continue  # told in the faults, with others
             try:
@@ -179,6 +182,55 @@ def open_log(
     Raises SonarrecError where the log or its geometry cannot be used, UsageError where the topic
     cannot be meant.
     """
+    source = find_log(path)
+    if topic is not None and not source.reader.has_topics:
+        raise UsageError(f"{path}: --topic chooses a channel of an MCAP file; this is none")
+    if time != "log" and not source.reader.has_topics:
+        raise UsageError(f"{path}: --time chooses a clock of an MCAP file; this is none")
+    resolved, where = source.stated_sonar(sonar or Sonar(), sonar_file)
+    raw = source.open(topic)
+    if resolved.layout is None:
+        resolved = replace(resolved, layout="polar" if raw.polar else "fan")
+    try:
+        if not raw.polar:  # what polar messages tell of themselves need not be stated
+            check_sonar(resolved, where)
+    except SonarrecError:
+        raw.close()
+        raise
+    return Log(source.path, source.name, source.files, resolved, raw, time)
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A log that was found but not opened.
+
+    name: for the results folder. files: what it consists of, in order. reader: opens it.
+    beside: where its sonar.toml may be.
+    """
+
+    path: Path
+    name: str
+    files: list[Path]
+    reader: Reader
+    beside: list[Path]
+
+    def open(self, topic: str | None = None) -> RawLog:
+        """Open it. Raises SonarrecError where it cannot be read."""
+        try:
+            one_file = self.files == [self.path]
+            return self.reader.open(self.path, topic) if one_file else ImageFiles(self.files)
+        except OSError as error:
+            raise SonarrecError(f"{self.path}: cannot be read ({error.strerror})") from None
+
+    def stated_sonar(self, flags: Sonar, sonar_file: Path | None) -> tuple[Sonar, str]:
+        """The geometry as file and flags state it, and the name to give it in errors."""
+        file = sonar_file or next((b for b in self.beside if b.is_file()), None)
+        stated = Sonar() if file is None else load_sonar(file)
+        return stated.updated(flags), str(file or self.path)
+
+
+def find_log(path: str | Path) -> Source:
+    """The log at a path, or of a glob. Raises SonarrecError where there is none."""
     path = Path(path)
     if not path.exists() and glob.has_magic(str(path)):
         files = _glob_images(path)
@@ -194,25 +246,33 @@ def open_log(
         name = path.stem
     else:
         raise SonarrecError(f"{path}: no such file or folder")
-    reader = _reader_of(files[0])
-    if topic is not None and not reader.has_topics:
-        raise UsageError(f"{path}: --topic chooses a channel of an MCAP file; this is none")
-    if time != "log" and not reader.has_topics:
-        raise UsageError(f"{path}: --time chooses a clock of an MCAP file; this is none")
-    resolved, where = _resolve_sonar(path, sonar or Sonar(), sonar_file, beside)
-    try:
-        raw = reader.open(path, topic) if files == [path] else ImageFiles(files)
-    except OSError as error:
-        raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
-    if resolved.layout is None:
-        resolved = replace(resolved, layout="polar" if raw.polar else "fan")
-    try:
-        if not raw.polar:  # what polar messages tell of themselves need not be stated
-            check_sonar(resolved, where)
-    except SonarrecError:
-        raw.close()
-        raise
-    return Log(path, name or "log", files, resolved, raw, time)
+    return Source(path, name or "log", files, _reader_of(files[0]), beside)
+
+
+def _settled(frames: Iterable[RawFrame]) -> Iterator[RawFrame]:
+    """The frames; of the first few, those of an odd size cannot be used.
+
+    The first frame that is used settles the size of the log: one that a driver sent before it had
+    its settings must not cost all the others.
+    """
+    frames = iter(frames)
+    first = list(islice(frames, SETTLING_FRAMES))
+    sizes = Counter(size for f in first if (size := _stored_size(f)) is not None)
+    for frame in first:
+        size = _stored_size(frame)
+        if size is None or size == (usual := sizes.most_common(1)[0][0]):
+            yield frame
+        else:
+            problem = f"{size[1]} x {size[0]} pixels in a log of {usual[1]} x {usual[0]}"
+            yield replace(frame, pixels=None, problem=problem)
+    yield from frames
+
+
+def _stored_size(frame: RawFrame) -> tuple[int, ...] | None:
+    """(rows, columns) of an image that does not tell its geometry."""
+    if frame.pixels is None or frame.sonar is not None:
+        return None
+    return frame.pixels.shape[:2]
 
 
 def _glob_images(pattern: Path) -> list[Path]:
@@ -251,12 +311,3 @@ def _reader_of(path: Path) -> Reader:
     raise SonarrecError(
         f"{path}: not a kind of log this program reads (a folder of images, or a file: {known})"
     )
-
-
-def _resolve_sonar(
-    path: Path, flags: Sonar, sonar_file: Path | None, beside: list[Path]
-) -> tuple[Sonar, str]:
-    """The geometry from file and flags, and the name to give it in errors."""
-    file = sonar_file or next((b for b in beside if b.is_file()), None)
-    stated = Sonar() if file is None else load_sonar(file)
-    return stated.updated(flags), str(file or path)
