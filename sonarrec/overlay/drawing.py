@@ -276,7 +276,7 @@ class _Pen:
 
     def line(self, points: FloatArray, colour: Colour, width: int, *, closed: bool = False) -> None:
         """(points, 2), set off from what is below it."""
-        self.lines(points[None], _BLACK, width + 2, closed=closed)
+        self.lines(points[None], _BLACK, width + 1, closed=closed)
         self.lines(points[None], colour, width, closed=closed)
 
     def dashes(self, outline: FloatArray, colour: Colour) -> None:
