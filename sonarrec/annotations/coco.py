@@ -7,6 +7,7 @@ from typing import Any
 
 from sonarrec.annotations.shapes import (
     HALF_A_PIXEL,
+    NOT_AS_DESCRIBED,
     PARTLY_HIDDEN,
     Annotations,
     Shape,
@@ -34,6 +35,7 @@ def read(path: Path) -> Annotations:
     """
     document = read_json(path)
     found = Annotations()
+    where = "images and categories"
     try:
         labels = {category["id"]: str(category["name"]) for category in document["categories"]}
         names = {}
@@ -42,21 +44,16 @@ def read(path: Path) -> Annotations:
             if "width" in image and "height" in image:
                 found.sizes.add((int(image["width"]), int(image["height"])))
         found.images.extend(names.values())
-    except (KeyError, TypeError, ValueError) as error:
-        raise SonarrecError(
-            f"{path}: not as COCO describes images and categories ({error!r})"
-        ) from None
-    for number, annotation in enumerate(document["annotations"]):
-        try:
+        for number, annotation in enumerate(document["annotations"]):
+            where = f"annotation {number} of the list"
             if annotation.get("iscrowd"):
                 found.unused["crowds"] += 1
                 continue
             x, y, visible = _centre(annotation)
             name, label = names[annotation["image_id"]], labels[annotation["category_id"]]
-        except (AttributeError, KeyError, TypeError, ValueError) as error:
-            where = f"{path}: annotation {number} of the list"
-            raise SonarrecError(f"{where} is not as COCO describes it ({error!r})") from None
-        found.shapes.append(Shape(name, label, x, y, visible))
+            found.shapes.append(Shape(name, label, x, y, visible))
+    except NOT_AS_DESCRIBED as error:
+        raise SonarrecError(f"{path}: {where}: not as COCO describes it ({error!r})") from None
     return found
 
 

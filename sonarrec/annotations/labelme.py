@@ -7,6 +7,7 @@ from typing import Any
 
 from sonarrec.annotations.shapes import (
     HALF_A_PIXEL,
+    NOT_AS_DESCRIBED,
     Annotations,
     Shape,
     centre_of_area,
@@ -44,7 +45,7 @@ def read(path: Path) -> Annotations:
                 x, y = (value - HALF_A_PIXEL for value in centre)
                 visible = stated_visible(_flags(shape))
                 found.shapes.append(Shape(name, str(shape["label"]), x, y, visible))
-        except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
+        except NOT_AS_DESCRIBED as error:
             raise SonarrecError(f"{file}: not as LabelMe writes it ({error!r})") from None
     return found
 

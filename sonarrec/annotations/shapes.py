@@ -20,6 +20,16 @@ PARTLY_HIDDEN = 0.5
 HALF_A_PIXEL = 0.5
 """Drawing tools put (0, 0) at the image's corner, we at the centre of its first pixel."""
 
+NOT_AS_DESCRIBED = (
+    AttributeError,
+    IndexError,
+    KeyError,
+    OverflowError,
+    TypeError,
+    ValueError,
+)
+"""What reading a document raises that is built in another way than its format says."""
+
 
 @dataclass(frozen=True, slots=True)
 class Shape:
