@@ -633,6 +633,7 @@ def test_a_run_that_was_cut_short(work: Path) -> None:
         ("--images log", 2, "log: this is the recording itself"),
         ("--images log/sonar.toml", 1, "log/sonar.toml: cannot be made"),
         ("--mcap o.mcap --frames 3", 2, "--frames: expected A:B"),
+        ("--mcap o.mcap --frames 3:3", 2, "no frame from 3 up to, not including, 3"),
         ("--mcap o.mcap --frames 9:", 2, "no frame lies in --frames 9:"),
         ("--mcap o.mcap --method x", 2, "no method 'x'; there is framework"),
         ("elsewhere --mcap o.mcap", 1, "elsewhere: no results of log here"),

@@ -52,7 +52,7 @@ def overlay(
     --mcap    Open it in Foxglove together with LOG, show /sonarrec/annotations in the
               Image panel. Of polar logs, and of logs that are no MCAP, it also holds the
               fan images, /sonarrec/fan.
-    --video   Plays in VLC, mpv, QuickTime and Windows. For browsers:
+    --video   MPEG-4 Part 2, for VLC, mpv and most desktop players. For browsers:
               ffmpeg -i OUT.mp4 -c:v libx264 -pix_fmt yuv420p WEB.mp4
 
     \b
@@ -101,5 +101,9 @@ def _span(text: str | None) -> tuple[int, int | None]:
     match = re.fullmatch(r"(\d*):(\d*)", text or ":")
     if match is None:
         raise UsageError(f"--frames: expected A:B, two frame numbers, not {text!r}")
-    first, end = match.groups()
-    return int(first or 0), int(end) if end else None
+    first, end = int(match[1] or 0), int(match[2]) if match[2] else None
+    if end is not None and end <= first:
+        raise UsageError(
+            f"--frames {text}: there is no frame from {first} up to, not including, {end}"
+        )
+    return first, end
