@@ -135,12 +135,17 @@ def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
-def check_sonar(sonar: Sonar, where: str) -> None:
-    """Raise SonarrecError where the geometry is incomplete or contradicts itself."""
+def missing_keys(sonar: Sonar) -> list[str]:
+    """The keys without which the geometry is not complete and which it does not state."""
     needed = ["range_min_m", "range_max_m", "tilt_deg"]
     if sonar.bearings_deg is None:
         needed.append("field_of_view_deg")
-    missing = [key for key in needed if getattr(sonar, key) is None]
+    return [key for key in needed if getattr(sonar, key) is None]
+
+
+def check_sonar(sonar: Sonar, where: str) -> None:
+    """Raise SonarrecError where the geometry is incomplete or contradicts itself."""
+    missing = missing_keys(sonar)
     if missing:
         raise SonarrecError(
             f"{where}: sonar geometry lacks {', '.join(missing)}. Put a sonar.toml beside "
@@ -288,6 +293,24 @@ def fan_mask(fan: Fan) -> ByteImage:
     """(rows, columns) uint8: 255 where the image holds sonar data, 0 outside the fan."""
     row, column = np.mgrid[0 : fan.rows, 0 : fan.columns]
     return in_fan(fan, *polar_from_pixel(fan, column, row)).astype(np.uint8) * 255
+
+
+def bin_ranges(sonar: Sonar, bins: int) -> FloatArray:
+    """(bins,) slant ranges (m) of the middles of a polar image's rows."""
+    if sonar.ranges_m is not None:
+        return np.asarray(sonar.ranges_m)
+    assert sonar.range_min_m is not None
+    assert sonar.range_max_m is not None
+    step = (sonar.range_max_m - sonar.range_min_m) / bins
+    return np.asarray(sonar.range_min_m + (np.arange(bins) + 0.5) * step)
+
+
+def beam_bearings(sonar: Sonar, beams: int) -> FloatArray:
+    """(beams,) bearings (deg) of the middles of a polar image's columns."""
+    if sonar.bearings_deg is not None:
+        return np.asarray(sonar.bearings_deg)
+    low, high = _bearing_limits(sonar)
+    return np.asarray(low + (np.arange(beams) + 0.5) * (high - low) / beams)
 
 
 @functools.lru_cache(maxsize=1)

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from sonarrec.records import UsageError
+
 
 @click.command()
 @click.option(
@@ -22,6 +24,17 @@ import click
     help="A folder of images, or one MCAP file.",
 )
 @click.option(
+    "--schema",
+    metavar="NAME",
+    help="Message type of an MCAP, any that is read, such as sensor_msgs/msg/Image+ros1; a wrong "
+    "name lists them all.  [default: sensor_msgs/msg/Image]",
+)
+@click.option(
+    "--compression",
+    type=click.Choice(["none", "lz4", "zstd"]),
+    help="Of an MCAP.  [default: zstd]",
+)
+@click.option(
     "--out",
     type=click.Path(path_type=Path),
     required=True,
@@ -33,6 +46,8 @@ def simulate(
     seed: int | None,
     frames: int | None,
     image_format: str,
+    schema: str | None,
+    compression: str | None,
     out: Path,
     quiet: bool,
 ) -> None:
@@ -42,7 +57,11 @@ def simulate(
     Examples:
       sonarrec simulate --scene paper --out paper_log
       sonarrec simulate --scene my_scene.toml --frames 200 --format mcap --out log.mcap
+      sonarrec simulate --scene sample_polar --format mcap --out pings.mcap \\
+        --schema marine_acoustic_msgs/msg/ProjectedSonarImage
     """
+    if image_format != "mcap" and (schema or compression):
+        raise UsageError("--schema and --compression are for --format mcap")
     from dataclasses import replace
 
     from tqdm import tqdm
@@ -59,7 +78,12 @@ def simulate(
         total=scene.frames, unit="frame", leave=False, disable=True if quiet else None
     ) as bar:
         write_recording(
-            scene, out, image_format, progress=lambda done: bar.update(done - bar.n) and None
+            scene,
+            out,
+            image_format,
+            progress=lambda done: bar.update(done - bar.n) and None,
+            schema=schema or "sensor_msgs/msg/Image",
+            compression=compression or "zstd",
         )
     if not quiet:
         click.echo(f"{out}: {scene.frames} frames of scene {scene.name!r}")

@@ -16,7 +16,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from sonarrec.geometry import in_fan, pixel_from_polar, polar_from_pixel
+from sonarrec.geometry import Sonar, in_fan, pixel_from_polar, polar_from_pixel
 from sonarrec.records import ByteImage, Fan, FloatArray, SonarrecError
 from sonarrec.simulation.motion import Pose, ar1, poses
 from sonarrec.simulation.random_scenes import KINDS_OF_SCENE, random_scene
@@ -341,23 +341,36 @@ def write_recording(
     out: Path,
     image_format: str = "png",
     progress: Callable[[int], None] | None = None,
+    *,
+    schema: str = "sensor_msgs/msg/Image",
+    compression: str = "zstd",
 ) -> None:
     """Write frames, sonar.toml, gt.csv and scene.toml.
 
     out: a folder, which must not hold a recording yet; PNG frames are NNNNNN.png in it, an MCAP
     is frames.mcap. Where `out` itself ends in .mcap it is the file, and its companions are
     NAME.sonar.toml, NAME.gt.csv and NAME.scene.toml beside it. progress: called with the number
-    of frames done. Raises SonarrecError where `out` cannot be written or is in use.
+    of frames done. schema, compression: of an MCAP, see McapImageWriter; where the schema holds
+    polar pings, sonar.toml says only what they do not tell. Raises SonarrecError where `out`
+    cannot be written or is in use.
     """
     import tomli_w  # only writers of TOML need it
 
-    from sonarrec.mcap_writer import McapImageWriter
+    from sonarrec.mcap_writer import McapImageWriter, check_schema, is_polar
 
     if image_format not in ("png", "mcap"):
         raise SonarrecError(f'image format must be "png" or "mcap", not {image_format!r}')
     single = out.suffix == ".mcap"
     if single and image_format != "mcap":
         raise SonarrecError(f"{out}: a name ending in .mcap needs --format mcap")
+    sonar = scene_sonar(scene)
+    stated = sonar
+    if image_format == "mcap":
+        check_schema(schema, compression, sonar)
+        if is_polar(schema):
+            stated = Sonar(
+                tilt_deg=sonar.tilt_deg, height_m=sonar.height_m, frame_rate_hz=sonar.frame_rate_hz
+            )
     folder, prefix = (out.parent, f"{out.stem}.") if single else (out, "")
     in_use = out.exists() if single else out.is_dir() and any(out.iterdir())
     if in_use:
@@ -368,7 +381,12 @@ def write_recording(
             table = csv.writer(file, lineterminator="\n")
             table.writerow(["frame", *(f.name for f in fields(LandmarkTruth))])
             if image_format == "mcap":
-                with McapImageWriter(out if single else out / "frames.mcap") as writer:
+                with McapImageWriter(
+                    out if single else out / "frames.mcap",
+                    schema=schema,
+                    compression=compression,
+                    sonar=sonar,
+                ) as writer:
                     for frame in render(scene):
                         writer.write(frame.timestamp_ns, frame.image)
                         table.writerows([frame.index, *asdict(row).values()] for row in frame.truth)
@@ -384,7 +402,7 @@ def write_recording(
         # Last: a folder without geometry is not taken for a whole recording.
         for name, document in (
             ("scene", scene_table(scene)),
-            ("sonar", {"sonar": scene_sonar(scene).as_table()}),
+            ("sonar", {"sonar": stated.as_table()}),
         ):
             (folder / f"{prefix}{name}.toml").write_text(tomli_w.dumps(document), encoding="utf-8")
         if scene.landmark_set.name != "basin":

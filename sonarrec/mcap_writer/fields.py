@@ -1,0 +1,200 @@
+"""The fields of every message that is written, from one image and the sonar's geometry."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import cv2
+import numpy as np
+
+from sonarrec.geometry import Sonar, beam_bearings, bin_ranges
+
+FRAME_ID = "sonar"
+SOUND_SPEED = 1500.0  # m/s
+FREQUENCY = 1_800_000.0  # Hz
+
+MakeFields = Callable[[int, np.ndarray, Sonar], dict[str, Any]]
+"""Time in ns, image and geometry to the fields of a message."""
+
+
+def _clock(timestamp_ns: int) -> dict[str, int]:
+    return dict(zip(("sec", "nanosec"), divmod(timestamp_ns, 1_000_000_000), strict=True))
+
+
+def _header(timestamp_ns: int) -> dict[str, Any]:
+    return {"seq": 0, "stamp": _clock(timestamp_ns), "frame_id": FRAME_ID}
+
+
+def _pixels(image: np.ndarray) -> dict[str, Any]:
+    return {
+        "height": image.shape[0],
+        "width": image.shape[1],
+        "encoding": "mono8" if image.dtype == np.uint8 else "mono16",
+        "step": image.shape[1] * image.itemsize,
+        "data": image.tobytes(),
+    }
+
+
+def _png(image: np.ndarray) -> bytes:
+    return cv2.imencode(".png", image)[1].tobytes()
+
+
+def ros_image(timestamp_ns: int, image: np.ndarray, _: Sonar) -> dict[str, Any]:
+    """sensor_msgs/Image."""
+    return {"header": _header(timestamp_ns), **_pixels(image), "is_bigendian": 0}
+
+
+def ros_compressed_image(timestamp_ns: int, image: np.ndarray, _: Sonar) -> dict[str, Any]:
+    """sensor_msgs/CompressedImage, as image_transport names its format."""
+    kind = _pixels(image)["encoding"]
+    return {
+        "header": _header(timestamp_ns),
+        "format": f"{kind}; png compressed {kind}",
+        "data": _png(image),
+    }
+
+
+def foxglove_image(timestamp_ns: int, image: np.ndarray, _: Sonar) -> dict[str, Any]:
+    """foxglove.RawImage."""
+    return {"timestamp": _clock(timestamp_ns), "frame_id": FRAME_ID, **_pixels(image)}
+
+
+def foxglove_compressed_image(timestamp_ns: int, image: np.ndarray, _: Sonar) -> dict[str, Any]:
+    """foxglove.CompressedImage."""
+    return {
+        "timestamp": _clock(timestamp_ns),
+        "frame_id": FRAME_ID,
+        "data": _png(image),
+        "format": "png",
+    }
+
+
+def in_foxglove_json(
+    make: MakeFields, timestamp_ns: int, image: np.ndarray, sonar: Sonar
+) -> dict[str, Any]:
+    """The fields of a foxglove message as its JSON names them: nsec for nanosec."""
+    made = make(timestamp_ns, image, sonar)
+    clock = made["timestamp"]
+    return made | {"timestamp": {"sec": clock["sec"], "nsec": clock["nanosec"]}}
+
+
+def _ping_info() -> dict[str, Any]:
+    return {
+        "frequency": FREQUENCY,
+        "sound_speed": SOUND_SPEED,
+        "tx_beamwidths": [],
+        "rx_beamwidths": [],
+    }
+
+
+def _samples(image: np.ndarray) -> dict[str, Any]:
+    """marine_acoustic_msgs/SonarImageData, range-major."""
+    return {
+        "is_bigendian": False,
+        "dtype": 0 if image.dtype == np.uint8 else 2,
+        "beam_count": image.shape[1],
+        "data": image.tobytes(),
+    }
+
+
+def projected_sonar_image(timestamp_ns: int, image: np.ndarray, sonar: Sonar) -> dict[str, Any]:
+    """marine_acoustic_msgs/ProjectedSonarImage: z forward, y to the right."""
+    bearings = np.radians(beam_bearings(sonar, image.shape[1]))
+    return {
+        "header": _header(timestamp_ns),
+        "ping_info": _ping_info(),
+        "beam_directions": [
+            {"x": 0.0, "y": y, "z": z}
+            for y, z in zip(np.sin(bearings).tolist(), np.cos(bearings).tolist(), strict=True)
+        ],
+        "ranges": bin_ranges(sonar, image.shape[0]).tolist(),
+        "image": _samples(image),
+    }
+
+
+def _bin_length(sonar: Sonar, bins: int) -> float:
+    assert sonar.range_min_m is not None
+    assert sonar.range_max_m is not None
+    return (sonar.range_max_m - sonar.range_min_m) / bins
+
+
+def raw_sonar_image(timestamp_ns: int, image: np.ndarray, sonar: Sonar) -> dict[str, Any]:
+    """marine_acoustic_msgs/RawSonarImage; the window is moved to whole samples."""
+    bin_m = _bin_length(sonar, image.shape[0])
+    return {
+        "header": _header(timestamp_ns),
+        "ping_info": _ping_info(),
+        "sample_rate": SOUND_SPEED / (2 * bin_m),
+        "samples_per_beam": image.shape[0],
+        "sample0": round(float(bin_ranges(sonar, image.shape[0])[0]) / bin_m),
+        "tx_delays": [],
+        "tx_angles": [],
+        "rx_angles": np.radians(beam_bearings(sonar, image.shape[1])).tolist(),
+        "image": _samples(image),
+    }
+
+
+def _from_the_sonar_on(image: np.ndarray, sonar: Sonar) -> np.ndarray:
+    """The image with empty bins before the window: an Oculus records from range 0 on. The window
+    is moved to whole bins."""
+    assert sonar.range_min_m is not None
+    empty = round(sonar.range_min_m / _bin_length(sonar, image.shape[0]))
+    return np.pad(image, ((empty, 0), (0, 0)))
+
+
+def _hundredths(sonar: Sonar, beams: int) -> list[int]:
+    return [round(b) for b in (beam_bearings(sonar, beams) * 100).tolist()]
+
+
+def oculus_ping(timestamp_ns: int, image: np.ndarray, sonar: Sonar) -> dict[str, Any]:
+    """sonar_oculus/OculusPing."""
+    bin_m = _bin_length(sonar, image.shape[0])
+    image = _from_the_sonar_on(image, sonar)
+    return {
+        "header": _header(timestamp_ns),
+        "fire_msg": {
+            "header": _header(timestamp_ns),
+            "mode": 2,
+            "gamma": 127,
+            "flags": 0,
+            "range": bin_m * image.shape[0],
+            "gain": 50.0,
+            "speed_of_sound": SOUND_SPEED,
+            "salinity": 0.0,
+        },
+        "ping_id": 0,
+        "part_number": 0,
+        "start_time": 0,
+        "bearings": _hundredths(sonar, image.shape[1]),
+        "range_resolution": bin_m,
+        "num_ranges": image.shape[0],
+        "num_beams": image.shape[1],
+        "ping": ros_image(timestamp_ns, image, sonar),
+    }
+
+
+def oculus_interfaces_ping(timestamp_ns: int, image: np.ndarray, sonar: Sonar) -> dict[str, Any]:
+    """oculus_interfaces/Ping, without gains."""
+    bin_m = _bin_length(sonar, image.shape[0])
+    image = _from_the_sonar_on(image, sonar)
+    return {
+        "header": _header(timestamp_ns),
+        "ping_id": 0,
+        "ping_firing_date": 0,
+        "range": bin_m * image.shape[0],
+        "gain_percent": 50.0,
+        "frequency": FREQUENCY,
+        "speed_of_sound_used": SOUND_SPEED,
+        "range_resolution": bin_m,
+        "temperature": 10.0,
+        "pressure": 1.0,
+        "master_mode": 2,
+        "has_gains": False,
+        "n_ranges": image.shape[0],
+        "n_beams": image.shape[1],
+        "step": image.shape[1] * image.itemsize,
+        "sample_size": image.itemsize,
+        "bearings": _hundredths(sonar, image.shape[1]),
+        "ping_data": image.tobytes(),
+    }
