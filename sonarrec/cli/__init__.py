@@ -9,6 +9,7 @@ import click
 from sonarrec import __version__
 from sonarrec.cli.config import config
 from sonarrec.cli.evaluate import evaluate
+from sonarrec.cli.info import info
 from sonarrec.cli.overlay import overlay
 from sonarrec.cli.report import report
 from sonarrec.cli.run import run
@@ -41,5 +42,5 @@ def main() -> None:
     """
 
 
-for command in (run, evaluate, report, overlay, simulate, config, truth):
+for command in (run, info, evaluate, report, overlay, simulate, config, truth):
     main.add_command(command)
