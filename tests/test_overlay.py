@@ -601,17 +601,19 @@ def test_from_run_to_overlay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     sonarrec("overlay", SAMPLE, "--mcap", "o.mcap", "--video", "o.mp4", "-q")
     with SAMPLE.with_suffix(".gt.csv").open(newline="") as file:
         truth = {(int(r["frame"]), int(r["landmark"])): r for r in csv.DictReader(file)}
-    shown = 0
+    shown = right = 0
     for frame, (_, _, message) in enumerate(messages(tmp_path / "o.mcap")):
         loops = [np.array([(q["x"], q["y"]) for q in p["points"]])
                  for p in message["points"] if p["type"] == 2 and p["thickness"] == 2]  # fmt: skip
         names = [t["text"] for t in message["texts"] if re.fullmatch(r"ID\.\d  .*", t["text"])]
         for loop, name in zip(loops, names, strict=True):
-            row = truth[frame, int(name[3])]
+            middle = (loop.min(axis=0) + loop.max(axis=0)) / 2
+            row = truth.get((frame, int(name[3])), {"x_px": "nan", "y_px": "nan"})
             place = np.array([float(row["x_px"]), float(row["y_px"])]) + 0.5
-            # The outline's own centre is not quite the disc's: perspective, a tenth of a radius.
-            assert np.abs((loop.min(axis=0) + loop.max(axis=0)) / 2 - place).max() < 5
+            # Within a disc's radius, 15 px, as the strict protocol counts a claim as right.
+            right += bool(np.hypot(*(middle - place)) < 15)
             shown += 1
+    assert right > 0.95 * shown
     assert shown > 100
     assert cv2.VideoCapture("o.mp4").get(cv2.CAP_PROP_FRAME_COUNT) == 128
 
@@ -646,6 +648,26 @@ def test_faults_are_one_line(arguments: str, code: int, fault: str, work: Path) 
     assert fault in told.stderr
     assert len(told.stderr.splitlines()) == 1
     assert not told.stdout
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="/dev/full not found")
+@pytest.mark.parametrize("target", ["--mcap", "--video"])
+@pytest.mark.parametrize("count", [3, 200])
+def test_full_disk(target: str, count: int, work: Path) -> None:
+    """Told in one line, at the close or in the middle of it."""
+    name = "full.mcap" if target == "--mcap" else "full.mp4"
+    (work / name).symlink_to("/dev/full")
+    image_folder(work / "many", noise(count))
+    write_results(work / "res", moving(3))
+    told = sonarrec("overlay", "many", "res", target, name, code=1)
+    assert len(told.stderr.splitlines()) == 1
+    assert told.stderr.startswith(f"sonarrec: {name}: ")
+
+
+def test_no_such_log(work: Path) -> None:
+    told = sonarrec("overlay", "nowhere.mcap", "--mcap", "o.mcap", code=1)
+    assert told.stderr == "sonarrec: nowhere.mcap: no such file or folder\n"
+    assert not (work / "o.mcap").exists()
 
 
 def test_results_of_another_log(work: Path) -> None:

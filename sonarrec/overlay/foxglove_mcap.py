@@ -172,9 +172,14 @@ class FoxgloveFile:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        with self._file:
-            if kind is None:
-                self._writer.finish()  # type: ignore[no-untyped-call]
+        """Close the file. Raises SonarrecError where the disk takes no more."""
+        try:
+            with self._file:
+                if kind is None:
+                    self._writer.finish()  # type: ignore[no-untyped-call]
+        except OSError as fault:
+            if kind is None:  # else the fault that came first is the one to tell
+                raise SonarrecError(f"{self._path}: cannot be written ({fault.strerror})") from None
 
 
 def annotations_message(

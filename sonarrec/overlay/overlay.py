@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
@@ -164,6 +165,8 @@ def _spare_the_log(path: Path, targets: Targets) -> None:
 
 def _results_folder(path: Path, results: Path) -> Path:
     """The log's own folder of results. Raises SonarrecError where there is none."""
+    if not path.exists() and not glob.has_magic(str(path)):
+        raise SonarrecError(f"{path}: no such file or folder")
     if path.is_dir():
         name = path.resolve().name
     else:
