@@ -120,7 +120,7 @@ def trails(history: Sequence[Moment]) -> dict[int, FloatArray]:
 
 def is_followed(estimate: Estimate) -> bool:
     """Whether the object's number means the same object in the next frame."""
-    return estimate.method != "smi" and estimate.object >= 0
+    return estimate.method.partition(":")[0] != "smi" and estimate.object >= 0
 
 
 def probability(estimate: Estimate, landmarks: LandmarkSet) -> float:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import glob
+import sys
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import chain
@@ -31,7 +32,7 @@ from sonarrec.overlay.estimates import choose_method, read_estimates
 from sonarrec.overlay.foxglove_mcap import FoxgloveFile
 from sonarrec.overlay.video import ImageFolder, VideoFile
 from sonarrec.readers import Log, open_log
-from sonarrec.records import Estimate, Fan, Frame, SonarrecError, UsageError
+from sonarrec.records import ByteImage, Estimate, Fan, Frame, SonarrecError, UsageError
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,26 +80,19 @@ def write_overlay(
     _spare_the_log(path, targets)
     folder = _results_folder(path, results)
     run = read_run(folder / "run.toml")
-    if landmarks is None and "landmarks" in run:
-        landmark_set = landmarks_from_table(run["landmarks"], str(folder / "run.toml"))
-    else:
-        landmark_set = load_landmarks(landmarks or "basin")
-    stated = sonar or Sonar()
-    if "sonar" in run and sonar_file is None:
-        stated = sonar_from_table(run["sonar"], str(folder / "run.toml")).updated(stated)
+    landmark_set, sonar = _as_run(run, folder, landmarks, sonar or Sonar(), sonar_file)
     table = folder / "estimates.csv"
     method = choose_method(table, method)
     read_as = run.get("input", {})
     topic, time = topic or read_as.get("topic"), read_as.get("time", "log")
-    with open_log(path, sonar=stated, sonar_file=sonar_file, topic=topic, time=time) as log:
+    with open_log(path, sonar=sonar, sonar_file=sonar_file, topic=topic, time=time) as log:
         problems = _check_same(log, folder, run)
         frames = iter(log)
         first = next(frames)  # raises where there is no usable frame
-        fan = first.fan
         truth: dict[int, list[Mark]] = {}
         if ground_truth is not None:
-            truth = _truth_marks(ground_truth, folder, landmarks, log.sonar, fan)
-        rows = read_estimates(table, method, landmark_set, fan)
+            truth = _truth_marks(ground_truth, folder, landmarks, log.sonar, first.fan)
+        rows = read_estimates(table, method, landmark_set, first.fan)
         history: deque[Moment] = deque(maxlen=STRIP_FRAMES)
         written = 0
         with ExitStack() as stack:
@@ -112,21 +106,41 @@ def write_overlay(
                 if frame.index < span[0]:
                     continue
                 written += 1
-                paths, marks = trails(history), truth.get(frame.index, [])
+                marks = truth.get(frame.index, [])
                 if annotations is not None:
-                    annotations.write(frame, estimates, paths, marks)
+                    annotations.write(frame, estimates, trails(history), marks)
                 if pictures:
-                    drawn = draw_frame(
-                        frame.image, frame.fan, landmark_set, estimates, paths=paths, truth=marks
-                    )
-                    strip = draw_strip(history, landmark_set, max(drawn.shape[1], 512))
-                    picture = draw_picture(drawn, strip)
+                    picture = _picture(frame, history, landmark_set, marks)
                     for target in pictures:
                         target.write(frame.index, picture)
         problems += log.problems
     if not written:
         raise UsageError(f"{path}: no frame lies in --frames {span[0]}:{span[1] or ''}")
     return Overlaid(method, written, problems)
+
+
+def _picture(
+    frame: Frame, history: Sequence[Moment], landmarks: LandmarkSet, marks: Sequence[Mark]
+) -> ByteImage:
+    """The frame drawn, above its strip; history: up to this frame."""
+    estimates, paths = history[-1].estimates, trails(history)
+    drawn = draw_frame(frame.image, frame.fan, landmarks, estimates, paths=paths, truth=marks)
+    return draw_picture(drawn, draw_strip(history, landmarks, max(drawn.shape[1], 512)))
+
+
+def _as_run(
+    run: dict[str, Any],
+    folder: Path,
+    landmarks: str | None,
+    sonar: Sonar,
+    sonar_file: Path | None,
+) -> tuple[LandmarkSet, Sonar]:
+    """The landmark set and geometry of the run, under what the user states."""
+    if "sonar" in run and sonar_file is None:
+        sonar = sonar_from_table(run["sonar"], str(folder / "run.toml")).updated(sonar)
+    if landmarks is None and "landmarks" in run:
+        return landmarks_from_table(run["landmarks"], str(folder / "run.toml")), sonar
+    return load_landmarks(landmarks or "basin"), sonar
 
 
 def _open_targets(
@@ -193,7 +207,7 @@ def _check_same(log: Log, folder: Path, run: dict[str, Any]) -> list[str]:
                 f"or `sonarrec run {log.path}`"
             )
     last = int(_frames_table(folder)["frame"].max(initial=-1))
-    if log.frame_count is not None and last >= log.frame_count:
+    if "sha256" not in made_from and log.frame_count is not None and last >= log.frame_count:
         raise SonarrecError(
             f"{folder / 'frames.csv'}: results of another log: frame {last} is listed, but "
             f"{log.path} has only {log.frame_count} frames"
@@ -222,7 +236,7 @@ def _with_estimates(
     at, estimates = -1, tuple[Estimate, ...]()
     for frame in frames:
         while at < frame.index:
-            at, estimates = next(rows, (np.iinfo(np.int64).max, ()))
+            at, estimates = next(rows, (sys.maxsize, ()))
         yield frame, estimates if at == frame.index else ()
 
 
