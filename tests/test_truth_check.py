@@ -140,6 +140,11 @@ HEADER = "frame,landmark,range_m,bearing_deg,visible"
         # One wrong row is one fault: the way back is none.
         (["0,1,2,0,1", "1,1,2,9,1", "2,1,2,1,1", "3,1,2,1,1"], [(3, "jump")]),
         (["0,1,2,0,1", "1,1,2,9,1", "2,1,2,0,1", "3,1,2,9,1"], [(3, "jump"), (5, "jump")]),
+        # A mistyped ID, and one that changes for good.
+        ([f"{k},{1 + 3 * (k == 2)},2,{k},1" for k in range(5)], [(4, "changed")]),
+        ([f"{k},{1 + 3 * (k > 1)},2,{k},1" for k in range(5)], [(4, "changed")]),
+        # One leaves while another enters elsewhere.
+        (["0,1,2,-14,0.5", "1,2,2,14,0.5"], []),
         # Two landmarks named the other way round from frame 2 on.
         (
             [f"{k},{1 + (k > 1)},2,{k},1" for k in range(4)]
@@ -216,7 +221,7 @@ def test_the_command_tells_lines_and_draws(tmp_path: Path) -> None:
     shutil.copy(SAMPLES / "pan" / "gt.csv", tmp_path / "gt.csv")
     done = run(tmp_path / "gt.csv", SAMPLES / "pan", "--sheet", sheet)
     assert done.exit_code == 0, done.output
-    assert "199 rows, 0 faults" in done.stdout
+    assert "199 rows, no fault" in done.stdout
     with (tmp_path / "gt.csv").open("a") as file:
         file.write("500,1,100,100,2.0,0,1,0\n")
     done = run(tmp_path / "gt.csv", SAMPLES / "pan", "--sheet", sheet)

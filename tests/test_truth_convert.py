@@ -6,6 +6,7 @@ import csv
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -18,8 +19,9 @@ from sonarrec.annotations.convert import convert
 from sonarrec.annotations.shapes import centre_of_area
 from sonarrec.cli import main
 from sonarrec.evaluation.in_view import share_in_fan
-from sonarrec.geometry import PolarToFan, Sonar, floor_depth
+from sonarrec.geometry import Sonar, floor_depth
 from sonarrec.landmarks import load_landmarks
+from sonarrec.readers import open_log
 from tests.drawn import make_fan
 from tests.logs import frames, image_folder
 
@@ -528,35 +530,54 @@ def test_share_inside_a_bearing_edge_is_a_circular_segment(
     assert share[0] == pytest.approx(max(expected, 0), abs=0.01)  # 500 points
 
 
-@pytest.mark.parametrize("bearings", [None, [-13.0, -8, -5, -3, -1, 0, 1, 2, 4, 7, 10, 14]])
-def test_shapes_on_polar_images_are_moved_to_the_fan(
-    tmp_path: Path, bearings: list[float] | None
-) -> None:
+UNEVEN = (-13.0, -8, -5, -3, -1, 0, 1, 2, 4, 7, 10, 14)
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {},
+        {"flip": True},
+        {"bearings_deg": UNEVEN},
+        {"bearings_deg": UNEVEN[::-1]},
+        {"ranges_m": tuple(1.25 + 2.5 * ((n + 0.5) / 200) ** 1.3 for n in range(200))},
+        {"beam_order": "beam-major"},
+    ],
+)
+def test_shapes_on_polar_images_are_moved_to_the_fan(tmp_path: Path, keys: dict[str, Any]) -> None:
     """A bright sample of the polar image lies in the fan where its annotation says."""
-    beams = 96 if bearings is None else len(bearings)
-    sonar = Sonar("polar", 1.25, 3.75, 28.8, 20.0, 0.68, bearings_deg=bearings and tuple(bearings))
-    keys = [f"{k} = {json.dumps(v)}" for k, v in sonar.as_table().items()]
+    beams = len(keys.get("bearings_deg", range(96)))
+    sonar = Sonar("polar", 1.25, 3.75, 28.8, 20.0, 0.68, **keys)
+    text = "\n".join(f"{k} = {json.dumps(v)}" for k, v in sonar.as_table().items())
     log = tmp_path / "log"
     log.mkdir()
-    (log / "sonar.toml").write_text("[sonar]\n" + "\n".join(keys))
-    cv2.imwrite(str(log / "0.png"), np.zeros((200, beams), np.uint8))
-    to_fan = PolarToFan(sonar, 200, beams)
+    (log / "sonar.toml").write_text(f"[sonar]\n{text}\n")
+    turned = "beam_order" in keys
+    size = (beams, 200) if turned else (200, beams)
     for column, row in ((beams // 3, 120), (beams // 2, 50)):
-        shapes: list[dict[str, object]] = [
-            {"label": "1", "points": [[column + 0.5, row + 0.5]], "shape_type": "point"}
-        ]
+        point = [row + 0.5, column + 0.5] if turned else [column + 0.5, row + 0.5]
         source = tmp_path / "0.json"
-        labelme(source, shapes, "0.png")
-        document = json.loads(source.read_text()) | {"imageHeight": 200, "imageWidth": beams}
-        source.write_text(json.dumps(document))
-        (tmp_path / "gt.csv").unlink(missing_ok=True)
-        ((_, _, x, y, _),) = converted(tmp_path, source, "--log", log)
+        labelme(source, [{"label": "1", "points": [point], "shape_type": "point"}], "0.png")
+        told = {"imageHeight": size[0], "imageWidth": size[1]}
+        source.write_text(json.dumps(json.loads(source.read_text()) | told))
         polar = np.zeros((200, beams), np.uint8)
         polar[row, column] = 255
-        fan = to_fan(polar).astype(float)
+        cv2.imwrite(str(log / "0.png"), polar.T if turned else polar)
+        (tmp_path / "gt.csv").unlink(missing_ok=True)
+        ((_, _, x, y, _),) = converted(tmp_path, source, "--log", log)
+        with open_log(log) as opened:
+            fan = next(iter(opened)).image.astype(float)
         # The brightest fan pixels: between uneven beams the spot is not symmetric about its peak.
         rows, columns = np.nonzero(fan > 0.9 * fan.max())
         assert (columns.mean(), rows.mean()) == pytest.approx((x, y), abs=1.0)
+
+
+def test_shapes_on_mirrored_fan_images(tmp_path: Path) -> None:
+    log = image_folder(tmp_path / "log", frames(1, 80, 100))
+    with (log / "sonar.toml").open("a") as file:
+        file.write("flip = true\n")
+    source = cvat(tmp_path, track(BOX.format(0, 0, 0, 10, 20)))
+    assert converted(tmp_path, source, "--log", log)[0][2] == 99 - 14.5
 
 
 def test_polar_log_needs_the_size_of_the_images(tmp_path: Path) -> None:
@@ -566,7 +587,7 @@ def test_polar_log_needs_the_size_of_the_images(tmp_path: Path) -> None:
     source = mot(tmp_path, "1,1,1,1,5,3,1\n")
     assert "do not tell the size" in failure(source, "--log", log)
     drawn = cvat(tmp_path, track(BOX.format(0, 0, 0, 10, 20)))
-    assert "those of the log have 100 x 40 (polar)" in failure(drawn, "--log", log)
+    assert "those of the log have 100 beams x 40 ranges" in failure(drawn, "--log", log)
 
 
 @given(st.integers(3, 8), st.floats(2, 50), st.floats(-200, 200), st.integers(0, 7))

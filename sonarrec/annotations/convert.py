@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import glob
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -15,9 +14,15 @@ from sonarrec.annotations import read_annotations
 from sonarrec.annotations.shapes import Annotations, Shape
 from sonarrec.evaluation.in_view import share_in_fan
 from sonarrec.evaluation.truth import HEADER, write_truth
-from sonarrec.geometry import Sonar, pixel_from_polar, polar_from_pixel
+from sonarrec.geometry import (
+    Sonar,
+    beam_bearings,
+    bin_ranges,
+    pixel_from_polar,
+    polar_from_pixel,
+)
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.readers import Log
+from sonarrec.readers import Log, find_log
 from sonarrec.readers.images import is_image, natural_order
 from sonarrec.records import Fan, FloatArray, SonarrecError, UsageError
 
@@ -62,12 +67,8 @@ def look_at(log: Log) -> LogImages:
     Raises SonarrecError where no frame can be used.
     """
     fan = next(iter(log)).fan
-    path = log.path
-    if path.is_file():
-        return LogImages(log.sonar, fan, ())
-    files = path.iterdir() if path.is_dir() else map(Path, glob.glob(str(path), recursive=True))  # noqa: PTH207
-    images = sorted((file for file in files if is_image(file)), key=natural_order)
-    return LogImages(log.sonar, fan, tuple(file.name for file in images))
+    files = find_log(log.path).files
+    return LogImages(log.sonar, fan, tuple(file.name for file in files if is_image(file)))
 
 
 def convert(
@@ -218,11 +219,14 @@ def _in_fan_pixels(
     if log is None:
         return x, y, visible
     fan = log.fan
-    if found.sizes <= {(fan.columns, fan.rows)} and (found.sizes or log.sonar.layout != "polar"):
-        range_m, bearing_deg = polar_from_pixel(fan, x, y)
-    elif log.sonar.layout == "polar":
+    drawn_on_fan = found.sizes <= {(fan.columns, fan.rows)}
+    if log.sonar.layout == "polar" and not (found.sizes and drawn_on_fan):
         range_m, bearing_deg = _polar_pixels(source, found, log, x, y)
         x, y = pixel_from_polar(fan, range_m, bearing_deg)
+    elif drawn_on_fan:
+        if log.sonar.layout != "polar" and log.sonar.flip:
+            x = fan.columns - 1 - x
+        range_m, bearing_deg = polar_from_pixel(fan, x, y)
     else:
         raise _wrong_size(source, found, f"{fan.columns} x {fan.rows}")
     return x, y, np.minimum(visible, share_in_fan(fan, range_m, bearing_deg, radius_m))
@@ -232,21 +236,21 @@ def _polar_pixels(
     source: Path, found: Annotations, log: LogImages, x: FloatArray, y: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """(range in m, bearing in deg) of pixels of the log's own polar images."""
-    fan, bearings = log.fan, log.sonar.bearings_deg
-    bins = round(fan.window_m / fan.metres_per_pixel)
-    if not found.sizes:
+    sonar, sizes = log.sonar, found.sizes
+    if not sizes:
         raise SonarrecError(
             f"{source}: the log is polar, and these annotations do not tell the size of the "
             "images they were drawn on; export them in another format"
         )
-    beams = min(found.sizes)[0] if bearings is None else len(bearings)
-    if found.sizes != {(beams, bins)}:
-        raise _wrong_size(source, found, f"{beams} x {bins} (polar)")
-    range_m = fan.range_min_m + (y + 0.5) * fan.metres_per_pixel
-    if bearings is not None:
-        return range_m, np.interp(x, np.arange(beams), bearings)
-    span = fan.bearing_max_deg - fan.bearing_min_deg
-    return range_m, fan.bearing_min_deg + (x + 0.5) / beams * span
+    if sonar.beam_order == "beam-major":
+        x, y, sizes = y, x, {size[::-1] for size in sizes}
+    bins = round(log.fan.window_m / log.fan.metres_per_pixel)
+    beams = min(sizes)[0] if sonar.bearings_deg is None else len(sonar.bearings_deg)
+    if sizes != {(beams, bins)}:
+        raise _wrong_size(source, found, f"{beams} beams x {bins} ranges")
+    bearing_deg = np.interp(x, np.arange(beams), beam_bearings(sonar, beams))
+    range_m = np.interp(y, np.arange(bins), bin_ranges(sonar, bins))
+    return range_m, -bearing_deg if sonar.flip else bearing_deg
 
 
 def _wrong_size(source: Path, found: Annotations, size: str) -> SonarrecError:

@@ -38,9 +38,9 @@ def draw_contact_sheet(truth: CheckedTruth, frames: Iterable[Frame], out: Path) 
     """Write a PNG that shows where the truth puts the landmarks; its number of strips.
 
     First what was found wrong, then a strip for each pass of a landmark through the view, at most
-    MOST_STRIPS of them, evenly chosen. frames: of the log, read as far as needed. 0, and no picture, where
-    no row with a position lies on a frame of the log. Raises SonarrecError where `out` cannot be
-    written.
+    MOST_STRIPS of them, evenly chosen. frames: of the log, read as far as needed. 0, and no
+    picture, where no row with a position lies on a frame of the log. Raises SonarrecError where
+    `out` cannot be written.
     """
     strips = _strips(truth)
     if not strips:
@@ -70,14 +70,21 @@ def _strips(truth: CheckedTruth) -> list[_Strip]:
         for start in range(0, len(faulty), TILES)
     ]
     passes = sorted(_passes(truth), key=lambda rows: int(truth.frame[rows[0]]))
-    chosen = np.unique(np.linspace(0, len(passes) - 1, MOST_STRIPS).round().astype(int))
-    for n in chosen if len(passes) > MOST_STRIPS else range(len(passes)):
+    for n in _spread(len(passes), MOST_STRIPS):
         rows = passes[n]
-        spread = np.unique(np.linspace(0, len(rows) - 1, TILES).round().astype(int))
         first, last = truth.frame[rows[0]], truth.frame[rows[-1]]
         title = f"ID.{truth.landmark[rows[0]]}\nframes {first} to {last}\n{len(rows)} rows"
-        strips.append(_Strip(title, rows[spread]))
+        if len(passes) > MOST_STRIPS:
+            title += f"\npass {n + 1} of {len(passes)}"
+        strips.append(_Strip(title, rows[_spread(len(rows), TILES)]))
     return strips
+
+
+def _spread(count: int, most: int) -> IntArray:
+    """At most `most` of the numbers below `count`, evenly spread, with the first and the last."""
+    if count <= most:
+        return np.arange(count)
+    return np.linspace(0, count - 1, most).round().astype(np.int64)
 
 
 def _passes(truth: CheckedTruth) -> Iterator[IntArray]:
@@ -135,8 +142,7 @@ def _draw(
     faults: dict[int, list[str]] = {}
     for fault in truth.faults:
         faults.setdefault(fault.line, []).append(fault.kind)
-    told = f"{len(truth.line)} rows, {len(truth.faults)} faults"
-    axes.text(_GAP, 24, f"{truth.path.name}: {told}", color=_INK, fontsize=12, va="center")
+    axes.text(_GAP, 24, f"{truth.path.name}: {truth.told()}", color=_INK, fontsize=12, va="center")
     legend = "outline: the disc as the truth puts it; below: frame, visible; found wrong in red"
     axes.text(_GAP, 46, legend, color=_INK, fontsize=8, va="center", alpha=0.8)
     colours = landmark_colours(truth.landmarks.ids)

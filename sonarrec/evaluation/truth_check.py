@@ -23,9 +23,9 @@ from sonarrec.readers import Log
 from sonarrec.records import Fan, FloatArray
 
 SLACK = 0.1
-"""By how much of its radius a disc may lie further out, or of its area show more, than stated."""
+"""What a person cannot be held to: a tenth of the radius in place, of the area in `visible`."""
 SLACK_PX = 2.0
-"""By how far x_px,y_px and range_m,bearing_deg of one row may disagree."""
+"""Between x_px,y_px and range_m,bearing_deg of one row, which are rounded."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +59,11 @@ class CheckedTruth:
     faults: list[Fault]
     others: int
     problems: list[str]
+
+    def told(self) -> str:
+        """How much was looked at, and how much of it is wrong."""
+        faults = f"{len(self.faults) or 'no'} fault{'s' * (len(self.faults) > 1)}"
+        return f"{len(self.line)} rows, {faults}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,6 +126,7 @@ def check_truth(
         faults += _contradictions(path, row, line, x, y)
         faults += _outside(line, places, visible, log.fan, landmarks.radius_m)
         faults += _overlaps(line, places, landmarks.radius_m)
+        faults += _changes(line, places, landmarks.radius_m)
         faults += _jumps(line, places, landmarks.radius_m, max_pan_deg)
     return CheckedTruth(
         path,
@@ -235,6 +241,30 @@ def _overlaps(line: IntArray, places: _Places, radius_m: float) -> list[Fault]:
             text = f"lies on the landmark of line {first}, {apart[n]:.2f} m away on the floor"
             faults.append(Fault(second, "overlap", text))
     return faults
+
+
+def _changes(line: IntArray, places: _Places, radius_m: float) -> list[Fault]:
+    """Landmarks that change their ID from one frame to the next: one is gone, another in its place.
+
+    The way back from a row that is wrong is no fault of its own.
+    """
+    order = np.argsort(places.frame, kind="stable")
+    order = order[places.frame[order] >= 0]
+    frame, landmark, floor = places.frame[order], places.landmark[order], places.floor[order]
+    present = set(zip(frame.tolist(), landmark.tolist(), strict=True))
+    first = np.searchsorted(frame, frame - 1)
+    count = np.searchsorted(frame, frame - 1, side="right") - first
+    wrong: dict[int, Fault] = {}
+    for k in range(int(count.max(initial=0))):
+        before = np.where(k < count, first + k, 0)
+        apart = np.hypot(*(floor - floor[before]).T)
+        for n in np.flatnonzero((k < count) & (apart < radius_m) & (landmark != landmark[before])):
+            old, new, at = int(landmark[before[n]]), int(landmark[n]), int(frame[n])
+            if (at, old) in present or (at - 1, new) in present or before[n] in wrong:
+                continue
+            text = f"ID.{new} where frame {at - 1} has ID.{old} (line {line[order[before[n]]]})"
+            wrong[int(n)] = Fault(int(line[order[n]]), "changed", text)
+    return list(wrong.values())
 
 
 def _jumps(line: IntArray, places: _Places, radius_m: float, max_pan_deg: float) -> list[Fault]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from sonarrec.evaluation.truth import write_truth
 from sonarrec.geometry import ground_range, pixel_from_polar
 from sonarrec.records import Fan, FloatArray, SonarrecError, UsageError
 
+FILLED_IN = "interpolated"
 HEADER = ("frame", "landmark", "x_px", "y_px", "visible", "track", "source")
 LEAST_DECLARED = 5
 """Frames in which a track must have declared its ID."""
@@ -52,6 +54,8 @@ def propose(
     Raises SonarrecError where the results cannot be used or `out` exists, UsageError on numbers
     that cannot be meant.
     """
+    if method == "smi":
+        raise UsageError("--method smi: candidates of single frames are no tracks")
     if not 0 <= min_score <= 1:
         raise UsageError(f"--min-score {min_score:g}: a score is within 0 to 1")
     folders = find_logs(results)
@@ -67,9 +71,20 @@ def propose(
         taken: dict[tuple[int, int], list[FloatArray]] = {}
         mine = []
         for track in _tracks(folder, log, method, min_score):
-            said, found = _rows(track, log, log.fan, max_gap, taken)
-            told.append(said)
+            found = [] if track.left_out else _rows(track, log, log.fan, max_gap, taken)
             mine += found
+            told.append(
+                ProposedTrack(
+                    log.name,
+                    track.number,
+                    track.landmark,
+                    (int(log.frame[track.row[0]]), int(log.frame[track.row[-1]])),
+                    len(found),
+                    sum(row[-1] == FILLED_IN for row in found),
+                    track.best_score,
+                    track.left_out,
+                )
+            )
         name = (log.name,) if len(folders) > 1 else ()
         rows += [(*name, *row) for row in sorted(mine)]
     write_truth(out, (("log", *HEADER) if len(folders) > 1 else HEADER), rows)
@@ -109,11 +124,11 @@ def _tracks(folder: Path, log: LogResults, method: str, min_score: float) -> lis
     columns: dict[str, Any] = {n: table[n][chosen] for n in kinds if n != "method"}
     order = np.lexsort((columns["frame"], columns["object"]))
     columns = {name: column[order] for name, column in columns.items()}
-    starts = np.flatnonzero(np.diff(columns["object"], prepend=-1 - 2**62))
+    _, starts = np.unique(columns["object"], return_index=True)
     tracks = []
-    for part in np.split(np.arange(len(order)), starts[1:]):
-        one = {name: column[part] for name, column in columns.items()}
-        if not len(part) or not one["declared"].any():
+    for start, end in pairwise([*starts, len(order)]):
+        one = {name: column[start:end] for name, column in columns.items()}
+        if not one["declared"].any():
             continue
         ids, counts = np.unique(one["landmark"][one["declared"]], return_counts=True)
         best = float(one["score"].max())
@@ -144,45 +159,28 @@ def _rows(
     fan: Fan,
     max_gap: int,
     taken: dict[tuple[int, int], list[FloatArray]],
-) -> tuple[ProposedTrack, list[tuple[object, ...]]]:
-    """What to tell of a track, and its rows of gt.csv.
+) -> list[tuple[object, ...]]:
+    """The rows of gt.csv for a track.
 
-    taken: floor positions proposed so far per (frame, ID). A second track on one disc is passed
-    over.
+    taken: floor positions proposed so far per (frame, ID), to which these are added; where they
+    meet, a second track is on one disc and gives no row.
     """
-    frames = (int(log.frame[track.row[0]]), int(log.frame[track.row[-1]]))
+    short = [np.arange(a, b) for a, b in pairwise(track.row) if b - a <= max_gap + 1]
+    at = np.unique(np.concatenate([track.row, *short]))
+    range_m = np.interp(at, track.row, track.range_m)
+    bearing_deg = np.interp(at, track.row, track.bearing_deg)
+    x, y = pixel_from_polar(fan, range_m, bearing_deg)
+    visible = share_in_fan(fan, range_m, bearing_deg, log.landmarks.radius_m)
+    floor, turn = ground_range(fan, range_m), np.radians(bearing_deg)
+    place = np.column_stack([floor * np.sin(turn), floor * np.cos(turn)])
+    source = np.where(np.isin(at, track.row), "tracked", FILLED_IN)
     rows: list[tuple[object, ...]] = []
-    interpolated = 0
-    if not track.left_out:
-        gap = np.diff(track.row)
-        short = [
-            np.arange(a, a + g) for a, g in zip(track.row, gap, strict=False) if g <= max_gap + 1
-        ]
-        at = np.unique(np.concatenate([track.row, *short]))
-        range_m = np.interp(at, track.row, track.range_m)
-        bearing_deg = np.interp(at, track.row, track.bearing_deg)
-        x, y = pixel_from_polar(fan, range_m, bearing_deg)
-        visible = share_in_fan(fan, range_m, bearing_deg, log.landmarks.radius_m)
-        floor, turn = ground_range(fan, range_m), np.radians(bearing_deg)
-        place = np.column_stack([floor * np.sin(turn), floor * np.cos(turn)])
-        for n, frame in enumerate(log.frame[at]):
-            others = taken.setdefault((int(frame), track.landmark), [])
-            doubled = any(np.hypot(*(place[n] - o)) < log.landmarks.radius_m for o in others)
-            if doubled or visible[n] == 0:
-                continue
-            others.append(place[n])
-            source = "tracked" if at[n] in track.row else "interpolated"
-            interpolated += source == "interpolated"
-            position = (f"{x[n]:.2f}", f"{y[n]:.2f}", f"{visible[n]:.3f}")
-            rows.append((int(frame), track.landmark, *position, track.number, source))
-    told = ProposedTrack(
-        log.name,
-        track.number,
-        track.landmark,
-        frames,
-        len(rows),
-        interpolated,
-        track.best_score,
-        track.left_out,
-    )
-    return told, rows
+    for n, frame in enumerate(log.frame[at].tolist()):
+        others = taken.setdefault((frame, track.landmark), [])
+        doubled = any(np.hypot(*(place[n] - o)) < log.landmarks.radius_m for o in others)
+        if doubled or visible[n] == 0:
+            continue
+        others.append(place[n])
+        position = (f"{x[n]:.2f}", f"{y[n]:.2f}", f"{visible[n]:.3f}")
+        rows.append((frame, track.landmark, *position, track.number, str(source[n])))
+    return rows

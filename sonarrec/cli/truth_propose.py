@@ -1,0 +1,56 @@
+"""`sonarrec truth propose`: a gt.csv to correct, from results."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+
+@click.command()
+@click.argument("results", type=click.Path(path_type=Path), default=Path("sonarrec_out"))
+@click.option("--method", default="framework", show_default=True, help="Whose tracks.")
+@click.option(
+    "--min-score",
+    type=float,
+    default=0.9,
+    show_default=True,
+    help="That a track must reach at its best.",
+)
+@click.option(
+    "--max-gap",
+    type=click.IntRange(min=0),
+    default=8,
+    show_default=True,
+    help="Frames missing from a track that are filled in.",
+)
+@click.option(
+    "--out",
+    type=click.Path(dir_okay=False, path_type=Path),
+    default=Path("gt_proposed.csv"),
+    show_default=True,
+    help="A new file; one that exists is not touched.",
+)
+def propose(results: Path, method: str, min_score: float, max_gap: int, out: Path) -> None:
+    """Write a gt.csv from the confident tracks of RESULTS, for a person to correct.
+
+    RESULTS is the folder of one log, or one that holds several (default: sonarrec_out). Look at
+    the proposal with `sonarrec truth check`, add what the tracks missed, remove what is wrong.
+    Scoring the same results against an uncorrected proposal says nothing about them.
+
+    \b
+    Examples:
+      sonarrec truth propose sonarrec_out/log_7
+      sonarrec truth propose --min-score 0.95 --max-gap 0 --out gt.csv
+    """
+    from sonarrec.evaluation.truth_propose import propose as propose_truth
+
+    tracks = propose_truth(results, out, method=method, min_score=min_score, max_gap=max_gap)
+    rows = sum(track.rows for track in tracks)
+    click.echo(f"{out}: {rows} rows from {sum(bool(t.rows) for t in tracks)} tracks")
+    for t in sorted(tracks, key=lambda t: (t.log, t.frames)):
+        span = f"frames {t.frames[0]}-{t.frames[1]}"
+        told = t.left_out and f"left out: {t.left_out}"
+        told = told or f"{t.rows} rows, {t.interpolated} of them filled in"
+        score = f"best score {t.best_score:.3f}"
+        click.echo(f"  {t.log}  ID.{t.landmark}  track {t.track:<4} {span:<15} {score}  {told}")
