@@ -1,44 +1,52 @@
-"""What a disc's shape matrix looks like, gathered along its track, and what that makes it.
+"""What a disc's shape matrix looks like, gathered along its track.
 
 The paper measures each frame by itself and normalises away 'this is no landmark'. Here the grey
 shape matrix is averaged in the object's own frame (angles count from the line of sight, which a
-pan leaves alone), described by a few contrasts, and judged by a small log-linear model whose
-hypotheses are every ID and 'none of these'.
+pan leaves alone) and described, under every ID, by the FEATURES that a model of its appearance
+judges (appearance_model.py).
 """
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import FloatArray
-from sonarrec.shape_matrix import ANGLES, STEP, Bands, turned_codes
+from sonarrec.records import FloatArray, Groups
+from sonarrec.shape_matrix import ANGLES, Bands, ShapeSampler, turned_codes
 
-BUILT_IN = Path(__file__).parent / "models" / "appearance.toml"
-
+# Levels are in standard deviations of the object's surroundings. Those named "share" are divided by the ring's
+# contrast over the gap, which makes them free of gain and grey scale but worthless on a faint ring;
+# the model has both.
 FEATURES = (
-    "constant",
     "correlation",  # of the symbol with the ID's sectors, at the best rotation
-    "correlation_squared",
-    "step",  # bright sectors over dark ones, in ring contrasts
-    "step_squared",
-    "floor_level",  # dark sectors over the gap, in ring contrasts
-    "floor_level_squared",
+    "step",  # bright sectors over dark ones
+    "step_share",
+    "dark_over_gap",  # dark sectors over the gap, 0 on a landmark
+    "bright_over_ring",  # bright sectors over the ring, 0 on a landmark
+    "ring_over_gap",
+    "ring_over_floor",  # over the floor outside
+    "gap_over_floor",
     "margin",  # darkest bright sector over the brightest dark one
-    "texture",  # spread within sectors
-    "ring_contrast",  # ring over gap, in speckle sigmas
-    "ring_over_floor",  # ring over the floor outside, in speckle sigmas
-    "ring_coverage",  # weakest quarter of the ring, in ring contrasts
-    "ring_texture",  # spread along the ring, in ring contrasts
+    "margin_share",
+    "weakest_bright",  # darkest bright sector over the gap
+    "strongest_dark",  # brightest dark sector over the gap, 0 on a landmark
+    "texture",  # spread within the sectors
+    "texture_share",
+    "weakest_ring",  # weakest quarter of the ring over what lies beside it
+    "weakest_ring_share",
+    "ring_texture_share",  # spread along the ring
+    "bright_outwards",  # bright sectors: outermost line over the innermost
+    "dark_outwards",  # dark sectors: the same
     "unseen",  # share of the disc outside the fan so far
-    "few_frames",  # 1 / frames gathered
+    "log_frames",  # natural logarithm of the frames gathered
+    "existence",  # log odds that stage 2 gives
 )
+LEAST_CONTRAST = 0.3  # of the ring, in the shares
+LIMIT = 9.0  # of every feature's magnitude
 
 
 class TrackMatrix:
@@ -54,22 +62,23 @@ class TrackMatrix:
         self._count: FloatArray = np.empty((0, lines, ANGLES))
 
     def step(
-        self, numbers: npt.NDArray[np.int64], grey: FloatArray, seen: npt.NDArray[np.bool_]
+        self, groups: Groups, grey: FloatArray, seen: npt.NDArray[np.bool_]
     ) -> tuple[FloatArray, FloatArray]:
         """Add a frame's matrices (n, L, ANGLES). Returns the averages and the counts, same shape.
 
-        Tracks that are no longer named are forgotten.
+        Tracks that are neither in view nor remembered are forgotten.
         """
-        total = np.zeros_like(grey)
-        count = np.zeros_like(grey)
+        numbers = np.union1d(groups.numbers, groups.remembered)
+        total = np.zeros((len(numbers), *self._sum.shape[1:]))
+        count = np.zeros_like(total)
         known = np.isin(numbers, self._numbers)
         before = np.searchsorted(self._numbers, numbers[known])
-        total[known] = self._keep * self._sum[before]
-        count[known] = self._keep * self._count[before]
-        total += np.where(seen, grey, 0.0)
-        count += seen
+        total[known], count[known] = self._sum[before], self._count[before]
+        now = np.searchsorted(numbers, groups.numbers)
+        total[now] = self._keep * total[now] + np.where(seen, grey, 0.0)
+        count[now] = self._keep * count[now] + seen
         self._numbers, self._sum, self._count = numbers, total, count
-        return total / np.maximum(count, 1e-9), count
+        return total[now] / np.maximum(count[now], 1e-9), count[now]
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,126 +89,160 @@ class Description:
     turn: npt.NDArray[np.intp]
 
 
-def describe(
-    average: FloatArray,
-    count: FloatArray,
-    bands: Bands,
-    landmarks: LandmarkSet,
-    turned: FloatArray,
-) -> Description:
-    """The FEATURES of averaged matrices (n, L, ANGLES) under every ID of the set.
+class Describer:
+    """Describes averaged shape matrices under every ID of one landmark set."""
 
-    turned: from softened_codes.
-    """
-    weight = count[:, bands.symbol].sum(axis=1)
-    symbol = _mean(average, count, bands.symbol)
-    ring = _mean(average, count, bands.ring)
-    gap = _mean(average, count, bands.gap)
-    outer = _mean(average, count, bands.outer)
-    ring_weight = count[:, bands.ring].sum(axis=1)
+    def __init__(self, bands: Bands, radii: FloatArray, landmarks: LandmarkSet) -> None:
+        """bands, radii: of the lines, from ShapeSampler."""
+        self._bands = bands
+        # A line stands for its part of the disc's area; the innermost is little more than a point.
+        self._area = (radii / radii.max())[:, None]
+        codes = turned_codes(landmarks)
+        # As a beam sees them: sector edges smeared over a step.
+        self._codes = 0.5 * codes + 0.25 * (np.roll(codes, 1, -1) + np.roll(codes, -1, -1))
+        flat = self._codes.reshape(-1, ANGLES).T
+        self._flat, self._flat_squared = flat.copy(), flat**2
+        table = np.asarray(landmarks.sectors, dtype=bool)
+        sector = ((np.arange(ANGLES) + 0.5) / ANGLES * table.shape[1]).astype(int)
+        self._sectors = table
+        # Towards its edges a sector runs into its neighbours.
+        within = (np.arange(ANGLES) + 0.5) / ANGLES * table.shape[1] % 1
+        member = sector[:, None] == np.arange(table.shape[1])
+        self._member = member * np.sin(np.pi * within)[:, None]  # (ANGLES, S)
 
-    def level(profile: FloatArray, weights: FloatArray) -> FloatArray:
-        return np.asarray((profile * weights).sum(axis=1) / np.maximum(weights.sum(axis=1), 1e-9))
+    def __call__(
+        self, average: FloatArray, count: FloatArray, existence: FloatArray
+    ) -> Description:
+        """The FEATURES of averaged matrices (n, L, ANGLES) and their counts from TrackMatrix.
 
-    ring_level = level(ring, ring_weight)
-    gap_level = level(gap, count[:, bands.gap].sum(axis=1))
-    outer_level = level(outer, count[:, bands.outer].sum(axis=1))
-    contrast = np.maximum(ring_level - gap_level, 0.05)
-    quarter = ANGLES // 4
-    around = np.arange(ANGLES)[:, None] + np.arange(quarter)
-    surroundings = 0.5 * (gap + outer)
-    seen_part = np.minimum(ring_weight, 1.0)
-    coverage = ((ring - surroundings) * seen_part)[:, around % ANGLES].sum(axis=2)
-    coverage /= np.maximum(seen_part[:, around % ANGLES].sum(axis=2), 1e-9)
-    coverage = np.where(seen_part[:, around % ANGLES].mean(axis=2) > 0.5, coverage, np.inf)
-    weakest = np.minimum(coverage.min(axis=1) / contrast, 1.5)
-    ring_texture = np.sqrt(level((ring - ring_level[:, None]) ** 2, ring_weight)) / contrast
+        existence: (n,) probability by stage 2.
+        """
+        bands = self._bands
+        frames = np.maximum(count.max(axis=(1, 2)), 0.5)
+        unseen = 1 - np.minimum(count, 1.0).mean(axis=(1, 2))
+        count = count * self._area
+        symbol, weight = _profile(average, count, bands.symbol)
+        ring, ring_weight = _profile(average, count, bands.ring)
+        gap, gap_weight = _profile(average, count, bands.gap)
+        outer, outer_weight = _profile(average, count, bands.outer)
+        ring_level = _level(ring, ring_weight)
+        gap_level = _level(gap, gap_weight)
+        outer_level = _level(outer, outer_weight)
+        contrast = np.maximum(ring_level - gap_level, LEAST_CONTRAST)
+        ring_spread = np.sqrt(_level((ring - ring_level[:, None]) ** 2, ring_weight))
+        weakest = _weakest_quarter(ring - 0.5 * (gap + outer), np.minimum(ring_weight, 1.0))
 
-    # Every ID at every rotation: weighted correlation of the symbol with the turned code.
-    total = np.maximum(weight.sum(axis=1), 1e-9)[:, None, None]
-    mean = (symbol * weight).sum(axis=1)[:, None, None] / total
-    variance = (symbol**2 * weight).sum(axis=1)[:, None, None] / total - mean**2
-    code_mean = np.einsum("na,tka->ntk", weight, turned) / total
-    code_square = np.einsum("na,tka->ntk", weight, turned**2) / total
-    cross = np.einsum("na,tka->ntk", weight * symbol, turned) / total
-    covariance = cross - mean * code_mean
-    code_variance = np.maximum(code_square - code_mean**2, 1e-9)
-    correlation = covariance / np.sqrt(np.maximum(variance, 1e-9) * code_variance)
-    correlation = np.where(code_square - code_mean**2 > 0.02, correlation, 0.0)
-    turn = correlation.argmax(axis=1)  # (n, K)
-    objects, ids = np.ogrid[: len(average), : turned.shape[1]]
-    best = correlation[objects, turn, ids]
-    slope = covariance[objects, turn, ids] / code_variance[objects, turn, ids]
-    dark = mean[:, 0] - slope * code_mean[objects, turn, ids]
-    scale = contrast[:, None]
-    step = slope / scale
-    floor_level = (dark - gap_level[:, None]) / scale
-    residual = np.sqrt(np.maximum(variance[:, 0] * (1 - best**2), 0)) / scale
-    margin = _sector_margin(symbol, weight, landmarks, turn) / scale
+        # Every ID at every rotation: weighted regression of the symbol on the turned code.
+        objects, ids = len(average), self._codes.shape[1]
+        total = np.maximum(weight.sum(axis=1), 1e-9)
+        mean = (symbol * weight).sum(axis=1) / total
+        variance = np.maximum((symbol**2 * weight).sum(axis=1) / total - mean**2, 1e-9)
+        share = weight / total[:, None]
+        code_mean = share @ self._flat
+        code_variance = share @ self._flat_squared - code_mean**2
+        covariance = (share * symbol) @ self._flat - mean[:, None] * code_mean
+        known = code_variance > 0.02
+        code_variance = np.maximum(code_variance, 1e-9)
+        correlation = covariance / np.sqrt(variance[:, None] * code_variance)
+        correlation = np.where(known, correlation, 0.0).reshape(objects, ANGLES, ids)
+        turn = correlation.argmax(axis=1)  # (n, K)
+        at = (np.arange(objects)[:, None], turn, np.arange(ids))
+        best = correlation[at]
+        shape = correlation.shape
+        slope = covariance.reshape(shape)[at] / code_variance.reshape(shape)[at]
+        slope = np.where(known.reshape(shape)[at], slope, 0.0)
+        dark = mean[:, None] - slope * code_mean.reshape(shape)[at]
+        texture = np.sqrt(np.maximum(variance[:, None] * (1 - best**2), 0))
+        darkest, brightest = self._sector_extremes(symbol - gap_level[:, None], weight, turn)
+        margin = np.where(np.isfinite(darkest - brightest), darkest - brightest, 0.0)
+        code = self._codes[turn, np.arange(ids)]  # (n, K, ANGLES)
+        bright_outwards, dark_outwards = _outwards(
+            average[:, bands.symbol], count[:, bands.symbol], code
+        )
 
-    def spread_over_ids(value: FloatArray) -> FloatArray:
-        return np.repeat(value[:, None], turned.shape[1], axis=1)
-
-    frames = count.max(axis=(1, 2))
-    unseen = 1 - np.minimum(count, 1.0).mean(axis=(1, 2))
-    features = np.stack(
-        [
-            np.ones_like(best),
+        scale = contrast[:, None]
+        odds = existence / (1 - existence)
+        values = [
             best,
-            best**2,
-            np.clip(step, -1, 3),
-            np.clip(step, -1, 3) ** 2,
-            np.clip(floor_level, -2, 2),
-            np.clip(floor_level, -2, 2) ** 2,
-            np.clip(margin, -2, 2),
-            np.clip(residual, 0, 2),
-            spread_over_ids(np.clip(ring_level - gap_level, -1, 4)),
-            spread_over_ids(np.clip(ring_level - outer_level, -1, 4)),
-            spread_over_ids(np.clip(weakest, -1, 1.5)),
-            spread_over_ids(np.clip(ring_texture, 0, 2)),
-            spread_over_ids(unseen),
-            spread_over_ids(1 / np.maximum(frames, 1.0)),
-        ],
-        axis=2,
-    )
-    return Description(features, turn)
+            slope,
+            slope / scale,
+            dark - gap_level[:, None],
+            dark + slope - ring_level[:, None],
+            ring_level - gap_level,
+            ring_level - outer_level,
+            gap_level - outer_level,
+            margin,
+            margin / scale,
+            np.where(np.isfinite(darkest), darkest, 0.0),
+            np.where(np.isfinite(brightest), brightest, 0.0),
+            texture,
+            texture / scale,
+            weakest,
+            weakest / contrast,
+            ring_spread / contrast,
+            bright_outwards,
+            dark_outwards,
+            unseen,
+            np.log(frames),
+            np.log(odds),
+        ]
+        features = np.empty((objects, ids, len(FEATURES)))
+        for i, value in enumerate(values):
+            features[:, :, i] = value if value.ndim == 2 else value[:, None]
+        return Description(np.clip(features, -LIMIT, LIMIT), turn)
+
+    def _sector_extremes(
+        self, symbol: FloatArray, weight: FloatArray, turn: npt.NDArray[np.intp]
+    ) -> tuple[FloatArray, FloatArray]:
+        """(n, K) levels of the darkest bright and the brightest dark sector; inf, -inf: unseen."""
+        unturned = (np.arange(ANGLES) + turn[..., None]) % ANGLES  # (n, K, ANGLES)
+        rows = np.arange(len(symbol))[:, None, None]
+        share = weight[rows, unturned] @ self._member  # (n, K, S)
+        level = (symbol * weight)[rows, unturned] @ self._member / np.maximum(share, 1e-9)
+        full = weight.max(axis=1)[:, None, None] * self._member.sum(axis=0)
+        known = share > 0.3 * np.maximum(full, 1e-9)
+        darkest = np.where(known & self._sectors, level, np.inf).min(axis=2)
+        brightest = np.where(known & ~self._sectors, level, -np.inf).max(axis=2)
+        return darkest, brightest
 
 
-def _mean(average: FloatArray, count: FloatArray, band: slice) -> FloatArray:
-    """(n, ANGLES) mean over a band's lines, by how often each cell was seen."""
+def _profile(average: FloatArray, count: FloatArray, band: slice) -> tuple[FloatArray, FloatArray]:
+    """(n, ANGLES) mean over a band's lines, and how often its cells were seen."""
     weight = count[:, band]
-    return np.asarray(
-        (average[:, band] * weight).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-9)
-    )
+    total = weight.sum(axis=1)
+    return (average[:, band] * weight).sum(axis=1) / np.maximum(total, 1e-9), total
 
 
-def softened_codes(landmarks: LandmarkSet) -> FloatArray:
-    """(ANGLES, K, ANGLES) turned codes as a beam sees them, sector edges smeared over a step."""
-    codes = turned_codes(landmarks)
-    return np.asarray(
-        0.5 * codes + 0.25 * np.roll(codes, 1, axis=-1) + 0.25 * np.roll(codes, -1, axis=-1)
-    )
+def _level(profile: FloatArray, weight: FloatArray) -> FloatArray:
+    """(n,) mean round the disc."""
+    return np.asarray((profile * weight).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-9))
 
 
-def _sector_margin(
-    symbol: FloatArray, weight: FloatArray, landmarks: LandmarkSet, turn: npt.NDArray[np.intp]
-) -> FloatArray:
-    """(n, K) darkest sector that should be bright less the brightest that should be dark."""
-    table = np.asarray(landmarks.sectors, dtype=bool)  # (K, S)
-    sectors = table.shape[1]
-    centre = (np.arange(ANGLES) + 0.5) * STEP
-    sector = np.floor(centre / (2 * np.pi) * sectors).astype(int)
-    member = (sector[None] == np.arange(sectors)[:, None]).astype(float)  # (S, ANGLES)
-    unturned = (np.arange(ANGLES) + turn[..., None]) % ANGLES  # (n, K, ANGLES)
-    rows = np.arange(len(symbol))[:, None, None]
-    share = weight[rows, unturned] @ member.T  # (n, K, S)
-    level = (symbol * weight)[rows, unturned] @ member.T / np.maximum(share, 1e-9)
-    full = weight.max(axis=1)[:, None, None] * member.sum(axis=1)
-    known = share > 0.3 * np.maximum(full, 1e-9)
-    darkest = np.where(known & table, level, np.inf).min(axis=2)
-    brightest = np.where(known & ~table, level, -np.inf).max(axis=2)
-    margin = darkest - brightest
-    return np.where(np.isfinite(margin), margin, 0.0)
+def _weakest_quarter(contrast: FloatArray, seen: FloatArray) -> FloatArray:
+    """(n,) least mean of (n, ANGLES) contrast over a quarter turn of which half was seen."""
+    quarter = ANGLES // 4
+
+    def over_quarters(values: FloatArray) -> FloatArray:
+        sums = np.cumsum(np.concatenate([values, values[:, :quarter]], axis=1), axis=1)
+        return np.asarray(sums[:, quarter:] - sums[:, :-quarter])
+
+    cells = over_quarters(seen)
+    mean = over_quarters(contrast * seen) / np.maximum(cells, 1e-9)
+    return np.asarray(np.where(cells > 0.5 * quarter, mean, LIMIT).min(axis=1))
+
+
+def _outwards(
+    symbol: FloatArray, count: FloatArray, code: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """(n, K) outermost over innermost line of the symbol, in bright and in dark sectors.
+
+    symbol, count: (n, lines, ANGLES). code: (n, K, ANGLES), 0 to 1.
+    """
+    weight = count[:, [0, -1]].transpose(0, 2, 1)  # (n, ANGLES, 2)
+    value = symbol[:, [0, -1]].transpose(0, 2, 1) * weight
+    bright = (code @ value) / np.maximum(code @ weight, 1e-9)
+    dark = ((1 - code) @ value) / np.maximum((1 - code) @ weight, 1e-9)
+    return bright[..., 1] - bright[..., 0], dark[..., 1] - dark[..., 0]
 
 
 class Judge(Protocol):
@@ -208,50 +251,25 @@ class Judge(Protocol):
     def probabilities(self, features: FloatArray) -> FloatArray: ...
 
 
-@dataclass(frozen=True, slots=True)
-class AppearanceModel:
-    """Log-linear model: log odds of an ID against 'none of these' = weights . features.
-
-    weights: (F,) in the order of FEATURES.
-    """
-
-    weights: FloatArray
-
-    def probabilities(self, features: FloatArray) -> FloatArray:
-        """(n, K + 1): every ID, then 'none of these'; rows sum to 1. features: (n, K, F)."""
-        logits = np.concatenate([features @ self.weights, np.zeros((len(features), 1))], axis=1)
-        logits -= logits.max(axis=1, keepdims=True)
-        odds = np.exp(logits)
-        return np.asarray(odds / odds.sum(axis=1, keepdims=True))
-
-
-def load_model(path: Path = BUILT_IN) -> AppearanceModel:
-    """The model in a TOML file (default: the built-in one)."""
-    table = tomllib.loads(path.read_text(encoding="utf-8"))["weights"]
-    return AppearanceModel(np.array([float(table[name]) for name in FEATURES]))
-
-
 class AppearanceMeasurement:
     """The default measurement of stage 3: from each track's averaged shape matrix."""
 
     def __init__(
-        self, memory_frames: float, bands: Bands, landmarks: LandmarkSet, model: Judge
+        self, memory_frames: float, sampler: ShapeSampler, landmarks: LandmarkSet, model: Judge
     ) -> None:
-        self._matrix = TrackMatrix(memory_frames, bands.outer.stop)
-        self._bands = bands
-        self._landmarks = landmarks
-        self._turned = softened_codes(landmarks)
+        self._matrix = TrackMatrix(memory_frames, len(sampler.radii))
+        self._describe = Describer(sampler.bands, sampler.radii, landmarks)
         self._model = model
 
     def step(
-        self, numbers: npt.NDArray[np.int64], grey: FloatArray, seen: npt.NDArray[np.bool_]
+        self, groups: Groups, grey: FloatArray, seen: npt.NDArray[np.bool_]
     ) -> tuple[FloatArray, npt.NDArray[np.intp]]:
         """(n, K + 1) probabilities and the (n,) turn of the likeliest ID, in steps.
 
-        numbers: (n,) of the tracks, rising. grey, seen: (n, L, ANGLES) from this frame.
+        grey, seen: (n, L, ANGLES) of the groups in view, from this frame.
         """
-        average, count = self._matrix.step(numbers, grey, seen)
-        description = describe(average, count, self._bands, self._landmarks, self._turned)
+        average, count = self._matrix.step(groups, grey, seen)
+        description = self._describe(average, count, groups.existence)
         probabilities = self._model.probabilities(description.features)
         best = probabilities[:, :-1].argmax(axis=1)
         return probabilities, description.turn[np.arange(len(best)), best]

@@ -8,17 +8,19 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 
-from sonarrec.appearance import BUILT_IN, FEATURES, AppearanceModel
+from sonarrec.appearance import FEATURES
+from sonarrec.appearance_model import BUILT_IN, AppearanceModel
 from sonarrec.config import Config, preset
 from sonarrec.geometry import PolarToFan
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser import FRAMEWORK, Recogniser
-from sonarrec.records import FloatArray, Frame
-from sonarrec.simulation.random_scenes import KINDS_OF_SCENE, random_scene
+from sonarrec.records import FloatArray, Frame, SonarrecError
+from sonarrec.simulation.random_scenes import ALL_KINDS, random_scene
 from sonarrec.simulation.scene import Scene, scene_sonar
 from sonarrec.simulation.simulate import render
 
@@ -98,27 +100,97 @@ def _on_fan(places: Sequence[tuple[float, float]]) -> FloatArray:
     return np.column_stack([range_m * np.sin(bearing), range_m * np.cos(bearing)])
 
 
-def fit(samples: Samples, ridge: float = 1.0) -> AppearanceModel:
-    """Most likely weights, by Newton's method on the concave log likelihood.
+# Curves: knots at quantiles of what was seen, and how strongly a curve is drawn towards 0 and
+# towards a straight line, in samples.
+KNOTS = 8
+RIDGE = 0.3
+SMOOTHNESS = 3.0
 
-    ridge: strength of the pull towards 0, in samples, so that a feature that tells nothing gets
-    no weight.
+
+def fit(recordings: Sequence[Samples]) -> AppearanceModel:
+    """Most likely curves, by Newton's method on the concave penalised log likelihood.
+
+    The recordings may differ in their number of IDs. Raises SonarrecError where they hold no
+    landmark, or nothing but landmarks.
     """
-    n, _, count = samples.features.shape
-    # 'None of these' has features 0: its log odds are the reference.
-    x = np.concatenate([samples.features, np.zeros((n, 1, count))], axis=1)
-    chosen = x[np.arange(n), samples.label].sum(axis=0)
-    weights: FloatArray = np.zeros(count)
-    for _ in range(50):
-        p = AppearanceModel(weights).probabilities(samples.features)
-        expected = np.einsum("nk,nkf->nf", p, x)
-        gradient = chosen - expected.sum(axis=0) - ridge * weights
-        curvature = np.einsum("nk,nkf,nkg->fg", p, x, x, optimize=True) - expected.T @ expected
-        step = np.linalg.solve(curvature + ridge * np.eye(count), gradient)
-        weights = weights + step / max(1.0, float(np.abs(step).max()) / 5)
-        if np.abs(step).max() < 1e-6:
+    used = [r for r in recordings if len(r.label)]
+    on = sum(np.count_nonzero(r.label < r.features.shape[1]) for r in used)
+    total = sum(len(r.label) for r in used)
+    if not 0 < on < total:
+        what = "no landmark" if on == 0 else "nothing but landmarks"
+        raise SonarrecError(
+            f"{total} tracks in frames hold {what}; a model is learned from landmarks and others"
+        )
+    seen = np.concatenate([r.features.reshape(-1, len(FEATURES)) for r in used])
+    shares = np.linspace(0.01, 0.99, KNOTS)
+    knots = tuple(np.unique(np.quantile(values, shares).round(2)) for values in seen.T)
+    columns = [_basis(r.features, knots) for r in used]
+    penalty = _penalty(knots)
+    curves: FloatArray = np.zeros(len(penalty))
+    before = np.inf
+    for _ in range(60):
+        loss, gradient, curvature = _likelihood(used, columns, curves)
+        loss += 0.5 * float(curves @ penalty @ curves)
+        step = np.linalg.solve(curvature + penalty, gradient - penalty @ curves)
+        if before - loss < 1e-6 * abs(loss):
             break
-    return AppearanceModel(weights)
+        before = loss
+        # Far from the summit Newton's step overshoots: no curve moves by more than 5 at once.
+        curves = curves + step / max(1.0, float(np.abs(step).max()) / 5)
+    ends = np.cumsum([1] + [len(k) for k in knots])
+    values = [curves[a:b] for a, b in pairwise(ends)]
+    # Of a curve and the bias only the sum counts: curves are stated with mean 0.
+    bias = float(curves[0]) + sum(float(v.mean()) for v in values)
+    return AppearanceModel(bias, knots, tuple(v - v.mean() for v in values))
+
+
+def _basis(features: FloatArray, knots: Sequence[FloatArray]) -> npt.NDArray[np.float32]:
+    """(n, K, D) of features (n, K, F): 1, then every curve's hat functions."""
+    hats = [np.ones((*features.shape[:2], 1), np.float32)]
+    for i, at in enumerate(knots):
+        unit = np.eye(len(at))
+        value = features[:, :, i]
+        hats.append(np.stack([np.interp(value, at, row) for row in unit], -1).astype(np.float32))
+    return np.concatenate(hats, axis=2)
+
+
+def _penalty(knots: Sequence[FloatArray]) -> FloatArray:
+    """(D, D) quadratic form: RIDGE on every value, SMOOTHNESS on every second difference."""
+    blocks = [np.full((1, 1), 1e-3)]
+    for at in knots:
+        bend = np.diff(np.eye(len(at)), 2, axis=0)
+        blocks.append(RIDGE * np.eye(len(at)) + SMOOTHNESS * bend.T @ bend)
+    size = sum(len(b) for b in blocks)
+    form = np.zeros((size, size))
+    start = 0
+    for block in blocks:
+        form[start : start + len(block), start : start + len(block)] = block
+        start += len(block)
+    return form
+
+
+def _likelihood(
+    recordings: Sequence[Samples], columns: Sequence[npt.NDArray[np.float32]], curves: FloatArray
+) -> tuple[float, FloatArray, FloatArray]:
+    """Minus the log likelihood, its negative gradient (D,) and its curvature (D, D)."""
+    size = len(curves)
+    loss, gradient, curvature = 0.0, np.zeros(size), np.zeros((size, size))
+    for recording, x in zip(recordings, columns, strict=True):
+        n, ids, _ = x.shape
+        # 'None of these' is the reference: its log odds are 0.
+        logits = np.concatenate([x @ curves, np.zeros((n, 1))], axis=1)
+        top = logits.max(axis=1, keepdims=True)
+        p = np.exp(logits - top)
+        total = p.sum(axis=1, keepdims=True)
+        p = (p / total)[:, :ids]
+        rows = np.flatnonzero(recording.label < ids)
+        label = recording.label[rows]
+        loss += float((top + np.log(total)).sum() - logits[rows, label].sum())
+        expected = np.einsum("nk,nkd->nd", p, x)
+        gradient += x[rows, label].sum(axis=0) - expected.sum(axis=0)
+        weighted = (x * np.sqrt(p)[..., None]).reshape(-1, size)
+        curvature += weighted.T @ weighted - expected.T @ expected
+    return loss, gradient, curvature
 
 
 # Seeds of the built-in model. Those from 2000 on are for choosing settings, those from 3000 on for
@@ -146,21 +218,18 @@ def simulated_frames(scene: Scene) -> Iterator[tuple[Frame, Sequence[Truth]]]:
 
 def make_model() -> None:
     """Write the built-in model anew: every kind of scene, MODEL_SEEDS of each."""
-    drawn = [(seed, kind) for seed in MODEL_SEEDS for kind in KINDS_OF_SCENE]
+    drawn = [(seed, kind) for seed in MODEL_SEEDS for kind in ALL_KINDS]
     with ProcessPoolExecutor() as workers:
         parts = list(workers.map(simulated, *zip(*drawn, strict=True)))
-    samples = Samples(
-        np.concatenate([p.features for p in parts]), np.concatenate([p.label for p in parts])
+    count = sum(len(p.label) for p in parts)
+    head = (
+        "# Log odds of an ID against 'none of these' = bias + the curves of all features, which\n"
+        "# appearance.py names.\n"
+        f"# Made by `make model`: {len(drawn)} simulated recordings (seeds\n"
+        f"# {MODEL_SEEDS.start} to {MODEL_SEEDS.stop - 1} of every kind of scene), "
+        f"{count} tracks in frames.\n"
     )
-    model = fit(samples)
-    lines = [
-        "# Log odds of an ID against 'none of these' = sum of weight x feature; see appearance.py.",
-        f"# Made by `make model`: {len(drawn)} simulated recordings (seeds {MODEL_SEEDS.start} to",
-        f"# {MODEL_SEEDS.stop - 1} of every kind of scene), {len(samples.label)} tracks in frames.",
-        "[weights]",
-    ]
-    lines += [f"{name} = {w:.4f}" for name, w in zip(FEATURES, model.weights, strict=True)]
-    BUILT_IN.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    BUILT_IN.write_text(head + fit(parts).as_toml(), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -126,6 +126,19 @@ class Continuity:
     min_existence: float = _setting(
         0.05, "probability", "a group less likely to exist is deleted; 0 leaves it to the strikes"
     )
+    least_in_view: float = _setting(
+        0.35, "share", "of the disc inside the fan: with less, a group has left the view"
+    )
+    remember_frames: int = _setting(
+        400,
+        "frames",
+        "image: a group that left the view keeps its number, should it return within these",
+    )
+    recall: float = _setting(
+        0.5,
+        "disc diameters",
+        "image: how far from where the pan puts a remembered group a candidate may be it",
+    )
     merge: float = _setting(
         0.5, "disc diameters", "groups nearer than this are one object: the older stays"
     )
@@ -157,7 +170,7 @@ class Features:
     )
     memory_frames: float = _setting(20.0, "frames", "track: memory of the averaged shape matrix")
     declare: float = _setting(
-        0.65,
+        0.7,
         "probability",
         "least score at which an ID is declared; the least with a strict FPR under 0.01 on the "
         "tuning seeds (2000 to 2002 of every kind of random scene)",
@@ -191,7 +204,12 @@ PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     "default": {},
     "paper": {
         "candidates": {"plane": "fan", "detector": "edge", "threshold": 0.35},
-        "continuity": {"motion": "random_walk", "particles": 1500, "min_existence": 0.0},
+        "continuity": {
+            "motion": "random_walk",
+            "particles": 1500,
+            "min_existence": 0.0,
+            "least_in_view": 0.0,
+        },
         "features": {
             "motion_model": "inverse_distance",
             "distance_power": 4.0,

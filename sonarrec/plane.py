@@ -11,6 +11,7 @@ import math
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from sonarrec.geometry import (
     fan_mask,
@@ -100,6 +101,16 @@ class Plane:
             size = (image.shape[1] // self._shrink, image.shape[0] // self._shrink)
             image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)  # type: ignore[assignment]
         return cv2.remap(image, self._map, self._weights, cv2.INTER_LINEAR)  # type: ignore[return-value]
+
+    def disc_share(self) -> npt.NDArray[np.float32]:
+        """`shape` float32: the share of a disc centred on each pixel that the fan shows."""
+        margin = [int(np.ceil(axis)) for axis in self.axes]
+        y, x = np.mgrid[-margin[1] : margin[1] + 1, -margin[0] : margin[0] + 1].astype(float)
+        disc = (np.hypot(x / self.axes[0], y / self.axes[1]) <= 1).astype(np.float32)
+        share = cv2.filter2D(
+            self.inside.astype(np.float32), -1, disc / disc.sum(), borderType=cv2.BORDER_CONSTANT
+        )
+        return np.asarray(share, np.float32)
 
     def to_polar(
         self, column: FloatArray | float, row: FloatArray | float

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sonarrec.appearance import AppearanceMeasurement, Judge, load_model
+from sonarrec.appearance import AppearanceMeasurement, Judge
+from sonarrec.appearance_model import load_model
 from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.odometry import PanEstimator
@@ -49,7 +50,7 @@ class Recogniser:
         self._appearance = None
         if config.features.measurement == "track":
             self._appearance = AppearanceMeasurement(
-                config.features.memory_frames, self._sampler.bands, landmarks, model or load_model()
+                config.features.memory_frames, self._sampler, landmarks, model or load_model()
             )
             confusion: FloatArray = np.eye(len(landmarks.ids) + 1)
         else:
@@ -64,7 +65,9 @@ class Recogniser:
 
         places = np.concatenate([selection.positions, groups.positions])
         sight = self._plane.line_of_sight(places)
-        grey, seen = self._sampler(image, self._plane.inside, places, sight)
+        grey, seen = self._sampler(
+            image, self._plane.inside, places, sight, selection.mean, selection.sigma
+        )
         single = identify(grey, seen, self._sampler.bands, self._turned)
         n = len(selection.positions)
 
@@ -83,7 +86,7 @@ class Recogniser:
         turns = single.turn[n:]
         measured = measured[n:]
         if self._appearance is not None:
-            measured, turns = self._appearance.step(groups.numbers, grey[n:], seen[n:])
+            measured, turns = self._appearance.step(groups, grey[n:], seen[n:])
         beliefs = self._features.step(groups, measured)  # stage 3
         estimates += self._estimates(
             FRAMEWORK,
@@ -92,7 +95,7 @@ class Recogniser:
             sight[n:] + turns * STEP,
             groups.existence,
             beliefs,
-            groups.existence * beliefs[:, : len(self._landmarks.ids)].max(axis=1),
+            beliefs[:, : len(self._landmarks.ids)].max(axis=1),
             self._config.features.declare,
         )
         return FrameResult(

@@ -89,12 +89,15 @@ class Selection:
     """Stage 1: the candidates of one frame.
 
     score_map: (rows, columns) float32, 0 to 1, over the working plane. positions: (n, 2) float,
-    (column, row) in plane pixels. scores: (n,), best first.
+    (column, row) in plane pixels. scores: (n,), best first. mean: (rows, columns) float32, grey
+    level of each pixel's surroundings. sigma: standard deviation of the frame about it, above 0.
     """
 
     score_map: npt.NDArray[np.float32]
     positions: FloatArray
     scores: FloatArray
+    mean: npt.NDArray[np.float32]
+    sigma: float
 
 
 @dataclass(frozen=True, slots=True)

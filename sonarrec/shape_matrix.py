@@ -63,14 +63,20 @@ class ShapeSampler:
         self._axes = axes
 
     def __call__(
-        self, image: ByteImage, inside: ByteImage, centres: FloatArray, start_rad: FloatArray
+        self,
+        image: ByteImage,
+        inside: ByteImage,
+        centres: FloatArray,
+        start_rad: FloatArray,
+        mean: npt.NDArray[np.float32],
+        sigma: float,
     ) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
         """Brightness (n, L, ANGLES) float64 and where it was seen (n, L, ANGLES) bool.
 
-        Brightness is in standard deviations of the whole frame above its mean, so that gain and
-        grey scale drop out. image, inside: working image and 1 where it holds sonar data, both
-        uint8. centres: (n, 2) (column, row). start_rad: (n,) direction of the first angle; angles
-        run counter-clockwise seen from above.
+        Brightness is counted from the mean of each object's surroundings, in standard deviations
+        of the frame (mean, sigma: see Selection), so that gain and grey scale drop out. image, inside: working image and 1 where
+        it holds sonar data, both uint8. centres: (n, 2) (column, row). start_rad: (n,) direction
+        of the first angle; angles run counter-clockwise seen from above.
         """
         size = (len(centres), len(self.radii), ANGLES)
         if len(centres) == 0:  # OpenCV refuses empty maps
@@ -84,8 +90,11 @@ class ShapeSampler:
         row = row.astype(np.float32).reshape(shape)
         grey = cv2.remap(image, column, row, cv2.INTER_LINEAR)
         seen = cv2.remap(inside, column, row, cv2.INTER_NEAREST)
-        mean, sigma = (float(v[0, 0]) for v in cv2.meanStdDev(image, mask=inside))
-        grey = (grey.reshape(size) - mean) / max(sigma, 1e-6)
+        rows, columns = image.shape
+        at = np.rint(centres).astype(int).T
+        middle = (at[1].clip(0, rows - 1), at[0].clip(0, columns - 1))
+        around = mean[middle][:, None, None].astype(float)
+        grey = (grey.reshape(size) - around) / sigma
         return grey, seen.reshape(size).astype(bool)
 
 

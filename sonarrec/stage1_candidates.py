@@ -18,6 +18,7 @@ from sonarrec.records import ByteImage, FloatArray, Selection
 # The ring filter's dark surroundings, in disc radii: part of the gap inside, the floor outside.
 GAP_MARGIN = 0.03
 OUTSIDE = (1.08, 1.35)
+LEAST_LOCAL_SIGMA = 0.5  # of the whole frame's
 # Peaks that are compared with each other; a frame with more is noise from edge to edge.
 MOST_PEAKS = 64
 
@@ -28,6 +29,8 @@ class CandidateSelector:
     def __init__(self, config: Candidates, plane: Plane, landmarks: LandmarkSet) -> None:
         self._config = config
         self._inside = plane.inside
+        self._inside_grey = plane.inside.astype(np.float32)
+        self._cells = max(1, int(np.count_nonzero(plane.inside)))
         across, along = plane.axes
         margin = int(np.ceil(max(across, along) * OUTSIDE[1]))
         y, x = np.mgrid[-margin : margin + 1, -margin : margin + 1].astype(float)
@@ -50,11 +53,13 @@ class CandidateSelector:
             self._kernel = (
                 ring / ring.sum() - 0.5 * gap / gap.sum() - 0.5 * outside / outside.sum()
             ).astype(np.float32)
-            self._background = (4 * margin + 1, 4 * margin + 1)
-            self._seen = cv2.blur(plane.inside.astype(np.float32), self._background)
         self._margin = margin
+        self._background = (4 * margin + 1, 4 * margin + 1)
+        self._seen = np.maximum(
+            np.asarray(cv2.blur(self._inside_grey, self._background)), np.float32(1e-3)
+        )
         self._diameter = 2 * np.array(plane.axes)
-        visible = self._correlate(plane.inside.astype(np.float32), ring.astype(np.float32))
+        visible = self._correlate(self._inside_grey, ring.astype(np.float32))
         visible /= ring.sum()
         # A part of a ring is scored by what shows of it. The correlation is short by the share that
         # is hidden, its noise by the root of that: dividing by the root keeps the rate of chance
@@ -65,6 +70,12 @@ class CandidateSelector:
 
     def __call__(self, image: ByteImage) -> Selection:
         """Candidates in a working image (uint8, the plane's shape)."""
+        mean = np.asarray(
+            cv2.blur(image * self._inside_grey, self._background) / self._seen, np.float32
+        )
+        relief = (image - mean) * self._inside_grey
+        # A black or even frame has no relief; 1 keeps it so.
+        sigma = float(np.sqrt(cv2.norm(relief, cv2.NORM_L2SQR) / self._cells)) or 1.0
         if self._config.detector == "edge":
             score = self._edge_score(image)
             # The tolerance makes plateaus; the middle of one is where the circle is, and its
@@ -73,7 +84,7 @@ class CandidateSelector:
             hill = np.asarray(cv2.GaussianBlur(score, (size, size), 0), np.float32)
             best = cv2.dilate(score, np.ones((size, size), np.uint8))
         else:
-            score = hill = best = self._ring_score(image)
+            score = hill = best = self._ring_score(relief, sigma)
         top = hill == cv2.dilate(hill, np.ones((3, 3), np.uint8))
         row, column = np.nonzero((best >= self._config.threshold) & top)
         order = np.lexsort((-hill[row, column], -best[row, column]))[:MOST_PEAKS]
@@ -81,7 +92,7 @@ class CandidateSelector:
         positions = _refine(hill, column, row)
         kept = self._apart(positions)[: self._config.max_candidates]
         scores = np.minimum(best[row, column][kept], 1).astype(float)
-        return Selection(np.clip(score, 0, 1), positions[kept], scores)
+        return Selection(np.clip(score, 0, 1), positions[kept], scores, mean, sigma)
 
     def _apart(self, positions: FloatArray) -> npt.NDArray[np.intp]:
         """Indices of the peaks, best first, that no better one is too near to."""
@@ -102,16 +113,16 @@ class CandidateSelector:
         on_edge = (edges > 0).astype(np.float32)
         return np.asarray(self._correlate(on_edge, self._kernel) * self._gain)
 
-    def _ring_score(self, image: ByteImage) -> npt.NDArray[np.float32]:
-        """Contrast of a bright ring over its surroundings, in shares of the full contrast."""
-        grey = image.astype(np.float32) * self._inside
-        local_mean = cv2.blur(grey, self._background) / np.maximum(self._seen, 1e-3)
-        grey = (grey - local_mean).astype(np.float32) * self._inside
-        sigma = float(np.sqrt(np.mean(grey**2) / max(float(self._inside.mean()), 1e-6)))
-        if sigma == 0:  # a black or even frame
-            return np.zeros(grey.shape, np.float32)
-        full = self._config.ring_full_contrast * sigma
-        return np.asarray(self._correlate(grey, self._kernel) * self._gain / np.float32(full))
+    def _ring_score(self, relief: npt.NDArray[np.float32], sigma: float) -> npt.NDArray[np.float32]:
+        """Contrast of a bright ring over its surroundings, in shares of the full contrast.
+
+        relief: (rows, columns) grey level over that of the surroundings. sigma: its deviation.
+        """
+        variance = cv2.sqrBoxFilter(relief, cv2.CV_32F, self._background) / self._seen
+        # Never far below the whole frame's: an even patch must not turn its noise into rings.
+        local = np.sqrt(np.maximum(variance, (LEAST_LOCAL_SIGMA * sigma) ** 2))
+        full = self._config.ring_full_contrast * local
+        return np.asarray(self._correlate(relief, self._kernel) * self._gain / full, np.float32)
 
     def _correlate(
         self, image: npt.NDArray[np.float32], kernel: npt.NDArray[np.float32]

@@ -14,6 +14,58 @@ from sonarrec.config import Continuity
 from sonarrec.plane import Plane
 from sonarrec.records import FloatArray, Groups, Selection
 
+NEW_EXISTENCE = 0.5  # of a group that has just begun
+
+
+class _Lost:
+    """Groups that left the view: where they would be seen, should it return to them."""
+
+    def __init__(self) -> None:
+        self.numbers = np.empty(0, np.int64)
+        self.positions: FloatArray = np.empty((0, 2))
+        self.existence: FloatArray = np.empty(0)
+        self.frames_left = np.empty(0, np.int64)
+        self.missed = np.empty(0, np.int64)
+
+    def add(
+        self,
+        numbers: npt.NDArray[np.int64],
+        positions: FloatArray,
+        existence: FloatArray,
+        frames: int,
+    ) -> None:
+        self.numbers = np.append(self.numbers, numbers)
+        self.positions = np.concatenate([self.positions, positions])
+        self.existence = np.append(self.existence, existence)
+        self.frames_left = np.append(self.frames_left, np.full(len(numbers), frames))
+        self.missed = np.append(self.missed, np.zeros(len(numbers), np.int64))
+
+    def keep(self, kept: npt.NDArray[np.bool_]) -> None:
+        self.numbers, self.positions = self.numbers[kept], self.positions[kept]
+        self.existence, self.frames_left = self.existence[kept], self.frames_left[kept]
+        self.missed = self.missed[kept]
+
+    def pass_frame(self, in_view: npt.NDArray[np.bool_], strikes: int) -> None:
+        """Forget those that were away too long, and those that do not show where they should."""
+        self.frames_left -= 1
+        self.missed += in_view
+        self.keep((self.frames_left > 0) & (self.missed <= strikes))
+
+    def recall(self, distance: FloatArray, most: float) -> tuple[npt.NDArray[np.int64], FloatArray]:
+        """(n,) numbers and existence of what n newly seen objects are; number 0: none of these.
+
+        distance: (n, m) between the new and the lost. The nearest pair goes first.
+        """
+        numbers = np.zeros(len(distance), np.int64)
+        existence: FloatArray = np.full(len(distance), NEW_EXISTENCE)
+        distance = distance.copy()
+        while distance.size and distance.min() <= most:
+            new, old = np.unravel_index(distance.argmin(), distance.shape)
+            numbers[new], existence[new] = self.numbers[old], self.existence[old]
+            distance[new], distance[:, old] = np.inf, np.inf
+        self.keep(~np.isin(self.numbers, numbers))
+        return numbers, existence
+
 
 class ContinuityFilter:
     """The particle groups of all objects in view."""
@@ -25,34 +77,54 @@ class ContinuityFilter:
         self._sigma = config.sigma_px * plane.scale
         self._sigma_known = config.sigma_known_px * plane.scale
         self._diameter = 2 * np.array(plane.axes)
+        self._share = plane.disc_share()
         self._next = 1
         self._numbers = np.empty(0, np.int64)
         self._strikes = np.empty(0, np.int64)
         self._existence = np.empty(0)
         self._particles = np.empty((0, config.particles, 2), np.float32)
+        self._lost = _Lost()
 
     def step(self, selection: Selection, pan_deg: float | None = None) -> Groups:
         """Predict, weigh and resample every group; delete the dead, begin the new.
 
         pan_deg: how far the sonar turned right since the last frame; None where unknown.
         """
+        config = self._config
         self._predict(pan_deg)
         expected = self._particles.mean(axis=1)
         positions, spread = self._weigh(selection.score_map)
         self._count(positions, spread, selection)
         alive = self._survivors(positions)
-        if pan_deg is not None:
+        if pan_deg is None:
+            self._lost = _Lost()  # nobody knows where they are now
+        else:
             # The floor does not move: a group pulled this far has left its object for another.
             moved = np.hypot(*((positions - expected) / self._diameter).T)
-            alive &= moved <= self._config.jump
+            alive &= moved <= config.jump
+        in_view = self._shares(positions) >= config.least_in_view
+        if pan_deg is not None:
+            self._lost.positions = self._plane.panned(self._lost.positions, pan_deg)
+            self._lost.pass_frame(self._shares(self._lost.positions) > 0.9, config.strikes)
+            left = alive & ~in_view
+            self._lost.add(
+                self._numbers[left], positions[left], self._existence[left], config.remember_frames
+            )
+        alive &= in_view
         self._keep(alive)
-        positions, spread = positions[alive], spread[alive]
-        born = self._begin(positions, selection)
+        born = self._begin(positions[alive], selection)
+        positions = np.concatenate([positions[alive], born])
+        spread = np.concatenate(
+            [spread[alive], np.full((len(born), 2), self._sigma) / self._diameter]
+        )
+        order = np.argsort(self._numbers)  # those that came back go to their old place
+        self._keep(order)
         return Groups(
             self._numbers.copy(),
-            np.concatenate([positions, born]),
-            np.concatenate([spread, np.full((len(born), 2), self._sigma) / self._diameter]),
+            positions[order],
+            spread[order],
             self._existence.copy(),
+            self._lost.numbers.copy(),
         )
 
     def _predict(self, pan_deg: float | None) -> None:
@@ -108,17 +180,20 @@ class ContinuityFilter:
 
     def _survivors(self, positions: FloatArray) -> npt.NDArray[np.bool_]:
         config = self._config
-        column, row = np.rint(positions).astype(int).T
-        rows, columns = self._plane.inside.shape
-        within = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
-        alive = (
-            (self._strikes < config.strikes) & (self._existence >= config.min_existence) & within
-        )
+        alive = (self._strikes < config.strikes) & (self._existence >= config.min_existence)
         # Groups are in order of age: of two on one object the older stays.
         near = np.tril(self._distances(positions, positions) < config.merge, k=-1)
         return np.asarray(alive & ~(near & alive[None, :]).any(axis=1))
 
-    def _keep(self, alive: npt.NDArray[np.bool_]) -> None:
+    def _shares(self, positions: FloatArray) -> FloatArray:
+        """(n,) share of the disc inside the fan; -1 beyond the image."""
+        column, row = np.rint(positions).astype(int).T
+        rows, columns = self._share.shape
+        within = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+        share = self._share[row.clip(0, rows - 1), column.clip(0, columns - 1)]
+        return np.where(within, share, -1.0)
+
+    def _keep(self, alive: npt.NDArray[np.bool_] | npt.NDArray[np.intp]) -> None:
         self._numbers = self._numbers[alive]
         self._strikes = self._strikes[alive]
         self._existence = self._existence[alive]
@@ -133,10 +208,15 @@ class ContinuityFilter:
         self._particles = np.concatenate(
             [self._particles, cloud + born[:, None].astype(np.float32)]
         )
-        self._numbers = np.append(self._numbers, self._next + np.arange(len(born)))
+        numbers, existence = self._lost.recall(
+            self._distances(born, self._lost.positions), self._config.recall
+        )
+        new = numbers == 0
+        numbers[new] = self._next + np.arange(np.count_nonzero(new))
+        self._next += int(np.count_nonzero(new))
+        self._numbers = np.append(self._numbers, numbers)
         self._strikes = np.append(self._strikes, np.zeros(len(born), np.int64))
-        self._existence = np.append(self._existence, np.full(len(born), 0.5))
-        self._next += len(born)
+        self._existence = np.append(self._existence, existence)
         return born
 
     def _distances(self, a: FloatArray, b: FloatArray) -> FloatArray:

@@ -85,9 +85,14 @@ class FeatureEstimator:
     def step(self, groups: Groups, measured: FloatArray) -> FloatArray:
         """(n, H) beliefs after this frame; measured: (n, H) normalised similarities."""
         predicted = self._predict(groups)
-        self._beliefs = update(predicted, measured, self._model)
-        self._numbers, self._positions = groups.numbers, groups.positions
-        return self._beliefs
+        beliefs = update(predicted, measured, self._model)
+        away = np.isin(self._numbers, np.setdiff1d(groups.remembered, groups.numbers))
+        numbers = np.concatenate([groups.numbers, self._numbers[away]])
+        order = np.argsort(numbers)
+        self._numbers = numbers[order]
+        self._beliefs = np.concatenate([beliefs, self._beliefs[away]])[order]
+        self._positions = np.concatenate([groups.positions, self._positions[away]])[order]
+        return beliefs
 
     def _predict(self, groups: Groups) -> FloatArray:
         """Eq. 5. An object that has just begun knows nothing: its belief is uniform."""

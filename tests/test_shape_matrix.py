@@ -5,7 +5,7 @@ import itertools
 import cv2
 import numpy as np
 import pytest
-from drawn import SECTORS, disc_pattern, draw_ellipse_disc
+from drawn import SECTORS, disc_pattern, draw_ellipse_disc, surroundings
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -41,7 +41,9 @@ def identified(
 ) -> Identification:
     sampler = ShapeSampler(BASIN, axes)
     inside = np.ones_like(image) if inside is None else inside
-    grey, seen = sampler(image, inside, np.array([centre]), np.array([start_rad]))
+    grey, seen = sampler(
+        image, inside, np.array([centre]), np.array([start_rad]), *surroundings(image)
+    )
     return identify(grey, seen, sampler.bands, TURNED)
 
 
@@ -113,10 +115,10 @@ def test_what_lies_outside_the_fan_counts_for_nothing(landmark, column, fill):
     hidden = np.where(inside == 1, image, 255 if fill else 0).astype(np.uint8)
     sampler = ShapeSampler(BASIN, (RADIUS, RADIUS))
     start = np.zeros(1)
-    _, seen = sampler(hidden, inside, np.array([CENTRE]), start)
+    _, seen = sampler(hidden, inside, np.array([CENTRE]), start, *surroundings(image))
     assert not seen.all()
     # The same picture with nothing hidden, its hidden cells replaced by anything else at all.
-    whole, _ = sampler(image, np.ones_like(image), np.array([CENTRE]), start)
+    whole, _ = sampler(image, np.ones_like(image), np.array([CENTRE]), start, *surroundings(image))
     edge = (
         np.abs(
             CENTRE[0]
@@ -193,8 +195,9 @@ def test_brightness_is_free_of_gain_and_offset():
     image = picture(disc_pattern(SECTORS[1]))
     sampler = ShapeSampler(BASIN, (RADIUS, RADIUS))
     inside, centre, start = np.ones_like(image), np.array([CENTRE]), np.zeros(1)
-    grey, seen = sampler(image, inside, centre, start)
-    dim, _ = sampler((image // 2 + 30).astype(np.uint8), inside, centre, start)
+    grey, seen = sampler(image, inside, centre, start, *surroundings(image))
+    halved = (image // 2 + 30).astype(np.uint8)
+    dim, _ = sampler(halved, inside, centre, start, *surroundings(halved))
     np.testing.assert_allclose(dim[seen], grey[seen], atol=0.03)
     assert grey.max() == pytest.approx((image.max() - image.mean()) / image.std(), abs=0.01)
 
@@ -204,7 +207,7 @@ def test_no_objects_and_objects_outside_the_image_are_no_trouble():
     sampler = ShapeSampler(BASIN, (RADIUS, RADIUS))
     for centres in (np.empty((0, 2)), np.array([[-500.0, 900.0]])):
         start = np.zeros(len(centres))
-        grey, seen = sampler(image, np.ones_like(image), centres, start)
+        grey, seen = sampler(image, np.ones_like(image), centres, start, *surroundings(image))
         found = identify(grey, seen, sampler.bands, TURNED)
         assert not seen.any()
         assert found.measurement.shape == (len(centres), 4)

@@ -37,7 +37,11 @@ def peaks(*places, width: float = 6.0, height: float = 1.0, base: float = 0.0) -
 
 def selection(score: np.ndarray, *candidates) -> Selection:
     return Selection(
-        score, np.array(candidates, float).reshape(-1, 2), np.full(len(candidates), 0.9)
+        score,
+        np.array(candidates, float).reshape(-1, 2),
+        np.full(len(candidates), 0.9),
+        np.zeros_like(score),
+        1.0,
     )
 
 

@@ -1,0 +1,75 @@
+"""Judges a described disc: one curve per feature, added up to the log odds of each ID.
+
+Log odds of an ID against 'none of these' = bias + sum over the features of a piecewise-linear
+curve. A curve shows at a glance what its feature is worth, which a file of weights would not.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sonarrec.appearance import FEATURES
+from sonarrec.records import FloatArray, UsageError
+
+BUILT_IN = Path(__file__).parent / "models" / "appearance.toml"
+
+
+@dataclass(frozen=True, slots=True)
+class AppearanceModel:
+    """An additive model over FEATURES.
+
+    knots, values: per feature, (m,) rising abscissae and the log odds there; beyond the ends a
+    curve stays level. bias: log odds that are no feature's.
+    """
+
+    bias: float
+    knots: tuple[FloatArray, ...]
+    values: tuple[FloatArray, ...]
+
+    def log_odds(self, features: FloatArray) -> FloatArray:
+        """(n, K) of each ID against 'none of these'. features: (n, K, F)."""
+        total = np.full(features.shape[:2], self.bias)
+        for i, (knots, values) in enumerate(zip(self.knots, self.values, strict=True)):
+            total += np.interp(features[:, :, i], knots, values)
+        return total
+
+    def probabilities(self, features: FloatArray) -> FloatArray:
+        """(n, K + 1): every ID, then 'none of these'; rows sum to 1. features: (n, K, F)."""
+        odds = self.log_odds(features)
+        logits = np.concatenate([odds, np.zeros((len(odds), 1))], axis=1)
+        logits -= logits.max(axis=1, keepdims=True)
+        likely = np.exp(logits)
+        return np.asarray(likely / likely.sum(axis=1, keepdims=True))
+
+    def as_toml(self) -> str:
+        """The model as load_model reads it."""
+        lines = [f"bias = {self.bias:.3f}"]
+        for name, knots, values in zip(FEATURES, self.knots, self.values, strict=True):
+            lines += ["", f"[{name}]"]
+            for key, numbers in (("at", knots), ("log_odds", values)):
+                lines.append(f"{key} = [{', '.join(f'{float(v):.3f}' for v in numbers)}]")
+        return "\n".join(lines) + "\n"
+
+
+def load_model(path: Path = BUILT_IN) -> AppearanceModel:
+    """The model in a TOML file (default: the built-in one).
+
+    Raises UsageError where the file is not such a model.
+    """
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        knots = tuple(np.array(table[name]["at"], float) for name in FEATURES)
+        values = tuple(np.array(table[name]["log_odds"], float) for name in FEATURES)
+        bias = float(table["bias"])
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise UsageError(
+            f"{path}: not an appearance model ({error!r}); `sonarrec calibrate` writes one"
+        ) from None
+    for name, at, odds in zip(FEATURES, knots, values, strict=True):
+        if at.ndim != 1 or at.shape != odds.shape or not len(at) or (np.diff(at) <= 0).any():
+            raise UsageError(f"{path}: [{name}] needs rising `at` and as many `log_odds`")
+    return AppearanceModel(bias, knots, values)
