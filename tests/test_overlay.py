@@ -23,6 +23,7 @@ from drawn import draw_on_floor, make_fan
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from logs import PERIOD_NS, SONAR_TOML, cdr_image, image_folder, mcap_file
+from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
 from sonarrec.cli import main
@@ -223,8 +224,8 @@ def test_colours_are_told_apart_with_any_colour_vision(kind: str) -> None:
 @settings(max_examples=40, deadline=None)
 @given(
     rows=st.integers(2, 700),
-    x=st.floats(-1e4, 1e4),
-    y=st.floats(-1e4, 1e4),
+    x=st.floats(-1e4, 1e4) | st.floats(-1e15, 1e15),
+    y=st.floats(-1e4, 1e4) | st.floats(-1e15, 1e15),
     declared=st.booleans(),
 )
 def test_any_size_and_place_can_be_drawn(rows: int, x: float, y: float, declared: bool) -> None:
@@ -667,6 +668,17 @@ def test_faults_are_one_line(arguments: str, code: int, fault: str, work: Path) 
     assert fault in told.stderr
     assert len(told.stderr.splitlines()) == 1
     assert not told.stdout
+
+
+def test_what_was_written_before_a_fault_is_kept(work: Path) -> None:
+    with (work / "sonarrec_out" / "log" / "estimates.csv").open("a") as file:
+        file.write("3,0,framework,x\n")
+    told = sonarrec("overlay", "log", "--mcap", "o.mcap", code=1)
+    assert "estimates.csv line 8: landmark must be a whole number" in told.stderr
+    with pytest.raises(McapError):
+        list(messages(work / "o.mcap"))  # no footer: it is not whole
+    with open_log("o.mcap", sonar_file=work / "log" / "sonar.toml") as kept:
+        assert len(list(kept)) == 3
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="/dev/full not found")

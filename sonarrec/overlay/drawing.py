@@ -270,7 +270,8 @@ class _Pen:
 
     def lines(self, lines: FloatArray, colour: Colour, width: int, *, closed: bool = False) -> None:
         """(lines, points, 2) of one colour."""
-        fixed = np.round(self._enlarged(lines) * 2**_FINE).astype(np.int32)
+        # Far outside is as good as farther outside, and fits into 32 bits.
+        fixed = np.clip(self._enlarged(lines) * 2**_FINE, -1e8, 1e8).round().astype(np.int32)
         width = round(width * self._unit)
         cv2.polylines(self.canvas, list(fixed), closed, colour[::-1], width, cv2.LINE_AA, _FINE)
 

@@ -177,6 +177,8 @@ class FoxgloveFile:
             with self._file:
                 if kind is None:
                     self._writer.finish()  # type: ignore[no-untyped-call]
+                else:
+                    self._writer.flush()  # type: ignore[no-untyped-call]
         except OSError as fault:
             if kind is None:  # else the fault that came first is the one to tell
                 raise SonarrecError(f"{self._path}: cannot be written ({fault.strerror})") from None
