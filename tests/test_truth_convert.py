@@ -285,7 +285,7 @@ def test_mot_of_cvat_names_classes_and_counts_boxes_from_zero(tmp_path: Path) ->
         ("1.5,1,0,0,5,5,1", "frames are whole numbers"),
         ("1,1,0,0,5,5,1,1,86", "visibility is a share"),
         ("1,1,0,0,5,inf,1", "no coordinate"),
-        ("0,1,0,0,5,5,1", "would be frame -1; lower --first-frame"),
+        ("0,1,0,0,5,5,1", "lies before the log's first frame, which is called 1 here"),
     ],
 )
 def test_bad_mot_is_one_line(tmp_path: Path, line: str, said: str) -> None:

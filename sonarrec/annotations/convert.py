@@ -170,7 +170,10 @@ def _frame_numbers(
     seen: dict[int, int | str] = {}
     for name, frame in frames.items():
         if frame < 0:
-            raise SonarrecError(f"{source}: {name!r} would be frame {frame}; lower --first-frame")
+            raise SonarrecError(
+                f"{source}: {name!r} lies before the log's first frame, which is called {first} "
+                "here; lower --first-frame"
+            )
         if seen.setdefault(frame, name) != name:
             raise SonarrecError(
                 f"{source}: images {seen[frame]!r} and {name!r} would both be frame {frame}; "
