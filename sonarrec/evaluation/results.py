@@ -13,6 +13,7 @@ import numpy.typing as npt
 from sonarrec.evaluation.tables import (
     POSITION_KINDS,
     Kind,
+    Table,
     line_number,
     plane_position,
     position_pair,
@@ -37,6 +38,8 @@ class LogResults:
     methods: names; the arrays below have one element per estimate. method: index into methods.
     row: index into frame. landmark: index into landmarks.ids. score: 0 to 1. declared: bool.
     position: (N, 2) metres in the fan plane, or None where it is not known.
+    object: (N,) a number per candidate or track, -1 where not told. probability: (N, K + 1), one
+    per ID in the set's order, then none of these; None where the columns are missing.
     fan: turns fan pixels into metres; None where nothing states it.
     strays: estimates left out, for they lie on frames that frames.csv does not list.
     finished: False where run.toml says that the run was cut short.
@@ -54,6 +57,8 @@ class LogResults:
     score: FloatArray
     declared: BoolArray
     position: FloatArray | None
+    object: IntArray
+    probability: npt.NDArray[np.float32] | None
     strays: int
     finished: bool
 
@@ -107,9 +112,10 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
         "score": "number",
         "declared": "flag",
     }
+    belief = [*(f"p_{i}" for i in landmark_set.ids), "p_none"]
     table = read_table(
         path,
-        kinds | POSITION_KINDS,
+        kinds | POSITION_KINDS | {"object": "label"} | dict.fromkeys(belief, "share"),
         tuple(kinds),
         "frame,method,range_m,bearing_deg,landmark,score,declared",
     )
@@ -143,9 +149,22 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
         score=table["score"][listed],
         declared=table["declared"][listed],
         position=None if position is None else position[listed],
+        object=table["object"][listed] if "object" in table else np.full(listed.sum(), -1),
+        probability=_probability(table, belief, listed),
         strays=int(np.count_nonzero(~listed)),
         finished=run.get("finished", True) is not False,
     )
+
+
+def _probability(
+    table: Table, columns: list[str], listed: BoolArray
+) -> npt.NDArray[np.float32] | None:
+    if any(name not in table for name in columns):
+        return None
+    probability = np.empty((int(listed.sum()), len(columns)), dtype=np.float32)
+    for k, name in enumerate(columns):
+        probability[:, k] = table.pop(name)[listed]
+    return probability
 
 
 def read_run(path: Path) -> dict[str, Any]:

@@ -9,100 +9,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from sonarrec.evaluation.results import (
-    METHODS,
-    BoolArray,
-    IntArray,
-    LogResults,
-    find_logs,
-    read_log,
-)
+from sonarrec.evaluation.curves import Count, Curve
+from sonarrec.evaluation.joined import Joined, join, nearest_truth
+from sonarrec.evaluation.results import BoolArray, IntArray, LogResults, find_logs, read_log
 from sonarrec.evaluation.truth import Truth, TruthTable, match_truth, read_truth
 from sonarrec.geometry import Sonar
 from sonarrec.records import FloatArray, SonarrecError, UsageError
 
 PROTOCOLS = ("paper", "strict")
 NEGATIVE, POSITIVE, IGNORED = 0, 1, 2
-ROUNDING_M = 1e-9
-"""A claim exactly on the gate is inside it, whatever the last bit says."""
-
-
-@dataclass(frozen=True, slots=True)
-class Count:
-    """A confusion count. Rates are NaN where they are 0/0."""
-
-    tp: int
-    tn: int
-    fp: int
-    fn: int
-
-    @property
-    def tpr(self) -> float:
-        """True positive rate, TP / (TP + FN)."""
-        return self.tp / (self.tp + self.fn) if self.tp + self.fn else math.nan
-
-    @property
-    def fpr(self) -> float:
-        """False positive rate, FP / (FP + TN)."""
-        return self.fp / (self.fp + self.tn) if self.fp + self.tn else math.nan
-
-    @property
-    def total(self) -> int:
-        """The paper's beta."""
-        return self.tp + self.tn + self.fp + self.fn
-
-
-@dataclass(frozen=True, slots=True)
-class Curve:
-    """A ROC: the count at every threshold, from infinity down. Arrays are (points,).
-
-    Equal scores are one point. Rates are NaN throughout where they are 0/0. The curve ends where
-    every estimate is a claim, which need not be at (1, 1): what was never seen cannot be claimed.
-    """
-
-    threshold: FloatArray
-    tp: IntArray
-    tn: IntArray
-    fp: IntArray
-    fn: IntArray
-
-    @property
-    def tpr(self) -> FloatArray:
-        """True positive rate at every threshold."""
-        with np.errstate(invalid="ignore"):
-            return np.asarray(self.tp / (self.tp + self.fn))
-
-    @property
-    def fpr(self) -> FloatArray:
-        """False positive rate at every threshold."""
-        with np.errstate(invalid="ignore"):
-            return np.asarray(self.fp / (self.fp + self.tn))
-
-    def turns(self, most: int = 2000) -> IntArray:
-        """Indices of the points that draw the curve: its corners, both ends among them.
-
-        Where those are more than `most`, points that move neither rate past the next of
-        `most` / 2 equal steps are left out.
-        """
-        step = np.stack([np.diff(self.tp - self.fn), np.diff(self.fp - self.tn)])
-        keep = np.ones(len(self.tp), dtype=bool)
-        # Three points on one horizontal or vertical line need no middle one.
-        keep[1:-1] = ((step[:, 1:] != 0) != (step[:, :-1] != 0)).any(axis=0) | (
-            step[:, 1:] != 0
-        ).all(axis=0)
-        index = np.flatnonzero(keep)
-        if len(index) > most:
-            rates = np.nan_to_num(np.stack([self.tpr[index], self.fpr[index]]))
-            moved = (np.diff(np.floor(rates * (most // 2))) != 0).any(axis=0)
-            moved[-1] = True
-            index = index[np.concatenate([[True], moved])]
-        return index
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,8 +31,13 @@ class Scored:
     """One method under one protocol.
 
     ids: K landmark IDs. base, declared: (K, 4) TP, TN, FP, FN with nothing claimed, and at the
-    method's operating point. Per claim that counts, by falling score: score, landmark (index
-    into ids), frame (index into Joined.frame) and effect, (n, 4) int8, what it adds.
+    method's operating point. negative: (F, K) bool, the frames and IDs that count as TN in base.
+    positive: (P,) indices of the truths that count as FN there, one per frame and ID under the
+    paper's protocol; positive_landmark: (P,) index into ids.
+    Per claim that counts, by falling score: claim (index into Joined), score, landmark (index
+    into ids), frame (index into Joined.frame), truth (the positive it is a right claim of, else
+    -1) and effect, (n, 4) int8, what it adds. made: (m,) those of them that are declared, and
+    made_effect, (m, 4), what these add where no others are made.
     """
 
     protocol: str
@@ -119,10 +45,17 @@ class Scored:
     ids: tuple[int, ...]
     base: IntArray
     declared: IntArray
+    negative: BoolArray
+    positive: IntArray
+    positive_landmark: IntArray
+    claim: IntArray
     score: FloatArray
     landmark: IntArray
     frame: IntArray
+    truth: IntArray
     effect: npt.NDArray[np.int8]
+    made: IntArray
+    made_effect: npt.NDArray[np.int8]
 
     def count(self, k: int | None = None) -> Count:
         """At the operating point: of the k-th ID, or the micro sum over all of them."""
@@ -138,35 +71,32 @@ class Scored:
         counts = np.vstack([base, base + np.cumsum(effect, axis=0, dtype=np.int64)[last]])
         return Curve(np.concatenate([[np.inf], score[last]]), *counts.T)
 
+    def base_by(self, of_frame: IntArray, of_truth: IntArray, groups: int) -> IntArray:
+        """(groups, K, 4) `base`, split: (F,) says whose a frame's negatives are, (T,) a truth's."""
+        k = len(self.ids)
+        frame, landmark = np.nonzero(self.negative)
+        cells = np.zeros((groups * k, 4), dtype=np.int64)
+        cells[:, 1] = np.bincount(of_frame[frame] * k + landmark, minlength=groups * k)
+        cells[:, 3] = np.bincount(
+            of_truth[self.positive] * k + self.positive_landmark, minlength=groups * k
+        )
+        return cells.reshape(groups, k, 4)
 
-@dataclass(frozen=True, slots=True)
-class Joined:
-    """Results and truth of all logs on one axis of F frames and one of K IDs.
+    def claims_by(self, of_frame: IntArray, of_truth: IntArray) -> IntArray:
+        """(n,) whose the claims are: a right one goes with its truth, a false one with its frame.
 
-    log, frame: (F,) index into logs, and frame number there. Truths (T,): truth_frame (index),
-    truth_landmark (index into ids), truth_position (T, 2) m, truth_positive, and gate, the
-    distance (m) within which a claim is right. Claims (N,): method (index), claim_frame,
-    claim_landmark, claim_position (N, 2) m, score, declared. Positions are NaN where unknown;
-    placed: whether they are known wherever the strict protocol needs them.
-    """
+        So whatever a claim takes from `base_by` is taken from the group that has it.
+        """
+        if not len(of_truth):
+            return of_frame[self.frame]
+        return np.where(self.truth >= 0, of_truth[self.truth], of_frame[self.frame])
 
-    logs: tuple[str, ...]
-    ids: tuple[int, ...]
-    methods: tuple[str, ...]
-    log: IntArray
-    frame: IntArray
-    truth_frame: IntArray
-    truth_landmark: IntArray
-    truth_position: FloatArray
-    truth_positive: BoolArray
-    gate: FloatArray
-    method: IntArray
-    claim_frame: IntArray
-    claim_landmark: IntArray
-    claim_position: FloatArray
-    score: FloatArray
-    declared: BoolArray
-    placed: bool
+    def declared_by(self, of_frame: IntArray, of_truth: IntArray, groups: int) -> IntArray:
+        """(groups, K, 4) the count at the operating point, split as in `base_by`."""
+        counts = self.base_by(of_frame, of_truth, groups)
+        group = self.claims_by(of_frame, of_truth)[self.made]
+        np.add.at(counts, (group, self.landmark[self.made]), self.made_effect)
+        return counts
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,6 +108,19 @@ class Evaluation:
     min_visible: float
     notes: tuple[str, ...]
     unused: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """The results folder of one log and the truth that goes with it.
+
+    log: the log's name, where the folder's own is not wanted; the log column of the truth is
+    matched with it.
+    """
+
+    results: Path
+    ground_truth: Path
+    log: str | None = None
 
 
 def evaluate(
@@ -209,19 +152,10 @@ def evaluate(
 
     Raises SonarrecError where files cannot be used or have no frame in common.
     """
-    if not 0 <= min_visible <= 1:
-        raise UsageError(f"--min-visible is a share of the disc, 0 to 1, not {min_visible:g}")
-    if tolerance_s is not None and not 0 <= tolerance_s < math.inf:
-        raise UsageError(f"--tolerance is a time in seconds, 0 or more, not {tolerance_s:g}")
+    check_options(min_visible, tolerance_s)
     table = read_truth(ground_truth)
     folders = find_logs(results)
     logs = [read_log(folder, landmarks, sonar) for folder in folders]
-    for log in logs:
-        if set(log.landmarks.ids) != set(logs[0].landmarks.ids):
-            raise SonarrecError(
-                f"{results}: logs {logs[0].name} and {log.name} were run with different landmark "
-                "IDs and cannot be pooled; evaluate them one by one, or give --landmarks"
-            )
     if len(logs) > 1 and table.log is None:
         raise SonarrecError(
             f"{ground_truth}: {results} holds {len(logs)} logs "
@@ -230,6 +164,73 @@ def evaluate(
         )
     truths = [match_truth(table, log, tolerance_s) for log in logs]
     unused = _unused(table, logs, truths, single=folders == [results])
+    return pool(logs, truths, min_visible, unused)
+
+
+def evaluate_pairs(
+    pairs: Sequence[Pair],
+    *,
+    min_visible: float = 0.9,
+    tolerance_s: float | None = None,
+    landmarks: str | None = None,
+    sonar: Sonar | None = None,
+) -> Evaluation:
+    """Score several logs, each with a truth of its own, and pool them; see `evaluate`.
+
+    Logs of equal name are told apart by their folders as given.
+    """
+    check_options(min_visible, tolerance_s)
+    if not pairs:
+        raise SonarrecError("no pair of results and ground truth to score")
+    tables = {path: read_truth(path) for path in {pair.ground_truth for pair in pairs}}
+    logs: list[LogResults] = []
+    truths: list[Truth] = []
+    unused: list[str] = []
+    for pair in pairs:
+        folders = find_logs(pair.results)
+        if folders != [pair.results]:
+            raise SonarrecError(
+                f"{pair.results}: holds {len(folders)} logs; give each a row of its own"
+            )
+        log = read_log(pair.results, landmarks, sonar)
+        log = log if pair.log is None else replace(log, name=pair.log)
+        table = tables[pair.ground_truth]
+        logs.append(log)
+        truths.append(match_truth(table, log, tolerance_s))
+        unused += _unused(table, logs[-1:], truths[-1:], single=True)
+    names = [log.name for log in logs]
+    if len(set(names)) < len(names):
+        logs = [
+            log if names.count(log.name) == 1 else replace(log, name=str(pair.results))
+            for log, pair in zip(logs, pairs, strict=True)
+        ]
+    return pool(logs, truths, min_visible, unused)
+
+
+def check_options(min_visible: float, tolerance_s: float | None) -> None:
+    """Raises UsageError where one of them cannot be meant."""
+    if not 0 <= min_visible <= 1:
+        raise UsageError(f"--min-visible is a share of the disc, 0 to 1, not {min_visible:g}")
+    if tolerance_s is not None and not 0 <= tolerance_s < math.inf:
+        raise UsageError(f"--tolerance is a time in seconds, 0 or more, not {tolerance_s:g}")
+
+
+def pool(
+    logs: Sequence[LogResults],
+    truths: Sequence[Truth],
+    min_visible: float,
+    unused: Sequence[str] = (),
+) -> Evaluation:
+    """Score logs that were read, each with its truth, as one.
+
+    Raises SonarrecError where their landmark IDs differ, or where they name no method.
+    """
+    for log in logs:
+        if set(log.landmarks.ids) != set(logs[0].landmarks.ids):
+            raise SonarrecError(
+                f"logs {logs[0].name} and {log.name} were run with different landmark IDs and "
+                "cannot be pooled; evaluate them one by one, or give --landmarks"
+            )
     joined = join(logs, truths, min_visible)
     notes = _notes(joined, logs, truths)
     scored = tuple(
@@ -238,7 +239,7 @@ def evaluate(
         for protocol in PROTOCOLS
         if protocol == "paper" or joined.placed
     )
-    return Evaluation(joined, scored, min_visible, notes, unused)
+    return Evaluation(joined, scored, min_visible, notes, tuple(unused))
 
 
 def _unused(
@@ -279,47 +280,7 @@ def _unused(
     return tuple(said)
 
 
-def join(logs: Sequence[LogResults], truths: Sequence[Truth], min_visible: float) -> Joined:
-    """Put the logs end to end. All have the same landmark IDs."""
-    ids = logs[0].landmarks.ids
-    names = {name for log in logs for name in log.methods}
-    methods = tuple(m for m in METHODS if m in names) + tuple(sorted(names - set(METHODS)))
-    length = np.array([len(log.frame) for log in logs])
-    start = np.cumsum(length) - length
-
-    def place(position: FloatArray | None, rows: int) -> FloatArray:
-        return np.full((rows, 2), np.nan) if position is None else position
-
-    pairs = list(zip(logs, truths, strict=True))
-    ids_of = [np.array([ids.index(i) for i in log.landmarks.ids]) for log in logs]
-    methods_of = [np.array([methods.index(m) for m in log.methods], dtype=int) for log in logs]
-    cat = np.concatenate
-    return Joined(
-        logs=tuple(log.name for log in logs),
-        ids=ids,
-        methods=methods,
-        log=np.repeat(np.arange(len(logs)), length),
-        frame=cat([log.frame for log in logs]),
-        truth_frame=cat([t.row + s for t, s in zip(truths, start, strict=True)]),
-        truth_landmark=cat([i[t.landmark] for t, i in zip(truths, ids_of, strict=True)]),
-        truth_position=cat([place(t.position, len(t.row)) for t in truths]),
-        truth_positive=cat([t.visible >= min_visible for t in truths]),
-        gate=cat([np.full(len(t.row), log.landmarks.radius_m) for log, t in pairs]),
-        method=cat([m[log.method] for log, m in zip(logs, methods_of, strict=True)]),
-        claim_frame=cat([log.row + s for log, s in zip(logs, start, strict=True)]),
-        claim_landmark=cat([i[log.landmark] for log, i in zip(logs, ids_of, strict=True)]),
-        claim_position=cat([place(log.position, len(log.row)) for log in logs]),
-        score=cat([log.score for log in logs]),
-        declared=cat([log.declared for log in logs]),
-        placed=all(
-            not len(t.row)
-            or (t.position is not None and (log.position is not None or not len(log.row)))
-            for log, t in pairs
-        ),
-    )
-
-
-def _notes(joined: Joined, logs: list[LogResults], truths: list[Truth]) -> tuple[str, ...]:
+def _notes(joined: Joined, logs: Sequence[LogResults], truths: Sequence[Truth]) -> tuple[str, ...]:
     notes = []
     if not joined.methods:
         raise SonarrecError(f"{', '.join(joined.logs)}: estimates.csv names no method to score")
@@ -335,6 +296,11 @@ def _notes(joined: Joined, logs: list[LogResults], truths: list[Truth]) -> tuple
             notes.append(
                 f"{log.name}: {truth.between} ground-truth rows lie between frames and are passed "
                 "over for others nearer in time"
+            )
+        missing = [m for m in joined.methods if m not in log.methods]
+        if missing:
+            notes.append(
+                f"{log.name}: holds nothing of {', '.join(missing)}, which counts as no claim"
             )
     seen = np.bincount(joined.method, minlength=len(joined.methods))
     notes += [
@@ -358,39 +324,49 @@ def score(joined: Joined, method: int, protocol: str) -> Scored:
     mine = np.flatnonzero(joined.method == method)
     mine = mine[np.argsort(-joined.score[mine], kind="stable")]
     cell = joined.claim_frame[mine] * k + joined.claim_landmark[mine]
-    base = np.zeros((k, 4), dtype=np.int64)
-    base[:, 1] = np.count_nonzero(state.reshape(-1, k) == NEGATIVE, axis=0)
+    positive = np.flatnonzero(joined.truth_positive)
     if protocol == "paper":
-        base[:, 3] = np.count_nonzero(state.reshape(-1, k) == POSITIVE, axis=0)
+        positive = positive[np.unique(truth_cell[positive], return_index=True)[1]]
+        of_cell = np.full(len(state), -1)
+        of_cell[truth_cell[positive]] = positive
+        truth = of_cell[cell]
         counted = state[cell] != IGNORED
-        right = state[cell] == POSITIVE
         spot = cell
     else:
-        base[:, 3] = np.bincount(joined.truth_landmark[joined.truth_positive], minlength=k)
-        truth = _nearest_truth(joined, truth_cell, mine, cell)
-        right = truth >= 0
+        truth = nearest_truth(joined, mine, cell, truth_cell)
         counted = np.ones(len(mine), dtype=bool)
-        counted[right] = joined.truth_positive[truth[right]]
-        spot = np.where(right, len(state) + truth, cell)
-    mine, cell, right, spot = mine[counted], cell[counted], right[counted], spot[counted]
+        on_one = truth >= 0
+        counted[on_one] = joined.truth_positive[truth[on_one]]
+        spot = np.where(on_one, len(state) + truth, cell)
+    mine, cell, truth, spot = mine[counted], cell[counted], truth[counted], spot[counted]
 
-    absent = state[cell] == NEGATIVE
-    effect = _effects(protocol, right, absent, spot)
-    declared = joined.declared[mine]
-    chosen = _effects(protocol, right[declared], absent[declared], spot[declared])
+    negative = state.reshape(-1, k) == NEGATIVE
+    base = np.zeros((k, 4), dtype=np.int64)
+    base[:, 1] = np.count_nonzero(negative, axis=0)
+    base[:, 3] = np.bincount(joined.truth_landmark[positive], minlength=k)
+    right, absent = truth >= 0, state[cell] == NEGATIVE
+    made = np.flatnonzero(joined.declared[mine])
+    made_effect = _effects(protocol, right[made], absent[made], spot[made])
     landmark = joined.claim_landmark[mine]
-    at_operating_point = base.copy()
-    np.add.at(at_operating_point, landmark[declared], chosen)
+    declared = base.copy()
+    np.add.at(declared, landmark[made], made_effect)
     return Scored(
         protocol=protocol,
         method=joined.methods[method],
         ids=joined.ids,
         base=base,
-        declared=at_operating_point,
+        declared=declared,
+        negative=negative,
+        positive=positive,
+        positive_landmark=joined.truth_landmark[positive],
+        claim=mine,
         score=joined.score[mine],
         landmark=landmark,
         frame=joined.claim_frame[mine],
-        effect=effect,
+        truth=truth,
+        effect=_effects(protocol, right, absent, spot),
+        made=made,
+        made_effect=made_effect,
     )
 
 
@@ -414,23 +390,3 @@ def _effects(
         effect[:, 2] = ~(right & first)
     effect[:, 1] = -(absent & first).astype(np.int8)
     return effect
-
-
-def _nearest_truth(
-    joined: Joined, truth_cell: IntArray, mine: IntArray, cell: IntArray
-) -> IntArray:
-    """(n,) index of the nearest truth of a claim's ID in its frame, -1 if beyond the gate."""
-    order = np.argsort(truth_cell, kind="stable")
-    ordered = truth_cell[order]
-    low = np.searchsorted(ordered, cell, side="left")
-    many = np.searchsorted(ordered, cell, side="right") - low
-    claim = np.repeat(np.arange(len(mine)), many)
-    within = np.arange(len(claim)) - np.repeat(np.cumsum(many) - many, many)
-    truth = order[np.repeat(low, many) + within]
-    away = np.linalg.norm(joined.claim_position[mine[claim]] - joined.truth_position[truth], axis=1)
-    hits = np.flatnonzero(away <= joined.gate[truth] + ROUNDING_M)
-    hits = hits[np.lexsort((away[hits], claim[hits]))]
-    chosen, first = np.unique(claim[hits], return_index=True)
-    nearest = np.full(len(mine), -1, dtype=np.int64)
-    nearest[chosen] = truth[hits[first]]
-    return nearest

@@ -14,9 +14,12 @@ import pandas as pd
 from sonarrec.geometry import polar_from_pixel
 from sonarrec.records import Fan, FloatArray, SonarrecError
 
-Kind = Literal["whole", "number", "blank or number", "flag", "text"]
+Kind = Literal["whole", "number", "blank or number", "share", "flag", "text", "label"]
 Table = dict[str, Any]
-"""Column name to (rows,) array: int64, float64, float64 with NaN, bool, or str categories."""
+"""Column name to (rows,) array.
+
+int64, float64, float64 with NaN (two kinds), bool, str categories; of a label, which may be any
+text, an int64 number per distinct one, -1 where blank."""
 
 POSITION_KINDS: dict[str, Kind] = {
     "x_px": "blank or number",
@@ -28,6 +31,7 @@ _WORDS = {
     "whole": "a whole number",
     "number": "a finite number",
     "blank or number": "a finite number",
+    "share": "0 to 1",
     "flag": "0 or 1",
     "text": "a name",
 }
@@ -84,6 +88,8 @@ def line_number(path: Path, row: int) -> int:
 
 def _column(path: Path, name: str, column: Any, kind: Kind) -> Any:
     """The column as an array of its kind; SonarrecError at the first cell that is not."""
+    if kind == "label":
+        return pd.factorize(column)[0]
     if kind == "text":
         bad = column.isna().to_numpy()
         values = column.cat
@@ -95,8 +101,10 @@ def _column(path: Path, name: str, column: Any, kind: Kind) -> Any:
         else:
             values = pd.to_numeric(column, errors="coerce").to_numpy(dtype=float)
         bad = ~np.isfinite(values)
-        if kind == "blank or number":
+        if kind in ("blank or number", "share"):
             bad &= ~column.isna().to_numpy()
+            if kind == "share":
+                bad |= (values < 0) | (values > 1)
         elif kind == "whole":
             # Beyond 2**63 a float would wrap round in silence.
             bad |= (values != np.floor(values)) | (np.abs(values) >= 2.0**63)

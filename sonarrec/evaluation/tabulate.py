@@ -8,7 +8,8 @@ import math
 from pathlib import Path
 from typing import Any
 
-from sonarrec.evaluation.scoring import Count, Evaluation, Scored
+from sonarrec.evaluation.curves import Count
+from sonarrec.evaluation.scoring import Evaluation, Scored
 from sonarrec.records import SonarrecError
 
 CONFUSION = ("protocol", "method", "landmark", "tpr", "fpr", "tp", "tn", "fp", "fn", "total")

@@ -12,8 +12,9 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from sonarrec import __version__
+from sonarrec.evaluation.curves import Count
 from sonarrec.evaluation.plots import COLOURS
-from sonarrec.evaluation.scoring import Count, Evaluation, Scored
+from sonarrec.evaluation.scoring import Evaluation, Scored
 from sonarrec.evaluation.tabulate import rate
 from sonarrec.overlay.drawing import Colour, landmark_colours
 from sonarrec.report import charts
@@ -135,7 +136,7 @@ def render(
         tables=tables,
         starred=any("*" in cell for table in tables for _, cells in table.rows for cell in cells),
         curves=[] if evaluation is None else _curves(evaluation),
-        mistakes=[] if evaluation is None else _mistakes(logs, evaluation),
+        mistakes=[] if evaluation is None else _mistakes(logs[0].tracker, evaluation),
         seen_pictures=[p for p in pictures if not p.wanted.is_mistake],
         mistake_pictures=[p for p in pictures if p.wanted.is_mistake],
         unused=unused,
@@ -266,9 +267,7 @@ def _curves(
     return found
 
 
-def _mistakes(logs: Sequence[ReportedLog], evaluation: Evaluation) -> list[Mistakes]:
-    by_name = {log.results.name: log for log in logs}
-    tracker = logs[0].tracker
+def _mistakes(tracker: str, evaluation: Evaluation) -> list[Mistakes]:
     found = []
     for method in sorted(evaluation.joined.methods, key=lambda m: m != tracker):
         count = _of(evaluation.scored, method, protocol_of_mistakes(evaluation)).count()
@@ -276,7 +275,7 @@ def _mistakes(logs: Sequence[ReportedLog], evaluation: Evaluation) -> list[Mista
         shown = []
         for episode in wrong[:MOST_MISTAKES]:
             frames = _span(episode.first, episode.last)
-            shown.append(MistakeView(episode, told(episode, by_name[episode.log]), frames))
+            shown.append(MistakeView(episode, told(episode, evaluation.joined), frames))
         found.append(Mistakes(method, count, shown, len(wrong) - len(shown)))
     return found
 

@@ -1,0 +1,165 @@
+"""Confusion counts and ROC curves, and what is read off them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sonarrec.evaluation.results import IntArray
+from sonarrec.records import FloatArray
+
+FPR_POINTS = (0.01, 0.0276, 0.05)
+"""Where the TPR is read off a curve; .0276 is the FPR of the paper's framework (Table 5)."""
+PARTIAL_FPR = 0.05
+"""Where the partial area under a curve ends."""
+PUBLISHED = (("SMI", 0.0381, 0.8226), ("framework", 0.0276, 0.8648))
+"""(method, FPR, TPR) of Tables 4 and 5, Total: the paper's only two points."""
+
+
+@dataclass(frozen=True, slots=True)
+class Count:
+    """A confusion count. Rates are NaN where they are 0/0."""
+
+    tp: int
+    tn: int
+    fp: int
+    fn: int
+
+    @property
+    def tpr(self) -> float:
+        """True positive rate, TP / (TP + FN)."""
+        return self.tp / (self.tp + self.fn) if self.tp + self.fn else math.nan
+
+    @property
+    def fpr(self) -> float:
+        """False positive rate, FP / (FP + TN)."""
+        return self.fp / (self.fp + self.tn) if self.fp + self.tn else math.nan
+
+    @property
+    def total(self) -> int:
+        """The paper's beta."""
+        return self.tp + self.tn + self.fp + self.fn
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """A ROC: the count at every threshold, from infinity down. Arrays are (points,).
+
+    Equal scores are one point. Rates are NaN throughout where they are 0/0. The curve ends where
+    every estimate is a claim, which need not be at (1, 1): what was never seen cannot be claimed.
+    """
+
+    threshold: FloatArray
+    tp: IntArray
+    tn: IntArray
+    fp: IntArray
+    fn: IntArray
+
+    @property
+    def tpr(self) -> FloatArray:
+        """True positive rate at every threshold."""
+        return ratio(self.tp, self.tp + self.fn)
+
+    @property
+    def fpr(self) -> FloatArray:
+        """False positive rate at every threshold."""
+        return ratio(self.fp, self.fp + self.tn)
+
+    def area(self, end: float = 1.0) -> float:
+        """Area under the curve over FPR 0 to `end`, as `area` says; NaN where a rate is 0/0."""
+        return float(area(self.fpr, self.tpr, end))
+
+    def tpr_at(self, fpr: float) -> float:
+        """The highest TPR of a threshold whose FPR is at most `fpr`; NaN where a rate is 0/0."""
+        return float(tpr_at(self.fpr, self.tpr, fpr))
+
+    def turns(self, most: int = 2000) -> IntArray:
+        """Indices of the points that draw the curve: its corners, both ends among them.
+
+        Where those are more than `most`, points that move neither rate past the next of
+        `most` / 2 equal steps are left out.
+        """
+        step = np.stack([np.diff(self.tp - self.fn), np.diff(self.fp - self.tn)])
+        keep = np.ones(len(self.tp), dtype=bool)
+        # Three points on one horizontal or vertical line need no middle one.
+        keep[1:-1] = ((step[:, 1:] != 0) != (step[:, :-1] != 0)).any(axis=0) | (
+            step[:, 1:] != 0
+        ).all(axis=0)
+        index = np.flatnonzero(keep)
+        if len(index) > most:
+            rates = np.nan_to_num(np.stack([self.tpr[index], self.fpr[index]]))
+            moved = (np.diff(np.floor(rates * (most // 2))) != 0).any(axis=0)
+            moved[-1] = True
+            index = index[np.concatenate([[True], moved])]
+        return index
+
+
+def ratio(part: FloatArray | IntArray, whole: FloatArray | IntArray) -> FloatArray:
+    """part / whole, NaN where that is 0/0."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray(part / whole)
+
+
+def area(fpr: FloatArray, tpr: FloatArray, end: float = 1.0) -> FloatArray:
+    """(...,) area under curves (..., points) over FPR 0 to `end`, divided by `end`.
+
+    So it is the mean TPR over that span: 1 is perfect, end / 2 is chance. Points are joined by
+    straight lines, the last one with (1, 1): where a frame and ID was never claimed, every claim
+    of it would be a guess. This is what scikit-learn gives where such cells share the lowest
+    score; its partial area is rescaled after McClish, which this one is not.
+    """
+    one = np.ones((*fpr.shape[:-1], 1))
+    x = np.concatenate([fpr, one], axis=-1)
+    y = np.concatenate([tpr, one], axis=-1)
+    x0, x1, y0, y1 = x[..., :-1], x[..., 1:], y[..., :-1], y[..., 1:]
+    if end < 1:
+        cut0, cut1 = np.minimum(x0, end), np.minimum(x1, end)
+        slope = (y1 - y0) / np.where(x1 > x0, x1 - x0, 1.0)
+        y1 = y0 + slope * (cut1 - x0)
+        x0, x1 = cut0, cut1
+    return np.asarray(((x1 - x0) * (y0 + y1)).sum(axis=-1) / (2 * end))
+
+
+def tpr_at(fpr: FloatArray, tpr: FloatArray, most: float) -> FloatArray:
+    """(...,) highest TPR among the points of curves (..., points) with an FPR of at most `most`.
+
+    It is not read off between points: no threshold works there. NaN where a rate is NaN.
+    """
+    reached = np.where(fpr <= most, tpr, -np.inf).max(axis=-1)
+    return np.asarray(np.where(np.isnan(tpr[..., 0]) | np.isnan(fpr[..., 0]), np.nan, reached))
+
+
+def macro_curve(curves: Sequence[Curve]) -> tuple[FloatArray, FloatArray]:
+    """(FPR, TPR), the mean TPR of several IDs at equal FPR, each ID at a threshold of its own.
+
+    IDs of which a rate is 0/0 are left out; without any left both arrays are empty. Each curve
+    is joined with (1, 1) as in `area`, so the area under this one is the mean of theirs.
+    """
+    corners = []
+    for curve in curves:
+        at = curve.turns()
+        x, y = np.append(curve.fpr[at], 1.0), np.append(curve.tpr[at], 1.0)
+        if not np.isnan(x + y).any():
+            corners.append((x, y))
+    if not corners:
+        return np.empty(0), np.empty(0)
+    grid = np.unique(np.concatenate([x for x, _ in corners]))
+    # Curves step upward: at each FPR the lowest TPR and the highest.
+    low, high = np.zeros(len(grid)), np.zeros(len(grid))
+    for x, y in corners:
+        at, first = np.unique(x, return_index=True)
+        last = np.append(first[1:], len(x)) - 1
+        known = np.isin(grid, at)
+        after = np.minimum(np.searchsorted(at, grid), len(at) - 1)
+        before = np.maximum(after - 1, 0)
+        width = np.where(known, 1.0, at[after] - at[before])
+        share = np.where(known, 0.0, (grid - at[before]) / width)
+        between = y[last[before]] + share * (y[first[after]] - y[last[before]])
+        low += np.where(known, y[first[after]], between)
+        high += np.where(known, y[last[after]], between)
+    fpr = np.repeat(grid, 2)
+    tpr = np.stack([low, high], axis=1).ravel() / len(corners)
+    return fpr, tpr
