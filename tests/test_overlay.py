@@ -678,7 +678,7 @@ def test_what_was_written_before_a_fault_is_kept(work: Path) -> None:
     with pytest.raises(McapError):
         list(messages(work / "o.mcap"))  # no footer: it is not whole
     with open_log("o.mcap", sonar_file=work / "log" / "sonar.toml") as kept:
-        assert len(list(kept)) == 3
+        assert len(list(kept)) == 2  # frame 2 has no row: the next was read to know
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="/dev/full not found")
