@@ -369,7 +369,8 @@ def test_episodes_and_their_order(tmp_path: Path) -> None:
     (log / "gt.csv").write_text(
         "frame,landmark,range_m,bearing_deg\n20,1,2.0,0\n21,1,2.0,0\n30,4,2.0,0\n"
     )
-    found = episodes(evaluate(log, log / "gt.csv"), "mine")
+    scored = evaluate(log, log / "gt.csv")
+    found = episodes(scored, "mine")
     shown = [(e.kind, e.landmark, e.first, e.last, e.worst, e.count) for e in found]
     assert shown == [
         ("claim", 2, 0, 8, 8, 5),
@@ -378,7 +379,7 @@ def test_episodes_and_their_order(tmp_path: Path) -> None:
         ("claim", 3, 20, 20, 20, 1),
         ("claim", 2, 14, 14, 14, 1),
     ]
-    assert [told(e, reported(log)) for e in found] == [
+    assert [told(e, scored.joined) for e in found] == [
         "ID.2 declared (0.58) where no landmark lies",
         "ID.1 in view and not declared: called ID.3 (0.80)",
         "ID.4 in view and not declared: nothing found there",
@@ -398,7 +399,6 @@ def test_truth_beneath_and_estimates_alongside(random_log: Path) -> None:
     assert log.truth_near is not None
     assert found.position is not None
     assert truth.position is not None
-    assert log.object is not None
     for n in range(0, len(found.row), 7):
         best, beneath = found.landmarks.radius_m, -1
         for t in np.flatnonzero(truth.row == found.row[n]):
@@ -411,7 +411,7 @@ def test_truth_beneath_and_estimates_alongside(random_log: Path) -> None:
     smi = np.flatnonzero(log.of_method("smi"))
     for track in shown:
         assert (np.diff(track.row) > 0).all()
-        assert (log.object[track.at] == track.number).all()
+        assert (found.object[track.at] == track.number).all()
         for at, row, matched in zip(track.at, track.row, alongside(log, track, "smi"), strict=True):
             here = smi[found.row[smi] == row]
             away = np.linalg.norm(found.position[here] - found.position[at], axis=1)

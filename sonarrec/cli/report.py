@@ -40,7 +40,7 @@ from sonarrec.cli.options import FILE, PARTLY, sonar_from_flags, sonar_options
     help="For truth matched by timestamp_ns.  [default: half the time between frames]",
 )
 @click.option("--landmarks", help="Landmark set.  [default: that of run.toml, else basin]")
-@click.option("--topic", help="Channel of an MCAP --log that holds several image channels.")
+@click.option("--topic", help="Channel of an MCAP --log, where run.toml does not tell it.")
 @sonar_options
 @click.option("-q", "--quiet", is_flag=True, help="Write the page only; print nothing.")
 def report(

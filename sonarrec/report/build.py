@@ -48,7 +48,7 @@ def write_report(
 
     recordings: the logs that the results came from, told apart by their names; without them the
     page has no frames. The other arguments are those of `evaluation.scoring.evaluate`; topic
-    chooses the channel of an MCAP recording.
+    chooses the channel of an MCAP recording, where run.toml does not tell it.
     Raises SonarrecError where files cannot be used, read or written.
     """
     sonar = sonar or Sonar()
@@ -113,7 +113,8 @@ def _draw_all(
         if mine:
             geometry = sonar_from_table(log.run.get("sonar", {}), str(log.folder / "run.toml"))
             source = sources[log.results.name]
-            with open_log(source, sonar=geometry.updated(sonar), topic=topic) as recording:
+            channel = topic or log.run.get("input", {}).get("topic")
+            with open_log(source, sonar=geometry.updated(sonar), topic=channel) as recording:
                 drawn |= draw(recording, log, mine)
     return [drawn[w] for w in wanted]
 
@@ -139,15 +140,15 @@ def _wanted(logs: Sequence[ReportedLog], evaluation: Evaluation | None) -> list[
     wanted = seen[:MOST_SEEN]
     if evaluation is None:
         return wanted
-    by_name = {log.results.name: log for log in logs}
+    names = {log.results.name for log in logs}
     for method in evaluation.joined.methods:
-        found = [e for e in episodes(evaluation, method) if e.log in by_name]
+        found = [e for e in episodes(evaluation, method) if e.log in names]
         wanted += [
             Wanted(
                 e.log,
                 method,
                 e.worst,
-                f"Frame {e.worst}: {told(e, by_name[e.log])}",
+                f"Frame {e.worst}: {told(e, evaluation.joined)}",
                 is_mistake=True,
             )
             for e in found[:MOST_MISTAKEN]

@@ -245,15 +245,15 @@ def track_panels(log: ReportedLog, track: Track) -> list[TrackPanel]:
 
 def _panel(log: ReportedLog, track: Track, method: str, at: IntArray) -> TrackPanel:
     """at: (n,) the method's estimate in each of the track's frames, -1 for none."""
-    assert log.probabilities is not None
     found = log.results
+    assert found.probability is not None
     axis = track_axis(log, track)
     _, period = time_axis(log)
     # One place per frame of the log, so that a line breaks where the object was not seen.
     rows = np.arange(track.row[0], track.row[-1] + 1)
     seen = at >= 0
-    belief = np.full((len(rows), log.probabilities.shape[1]), np.nan)
-    belief[track.row[seen] - rows[0]] = log.probabilities[at[seen]]
+    belief = np.full((len(rows), found.probability.shape[1]), np.nan)
+    belief[track.row[seen] - rows[0]] = found.probability[at[seen]]
     x = axis.share(log.time[rows])
     shapes, told = [], []
     for k in [belief.shape[1] - 1, *range(belief.shape[1] - 1)]:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from sonarrec.evaluation.joined import join, nearest_truth
 from sonarrec.evaluation.results import (
     BoolArray,
     IntArray,
@@ -17,7 +18,6 @@ from sonarrec.evaluation.results import (
     read_log,
     read_run,
 )
-from sonarrec.evaluation.tables import Kind, read_table
 from sonarrec.evaluation.truth import Truth, TruthTable, match_truth
 from sonarrec.geometry import Sonar
 from sonarrec.records import FloatArray
@@ -32,7 +32,6 @@ class ReportedLog:
 
     folder: where the results are. run: run.toml as tables, {} without. time: (F,) seconds since
     the first frame, or frame numbers where no times are given; clock says which ("s" or "frame").
-    object: (N,) and probabilities: (N, K + 1), per ID and none; None where the table lacks them.
     truth_near: (N,) index into the IDs of the truth nearest to each estimate, -1 where none lies
     within half a disc diameter; None without truth or positions.
     in_view: (F, K) which landmarks count as in view; None without truth.
@@ -44,8 +43,6 @@ class ReportedLog:
     run: dict[str, Any]
     time: FloatArray
     clock: str
-    object: IntArray | None
-    probabilities: FloatArray | None
     truth_near: IntArray | None
     in_view: BoolArray | None
 
@@ -117,12 +114,6 @@ def read_logs(
 def _reported(
     folder: Path, log: LogResults, truth: Truth | None, min_visible: float
 ) -> ReportedLog:
-    path = folder / "estimates.csv"
-    beliefs = [f"p_{i}" for i in log.landmarks.ids] + ["p_none"]
-    kinds: dict[str, Kind] = {"frame": "whole", "object": "whole"}
-    kinds |= dict.fromkeys(beliefs, "number")
-    table = read_table(path, kinds, ("frame",), "frame,method,object,landmark,score,declared")
-    listed = np.isin(table["frame"], log.frame)  # the estimates that LogResults holds
     time, clock = log.frame.astype(float), "frame"
     stamps = log.timestamp_ns
     if stamps is not None and (np.diff(stamps) > 0).all():
@@ -139,41 +130,31 @@ def _reported(
         run=read_run(folder / "run.toml"),
         time=time,
         clock=clock,
-        object=table["object"][listed] if "object" in table else None,
-        probabilities=np.column_stack([table[name][listed] for name in beliefs])
-        if all(name in table for name in beliefs)
-        else None,
-        truth_near=None if truth is None else nearest_truth(log, truth),
+        truth_near=None if truth is None else _truth_near(log, truth, min_visible),
         in_view=in_view,
     )
 
 
-def nearest_truth(log: LogResults, truth: Truth) -> IntArray | None:
-    """(N,) landmark (index) of the truth nearest to each estimate, -1 beyond a disc's radius."""
-    if log.position is None or truth.position is None:
+def _truth_near(log: LogResults, truth: Truth, min_visible: float) -> IntArray | None:
+    joined = join([log], [truth], min_visible)
+    if not joined.placed:
         return None
-    estimates = pd.DataFrame({"row": log.row, "at": np.arange(len(log.row))})
-    truths = pd.DataFrame({"row": truth.row, "truth": np.arange(len(truth.row))})
-    pairs = estimates.merge(truths, on="row")
-    at, of = pairs["at"].to_numpy(), pairs["truth"].to_numpy()
-    away = np.linalg.norm(log.position[at] - truth.position[of], axis=1)
-    # Written farthest first, so that the nearest one stays.
-    order = np.argsort(-away, kind="stable")
-    order = order[away[order] <= log.landmarks.radius_m]
-    nearest = np.full(len(log.row), -1, dtype=np.int64)
-    nearest[at[order]] = truth.landmark[of[order]]
-    return nearest
+    every = np.arange(len(log.row))
+    nearest = nearest_truth(joined, every, joined.claim_frame, joined.truth_frame)
+    near = np.full(len(every), -1, dtype=np.int64)
+    near[nearest >= 0] = truth.landmark[nearest[nearest >= 0]]
+    return near
 
 
 def sightings(log: ReportedLog) -> list[Sighting]:
     """What the tracker declared, in order of first sight: one entry per ID and track."""
     found = log.results
     mine = np.flatnonzero(log.of_method(log.tracker) & found.declared)
-    tracked = log.object is not None and log.tracker != SINGLE_FRAME
+    tracked = log.tracker != SINGLE_FRAME and bool((found.object[mine] >= 0).all())
     claims = pd.DataFrame(
         {
             "landmark": found.landmark[mine],
-            "track": log.object[mine] if tracked and log.object is not None else 0,
+            "track": found.object[mine] if tracked else 0,
             "row": found.row[mine],
             "score": found.score[mine],
             "right": 0 if log.truth_near is None else log.truth_near[mine] == found.landmark[mine],
@@ -207,16 +188,19 @@ def sightings(log: ReportedLog) -> list[Sighting]:
 def tracks(log: ReportedLog, most: int) -> tuple[list[Track], int]:
     """The tracks most worth showing, in order of first sight, and how many there are in all.
 
-    Those declared in the most frames go first, then the longest.
+    Those that are declared, or truly lie on a landmark, in the most frames; then the longest.
     """
-    if log.object is None or log.probabilities is None or log.tracker == SINGLE_FRAME:
-        return [], 0
     found = log.results
-    mine = np.flatnonzero(log.of_method(log.tracker))
-    numbers, which = np.unique(log.object[mine], return_inverse=True)
-    declared = np.bincount(which, weights=found.declared[mine], minlength=len(numbers))
+    if found.probability is None or log.tracker == SINGLE_FRAME:
+        return [], 0
+    mine = np.flatnonzero(log.of_method(log.tracker) & (found.object >= 0))
+    numbers, which = np.unique(found.object[mine], return_inverse=True)
+    telling = found.declared[mine]
+    if log.truth_near is not None:
+        telling = telling | (log.truth_near[mine] >= 0)
+    worth = np.bincount(which, weights=telling, minlength=len(numbers))
     length = np.bincount(which, minlength=len(numbers))
-    chosen = np.lexsort((-length, -declared))[:most]
+    chosen = np.lexsort((-length, -worth))[:most]
     shown = []
     for n in chosen.tolist():
         at = mine[which == n]
