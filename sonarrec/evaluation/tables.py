@@ -18,8 +18,9 @@ Kind = Literal["whole", "number", "blank or number", "share", "flag", "text", "l
 Table = dict[str, Any]
 """Column name to (rows,) array.
 
-int64, float64, float64 with NaN (two kinds), bool, str categories; of a label, which may be any
-text, an int64 number per distinct one, -1 where blank."""
+int64, float64, float64 with NaN (two kinds), bool, str categories; of a label,
+which may be any text, whole numbers as they are, else an int64 number per distinct one, -1 where
+blank."""
 
 POSITION_KINDS: dict[str, Kind] = {
     "x_px": "blank or number",
@@ -89,6 +90,8 @@ def line_number(path: Path, row: int) -> int:
 def _column(path: Path, name: str, column: Any, kind: Kind) -> Any:
     """The column as an array of its kind; SonarrecError at the first cell that is not."""
     if kind == "label":
+        if column.dtype.kind == "i":
+            return column.to_numpy(dtype=np.int64)
         return pd.factorize(column)[0]
     if kind == "text":
         bad = column.isna().to_numpy()
