@@ -90,6 +90,8 @@ def mcap_file(
     *,
     schema: str = "sensor_msgs/msg/Image",
     encoding: str = "cdr",
+    schema_encoding: str = "ros2msg",
+    schema_data: bytes = b"",
     compression: str = "zstd",
     chunk_size: int = 4000,
     chunked: bool = True,
@@ -110,12 +112,12 @@ def mcap_file(
             use_summary_offsets=indexed,
         )
         writer.start()
-        schema_id = writer.register_schema(schema, "ros2msg", b"")
+        schema_id = writer.register_schema(schema, schema_encoding, schema_data)
         channels: dict[str, int] = {}
         for topic, log_time, data in messages:
             if topic not in channels:
                 channels[topic] = writer.register_channel(topic, encoding, schema_id)
-            writer.add_message(channels[topic], log_time, data, publish_time=log_time)
+            writer.add_message(channels[topic], log_time, data, publish_time=log_time + 1)
         writer.finish()
     (path.parent / "sonar.toml").write_text(SONAR_TOML)
     return path

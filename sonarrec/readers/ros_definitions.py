@@ -110,7 +110,8 @@ _NUMBERS = {
     "float32": "f", "float64": "d",
 }  # fmt: skip
 _FIELD = re.compile(
-    r"([\w/]+)(?:<=[0-9]+)?(?:\[(?P<bound>(?:<=)?[0-9]{0,9})\])?\s+(?P<name>\w+)\s*(?P<rest>.*)"
+    r"(?P<type>[\w/]+)(?:<=[0-9]+)?(?:\[(?P<bound>(?:<=)?[0-9]{0,9})\])?\s+"
+    r"(?P<name>\w+)(?P<value>\s*=.*|\s+.*)?"  # a constant, or a field and its default
 )
 _SEPARATOR = re.compile(r"^=+\s*$", re.MULTILINE)
 _MAX_DEPTH = 16
@@ -213,8 +214,8 @@ class _Parser:
         match = _FIELD.fullmatch(line)
         if match is None:
             raise DefinitionError(f"{line[:60]!r} in {owner} is no field")
-        if match["rest"].startswith("="):
-            return None  # a constant
+        if (match["value"] or "").lstrip().startswith("="):
+            return None
         bound = match["bound"]
         if bound is None:
             count = None
@@ -224,7 +225,7 @@ class _Parser:
             count = int(bound)
             if not count:
                 raise DefinitionError(f"{line[:60]!r} in {owner} holds nothing")
-        return Field(match["name"], self._kind(match[1], owner, depth), count)
+        return Field(match["name"], self._kind(match["type"], owner, depth), count)
 
     def _kind(self, name: str, owner: str, depth: int) -> str | Struct:
         if name in _NUMBERS:
