@@ -410,7 +410,17 @@ def jpeg_of_size(rows: int, columns: int) -> bytes:
     return bytes(data)
 
 
-@pytest.mark.parametrize("image", [png_of_size(30000, 30000), jpeg_of_size(60000, 60000)])
+def png_of_chunk(length: int) -> bytes:
+    data = bytearray(cv2.imencode(".png", IMAGES[0])[1].tobytes())
+    data[33:37] = struct.pack(">I", length)  # of the first chunk after the header
+    return bytes(data)
+
+
+@pytest.mark.parametrize(
+    "image",
+    [png_of_size(30000, 30000), jpeg_of_size(60000, 60000), png_of_chunk(2**32 - 1)],
+    ids=["png", "jpeg", "png chunk"],
+)
 def test_no_room_is_made_for_what_an_image_claims(image: bytes, tmp_path: Path) -> None:
     for name in ("a.png", "b.png"):
         (tmp_path / name).write_bytes(cv2.imencode(".png", IMAGES[0])[1].tobytes())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Protocol
@@ -87,6 +88,26 @@ def _quiet_stderr() -> Iterator[None]:
         os.close(kept)
 
 
+_PNG = b"\x89PNG\r\n\x1a\n"
+_PNG_CHUNK = struct.Struct(">I4s")  # length, name; a checksum of 4 bytes follows the contents
+
+
+def _png_is_whole(data: memoryview) -> bool:
+    """Whether a PNG holds all its chunks up to the last; True of anything else.
+
+    OpenCV believes the length of a chunk, and makes room for it (up to 4 GB), before it reads.
+    """
+    if data[: len(_PNG)] != _PNG:
+        return True
+    at = len(_PNG)
+    while at + _PNG_CHUNK.size <= len(data):
+        length, name = _PNG_CHUNK.unpack_from(data, at)
+        at += _PNG_CHUNK.size + int(length) + 4
+        if name == b"IEND":
+            return at <= len(data)
+    return False
+
+
 def decode_image(data: bytes | memoryview | np.ndarray) -> np.ndarray:
     """The pixels of an image file in memory (PNG, JPEG, TIFF, BMP, PGM, ...), as stored.
 
@@ -95,6 +116,8 @@ def decode_image(data: bytes | memoryview | np.ndarray) -> np.ndarray:
     buffer = np.frombuffer(data, np.uint8)
     if not buffer.size:
         raise UnusableError("empty image")
+    if not _png_is_whole(buffer.data):
+        raise UnusableError("unreadable image")
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
         with _quiet_stderr():
