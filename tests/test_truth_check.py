@@ -16,6 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sonarrec.cli import main
+from sonarrec.cli.truth import truth as truth_group
 from sonarrec.evaluation.contact_sheet import MOST_STRIPS, SIDE, draw_contact_sheet
 from sonarrec.evaluation.truth_check import CheckedTruth, Fault, check_truth
 from sonarrec.geometry import fan_for_image, load_sonar, polar_from_pixel
@@ -60,6 +61,12 @@ def kinds(path: Path, log: Path, max_pan_deg: float = 5.0) -> list[tuple[int, st
 
 def run(*arguments: str | Path) -> Result:
     return CliRunner().invoke(main, ["truth", "check", *map(str, arguments)])
+
+
+def test_every_subcommand_has_an_example() -> None:
+    for name in truth_group.commands:
+        done = CliRunner().invoke(main, ["truth", name, "--help"])
+        assert f"Examples:\n  sonarrec truth {name} " in done.stdout
 
 
 # --- No false alarm ------------------------------------------------------------------------------

@@ -11,7 +11,14 @@ from sonarrec.cli.truth_propose import propose
 
 @click.group()
 def truth() -> None:
-    """Ground truth: convert annotations, check a gt.csv, propose one from results."""
+    """Ground truth: convert annotations, check a gt.csv, propose one from results.
+
+    \b
+    Examples:
+      sonarrec truth convert annotations.xml --log pings/
+      sonarrec truth check gt.csv pings/
+      sonarrec truth propose sonarrec_out/pings
+    """
 
 
 for command in (convert, check, propose):
