@@ -66,7 +66,7 @@ def run(*arguments: str | Path) -> Result:
 def test_every_subcommand_has_an_example() -> None:
     for name in truth_group.commands:
         done = CliRunner().invoke(main, ["truth", name, "--help"])
-        assert f"Examples:\n  sonarrec truth {name} " in done.stdout
+        assert f"Examples:\n    sonarrec truth {name} " in done.stdout
 
 
 # --- No false alarm ------------------------------------------------------------------------------
@@ -116,6 +116,18 @@ def test_other_logs_rows_are_not_looked_at(tmp_path: Path, log: Path) -> None:
     path = truth(tmp_path, rows, "log,frame,landmark,range_m,bearing_deg")
     assert kinds(path, log) == []
     assert "1 rows of other logs" in run(path, log, "--sheet", tmp_path / "s.png").stdout
+
+
+def test_truth_of_other_logs_alone_is_a_failure_and_an_empty_one_is_sound(
+    tmp_path: Path, log: Path
+) -> None:
+    path = truth(tmp_path, ["a,0,1,2.0,0"], "log,frame,landmark,range_m,bearing_deg")
+    done = run(path, log, "--sheet", tmp_path / "s.png")
+    assert done.exit_code == 1
+    assert "its log column does not name pings; it has a" in done.stderr
+    for header in ("frame,landmark,x_px,y_px", "timestamp_ns,landmark,range_m,bearing_deg"):
+        done = run(truth(tmp_path, [], header), log, "--sheet", tmp_path / "s.png")
+        assert (done.exit_code, "0 rows, no fault" in done.stdout) == (0, True), done.output
 
 
 # --- What is found -------------------------------------------------------------------------------

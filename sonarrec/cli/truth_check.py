@@ -56,7 +56,7 @@ def check(
     sonar_file: Path | None,
     **flags: Any,
 ) -> None:
-    """Find what cannot be true in GT.CSV, and draw it on LOG for a look.
+    """Find what cannot be true in GT.CSV, and draw it on LOG.
 
     Told, line by line: IDs that are not in the set, frames that are not in the log, discs wholly
     outside the fan, `visible` outside 0 to 1 or above the share of the disc inside the fan,

@@ -32,10 +32,11 @@ import click
     help="A new file; one that exists is not touched.",
 )
 def propose(results: Path, method: str, min_score: float, max_gap: int, out: Path) -> None:
-    """Write a gt.csv from the confident tracks of RESULTS, for a person to correct.
+    """Propose a gt.csv from the confident tracks of RESULTS.
 
-    RESULTS is the folder of one log, or one that holds several (default: sonarrec_out). Look at
-    the proposal with `sonarrec truth check`, add what the tracks missed, remove what is wrong.
+    RESULTS is the folder of one log, or one that holds several (default: sonarrec_out). It is for
+    a person to correct: look at it with `sonarrec truth check`, add what is missing, remove what
+    is wrong.
     Scoring the same results against an uncorrected proposal says nothing about them.
 
     \b

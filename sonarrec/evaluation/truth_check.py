@@ -20,7 +20,7 @@ from sonarrec.evaluation.truth import (
 from sonarrec.geometry import ground_range, pixel_from_polar, polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.readers import Log
-from sonarrec.records import Fan, FloatArray
+from sonarrec.records import Fan, FloatArray, SonarrecError
 
 SLACK = 0.1
 """What a person cannot be held to: a tenth of the radius in place, of the area in `visible`."""
@@ -88,6 +88,9 @@ def check_truth(
     table = read_rows(path)
     mine = np.ones(len(table.at), bool) if table.log is None else np.asarray(table.log == log.name)
     row = np.flatnonzero(mine)
+    if len(table.at) and not len(row):
+        named = ", ".join(sorted({str(name) for name in table.log}))
+        raise SonarrecError(f"{path}: its log column does not name {log.name}; it has {named}")
     lines = _lines(path)
     line = lines[row]
     index, stamp = [], []
