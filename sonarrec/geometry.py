@@ -8,7 +8,7 @@ from __future__ import annotations
 import functools
 import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -17,6 +17,8 @@ import cv2
 import numpy as np
 
 from sonarrec.records import ByteImage, Fan, FloatArray, SonarrecError
+
+MAX_FAN_PIXELS = 2**24
 
 EXAMPLE_SONAR_TOML = """\
 [sonar]
@@ -315,8 +317,19 @@ def beam_bearings(sonar: Sonar, beams: int) -> FloatArray:
 
 @functools.lru_cache(maxsize=1)
 def _polar_of_pixels(fan: Fan) -> tuple[FloatArray, FloatArray]:
-    row, column = np.mgrid[0 : fan.rows, 0 : fan.columns]
-    return polar_from_pixel(fan, column, row)
+    range_m = np.empty((fan.rows, fan.columns))
+    bearing_deg = np.empty_like(range_m)
+    column = np.arange(fan.columns, dtype=float)
+    for band in _bands(fan):
+        row = np.arange(fan.rows, dtype=float)[band, None]
+        range_m[band], bearing_deg[band] = polar_from_pixel(fan, column, row)
+    return range_m, bearing_deg
+
+
+def _bands(fan: Fan) -> Iterator[slice]:
+    """The rows a few at a time: what is worked out in between takes little memory then."""
+    for first in range(0, fan.rows, 64):
+        yield slice(first, first + 64)
 
 
 class PolarToFan:
@@ -325,7 +338,8 @@ class PolarToFan:
     def __init__(self, sonar: Sonar, range_bins: int, beams: int, fan: Fan | None = None) -> None:
         """fan: of another ping, whose window may differ; outside of its own, a ping shows 0.
 
-        Raises SonarrecError where bearings_deg or ranges_m does not match the image.
+        Raises SonarrecError where bearings_deg or ranges_m does not match the image, or where the
+        fan would have more than MAX_FAN_PIXELS.
         """
         for key, name, count in (
             ("bearings_deg", "beams", beams),
@@ -340,26 +354,39 @@ class PolarToFan:
                 )
         own = fan_for_polar(sonar, range_bins)
         self.fan = fan = fan or own
-        range_m, bearing_deg = _polar_of_pixels(fan)
-        if sonar.bearings_deg is None:
-            span = own.bearing_max_deg - own.bearing_min_deg
-            side = -bearing_deg if sonar.flip else bearing_deg
-            beam = (side - own.bearing_min_deg) / span * beams - 0.5
-        else:
+        if fan.rows * fan.columns > MAX_FAN_PIXELS:
+            raise SonarrecError(
+                f"a fan image of {fan.columns} x {fan.rows} pixels, one range bin each, is more "
+                f"than is made; range_min_m = {fan.range_min_m:g} and the bearings ask for it"
+            )
+        self._columns = np.empty((fan.rows, fan.columns, 2), np.int16)
+        self._weights = np.empty((fan.rows, fan.columns), np.uint16)
+        self._outside = np.empty((fan.rows, fan.columns), bool)
+        bearings = order = None
+        if sonar.bearings_deg is not None:
             bearings = np.asarray(sonar.bearings_deg) * (-1 if sonar.flip else 1)
             order = np.argsort(bearings)
-            beam = np.interp(bearing_deg, bearings[order], order.astype(float))
-        if sonar.ranges_m is None:
-            range_bin = (range_m - own.range_min_m) / own.metres_per_pixel - 0.5
-        else:
-            range_bin = np.interp(range_m, sonar.ranges_m, np.arange(range_bins, dtype=float))
-        # Half a bin beyond the outermost centres repeats the outermost sample.
-        beam = np.clip(beam, 0, beams - 1)
-        range_bin = np.clip(range_bin, 0, range_bins - 1)
-        self._columns, self._weights = cv2.convertMaps(
-            beam.astype(np.float32), range_bin.astype(np.float32), cv2.CV_16SC2
-        )
-        self._outside = ~(in_fan(fan, range_m, bearing_deg) & in_fan(own, range_m, bearing_deg))
+        everywhere = _polar_of_pixels(fan)
+        for band in _bands(fan):
+            range_m, bearing_deg = everywhere[0][band], everywhere[1][band]
+            if bearings is None or order is None:
+                span = own.bearing_max_deg - own.bearing_min_deg
+                side = -bearing_deg if sonar.flip else bearing_deg
+                beam = (side - own.bearing_min_deg) / span * beams - 0.5
+            else:
+                beam = np.interp(bearing_deg, bearings[order], order.astype(float))
+            if sonar.ranges_m is None:
+                range_bin = (range_m - own.range_min_m) / own.metres_per_pixel - 0.5
+            else:
+                range_bin = np.interp(range_m, sonar.ranges_m, np.arange(range_bins, dtype=float))
+            # Half a bin beyond the outermost centres repeats the outermost sample.
+            beam = np.clip(beam, 0, beams - 1)
+            range_bin = np.clip(range_bin, 0, range_bins - 1)
+            self._columns[band], self._weights[band] = cv2.convertMaps(
+                beam.astype(np.float32), range_bin.astype(np.float32), cv2.CV_16SC2
+            )
+            seen = in_fan(fan, range_m, bearing_deg) & in_fan(own, range_m, bearing_deg)
+            self._outside[band] = ~seen
 
     def __call__(self, polar: ByteImage) -> ByteImage:
         """(range_bins, beams) uint8 to (fan.rows, fan.columns) uint8; 0 outside the fan."""
