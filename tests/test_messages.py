@@ -8,6 +8,7 @@ import json
 import math
 import shutil
 import struct
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import cv2
 import messages
 import numpy as np
 import pytest
+from click.testing import CliRunner, Result
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from logs import PERIOD_NS, SONAR_TOML, frames, image_folder, mcap_file
@@ -32,7 +34,9 @@ from messages import (
 )
 
 from sonarrec import config
+from sonarrec.cli import main
 from sonarrec.geometry import PolarToFan, Sonar, polar_from_pixel, sonar_from_table
+from sonarrec.mcap_writer import SCHEMAS, is_polar
 from sonarrec.pipeline import process
 from sonarrec.readers import open_log
 from sonarrec.readers.fans import looks_beam_major
@@ -294,7 +298,7 @@ def log_of(path: Path, pings: list[dict[str, Any]], name: str = PROJECTED) -> Pa
 
 def test_the_tilt_is_the_users(tmp_path: Path) -> None:
     path = log_of(tmp_path / "log.mcap", [messages.projected_fields(0, polar_frames(1)[0])])
-    with pytest.raises(SonarrecError, match=r"lacks tilt_deg\. .* such as --tilt-deg"):
+    with pytest.raises(SonarrecError, match="all but its tilt; give --tilt-deg"):
         read(path)
     (frame,), problems, notes = read(path, sonar=Sonar(tilt_deg=12.0, height_m=0.3))
     assert (frame.fan.tilt_deg, frame.fan.height_m) == (12.0, 0.3)
@@ -678,3 +682,77 @@ def test_a_log_without_definitions_is_read_by_ours(tmp_path: Path) -> None:
         path = mcap_file(tmp_path / "log.mcap", [("/a", 0, message)], schema=name,
                          schema_encoding="ros2idl", schema_data=b"module x {}")  # fmt: skip
         assert read(path)[0][0].image.any()
+
+
+# What a user types
+
+
+def sonarrec(*arguments: str | Path, code: int = 0) -> Result:
+    result = CliRunner().invoke(main, [str(a) for a in arguments])
+    assert result.exit_code == code, result.output
+    return result
+
+
+@pytest.mark.parametrize("schema", [s for s in SCHEMAS if is_polar(s)])
+def test_simulated_pings_are_read_again(schema: str, tmp_path: Path) -> None:
+    """Nothing but tilt and height is written beside them; each window is the scene's to a bin."""
+    log = tmp_path / "pings.mcap"
+    scene = ("--scene", "sample_polar", "--frames", "2", "--format", "mcap")
+    sonarrec("simulate", *scene, "--out", log, "--schema", schema, "--compression", "lz4")
+    stated = tomllib.loads((tmp_path / "pings.sonar.toml").read_text())["sonar"]
+    assert set(stated) == {"tilt_deg", "height_m", "frame_rate_hz"}
+    found, problems, notes = read(log)
+    assert len(found) == 2
+    assert not problems
+    assert not notes
+    fan = found[0].fan
+    bin_m = fan.metres_per_pixel
+    assert fan.range_max_m == pytest.approx(2.65, abs=bin_m)
+    begins = 0.0 if "culus" in schema else 1.4  # an Oculus records from the sonar on
+    assert fan.range_min_m == pytest.approx(begins, abs=bin_m)
+    assert fan.bearing_max_deg == pytest.approx(14.4, abs=0.02)
+
+
+def test_simulate_refuses(tmp_path: Path) -> None:
+    polar = ("--schema", "oculus_interfaces/msg/Ping")
+    to = ("--out", tmp_path / "x.mcap")
+    assert (
+        "needs a polar scene"
+        in sonarrec("simulate", "--format", "mcap", *polar, *to, code=1).stderr
+    )
+    assert (
+        "one of sensor_msgs/msg/Image, "
+        in sonarrec("simulate", "--format", "mcap", "--schema", "x", *to, code=1).stderr
+    )
+    assert "--format mcap" in sonarrec("simulate", *polar, "--out", tmp_path / "y", code=2).stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_run_with_the_flags(tmp_path: Path) -> None:
+    """A contradiction is one line and no fault; a ping that cannot be used is exit code 3."""
+    pings = [messages.projected_fields(k, image) for k, image in enumerate(polar_frames())]
+    pings.append(pings[0] | {"ranges": (pings[0]["ranges"] + 5).astype(np.float32)})
+    log = log_of(tmp_path / "log.mcap", pings)
+    out = ("--out", tmp_path / "out")
+    fault = sonarrec("run", log, *out, code=1).stderr
+    assert fault.startswith(f"sonarrec: {log}: the messages tell")
+    assert fault.count("\n") == 1
+    told = sonarrec("run", log, *out, "--tilt-deg", "20", "--time", "header", code=3).stderr
+    assert told.splitlines() == [
+        "sonarrec: message 3 of /a: its window, 6 to 6.94 m, shows less than half of the first "
+        "ping's, 1 to 1.94 m, skipped"
+    ]
+    flags = ("--flip", "--beam-order", "range-major", "--pixel-scale", "log", "--full-scale", "255")
+    stated = ("--tilt-deg", "20", "--range-min-m", "0.9", "--range-max-m", "1.9375")
+    told = sonarrec("run", log, *out, *flags, "--dynamic-range-db", "40", *stated).stderr
+    assert told.splitlines() == [
+        f"sonarrec: note: {log}: stated against the messages: range_min_m = 0.9 (not 1)"
+    ]
+    run = tomllib.loads((tmp_path / "out" / "log" / "run.toml").read_text())
+    assert run["sonar"] == {
+        "layout": "polar", "range_min_m": 0.9, "range_max_m": 1.9375, "tilt_deg": 20.0,
+        "beam_order": "range-major", "flip": True, "pixel_scale": "log", "full_scale": 255.0,
+        "dynamic_range_db": 40.0,
+    }  # fmt: skip
+    assert run["input"]["topic"] == "/a"
+    assert run["fan"]["range_min_m"] == 0.9

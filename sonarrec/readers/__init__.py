@@ -192,8 +192,13 @@ def open_log(
     if resolved.layout is None:
         resolved = replace(resolved, layout="polar" if raw.polar else "fan")
     try:
-        if not raw.polar:  # what polar messages tell of themselves need not be stated
+        if not raw.polar:
             check_sonar(resolved, where)
+        elif resolved.tilt_deg is None:
+            raise SonarrecError(
+                f"{where}: the messages tell the sonar's geometry, all but its tilt; give "
+                "--tilt-deg (downward), or put tilt_deg under [sonar] in a sonar.toml beside the log"
+            )
     except SonarrecError:
         raw.close()
         raise
