@@ -6,6 +6,7 @@ from __future__ import annotations
 import csv
 import re
 import shutil
+import tomllib
 from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
@@ -26,7 +27,7 @@ from sonarrec.overlay.drawing import landmark_colours
 from sonarrec.report import charts
 from sonarrec.report.logs import ReportedLog, alongside, read_logs, sightings, tracks
 from sonarrec.report.mistakes import episodes, told
-from sonarrec.report.page import darkened
+from sonarrec.report.page import darkened, settings_tables
 
 ROOT = Path(__file__).resolve().parents[1]
 SAMPLE = ROOT / "sample_data" / "pan"
@@ -231,6 +232,41 @@ def test_another_log_is_refused(results: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "x.html").exists()
 
 
+def test_every_setting_is_shown(pages: dict[str, Path], results: Path) -> None:
+    def leaves(value: Any) -> Iterator[tuple[str, Any]]:
+        for key, inner in value.items():
+            if isinstance(inner, dict):
+                yield from leaves(inner)
+            elif not isinstance(inner, list):
+                yield key, inner
+
+    text = Page(pages["bare"]).text
+    run = tomllib.loads((results / "run.toml").read_text())
+    found = list(leaves(run))
+    assert len(found) > 40
+    for key, value in found:
+        assert f"{key}{str(value).lower() if isinstance(value, bool) else value}" in text
+
+
+def test_settings_of_several_presets_and_odd_values() -> None:
+    run = {
+        "finished": True,
+        "config": [
+            {"preset": "paper", "smi": {"declare": 0.6}},
+            {"preset": "default", "smi": {"declare": 0.5}},
+        ],
+        "landmarks": {"ring": [0.8, 1.0], "landmark": [{"id": 1, "sectors": [1, 0]}, {"id": 2}]},
+    }
+    assert list(settings_tables(run)) == [
+        ("run", [("finished", "true")]),
+        ("config[0]", [("preset", "paper")]),
+        ("config[0].smi", [("declare", "0.6")]),
+        ("config[1]", [("preset", "default")]),
+        ("config[1].smi", [("declare", "0.5")]),
+        ("landmarks", [("ring", "0.8, 1.0"), ("landmark", "id 1, sectors 1, 0; id 2")]),
+    ]
+
+
 def test_what_could_not_be_used_is_told(results: Path, tmp_path: Path) -> None:
     shutil.copytree(results, tmp_path / "pan")
     run = (results / "run.toml").read_text()
@@ -247,9 +283,12 @@ def test_what_could_not_be_used_is_told(results: Path, tmp_path: Path) -> None:
 def test_a_log_without_sightings(results: Path, tmp_path: Path) -> None:
     """Nothing declared: the page says so and shows what came nearest to it."""
     shutil.copytree(results, tmp_path / "pan")
-    rows = (results / "estimates.csv").read_text().splitlines()
-    undeclared = [rows[0]] + [r[:-1] + "0" for r in rows[1:]]
-    (tmp_path / "pan" / "estimates.csv").write_text("\n".join(undeclared) + "\n")
+    with (results / "estimates.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    with (tmp_path / "pan" / "estimates.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(row | {"declared": 0} for row in rows)
     sonarrec("report", tmp_path / "pan", "--log", SAMPLE)
     page = Page(tmp_path / "pan" / "report.html")
     assert "No landmark was declared." in page.text
@@ -308,7 +347,7 @@ def write_log(folder: Path, rng: np.random.Generator, frames: int = 120) -> None
             for method in ("smi", "framework"):
                 s = round(rng.random(), 2)
                 rows.append(
-                    f"{n},{method},{rng.integers(0, 4)},{near[0]},{near[1]},.1,.2,.3,.2,.2,"
+                    f"{n},{method},{rng.integers(100, 104)},{near[0]},{near[1]},.1,.2,.3,.2,.2,"
                     f"{rng.integers(1, 5)},{s},{int(s > 0.4)}"
                 )
     stamps = "".join(f"{n},{n * 250_000_000}\n" for n in range(frames))
@@ -408,6 +447,7 @@ def test_truth_beneath_and_estimates_alongside(random_log: Path) -> None:
         assert log.truth_near[n] == beneath
     shown, in_all = tracks(log, most=3)
     assert (len(shown), in_all) == (3, 4)
+    assert {track.number for track in shown} < {100, 101, 102, 103}
     smi = np.flatnonzero(log.of_method("smi"))
     for track in shown:
         assert (np.diff(track.row) > 0).all()

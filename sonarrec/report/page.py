@@ -163,7 +163,7 @@ def _log_view(log: ReportedLog, most_tracks: int) -> LogView:
         sightings_left=len(found[MOST_SIGHTINGS:]),
         tracks=[_track_view(log, track) for track in shown],
         tracks_in_all=in_all,
-        settings=list(_settings(log.run)),
+        settings=list(settings_tables(log.run)),
     )
 
 
@@ -183,8 +183,10 @@ def _facts(log: ReportedLog) -> Iterator[tuple[str, str]]:
     if "tilt_deg" in sonar:
         yield "tilt", f"{sonar['tilt_deg']:g} deg"
     yield "landmark set", f"{found.landmarks.name}, radius {found.landmarks.radius_m:g} m"
-    if "preset" in run.get("config", {}):
-        yield "preset", str(run["config"]["preset"])
+    configs = run.get("config", {})
+    for config in configs if isinstance(configs, list) else [configs]:
+        if "preset" in config:
+            yield "preset", str(config["preset"])
 
 
 def _track_view(log: ReportedLog, track: Track) -> TrackView:
@@ -208,29 +210,36 @@ def _track_view(log: ReportedLog, track: Track) -> TrackView:
     )
 
 
-def _settings(run: dict[str, Any]) -> Iterator[tuple[str, list[tuple[str, str]]]]:
+def settings_tables(
+    table: dict[str, Any], name: str = "run"
+) -> Iterator[tuple[str, list[tuple[str, str]]]]:
     """run.toml as (table name, its plain keys and values), tables within tables after it."""
+    plain = {key: value for key, value in table.items() if not _is_nested(value)}
+    if plain:
+        yield name, [(key, _plain(value)) for key, value in plain.items()]
+    for key, value in table.items():
+        if _is_nested(value):
+            label = key if name == "run" else f"{name}.{key}"
+            for n, part in enumerate(value if isinstance(value, list) else [value]):
+                yield from settings_tables(
+                    part, f"{label}[{n}]" if isinstance(value, list) else label
+                )
 
-    def plain(value: Any) -> str:
-        if isinstance(value, dict):
-            return ", ".join(f"{key} {plain(v)}" for key, v in value.items())
-        if isinstance(value, list):
-            return (
-                "; ".join(map(plain, value))
-                if value and isinstance(value[0], dict)
-                else (", ".join(map(plain, value)) or "none")
-            )
-        return str(value).lower() if isinstance(value, bool) else f"{value}"
 
-    top = [(key, plain(v)) for key, v in run.items() if not isinstance(v, dict)]
-    if top:
-        yield "run", top
-    for name, table in run.items():
-        if isinstance(table, dict):
-            yield name, [(k, plain(v)) for k, v in table.items() if not isinstance(v, dict)]
-            for inner, deeper in table.items():
-                if isinstance(deeper, dict):
-                    yield f"{name}.{inner}", [(k, plain(v)) for k, v in deeper.items()]
+def _is_nested(value: Any) -> bool:
+    """Whether a TOML value is a table, or several that hold tables."""
+    if isinstance(value, list):
+        return any(isinstance(part, dict) and any(map(_is_nested, part.values())) for part in value)
+    return isinstance(value, dict)
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {_plain(v)}" for key, v in value.items())
+    if isinstance(value, list):
+        between = "; " if any(isinstance(v, dict) for v in value) else ", "
+        return between.join(map(_plain, value)) or "none"
+    return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def _table(scored: Scored) -> Table:
