@@ -18,9 +18,9 @@ from sonarrec.landmarks import LandmarkSet
 from sonarrec.records import FloatArray, Groups
 from sonarrec.shape_matrix import ANGLES, Bands, ShapeSampler, turned_codes
 
-# Levels are in standard deviations of the object's surroundings. Those named "share" are divided by the ring's
-# contrast over the gap, which makes them free of gain and grey scale but worthless on a faint ring;
-# the model has both.
+# Levels are in standard deviations of the frame. Those named "share" are divided by the ring's
+# contrast over the gap, which makes them free of gain and grey scale but worthless on a faint
+# ring; the model has both.
 FEATURES = (
     "correlation",  # of the symbol with the ID's sectors, at the best rotation
     "step",  # bright sectors over dark ones
@@ -46,6 +46,7 @@ FEATURES = (
     "existence",  # log odds that stage 2 gives
 )
 LEAST_CONTRAST = 0.3  # of the ring, in the shares
+TURN_SIGMA = 0.3  # scale of the turn's standard error; measured by `make scenes`
 LIMIT = 9.0  # of every feature's magnitude
 
 
@@ -83,10 +84,14 @@ class TrackMatrix:
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """Features of n objects under each of K IDs: (n, K, F), and the best turns (n, K) in steps."""
+    """n objects under each of K IDs. features: (n, K, F).
+
+    turn, turn_sigma: (n, K) the rotation that fits best and its standard error, in steps.
+    """
 
     features: FloatArray
-    turn: npt.NDArray[np.intp]
+    turn: FloatArray
+    turn_sigma: FloatArray
 
 
 class Describer:
@@ -189,7 +194,12 @@ class Describer:
         features = np.empty((objects, ids, len(FEATURES)))
         for i, value in enumerate(values):
             features[:, :, i] = value if value.ndim == 2 else value[:, None]
-        return Description(np.clip(features, -LIMIT, LIMIT), turn)
+        exact, bend = _summit(correlation, turn)
+        # The steeper the correlation falls off, and the less of the symbol it leaves unexplained,
+        # the better is the turn known (curvature of a least-squares fit).
+        noise = np.sqrt(1 - np.minimum(best, 0.999) ** 2)
+        turn_sigma = TURN_SIGMA * noise / np.sqrt(np.maximum(bend, 1e-4))
+        return Description(np.clip(features, -LIMIT, LIMIT), exact, turn_sigma)
 
     def _sector_extremes(
         self, symbol: FloatArray, weight: FloatArray, turn: npt.NDArray[np.intp]
@@ -204,6 +214,21 @@ class Describer:
         darkest = np.where(known & self._sectors, level, np.inf).min(axis=2)
         brightest = np.where(known & ~self._sectors, level, -np.inf).max(axis=2)
         return darkest, brightest
+
+
+def _summit(correlation: FloatArray, turn: npt.NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
+    """(n, K) the summit of (n, ANGLES, K) next to a whole turn, and how sharply it bends there.
+
+    Through three samples, each the mean of three: the sector edges make the very top flat.
+    """
+    smooth = correlation + np.roll(correlation, 1, axis=1) + np.roll(correlation, -1, axis=1)
+    at = turn[:, None]
+    before, here, after = (
+        np.take_along_axis(smooth, (at + off) % ANGLES, axis=1)[:, 0] / 3 for off in (-1, 0, 1)
+    )
+    bend = 2 * here - before - after
+    part = np.where(bend > 1e-6, 0.5 * (after - before) / np.maximum(bend, 1e-6), 0.0)
+    return turn + np.clip(part, -0.5, 0.5), bend
 
 
 def _profile(average: FloatArray, count: FloatArray, band: slice) -> tuple[FloatArray, FloatArray]:
@@ -263,8 +288,8 @@ class AppearanceMeasurement:
 
     def step(
         self, groups: Groups, grey: FloatArray, seen: npt.NDArray[np.bool_]
-    ) -> tuple[FloatArray, npt.NDArray[np.intp]]:
-        """(n, K + 1) probabilities and the (n,) turn of the likeliest ID, in steps.
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """(n, K + 1) probabilities, the (n,) turn of the likeliest ID and its error, in steps.
 
         grey, seen: (n, L, ANGLES) of the groups in view, from this frame.
         """
@@ -272,4 +297,5 @@ class AppearanceMeasurement:
         description = self._describe(average, count, groups.existence)
         probabilities = self._model.probabilities(description.features)
         best = probabilities[:, :-1].argmax(axis=1)
-        return probabilities, description.turn[np.arange(len(best)), best]
+        at = (np.arange(len(best)), best)
+        return probabilities, description.turn[at], description.turn_sigma[at]

@@ -169,6 +169,11 @@ class Features:
         ("single", "track"),
     )
     memory_frames: float = _setting(20.0, "frames", "track: memory of the averaged shape matrix")
+    lag_frames: int = _setting(
+        0,
+        "frames",
+        "results wait so long and are revised by what was learned of their tracks since",
+    )
     declare: float = _setting(
         0.7,
         "probability",
@@ -202,6 +207,7 @@ SECTIONS = {"candidates": Candidates, "continuity": Continuity, "features": Feat
 
 PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     "default": {},
+    "offline": {"features": {"memory_frames": 60.0, "lag_frames": 240}},
     "paper": {
         "candidates": {"plane": "fan", "detector": "edge", "threshold": 0.35},
         "continuity": {
@@ -278,22 +284,38 @@ def _checked(value: Any, default: Any, label: str) -> Any:
     return type(default)(value)
 
 
-def load_config(path: Path, config: Config, keep_preset: bool = False) -> Config:
-    """`config` with the settings of a TOML file in place. A run.toml can be given as well.
+def configs(presets: Sequence[str] = (), path: Path | None = None) -> list[Config]:
+    """The configurations of several presets and a TOML file, whose settings go over theirs.
 
-    A preset named in the file comes first, unless keep_preset says it was chosen elsewhere.
-
-    Raises UsageError where the file cannot be read or holds what is no setting.
+    path: a file of settings, or a run.toml. A preset that it names serves where none is asked for.
+    Raises UsageError where the file cannot be read or holds what is no setting, and for a preset
+    that is unknown or asked for twice.
     """
+    tables = [{}] if path is None else _config_tables(path)
+    if not presets:
+        presets = [str(table.get("preset", "default")) for table in tables]
+    if len(set(presets)) < len(presets):
+        raise UsageError(f"--preset {','.join(presets)}: each preset once")
+    chosen = []
+    for name in presets:
+        same = [t for t in tables if t.get("preset", name) == name]
+        # A file of one preset is laid over every other as well; of several each has its own.
+        table = same[0] if same else tables[0] if len(tables) == 1 else {}
+        chosen.append(with_table(preset(name.strip()), table, str(path)))
+    return chosen
+
+
+def _config_tables(path: Path) -> list[dict[str, Any]]:
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise UsageError(f"{path}: not a readable TOML file ({error})") from None
-    if "config" in table:  # a run.toml keeps the settings under [config]
-        table = table["config"]
-    if "preset" in table and not keep_preset:
-        config = preset(table["preset"])
-    return with_table(config, table, str(path))
+    found = table.get("config", table)  # a run.toml keeps the settings under [config]
+    if not isinstance(found, list):
+        found = [found]
+    if not found or not all(isinstance(t, dict) for t in found):
+        raise UsageError(f"{path}: config must be a table of settings")
+    return found
 
 
 def with_assignments(config: Config, assignments: Sequence[str]) -> Config:

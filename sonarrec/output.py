@@ -42,6 +42,9 @@ def estimate_columns(ids: Sequence[int]) -> list[str]:
         "landmark",
         "score",
         "declared",
+        "range_sigma_m",
+        "bearing_sigma_deg",
+        "orientation_sigma_deg",
     ]
 
 
@@ -104,6 +107,9 @@ class ResultsWriter:
                     e.landmark,
                     f"{e.score:.6f}",
                     int(e.declared),
+                    f"{e.range_sigma_m:.4f}",
+                    f"{e.bearing_sigma_deg:.3f}",
+                    f"{e.orientation_sigma_deg:.1f}",
                 )
                 for e in result.estimates
             )
@@ -151,7 +157,7 @@ class ResultsWriter:
 
 
 def run_table(
-    settings: config.Config,
+    settings: Sequence[config.Config],
     sonar: Sonar,
     fan: Fan,
     landmarks: LandmarkSet,
@@ -172,10 +178,11 @@ def run_table(
         if sonar.layout == "fan"
     }
     name, size, digest = source
+    tables = [config.as_table(c) for c in settings]
     return {
         "program": {"name": "sonarrec", "version": __version__},
         "input": {"name": name, "bytes": size, "sha256": digest, **reading},
-        "config": config.as_table(settings),
+        "config": tables if len(tables) > 1 else tables[0],
         "sonar": table,
         "fan": {
             "rows": fan.rows,
@@ -205,16 +212,16 @@ class Sighting:
 
 
 class Sightings:
-    """Gathers which landmarks were declared, when and how surely."""
+    """Gathers which landmarks one method declared, when and how surely."""
 
     def __init__(self, method: str) -> None:
-        self._method = method
+        self.method = method
         self._found: dict[tuple[int, int], Sighting] = {}
 
     def add(self, result: FrameResult) -> None:
         """Take in one frame's declared estimates."""
         for estimate in result.estimates:
-            if estimate.method != self._method or not estimate.declared:
+            if estimate.method != self.method or not estimate.declared:
                 continue
             key = (estimate.landmark, estimate.object)
             known = self._found.setdefault(key, Sighting(*key, result, result, 0, 0.0))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -13,8 +14,8 @@ from sonarrec.geometry import Sonar, sonar_from_table
 from sonarrec.landmarks import landmarks_from_table, load_landmarks
 from sonarrec.output import ResultsWriter, Sightings, run_table
 from sonarrec.readers import open_log
-from sonarrec.recogniser import FRAMEWORK, Recogniser
-from sonarrec.records import Clock, FrameResult, SonarrecError
+from sonarrec.recogniser import SideBySide
+from sonarrec.records import Clock, FrameResult, SonarrecError, Stamps
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +33,7 @@ class Summary:
 def process(
     path: str | Path,
     out: Path,
-    settings: Config,
+    settings: Config | Sequence[Config],
     *,
     landmarks: str | None = None,
     sonar: Sonar | None = None,
@@ -44,6 +45,7 @@ def process(
 ) -> Summary:
     """Run one log and write `out`/<log name>/.
 
+    settings: several are run side by side, each under its own method name.
     sonar: geometry that wins over every file. time: which of the log's times names a frame,
     default its log time. earlier_run: a run.toml whose geometry and landmark set, and whose topic
     and time if it was of this log, serve where nothing else is given; a plain settings file has
@@ -69,18 +71,29 @@ def process(
         if first is None:
             told = f" ({'; '.join(log.problems[:3])})" if log.problems else ""
             raise SonarrecError(f"{path}: no usable frame{told}")
-        recogniser = Recogniser(settings, first.fan, landmark_set)
+        configs = [settings] if isinstance(settings, Config) else list(settings)
+        recogniser = SideBySide(configs, first.fan, landmark_set)
         source = (log.name, *log.digest_source())
-        run = run_table(settings, log.stated, first.fan, landmark_set, source, log.reading())
-        sightings = Sightings(FRAMEWORK)
+        run = run_table(configs, log.stated, first.fan, landmark_set, source, log.reading())
+        sightings = [Sightings(method) for method in recogniser.methods]
+        stamps = deque[Stamps]()
         with ResultsWriter(out / log.name, landmark_set, run) as writer:
+
+            def take(results: Iterable[FrameResult]) -> None:
+                for result in results:
+                    writer.write(result, stamps.popleft())
+                    for sighting in sightings:
+                        sighting.add(result)
+                    if observe is not None:
+                        observe(result, log.frame_count)
+
             for frame in chain([first], frames):
-                result = recogniser.step(frame)
-                writer.write(result, frame.stamps)
-                sightings.add(result)
-                if observe is not None:
-                    observe(result, log.frame_count)
+                stamps.append(frame.stamps)
+                take(recogniser.step(frame))
+            take(recogniser.finish())
             writer.finish(log.problems)
-        return Summary(
-            out / log.name, writer.frames, list(log.problems), list(log.notes), sightings.table()
-        )
+        lines: list[str] = []
+        for sighting in sightings:
+            lines += [f"{sighting.method}:"] if len(sightings) > 1 else []
+            lines += sighting.table()
+        return Summary(out / log.name, writer.frames, list(log.problems), list(log.notes), lines)

@@ -22,7 +22,7 @@ from sonarrec.geometry import (
     polar_from_pixel,
     slant_range,
 )
-from sonarrec.records import ByteImage, Fan, FloatArray, SonarrecError
+from sonarrec.records import ByteImage, Fan, FloatArray, Motion, SonarrecError
 
 # Nearer than this multiple of the height the floor is seen so steeply that a pixel of slant range
 # covers several of floor.
@@ -145,13 +145,49 @@ class Plane:
             return np.asarray(column, dtype=float), np.asarray(row, dtype=float)
         return pixel_from_polar(self.fan, *self.to_polar(column, row))
 
-    def panned(self, position: FloatArray, pan_deg: float) -> FloatArray:
-        """(..., 2) where still objects at working pixels appear once the sonar turned right."""
-        x = position[..., 0] - self._apex[0]
-        y = position[..., 1] - self._apex[1]
-        cos, sin = math.cos(math.radians(pan_deg)), math.sin(math.radians(pan_deg))
+    def polar_sigma(self, position: FloatArray, sigma: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Standard errors (n,) in slant range (m) and bearing (deg) of (n, 2) working pixels.
+
+        sigma: (n, 2) (across, along) in disc diameters.
+        """
+        across, along = (2 * np.asarray(sigma) * self.axes).T
+        x = position[:, 0] - self._apex[0]
+        y = self._apex[1] - position[:, 1]
+        distance = np.maximum(np.hypot(x, y), 1.0)
+        radial = np.hypot(along * y, across * x) / distance
+        turning = np.hypot(across * y, along * x) / distance**2
+        metres = self.fan.metres_per_pixel
+        if self.kind == "floor":
+            # Slant range grows with the way along the floor by the cosine of the grazing angle.
+            metres = self._metres * distance * self._metres / self.to_polar(*position.T)[0]
+        return radial * metres, np.degrees(turning)
+
+    def moved(self, position: FloatArray, motion: Motion) -> FloatArray:
+        """(..., 2) where still objects on the floor, at working pixels, appear after a motion."""
+        column, row = position[..., 0], position[..., 1]
+        if motion.right_m or motion.ahead_m:
+            column, row = self._carried(column, row, motion)
+        # In either plane a pan is a rotation about the apex.
+        x, y = column - self._apex[0], row - self._apex[1]
+        pan = math.radians(motion.pan_deg)
+        cos, sin = math.cos(pan), math.sin(pan)
         return np.stack(
             [self._apex[0] + x * cos + y * sin, self._apex[1] - x * sin + y * cos], axis=-1
+        )
+
+    def _carried(
+        self, column: FloatArray, row: FloatArray, motion: Motion
+    ) -> tuple[FloatArray, FloatArray]:
+        """(column, row) of still objects once the sonar was carried, before it turns."""
+        if self.kind == "floor":
+            return column - motion.right_m / self._metres, row + motion.ahead_m / self._metres
+        range_m, bearing_deg = self.to_polar(column, row)
+        ground = np.nan_to_num(ground_range(self.fan, range_m))  # nearer than the floor: below
+        bearing = np.radians(bearing_deg)
+        across = ground * np.sin(bearing) - motion.right_m
+        along = ground * np.cos(bearing) - motion.ahead_m
+        return self.from_polar(
+            slant_range(self.fan, np.hypot(across, along)), np.degrees(np.arctan2(across, along))
         )
 
     def line_of_sight(self, position: FloatArray) -> FloatArray:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
 import numpy as np
 import numpy.typing as npt
 
@@ -9,16 +13,20 @@ from sonarrec.appearance import AppearanceMeasurement, Judge
 from sonarrec.appearance_model import load_model
 from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.odometry import PanEstimator
+from sonarrec.odometry import Odometry
 from sonarrec.plane import Plane
-from sonarrec.records import ByteImage, Estimate, Fan, FloatArray, Frame, FrameResult
-from sonarrec.shape_matrix import STEP, ShapeSampler, identify, turned_codes
+from sonarrec.poses import PoseTable
+from sonarrec.records import ByteImage, Estimate, Fan, FloatArray, Frame, FrameResult, Groups
+from sonarrec.shape_matrix import ANGLES, ShapeSampler, identify, turned_codes
 from sonarrec.stage1_candidates import CandidateSelector
 from sonarrec.stage2_continuity import ContinuityFilter
 from sonarrec.stage3_features import FeatureEstimator, measurement_model
 
 SMI = "smi"
 FRAMEWORK = "framework"
+STEP_DEG = 360 / ANGLES
+# Standard error of a group's mean, in shares of its particles' spread; measured by `make scenes`.
+POSITION_SHARE = 0.1
 
 
 class Recogniser:
@@ -34,8 +42,15 @@ class Recogniser:
         fan: Fan,
         landmarks: LandmarkSet,
         model: Judge | None = None,
+        method: str = FRAMEWORK,
+        with_smi: bool = True,
+        poses: PoseTable | None = None,
     ) -> None:
-        """fan: the geometry that all frames of the log share. model: default, the built-in one."""
+        """fan: the geometry that all frames of the log share. model: default, the built-in one.
+
+        poses: where they tell the sonar's motion, in place of what the images show. method: the name under which the framework's estimates go. with_smi: whether those of the
+        single-frame method are made as well.
+        """
         rng = np.random.default_rng(config.seed)
         self._config = config
         self._landmarks = landmarks
@@ -46,7 +61,7 @@ class Recogniser:
         self._turned = turned_codes(landmarks)
         self._select = CandidateSelector(config.candidates, plane, landmarks)
         self._continuity = ContinuityFilter(config.continuity, plane, rng)
-        self._odometry = PanEstimator(plane) if config.continuity.motion == "image" else None
+        self.odometry = Odometry(plane, config.continuity, poses)
         self._appearance = None
         if config.features.measurement == "track":
             self._appearance = AppearanceMeasurement(
@@ -56,12 +71,17 @@ class Recogniser:
         else:
             confusion = measurement_model(landmarks, fan.window_m)
         self._features = FeatureEstimator(config.features, confusion)
+        self._method = method
+        self._with_smi = with_smi
+        # What is now thought of each track: beliefs, turn, its uncertainty, existence, when.
+        self._latest: dict[int, _Opinion] = {}
 
     def step(self, frame: Frame) -> FrameResult:
         """The estimates of one frame, by the single-frame method and by the framework."""
         image = self._plane.warp(frame.image)
         selection = self._select(image)  # stage 1
-        groups = self._continuity.step(selection, self._pan(image))  # stage 2
+        motion = self.odometry.step(image, frame.timestamp_ns)
+        groups = self._continuity.step(selection, motion)  # stage 2
 
         places = np.concatenate([selection.positions, groups.positions])
         sight = self._plane.line_of_sight(places)
@@ -71,63 +91,101 @@ class Recogniser:
         single = identify(grey, seen, self._sampler.bands, self._turned)
         n = len(selection.positions)
 
-        measured = single.measurement
-        estimates = self._estimates(
-            SMI,
-            np.arange(n),
-            places[:n],
-            sight[:n] + single.turn[:n] * STEP,
-            selection.scores,
-            measured[:n],
-            single.similarity[:n].max(axis=1) * single.ring[:n],
-            self._config.smi.declare,
-        )
+        estimates = []
+        if self._with_smi:
+            estimates = self._estimates(
+                SMI,
+                np.arange(n),
+                places[:n],
+                single.measurement[:n],
+                single.turn[:n].astype(float),
+                selection.scores,
+                scores=single.similarity[:n].max(axis=1) * single.ring[:n],
+                threshold=self._config.smi.declare,
+            )
 
-        turns = single.turn[n:]
-        measured = measured[n:]
+        measured, turns = single.measurement[n:], single.turn[n:].astype(float)
+        turn_sigma = np.full(len(turns), np.nan)
         if self._appearance is not None:
-            measured, turns = self._appearance.step(groups, grey[n:], seen[n:])
+            measured, turns, turn_sigma = self._appearance.step(groups, grey[n:], seen[n:])
         beliefs = self._features.step(groups, measured)  # stage 3
         estimates += self._estimates(
-            FRAMEWORK,
+            self._method,
             groups.numbers,
             places[n:],
-            sight[n:] + turns * STEP,
-            groups.existence,
             beliefs,
-            beliefs[:, : len(self._landmarks.ids)].max(axis=1),
-            self._config.features.declare,
+            turns,
+            groups.existence,
+            spread=groups.spread,
+            turn_sigma=turn_sigma,
+            threshold=self._config.features.declare,
         )
+        if self._config.features.lag_frames:
+            self._remember(frame.index, groups, beliefs, turns, turn_sigma)
         return FrameResult(
             frame.index, frame.timestamp_ns, n, len(groups.numbers), tuple(estimates)
         )
 
-    def _pan(self, image: ByteImage) -> float | None:
-        """Pan since the last frame (deg), where it is to be measured and could be."""
-        if self._odometry is None:
-            return None
-        pan_deg, match = self._odometry.step(image)
-        return pan_deg if match >= self._config.continuity.min_match else None
+    def revised(self, result: FrameResult) -> FrameResult:
+        """A past result with what has been learned of its tracks since (`lag_frames`)."""
+        if not self._config.features.lag_frames:
+            return result
+        estimates = tuple(
+            self._latest[e.object].applied_to(e, self._landmarks.ids, self._config.features.declare)
+            if e.method == self._method and e.object in self._latest
+            else e
+            for e in result.estimates
+        )
+        return replace(result, estimates=estimates)
+
+    def _remember(
+        self,
+        frame: int,
+        groups: Groups,
+        beliefs: FloatArray,
+        turns: FloatArray,
+        turn_sigma: FloatArray,
+    ) -> None:
+        oldest = frame - 2 * self._config.features.lag_frames
+        self._latest = {k: o for k, o in self._latest.items() if o.frame >= oldest}
+        for i, number in enumerate(groups.numbers.tolist()):
+            self._latest[number] = _Opinion(
+                frame, beliefs[i], float(turns[i]), float(turn_sigma[i]), float(groups.existence[i])
+            )
 
     def _estimates(
         self,
         method: str,
         objects: npt.NDArray[np.int64],
         places: FloatArray,
-        orientations: FloatArray,
-        existence: FloatArray,
         beliefs: FloatArray,
-        scores: FloatArray,
+        turns: FloatArray,
+        existence: FloatArray,
+        *,
         threshold: float,
+        scores: FloatArray | None = None,
+        spread: FloatArray | None = None,
+        turn_sigma: FloatArray | None = None,
     ) -> list[Estimate]:
-        """One Estimate per object. beliefs: (n, K), or (n, K + 1) with 'none of these' last."""
+        """One Estimate per object.
+
+        beliefs: (n, K), or (n, K + 1) with 'none of these' last. turns: (n,) from the line of
+        sight, in steps. scores: default, the largest belief in an ID.
+        """
         ids = self._landmarks.ids
+        count = len(places)
         if beliefs.shape[1] == len(ids):
-            beliefs = np.column_stack([beliefs, np.zeros(len(beliefs))])
+            beliefs = np.column_stack([beliefs, np.zeros(count)])
         best = beliefs[:, : len(ids)].argmax(axis=1)
+        if scores is None:
+            scores = beliefs[np.arange(count), best]
         column, row = self._plane.to_fan(places[:, 0], places[:, 1])
         range_m, bearing_deg = self._plane.to_polar(places[:, 0], places[:, 1])
-        orientation_deg = np.degrees(orientations) % 360
+        range_sigma, bearing_sigma = np.full((2, count), np.nan)
+        if spread is not None:
+            range_sigma, bearing_sigma = self._plane.polar_sigma(places, POSITION_SHARE * spread)
+        orientation_deg = (90 - bearing_deg + turns * STEP_DEG) % 360
+        orientation_sigma = np.full(count, np.nan) if turn_sigma is None else turn_sigma * STEP_DEG
         return [
             Estimate(
                 method=method,
@@ -142,6 +200,83 @@ class Recogniser:
                 landmark=ids[best[i]],
                 score=float(scores[i]),
                 declared=bool(scores[i] >= threshold),
+                range_sigma_m=float(range_sigma[i]),
+                bearing_sigma_deg=float(bearing_sigma[i]),
+                orientation_sigma_deg=float(orientation_sigma[i]),
             )
-            for i in range(len(places))
+            for i in range(count)
         ]
+
+
+@dataclass(frozen=True, slots=True)
+class _Opinion:
+    """What was thought of a track when it was last in view. turn, turn_sigma: in steps."""
+
+    frame: int
+    beliefs: FloatArray
+    turn: float
+    turn_sigma: float
+    existence: float
+
+    def applied_to(self, estimate: Estimate, ids: tuple[int, ...], threshold: float) -> Estimate:
+        best = int(self.beliefs[: len(ids)].argmax())
+        score = float(self.beliefs[best])
+        return replace(
+            estimate,
+            probabilities=self.beliefs,
+            landmark=ids[best],
+            score=score,
+            declared=score >= threshold,
+            existence=self.existence,
+            orientation_deg=(90 - estimate.bearing_deg + self.turn * STEP_DEG) % 360,
+            orientation_sigma_deg=self.turn_sigma * STEP_DEG,
+        )
+
+
+class SideBySide:
+    """Several configurations over the same frames, their results put together.
+
+    Of one configuration the framework's method is plain `framework`; of several each has its
+    preset's name behind it. `smi` is that of the first.
+    """
+
+    def __init__(
+        self,
+        configs: Sequence[Config],
+        fan: Fan,
+        landmarks: LandmarkSet,
+        model: Judge | None = None,
+        poses: PoseTable | None = None,
+    ) -> None:
+        several = len(configs) > 1
+        self.methods = [f"{FRAMEWORK}:{c.preset}" if several else FRAMEWORK for c in configs]
+        self._recognisers = [
+            Recogniser(config, fan, landmarks, model, method, with_smi=i == 0, poses=poses)
+            for i, (config, method) in enumerate(zip(configs, self.methods, strict=True))
+        ]
+        self._lag = max(config.features.lag_frames for config in configs)
+        self._pending: deque[list[FrameResult]] = deque()
+
+    def step(self, frame: Frame) -> Iterator[FrameResult]:
+        """The results that are final after this frame, in the log's order."""
+        self._pending.append([r.step(frame) for r in self._recognisers])
+        if len(self._pending) > self._lag:
+            yield self._final()
+
+    def finish(self) -> Iterator[FrameResult]:
+        """The results that were still waiting."""
+        while self._pending:
+            yield self._final()
+
+    def problems(self) -> list[str]:
+        """What of the poses could not be used, so far."""
+        return list(dict.fromkeys(p for r in self._recognisers for p in r.odometry.problems()))
+
+    def notes(self) -> list[str]:
+        """What of the poses the frames contradict, so far."""
+        return list(dict.fromkeys(n for r in self._recognisers for n in r.odometry.notes()))
+
+    def _final(self) -> FrameResult:
+        parts = self._pending.popleft()
+        parts = [r.revised(part) for r, part in zip(self._recognisers, parts, strict=True)]
+        return replace(parts[0], estimates=tuple(e for part in parts for e in part.estimates))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -85,6 +86,19 @@ class Frame:
 
 
 @dataclass(frozen=True, slots=True)
+class Motion:
+    """How the sonar moved from one frame to the next.
+
+    pan_deg: how far it turned, positive to the right. right_m, ahead_m: how far it was carried, to
+    the right and ahead as it looked before.
+    """
+
+    pan_deg: float
+    right_m: float = 0.0
+    ahead_m: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
 class Selection:
     """Stage 1: the candidates of one frame.
 
@@ -125,7 +139,8 @@ class Estimate:
     seen from above; NaN where unknown. existence: probability that an object is there, 0 to 1.
     probabilities: (K + 1,) one per ID in the landmark set's order, then 'none of these'; sums to 1.
     landmark: the most probable ID. score: 0 to 1, what a ROC threshold sweeps.
-    declared: the method claims the ID at its operating point.
+    declared: the method claims the ID at its operating point. range_sigma_m, bearing_sigma_deg,
+    orientation_sigma_deg: standard errors, NaN where the method has none.
     """
 
     method: str
@@ -140,6 +155,9 @@ class Estimate:
     landmark: int
     score: float
     declared: bool
+    range_sigma_m: float = math.nan
+    bearing_sigma_deg: float = math.nan
+    orientation_sigma_deg: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)

@@ -74,9 +74,10 @@ class ShapeSampler:
         """Brightness (n, L, ANGLES) float64 and where it was seen (n, L, ANGLES) bool.
 
         Brightness is counted from the mean of each object's surroundings, in standard deviations
-        of the frame (mean, sigma: see Selection), so that gain and grey scale drop out. image, inside: working image and 1 where
-        it holds sonar data, both uint8. centres: (n, 2) (column, row). start_rad: (n,) direction
-        of the first angle; angles run counter-clockwise seen from above.
+        of the frame (mean, sigma: as in Selection), so that gain and grey scale drop out. image,
+        inside: working image and 1 where it holds sonar data, both uint8. centres: (n, 2) (column,
+        row). start_rad: (n,) direction of the first angle; angles run counter-clockwise seen from
+        above.
         """
         size = (len(centres), len(self.radii), ANGLES)
         if len(centres) == 0:  # OpenCV refuses empty maps

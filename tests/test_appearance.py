@@ -104,8 +104,9 @@ def test_turning_a_disc_turns_the_answer_and_leaves_the_features(seed, turn):
     turned = DESCRIBE(np.roll(average, turn, axis=2), np.roll(count, turn, axis=2), SURE)
     # ID.2 is the same after half a turn, where the two turns tie.
     np.testing.assert_allclose(turned.features, still.features, atol=1e-6)
-    off = (turned.turn - still.turn - turn) % np.array([ANGLES, ANGLES // 2, ANGLES, ANGLES])
-    assert (off == 0).all()
+    period = np.array([ANGLES, ANGLES // 2, ANGLES, ANGLES])
+    off = (turned.turn - still.turn - turn + period / 2) % period - period / 2
+    np.testing.assert_allclose(off, 0, atol=1e-6)
 
 
 @settings(max_examples=30, deadline=None)
@@ -118,7 +119,7 @@ def test_what_was_never_seen_does_not_matter_and_order_does_not(seed):
     order = np.array([2, 0, 1])
     again = DESCRIBE(average[order], count[order], SURE)
     np.testing.assert_allclose(again.features, known.features[order], atol=1e-12)
-    np.testing.assert_array_equal(again.turn, known.turn[order])
+    np.testing.assert_allclose(again.turn, known.turn[order])
 
 
 def test_nothing_seen_at_all_and_no_objects_give_numbers_and_no_warning():
@@ -170,7 +171,8 @@ def test_the_features_of_a_perfect_landmark_by_hand(landmark):
     assert named["bright_over_ring"] == pytest.approx(0, abs=0.2)
     best = found.features[0, :, FEATURES.index("correlation")].argmax()
     assert best == landmark - 1
-    assert (found.turn[0, landmark - 1] - 7) % (18 if landmark == 2 else 36) == 0
+    turn = found.turn[0, landmark - 1] % (18 if landmark == 2 else 36)
+    assert turn == pytest.approx(7, abs=1e-6)
 
 
 def test_one_missing_ring_quarter_shows_in_the_weakest():
@@ -278,7 +280,7 @@ def averaged(pattern, seed: int, frames: int = 16, range_m: float = 2.1, bearing
     for _ in range(frames):
         image = PLANE.warp(speckled(disc, seen, rng, dark=plate))
         grey, visible = SAMPLER(image, PLANE.inside, centre, sight, *surroundings(image))
-        p, turn = measure.step(groups(1), grey, visible)
+        p, turn, _ = measure.step(groups(1), grey, visible)
     return p[0], float(sight[0] + turn[0] * STEP)
 
 
@@ -290,7 +292,7 @@ def test_a_landmark_is_known_by_its_id_and_orientation(landmark, turn_deg):
     assert p[landmark - 1] > 0.5
     symmetry = 180 if landmark == 2 else 360
     off = (math.degrees(orientation) - turn_deg + symmetry / 2) % symmetry - symmetry / 2
-    assert abs(off) < 11
+    assert abs(off) < 6
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -26,7 +26,7 @@ def test_printed_toml_reads_back_as_the_same_configuration(name, tmp_path):
     file = tmp_path / "my.toml"
     file.write_text(config.as_commented_toml(settings))
     assert tomllib.loads(file.read_text()) == config.as_table(settings)
-    assert config.load_config(file, config.Config()) == settings
+    assert config.configs(path=file) == [settings]
 
 
 @pytest.mark.parametrize("name", list(config.PRESETS))
@@ -84,7 +84,7 @@ def test_what_is_no_setting_is_told_by_name(text, named, tmp_path):
     file = tmp_path / "my.toml"
     file.write_text(text)
     with pytest.raises(UsageError) as caught:
-        config.load_config(file, config.Config())
+        config.configs(path=file)
     assert named in str(caught.value)
     assert "\n" not in str(caught.value)
 

@@ -50,7 +50,7 @@ def result(index: int = 0, *estimates: Estimate) -> FrameResult:
 
 def tables() -> dict:
     source = ("log_a", 12345, "0" * 64)
-    return run_table(config.preset("default"), SONAR, make_fan(), BASIN, source)
+    return run_table([config.preset("default")], SONAR, make_fan(), BASIN, source)
 
 
 def rows(path) -> list[list[str]]:
@@ -61,7 +61,8 @@ def rows(path) -> list[list[str]]:
 def test_headers_are_the_contract_s(tmp_path):
     with ResultsWriter(tmp_path / "log_a", BASIN, tables()) as writer:
         writer.finish([])
-    assert (tmp_path / "log_a/estimates.csv").read_bytes() == CONTRACT.encode() + b"\n"
+    header = (tmp_path / "log_a/estimates.csv").read_text().splitlines()
+    assert header == [CONTRACT + ",range_sigma_m,bearing_sigma_deg,orientation_sigma_deg"]
     assert (tmp_path / "log_a/frames.csv").read_bytes() == (
         b"frame,timestamp_ns,candidates,tracks,log_time_ns,publish_time_ns,header_stamp_ns\n"
     )
@@ -149,7 +150,7 @@ def test_run_toml_holds_all_that_the_run_needs_again(tmp_path):
     assert table["input"]["bytes"] == 12345
     assert len(table["input"]["sha256"]) == 64
     assert table["program"]["version"]
-    assert config.load_config(file, config.Config()) == config.preset("default")
+    assert config.configs(path=file) == [config.preset("default")]
     assert landmarks_from_table(table["landmarks"], "run.toml") == BASIN
     fan = make_fan()
     sonar = sonar_from_table(table["sonar"], "run.toml")

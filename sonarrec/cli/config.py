@@ -13,6 +13,7 @@ from sonarrec.cli.options import (
     seed_option,
     set_option,
 )
+from sonarrec.records import UsageError
 
 
 @click.command()
@@ -32,4 +33,7 @@ def config(
     """
     from sonarrec.config import as_commented_toml
 
-    click.echo(as_commented_toml(chosen_settings(preset, config_file, assignments, seed)), nl=False)
+    chosen = chosen_settings(preset, config_file, assignments, seed)
+    if len(chosen) > 1:
+        raise UsageError("several presets: print them one at a time with --preset")
+    click.echo(as_commented_toml(chosen[0]), nl=False)

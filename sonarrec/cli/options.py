@@ -101,7 +101,10 @@ def sonar_from_flags(flags: dict[str, Any]) -> Any:
 
 
 preset_option = click.option(
-    "--preset", default=None, help="default, or paper: every rule as published."
+    "--preset",
+    metavar="NAME[,NAME]",
+    help="default: frame by frame; offline: each result waits for what its log shows later; paper: "
+    "every rule as published. Several are run side by side.",
 )
 config_option = click.option(
     "--config", "config_file", type=FILE, help="Settings (TOML), or the run.toml of an earlier run."
@@ -115,13 +118,11 @@ seed_option = click.option("--seed", type=click.IntRange(min=0), help="Of all th
 def chosen_settings(
     preset: str | None, config_file: Path | None, assignments: tuple[str, ...], seed: int | None
 ) -> Any:
-    """Preset, then file, then --set, then --seed: the later wins."""
+    """A Config per preset. Preset, then file, then --set, then --seed: the later wins."""
     from dataclasses import replace
 
     from sonarrec import config
 
-    settings = config.preset(preset or "default")
-    if config_file is not None:
-        settings = config.load_config(config_file, settings, keep_preset=preset is not None)
-    settings = config.with_assignments(settings, assignments)
-    return settings if seed is None else replace(settings, seed=seed)
+    chosen = config.configs(preset.split(",") if preset else [], config_file)
+    chosen = [config.with_assignments(settings, assignments) for settings in chosen]
+    return chosen if seed is None else [replace(settings, seed=seed) for settings in chosen]
