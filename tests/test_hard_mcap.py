@@ -21,9 +21,11 @@ from mcap.reader import make_reader
 from mcap.records import Channel, Schema, Statistics
 
 from sonarrec.cli import main
+from sonarrec.geometry import Sonar
+from sonarrec.mcap_writer import McapImageWriter
 from sonarrec.readers import mcap_chunks, mcap_messages, open_log
 from sonarrec.readers.mcap_chunks import DamagedError, lz4_cut_block
-from sonarrec.records import Frame
+from sonarrec.records import Frame, SonarrecError
 from tests.hard_logs import HardLog, built, record
 from tests.logs import PERIOD_NS, cdr_image, frames, mcap_file
 from tests.memory import peak_of_reading, shapes
@@ -445,6 +447,29 @@ def test_images_cut_short(tmp_path: Path) -> None:
     found, problems = read(tmp_path)
     assert len(found) == 1
     assert len(problems) == len(suffixes)
+
+
+def test_a_fan_too_large_to_make(tmp_path: Path) -> None:
+    """A window of 1 m at 1 km: bins of 1 cm ask for a fan of 100,000 pixels a side."""
+    bearings = tuple(np.linspace(-65, 65, 20).tolist())
+    sonar = Sonar(layout="polar", range_min_m=1000, range_max_m=1001, bearings_deg=bearings)
+    path = tmp_path / "log.mcap"
+    with HardLog(path):
+        pass
+    (tmp_path / "sonar.toml").write_text("[sonar]\ntilt_deg = 20.0\n")
+    with McapImageWriter(path, schema="sonar_oculus/msg/OculusPing", sonar=sonar) as writer:
+        writer.write(0, np.zeros((100, 20), np.uint8))
+    with pytest.raises(SonarrecError, match="more than is made"):
+        read(path)
+
+
+def test_an_odd_first_frame_does_not_cost_the_others(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    with HardLog(path) as log:
+        log.loose([(0, cdr_image(IMAGES[0][:-2])), *TIMED[1:]])
+    found, problems = read(path)
+    assert_frames(found, list(range(1, 12)))
+    assert problems == ["message 0 of /a: 20 x 18 pixels in a log of 20 x 20, skipped"]
 
 
 # Definitions that lie
