@@ -200,7 +200,7 @@ MODEL_SEEDS = range(1000, 1006)
 
 def simulated(seed: int, kind: str) -> Samples:
     """Samples from one random simulated recording."""
-    scene = random_scene(seed, kind)
+    scene = random_scene(seed, kind, wide=True)
     return gather(simulated_frames(scene), preset("default"), scene.landmark_set)
 
 

@@ -79,8 +79,9 @@ def _sonar(kind: str, rng: np.random.Generator) -> SonarSection:
     return sonar
 
 
-def _nuisances(kind: str, rng: np.random.Generator) -> dict[str, Any]:
+def _nuisances(kind: str, wide: bool, rng: np.random.Generator) -> dict[str, Any]:
     """The sections that say how the picture suffers, drawn about each kind's level."""
+    fade_most, least_snr = (4.5, 4.0) if wide else (3.5, 8.0)
     hard, faint = kind in _FADING, kind == "low_contrast"
     jitter = kind in _UNSTEADY
     u = rng.uniform
@@ -103,8 +104,8 @@ def _nuisances(kind: str, rng: np.random.Generator) -> dict[str, Any]:
             speckle_s=round(math.exp(u(math.log(3), math.log(200))), 1),
         ),
         "fading": FadingSection(
-            object_db=round(u(2.5, 4.5) if hard else u(0.5, 2), 2),
-            patch_db=round(u(2.5, 4.5) if hard else u(0.8, 2.4), 2),
+            object_db=round(u(2, fade_most) if hard else u(0.5, 2), 2),
+            patch_db=round(u(2, fade_most) if hard else u(0.8, 2.4), 2),
             patch_m=round(u(0.04, 0.12), 3),
             time_s=round(u(2, 12), 1),
             specular_db=round(u(0, 5), 2),
@@ -117,7 +118,9 @@ def _nuisances(kind: str, rng: np.random.Generator) -> dict[str, Any]:
             ghost_blur_m=round(u(0.02, 0.08), 3),
         ),
         "noise": NoiseSection(
-            snr_db=9.0 if kind == "all_hard" else round(u(4, 9) if faint else u(10, 26), 1),
+            snr_db=9.0
+            if kind == "all_hard"
+            else round(u(least_snr, 14) if faint else u(10, 26), 1),
             smear=round(u(0, 0.5), 2),
             shadow_db=round(u(-20, -9), 1),
             gain_drift_db=round(u(1.5, 4) if hard or faint else u(0, 1.5), 2),
@@ -204,11 +207,12 @@ class _Floor:
         return None
 
 
-def random_scene(seed: int, kind: str = "plain", **overrides: Any) -> Scene:
+def random_scene(seed: int, kind: str = "plain", wide: bool = False, **overrides: Any) -> Scene:
     """Draw a scene: landmarks and distractors at random, nuisances by kind (ALL_KINDS).
 
-    overrides: fields of Scene put in place of those drawn. `sonar` and `landmark_set` take part
-    in the layout; with `landmarks` or `objects` given, none of these is drawn.
+    wide: for learning, fading and faint scenes reach farther than a recording anyone would use.
+    overrides: fields of Scene put in place of those drawn. `sonar` and `landmark_set` take part in
+    the layout; with `landmarks` or `objects` given, none of these is drawn.
     Raises SonarrecError on an unknown kind or a scene that contradicts itself.
     """
     if kind not in ALL_KINDS:
@@ -220,13 +224,13 @@ def random_scene(seed: int, kind: str = "plain", **overrides: Any) -> Scene:
         seed=seed,
         landmark_set=overrides.get("landmark_set") or _landmark_set(kind, sonar, rng),
         sonar=sonar,
-        **_nuisances(kind, rng),
+        **_nuisances(kind, wide, rng),
     )
     discs = scene.landmark_set
     floor = _Floor(scene.sonar, rng)
     # Far out the floor lies at the beam's edge: discs keep to where a sonar would be used.
     share = 0.6 if scene.sonar.range_max_m > 4 else 0.85
-    faint = rng.uniform(4, 7) if kind == "low_contrast" else 0.0
+    faint = rng.uniform(3, 7 if wide else 5) if kind == "low_contrast" else 0.0
     bright = rng.uniform(9, 14) - faint
     plate = rng.uniform(-10, -4) + faint / 2
 
