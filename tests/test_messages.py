@@ -249,7 +249,17 @@ def test_raw_sonar_image_ranges() -> None:
         (PROJECTED, {"beam_directions": directions(np.linspace(-91, 91, BEAMS))}, "90 deg"),
         (RAW, {"sample_rate": 0.0}, "0 samples a second"),
         (RAW, {"rx_angles": np.zeros(0, np.float32)}, "24 beams with 0 directions"),
+        (
+            RAW,
+            {
+                "samples_per_beam": 2**32 - 1,
+                "rx_angles": np.zeros(0, np.float32),
+                "image": messages.samples(np.zeros((0, 0), np.uint8)),
+            },
+            "0 beams of 4294967295 samples are no image",
+        ),
         (OCULUS, {"range_resolution": -1.0}, "range resolution -1 m"),
+        (OCULUS, {"range_resolution": 1e308}, "'range_resolution' is no number"),
         (OCULUS, {"sample_size": 3}, "samples of 3 bytes"),
         (OCULUS, {"n_beams": 0}, "do not fit"),
         (OCULUS, {"bearings": np.zeros(5, np.int16)}, "do not run one way"),
@@ -331,6 +341,26 @@ def test_a_window_that_changes(tmp_path: Path) -> None:
     assert (found[1].image[inside] == 200).all()
     assert (found[2].image[inside & (range_m > 1.26)] == 200).all()
     assert (found[2].image[range_m < 1.24] == 0).all()
+
+
+def test_a_first_ping_with_a_window_too_far_to_draw(tmp_path: Path) -> None:
+    """Sixty bins at a thousand kilometres would be a fan of 10^14 pixels."""
+    pings = [messages.projected_fields(k, image) for k, image in enumerate(polar_frames())]
+    far = 1e6 + np.arange(BINS) * 0.25
+    pings[0]["ranges"] = far.astype(np.float32)
+    found, problems, _ = read(log_of(tmp_path / "log.mcap", pings), sonar=TILT)
+    assert [f.index for f in found] == [1, 2]
+    assert len(problems) == 1
+    assert "m in 60 bins, makes a fan of" in problems[0]
+
+
+def test_what_is_stated_does_not_fit_the_log(tmp_path: Path) -> None:
+    pings = [messages.projected_fields(0, polar_frames(1)[0])]
+    path = log_of(tmp_path / "log.mcap", pings)
+    with pytest.raises(SonarrecError, match="2 bearings but the images have 24 beams"):
+        read(path, sonar=TILT.updated(Sonar(bearings_deg=(-1.0, 1.0))))
+    with pytest.raises(SonarrecError, match="height_m = 3 must be above 0 and below"):
+        read(path, sonar=TILT.updated(Sonar(height_m=3.0)))
 
 
 def test_the_number_of_beams_and_bins_may_change(tmp_path: Path) -> None:

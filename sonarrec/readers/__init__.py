@@ -197,7 +197,7 @@ def open_log(
         elif resolved.tilt_deg is None:
             raise SonarrecError(
                 f"{where}: the messages tell the sonar's geometry, all but its tilt; give "
-                "--tilt-deg (downward), or put tilt_deg under [sonar] in a sonar.toml beside the log"
+                "--tilt-deg (downward), or put tilt_deg under [sonar] into a sonar.toml beside it"
             )
     except SonarrecError:
         raw.close()

@@ -7,7 +7,14 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from sonarrec.geometry import PolarToFan, Sonar, check_sonar, fan_for_image, fan_for_polar
+from sonarrec.geometry import (
+    MAX_FAN_PIXELS,
+    PolarToFan,
+    Sonar,
+    check_sonar,
+    fan_for_image,
+    fan_for_polar,
+)
 from sonarrec.readers.grey import GreyScale, grey_scale, single_channel, to_grey8
 from sonarrec.readers.raw import RawFrame, UnusableError
 from sonarrec.records import ByteImage, Fan, SonarrecError
@@ -102,12 +109,18 @@ class FanImages:
         sonar, against = _as_stated(told, self._stated, bins=shape[0])
         try:
             check_sonar(sonar, self._where)
+            window = fan_for_polar(sonar, shape[0])
+            if window.rows * window.columns > MAX_FAN_PIXELS:
+                raise UnusableError(
+                    f"its window, {window.range_min_m:.6g} to {window.range_max_m:.6g} m in "
+                    f"{shape[0]} bins, makes a fan of {window.columns} x {window.rows} pixels"
+                )
             to_fan = PolarToFan(sonar, *shape, self.fan)
         except SonarrecError as error:
-            if self.fan is None:
+            if self.fan is None:  # what is stated does not fit the log
                 raise
             raise UnusableError(str(error).partition("\n")[0]) from None
-        fan, window = to_fan.fan, fan_for_polar(sonar, shape[0])
+        fan = to_fan.fan
         near = max(fan.range_min_m, window.range_min_m)
         far = min(fan.range_max_m, window.range_max_m)
         if far - near < MIN_SHARED_WINDOW * fan.window_m:
@@ -142,11 +155,13 @@ def _as_stated(told: Sonar, stated: Sonar, bins: int) -> tuple[Sonar, list[str]]
             sonar = replace(sonar, ranges_m=stated.ranges_m)
         elif stated.ranges_m is None and told.ranges_m is not None:
             sonar = replace(sonar, **{key: theirs})  # the bins' own middles end there
-    if stated.bearings_deg is not None and stated.bearings_deg != told.bearings_deg:
-        against.append("bearings_deg")
-    elif stated.bearings_deg is None and stated.field_of_view_deg is not None:
-        bearings = np.asarray(told.bearings_deg)
-        beam_deg = float(np.ptp(bearings)) / (len(bearings) - 1)
+    bearings = np.asarray(told.bearings_deg)
+    beam_deg = float(np.ptp(bearings)) / (len(bearings) - 1)
+    if stated.bearings_deg is not None:
+        mine = np.asarray(stated.bearings_deg)
+        if mine.shape != bearings.shape or np.abs(mine - bearings).max() > beam_deg / 2:
+            against.append("bearings_deg")
+    elif stated.field_of_view_deg is not None:
         theirs = beam_deg * len(bearings)
         if abs(stated.field_of_view_deg - theirs) > beam_deg / 2:
             against.append(f"field_of_view_deg = {stated.field_of_view_deg:g} (not {theirs:.4g})")

@@ -49,7 +49,7 @@ class Fields:
     def number(self, name: str) -> float:
         """A finite number."""
         value = self._get(name)
-        if not isinstance(value, int | float) or not np.isfinite(value):
+        if not isinstance(value, int | float) or not -1e300 < value < 1e300:
             raise self._wrong(name, "number")
         return float(value)
 

@@ -56,7 +56,8 @@ def single_channel(pixels: np.ndarray) -> np.ndarray:
         raise UnusableError(f"{pixels.dtype} pixels are not supported")
     pixels = pixels.astype(pixels.dtype.newbyteorder("="), copy=False)
     if pixels.dtype == np.float64:
-        pixels = pixels.astype(np.float32)
+        with np.errstate(over="ignore"):  # beyond 32 bits is infinite, hence white
+            pixels = pixels.astype(np.float32)
     if pixels.ndim == 3 and pixels.shape[2] == 1:
         pixels = pixels[:, :, 0]
     if pixels.ndim == 3 and pixels.shape[2] in (3, 4):

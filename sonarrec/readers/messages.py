@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -53,6 +53,8 @@ _SAMPLE_TYPES = ("u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f4", "f8")
 
 def _samples(image: Fields, bins: int, beams: int) -> np.ndarray:
     """(bins, beams) samples of a SonarImageData, taken to be range-major."""
+    if bins < 2 or beams < 2:
+        raise UnusableError(f"{beams} beams of {bins} samples are no image")
     number = image.whole("dtype")
     if number >= len(_SAMPLE_TYPES):
         raise UnusableError(f"unknown sample type {number}")
@@ -154,7 +156,8 @@ def _oculus_geometry(message: Fields, bins: int) -> Sonar:
     if resolution <= 0:
         raise UnusableError(f"range resolution {resolution:g} m")
     ranges = (np.arange(bins) + 0.5) * resolution
-    return _geometry(ranges, message.numbers("bearings") / 100)
+    # Rows of an image: which axis is which need not be found out.
+    return replace(_geometry(ranges, message.numbers("bearings") / 100), beam_order="range-major")
 
 
 def read_oculus_ping(message: Fields) -> Ping:
@@ -260,7 +263,8 @@ class Decoder:
         return self.type.polar
 
     def __call__(self, message: memoryview) -> Ping:
-        return self.type.read(Fields(self.fields(message)))
+        with np.errstate(all="ignore"):  # damaged numbers overflow; what comes of them is checked
+            return self.type.read(Fields(self.fields(message)))
 
 
 def decoder_for(
