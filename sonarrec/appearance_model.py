@@ -6,9 +6,12 @@ curve. A curve shows at a glance what its feature is worth, which a file of weig
 
 from __future__ import annotations
 
+import hashlib
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -55,21 +58,59 @@ class AppearanceModel:
         return "\n".join(lines) + "\n"
 
 
-def load_model(path: Path = BUILT_IN) -> AppearanceModel:
-    """The model in a TOML file (default: the built-in one).
+@dataclass(frozen=True, slots=True)
+class ModelFile:
+    """A model with the text of the file that it came from."""
 
-    Raises UsageError where the file is not such a model.
+    name: str
+    text: str
+    model: AppearanceModel
+
+    def as_table(self) -> dict[str, str]:
+        """What run.toml keeps of it: all that a run needs to use it again."""
+        digest = hashlib.sha256(self.text.encode()).hexdigest()
+        return {"name": self.name, "sha256": digest, "text": self.text}
+
+
+def read_model(path: Path) -> ModelFile:
+    """A model from a TOML file. Raises UsageError where the file is not such a model."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"{path}: cannot be read ({error})") from None
+    return ModelFile(path.name, text, parse_model(text, str(path)))
+
+
+def model_from_table(table: Mapping[str, Any], where: str) -> ModelFile:
+    """The model that ModelFile.as_table wrote down. Raises UsageError where it is none."""
+    try:
+        name, text = str(table["name"]), str(table["text"])
+    except (TypeError, KeyError):
+        raise UsageError(f"{where}: [model] needs name and text") from None
+    return ModelFile(name, text, parse_model(text, f"{where}: [model]"))
+
+
+def load_model(path: Path = BUILT_IN) -> AppearanceModel:
+    """The model in a TOML file (default: the built-in one). Raises UsageError as read_model."""
+    return read_model(path).model
+
+
+def parse_model(text: str, where: str) -> AppearanceModel:
+    """The model in a TOML text; `where` names it in errors.
+
+    Raises UsageError where the text is not such a model.
     """
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        table = tomllib.loads(text)
         knots = tuple(np.array(table[name]["at"], float) for name in FEATURES)
         values = tuple(np.array(table[name]["log_odds"], float) for name in FEATURES)
         bias = float(table["bias"])
-    except (OSError, ValueError, TypeError, KeyError) as error:
+    except (ValueError, TypeError, KeyError) as error:
         raise UsageError(
-            f"{path}: not an appearance model ({error!r}); `sonarrec calibrate` writes one"
+            f"{where}: not an appearance model ({error!r}); `sonarrec calibrate` writes one"
         ) from None
     for name, at, odds in zip(FEATURES, knots, values, strict=True):
-        if at.ndim != 1 or at.shape != odds.shape or not len(at) or (np.diff(at) <= 0).any():
-            raise UsageError(f"{path}: [{name}] needs rising `at` and as many `log_odds`")
+        sound = at.ndim == 1 and at.shape == odds.shape and len(at) > 0
+        if not sound or not (np.diff(at) > 0).all() or not np.isfinite([at, odds]).all():
+            raise UsageError(f"{where}: [{name}] needs rising `at` and as many `log_odds`, finite")
     return AppearanceModel(bias, knots, values)

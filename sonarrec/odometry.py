@@ -1,4 +1,4 @@
-"""How far the sonar panned between two frames, read off the frames themselves.
+"""How the sonar moved between two frames: as a table tells it, else read off the frames.
 
 Speckle is frozen to the floor while a sonar pans, so two frames are one polar picture moved along
 the bearing; where the two match best is the pan.
@@ -10,13 +10,19 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from sonarrec.config import Continuity
 from sonarrec.plane import Plane
-from sonarrec.records import ByteImage, FloatArray
+from sonarrec.poses import PoseTable
+from sonarrec.records import ByteImage, FloatArray, Motion
 
 RANGES = 128
 BEARINGS = 192
 # Of the field of view: how much of two frames must overlap for their match to be believed.
 LEAST_OVERLAP = 0.4
+# A table of poses is held against the images where the sonar turned as far as this, and doubted
+# where most of at least so many frames contradict it.
+LEAST_TURN_DEG = 0.3
+LEAST_COMPARED = 10
 
 
 class PanEstimator:
@@ -75,3 +81,63 @@ class PanEstimator:
             float((self._shift[best] + np.clip(part, -0.5, 0.5)) * self._step_deg),
             float(np.clip(match[best], 0, 1)),
         )
+
+
+class Odometry:
+    """The sonar's motion from frame to frame: as a table tells it, else as the images show it."""
+
+    def __init__(self, plane: Plane, config: Continuity, poses: PoseTable | None = None) -> None:
+        self._images = PanEstimator(plane) if config.motion == "image" else None
+        self._min_match = config.min_match
+        self._poses = poses
+        self._before_ns: int | None = None
+        self._span: tuple[int, int] | None = None  # ns, of the frames
+        self._frames = self._untold = self._compared = self._differing = 0
+
+    def step(self, image: ByteImage, timestamp_ns: int) -> Motion | None:
+        """The motion since the last frame, None where neither source knows it.
+
+        image: the working image. timestamp_ns: of the frame.
+        """
+        seen = None
+        if self._images is not None:
+            pan_deg, match = self._images.step(image)
+            seen = Motion(pan_deg) if match >= self._min_match else None
+        if self._poses is None:
+            return seen
+        self._frames += 1
+        self._untold += not self._poses.covers(timestamp_ns)
+        first, last = self._span or (timestamp_ns, timestamp_ns)
+        self._span = min(first, timestamp_ns), max(last, timestamp_ns)
+        before, self._before_ns = self._before_ns, timestamp_ns
+        told = None if before is None else self._poses.motion(before, timestamp_ns)
+        if told is not None and seen is not None:
+            larger = max(abs(told.pan_deg), abs(seen.pan_deg))
+            if larger >= LEAST_TURN_DEG:
+                self._compared += 1
+                self._differing += abs(told.pan_deg - seen.pan_deg) > 0.5 * larger
+        return told or seen
+
+    def problems(self) -> list[str]:
+        """What of the table could not be used, so far: one line at most."""
+        if not self._untold:
+            return []
+        assert self._poses is not None
+        assert self._span is not None
+        told = "{:.3f} to {:.3f} s".format(*(self._poses.at[[0, -1]] / 1e9))
+        log = "{:.3f} to {:.3f} s".format(*(t / 1e9 for t in self._span))
+        return [
+            f"{self._poses.name}: no pose for {self._untold} of {self._frames} frames; it tells "
+            f"{told}, and the frames are from {log}"
+        ]
+
+    def notes(self) -> list[str]:
+        """What speaks against the table, so far: one line at most."""
+        if self._compared < LEAST_COMPARED or self._differing <= self._compared / 2:
+            return []
+        assert self._poses is not None
+        return [
+            f"{self._poses.name}: the turns it tells are not those of the images in "
+            f"{self._differing} of {self._compared} frames; yaw is in degrees, positive to the "
+            "right, and its times are the frames'"
+        ]

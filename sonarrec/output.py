@@ -138,7 +138,7 @@ class ResultsWriter:
 
     def _write_run(self, finished: bool) -> None:
         """Replace run.toml in one step: readers see the old one or the new one."""
-        text = tomli_w.dumps({"finished": finished, **self._run})
+        text = tomli_w.dumps({"finished": finished, **self._run}, multiline_strings=True)
         partial = self._folder / "run.toml.part"
         partial.write_text(text, encoding="utf-8")
         os.replace(partial, self._folder / "run.toml")  # noqa: PTH105

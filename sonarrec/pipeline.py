@@ -9,13 +9,15 @@ from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 
+from sonarrec.appearance_model import model_from_table, read_model
 from sonarrec.config import Config
 from sonarrec.geometry import Sonar, sonar_from_table
 from sonarrec.landmarks import landmarks_from_table, load_landmarks
 from sonarrec.output import ResultsWriter, Sightings, run_table
+from sonarrec.poses import read_poses
 from sonarrec.readers import open_log
 from sonarrec.recogniser import SideBySide
-from sonarrec.records import Clock, FrameResult, SonarrecError, Stamps
+from sonarrec.records import Clock, FrameResult, SonarrecError, Stamps, UsageError
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +43,8 @@ def process(
     earlier_run: Path | None = None,
     topic: str | None = None,
     time: Clock | None = None,
+    odometry: Path | None = None,
+    model: Path | None = None,
     observe: Callable[[FrameResult, int | None], None] | None = None,
 ) -> Summary:
     """Run one log and write `out`/<log name>/.
@@ -49,11 +53,15 @@ def process(
     sonar: geometry that wins over every file. time: which of the log's times names a frame,
     default its log time. earlier_run: a run.toml whose geometry and landmark set, and whose topic
     and time if it was of this log, serve where nothing else is given; a plain settings file has
-    none of them and changes nothing.
+    none of them and changes nothing. odometry: a table of the sonar's poses (see poses.py).
+    model: an appearance model (see appearance_model.py), default that of the earlier run, else the
+    built-in one.
     observe: told each result and the number of frames, where that is known. Raises SonarrecError
     for input or settings that cannot be used.
     """
     sonar = sonar or Sonar()
+    poses = None if odometry is None else read_poses(odometry)
+    learned = None if model is None else read_model(model)
     if earlier_run is not None:
         table = tomllib.loads(earlier_run.read_text(encoding="utf-8"))
         if "sonar" in table and sonar_file is None:
@@ -61,6 +69,13 @@ def process(
         earlier = table.get("input", {})
         if earlier.get("name") == Path(path).stem:
             topic, time = topic or earlier.get("topic"), time or earlier.get("time")
+            if poses is None and "odometry" in table:
+                raise UsageError(
+                    f"{earlier_run}: that run used the odometry {table['odometry'].get('name')}; "
+                    "give it again with --odometry"
+                )
+        if learned is None and "model" in table:
+            learned = model_from_table(table["model"], str(earlier_run))
     if earlier_run is not None and landmarks is None and "landmarks" in table:
         landmark_set = landmarks_from_table(table["landmarks"], str(earlier_run))
     else:
@@ -72,9 +87,15 @@ def process(
             told = f" ({'; '.join(log.problems[:3])})" if log.problems else ""
             raise SonarrecError(f"{path}: no usable frame{told}")
         configs = [settings] if isinstance(settings, Config) else list(settings)
-        recogniser = SideBySide(configs, first.fan, landmark_set)
+        recogniser = SideBySide(
+            configs, first.fan, landmark_set, learned.model if learned else None, poses
+        )
         source = (log.name, *log.digest_source())
         run = run_table(configs, log.stated, first.fan, landmark_set, source, log.reading())
+        if poses is not None:
+            run["odometry"] = poses.as_table()
+        if learned is not None:
+            run["model"] = learned.as_table()
         sightings = [Sightings(method) for method in recogniser.methods]
         stamps = deque[Stamps]()
         with ResultsWriter(out / log.name, landmark_set, run) as writer:
@@ -91,9 +112,11 @@ def process(
                 stamps.append(frame.stamps)
                 take(recogniser.step(frame))
             take(recogniser.finish())
-            writer.finish(log.problems)
+            problems = [*log.problems, *recogniser.problems()]
+            writer.finish(problems)
         lines: list[str] = []
         for sighting in sightings:
             lines += [f"{sighting.method}:"] if len(sightings) > 1 else []
             lines += sighting.table()
-        return Summary(out / log.name, writer.frames, list(log.problems), list(log.notes), lines)
+        notes = [*log.notes, *recogniser.notes()]
+        return Summary(out / log.name, writer.frames, problems, notes, lines)

@@ -16,7 +16,7 @@ from sonarrec.landmarks import LandmarkSet
 from sonarrec.odometry import Odometry
 from sonarrec.plane import Plane
 from sonarrec.poses import PoseTable
-from sonarrec.records import ByteImage, Estimate, Fan, FloatArray, Frame, FrameResult, Groups
+from sonarrec.records import Estimate, Fan, FloatArray, Frame, FrameResult, Groups
 from sonarrec.shape_matrix import ANGLES, ShapeSampler, identify, turned_codes
 from sonarrec.stage1_candidates import CandidateSelector
 from sonarrec.stage2_continuity import ContinuityFilter
@@ -48,8 +48,9 @@ class Recogniser:
     ) -> None:
         """fan: the geometry that all frames of the log share. model: default, the built-in one.
 
-        poses: where they tell the sonar's motion, in place of what the images show. method: the name under which the framework's estimates go. with_smi: whether those of the
-        single-frame method are made as well.
+        method: the name under which the framework's estimates go. with_smi: whether those of the
+        single-frame method are made as well. poses: what they tell of the sonar's motion stands in
+        place of what the images show.
         """
         rng = np.random.default_rng(config.seed)
         self._config = config

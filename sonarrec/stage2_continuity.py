@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from sonarrec.config import Continuity
 from sonarrec.plane import Plane
-from sonarrec.records import FloatArray, Groups, Selection
+from sonarrec.records import FloatArray, Groups, Motion, Selection
 
 NEW_EXISTENCE = 0.5  # of a group that has just begun
 
@@ -85,26 +85,26 @@ class ContinuityFilter:
         self._particles = np.empty((0, config.particles, 2), np.float32)
         self._lost = _Lost()
 
-    def step(self, selection: Selection, pan_deg: float | None = None) -> Groups:
+    def step(self, selection: Selection, motion: Motion | None = None) -> Groups:
         """Predict, weigh and resample every group; delete the dead, begin the new.
 
-        pan_deg: how far the sonar turned right since the last frame; None where unknown.
+        motion: of the sonar since the last frame; None where unknown.
         """
         config = self._config
-        self._predict(pan_deg)
+        self._predict(motion)
         expected = self._particles.mean(axis=1)
         positions, spread = self._weigh(selection.score_map)
         self._count(positions, spread, selection)
         alive = self._survivors(positions)
-        if pan_deg is None:
+        if motion is None:
             self._lost = _Lost()  # nobody knows where they are now
         else:
             # The floor does not move: a group pulled this far has left its object for another.
             moved = np.hypot(*((positions - expected) / self._diameter).T)
             alive &= moved <= config.jump
         in_view = self._shares(positions) >= config.least_in_view
-        if pan_deg is not None:
-            self._lost.positions = self._plane.panned(self._lost.positions, pan_deg)
+        if motion is not None:
+            self._lost.positions = self._plane.moved(self._lost.positions, motion)
             self._lost.pass_frame(self._shares(self._lost.positions) > 0.9, config.strikes)
             left = alive & ~in_view
             self._lost.add(
@@ -127,11 +127,11 @@ class ContinuityFilter:
             self._lost.numbers.copy(),
         )
 
-    def _predict(self, pan_deg: float | None) -> None:
+    def _predict(self, motion: Motion | None) -> None:
         """Eq. 3: a random walk; where the sonar's own motion is known a narrower one round it."""
         sigma = self._sigma
-        if pan_deg is not None:
-            self._particles = self._plane.panned(self._particles, pan_deg).astype(np.float32)
+        if motion is not None:
+            self._particles = self._plane.moved(self._particles, motion).astype(np.float32)
             sigma = self._sigma_known
         noise = self._rng.standard_normal(self._particles.shape, np.float32)
         self._particles += noise * np.float32(sigma)

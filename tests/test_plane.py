@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from sonarrec.geometry import floor_depth
 from sonarrec.plane import Plane
+from sonarrec.records import Motion
 
 WINDOWS = [  # range_min_m, range_max_m, height_m
     (1.25, 3.75, 0.68),
@@ -102,9 +103,9 @@ def test_a_turn_to_the_right_lowers_every_bearing(kind, range_m, bearing_deg, pa
     plane = Plane(make_fan(100), 0.15, kind, 10.0)
     before = np.stack(plane.from_polar(np.array([range_m]), np.array([bearing_deg])), axis=-1)
     after = np.stack(plane.from_polar(np.array([range_m]), np.array([bearing_deg - pan_deg])), -1)
-    np.testing.assert_allclose(plane.panned(before, pan_deg), after, atol=1e-7)
+    np.testing.assert_allclose(plane.moved(before, Motion(pan_deg)), after, atol=1e-7)
     many = np.broadcast_to(before, (3, 4, 1, 2))
-    assert plane.panned(many, pan_deg).shape == (3, 4, 1, 2)
+    assert plane.moved(many, Motion(pan_deg)).shape == (3, 4, 1, 2)
 
 
 def test_the_fan_plane_is_the_image_itself():

@@ -10,7 +10,7 @@ from drawn import SECTORS, disc_pattern, draw_on_floor, make_fan, speckled
 from sonarrec import config
 from sonarrec.landmarks import load_landmarks
 from sonarrec.plane import Plane
-from sonarrec.records import Selection
+from sonarrec.records import Motion, Selection
 from sonarrec.stage1_candidates import CandidateSelector
 from sonarrec.stage2_continuity import ContinuityFilter
 
@@ -192,7 +192,7 @@ def test_a_known_pan_moves_the_groups(pan_deg):
     starts = [(2.2, 2.0), (2.9, -5.0)]
     places = [tuple(np.ravel(PLANE.from_polar(np.array([r]), np.array([b])))) for r, b in starts]
     follow.step(selection(even, *places))
-    groups = follow.step(selection(even), pan_deg)
+    groups = follow.step(selection(even), Motion(pan_deg))
     turned = [np.ravel(PLANE.from_polar(np.array([r]), np.array([b - pan_deg]))) for r, b in starts]
     np.testing.assert_allclose(groups.positions, turned, atol=0.05)
 
@@ -201,9 +201,9 @@ def test_a_group_pulled_off_what_the_pan_says_is_deleted():
     settings = dataclasses.replace(PAPER, motion="image", jump=0.25, sigma_known_px=10.0)
     follow = new_filter(settings)
     follow.step(selection(peaks(START), START))
-    assert list(follow.step(selection(peaks(START)), 0.0).numbers) == [1]
+    assert list(follow.step(selection(peaks(START)), Motion(0.0)).numbers) == [1]
     elsewhere = (START[0] + 0.45 * DIAMETER, START[1])
-    groups = follow.step(selection(peaks(elsewhere), elsewhere), 0.0)
+    groups = follow.step(selection(peaks(elsewhere), elsewhere), Motion(0.0))
     assert list(groups.numbers) == [2]  # what pulled it is a new object
 
 
@@ -280,7 +280,7 @@ def test_a_group_that_leaves_the_image_ends():
     even = np.ones(PLANE.shape, np.float32)
     place = tuple(np.ravel(PLANE.from_polar(np.array([3.5]), np.array([13.0]))))
     assert len(follow.step(selection(even, place)).numbers) == 1
-    assert len(follow.step(selection(even), -4.0).numbers) == 0
+    assert len(follow.step(selection(even), Motion(-4.0)).numbers) == 0
 
 
 def test_nothing_in_nothing_out():

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from sonarrec.cli.options import (
+    FILE,
     PARTLY,
     chosen_settings,
     config_option,
@@ -39,6 +40,15 @@ from sonarrec.records import Clock, FrameResult
     help="Which time of an MCAP message names a frame; the order is log time.  [default: log]",
 )
 @click.option("--landmarks", help="Landmark set: a built-in name or a TOML file.  [default: basin]")
+@click.option(
+    "--odometry",
+    type=FILE,
+    help="CSV of the sonar's poses: timestamp or timestamp_ns, yaw (deg, positive to the right) "
+    "and, where known, x, y (m).  [default: the turn is measured between the images]",
+)
+@click.option(
+    "--model", type=FILE, help="Appearance model of `sonarrec calibrate`.  [default: built in]"
+)
 @preset_option
 @config_option
 @set_option
@@ -52,6 +62,8 @@ def run(
     topic: str | None,
     clock: Clock | None,
     landmarks: str | None,
+    odometry: Path | None,
+    model: Path | None,
     preset: str | None,
     config_file: Path | None,
     assignments: tuple[str, ...],
@@ -90,6 +102,8 @@ def run(
             earlier_run=config_file,
             topic=topic,
             time=clock,
+            odometry=odometry,
+            model=model,
             observe=_progress_bar(quiet),
         )
         for note in summary.notes:
