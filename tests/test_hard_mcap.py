@@ -459,7 +459,7 @@ def test_a_fan_too_large_to_make(tmp_path: Path) -> None:
     (tmp_path / "sonar.toml").write_text("[sonar]\ntilt_deg = 20.0\n")
     with McapImageWriter(path, schema="sonar_oculus/msg/OculusPing", sonar=sonar) as writer:
         writer.write(0, np.zeros((100, 20), np.uint8))
-    with pytest.raises(SonarrecError, match="more than is made"):
+    with pytest.raises(SonarrecError, match="186167 x 100100 pixels"):
         read(path)
 
 
