@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import random
 import struct
 import zlib
+from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
 
@@ -565,6 +567,28 @@ def test_room_in_the_temporary_file_is_used_again(
     monkeypatch.setattr(mcap_chunks.ChunkStore, "_room", watched)
     assert len(read(path)[0]) == 22
     assert most <= 4 * (len(TIMED[0][1]) + 31)
+
+
+def test_no_room_on_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Full(BytesIO):
+        def write(self, _data: object) -> int:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(mcap_chunks, "HELD_BYTES", 0)
+    monkeypatch.setattr(mcap_chunks.tempfile, "TemporaryFile", lambda **_: Full())
+    path = tmp_path / "log.mcap"
+    with HardLog(path) as log:
+        log.chunk(TIMED, "zstd")
+    with pytest.raises(SonarrecError, match=r"no room to inflate a chunk .* TMPDIR"):
+        read(path)
+
+
+def test_a_channel_without_a_message(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    with HardLog(path):
+        pass
+    with pytest.raises(SonarrecError, match="not one frame could be used"):
+        read(path)
 
 
 MB = 2**20

@@ -5,6 +5,7 @@ The `mcap` package inflates a chunk in one go, however large, and gives up one t
 
 from __future__ import annotations
 
+import errno
 import struct
 import tempfile
 import zlib
@@ -15,6 +16,8 @@ from typing import BinaryIO
 
 import lz4.frame
 import zstandard
+
+from sonarrec.records import SonarrecError
 
 MAX_CHUNK_BYTES = (
     2**31
@@ -108,7 +111,8 @@ class ChunkStore:
     def open(self, chunk: ChunkHead) -> Contents:
         """The contents of a chunk, checked; of the file's cut end, what is whole.
 
-        Raises DamagedError where they cannot be used, OSError where the disk has no room.
+        Raises DamagedError where they cannot be used, SonarrecError where the temporary file finds
+        no room.
         """
         if chunk.compression == "":
             if chunk.size != chunk.stored:
@@ -123,9 +127,16 @@ class ChunkStore:
         contents.file.seek(contents.start)
         try:
             written = _check(chunk, _inflated(self._file, chunk), contents.file)
-        except BaseException:
+        except DamagedError:
             self.release(contents)
             raise
+        except OSError as error:
+            if error.errno != errno.ENOSPC:
+                raise
+            raise SonarrecError(
+                f"{tempfile.gettempdir()}: no room to inflate a chunk of {chunk.size} bytes; make "
+                "room, or set TMPDIR to a folder that has some"
+            ) from None
         return Contents(contents.file, contents.start, contents.start + written, contents.held)
 
     def release(self, contents: Contents) -> None:

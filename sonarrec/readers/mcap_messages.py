@@ -83,7 +83,7 @@ class MessageReader:
         self._channels = frozenset(channels)
         self._runs: list[tuple[_Place, Iterator[_Place]]] = []  # a heap, by their next message
         self._runs_left: Counter[int] = Counter()  # by chunk
-        self._read = self._numbered = 0
+        self._passed = self._lost = 0
         self._last_time, self._in_order = 0, True
         self._all_checked = True  # by a checksum of its chunk
 
@@ -134,12 +134,12 @@ class MessageReader:
 
     def _message(self, place: _Place) -> Message:
         data, problem = None, None
+        self._passed += 1
         if place.contents is None:
-            self._numbered += 1
+            self._lost += 1
         elif place.length > MAX_MESSAGE_BYTES:
             problem = f"a message of {place.length} bytes, more than is read"
         else:
-            self._read += 1
             place.contents.file.seek(place.offset + MESSAGE_HEAD.size)
             data = memoryview(place.contents.file.read(place.length - MESSAGE_HEAD.size))
         return Message(place.channel, place.log_time, place.publish_time, data, problem)
@@ -203,8 +203,9 @@ class MessageReader:
         log = self._log
         if log.stated is not None:
             stated = sum(log.stated[c] for c in self._channels)
-            if self._read + self._numbered < stated:
-                log.fault(f"in all, {stated - self._read} of {stated} frames are lost")
+            if self._passed < stated:
+                lost = stated - self._passed + self._lost
+                log.fault(f"in all, {lost} of {stated} frames are lost")
         if not self._in_order:
             log.fault("a chunk states a later time than it holds; frames are out of order there")
         if not self._all_checked and not log.data_are_sound():
