@@ -582,6 +582,22 @@ def test_amplitudes_become_logarithmic(number: int, tmp_path: Path) -> None:
     np.testing.assert_array_equal(alone[0], found[0])
 
 
+def test_16_bits_that_were_never_compressed(tmp_path: Path) -> None:
+    """Dim amplitudes become logarithmic as those of 32 bits do; a compressed image stays linear."""
+    for values, scale in ((AMPLITUDES[0], "log"), (polar_frames(1)[0] * 257.0, "linear")):
+        narrow = floats_log(tmp_path / f"{scale}2.mcap", [values.astype("<u2")], 2)
+        with open_log(narrow, sonar=TILT) as log:
+            (frame,) = log
+            assert log.reading()["pixel_scale"] == scale
+        if scale == "log":
+            wide = greys(floats_log(tmp_path / "wide.mcap", [values.astype("<u4")], 4))
+        else:
+            wide = in_the_fan([polar_frames(1)[0]])
+        np.testing.assert_array_equal(frame.image, wide[0])
+    flat = floats_log(tmp_path / "stated.mcap", [AMPLITUDES[0].astype("<u2")], 2)
+    assert greys(flat, pixel_scale="linear")[0].max() <= 1
+
+
 def test_the_scale_can_be_stated(tmp_path: Path) -> None:
     path = floats_log(tmp_path / "log.mcap", AMPLITUDES, 8)
     keys = {"pixel_scale": "linear", "full_scale": 200.0}
@@ -598,15 +614,23 @@ def test_the_scale_can_be_stated(tmp_path: Path) -> None:
         sonar_from_table({"pixel_scale": "sqrt"}, "x")
 
 
-def test_a_blank_first_ping_settles_nothing(tmp_path: Path) -> None:
-    images = [np.zeros((BINS, BEAMS), np.float32), *AMPLITUDES]
-    with open_log(floats_log(tmp_path / "log.mcap", images, 8), sonar=TILT) as log:
-        found = list(log)
-    assert [f.index for f in found] == [1, 2, 3]
-    assert "no echo to take the grey scale from" in log.problems[0]
-    whole = greys(floats_log(tmp_path / "whole.mcap", AMPLITUDES, 8))
-    for frame, image in zip(found, whole, strict=True):
-        np.testing.assert_array_equal(frame.image, image)
+def test_a_blank_first_ping_is_black_and_settles_nothing(tmp_path: Path) -> None:
+    for blank in (0.0, np.nan, -np.inf):
+        images = [np.full((BINS, BEAMS), blank, np.float32), *AMPLITUDES]
+        log = floats_log(tmp_path / "log.mcap", images, 8)
+        first, *rest = greys(log)
+        assert not first.any()
+        whole = greys(floats_log(tmp_path / "whole.mcap", AMPLITUDES, 8))
+        for image, same in zip(rest, whole, strict=True):
+            np.testing.assert_array_equal(image, same)
+
+
+def test_a_full_scale_that_cannot_be_meant(tmp_path: Path) -> None:
+    path = floats_log(tmp_path / "log.mcap", AMPLITUDES, 8)
+    with pytest.raises(SonarrecError, match="full_scale = 0 must be above 0"):
+        greys(path, full_scale=0.0)
+    with pytest.raises(SonarrecError, match="dynamic_range_db = -1 must be above 0"):
+        greys(path, dynamic_range_db=-1.0)
 
 
 # Definitions

@@ -31,7 +31,7 @@ class FanImages:
     nothing. What the user states goes before what messages tell.
 
     sonar: the geometry, of polar messages that of the first ping once it was read. fan, scale: None
-    before the first frame. notes: lines on what was stated against the messages.
+    before the first frame that settles them. notes: lines on what was stated against the messages.
     """
 
     def __init__(self, stated: Sonar, where: str) -> None:
@@ -58,7 +58,7 @@ class FanImages:
             raise UnusableError(str(raw.problem))
         pixels = single_channel(raw.pixels)
         scale = self.scale or grey_scale(self._stated, pixels, amplitudes=raw.sonar is not None)
-        image = to_grey8(pixels, scale)
+        image = np.zeros(pixels.shape, np.uint8) if scale is None else to_grey8(pixels, scale)
         image = self._image(image) if raw.sonar is None else self._ping(image, raw.sonar)
         self.scale = scale
         assert self.fan is not None

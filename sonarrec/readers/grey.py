@@ -2,15 +2,17 @@
 
 | pixels | `pixel_scale` | `full_scale`, which becomes 255 |
 |---|---|---|
-| 8 and 16 bit | linear: sonars compress before they store so few bits | 255, 65535 |
+| 8 bit | linear: sonars compress before they store so few bits | 255 |
+| 16 bit | linear, but log where the first frame would be next to black | 65535 |
 | floating-point images within 0 to 1 | linear | 1 |
 | floating-point, some negative | db: decibels | by the first frame |
 | 32 and 64 bit, all other floating-point | log: echo amplitudes | by the first frame |
 
 `linear` is 255 v / full_scale, `log` 255 (1 + 20 log10(v / full_scale) / dynamic_range_db), `db`
 255 (1 + (v - full_scale) / dynamic_range_db), each cut to 0 to 255. These are the defaults; keys of
-the geometry state others. A full scale by the first frame puts the median of its echoes at a third
-of the range: floor speckle, whatever bright things lie on it. Later frames never enter.
+the geometry state others. The full scale of log and db is such that the median of the first frame's
+echoes, floor speckle whatever bright things lie on it, comes to a third of the range. Later frames
+never enter.
 """
 
 from __future__ import annotations
@@ -23,10 +25,13 @@ import numpy as np
 
 from sonarrec.geometry import Sonar
 from sonarrec.readers.raw import UnusableError
-from sonarrec.records import ByteImage
+from sonarrec.records import ByteImage, SonarrecError
 
 DYNAMIC_RANGE_DB = 50.0
 _MEDIAN_AT = 1 / 3  # where floor speckle lies in the range: high enough for shadows to show
+_NEXT_TO_BLACK = 1 / 32  # of full scale: no compressed image has its median below
+
+Scale = Literal["linear", "log", "db"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +39,7 @@ class GreyScale:
     """How the pixels of one log become grey; see the module. bounded: pixels below 0 or above
     full_scale are a fault rather than black or white."""
 
-    pixel_scale: Literal["linear", "log", "db"]
+    pixel_scale: Scale
     full_scale: float
     dynamic_range_db: float
     bounded: bool = False
@@ -64,50 +69,57 @@ def single_channel(pixels: np.ndarray) -> np.ndarray:
         if pixels.dtype not in (np.uint8, np.uint16, np.float32):
             raise UnusableError(f"{pixels.dtype} colour pixels are not supported")
         code = cv2.COLOR_BGR2GRAY if pixels.shape[2] == 3 else cv2.COLOR_BGRA2GRAY
-        pixels = np.asarray(cv2.cvtColor(np.ascontiguousarray(pixels), code))
+        pixels = cv2.cvtColor(np.ascontiguousarray(pixels), code)
     if pixels.ndim != 2 or not pixels.size:
         raise UnusableError(f"an image of shape {pixels.shape} is not supported")
-    return pixels
+    return np.asarray(pixels)
 
 
-def grey_scale(sonar: Sonar, pixels: np.ndarray, amplitudes: bool) -> GreyScale:
-    """The scale of a log by its first frame, where `sonar` does not state it.
+def grey_scale(sonar: Sonar, pixels: np.ndarray, amplitudes: bool) -> GreyScale | None:
+    """The scale of a log by its first frame, as far as `sonar` does not state it.
 
     pixels: of single_channel. amplitudes: floating-point pixels are echo amplitudes, whatever
-    their size. Raises UnusableError where the frame holds nothing to go by.
+    their size. None where the frame is blank, and so black on any scale. Raises SonarrecError for
+    a full scale that cannot be meant.
     """
+    values = pixels[np.isfinite(pixels)]
+    if not values.any():
+        return None
     floating = pixels.dtype.kind == "f"
-    narrow = not floating and pixels.itemsize <= 2
-    low, high = (float(np.nanmin(pixels)), float(np.nanmax(pixels))) if floating else (0.0, 0.0)
-    unit = floating and not amplitudes and low >= 0 and high <= 1
-    scale = sonar.pixel_scale or (
-        "linear" if narrow or unit else "db" if floating and low < 0 else "log"
-    )
+    unit = floating and not amplitudes and values.min() >= 0 and values.max() <= 1
+    largest = 1.0 if unit else None
+    if not floating and pixels.itemsize <= 2:
+        largest = float(np.iinfo(pixels.dtype).max)
+    scale = sonar.pixel_scale or _usual_scale(values, largest)
     span = sonar.dynamic_range_db or DYNAMIC_RANGE_DB
     if sonar.full_scale is not None:
-        full = sonar.full_scale
-    elif narrow and scale != "db":
-        full = float(np.iinfo(pixels.dtype).max)
-    elif unit and scale != "db":
-        full = 1.0
-    else:
-        full = _full_scale(pixels, scale, span)
-    return GreyScale(scale, full, span, bounded=unit and sonar.full_scale is None)
-
-
-def _full_scale(pixels: np.ndarray, scale: str, span: float) -> float:
-    echoes = pixels[np.isfinite(pixels) & ((pixels != 0) if scale == "db" else (pixels > 0))]
-    if not echoes.size:
-        raise UnusableError("no echo to take the grey scale from (full_scale states it)")
+        if sonar.full_scale <= 0 and scale != "db":
+            raise SonarrecError(
+                f"full_scale = {sonar.full_scale:g} must be above 0 ({scale} scale)"
+            )
+        return GreyScale(scale, sonar.full_scale, span)
     if scale == "linear":
-        return float(echoes.max())
-    median = float(np.median(echoes))
+        full = float(values.max()) if largest is None else largest
+        return GreyScale(scale, full, span, bounded=unit)
     above = (1 - _MEDIAN_AT) * span
-    return median + above if scale == "db" else float(median * 10 ** (above / 20))
+    if scale == "db":
+        return GreyScale(scale, float(np.median(values)) + above, span)
+    echoes = values[values > 0]
+    if not echoes.size:
+        return None
+    return GreyScale(scale, float(np.median(echoes) * 10 ** (above / 20)), span)
+
+
+def _usual_scale(values: np.ndarray, largest: float | None) -> Scale:
+    """The default for finite values of a type whose full scale is `largest`, None if unknown."""
+    if largest is None:
+        return "db" if values.dtype.kind == "f" and values.min() < 0 else "log"
+    dim = values.itemsize == 2 and np.median(values[values != 0]) < _NEXT_TO_BLACK * largest
+    return "log" if dim else "linear"
 
 
 def to_grey8(pixels: np.ndarray, scale: GreyScale) -> ByteImage:
-    """(rows, columns) uint8 from the pixels of single_channel; NaN (no data) becomes 0.
+    """(rows, columns) uint8 of the pixels of single_channel; NaN (no data) becomes 0.
 
     Raises UnusableError where pixels are out of bounds.
     """
