@@ -7,17 +7,31 @@ from typing import Any
 
 import click
 
-from sonarrec.cli.options import (
-    FILE,
-    PARTLY,
-    sonar_from_flags,
-    sonar_options,
-)
+from sonarrec.cli.options import FILE, PARTLY, sonar_from_flags, sonar_options
+from sonarrec.records import UsageError
+
+FOLDER = click.Path(path_type=Path)
 
 
 @click.command()
-@click.argument("results", type=click.Path(path_type=Path), default=Path("sonarrec_out"))
-@click.option("--ground-truth", type=FILE, required=True, help="gt.csv; see FORMATS in the README.")
+@click.argument("results", type=FOLDER, required=False)
+@click.option("--ground-truth", type=FILE, help="gt.csv; see FORMATS in the README.")
+@click.option(
+    "--pairs", type=FILE, help="In place of both: a CSV of results,ground_truth[,log], one per log."
+)
+@click.option(
+    "--compare",
+    type=(FOLDER, FOLDER),
+    metavar="OLD NEW",
+    help="In place of RESULTS: what got better or worse from OLD to NEW, frame by frame.",
+)
+@click.option(
+    "--fail-on-regression",
+    "band",
+    type=click.FloatRange(0, 1),
+    metavar="BAND",
+    help="With --compare: exit 1 where a rate is worse by more than BAND (and two frames).",
+)
 @click.option(
     "--min-visible",
     type=float,
@@ -31,49 +45,116 @@ from sonarrec.cli.options import (
     metavar="SECONDS",
     help="For truth matched by timestamp_ns.  [default: half the time between frames]",
 )
+@click.option(
+    "--unit",
+    type=click.Choice(["pass", "log"]),
+    help="What is independent: passes of landmarks, or logs.  [default: log from ten logs on]",
+)
+@click.option("--details", is_flag=True, help="Print both protocols' figures, per ID and per log.")
+@click.option("--det", is_flag=True, help="Draw det.png, the detection error trade-off, too.")
 @click.option("--landmarks", help="Landmark set.  [default: that of run.toml, else basin]")
 @sonar_options
+@click.option(
+    "--out", type=FOLDER, help="Folder for the files.  [default: RESULTS, NEW or PAIRS' evaluation]"
+)
 @click.option("-q", "--quiet", is_flag=True, help="Write the files only; print no tables.")
 def evaluate(
-    results: Path,
-    ground_truth: Path,
+    results: Path | None,
+    ground_truth: Path | None,
+    pairs: Path | None,
+    compare: tuple[Path, Path] | None,
+    band: float | None,
+    unit: Any,
+    details: bool,
+    det: bool,
+    sonar_file: Path | None,
+    out: Path | None,
+    quiet: bool,
     min_visible: float,
     tolerance: float | None,
     landmarks: str | None,
-    sonar_file: Path | None,
-    quiet: bool,
     **flags: Any,
 ) -> None:
-    """Score RESULTS against ground truth: TPR, FPR and ROC, per method and ID.
+    """Score RESULTS against ground truth: rates, ROC, intervals and tests, per method and ID.
 
     RESULTS is the folder of one log, or one that holds several (default: sonarrec_out). The
     geometry matters only where positions are in pixels and run.toml does not tell it. Files go
-    to RESULTS/evaluation.
+    to RESULTS/evaluation. Intervals and tests take whole passes of a landmark through the view,
+    or whole logs, for independent, never frames.
 
     \b
     Examples:
       sonarrec evaluate --ground-truth gt.csv
       sonarrec evaluate --ground-truth gt.csv sonarrec_out/log_7 --min-visible 0.5
+      sonarrec evaluate --pairs pairs.csv --details
+      sonarrec evaluate --ground-truth gt.csv --compare before after --fail-on-regression 0.02
     """
-    from sonarrec.evaluation import scoring, tabulate
+    if pairs is not None and (ground_truth or results or compare):
+        raise UsageError("--pairs names results and truth itself; give neither beside it")
+    if compare is not None and results is not None:
+        raise UsageError("--compare takes OLD and NEW; give no RESULTS beside it")
+    if band is not None and compare is None:
+        raise UsageError("--fail-on-regression goes with --compare")
+
     from sonarrec.geometry import Sonar, load_sonar
 
     stated = load_sonar(sonar_file) if sonar_file else Sonar()
-    found = scoring.evaluate(
-        results,
-        ground_truth,
-        min_visible=min_visible,
-        tolerance_s=tolerance,
-        landmarks=landmarks,
-        sonar=stated.updated(sonar_from_flags(flags)),
-    )
-    tabulate.write_evaluation(results / "evaluation", found)
+    options: dict[str, Any] = {
+        "min_visible": min_visible,
+        "tolerance_s": tolerance,
+        "landmarks": landmarks,
+        "sonar": stated.updated(sonar_from_flags(flags)),
+    }
+    if ground_truth is not None and compare is not None:
+        _compare(*compare, ground_truth, out or compare[1] / "evaluation", band, quiet, options)
+        return
+
+    from sonarrec.evaluation import files, scoring, tabulate
+    from sonarrec.evaluation.summary import summarise
+
+    if ground_truth is not None:
+        results = results or Path("sonarrec_out")
+        found = scoring.evaluate(results, ground_truth, **options)
+        folder = out or results / "evaluation"
+    elif pairs is not None:
+        found = scoring.evaluate_pairs(scoring.read_pairs(pairs), **options)
+        folder = out or pairs.parent / "evaluation"
+    else:
+        raise UsageError("give --ground-truth, or --pairs")
+    summary = summarise(found, unit)
+    written = files.write_evaluation(folder, found, summary, det)
     for problem in found.unused:
         click.echo(f"sonarrec: {problem}", err=True)
     if not quiet:
         click.echo(tabulate.screen(found))
-        for note in found.notes:
+        click.echo(tabulate.summary_screen(found, summary, details))
+        for note in (*found.notes, *summary.notes):
             click.echo(f"note: {note}")
-        click.echo(f"{results / 'evaluation'}: confusion.csv, roc.csv, roc.png, evaluation.json")
+        click.echo(f"{folder}: {', '.join(written)}")
     if found.unused:
         click.get_current_context().exit(PARTLY)
+
+
+def _compare(
+    old: Path,
+    new: Path,
+    ground_truth: Path,
+    folder: Path,
+    band: float | None,
+    quiet: bool,
+    options: dict[str, Any],
+) -> None:
+    from sonarrec.evaluation import compare, files
+
+    found = compare.compare(old, new, ground_truth, **options)
+    files.write_comparison(folder, found)
+    for problem in found.unused:
+        click.echo(f"sonarrec: {problem}", err=True)
+    if not quiet:
+        click.echo(compare.screen(found))
+        click.echo(f"{folder}: compare.csv, changes.csv")
+    regressions = [] if band is None else found.regressions(band)
+    for line in regressions:
+        click.echo(f"sonarrec: worse: {line}", err=True)
+    if regressions or found.unused:
+        click.get_current_context().exit(1 if regressions else PARTLY)

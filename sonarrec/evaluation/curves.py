@@ -111,13 +111,13 @@ def area(fpr: FloatArray, tpr: FloatArray, end: float = 1.0) -> FloatArray:
     of it would be a guess. This is what scikit-learn gives where such cells share the lowest
     score; its partial area is rescaled after McClish, which this one is not.
     """
-    one = np.ones((*fpr.shape[:-1], 1))
+    one = np.ones((*fpr.shape[:-1], 1), dtype=fpr.dtype)
     x = np.concatenate([fpr, one], axis=-1)
     y = np.concatenate([tpr, one], axis=-1)
     x0, x1, y0, y1 = x[..., :-1], x[..., 1:], y[..., :-1], y[..., 1:]
     if end < 1:
         cut0, cut1 = np.minimum(x0, end), np.minimum(x1, end)
-        slope = (y1 - y0) / np.where(x1 > x0, x1 - x0, 1.0)
+        slope = (y1 - y0) / np.where(x1 > x0, x1 - x0, 1)
         y1 = y0 + slope * (cut1 - x0)
         x0, x1 = cut0, cut1
     return np.asarray(((x1 - x0) * (y0 + y1)).sum(axis=-1) / (2 * end))

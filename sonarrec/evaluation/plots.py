@@ -2,40 +2,76 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import cycle
 from pathlib import Path
+from statistics import NormalDist
+from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from sonarrec.evaluation.curves import PUBLISHED, Curve, macro_curve
+from sonarrec.evaluation.reliability import BINS, Reliability
 from sonarrec.evaluation.scoring import PROTOCOLS, Scored
+from sonarrec.records import FloatArray
 
 # Okabe and Ito's colours, told apart with any colour vision; line styles tell them apart in grey.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 STYLES = ("-", "--", "-.", ":")
-PUBLISHED = (("SMI", 0.0381, 0.8226, "s"), ("framework", 0.0276, 0.8648, "D"))
-"""Tables 4 and 5, Total: the paper's only two points."""
+MARKERS = ("s", "D")
+FEW = 20  # estimates: a share of fewer wanders too far to be read
+
+
+def _figure(width: float, height: float) -> Figure:
+    figure = Figure(figsize=(width, height), dpi=120, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _looks(scored: Sequence[Scored]) -> dict[str, tuple[str, str]]:
+    """Colour and line style per method, the same in every panel."""
+    methods = dict.fromkeys(s.method for s in scored)
+    return dict(zip(methods, zip(cycle(COLOURS), cycle(STYLES), strict=False), strict=False))
+
+
+def _right_end(fprs: Iterable[float]) -> float:
+    """A little beyond the worst of these, 0.1 or more: right of it is no place to work."""
+    worst = max(np.nan_to_num(list(fprs)), default=0.0)
+    return float(min(1.0, max(0.1, np.ceil(13 * worst) / 10)))
+
+
+def _protocols(scored: Sequence[Scored]) -> list[str]:
+    return [p for p in PROTOCOLS if any(s.protocol == p for s in scored)]
+
+
+def _legend_below(axes: Any, title: str) -> None:
+    axes.legend(
+        loc="upper center",
+        bbox_to_anchor=(0.5, -0.12),
+        fontsize=8,
+        frameon=False,
+        markerscale=0.7,
+        handlelength=3,
+        title=title,
+        title_fontsize=8,
+    )
 
 
 def draw_roc(path: Path, scored: Sequence[Scored]) -> None:
     """Draw the micro-averaged ROC of every method, one panel per protocol, as a PNG.
 
-    The FPR axis ends a little beyond the worst operating point (at 0.1 or more): what lies to
-    the right of it is no place to work at. roc.csv holds the rest.
+    The FPR axis ends a little beyond the worst operating point (at 0.1 or more). roc.csv holds
+    the rest.
     """
-    protocols = [p for p in PROTOCOLS if any(s.protocol == p for s in scored)]
-    worst = max((s.count().fpr for s in scored), default=0.0)
-    right = min(1.0, max(0.1, np.ceil(13 * np.nan_to_num(worst)) / 10))
-    figure = Figure(figsize=(5.2 * len(protocols), 5.6), dpi=120, layout="constrained")
-    FigureCanvasAgg(figure)
+    protocols, looks = _protocols(scored), _looks(scored)
+    right = _right_end(s.count().fpr for s in scored)
+    figure = _figure(5.2 * len(protocols), 5.6)
     panels = figure.subplots(1, len(protocols), sharey=True, squeeze=False)[0]
     for axes, protocol in zip(panels, protocols, strict=True):
-        looks = zip(cycle(COLOURS), cycle(STYLES), strict=False)
-        for s, (colour, style) in zip(
-            (s for s in scored if s.protocol == protocol), looks, strict=False
-        ):
+        for s in (s for s in scored if s.protocol == protocol):
+            colour, style = looks[s.method]
             curve, point = s.curve(), s.count()
             at = curve.turns()
             axes.plot(curve.fpr[at], curve.tpr[at], style, color=colour, lw=1.8, zorder=3)
@@ -51,7 +87,7 @@ def draw_roc(path: Path, scored: Sequence[Scored]) -> None:
                 label=f"{s.method}, at its operating point: {point.tpr:.3f}, {point.fpr:.4f}",
             )
         if protocol == "paper":
-            for name, fpr, tpr, marker in PUBLISHED:
+            for (name, fpr, tpr), marker in zip(PUBLISHED, MARKERS, strict=True):
                 axes.plot(
                     fpr,
                     tpr,
@@ -70,15 +106,118 @@ def draw_roc(path: Path, scored: Sequence[Scored]) -> None:
         )
         axes.grid(color="0.9")
         axes.set_axisbelow(True)
-        axes.legend(
-            loc="upper center",
-            bbox_to_anchor=(0.5, -0.12),
-            fontsize=8,
-            frameon=False,
-            markerscale=0.7,
-            handlelength=3,
-            title="TPR, FPR",
-            title_fontsize=8,
-        )
+        _legend_below(axes, "TPR, FPR")
     panels[0].set_ylabel("true positive rate (micro average)")
+    figure.savefig(path)
+
+
+def draw_roc_by_id(path: Path, scored: Sequence[Scored]) -> None:
+    """Draw the ROC of every ID that is ever in view, and their macro average, as a PNG."""
+    protocols, looks = _protocols(scored), _looks(scored)
+    seen = [k for k in range(len(scored[0].ids)) if not np.isnan(scored[0].count(k).tpr)]
+    right = _right_end(s.count(k).fpr for s in scored for k in seen)
+    columns = len(seen) + 1
+    figure = _figure(max(2.6 * columns, 5.2), 2.7 * len(protocols) + 0.5)
+    panels = figure.subplots(len(protocols), columns, sharex=True, sharey=True, squeeze=False)
+    for row, protocol in zip(panels, protocols, strict=True):
+        for s in (s for s in scored if s.protocol == protocol):
+            colour, style = looks[s.method]
+            curves = [s.curve(k) for k in seen]
+            for axes, k, curve in zip(row, seen, curves, strict=False):
+                at, point = curve.turns(), s.count(k)
+                axes.plot(curve.fpr[at], curve.tpr[at], style, color=colour, lw=1.6)
+                axes.plot(point.fpr, point.tpr, "o", color=colour, mec="black", clip_on=False)
+            fpr, tpr = macro_curve(curves)
+            row[-1].plot(fpr, tpr, style, color=colour, lw=1.6, label=s.method)
+        for axes, name in zip(
+            row, [*(f"ID.{scored[0].ids[k]}" for k in seen), "macro"], strict=True
+        ):
+            axes.set(title=f"{name}, {protocol}", xlim=(0, right), ylim=(0, 1.03))
+            axes.grid(color="0.9")
+            axes.set_axisbelow(True)
+    figure.supxlabel(f"false positive rate (axes end at {right:g})", fontsize=10)
+    figure.supylabel("true positive rate", fontsize=10)
+    panels[-1, -1].legend(fontsize=8, loc="lower right")
+    figure.savefig(path)
+
+
+def draw_det(path: Path, scored: Sequence[Scored]) -> None:
+    """Draw the detection error trade-off: misses against false positives, on normal deviates."""
+    protocols, looks = _protocols(scored), _looks(scored)
+    ticks = (0.001, 0.01, 0.05, 0.2, 0.5, 0.8, 0.95)
+    figure = _figure(5.2 * len(protocols), 5.6)
+    panels = figure.subplots(1, len(protocols), squeeze=False)[0]
+    for axes, protocol in zip(panels, protocols, strict=True):
+        for s in (s for s in scored if s.protocol == protocol):
+            colour, style = looks[s.method]
+            x, y = _det(s.curve())
+            axes.plot(x, y, style, color=colour, lw=1.8, label=s.method)
+            point = s.count()
+            axes.plot(
+                _deviates(np.array([point.fpr])),
+                _deviates(np.array([1 - point.tpr])),
+                "o",
+                color=colour,
+                mec="black",
+                ms=8,
+            )
+        if protocol == "paper":
+            for (name, fpr, tpr), marker in zip(PUBLISHED, MARKERS, strict=True):
+                x, y = _deviates(np.array([fpr])), _deviates(np.array([1 - tpr]))
+                axes.plot(x, y, marker, color="none", mec="black", ms=12, label=f"published {name}")
+        at, names = _deviates(np.array(ticks)), [f"{100 * t:g} %" for t in ticks]
+        axes.set_xticks(at, names)
+        axes.set_yticks(at, names)
+        axes.set(
+            title=f"protocol {protocol}",
+            xlabel="false positive rate",
+            ylabel="miss rate (1 - TPR)",
+            xlim=(at[0] - 0.2, at[-1]),
+            ylim=(at[0] - 0.2, at[-1]),
+        )
+        axes.grid(color="0.9")
+        axes.set_axisbelow(True)
+        _legend_below(axes, "dots: operating points; rates under 0.1 % lie at the edge")
+    figure.savefig(path)
+
+
+def _det(curve: Curve) -> tuple[FloatArray, FloatArray]:
+    at = curve.turns(400)
+    return _deviates(curve.fpr[at]), _deviates(1 - curve.tpr[at])
+
+
+def _deviates(rates: FloatArray) -> FloatArray:
+    """Normal deviates; rates nearer to 0 or 1 than 0.0007 are drawn there."""
+    probit = NormalDist().inv_cdf
+    return np.array([probit(r) for r in np.clip(rates, 7e-4, 1 - 7e-4).tolist()])
+
+
+def draw_reliability(path: Path, curves: Sequence[Reliability]) -> None:
+    """Draw, per method, how often the most probable was right, and how many estimates say so."""
+    tops = [c for c in curves if c.landmark == "top"]
+    figure = _figure(max(3.6 * len(tops), 4.2), 4.6)
+    panels = figure.subplots(
+        2, len(tops), sharex=True, sharey="row", squeeze=False, height_ratios=(3, 1)
+    )
+    middles = (np.arange(BINS) + 0.5) / BINS
+    for axes, bars, top in zip(*panels, tops, strict=True):
+        axes.plot([0, 1], [0, 1], ":", color="0.5", label="perfectly calibrated")
+        many = top.count >= FEW
+        axes.plot(top.mean, top.right, "-", color=COLOURS[0], lw=1)
+        axes.plot(top.mean[many], top.right[many], "o", color=COLOURS[0], label="most probable")
+        axes.plot(
+            top.mean[~many],
+            top.right[~many],
+            "o",
+            color="white",
+            mec=COLOURS[0],
+            label=f"of fewer than {FEW} estimates",
+        )
+        axes.set(title=top.method, xlim=(0, 1), ylim=(0, 1.02))
+        axes.grid(color="0.9")
+        bars.bar(middles, np.maximum(top.count, 0.5), width=0.09, color=COLOURS[0])
+        bars.set(xlabel="probability stated", yscale="log", ylim=(0.5, None))
+    panels[0, 0].set_ylabel("share that was so")
+    panels[1, 0].set_ylabel("estimates")
+    panels[0, 0].legend(fontsize=7, loc="upper left")
     figure.savefig(path)

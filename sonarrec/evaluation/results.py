@@ -133,9 +133,9 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
     listed = np.isin(table["frame"], frame)
     names = [str(name) for name in table["method"].categories]
     # A method of a run of ours that found nothing at all is scored as well.
-    presets = run.get("config", [])
-    ran = [METHODS[0], *(f"{METHODS[1]}:{c.get('preset')}" for c in presets)]
-    expected = ran if isinstance(presets, list) and presets else METHODS
+    expected: tuple[str, ...] = METHODS
+    if isinstance(run.get("config"), list):  # of several presets
+        expected = ("smi", *(f"framework:{preset.get('preset')}" for preset in run["config"]))
     methods = [m for m in expected if m in names or run]
     methods += [m for m in names if m not in methods]
     renumber = np.array([methods.index(m) for m in names], dtype=np.int64)

@@ -18,6 +18,7 @@ import numpy.typing as npt
 from sonarrec.evaluation.curves import Count, Curve
 from sonarrec.evaluation.joined import Joined, join, nearest_truth
 from sonarrec.evaluation.results import BoolArray, IntArray, LogResults, find_logs, read_log
+from sonarrec.evaluation.tables import read_table
 from sonarrec.evaluation.truth import Truth, TruthTable, match_truth, read_truth
 from sonarrec.geometry import Sonar
 from sonarrec.records import FloatArray, SonarrecError, UsageError
@@ -97,6 +98,12 @@ class Scored:
         group = self.claims_by(of_frame, of_truth)[self.made]
         np.add.at(counts, (group, self.landmark[self.made]), self.made_effect)
         return counts
+
+    def counts_per_log(self, joined: Joined) -> list[list[Count]]:
+        """Per log the count at the operating point of each ID, then of all."""
+        split = self.declared_by(joined.log, joined.log[joined.truth_frame], len(joined.logs))
+        split = np.concatenate([split, split.sum(axis=1, keepdims=True)], axis=1)
+        return [[Count(*cell) for cell in log] for log in split.tolist()]
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,6 +212,20 @@ def evaluate_pairs(
             for log, pair in zip(logs, pairs, strict=True)
         ]
     return pool(logs, truths, min_visible, unused)
+
+
+def read_pairs(path: Path) -> list[Pair]:
+    """Read a table of pairs: columns results, ground_truth and, if wanted, log.
+
+    Paths are taken from the folder of the table. Raises SonarrecError where it cannot be used.
+    """
+    columns = ("results", "ground_truth")
+    table = read_table(path, dict.fromkeys((*columns, "log"), "text"), columns, ",".join(columns))
+    logs = [str(log) for log in table["log"]] if "log" in table else [None] * len(table["results"])
+    return [
+        Pair(path.parent / str(results), path.parent / str(truth), log)
+        for results, truth, log in zip(*(table[c] for c in columns), logs, strict=True)
+    ]
 
 
 def check_options(min_visible: float, tolerance_s: float | None) -> None:

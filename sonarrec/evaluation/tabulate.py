@@ -1,20 +1,38 @@
-"""Evaluation told: the paper's table layout on screen, and the files of `evaluation/`."""
+"""An evaluation on screen: the paper's table layout, then figures with intervals and tests."""
 
 from __future__ import annotations
 
-import csv
-import json
 import math
-from pathlib import Path
-from typing import Any
+from collections.abc import Sequence
 
-from sonarrec.evaluation.curves import Count
 from sonarrec.evaluation.scoring import Evaluation, Scored
-from sonarrec.records import SonarrecError
+from sonarrec.evaluation.summary import KINDS, Summary
+from sonarrec.evaluation.uncertainty import LEVEL, Difference, Figure
 
-CONFUSION = ("protocol", "method", "landmark", "tpr", "fpr", "tp", "tn", "fp", "fn", "total")
-ROC = ("protocol", "method", "landmark", "threshold", "tpr", "fpr", "tp", "tn", "fp", "fn")
 WIDTH = 100
+LABEL, COLUMN = 30, 23
+ROWS = (
+    ("tpr", "TPR", 3),
+    ("fpr", "FPR", 4),
+    ("auc", "AUC", 3),
+    ("pauc_0.05", "AUC to FPR 0.05, over 0.05", 3),
+    ("tpr_at_fpr_0.01", "TPR at FPR 0.01", 3),
+    ("tpr_at_fpr_0.0276", "TPR at FPR 0.0276 (paper)", 3),
+    ("tpr_at_fpr_0.05", "TPR at FPR 0.05", 3),
+    ("frames_to_id_median", "frames to lasting ID, median", 0),
+    ("frames_to_id_90", "frames to lasting ID, 90 %", 0),
+    ("false_claims_per_min", "claims/min on no landmark", 2),
+    ("wrong_ids_per_min", "claims/min of a wrong ID", 2),
+    ("id_switches_per_pass", "ID switches per pass", 2),
+    ("track_switches_per_pass", "track switches per pass", 2),
+    ("position_error_median_m", "position error, median, m", 4),
+    ("position_error_95_m", "position error, 95 %, m", 4),
+    ("brier", "Brier score, 0 to 2", 3),
+    ("ece", "calibration error (ECE)", 3),
+)
+"""Figure, how it is called on screen, and its digits."""
+TESTED = ("tpr", "fpr", "auc", "tpr_at_fpr_0.0276")
+DIGITS = {name: digits for name, _, digits in ROWS}
 
 
 def rate(part: int, whole: int) -> str:
@@ -73,86 +91,94 @@ def _title(scored: Scored, evaluation: Evaluation) -> str:
     )
 
 
-def _cells(scored: Scored) -> list[tuple[str, Count]]:
-    named = [(str(i), scored.count(k)) for k, i in enumerate(scored.ids)]
-    return [*named, ("total", scored.count())]
-
-
-def _blank(value: float) -> float | str:
-    return "" if math.isnan(value) else value
-
-
-def write_confusion(path: Path, evaluation: Evaluation) -> None:
-    """confusion.csv as in the contract; a rate that is 0/0 is an empty cell."""
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(CONFUSION)
-        for s in evaluation.scored:
-            for name, c in _cells(s):
-                rates = (_blank(c.tpr), _blank(c.fpr))
-                writer.writerow(
-                    (s.protocol, s.method, name, *rates, c.tp, c.tn, c.fp, c.fn, c.total)
-                )
-
-
-def write_roc(path: Path, evaluation: Evaluation) -> None:
-    """roc.csv: the corners of every curve, thresholds falling from inf."""
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(ROC)
-        for s in evaluation.scored:
-            for name, k in [*((str(i), k) for k, i in enumerate(s.ids)), ("total", None)]:
-                curve = s.curve(k)
-                at = curve.turns()
-                columns = [curve.threshold, curve.tpr, curve.fpr, curve.tp, curve.tn]
-                columns += [curve.fp, curve.fn]
-                for row in zip(*(column[at].tolist() for column in columns), strict=True):
-                    tpr, fpr = _blank(row[1]), _blank(row[2])
-                    writer.writerow((s.protocol, s.method, name, row[0], tpr, fpr, *row[3:]))
-
-
-def as_json(evaluation: Evaluation) -> dict[str, Any]:
-    """evaluation.json: what was scored, how, and every count; a rate that is 0/0 is null."""
+def summary_screen(evaluation: Evaluation, summary: Summary, details: bool = False) -> str:
+    """The figures in total with their intervals, and the tests; with details per ID and log too."""
     joined = evaluation.joined
-    methods: dict[str, Any] = {}
-    for s in evaluation.scored:
-        methods.setdefault(s.method, {})[s.protocol] = {
-            name: {
-                "tpr": None if math.isnan(c.tpr) else c.tpr,
-                "fpr": None if math.isnan(c.fpr) else c.fpr,
-                **{"tp": c.tp, "tn": c.tn, "fp": c.fp, "fn": c.fn, "total": c.total},
-            }
-            for name, c in _cells(s)
-        }
-    return {
-        "logs": list(joined.logs),
-        "frames": len(joined.frame),
-        "landmarks": list(joined.ids),
-        "positives": int(joined.truth_positive.sum()),
-        "ignored": int((~joined.truth_positive).sum()),
-        "min_visible": evaluation.min_visible,
-        "gate_m": sorted({float(gate) for gate in joined.gate}),
-        "methods": methods,
-        "notes": list(evaluation.notes),
-        "unused": list(evaluation.unused),
+    main = "strict" if joined.placed else "paper"
+    units = f"{summary.units.count} {KINDS[summary.units.kind]}"
+    lines = []
+    for protocol in ("strict", "paper") if details else (main,):
+        if any(s.protocol == protocol for s in evaluation.scored):
+            lines.append(f"protocol {protocol}, all IDs; {LEVEL:.0%} intervals over {units}")
+            lines += _figure_table(summary, protocol, joined.methods)
+            lines.append("")
+    told = [d for d in summary.differences if d.protocol == main and d.name in TESTED]
+    if any(not math.isnan(d.p) for d in told):
+        lines.append(f"protocol {main}, differences; paired sign-flip test over {units}")
+        lines += [_difference_line(d) for d in told]
+        lines.append("")
+    if details:
+        lines += _per_id(summary, main, joined.methods)
+        if len(joined.logs) > 1:
+            lines += _per_log(evaluation, main)
+    return "\n".join(lines)
+
+
+def _figure_table(summary: Summary, protocol: str, methods: Sequence[str]) -> list[str]:
+    """Rows are figures, columns methods, as many beside each other as fit."""
+    lines = []
+    beside = (WIDTH - LABEL) // COLUMN
+    for first in range(0, len(methods), beside):
+        some = methods[first : first + beside]
+        lines.append(" " * LABEL + "".join(f"{m[: COLUMN - 1]:<{COLUMN}}" for m in some).rstrip())
+        for name, label, digits in ROWS:
+            found = [summary.figure(protocol, m, name) for m in some]
+            if any(found):
+                cells = "".join(f"{_with_interval(f, digits):<{COLUMN}}" for f in found)
+                lines.append(f"{label:<{LABEL}}{cells}".rstrip())
+    return lines
+
+
+def _number(value: float, digits: int, sign: str = "") -> str:
+    if math.isnan(value):
+        return "-"
+    return "never" if math.isinf(value) else f"{value:{sign}.{digits}f}"
+
+
+def _with_interval(figure: Figure | None, digits: int) -> str:
+    if figure is None:
+        return "-"
+    value = _number(figure.value, digits)
+    if math.isnan(figure.low):
+        return value
+    return f"{value} ({_number(figure.low, digits)}-{_number(figure.high, digits)})"
+
+
+def _difference_line(d: Difference) -> str:
+    label = next(label for name, label, _ in ROWS if name == d.name)
+    digits = DIGITS[d.name]
+    text = f"{d.b} less {d.a}, {label}: {_number(d.value, digits, '+')}"
+    if not math.isnan(d.low):
+        text += f" ({_number(d.low, digits, '+')} to {_number(d.high, digits, '+')})"
+    return text + (f", {d.note}" if math.isnan(d.p) else f", p = {d.p:.2g}")
+
+
+def _per_id(summary: Summary, protocol: str, methods: Sequence[str]) -> list[str]:
+    names = ("tpr", "fpr", "auc")
+    lines = [f"protocol {protocol}, per ID (macro: mean of the IDs; total: of all counts)"]
+    lines.append(" " * LABEL + "".join(f"{n.upper():<{COLUMN}}" for n in names).rstrip())
+    landmarks = list(dict.fromkeys(f.landmark for f in summary.figures if f.name == "tpr"))
+    for method in methods:
+        for landmark in landmarks:
+            label = f"{method[: LABEL - 8]} {'ID.' * landmark.isdigit()}{landmark}"
+            found = [summary.figure(protocol, method, name, landmark) for name in names]
+            cells = [_with_interval(f, DIGITS[n]) for f, n in zip(found, names, strict=True)]
+            lines.append(f"{label:<{LABEL}}{''.join(f'{c:<{COLUMN}}' for c in cells)}".rstrip())
+    return [*lines, ""]
+
+
+def _per_log(evaluation: Evaluation, protocol: str) -> list[str]:
+    joined = evaluation.joined
+    lines = [f"protocol {protocol}, per log"]
+    lines.append(
+        f"{'':<{LABEL}}{'method':<{COLUMN}}{'TPR':>8}{'FPR':>9}{'TP':>7}{'FP':>6}{'FN':>6}"
+    )
+    counts = {
+        s.method: s.counts_per_log(joined) for s in evaluation.scored if s.protocol == protocol
     }
-
-
-def write_evaluation(folder: Path, evaluation: Evaluation) -> None:
-    """Write confusion.csv, roc.csv, roc.png and evaluation.json into `folder`, made if need be.
-
-    evaluation.json goes last, so where it stands the others are whole.
-    Raises SonarrecError where they cannot be written.
-    """
-    from sonarrec.evaluation.plots import draw_roc
-
-    text = json.dumps(as_json(evaluation), indent=2, allow_nan=False)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / "evaluation.json").unlink(missing_ok=True)
-        write_confusion(folder / "confusion.csv", evaluation)
-        write_roc(folder / "roc.csv", evaluation)
-        draw_roc(folder / "roc.png", evaluation.scored)
-        (folder / "evaluation.json").write_text(text + "\n", encoding="utf-8")
-    except OSError as error:
-        raise SonarrecError(f"{folder}: cannot be written ({error})") from None
+    for i, log in enumerate(joined.logs):
+        for method, per_log in counts.items():
+            c = per_log[i][-1]
+            cells = f"{_number(c.tpr, 3):>8}{_number(c.fpr, 4):>9}{c.tp:>7}{c.fp:>6}{c.fn:>6}"
+            lines.append(f"{log[-LABEL + 1 :]:<{LABEL}}{method[: COLUMN - 1]:<{COLUMN}}{cells}")
+    return [*lines, ""]

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
-from sonarrec.evaluation.plots import PUBLISHED
+from sonarrec.evaluation.curves import PUBLISHED
 from sonarrec.evaluation.results import IntArray
 from sonarrec.evaluation.scoring import Scored
 from sonarrec.landmarks import LandmarkSet
@@ -209,7 +209,7 @@ def roc(scored: Sequence[Scored], k: int | None = None) -> Chart:
         if np.isfinite(point.tpr) and np.isfinite(point.fpr):
             dots.append(Dot(100 * float(axis.share(point.fpr)), 100 * point.tpr, label, n))
     if k is None and all(s.protocol == "paper" for s in scored):
-        for name, fpr, tpr, _ in PUBLISHED:
+        for name, fpr, tpr in PUBLISHED:
             label = f"published {name}: TPR {tpr:.4f}, FPR {fpr:.4f}"
             told.append(label)
             dots.append(Dot(100 * float(axis.share(fpr)), 100 * tpr, label, None, name))

@@ -1,0 +1,125 @@
+"""Passes of landmarks through the view, and the units that may be taken for independent.
+
+Neighbouring frames show the same disc on the same floor through the same noise: counting them
+one by one makes every difference look certain. What varies from case to case is a pass.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from sonarrec.evaluation.joined import Joined
+from sonarrec.evaluation.results import IntArray
+
+PASS_GAP = 10
+"""Frames that a landmark may be out of view within one pass: a shake of the sonar ends none."""
+LOGS_ENOUGH = 10
+"""From as many logs on the unit is a log: what its passes share is then averaged over, too."""
+MOST_UNITS = 400
+"""More are put together with their neighbours in time, which costs nothing in sharpness."""
+
+UnitKind = Literal["pass", "log"]
+
+
+@dataclass(frozen=True, slots=True)
+class Passes:
+    """Passes of landmarks, by log and time. Arrays have one element per pass but for of_truth.
+
+    log: index into Joined.logs. landmark: index into ids. first, last: indices into Joined.frame
+    of the first and last frame with the landmark whole in view.
+    of_truth: (T,) the pass that a truth is part of, -1 where it is no positive.
+    """
+
+    log: IntArray
+    landmark: IntArray
+    first: IntArray
+    last: IntArray
+    of_truth: IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class Units:
+    """The clusters that are drawn and swapped whole.
+
+    kind: what a unit is. count: how many there are. of_frame: (F,) whose a frame's negatives and
+    false claims are. of_truth: (T,) whose a landmark in view and the right claims of it are.
+    """
+
+    kind: UnitKind
+    count: int
+    of_frame: IntArray
+    of_truth: IntArray
+
+
+def find_passes(joined: Joined) -> Passes:
+    """Runs of frames with a landmark whole in view, with breaks of at most PASS_GAP frames.
+
+    Landmarks of one ID that are in view together are one pass.
+    """
+    positive = np.flatnonzero(joined.truth_positive)
+    frame, landmark = joined.truth_frame[positive], joined.truth_landmark[positive]
+    order = np.lexsort((frame, landmark))
+    frame, landmark = frame[order], landmark[order]
+    log = joined.log[frame]
+    new = np.ones(len(order), dtype=bool)
+    new[1:] = (np.diff(landmark) != 0) | (np.diff(log) != 0) | (np.diff(frame) > PASS_GAP + 1)
+    start = np.flatnonzero(new)
+    end = np.append(start[1:], len(order))[: len(start)] - 1
+    in_time = np.lexsort((frame[end], frame[start]))
+    rank = np.empty(len(start), dtype=np.int64)
+    rank[in_time] = np.arange(len(start))
+    of_truth = np.full(len(joined.truth_frame), -1, dtype=np.int64)
+    of_truth[positive[order]] = rank[np.cumsum(new) - 1]
+    start, end = start[in_time], end[in_time]
+    return Passes(log[start], landmark[start], frame[start], frame[end], of_truth)
+
+
+def find_units(joined: Joined, passes: Passes, kind: UnitKind | None = None) -> Units:
+    """The units of an evaluation; by default passes, or logs where there are LOGS_ENOUGH.
+
+    Passes that share more than half of the shorter one's frames are one unit: landmarks seen
+    together are well or badly seen together. A landmark in view, and a right claim of it, belong
+    to its pass. Everything else in a frame (the IDs not in view, and the false claims of any ID)
+    belongs to the unit nearest in time, with the border half-way between neighbours: a fake lasts
+    over many frames, whatever it is taken for. A log without any landmark is one unit.
+    """
+    kind = kind or ("log" if len(joined.logs) >= LOGS_ENOUGH else "pass")
+    if kind == "log":
+        return Units(kind, len(joined.logs), joined.log, joined.log[joined.truth_frame])
+
+    of_pass = np.empty(len(passes.first), dtype=np.int64)
+    of_frame = np.empty(len(joined.frame), dtype=np.int64)
+    count = 0
+    for log in range(len(joined.logs)):
+        here = np.flatnonzero(passes.log == log)
+        spans: list[list[int]] = []
+        for i in here.tolist():
+            first, last = int(passes.first[i]), int(passes.last[i])
+            if spans:
+                shared = min(last, spans[-1][1]) - first + 1
+                shorter = min(last - first, spans[-1][1] - spans[-1][0]) + 1
+            if spans and 2 * shared > shorter:
+                spans[-1][1] = max(last, spans[-1][1])
+            else:
+                spans.append([first, last])
+            of_pass[i] = count + len(spans) - 1
+        ends, starts = np.array([s[1] for s in spans[:-1]]), np.array([s[0] for s in spans[1:]])
+        borders = np.maximum.accumulate((ends + starts) / 2)
+        frames = np.flatnonzero(joined.log == log)
+        of_frame[frames] = count + np.searchsorted(borders, frames)
+        count += max(len(spans), 1)
+    of_truth = of_frame[joined.truth_frame]
+    positive = passes.of_truth >= 0
+    of_truth[positive] = of_pass[passes.of_truth[positive]]
+    units = Units(kind, count, of_frame, of_truth)
+    if count <= MOST_UNITS:
+        return units
+    return replace(
+        units,
+        count=MOST_UNITS,
+        of_frame=of_frame * MOST_UNITS // count,
+        of_truth=of_truth * MOST_UNITS // count,
+    )
