@@ -139,10 +139,10 @@ class McapFile:
                 self._look_into(position)
 
     def _cut_text(self, at: int) -> str:
-        where = f"cut short or damaged at byte {at} (file ends at {self.size}, without a footer); "
+        where = f"cut short or damaged at byte {at} of {self.size} (no footer): "
         if self._data_end is not None:
             return where + "only the summary is lost, no message"
-        return where + "everything whole before that was read, what followed cannot be counted"
+        return where + "what is whole before it is read, the rest cannot be counted"
 
     def _scan_from(self, at: int) -> int:
         """Note every record from `at` on, to the footer or to the first that is not whole.
