@@ -173,6 +173,9 @@ def test_bearings_must_match_the_beams() -> None:
     sonar = BASIN.updated(Sonar(bearings_deg=(-1.0, 0.0, 1.0)))
     with pytest.raises(SonarrecError, match="3 bearings but the images have 4 beams"):
         PolarToFan(sonar, 10, 4)
+    sonar = BASIN.updated(Sonar(ranges_m=(1.5, 2.0, 3.0)))
+    with pytest.raises(SonarrecError, match="3 ranges but the images have 10 range bins"):
+        PolarToFan(sonar, 10, 4)
 
 
 # The floor

@@ -75,16 +75,19 @@ def test_16_bit(encoding: str, big: int, tmp_path: Path) -> None:
     np.testing.assert_array_equal(one(tmp_path, message), IMAGE)
 
 
-def test_float(tmp_path: Path) -> None:
-    message = cdr_image((IMAGE / 255).astype("<f4"), "32FC1")
+@pytest.mark.parametrize("bits", [32, 64])
+@pytest.mark.parametrize("big", [0, 1])
+def test_float(bits: int, big: int, tmp_path: Path) -> None:
+    values = (IMAGE / 255).astype(f"{'>' if big else '<'}f{bits // 8}")
+    message = cdr_image(values, f"{bits}FC1", is_bigendian=big)
     np.testing.assert_array_equal(one(tmp_path, message), IMAGE)
 
 
-@pytest.mark.parametrize("encoding", ["bgr8", "rgb8", "bgra8", "rgba8"])
+@pytest.mark.parametrize("encoding", ["bgr8", "rgb8", "bgra8", "rgba8", "8UC3", "8UC4"])
 def test_colour(encoding: str, tmp_path: Path) -> None:
     bgr = np.random.default_rng(2).integers(0, 256, (*IMAGE.shape, 3), dtype=np.uint8)
-    stored = bgr if encoding.startswith("b") else bgr[:, :, ::-1]
-    if len(encoding) == 5:
+    stored = bgr[:, :, ::-1] if encoding.startswith("r") else bgr
+    if "a" in encoding or "4" in encoding:
         stored = np.dstack([stored, np.full(IMAGE.shape, 7, np.uint8)])
     message = cdr_image(np.ascontiguousarray(stored), encoding, padding=5)
     expected = cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY)

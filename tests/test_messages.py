@@ -39,9 +39,9 @@ from sonarrec.geometry import PolarToFan, Sonar, polar_from_pixel, sonar_from_ta
 from sonarrec.mcap_writer import SCHEMAS, is_polar
 from sonarrec.pipeline import process
 from sonarrec.readers import open_log
-from sonarrec.readers.fans import looks_beam_major
+from sonarrec.readers.fans import FanImages, looks_beam_major
 from sonarrec.readers.messages import MESSAGES, decoder_for, message_type
-from sonarrec.readers.raw import Ping, UnusableError
+from sonarrec.readers.raw import Ping, RawFrame, UnusableError
 from sonarrec.readers.ros_definitions import (
     DefinitionError,
     Struct,
@@ -341,6 +341,17 @@ def test_a_window_that_changes(tmp_path: Path) -> None:
     assert (found[1].image[inside] == 200).all()
     assert (found[2].image[inside & (range_m > 1.26)] == 200).all()
     assert (found[2].image[range_m < 1.24] == 0).all()
+
+
+def test_a_topic_of_pings_and_images() -> None:
+    """An image that tells nothing has no place in the fan that pings made."""
+    image = polar_frames(1)[0]
+    told = ping_of(PROJECTED, messages.projected_fields(0, image)).sonar
+    make = FanImages(Sonar(layout="polar", tilt_deg=20.0), "log")
+    for _ in range(2):
+        with pytest.raises(UnusableError, match="does not tell its geometry"):
+            make(RawFrame("image", 0, image))
+        assert make(RawFrame("ping", 0, image, None, told))[0].any()
 
 
 def test_a_first_ping_with_a_window_too_far_to_draw(tmp_path: Path) -> None:

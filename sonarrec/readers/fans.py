@@ -14,6 +14,7 @@ from sonarrec.geometry import (
     check_sonar,
     fan_for_image,
     fan_for_polar,
+    missing_keys,
 )
 from sonarrec.readers.grey import GreyScale, grey_scale, single_channel, to_grey8
 from sonarrec.readers.raw import RawFrame, UnusableError
@@ -66,6 +67,8 @@ class FanImages:
 
     def _image(self, image: ByteImage) -> ByteImage:
         """A frame that does not tell its geometry."""
+        if self._shape is None and missing_keys(self._stated):
+            raise UnusableError("it does not tell its geometry, as other messages of its topic do")
         polar = self.sonar.layout == "polar"
         if polar and self.sonar.beam_order == "beam-major":
             image = np.ascontiguousarray(image.T)

@@ -249,22 +249,19 @@ def _ros_layout(name: str, ros1: bool, schema_encoding: str, schema_data: bytes)
 
 @dataclass(frozen=True, slots=True)
 class Decoder:
-    """Gives the Ping of one message's bytes; raises UnusableError where they cannot be used.
-
-    polar: its pings tell their own geometry.
-    """
+    """Gives the Ping of one message's bytes; raises UnusableError where they cannot be used."""
 
     fields: Callable[[memoryview], Mapping[str, Any]]
-    type: MessageType
+    kind: MessageType
 
     @property
     def polar(self) -> bool:
         """Whether pings tell their own geometry."""
-        return self.type.polar
+        return self.kind.polar
 
     def __call__(self, message: memoryview) -> Ping:
         with np.errstate(all="ignore"):  # damaged numbers overflow; what comes of them is checked
-            return self.type.read(Fields(self.fields(message)))
+            return self.kind.read(Fields(self.fields(message)))
 
 
 def decoder_for(
