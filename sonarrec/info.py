@@ -246,7 +246,8 @@ def _images(
     where: names the geometry. Returns also the faults of the file that reading it brought up.
     """
     raw = _Watched(source.open(topic), observe)
-    stated = replace(stated, layout="polar" if raw.polar else stated.layout or "fan")
+    if stated.layout is None:
+        stated = replace(stated, layout="polar" if raw.polar else "fan")
     lacks = [key for key in missing_keys(stated) if key == "tilt_deg" or not raw.polar]
     complete = _with_stand_ins(stated, lacks)
     problems: list[str] = []
@@ -263,6 +264,7 @@ def _images(
             problems += log.problems
     size = raw.sizes.most_common(1)
     geometry = log.sonar.as_table()
+    layout = geometry.pop("layout")
     images = Images(
         topic=topic,
         frames=raw.frame_count if quick else raw.frames,
@@ -273,7 +275,7 @@ def _images(
         start_ns=None if quick else raw.start_ns,
         end_ns=None if quick else raw.end_ns,
         rate_hz=None if quick else raw.rate_hz(),
-        layout=geometry.pop("layout"),
+        layout="polar" if raw.polar else layout,
         polar_messages=raw.polar,
         geometry={key: value for key, value in geometry.items() if key not in lacks},
         geometry_from=where if where != str(source.path) else None,
