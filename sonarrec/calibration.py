@@ -18,11 +18,12 @@ from sonarrec.appearance_model import BUILT_IN, AppearanceModel
 from sonarrec.config import Config, preset
 from sonarrec.geometry import PolarToFan
 from sonarrec.landmarks import LandmarkSet
+from sonarrec.poses import PoseTable
 from sonarrec.recogniser import FRAMEWORK, Recogniser
-from sonarrec.records import FloatArray, Frame, SonarrecError
+from sonarrec.records import Fan, FloatArray, Frame, SonarrecError
 from sonarrec.simulation.random_scenes import ALL_KINDS, random_scene
 from sonarrec.simulation.scene import Scene, scene_sonar
-from sonarrec.simulation.simulate import render
+from sonarrec.simulation.simulate import LandmarkTruth, render
 
 # A track this near a true centre, in disc diameters, is on it; one farther than OFF is not. Those
 # between are neither and teach nothing.
@@ -30,12 +31,22 @@ ON, OFF = 0.25, 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class Truth:
-    """One landmark of which something shows in one frame."""
+class Tracks:
+    """One recording's frames, and every track in every frame, described.
 
-    landmark: int
-    range_m: float
-    bearing_deg: float
+    frame, timestamp_ns: (F,) of the frames. row: (n,) index into frame. number: (n,) of the track.
+    position: (n, 2) metres in the fan plane, right and ahead of the sonar. features: (n, K, F).
+    """
+
+    name: str
+    landmarks: LandmarkSet
+    fan: Fan | None
+    frame: npt.NDArray[np.int64]
+    timestamp_ns: npt.NDArray[np.int64]
+    row: npt.NDArray[np.int64]
+    number: npt.NDArray[np.int64]
+    position: FloatArray
+    features: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,10 +54,12 @@ class Samples:
     """Described tracks with what they truly are.
 
     features: (n, K, F). label: (n,) 0 to K - 1, the ID's place in the set; K, 'none of these'.
+    track: (n,) the same for what is one track.
     """
 
     features: FloatArray
     label: npt.NDArray[np.int64]
+    track: npt.NDArray[np.int64]
 
 
 class _Recorder:
@@ -61,43 +74,70 @@ class _Recorder:
         return np.full((n, ids + 1), 1 / (ids + 1))
 
 
-def gather(
-    frames: Iterable[tuple[Frame, Sequence[Truth]]], config: Config, landmarks: LandmarkSet
-) -> Samples:
+def describe(
+    frames: Iterable[Frame],
+    config: Config,
+    landmarks: LandmarkSet,
+    *,
+    name: str = "",
+    poses: PoseTable | None = None,
+) -> Tracks:
     """Run stages 1 and 2 over a recording and describe every track in every frame."""
     recorder = _Recorder()
-    recogniser = None
-    features, labels = [], []
-    for frame, truths in frames:
-        recogniser = recogniser or Recogniser(config, frame.fan, landmarks, recorder)
+    recogniser = fan = None
+    index, stamp, number, polar = [], [], [], []
+    features: list[FloatArray] = [np.empty((0, len(landmarks.ids), len(FEATURES)))]
+    rows: list[int] = []
+    for row, frame in enumerate(frames):
+        fan = fan or frame.fan
+        recogniser = recogniser or Recogniser(config, fan, landmarks, recorder, poses=poses)
         result = recogniser.step(frame)
         tracks = [e for e in result.estimates if e.method == FRAMEWORK]
-        if not tracks:
-            continue
-        places = _on_fan([(e.range_m, e.bearing_deg) for e in tracks])
-        label = np.full(len(tracks), len(landmarks.ids))
-        taught = np.ones(len(tracks), bool)
-        if truths:
-            true_places = _on_fan([(t.range_m, t.bearing_deg) for t in truths])
-            distance = np.linalg.norm(places[:, None] - true_places[None], axis=2)
-            distance /= 2 * landmarks.radius_m
-            nearest = distance.argmin(axis=1)
-            ids = np.array([landmarks.ids.index(t.landmark) for t in truths])
-            on = distance.min(axis=1) <= ON
-            label[on] = ids[nearest[on]]
-            taught = on | (distance.min(axis=1) > OFF)
-        features.append(recorder.features[taught])
-        labels.append(label[taught])
-    if not features:
-        return Samples(np.empty((0, len(landmarks.ids), len(FEATURES))), np.empty(0, np.int64))
-    return Samples(np.concatenate(features), np.concatenate(labels))
+        index.append(frame.index)
+        stamp.append(frame.timestamp_ns)
+        rows += [row] * len(tracks)
+        number += [e.object for e in tracks]
+        polar += [(e.range_m, e.bearing_deg) for e in tracks]
+        features.append(recorder.features[: len(tracks)])
+    return Tracks(
+        name,
+        landmarks,
+        fan,
+        np.array(index, np.int64),
+        np.array(stamp, np.int64),
+        np.array(rows, np.int64),
+        np.array(number, np.int64),
+        _on_fan(np.array(polar).reshape(-1, 2)),
+        np.concatenate(features),
+    )
 
 
-def _on_fan(places: Sequence[tuple[float, float]]) -> FloatArray:
-    """(n, 2) metres right and ahead of the sonar, of (slant range in m, bearing in deg)."""
-    range_m, bearing_deg = np.array(places).T
-    bearing = np.radians(bearing_deg)
-    return np.column_stack([range_m * np.sin(bearing), range_m * np.cos(bearing)])
+def label(
+    tracks: Tracks, row: npt.NDArray[np.int64], landmark: npt.NDArray[np.int64], place: FloatArray
+) -> Samples:
+    """What the tracks of a recording truly are.
+
+    row: (T,) frame, as index into tracks.frame, of each landmark of which anything shows.
+    landmark: (T,) its place in the set. place: (T, 2) as Tracks.position.
+    """
+    ids = len(tracks.landmarks.ids)
+    found = np.full(len(tracks.row), ids)
+    nearest = np.full(len(tracks.row), np.inf)
+    for at, what, where in zip(row, landmark, place, strict=True):
+        here = np.flatnonzero(tracks.row == at)
+        distance = np.linalg.norm(tracks.position[here] - where, axis=1)
+        closer = here[distance < nearest[here]]
+        found[closer], nearest[closer] = what, distance[distance < nearest[here]]
+    distance = nearest / (2 * tracks.landmarks.radius_m)
+    found[distance > ON] = ids
+    taught = (distance <= ON) | (distance > OFF)
+    return Samples(tracks.features[taught], found[taught], tracks.number[taught])
+
+
+def _on_fan(polar: FloatArray) -> FloatArray:
+    """(n, 2) metres right and ahead of the sonar, of (n, 2) slant range (m) and bearing (deg)."""
+    bearing = np.radians(polar[:, 1])
+    return np.asarray(polar[:, :1] * np.column_stack([np.sin(bearing), np.cos(bearing)]))
 
 
 # Curves: knots at quantiles of what was seen, and how strongly a curve is drawn towards 0 and
@@ -105,13 +145,21 @@ def _on_fan(places: Sequence[tuple[float, float]]) -> FloatArray:
 KNOTS = 8
 RIDGE = 0.3
 SMOOTHNESS = 3.0
+# How much more strongly a curve is drawn towards that of a prior. A track's frames share a memory
+# of 20 (features.memory_frames): so many say hardly more than one does.
+PRIOR_WEIGHT = 20.0
 
 
-def fit(recordings: Sequence[Samples]) -> AppearanceModel:
+def fit(
+    recordings: Sequence[Samples],
+    prior: AppearanceModel | None = None,
+    prior_weight: float = PRIOR_WEIGHT,
+) -> AppearanceModel:
     """Most likely curves, by Newton's method on the concave penalised log likelihood.
 
-    The recordings may differ in their number of IDs. Raises SonarrecError where they hold no
-    landmark, or nothing but landmarks.
+    The recordings may differ in their number of IDs. prior: the model to which curves are drawn,
+    in place of 0 and a straight line, `prior_weight` times as strongly. Raises SonarrecError where
+    the recordings hold no landmark, or nothing but landmarks.
     """
     used = [r for r in recordings if len(r.label)]
     on = sum(np.count_nonzero(r.label < r.features.shape[1]) for r in used)
@@ -121,17 +169,24 @@ def fit(recordings: Sequence[Samples]) -> AppearanceModel:
         raise SonarrecError(
             f"{total} tracks in frames hold {what}; a model is learned from landmarks and others"
         )
-    seen = np.concatenate([r.features.reshape(-1, len(FEATURES)) for r in used])
-    shares = np.linspace(0.01, 0.99, KNOTS)
-    knots = tuple(np.unique(np.quantile(values, shares).round(2)) for values in seen.T)
+    if prior is None:
+        seen = np.concatenate([r.features.reshape(-1, len(FEATURES)) for r in used])
+        shares = np.linspace(0.01, 0.99, KNOTS)
+        knots = tuple(np.unique(np.quantile(values, shares).round(2)) for values in seen.T)
+        penalty = _penalty(knots)
+        centre: FloatArray = np.zeros(len(penalty))
+    else:
+        knots = prior.knots
+        penalty = prior_weight * _penalty(knots)
+        centre = np.concatenate([[prior.bias], *prior.values])
     columns = [_basis(r.features, knots) for r in used]
-    penalty = _penalty(knots)
-    curves: FloatArray = np.zeros(len(penalty))
+    curves = centre
     before = np.inf
     for _ in range(60):
         loss, gradient, curvature = _likelihood(used, columns, curves)
-        loss += 0.5 * float(curves @ penalty @ curves)
-        step = np.linalg.solve(curvature + penalty, gradient - penalty @ curves)
+        pull = penalty @ (curves - centre)
+        loss += 0.5 * float((curves - centre) @ pull)
+        step = np.linalg.solve(curvature + penalty, gradient - pull)
         if before - loss < 1e-6 * abs(loss):
             break
         before = loss
@@ -200,20 +255,32 @@ MODEL_SEEDS = range(1000, 1006)
 
 def simulated(seed: int, kind: str) -> Samples:
     """Samples from one random simulated recording."""
-    scene = random_scene(seed, kind, wide=True)
-    return gather(simulated_frames(scene), preset("default"), scene.landmark_set)
+    return samples_of(random_scene(seed, kind, wide=True))
 
 
-def simulated_frames(scene: Scene) -> Iterator[tuple[Frame, Sequence[Truth]]]:
-    """A scene's frames as a reader would give them, with their truth."""
+def samples_of(scene: Scene) -> Samples:
+    """Samples from a simulated recording."""
+    truth: list[tuple[int, LandmarkTruth]] = []
+    tracks = describe(_frames(scene, truth), preset("default"), scene.landmark_set)
+    ids = scene.landmark_set.ids
+    return label(
+        tracks,
+        np.array([row for row, _ in truth], np.int64),
+        np.array([ids.index(t.landmark) for _, t in truth], np.int64),
+        _on_fan(np.array([(t.range_m, t.bearing_deg) for _, t in truth]).reshape(-1, 2)),
+    )
+
+
+def _frames(scene: Scene, truth: list[tuple[int, LandmarkTruth]]) -> Iterator[Frame]:
+    """A scene's frames as a reader would give them; their truth is added to `truth`."""
     to_fan = None
     for frame in render(scene):
+        truth += [(frame.index, landmark) for landmark in frame.truth]
         image = frame.image
         if scene.sonar.layout == "polar":
             to_fan = to_fan or PolarToFan(scene_sonar(scene), *image.shape)
             image = to_fan(image)
-        truths = [Truth(t.landmark, t.range_m, t.bearing_deg) for t in frame.truth]
-        yield Frame(frame.index, frame.timestamp_ns, image, frame.fan), truths
+        yield Frame(frame.index, frame.timestamp_ns, image, frame.fan)
 
 
 def make_model() -> None:

@@ -87,6 +87,11 @@ def process(
             told = f" ({'; '.join(log.problems[:3])})" if log.problems else ""
             raise SonarrecError(f"{path}: no usable frame{told}")
         configs = [settings] if isinstance(settings, Config) else list(settings)
+        if model is not None and all(c.features.measurement == "single" for c in configs):
+            raise UsageError(
+                f"--model {model}: only features.measurement = track uses a model, and this preset "
+                "measures single frames by the published one"
+            )
         recogniser = SideBySide(
             configs, first.fan, landmark_set, learned.model if learned else None, poses
         )

@@ -7,6 +7,7 @@ from typing import Any
 import click
 
 from sonarrec import __version__
+from sonarrec.cli.calibrate import calibrate
 from sonarrec.cli.config import config
 from sonarrec.cli.evaluate import evaluate
 from sonarrec.cli.info import info
@@ -42,5 +43,5 @@ def main() -> None:
     """
 
 
-for command in (run, info, evaluate, report, overlay, simulate, config, truth):
+for command in (run, info, evaluate, report, overlay, simulate, calibrate, config, truth):
     main.add_command(command)

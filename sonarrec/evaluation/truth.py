@@ -6,11 +6,11 @@ import csv
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
-from sonarrec.evaluation.results import BoolArray, IntArray, LogResults
+from sonarrec.evaluation.results import BoolArray, IntArray
 from sonarrec.evaluation.tables import (
     POSITION_KINDS,
     Kind,
@@ -19,7 +19,8 @@ from sonarrec.evaluation.tables import (
     position_pair,
     read_table,
 )
-from sonarrec.records import FloatArray, SonarrecError
+from sonarrec.landmarks import LandmarkSet
+from sonarrec.records import Fan, FloatArray, SonarrecError
 
 HEADER = "frame,landmark,x_px,y_px,visible"
 
@@ -144,7 +145,25 @@ def write_truth(path: Path, header: Sequence[str], rows: Iterable[Sequence[objec
         raise SonarrecError(f"{path}: cannot be written ({error.strerror})") from None
 
 
-def match_truth(table: TruthTable, log: LogResults, tolerance_s: float | None = None) -> Truth:
+class ReadLog(Protocol):
+    """The frames of one log to which truth is matched; a LogResults is one.
+
+    frame: (F,) numbers, rising. timestamp_ns: (F,) or None. fan: for positions in pixels.
+    """
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def landmarks(self) -> LandmarkSet: ...
+    @property
+    def fan(self) -> Fan | None: ...
+    @property
+    def frame(self) -> IntArray: ...
+    @property
+    def timestamp_ns(self) -> IntArray | None: ...
+
+
+def match_truth(table: TruthTable, log: ReadLog, tolerance_s: float | None = None) -> Truth:
     """The truth of one log, cut to the frames in its frames.csv.
 
     By time, a row belongs to the frame nearest to it, if that is within the tolerance (default:
