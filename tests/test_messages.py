@@ -262,7 +262,8 @@ def test_raw_sonar_image_ranges() -> None:
         (OCULUS, {"range_resolution": 1e308}, "'range_resolution' is no number"),
         (OCULUS, {"sample_size": 3}, "samples of 3 bytes"),
         (OCULUS, {"n_beams": 0}, "do not fit"),
-        (OCULUS, {"bearings": np.zeros(5, np.int16)}, "do not run one way"),
+        (OCULUS, {"bearings": np.arange(5, dtype=np.int16)}, "24 beams with 5 bearings"),
+        (OCULUS, {"bearings": np.zeros(BEAMS, np.int16)}, "do not run one way"),
     ],
 )  # fmt: skip
 def test_pings_that_cannot_be_used(name: str, change: dict[str, Any], says: str) -> None:

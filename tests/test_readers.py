@@ -272,6 +272,19 @@ def test_unusable_frames_keep_their_number(tmp_path: Path) -> None:
     ]
 
 
+def test_frames_of_other_depth(tmp_path: Path) -> None:
+    """Each type of pixel has its own scale: one log may hold 8 bits, 16 and floating point."""
+    images = frames(4)
+    log = image_folder(tmp_path / "log", images)
+    cv2.imwrite(str(log / "frame1.png"), images[1].astype(np.uint16) * 257)
+    (log / "frame2.png").unlink()
+    cv2.imwrite(str(log / "frame2.tiff"), (images[2] / 255).astype(np.float32))
+    found, problems = read(log)
+    assert not problems
+    for frame, image in zip(found, images, strict=True):
+        np.testing.assert_array_equal(frame.image, image)
+
+
 def test_problem_lines_are_few(tmp_path: Path) -> None:
     log = image_folder(tmp_path / "log", frames(1))
     for k in range(100):

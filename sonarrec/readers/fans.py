@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -31,8 +32,8 @@ class FanImages:
     resampled into the fan of the first, so that a metre stays a metre, and show 0 where they hold
     nothing. What the user states goes before what messages tell.
 
-    sonar: the geometry, of polar messages that of the first ping once it was read. fan, scale: None
-    before the first frame that settles them. notes: lines on what was stated against the messages.
+    sonar: the geometry, of polar messages that of the first ping once it was read. fan: None
+    before the first frame. notes: lines on what was stated against the messages.
     """
 
     def __init__(self, stated: Sonar, where: str) -> None:
@@ -41,9 +42,9 @@ class FanImages:
         self.sonar = stated
         self._stated = stated
         self.fan: Fan | None = None
-        self.scale: GreyScale | None = None
         self.notes: list[str] = []
         self._where = where
+        self._scales: dict[np.dtype[Any], GreyScale] = {}  # one for each type of pixel
         self._shape: tuple[int, ...] | None = None
         self._told: Sonar | None = None
         self._to_fan: PolarToFan | None = None
@@ -58,12 +59,20 @@ class FanImages:
         if raw.pixels is None:
             raise UnusableError(str(raw.problem))
         pixels = single_channel(raw.pixels)
-        scale = self.scale or grey_scale(self._stated, pixels, amplitudes=raw.sonar is not None)
+        scale = self._scales.get(pixels.dtype)
+        if scale is None:
+            scale = grey_scale(self._stated, pixels, amplitudes=raw.sonar is not None)
         image = np.zeros(pixels.shape, np.uint8) if scale is None else to_grey8(pixels, scale)
         image = self._image(image) if raw.sonar is None else self._ping(image, raw.sonar)
-        self.scale = scale
+        if scale is not None:
+            self._scales[pixels.dtype] = scale
         assert self.fan is not None
         return image, self.fan
+
+    @property
+    def scale(self) -> GreyScale | None:
+        """How pixels become grey; None before the first frame that settles it."""
+        return next(iter(self._scales.values()), None)
 
     def _image(self, image: ByteImage) -> ByteImage:
         """A frame that does not tell its geometry."""

@@ -1,7 +1,7 @@
 """Which messages are sonar images, and how each is read.
 
 A further message type is one function, from Fields to a Ping, and one row in MESSAGES. How the
-fields come out of the bytes (CDR, ROS 1, JSON, protobuf, flatbuffers) is told apart from that.
+fields come out of the bytes (CDR, ROS 1, JSON, protobuf, flatbuffers) is kept apart from that.
 """
 
 from __future__ import annotations
@@ -150,21 +150,25 @@ def read_raw_sonar_image(message: Fields) -> Ping:
     return Ping(pixels, message.stamp_ns(), _geometry(ranges, bearings))
 
 
-def _oculus_geometry(message: Fields, bins: int) -> Sonar:
+def _oculus_geometry(message: Fields, bins: int, beams: int) -> Sonar:
     """Bearings in hundredths of a degree; bins of one length from the sonar on."""
+    bearings = message.numbers("bearings") / 100
+    if len(bearings) != beams:
+        raise UnusableError(f"{beams} beams with {len(bearings)} bearings")
     resolution = message.number("range_resolution")
     if resolution <= 0:
         raise UnusableError(f"range resolution {resolution:g} m")
     ranges = (np.arange(bins) + 0.5) * resolution
     # Rows of an image: which axis is which need not be found out.
-    return replace(_geometry(ranges, message.numbers("bearings") / 100), beam_order="range-major")
+    return replace(_geometry(ranges, bearings), beam_order="range-major")
 
 
 def read_oculus_ping(message: Fields) -> Ping:
     """sonar_oculus/OculusPing: an image, compressed in later versions, and its geometry."""
     inner = message.inner("ping")
     image = read_image(inner) if "encoding" in inner else read_compressed_image(inner)
-    return Ping(image.pixels, message.stamp_ns(), _oculus_geometry(message, len(image.pixels)))
+    geometry = _oculus_geometry(message, *image.pixels.shape[:2])
+    return Ping(image.pixels, message.stamp_ns(), geometry)
 
 
 def read_oculus_interfaces_ping(message: Fields) -> Ping:
@@ -185,7 +189,7 @@ def read_oculus_interfaces_ping(message: Fields) -> Ping:
     if head:
         gains = np.ascontiguousarray(rows[:, :head]).view("<u4")
         pixels = (pixels / np.sqrt(np.maximum(gains, 1))).astype(np.float32)
-    return Ping(pixels, message.stamp_ns(), _oculus_geometry(message, bins))
+    return Ping(pixels, message.stamp_ns(), _oculus_geometry(message, bins, beams))
 
 
 @dataclass(frozen=True, slots=True)
