@@ -232,6 +232,18 @@ def test_another_log_is_refused(results: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "x.html").exists()
 
 
+def test_several_presets(tmp_path: Path) -> None:
+    sonarrec("run", SAMPLE, "--preset", "paper,default", "--out", tmp_path, "-q")
+    scored = ("--ground-truth", SAMPLE / "gt.csv")
+    sonarrec("report", tmp_path / "pan", *scored, "--method", "framework:default")
+    text = Page(tmp_path / "pan" / "report.html").text
+    assert "Declared by framework:default" in text
+    assert re.search("framework:(default|paper) less framework:(default|paper)", text)
+    assert "framework:paper: " in text
+    fault = sonarrec("report", tmp_path / "pan", "--method", "best", code=2).stderr
+    assert "no method 'best'; there is smi, framework:paper, framework:default" in fault
+
+
 def test_every_setting_is_shown(pages: dict[str, Path], results: Path) -> None:
     def leaves(value: Any) -> Iterator[tuple[str, Any]]:
         for key, inner in value.items():
@@ -373,6 +385,7 @@ def reported(folder: Path, truth: Path | None = None) -> ReportedLog:
         tolerance_s=None,
         landmarks=None,
         sonar=Sonar(),
+        method=None,
     )[0]
 
 

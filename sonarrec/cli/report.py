@@ -39,6 +39,10 @@ from sonarrec.cli.options import FILE, PARTLY, sonar_from_flags, sonar_options
     metavar="SECONDS",
     help="For truth matched by timestamp_ns.  [default: half the time between frames]",
 )
+@click.option(
+    "--method",
+    help="Whose sightings and tracks are shown.  [default: framework, or the first preset]",
+)
 @click.option("--landmarks", help="Landmark set.  [default: that of run.toml, else basin]")
 @click.option("--topic", help="Channel of an MCAP --log, where run.toml does not tell it.")
 @sonar_options
@@ -50,6 +54,7 @@ def report(
     out: Path | None,
     min_visible: float,
     tolerance: float | None,
+    method: str | None,
     landmarks: str | None,
     topic: str | None,
     sonar_file: Path | None,
@@ -83,6 +88,7 @@ def report(
         landmarks=landmarks,
         sonar=stated.updated(sonar_from_flags(flags)),
         topic=topic,
+        method=method,
     )
     for problem in written.unused:
         click.echo(f"sonarrec: {problem}", err=True)

@@ -43,12 +43,14 @@ def write_report(
     landmarks: str | None = None,
     sonar: Sonar | None = None,
     topic: str | None = None,
+    method: str | None = None,
 ) -> Report:
     """Write the report on a results folder (of one log or of several) to `path`.
 
     recordings: the logs that the results came from, told apart by their names; without them the
     page has no frames. The other arguments are those of `evaluation.scoring.evaluate`; topic
-    chooses the channel of an MCAP recording, where run.toml does not tell it.
+    chooses the channel of an MCAP recording, where run.toml does not tell it; method
+    is the one whose sightings and tracks are shown, as in `logs.read_logs`.
     Raises SonarrecError where files cannot be used, read or written.
     """
     sonar = sonar or Sonar()
@@ -69,6 +71,7 @@ def write_report(
         tolerance_s=tolerance_s,
         landmarks=landmarks,
         sonar=sonar,
+        method=method,
     )
     pictures = _draw_all(logs, evaluation, recordings, sonar, topic)
     unused = evaluation.unused if evaluation is not None else tuple(_left_out(logs))

@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 
 from sonarrec.evaluation.curves import PUBLISHED
+from sonarrec.evaluation.reliability import Reliability
 from sonarrec.evaluation.results import IntArray
 from sonarrec.evaluation.scoring import Scored
 from sonarrec.landmarks import LandmarkSet
@@ -20,6 +21,8 @@ from sonarrec.records import FloatArray
 from sonarrec.report.logs import ReportedLog, Track, alongside
 
 WIDTH, HEIGHT = 2000, 1000
+STYLES = 4
+"""Line styles in the style sheet, which tell methods apart where one line covers another."""
 MOST_POINTS = 400
 """Of one drawn line or row of bars: about one to three screen pixels each."""
 UNSEEN = 0.01
@@ -203,7 +206,8 @@ def roc(scored: Sequence[Scored], k: int | None = None) -> Chart:
     for n, (s, point) in enumerate(zip(scored, points, strict=True)):
         curve = s.curve(k)
         at = curve.turns(2 * MOST_POINTS)
-        shapes.append(Shape(polyline(axis.share(curve.fpr[at]), curve.tpr[at]), n, label=s.method))
+        line = polyline(axis.share(curve.fpr[at]), curve.tpr[at])
+        shapes.append(Shape(line, n, f"line style-{n % STYLES}", s.method))
         label = f"{s.method} at its operating point: TPR {point.tpr:.4f}, FPR {point.fpr:.4f}"
         told.append(label)
         if np.isfinite(point.tpr) and np.isfinite(point.fpr):
@@ -214,6 +218,34 @@ def roc(scored: Sequence[Scored], k: int | None = None) -> Chart:
             told.append(label)
             dots.append(Dot(100 * float(axis.share(fpr)), 100 * tpr, label, None, name))
     return Chart("; ".join(told), shapes, axis.ticks(5), UNIT.ticks(5), dots)
+
+
+def reliability(found: Reliability, method: int) -> Chart:
+    """How often what a method says is so, against how sure it says it is, over its estimates.
+
+    method: index, for the colour. Bars: how many estimates there are in each step, against the
+    fullest one.
+    """
+    step = 1 / len(found.count)
+    share = found.count / max(1, int(found.count.max()))
+    line = np.isfinite(found.mean)
+    told = [
+        f"said {said:.2f}, so in {right:.2f} of {count}"
+        for said, right, count in zip(
+            found.mean[line], found.right[line], found.count[line], strict=True
+        )
+    ]
+    ends = np.array([0.0, 1.0])
+    shapes = [
+        Shape(bars(UNIT, np.arange(len(share)) * step, step, share), None, "bar faint"),
+        Shape(polyline(ends, ends), None, "line thin"),
+        Shape(polyline(found.mean[line], found.right[line]), method, label=found.method),
+    ]
+    dots = [
+        Dot(100 * float(x), 100 * float(y), label, method)
+        for x, y, label in zip(found.mean[line], found.right[line], told, strict=True)
+    ]
+    return Chart(f"{found.method}: {'; '.join(told)}", shapes, UNIT.ticks(5), UNIT.ticks(5), dots)
 
 
 @dataclass(frozen=True, slots=True)

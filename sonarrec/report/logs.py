@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,18 +21,16 @@ from sonarrec.evaluation.results import (
 )
 from sonarrec.evaluation.truth import Truth, TruthTable, match_truth
 from sonarrec.geometry import Sonar
-from sonarrec.records import FloatArray
-
-SINGLE_FRAME = "smi"
-"""The one method of ours whose object numbers mean nothing from one frame to the next."""
+from sonarrec.records import FloatArray, UsageError
 
 
 @dataclass(frozen=True, slots=True)
 class ReportedLog:
     """One log's results and, where it is known, its truth. N estimates over F frames.
 
-    folder: where the results are. run: run.toml as tables, {} without. time: (F,) seconds since
-    the first frame, or frame numbers where no times are given; clock says which ("s" or "frame").
+    folder: where the results are. tracker: the method that the page follows. run: run.toml as
+    tables, {} without. time: (F,) seconds since the first frame, or frame numbers where no times
+    are given; clock says which ("s" or "frame").
     truth_near: (N,) index into the IDs of the truth nearest to each estimate, -1 where none lies
     within half a disc diameter; None without truth or positions.
     in_view: (F, K) which landmarks count as in view; None without truth.
@@ -39,18 +38,13 @@ class ReportedLog:
 
     folder: Path
     results: LogResults
+    tracker: str
     truth: Truth | None
     run: dict[str, Any]
     time: FloatArray
     clock: str
     truth_near: IntArray | None
     in_view: BoolArray | None
-
-    @property
-    def tracker(self) -> str:
-        """The method that the page follows: the framework, or the first that has tracks."""
-        names = [m for m in self.results.methods if m != SINGLE_FRAME]
-        return "framework" if "framework" in names else (names or [SINGLE_FRAME])[0]
 
     def of_method(self, name: str) -> BoolArray:
         """(N,) which estimates are the method's."""
@@ -101,18 +95,38 @@ def read_logs(
     tolerance_s: float | None,
     landmarks: str | None,
     sonar: Sonar,
+    method: str | None,
 ) -> list[ReportedLog]:
-    """Read every log of a results folder. Raises SonarrecError where files cannot be used."""
+    """Read every log of a results folder.
+
+    method: the one to follow; None for the framework, or the first that follows objects.
+    Raises SonarrecError where files cannot be used, UsageError where no log has the method.
+    """
     logs = []
     for folder in find_logs(results):
         log = read_log(folder, landmarks, sonar)
         found = None if truth is None else match_truth(truth, log, tolerance_s)
-        logs.append(_reported(folder, log, found, min_visible))
+        logs.append(_reported(folder, log, found, min_visible, method or _tracker(log.methods)))
+    there = dict.fromkeys(name for log in logs for name in log.results.methods)
+    if method is not None and method not in there:
+        raise UsageError(f"{results}: no method {method!r}; there is {', '.join(there)}")
     return logs
 
 
+def follows(method: str) -> bool:
+    """Whether the method's object numbers mean the same object from one frame to the next."""
+    return method.partition(":")[0] != "smi"
+
+
+def _tracker(methods: Sequence[str]) -> str:
+    followers = [name for name in methods if follows(name)]
+    if "framework" in followers or not methods:
+        return "framework"
+    return (followers or list(methods))[0]
+
+
 def _reported(
-    folder: Path, log: LogResults, truth: Truth | None, min_visible: float
+    folder: Path, log: LogResults, truth: Truth | None, min_visible: float, tracker: str
 ) -> ReportedLog:
     time, clock = log.frame.astype(float), "frame"
     stamps = log.timestamp_ns
@@ -126,6 +140,7 @@ def _reported(
     return ReportedLog(
         folder=folder,
         results=log,
+        tracker=tracker,
         truth=truth,
         run=read_run(folder / "run.toml"),
         time=time,
@@ -150,7 +165,7 @@ def sightings(log: ReportedLog) -> list[Sighting]:
     """What the tracker declared, in order of first sight: one entry per ID and track."""
     found = log.results
     mine = np.flatnonzero(log.of_method(log.tracker) & found.declared)
-    tracked = log.tracker != SINGLE_FRAME and bool((found.object[mine] >= 0).all())
+    tracked = follows(log.tracker) and bool((found.object[mine] >= 0).all())
     claims = pd.DataFrame(
         {
             "landmark": found.landmark[mine],
@@ -191,7 +206,7 @@ def tracks(log: ReportedLog, most: int) -> tuple[list[Track], int]:
     Those that are declared, or truly lie on a landmark, in the most frames; then the longest.
     """
     found = log.results
-    if found.probability is None or log.tracker == SINGLE_FRAME:
+    if found.probability is None or not follows(log.tracker):
         return [], 0
     mine = np.flatnonzero(log.of_method(log.tracker) & (found.object >= 0))
     numbers, which = np.unique(found.object[mine], return_inverse=True)

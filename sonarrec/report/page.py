@@ -14,10 +14,11 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from sonarrec import __version__
 from sonarrec.evaluation.curves import Count
 from sonarrec.evaluation.plots import COLOURS
-from sonarrec.evaluation.scoring import Evaluation, Scored
-from sonarrec.evaluation.tabulate import rate
+from sonarrec.evaluation.scoring import Evaluation
+from sonarrec.evaluation.summary import KINDS, summarise
+from sonarrec.evaluation.uncertainty import LEVEL
 from sonarrec.overlay.drawing import Colour, landmark_colours
-from sonarrec.report import charts
+from sonarrec.report import charts, figures
 from sonarrec.report.logs import ReportedLog, Sighting, Track, sightings, tracks, true_landmark
 from sonarrec.report.mistakes import Episode, episodes, protocol_of_mistakes, told
 from sonarrec.report.pictures import Picture
@@ -59,16 +60,6 @@ class LogView:
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
-    """One of the paper's tables: heading cells, then rows of a label and cells."""
-
-    method: str
-    protocol: str
-    heading: list[str]
-    rows: list[tuple[str, list[str]]]
-
-
-@dataclass(frozen=True, slots=True)
 class MistakeView:
     """One episode as told."""
 
@@ -85,6 +76,29 @@ class Mistakes:
     count: Count
     shown: list[MistakeView]
     left: int
+
+
+@dataclass(frozen=True, slots=True)
+class Scores:
+    """What ground truth adds to the page.
+
+    rates, others (figures), differences: as `figures` gives them. units: how many, and of what, the
+    intervals rest on. starred: whether a table prints a 0/0. curves: per protocol its name, the
+    ROC over all IDs and that of each. reliability: per method.
+    """
+
+    protocols: list[str]
+    rates: list[tuple[str, list[figures.Rates]]]
+    units: str
+    level: str
+    others: list[tuple[str, list[figures.Cell]]]
+    differences: list[tuple[str, str, figures.Cell, str]]
+    notes: list[str]
+    tables: list[figures.Table]
+    starred: bool
+    curves: list[tuple[str, charts.Chart, list[tuple[int, charts.Chart]]]]
+    reliability: list[tuple[str, charts.Chart]]
+    mistakes: list[Mistakes]
 
 
 def render(
@@ -107,14 +121,10 @@ def render(
         lstrip_blocks=True,
     )
     environment.globals["number"] = _number
-    environment.globals["rate"] = _rate
     environment.globals["span"] = _span
     landmarks = logs[0].results.landmarks
     most_tracks = MOST_TRACKS if len(logs) == 1 else max(1, 2 * MOST_TRACKS // len(logs))
     methods = evaluation.joined.methods if evaluation else logs[0].results.methods
-    scored = evaluation.scored if evaluation else ()
-    protocols = [p for p in ("strict", "paper") if any(s.protocol == p for s in scored)]
-    tables = [_table(s) for s in scored]
     colours = list(landmark_colours(landmarks.ids).values())
     return environment.get_template("report.html").render(
         version=__version__,
@@ -129,22 +139,34 @@ def render(
         tracker=logs[0].tracker,
         truth=None if truth is None else truth.name,
         evaluation=evaluation,
-        protocols=protocols,
-        rates=[(m, [_of(scored, m, p).count() for p in protocols]) for m in methods]
-        if scored
-        else [],
-        tables=tables,
-        starred=any("*" in cell for table in tables for _, cells in table.rows for cell in cells),
-        curves=[] if evaluation is None else _curves(evaluation),
-        mistakes=[] if evaluation is None else _mistakes(logs[0].tracker, evaluation),
+        scores=None if evaluation is None else _scores(logs[0].tracker, evaluation),
         seen_pictures=[p for p in pictures if not p.wanted.is_mistake],
         mistake_pictures=[p for p in pictures if p.wanted.is_mistake],
         unused=unused,
     )
 
 
-def _of(scored: Sequence[Scored], method: str, protocol: str) -> Scored:
-    return next(s for s in scored if (s.method, s.protocol) == (method, protocol))
+def _scores(tracker: str, evaluation: Evaluation) -> Scores:
+    summary = summarise(evaluation)
+    tables = [figures.paper_table(s) for s in evaluation.scored]
+    return Scores(
+        protocols=figures.protocols(evaluation),
+        rates=figures.rates(evaluation, summary),
+        units=f"{summary.units.count} {KINDS[summary.units.kind]}",
+        level=f"{LEVEL:.0%}",
+        others=figures.figures(evaluation, summary),
+        differences=figures.differences(evaluation, summary),
+        notes=[*evaluation.notes, *summary.notes],
+        tables=tables,
+        starred=any("*" in cell for table in tables for _, cells in table.rows for cell in cells),
+        curves=_curves(evaluation),
+        reliability=[
+            (r.method, charts.reliability(r, evaluation.joined.methods.index(r.method)))
+            for r in summary.reliability
+            if r.landmark == "top"
+        ],
+        mistakes=_mistakes(tracker, evaluation),
+    )
 
 
 def _log_view(log: ReportedLog, most_tracks: int) -> LogView:
@@ -242,44 +264,26 @@ def _plain(value: Any) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
-def _table(scored: Scored) -> Table:
-    counts = [scored.count(k) for k in range(len(scored.ids))] + [scored.count()]
-    return Table(
-        method=scored.method,
-        protocol=scored.protocol,
-        heading=[f"ID.{i}" for i in scored.ids] + ["Total"],
-        rows=[
-            ("TPR", [rate(c.tp, c.tp + c.fn).strip() for c in counts]),
-            ("FPR", [rate(c.fp, c.fp + c.tn).strip() for c in counts]),
-            *(
-                (label, [f"{getattr(c, label.lower()):,}" for c in counts])
-                for label in ("TP", "TN", "FP", "FN", "Total")
-            ),
-        ],
-    )
-
-
 def _curves(
     evaluation: Evaluation,
 ) -> list[tuple[str, charts.Chart, list[tuple[int, charts.Chart]]]]:
     """Per protocol: its name, the curve over all IDs, and (index of an ID, its curve)."""
     found = []
-    for protocol in ("strict", "paper"):
+    for protocol in figures.protocols(evaluation):
         scored = [s for s in evaluation.scored if s.protocol == protocol]
-        if scored:
-            each = [
-                (k, charts.roc(scored, k))
-                for k in range(len(evaluation.joined.ids))
-                if scored[0].count(k).tp + scored[0].count(k).fn
-            ]
-            found.append((protocol, charts.roc(scored), each))
+        each = [
+            (k, charts.roc(scored, k))
+            for k in range(len(evaluation.joined.ids))
+            if scored[0].count(k).tp + scored[0].count(k).fn
+        ]
+        found.append((protocol, charts.roc(scored), each))
     return found
 
 
 def _mistakes(tracker: str, evaluation: Evaluation) -> list[Mistakes]:
     found = []
     for method in sorted(evaluation.joined.methods, key=lambda m: m != tracker):
-        count = _of(evaluation.scored, method, protocol_of_mistakes(evaluation)).count()
+        count = figures.of(evaluation, method, protocol_of_mistakes(evaluation)).count()
         wrong = episodes(evaluation, method)
         shown = []
         for episode in wrong[:MOST_MISTAKES]:
@@ -295,11 +299,6 @@ def _span(first: int, last: int) -> str:
 
 def _number(value: float, digits: int) -> str:
     return f"{value:,.{digits}f}"
-
-
-def _rate(part: int, whole: int) -> str:
-    """A rate to four digits; a dash where there is nothing to measure."""
-    return rate(part, whole).strip() if whole else "-"
 
 
 def darkened(colour: Colour) -> str:

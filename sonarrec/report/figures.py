@@ -1,0 +1,145 @@
+"""The evaluation's numbers as the cells of tables."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from sonarrec.evaluation.curves import Count
+from sonarrec.evaluation.scoring import Evaluation, Scored
+from sonarrec.evaluation.summary import Summary
+from sonarrec.evaluation.tabulate import DIGITS, ROWS, TESTED, rate
+from sonarrec.evaluation.uncertainty import Figure
+
+LABELS = {name: label for name, label, _ in ROWS}
+HEADLINE = ("tpr", "fpr")
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """A value and, where one is known, its interval."""
+
+    value: str
+    interval: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """One of the paper's tables: heading cells, then rows of a label and cells."""
+
+    method: str
+    protocol: str
+    heading: list[str]
+    rows: list[tuple[str, list[str]]]
+
+
+@dataclass(frozen=True, slots=True)
+class Rates:
+    """A method's operating point under one protocol."""
+
+    tpr: Cell
+    fpr: Cell
+    missed: int
+    false: int
+
+
+def of(evaluation: Evaluation, method: str, protocol: str) -> Scored:
+    """One method under one protocol."""
+    return next(s for s in evaluation.scored if (s.method, s.protocol) == (method, protocol))
+
+
+def protocols(evaluation: Evaluation) -> list[str]:
+    """Those that were scored, the stricter one first."""
+    return [p for p in ("strict", "paper") if any(s.protocol == p for s in evaluation.scored)]
+
+
+def paper_table(scored: Scored) -> Table:
+    """TPR to Total per ID and in all, as published; "0.0000*" for 0/0."""
+    counts = [scored.count(k) for k in range(len(scored.ids))] + [scored.count()]
+    return Table(
+        method=scored.method,
+        protocol=scored.protocol,
+        heading=[f"ID.{i}" for i in scored.ids] + ["Total"],
+        rows=[
+            ("TPR", [rate(c.tp, c.tp + c.fn).strip() for c in counts]),
+            ("FPR", [rate(c.fp, c.fp + c.tn).strip() for c in counts]),
+            *(
+                (label, [f"{getattr(c, label.lower()):,}" for c in counts])
+                for label in ("TP", "TN", "FP", "FN", "Total")
+            ),
+        ],
+    )
+
+
+def rates(evaluation: Evaluation, summary: Summary) -> list[tuple[str, list[Rates]]]:
+    """Per method its operating point over all IDs under every protocol."""
+    return [
+        (m, [_rates(of(evaluation, m, p).count(), summary, m, p) for p in protocols(evaluation)])
+        for m in evaluation.joined.methods
+    ]
+
+
+def _rates(count: Count, summary: Summary, method: str, protocol: str) -> Rates:
+    tpr, fpr = (summary.figure(protocol, method, name) for name in HEADLINE)
+    return Rates(
+        Cell(_rate(count.tp, count.tp + count.fn), _interval(tpr, 3)),
+        Cell(_rate(count.fp, count.fp + count.tn), _interval(fpr, 4)),
+        count.fn,
+        count.fp,
+    )
+
+
+def figures(evaluation: Evaluation, summary: Summary) -> list[tuple[str, list[Cell]]]:
+    """The other figures over all IDs under the stricter protocol: a label, a cell per method."""
+    protocol = protocols(evaluation)[0]
+    rows = []
+    for name, label, digits in ROWS:
+        found = [summary.figure(protocol, m, name) for m in evaluation.joined.methods]
+        if name not in HEADLINE and any(found):
+            rows.append((label, [_cell(figure, digits) for figure in found]))
+    return rows
+
+
+def differences(evaluation: Evaluation, summary: Summary) -> list[tuple[str, str, Cell, str]]:
+    """(methods, figure, difference, p or why there is none) of every tested figure."""
+    protocol = protocols(evaluation)[0]
+    return [
+        (
+            f"{d.b} less {d.a}",
+            LABELS[d.name],
+            Cell(
+                _number(d.value, DIGITS[d.name], "+"),
+                _span(d.low, d.high, DIGITS[d.name], "+"),
+            ),
+            d.note if math.isnan(d.p) else f"{d.p:.2g}",
+        )
+        for d in summary.differences
+        if d.protocol == protocol and d.name in TESTED
+    ]
+
+
+def _cell(figure: Figure | None, digits: int) -> Cell:
+    if figure is None:
+        return Cell("-")
+    return Cell(_number(figure.value, digits), _interval(figure, digits))
+
+
+def _interval(figure: Figure | None, digits: int) -> str:
+    return "" if figure is None else _span(figure.low, figure.high, digits)
+
+
+def _span(low: float, high: float, digits: int, sign: str = "") -> str:
+    if math.isnan(low):
+        return ""
+    return f"{_number(low, digits, sign)} to {_number(high, digits, sign)}"
+
+
+def _number(value: float, digits: int, sign: str = "") -> str:
+    if math.isnan(value):
+        return "-"
+    return "never" if math.isinf(value) else f"{value:{sign}.{digits}f}"
+
+
+def _rate(part: int, whole: int) -> str:
+    """A rate to four digits; a dash where there is nothing to measure."""
+    return rate(part, whole).strip() if whole else "-"
