@@ -19,6 +19,7 @@ import numpy as np
 from sonarrec.records import ByteImage, Fan, FloatArray, SonarrecError
 
 MAX_FAN_PIXELS = 2**24
+MIN_WINDOW_M = 0.01
 
 EXAMPLE_SONAR_TOML = """\
 [sonar]
@@ -168,6 +169,8 @@ def check_sonar(sonar: Sonar, where: str) -> None:
 
     if not 0 <= low < high:
         raise contradiction(f"range_min_m = {low:g} must be >= 0 and below range_max_m = {high:g}")
+    if high - low < MIN_WINDOW_M:
+        raise contradiction(f"a window of {high - low:g} m is shorter than {MIN_WINDOW_M:g} m")
     if sonar.field_of_view_deg is not None and not 0 < sonar.field_of_view_deg < 180:
         raise contradiction(
             f"field_of_view_deg = {sonar.field_of_view_deg:g} must be within 0 to 180"

@@ -465,6 +465,18 @@ def test_a_fan_too_large_to_make(tmp_path: Path) -> None:
         read(path)
 
 
+def test_a_window_too_short_to_be_meant(tmp_path: Path) -> None:
+    bearings = tuple(np.linspace(-30, 30, 20).tolist())
+    sonar = Sonar(layout="polar", range_min_m=1, range_max_m=1.001, bearings_deg=bearings)
+    path = tmp_path / "log.mcap"
+    (tmp_path / "sonar.toml").write_text("[sonar]\ntilt_deg = 20.0\n")
+    schema = "marine_acoustic_msgs/msg/ProjectedSonarImage"
+    with McapImageWriter(path, schema=schema, sonar=sonar) as writer:
+        writer.write(0, np.zeros((100, 20), np.uint8))
+    with pytest.raises(SonarrecError, match=r"a window of 0\.00099.* m"):
+        read(path)
+
+
 def test_an_odd_first_frame_does_not_cost_the_others(tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
     with HardLog(path) as log:

@@ -148,6 +148,10 @@ def test_a_geometry_that_contradicts_itself(tmp_path: Path) -> None:
     assert found["images"][0]["usable"] == 0
     (problem,) = found["images"][0]["problems"]
     assert "range_min_m = 1.25 must be >= 0 and below range_max_m = 1" in problem
+    assert (
+        "a window of 1e-05 m is shorter than 0.01 m"
+        in info(path, "--range-max-m", "1.25001").output
+    )
 
 
 def test_polar_messages_tell_their_own_geometry(tmp_path: Path) -> None:

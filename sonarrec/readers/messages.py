@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from sonarrec.geometry import Sonar
+from sonarrec.geometry import MIN_WINDOW_M, Sonar
 from sonarrec.readers import foxglove, ros_wire
 from sonarrec.readers.fields import Fields
 from sonarrec.readers.raw import Ping, UnusableError, decode_image, raw_pixels
@@ -107,6 +107,8 @@ def _geometry(ranges_m: FloatArray, bearings_deg: FloatArray) -> Sonar:
     steps = np.diff(ranges_m)
     if len(ranges_m) < 2 or ranges_m[0] < 0 or not np.all(steps > 0):
         raise UnusableError("ranges do not rise from bin to bin")
+    if ranges_m[-1] - ranges_m[0] < MIN_WINDOW_M:
+        raise UnusableError(f"a window of {ranges_m[-1] - ranges_m[0]:g} m")
     turns = np.diff(bearings_deg)
     if len(bearings_deg) < 2 or not (np.all(turns > 0) or np.all(turns < 0)):
         raise UnusableError("bearings do not run one way from beam to beam")
