@@ -58,11 +58,16 @@ DEFINITIONS = {
 }
 SOUND_SPEED = 1500.0
 BIN_M = 1 / 64
-BEARINGS_DEG = np.round(np.linspace(-1, 1, 24) * (14 + 2 * np.abs(np.linspace(-1, 1, 24))), 2)
 FIRST_BIN = 64  # of the messages that begin away from the sonar
 
 
-def polar_toml(bins: int, first_bin: int = FIRST_BIN, bearings: np.ndarray = BEARINGS_DEG) -> str:
+def bearings_deg(beams: int) -> np.ndarray:
+    """Wider apart towards the edges, in whole hundredths of a degree."""
+    place = np.linspace(-1, 1, beams)
+    return np.round(place * (14 + 2 * np.abs(place)), 2)
+
+
+def polar_toml(bins: int, first_bin: float, bearings: np.ndarray) -> str:
     """The sonar.toml of an image folder that says what the polar messages tell."""
     return (
         '[sonar]\nlayout = "polar"\ntilt_deg = 20.0\nheight_m = 0.5\nframe_rate_hz = 4.0\n'
@@ -134,7 +139,8 @@ def samples(image: np.ndarray, dtype: int = 0) -> dict[str, Any]:
 def projected_fields(k: int, image: np.ndarray) -> dict[str, Any]:
     middles = (FIRST_BIN + np.arange(len(image)) + 0.5) * BIN_M
     return {
-        "header": header(k), "ping_info": _INFO, "beam_directions": directions(BEARINGS_DEG),
+        "header": header(k), "ping_info": _INFO,
+        "beam_directions": directions(bearings_deg(image.shape[1])),
         "ranges": middles.astype(np.float32), "image": samples(image),
     }  # fmt: skip
 
@@ -145,13 +151,14 @@ def raw_fields(k: int, image: np.ndarray) -> dict[str, Any]:
     return {
         "header": header(k), "ping_info": _INFO, "sample_rate": SOUND_SPEED / (2 * BIN_M),
         "samples_per_beam": len(image), "sample0": FIRST_BIN, "tx_delays": nothing,
-        "tx_angles": nothing, "rx_angles": np.radians(BEARINGS_DEG).astype(np.float32),
+        "tx_angles": nothing,
+        "rx_angles": np.radians(bearings_deg(image.shape[1])).astype(np.float32),
         "image": samples(image),
     }  # fmt: skip
 
 
-RAW_BEARINGS_DEG = np.degrees(np.radians(BEARINGS_DEG).astype(np.float32).astype(float))
-_HUNDREDTHS = np.round(BEARINGS_DEG * 100).astype(np.int16)
+def _hundredths(beams: int) -> np.ndarray:
+    return np.round(bearings_deg(beams) * 100).astype(np.int16)
 
 
 def oculus_fields(k: int, image: np.ndarray, compressed: bool = False) -> dict[str, Any]:
@@ -165,7 +172,7 @@ def oculus_fields(k: int, image: np.ndarray, compressed: bool = False) -> dict[s
     return {
         "header": header(k), "fire_msg": fire, "ping_id": k, "part_number": 1, "status": 0,
         "frequency": 1.2e6, "temperature": 9.0, "pressure": 1.1, "speed_of_sound": 1500.0,
-        "start_time": 1, "bearings": _HUNDREDTHS, "range_resolution": BIN_M,
+        "start_time": 1, "bearings": _hundredths(image.shape[1]), "range_resolution": BIN_M,
         "num_ranges": len(image), "num_beams": image.shape[1], "ping": ping,
     }  # fmt: skip
 
@@ -176,7 +183,7 @@ def oculus_interfaces_fields(k: int, image: np.ndarray) -> dict[str, Any]:
         "gain_percent": 40.0, "frequency": 2.1e6, "speed_of_sound_used": 1500.0,
         "range_resolution": BIN_M, "temperature": 9.0, "pressure": 1.1, "master_mode": 2,
         "has_gains": False, "n_ranges": len(image), "n_beams": image.shape[1],
-        "step": image.shape[1], "sample_size": 1, "bearings": _HUNDREDTHS,
+        "step": image.shape[1], "sample_size": 1, "bearings": _hundredths(image.shape[1]),
         "ping_data": image.ravel(),
     }  # fmt: skip
 
@@ -394,18 +401,15 @@ WRITERS: dict[str, Maker] = {
 }
 
 
-def sidecars(writer: str, bins: int) -> tuple[str, str]:
-    """The sonar.toml of an MCAP of that writer, and that of the same frames in a folder."""
-    if "Raw" in writer and "marine" in writer:  # middles at whole bins, bearings in 32 bits
-        toml = polar_toml(bins, bearings=RAW_BEARINGS_DEG)
-        window = (FIRST_BIN - 0.5) * BIN_M, (FIRST_BIN + bins - 0.5) * BIN_M
-        toml = toml.replace(f"range_min_m = {FIRST_BIN * BIN_M}", f"range_min_m = {window[0]}")
-        toml = toml.replace(
-            f"range_max_m = {(FIRST_BIN + bins) * BIN_M}", f"range_max_m = {window[1]}"
-        )
-        return TILT_TOML, toml
-    if "Projected" in writer:
-        return TILT_TOML, polar_toml(bins)
+def sidecars(writer: str, bins: int, beams: int) -> tuple[str, str]:
+    """The sonar.toml of an MCAP of that writer, and that of the same frames in a folder; empty
+    for images that are no pings."""
+    bearings = bearings_deg(beams)
+    if "marine" in writer and "Raw" in writer:  # middles at whole bins, bearings in 32 bits
+        bearings = np.degrees(np.radians(bearings).astype(np.float32).astype(float))
+        return TILT_TOML, polar_toml(bins, FIRST_BIN - 0.5, bearings)
+    if "marine" in writer:
+        return TILT_TOML, polar_toml(bins, FIRST_BIN, bearings)
     if "culus" in writer:
-        return TILT_TOML, polar_toml(bins, first_bin=0)
+        return TILT_TOML, polar_toml(bins, 0, bearings)
     return "", ""

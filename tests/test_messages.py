@@ -6,9 +6,10 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-import shutil
 import struct
 import tomllib
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +22,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from logs import PERIOD_NS, SONAR_TOML, frames, image_folder, mcap_file
 from messages import (
-    BEARINGS_DEG,
     BIN_M,
     DEFINITIONS,
     FIRST_BIN,
     SOUND_SPEED,
     WRITERS,
+    bearings_deg,
     directions,
+    polar_toml,
     serialised,
     sidecars,
     stamp_ns,
@@ -50,12 +52,13 @@ from sonarrec.readers.ros_definitions import (
     parse_definition,
 )
 from sonarrec.records import Frame, SonarrecError, UsageError
+from sonarrec.simulation.simulate import load_scene, render
 
-SAMPLES = Path(__file__).parents[1] / "sample_data"
 PROJECTED = "marine_acoustic_msgs/msg/ProjectedSonarImage"
 RAW = "marine_acoustic_msgs/msg/RawSonarImage"
 OCULUS = "oculus_interfaces/msg/Ping"
 BINS, BEAMS = 60, 24
+BEARINGS_DEG = bearings_deg(BEAMS)
 TILT = Sonar(tilt_deg=20.0)
 
 
@@ -85,7 +88,7 @@ def test_every_message_gives_the_frames_of_the_folder(
     images = polar_frames()
     log = tmp_path / "log.mcap"
     WRITERS[writer](log, images, compression)
-    mine, theirs = sidecars(writer, BINS)
+    mine, theirs = sidecars(writer, BINS, BEAMS)
     (tmp_path / "sonar.toml").write_text(mine or SONAR_TOML)
     folder = image_folder(tmp_path / "folder", images)
     (folder / "sonar.toml").write_text(theirs or SONAR_TOML)
@@ -102,59 +105,64 @@ def test_every_message_gives_the_frames_of_the_folder(
         assert dataclasses.astuple(frame.fan) == pytest.approx(dataclasses.astuple(same.fan))
 
 
-@pytest.mark.parametrize(
-    "writer",
-    [
-        "sensor_msgs/msg/Image, ROS 1",
-        "sensor_msgs/msg/CompressedImage, mcap-ros2-support",
-        "foxglove.RawImage, protobuf",
-        "foxglove.RawImage, flatbuffer",
-    ],
-)
-def test_estimates_are_those_of_the_folder(writer: str, tmp_path: Path) -> None:
-    """A log with landmarks through the whole program: bytes of estimates.csv."""
-    names = sorted((SAMPLES / "polar").glob("*.png"))[:6]
-    images = [cv2.imread(str(name), cv2.IMREAD_GRAYSCALE) for name in names]
-    folder = image_folder(tmp_path / "folder", images)
-    shutil.copy(SAMPLES / "polar" / "sonar.toml", folder)
-    WRITERS[writer](tmp_path / "log.mcap", images, "zstd")
-    shutil.copy(SAMPLES / "polar" / "sonar.toml", tmp_path)
-    estimates = []
-    for log in (folder, tmp_path / "log.mcap"):
-        process(log, tmp_path / "out", config.preset("default"))
-        estimates.append((tmp_path / "out" / log.stem / "estimates.csv").read_bytes())
-    assert estimates[0].count(b"\n") > 12
-    assert estimates[0] == estimates[1]
-
-
-def test_estimates_of_pings_are_those_of_the_folder(tmp_path: Path) -> None:
-    """The geometry is the message's: nothing but tilt and height is stated."""
-    names = sorted((SAMPLES / "polar").glob("*.png"))[:6]
-    images = [cv2.imread(str(name), cv2.IMREAD_GRAYSCALE) for name in names]
-    bin_m, first = 5 / 1024, 287  # numbers that 32 bits hold; the sample's window to 1.4 mm
-    with open_log(SAMPLES / "polar") as log:
-        bearings = log.sonar.bearings_deg
-    middles = ((first + np.arange(len(images[0])) + 0.5) * bin_m).astype(np.float32)
-    pings = [
-        messages.projected_fields(k, image)
-        | {"beam_directions": directions(np.array(bearings)), "ranges": middles}
-        for k, image in enumerate(images)
-    ]
-    told = log_of(tmp_path / "told.mcap", pings)
-    folder = image_folder(tmp_path / "folder", images)
-    (folder / "sonar.toml").unlink()
-    flags = Sonar(tilt_deg=20.0, height_m=0.66, frame_rate_hz=4.0)
-    window = Sonar(
-        layout="polar",
-        range_min_m=first * bin_m,
-        range_max_m=(first + len(images[0])) * bin_m,
-        bearings_deg=bearings,
+@pytest.fixture(scope="module")
+def recording() -> list[np.ndarray]:
+    """Simulated pings with landmarks, in the messages' window."""
+    scene = load_scene("sample_polar")
+    sonar = replace(
+        scene.sonar,
+        range_min_m=FIRST_BIN * BIN_M,
+        range_max_m=(FIRST_BIN + 128) * BIN_M,
+        range_bins=128,
+        beams=48,
     )
-    process(told, tmp_path / "out", config.preset("default"), sonar=flags)
-    process(folder, tmp_path / "out", config.preset("default"), sonar=window.updated(flags))
-    ours, theirs = (tmp_path / "out" / name / "estimates.csv" for name in ("told", "folder"))
-    assert ours.read_bytes() == theirs.read_bytes()
-    assert ours.read_bytes().count(b"\n") > 12
+    return [frame.image for frame in render(replace(scene, sonar=sonar, frames=4))]
+
+
+Estimates = Callable[[str, list[np.ndarray]], bytes]
+
+
+@pytest.fixture(scope="module")
+def estimates_of_folder(tmp_path_factory: pytest.TempPathFactory) -> Estimates:
+    """estimates.csv of an image folder, worked out once for each sonar.toml."""
+    done: dict[str, bytes] = {}
+
+    def estimates(toml: str, images: list[np.ndarray]) -> bytes:
+        if toml not in done:
+            path = tmp_path_factory.mktemp("folder")
+            folder = image_folder(path / "log", images)
+            (folder / "sonar.toml").write_text(toml)
+            process(folder, path, config.preset("default"))
+            done[toml] = (path / "log" / "estimates.csv").read_bytes()
+        return done[toml]
+
+    return estimates
+
+
+@pytest.mark.parametrize("writer", WRITERS)
+def test_every_message_gives_the_estimates_of_the_folder(
+    writer: str,
+    recording: list[np.ndarray],
+    estimates_of_folder: Estimates,
+    tmp_path: Path,
+) -> None:
+    """A log with landmarks through the whole program: the same bytes."""
+    images = recording
+    if "culus" in writer:  # which records from the sonar on
+        images = [np.pad(image, ((FIRST_BIN, 0), (0, 0))) for image in images]
+    log = tmp_path / "log.mcap"
+    WRITERS[writer](log, images, "zstd")
+    bins, beams = images[0].shape
+    mine, theirs = sidecars(writer, bins, beams)
+    if not theirs:
+        mine = theirs = polar_toml(bins, FIRST_BIN, bearings_deg(beams))
+    (tmp_path / "sonar.toml").write_text(mine)
+    summary = process(log, tmp_path / "out", config.preset("default"))
+    assert not summary.problems
+    assert not summary.notes
+    found = (tmp_path / "out" / "log" / "estimates.csv").read_bytes()
+    assert found.count(b"\n") > 8
+    assert found == estimates_of_folder(theirs, images)
 
 
 # One message

@@ -90,11 +90,9 @@ class Fields:
             if not all(isinstance(v, Mapping) for v in value):
                 raise self._wrong(name, "list of vectors")
             value = {axis: [v.get(axis, 0.0) for v in value] for axis in "xyz"}
-        columns = Fields(value) if isinstance(value, Mapping) else Fields({})
-        try:
-            return np.column_stack([columns.numbers(axis) for axis in "xyz"])
-        except ValueError:
-            raise self._wrong(name, "list of vectors") from None
+        if not isinstance(value, Mapping):
+            raise self._wrong(name, "list of vectors")
+        return np.column_stack([Fields(value).numbers(axis) for axis in "xyz"])
 
     def stamp_ns(self) -> int | None:
         """The header's stamp, or Foxglove's timestamp, in ns; None without either."""
