@@ -175,10 +175,10 @@ class Features:
         "results wait so long and are revised by what was learned of their tracks since",
     )
     declare: float = _setting(
-        0.7,
+        0.6,
         "probability",
-        "least score at which an ID is declared; the least with a strict FPR under 0.01 on the "
-        "tuning seeds (2000 to 2002 of every kind of random scene)",
+        "least score at which an ID is declared; the least with a strict FPR under 0.005 on the "
+        "tuning seeds (2000 to 2005 of every kind of random scene)",
     )
 
 

@@ -26,7 +26,7 @@ SMI = "smi"
 FRAMEWORK = "framework"
 STEP_DEG = 360 / ANGLES
 # Standard error of a group's mean, in shares of its particles' spread; measured by `make scenes`.
-POSITION_SHARE = 0.1
+POSITION_SHARE = 0.22
 
 
 class Recogniser:

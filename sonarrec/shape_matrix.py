@@ -143,10 +143,11 @@ def identify(
     weight = seen[:, bands.symbol].sum(axis=1)
     on = (bright & seen)[:, bands.symbol].sum(axis=1)
     # Agreeing cells = bright where the code is 1, dark where it is 0; sums over the lines first.
-    total = np.maximum(weight.sum(axis=1), 1)[:, None, None]
-    fit = (
-        np.einsum("na,tka->ntk", on, turned) + np.einsum("na,tka->ntk", weight - on, 1 - turned)
-    ) / total
+    # on . code + off . (1 - code), as one matrix product over all rotations and IDs.
+    off = weight - on
+    agreeing = (on - off).astype(float) @ turned.reshape(-1, ANGLES).T + off.sum(axis=1)[:, None]
+    total = np.maximum(weight.sum(axis=1), 1)[:, None]
+    fit = (agreeing / total).reshape(-1, *turned.shape[:2])
     turn = fit.max(axis=2).argmax(axis=1)
     ring_seen = seen[:, bands.ring].sum(axis=(1, 2))
     ring = (bright & seen)[:, bands.ring].sum(axis=(1, 2)) / np.maximum(ring_seen, 1)

@@ -18,6 +18,7 @@ from sonarrec.records import ByteImage, FloatArray, Selection
 # The ring filter's dark surroundings, in disc radii: part of the gap inside, the floor outside.
 GAP_MARGIN = 0.03
 OUTSIDE = (1.08, 1.35)
+COARSE = 4  # pixels, of the grid on which the surroundings' brightness is measured
 LEAST_LOCAL_SIGMA = 0.5  # of the whole frame's
 # Peaks that are compared with each other; a frame with more is noise from edge to edge.
 MOST_PEAKS = 64
@@ -54,10 +55,12 @@ class CandidateSelector:
                 ring / ring.sum() - 0.5 * gap / gap.sum() - 0.5 * outside / outside.sum()
             ).astype(np.float32)
         self._margin = margin
-        self._background = (4 * margin + 1, 4 * margin + 1)
-        self._seen = np.maximum(
-            np.asarray(cv2.blur(self._inside_grey, self._background)), np.float32(1e-3)
-        )
+        rows, columns = plane.shape
+        self._coarse = (max(1, columns // COARSE), max(1, rows // COARSE))
+        size = 4 * margin // COARSE + 1
+        self._background = (size, size)
+        seen = cv2.resize(self._inside_grey, self._coarse, interpolation=cv2.INTER_AREA)
+        self._seen = np.maximum(np.asarray(cv2.blur(seen, self._background)), np.float32(1e-3))
         self._diameter = 2 * np.array(plane.axes)
         visible = self._correlate(self._inside_grey, ring.astype(np.float32))
         visible /= ring.sum()
@@ -70,9 +73,7 @@ class CandidateSelector:
 
     def __call__(self, image: ByteImage) -> Selection:
         """Candidates in a working image (uint8, the plane's shape)."""
-        mean = np.asarray(
-            cv2.blur(image * self._inside_grey, self._background) / self._seen, np.float32
-        )
+        mean = self._local_mean(image * self._inside_grey)
         relief = (image - mean) * self._inside_grey
         # A black or even frame has no relief; 1 keeps it so.
         sigma = float(np.sqrt(cv2.norm(relief, cv2.NORM_L2SQR) / self._cells)) or 1.0
@@ -118,11 +119,21 @@ class CandidateSelector:
 
         relief: (rows, columns) grey level over that of the surroundings. sigma: its deviation.
         """
-        variance = cv2.sqrBoxFilter(relief, cv2.CV_32F, self._background) / self._seen
         # Never far below the whole frame's: an even patch must not turn its noise into rings.
-        local = np.sqrt(np.maximum(variance, (LEAST_LOCAL_SIGMA * sigma) ** 2))
-        full = self._config.ring_full_contrast * local
-        return np.asarray(self._correlate(relief, self._kernel) * self._gain / full, np.float32)
+        least = (LEAST_LOCAL_SIGMA * sigma) ** 2
+        local = cv2.sqrt(np.maximum(self._local_mean(relief * relief), least))
+        score = self._correlate(relief, self._kernel) * self._gain
+        return np.asarray(score / (local * np.float32(self._config.ring_full_contrast)))
+
+    def _local_mean(self, values: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Mean of (rows, columns) values, 0 outside the fan, over each pixel's surroundings.
+
+        Made on a coarse grid: it hardly changes from one pixel to the next.
+        """
+        coarse = cv2.resize(values, self._coarse, interpolation=cv2.INTER_AREA)
+        mean = cv2.blur(coarse, self._background) / self._seen
+        size = (values.shape[1], values.shape[0])
+        return np.asarray(cv2.resize(mean, size, interpolation=cv2.INTER_LINEAR), np.float32)
 
     def _correlate(
         self, image: npt.NDArray[np.float32], kernel: npt.NDArray[np.float32]

@@ -150,4 +150,4 @@ def speckled(
 
 def surroundings(image: np.ndarray) -> tuple[np.ndarray, float]:
     """Mean map and sigma of an image for ShapeSampler, the same everywhere."""
-    return np.full(image.shape, image.mean(), np.float32), float(image.std())
+    return np.full(image.shape, image.mean(), np.float32), float(image.std()) or 1.0
