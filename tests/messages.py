@@ -24,6 +24,12 @@ from logs import COMPRESSION, PERIOD_NS, mcap_file
 from mcap_ros2.writer import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from sonarrec.geometry import Sonar
+from sonarrec.readers import open_log
+from sonarrec.readers.messages import decoder_for
+from sonarrec.readers.raw import Ping
+from sonarrec.records import Frame
+
 # As the packages' own .msg files have them, FORMATS in short.
 DEFINITIONS = {
     "foxglove_msgs/msg/RawImage": "TIME timestamp\nstring frame_id\nuint32 width\nuint32 height\n"
@@ -413,3 +419,42 @@ def sidecars(writer: str, bins: int, beams: int) -> tuple[str, str]:
     if "culus" in writer:
         return TILT_TOML, polar_toml(bins, 0, bearings)
     return "", ""
+
+
+# Logs of pings
+
+PROJECTED = "marine_acoustic_msgs/msg/ProjectedSonarImage"
+RAW = "marine_acoustic_msgs/msg/RawSonarImage"
+OCULUS = "oculus_interfaces/msg/Ping"
+BINS, BEAMS = 60, 24
+BEARINGS_DEG = bearings_deg(BEAMS)
+TILT = Sonar(tilt_deg=20.0)
+
+
+def polar_frames(count: int = 3) -> list[np.ndarray]:
+    """Bright blobs on speckle: samples resemble their neighbours, as a sonar's do."""
+    rng = np.random.default_rng(7)
+    images = []
+    for _ in range(count):
+        speckle = cv2.GaussianBlur(rng.normal(0, 1, (BINS, BEAMS)), (0, 0), 1.2)
+        images.append(np.clip(90 + 90 * speckle, 1, 255).astype(np.uint8))
+    return images
+
+
+def read(path: Path, **options: Any) -> tuple[list[Frame], list[str], list[str]]:
+    with open_log(path, **options) as log:
+        return list(log), log.problems, log.notes
+
+
+def ping_of(name: str, fields: dict[str, Any], **options: Any) -> Ping:
+    decode = decoder_for(name, "ros2msg", definition(name), "cdr")
+    assert decode is not None
+    assert decode.polar
+    return decode(memoryview(serialised(name, fields, **options)))
+
+
+def log_of(path: Path, pings: list[dict[str, Any]], name: str = PROJECTED) -> Path:
+    bytes_of = [("/a", k * PERIOD_NS, serialised(name, f)) for k, f in enumerate(pings)]
+    mcap_file(path, bytes_of, schema=name)
+    (path.parent / "sonar.toml").unlink()
+    return path

@@ -18,8 +18,6 @@ from logs import PERIOD_NS, SONAR_TOML, cdr_image, frames, image_folder, mcap_fi
 from sonarrec.geometry import PolarToFan, Sonar, load_sonar
 from sonarrec.mcap_writer import SCHEMAS, McapImageWriter, is_polar
 from sonarrec.readers import MAX_PROBLEM_LINES, open_log
-from sonarrec.readers.grey import grey_scale, single_channel, to_grey8
-from sonarrec.readers.raw import UnusableError
 from sonarrec.records import Frame, SonarrecError, UsageError
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
@@ -359,34 +357,6 @@ def test_what_cannot_be_opened(
 def test_a_topic_is_for_mcap(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="--topic"):
         open_log(image_folder(tmp_path / "log", frames(1)), topic="/a")
-
-
-def grey8(pixels: np.ndarray, sonar: Sonar = Sonar(), amplitudes: bool = False) -> np.ndarray:  # noqa: B008
-    """One frame by the scale that it would settle as the first of a log."""
-    channel = single_channel(pixels)
-    scale = grey_scale(sonar, channel, amplitudes)
-    assert scale is not None
-    return to_grey8(channel, scale)
-
-
-def test_grey8() -> None:
-    every = np.arange(65536, dtype=np.uint16).reshape(256, 256)
-    expected = np.round(every / 257).astype(np.uint8)
-    np.testing.assert_array_equal(grey8(every), expected)
-    np.testing.assert_array_equal(grey8(every.astype(">u2")), expected)
-    colour = np.random.default_rng(1).integers(0, 256, (30, 40, 3), dtype=np.uint8)
-    weighted = colour @ np.array([0.114, 0.587, 0.299])
-    assert np.abs(grey8(colour) - weighted).max() <= 0.51
-    floats = np.array([[0.0, 0.5, 1.0, np.nan]])
-    np.testing.assert_array_equal(grey8(floats), [[0, 128, 255, 0]])
-    for wrong in (
-        np.zeros((3, 3, 2), np.uint8),
-        np.zeros((0, 3), np.uint8),
-        np.zeros(3, np.uint8),
-        np.zeros((3, 3), np.complex64),
-    ):
-        with pytest.raises(UnusableError):
-            grey8(wrong, amplitudes=True)
 
 
 @pytest.mark.parametrize("name", ["png", "mcap, sensor_msgs/msg/Image, zstd"])
