@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 
 from sonarrec.cli import main
 from sonarrec.evaluation.scoring import PROTOCOLS, evaluate, score
+from sonarrec.evaluation.summary import summarise
 from sonarrec.evaluation.truth import read_truth
 from sonarrec.geometry import Sonar
 from sonarrec.landmarks import load_landmarks
@@ -119,6 +120,22 @@ def test_tables_are_the_evaluations(pages: dict[str, Path], results: Path) -> No
                         assert float(cell) == pytest.approx(float(r[label.lower()]), abs=5.1e-5)
                     else:
                         assert cell == "0.0000*"
+
+
+def test_figures_are_the_summarys(pages: dict[str, Path], results: Path) -> None:
+    found = summarise(evaluate(results, SAMPLE / "gt.csv"))
+    page = Page(pages["full"])
+    text = re.sub(r"\s+", "", page.text)
+    for method in ("smi", "framework"):
+        for name, digits in (("auc", 3), ("brier", 3), ("ece", 3), ("position_error_95_m", 4)):
+            figure = found.figure("strict", method, name)
+            assert figure is not None
+            told = f"{figure.value:.{digits}f}"
+            if not np.isnan(figure.low):
+                told += f"{figure.low:.{digits}f}to{figure.high:.{digits}f}"
+            assert told in text
+    for note in found.notes:
+        assert note in page.text
 
 
 def test_nothing_is_fetched_and_nothing_runs(pages: dict[str, Path]) -> None:

@@ -11,16 +11,17 @@ from sonarrec.evaluation.summary import Summary
 from sonarrec.evaluation.tabulate import DIGITS, ROWS, TESTED, rate
 from sonarrec.evaluation.uncertainty import Figure
 
-LABELS = {name: label for name, label, _ in ROWS}
+TESTED_LABELS = [label for name, label, _ in ROWS if name in TESTED]
 HEADLINE = ("tpr", "fpr")
 
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """A value and, where one is known, its interval."""
+    """A value and, where known, its interval and what a test says of it."""
 
     value: str
     interval: str = ""
+    test: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,22 +101,24 @@ def figures(evaluation: Evaluation, summary: Summary) -> list[tuple[str, list[Ce
     return rows
 
 
-def differences(evaluation: Evaluation, summary: Summary) -> list[tuple[str, str, Cell, str]]:
-    """(methods, figure, difference, p or why there is none) of every tested figure."""
+def differences(evaluation: Evaluation, summary: Summary) -> list[tuple[str, list[Cell]]]:
+    """Per two methods their differences in the figures of TESTED under the stricter protocol.
+
+    Each with its p, or why there is none.
+    """
     protocol = protocols(evaluation)[0]
-    return [
-        (
-            f"{d.b} less {d.a}",
-            LABELS[d.name],
-            Cell(
-                _number(d.value, DIGITS[d.name], "+"),
-                _span(d.low, d.high, DIGITS[d.name], "+"),
-            ),
-            d.note if math.isnan(d.p) else f"{d.p:.2g}",
-        )
-        for d in summary.differences
-        if d.protocol == protocol and d.name in TESTED
-    ]
+    rows: dict[str, list[Cell]] = {}
+    for d in summary.differences:
+        if d.protocol == protocol and d.name in TESTED:
+            digits = DIGITS[d.name]
+            rows.setdefault(f"{d.b} less {d.a}", []).append(
+                Cell(
+                    _number(d.value, digits, "+"),
+                    _span(d.low, d.high, digits, "+"),
+                    d.note if math.isnan(d.p) else f"p = {d.p:.2g}",
+                )
+            )
+    return list(rows.items())
 
 
 def _cell(figure: Figure | None, digits: int) -> Cell:

@@ -82,9 +82,9 @@ class Mistakes:
 class Scores:
     """What ground truth adds to the page.
 
-    rates, others (figures), differences: as `figures` gives them. units: how many, and of what, the
-    intervals rest on. starred: whether a table prints a 0/0. curves: per protocol its name, the
-    ROC over all IDs and that of each. reliability: per method.
+    rates, others (figures), differences: as `figures` gives them. units: how many, and of what,
+    the intervals rest on. tested: the figures compared. starred: whether a table prints a 0/0.
+    curves: per protocol its name, the ROC over all IDs and that of each. reliability: per method.
     """
 
     protocols: list[str]
@@ -92,7 +92,8 @@ class Scores:
     units: str
     level: str
     others: list[tuple[str, list[figures.Cell]]]
-    differences: list[tuple[str, str, figures.Cell, str]]
+    tested: list[str]
+    differences: list[tuple[str, list[figures.Cell]]]
     notes: list[str]
     tables: list[figures.Table]
     starred: bool
@@ -155,6 +156,7 @@ def _scores(tracker: str, evaluation: Evaluation) -> Scores:
         units=f"{summary.units.count} {KINDS[summary.units.kind]}",
         level=f"{LEVEL:.0%}",
         others=figures.figures(evaluation, summary),
+        tested=figures.TESTED_LABELS,
         differences=figures.differences(evaluation, summary),
         notes=[*evaluation.notes, *summary.notes],
         tables=tables,
@@ -206,9 +208,10 @@ def _facts(log: ReportedLog) -> Iterator[tuple[str, str]]:
         yield "tilt", f"{sonar['tilt_deg']:g} deg"
     yield "landmark set", f"{found.landmarks.name}, radius {found.landmarks.radius_m:g} m"
     configs = run.get("config", {})
-    for config in configs if isinstance(configs, list) else [configs]:
-        if "preset" in config:
-            yield "preset", str(config["preset"])
+    configs = configs if isinstance(configs, list) else [configs]
+    presets = [str(config["preset"]) for config in configs if "preset" in config]
+    if presets:
+        yield "preset" + "s" * (len(presets) > 1), ", ".join(presets)
 
 
 def _track_view(log: ReportedLog, track: Track) -> TrackView:
