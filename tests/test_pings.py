@@ -183,10 +183,25 @@ def test_beam_order(tmp_path: Path) -> None:
     with open_log(other, sonar=TILT) as log:
         found = list(log)
         assert log.reading()["beam_order"] == "beam-major"
+        assert log.notes == [f"{other}: read as beam-major, found from its first ping"]
     for frame, same, also, odd in zip(expected, found, stated, wrong, strict=True):
         np.testing.assert_array_equal(frame.image, same.image)
         np.testing.assert_array_equal(frame.image, also.image)
         assert not np.array_equal(frame.image, odd.image)
+
+
+def test_beam_order_of_images_with_rings() -> None:
+    """Every range has its own brightness: far beams resemble each other, yet nothing is turned."""
+    rng = np.random.default_rng(0)
+    for bins, beams in ((200, 512), (512, 200)):
+        rings = rng.integers(30, 220, (bins, 1)) + rng.normal(0, 3, (bins, beams))
+        assert not looks_beam_major(np.clip(rings, 0, 255).astype(np.uint8))
+
+
+def test_beam_order_of_tiny_images() -> None:
+    for bins in range(2, 7):
+        for beams in range(2, 7):
+            assert looks_beam_major(np.full((bins, beams), 7, np.uint8)) is False
 
 
 def test_beam_order_of_images_that_decide_nothing(tmp_path: Path) -> None:

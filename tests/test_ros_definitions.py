@@ -72,6 +72,14 @@ uint32 nanosec
     assert isinstance(layout.fields[4].kind, Struct)
 
 
+def test_a_header_without_its_package() -> None:
+    other = "\n===\nMSG: pkg/Header\nuint8 own"
+    for text, name in (("Header h", "std_msgs/Header"), ("Header h" + other, "pkg/Header")):
+        (field,) = parse_definition(text, "pkg/Outer").fields
+        assert isinstance(field.kind, Struct)
+        assert field.kind.name == name
+
+
 @pytest.mark.parametrize(
     "text",
     [

@@ -33,7 +33,7 @@ class FanImages:
     nothing. What the user states goes before what messages tell.
 
     sonar: the geometry, of polar messages that of the first ping once it was read. fan: None
-    before the first frame. notes: lines on what was stated against the messages.
+    before the first frame. notes: lines on what was stated against the messages, or found out.
     """
 
     def __init__(self, stated: Sonar, where: str) -> None:
@@ -49,6 +49,7 @@ class FanImages:
         self._told: Sonar | None = None
         self._to_fan: PolarToFan | None = None
         self._beam_major: bool | None = None
+        self._told_against = False
 
     def __call__(self, raw: RawFrame) -> tuple[ByteImage, Fan]:
         """One frame's image, (fan.rows, fan.columns) uint8, and the fan.
@@ -113,6 +114,10 @@ class FanImages:
                     sonar, beam_order="beam-major" if beam_major else "range-major"
                 )
                 self.fan = self._to_fan.fan
+                if beam_major and not self._stated.beam_order:
+                    self.notes.append(
+                        f"{self._where}: read as beam-major, found from its first ping"
+                    )
         self._beam_major = beam_major
         assert self._to_fan is not None
         return self._to_fan(image)
@@ -140,7 +145,8 @@ class FanImages:
                 f"its window, {window.range_min_m:.3g} to {window.range_max_m:.3g} m, shows less "
                 f"than half of the first ping's, {fan.range_min_m:.3g} to {fan.range_max_m:.3g} m"
             )
-        if against and not self.notes:
+        if against and not self._told_against:
+            self._told_against = True
             self.notes.append(f"{self._where}: stated against the messages: {', '.join(against)}")
         return sonar, to_fan
 
@@ -184,15 +190,22 @@ def _as_stated(told: Sonar, stated: Sonar, bins: int) -> tuple[Sonar, list[str]]
 def looks_beam_major(image: ByteImage) -> bool:
     """Whether samples that were taken to be range-major, (bins, beams), are beam-major instead.
 
-    A sample resembles the next range bin of its beam and the next beam of its range. In
-    range-major data the first lies `beams` samples on, in beam-major data the second lies `bins`
-    samples on. Data that decide nothing (a square, a blank ping) are range-major, as most are.
+    In range-major data the sample `beams` on is the next range bin of the same beam, in beam-major
+    data the one `bins` on is the next beam at the same range: it resembles the first more than its
+    own neighbours there do. Data that decide nothing are range-major, as most are.
     """
     bins, beams = image.shape
     samples = image.ravel()
     if bins == beams:
         return False
-    bin_step, beam_step = (
-        float(np.mean(cv2.absdiff(samples[lag:], samples[:-lag]))) for lag in (beams, bins)
+    by_range, by_beam = _resemblance(samples, beams), _resemblance(samples, bins)
+    return by_beam < 0.97 and by_beam < by_range  # both are 1 to a hundredth in noise
+
+
+def _resemblance(samples: np.ndarray, lag: int) -> float:
+    """Mean difference of samples `lag` apart over that of samples a little nearer and farther."""
+    off = max(1, min(8, lag // 3))  # farther than a spot is wide
+    at, near, far = (
+        float(np.mean(cv2.absdiff(samples[k:], samples[:-k]))) for k in (lag, lag - off, lag + off)
     )
-    return beam_step < 0.95 * bin_step
+    return 2 * at / (near + far) if near + far else 1.0

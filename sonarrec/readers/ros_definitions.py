@@ -236,6 +236,7 @@ class _Parser:
             return Struct(name, (Field("sec", "I", None), Field("nanosec", "I", None)))
         full = name.replace("/msg/", "/")
         if "/" not in full:
-            package = owner.partition("/")[0]
-            full = "std_msgs/Header" if full == "Header" else f"{package}/{full}"
+            full = f"{owner.partition('/')[0]}/{full}"
+            if name == "Header" and full not in self._bodies:
+                full = "std_msgs/Header"  # ROS 1 lets its package be left out
         return self.struct(full, depth + 1)
