@@ -143,9 +143,9 @@ class Switches:
 def switches(joined: Joined, nearest: IntArray, passes: Passes) -> list[Switches]:
     """What changed from one frame of a pass to the next one that has it, per method.
 
-    Of the estimates on a landmark whole in view the nearest speaks; frames with two landmarks of
-    one ID are passed over, for which is which is not known. Candidates of the single-frame
-    method (smi) are no tracks.
+    Of the estimates on a landmark whole in view the nearest speaks, for IDs the nearest declared
+    one; frames with two landmarks of one ID are passed over, for which is which is not known.
+    Candidates of the single-frame method (smi) are no tracks.
     """
     k = len(joined.ids)
     cell = joined.truth_frame * k + joined.truth_landmark

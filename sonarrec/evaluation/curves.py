@@ -15,6 +15,7 @@ FPR_POINTS = (0.01, 0.0276, 0.05)
 """Where the TPR is read off a curve; .0276 is the FPR of the paper's framework (Table 5)."""
 PARTIAL_FPR = 0.05
 """Where the partial area under a curve ends."""
+MOST_CORNERS = 500
 PUBLISHED = (("SMI", 0.0381, 0.8226), ("framework", 0.0276, 0.8648))
 """(method, FPR, TPR) of Tables 4 and 5, Total: the paper's only two points."""
 
@@ -137,10 +138,11 @@ def macro_curve(curves: Sequence[Curve]) -> tuple[FloatArray, FloatArray]:
 
     IDs of which a rate is 0/0 are left out; without any left both arrays are empty. Each curve
     is joined with (1, 1) as in `area`, so the area under this one is the mean of theirs.
+    Of curves with more corners than MOST_CORNERS, near ones are left out, as in `Curve.turns`.
     """
     corners = []
     for curve in curves:
-        at = curve.turns()
+        at = curve.turns(MOST_CORNERS)
         x, y = np.append(curve.fpr[at], 1.0), np.append(curve.tpr[at], 1.0)
         if not np.isnan(x + y).any():
             corners.append((x, y))

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from itertools import cycle
 from pathlib import Path
 from statistics import NormalDist
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -24,8 +24,10 @@ MARKERS = ("s", "D")
 FEW = 20  # estimates: a share of fewer wanders too far to be read
 
 
-def _figure(width: float, height: float) -> Figure:
-    figure = Figure(figsize=(width, height), dpi=120, layout="constrained")
+def _figure(
+    width: float, height: float, layout: Literal["constrained"] | None = "constrained"
+) -> Figure:
+    figure = Figure(figsize=(width, height), dpi=120, layout=layout)
     FigureCanvasAgg(figure)
     return figure
 
@@ -116,9 +118,18 @@ def draw_roc_by_id(path: Path, scored: Sequence[Scored]) -> None:
     protocols, looks = _protocols(scored), _looks(scored)
     seen = [k for k in range(len(scored[0].ids)) if not np.isnan(scored[0].count(k).tpr)]
     right = _right_end(s.count(k).fpr for s in scored for k in seen)
-    columns = len(seen) + 1
-    figure = _figure(max(2.6 * columns, 5.2), 2.7 * len(protocols) + 0.5)
-    panels = figure.subplots(len(protocols), columns, sharex=True, sharey=True, squeeze=False)
+    rows, columns = len(protocols), len(seen) + 1
+    width, height = max(2.6 * columns, 5.2), 2.7 * rows + 0.5
+    figure = _figure(width, height, layout=None)  # to lay out so many panels takes half a second
+    figure.subplots_adjust(
+        left=0.75 / width,
+        right=1 - 0.15 / width,
+        bottom=0.65 / height,
+        top=1 - 0.3 / height,
+        wspace=0.12,
+        hspace=0.22,
+    )
+    panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for row, protocol in zip(panels, protocols, strict=True):
         for s in (s for s in scored if s.protocol == protocol):
             colour, style = looks[s.method]
@@ -204,13 +215,21 @@ def draw_reliability(path: Path, curves: Sequence[Reliability]) -> None:
         axes.plot([0, 1], [0, 1], ":", color="0.5", label="perfectly calibrated")
         many = top.count >= FEW
         axes.plot(top.mean, top.right, "-", color=COLOURS[0], lw=1)
-        axes.plot(top.mean[many], top.right[many], "o", color=COLOURS[0], label="most probable")
+        axes.plot(
+            top.mean[many],
+            top.right[many],
+            "o",
+            color=COLOURS[0],
+            clip_on=False,
+            label="most probable",
+        )
         axes.plot(
             top.mean[~many],
             top.right[~many],
             "o",
             color="white",
             mec=COLOURS[0],
+            clip_on=False,
             label=f"of fewer than {FEW} estimates",
         )
         axes.set(title=top.method, xlim=(0, 1), ylim=(0, 1.02))

@@ -22,7 +22,8 @@ DRAWS = 1000
 FLIPS = 4095
 MIN_UNITS = 6
 """With fewer no test can reach p = .05, for it has 2 ** n outcomes: nothing can be said."""
-SAME = 1e-9
+SAME = 1e-6
+"""Figures nearer than this are equal: sums are held in 32 bits."""
 
 
 @dataclass(frozen=True, slots=True)
