@@ -198,6 +198,16 @@ def test_beam_order_of_images_with_rings() -> None:
         assert not looks_beam_major(np.clip(rings, 0, 255).astype(np.uint8))
 
 
+def test_beam_order_of_noise_and_ramps() -> None:
+    """Nothing is turned by chance."""
+    rng = np.random.default_rng(1)
+    for _ in range(200):
+        bins, beams = rng.integers(8, 100, 2)
+        assert not looks_beam_major(rng.integers(0, 256, (bins, beams), dtype=np.uint8))
+        for image in frames(2, bins, beams):
+            assert not looks_beam_major(image)
+
+
 def test_beam_order_of_tiny_images() -> None:
     for bins in range(2, 7):
         for beams in range(2, 7):

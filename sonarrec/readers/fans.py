@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -199,7 +200,8 @@ def looks_beam_major(image: ByteImage) -> bool:
     if bins == beams:
         return False
     by_range, by_beam = _resemblance(samples, beams), _resemblance(samples, bins)
-    return by_beam < 0.97 and by_beam < by_range  # both are 1 to a hundredth in noise
+    chance = max(0.03, 4 / math.sqrt(samples.size))  # three sigma, where there is only noise
+    return by_beam < 1 - chance and by_beam < by_range
 
 
 def _resemblance(samples: np.ndarray, lag: int) -> float:

@@ -217,6 +217,7 @@ MESSAGES = {
     "acoustic_msgs/ProjectedSonarImage": _PROJECTED,  # its name before 2022
     "sonar_oculus/OculusPing": _OCULUS,
     "sonar_oculus/OculusPingUncompressed": _OCULUS,
+    "sonar_oculus_interface/OculusPing": _OCULUS,
     "oculus_interfaces/Ping": MessageType(read_oculus_interfaces_ping, polar=True),
 }
 
