@@ -14,7 +14,7 @@ from sonarrec import config
 from sonarrec.geometry import Sonar, fan_for_image, load_sonar
 from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.output import ResultsWriter
-from sonarrec.recogniser import FRAMEWORK, SMI, Recogniser
+from sonarrec.recogniser import FRAMEWORK, SMI, Recogniser, SideBySide
 from sonarrec.records import Frame, FrameResult, SonarrecError, UsageError
 
 BASIN = load_landmarks("basin")
@@ -240,3 +240,93 @@ def test_odd_geometry_is_told_in_one_line_or_recognises_nothing(name, sonar, sha
     for result in results:
         check(result)
         assert not any(e.declared for e in result.estimates if e.method == FRAMEWORK)
+
+
+# --- Side by side, and in hindsight ---------------------------------------------------------------
+
+
+def still_log(landmark: int, frames: int, hidden=()) -> list[Frame]:
+    """A still sonar and one speckled disc; where hidden, its symbol is covered by a blank one."""
+    fan = make_fan(512)
+    rng = np.random.default_rng(landmark)
+    log = []
+    for i in range(frames):
+        sectors = (0, 0, 0, 0) if i in hidden else SECTORS[landmark]
+        disc, seen = draw_on_floor(fan, 2.2, -4.0, BASIN.radius_m, disc_pattern(sectors))
+        plate, _ = draw_on_floor(
+            fan, 2.2, -4.0, BASIN.radius_m, lambda x, y: (np.hypot(x, y) <= 1) * 1.0
+        )
+        log.append(Frame(i, i * 250_000_000, speckled(disc, seen, rng, dark=plate), fan))
+    return log
+
+
+def side_by_side(log: list[Frame], *presets: str) -> list[FrameResult]:
+    together = SideBySide([config.preset(name) for name in presets], log[0].fan, BASIN)
+    results = [result for frame in log for result in together.step(frame)]
+    return [*results, *together.finish()]
+
+
+def rows(result: FrameResult, method: str, renamed: str = "") -> list[tuple]:
+    """The estimates of one method, comparable."""
+    return [
+        (renamed or e.method, e.object, e.x_px, e.y_px, *e.probabilities, e.score, e.declared)
+        for e in result.estimates
+        if e.method == method
+    ]
+
+
+def test_each_preset_gives_side_by_side_what_it_gives_alone():
+    log = still_log(3, 10)
+    together = side_by_side(log, "default", "paper", "offline")
+    assert [r.index for r in together] == list(range(10))
+    for name in ("default", "paper", "offline"):
+        alone = side_by_side(log, name)
+        for one, all_of_them in zip(alone, together, strict=True):
+            assert rows(one, FRAMEWORK, "x") == rows(all_of_them, f"{FRAMEWORK}:{name}", "x")
+            if name == "default":
+                assert rows(one, SMI) == rows(all_of_them, SMI)
+
+
+def test_a_single_preset_is_the_recogniser_itself():
+    log = still_log(1, 6)
+    for one, other in zip(
+        run(log, config.preset("default")), side_by_side(log, "default"), strict=True
+    ):
+        check(other)
+        assert rows(one, FRAMEWORK) == rows(other, FRAMEWORK)
+
+
+def test_hindsight_tells_from_the_start_what_the_log_shows_later():
+    log = still_log(3, 24, hidden=range(8))
+    at_once = side_by_side(log, "default")
+    later = side_by_side(log, "offline")
+
+    def named(result: FrameResult) -> set[int]:
+        return {e.landmark for e in result.estimates if e.method == FRAMEWORK and e.declared}
+
+    assert not any(named(result) for result in at_once[:8])  # a blank disc so far
+    assert all(named(result) == {3} for result in later[1:])
+    for one, other in zip(at_once, later, strict=True):
+        assert (one.index, one.timestamp_ns) == (other.index, other.timestamp_ns)
+        check(other)
+
+
+def test_a_lag_shorter_than_the_log_uses_so_many_frames_and_no_more():
+    log = still_log(3, 24, hidden=range(12))
+    settings = config.with_assignments(config.preset("offline"), ["features.lag_frames=4"])
+    together = SideBySide([settings], log[0].fan, BASIN)
+    waited = []
+    for frame in log:
+        waited += [(frame.index - result.index) for result in together.step(frame)]
+    assert set(waited) == {4}
+    assert len(list(together.finish())) == 4
+
+
+def test_orientation_and_place_are_known_as_well_as_they_say():
+    result = side_by_side(still_log(3, 12), "default")[-1]
+    (found,) = [e for e in result.estimates if e.method == FRAMEWORK and e.landmark == 3]
+    off = (found.orientation_deg + 180) % 360 - 180  # drawn at 0
+    assert abs(off) < 4 * found.orientation_sigma_deg
+    assert abs(off) < 6
+    assert abs(found.range_m - 2.2) < max(4 * found.range_sigma_m, 0.01)
+    assert abs(found.bearing_deg + 4.0) < max(4 * found.bearing_sigma_deg, 0.2)

@@ -297,3 +297,85 @@ def test_a_black_score_map_leaves_weights_that_can_be_used():
         groups = follow.step(selection(np.zeros(PLANE.shape, np.float32)))
         assert np.isfinite(groups.positions).all()
     assert len(groups.numbers) == 0  # spread out, five times
+
+
+# --- Groups that leave the view and return --------------------------------------------------------
+
+REMEMBER = dataclasses.replace(
+    config.preset("default").continuity, particles=500, sigma_px=3.0, sigma_known_px=1.0
+)
+
+
+def seen_at(pan_deg: float, range_m: float = 2.6, azimuth_deg: float = 10.0) -> tuple[float, float]:
+    """Where a still object shows once the sonar looks `pan_deg` to the right."""
+    column, row = PLANE.from_polar(np.array([range_m]), np.array([azimuth_deg - pan_deg]))
+    return float(column[0]), float(row[0])
+
+
+def swept(follow: ContinuityFilter, pans, hidden=(), move=lambda pan: pan) -> list[list[int]]:
+    """Numbers in view at each pan, of one still object that is a candidate where half of it shows.
+
+    move: what the filter is told of the pan since the last frame.
+    """
+    numbers, before = [], pans[0]
+    for i, pan in enumerate(pans):
+        place = seen_at(pan)
+        shows = abs(10.0 - pan) < 14 and i not in hidden
+        score = peaks(place) if shows else peaks()
+        motion = Motion(move(pan - before)) if i else None
+        groups = follow.step(selection(score, *([place] if shows else [])), motion)
+        numbers.append([int(n) for n in groups.numbers])
+        before = pan
+    return numbers
+
+
+AWAY_AND_BACK = [*np.arange(4, -14, -1.5), *np.arange(-14, 12, 1.5)]
+
+
+def test_an_object_that_returns_keeps_its_number():
+    numbers = swept(new_filter(REMEMBER), AWAY_AND_BACK)
+    assert numbers[0] == numbers[-1] == [1]
+    assert [] in numbers  # it was out of view
+    assert {n for frame in numbers for n in frame} == {1}
+
+
+def test_what_is_out_of_view_is_no_estimate_but_is_named_as_remembered():
+    follow = new_filter(REMEMBER)
+    swept(follow, AWAY_AND_BACK[:12])
+    groups = follow.step(selection(peaks()), Motion(-1.0))
+    assert list(groups.numbers) == []
+    assert list(groups.remembered) == [1]
+
+
+def test_after_too_long_an_absence_it_is_another_object():
+    brief = dataclasses.replace(REMEMBER, remember_frames=5)
+    numbers = swept(new_filter(brief), AWAY_AND_BACK)
+    assert numbers[-1] == [2]
+
+
+def test_without_a_known_pan_nobody_is_remembered():
+    numbers = swept(new_filter(REMEMBER), AWAY_AND_BACK[:12])
+    assert numbers[-1] == []
+    follow = new_filter(REMEMBER)
+    swept(follow, AWAY_AND_BACK[:12])
+    follow.step(selection(peaks()), None)
+    groups = follow.step(selection(peaks(seen_at(4.0)), seen_at(4.0)), Motion(0.0))
+    assert list(groups.numbers) == [2]
+
+
+def test_what_does_not_show_where_it_should_is_forgotten():
+    # All of it is in view again a little inside the fan's edge, which is at 14.4 deg.
+    whole = [i for i, pan in enumerate(AWAY_AND_BACK) if i > 12 and abs(10 - pan) < 11]
+    few = range(12, whole[REMEMBER.strikes - 2])
+    many = range(12, whole[REMEMBER.strikes + 2])
+    assert swept(new_filter(REMEMBER), AWAY_AND_BACK, hidden=few)[-1] == [1]
+    assert swept(new_filter(REMEMBER), AWAY_AND_BACK, hidden=many)[-1] == [2]
+
+
+def test_a_newcomer_elsewhere_is_not_taken_for_the_lost_one():
+    follow = new_filter(REMEMBER)
+    swept(follow, AWAY_AND_BACK[:12])
+    far = seen_at(0.0, range_m=1.9, azimuth_deg=-3.0)
+    groups = follow.step(selection(peaks(far), far), Motion(0.0))
+    assert list(groups.numbers) == [2]
+    assert list(groups.remembered) == [1]
