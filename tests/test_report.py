@@ -234,6 +234,15 @@ def test_several_logs(results: Path, tmp_path: Path) -> None:
     sonarrec("report", root, "--ground-truth", tmp_path / "gt.csv", "--log", SAMPLE)
     page = Page(root / "report.html")
     assert "2 recorded sonar logs" in page.text
+    first, second = page.tables["Per log, protocol strict"][2:]
+    assert (first[0], second[0]) == ("first", "pan")
+    assert first[1:] == second[1:]
+    found = evaluate(results, SAMPLE / "gt.csv").scored
+    counts = [s.count() for s in found if s.protocol == "strict"]
+    missed_and_false = [str(n) for c in counts for n in (c.fn, c.fp)]
+    assert [cell for n in range(len(counts)) for cell in first[4 * n + 3 : 4 * n + 5]] == (
+        missed_and_false
+    )
     assert len([n for n, _ in page.elements if n == "img"]) > 6
     other = sonarrec("report", root, "--log", tmp_path, code=2)
     assert "there are first, pan" in other.stderr

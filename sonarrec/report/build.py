@@ -138,7 +138,7 @@ def _wanted(logs: Sequence[ReportedLog], evaluation: Evaluation | None) -> list[
     seen = [
         Wanted(log.results.name, log.tracker, frame, f"Frame {frame}: {text}", is_mistake=False)
         for log in logs
-        for frame, text in _surest(log)
+        for frame, text in _surest(log)[: max(1, MOST_SEEN // len(logs))]
     ]
     wanted = seen[:MOST_SEEN]
     if evaluation is None:

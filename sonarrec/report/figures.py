@@ -75,13 +75,30 @@ def paper_table(scored: Scored) -> Table:
 def rates(evaluation: Evaluation, summary: Summary) -> list[tuple[str, list[Rates]]]:
     """Per method its operating point over all IDs under every protocol."""
     return [
-        (m, [_rates(of(evaluation, m, p).count(), summary, m, p) for p in protocols(evaluation)])
-        for m in evaluation.joined.methods
+        (
+            method,
+            [
+                _rates(
+                    of(evaluation, method, protocol).count(),
+                    *(summary.figure(protocol, method, name) for name in HEADLINE),
+                )
+                for protocol in protocols(evaluation)
+            ],
+        )
+        for method in evaluation.joined.methods
     ]
 
 
-def _rates(count: Count, summary: Summary, method: str, protocol: str) -> Rates:
-    tpr, fpr = (summary.figure(protocol, method, name) for name in HEADLINE)
+def rates_per_log(evaluation: Evaluation) -> list[tuple[str, list[Rates]]]:
+    """Per log the operating point of every method over all IDs under the stricter protocol."""
+    protocol, joined = protocols(evaluation)[0], evaluation.joined
+    counts = [of(evaluation, m, protocol).counts_per_log(joined) for m in joined.methods]
+    return [
+        (log, [_rates(per_log[i][-1]) for per_log in counts]) for i, log in enumerate(joined.logs)
+    ]
+
+
+def _rates(count: Count, tpr: Figure | None = None, fpr: Figure | None = None) -> Rates:
     return Rates(
         Cell(_rate(count.tp, count.tp + count.fn), _interval(tpr, 3)),
         Cell(_rate(count.fp, count.fp + count.tn), _interval(fpr, 4)),

@@ -82,13 +82,15 @@ class Mistakes:
 class Scores:
     """What ground truth adds to the page.
 
-    rates, others (figures), differences: as `figures` gives them. units: how many, and of what,
-    the intervals rest on. tested: the figures compared. starred: whether a table prints a 0/0.
-    curves: per protocol its name, the ROC over all IDs and that of each. reliability: per method.
+    rates, rates_per_log, others (figures), differences: as `figures` gives them. units: how many,
+    and of what, the intervals rest on. tested: the figures compared. starred: whether a table
+    prints a 0/0. curves: per protocol its name, the ROC over all IDs and that of each ID.
+    reliability: per method.
     """
 
     protocols: list[str]
     rates: list[tuple[str, list[figures.Rates]]]
+    rates_per_log: list[tuple[str, list[figures.Rates]]]
     units: str
     level: str
     others: list[tuple[str, list[figures.Cell]]]
@@ -153,6 +155,7 @@ def _scores(tracker: str, evaluation: Evaluation) -> Scores:
     return Scores(
         protocols=figures.protocols(evaluation),
         rates=figures.rates(evaluation, summary),
+        rates_per_log=figures.rates_per_log(evaluation),
         units=f"{summary.units.count} {KINDS[summary.units.kind]}",
         level=f"{LEVEL:.0%}",
         others=figures.figures(evaluation, summary),
