@@ -309,6 +309,8 @@ def test_a_message_without_a_stamp(tmp_path: Path) -> None:
     assert read(path)[0][0].stamps.header is None
     with pytest.raises(SonarrecError, match="without a header time; --time log needs none"):
         read(path, time="header")
+    with pytest.raises(UsageError, match="time is 'sonar', not one of log, publish, header"):
+        read(path, time="sonar")
     with pytest.raises(UsageError, match="--time chooses a clock of an MCAP"):
         open_log(image_folder(tmp_path / "images", frames(1)), time="header")
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, get_args
 
 from sonarrec.geometry import Sonar, check_sonar, load_sonar
 from sonarrec.readers.fans import FanImages
@@ -94,7 +94,8 @@ class Log:
 
     @property
     def notes(self) -> list[str]:
-        """What the user states against the log's own messages, complete after the pass."""
+        """What is stated against the log's own messages, or was found out; complete after the
+        pass."""
         return self._images.notes
 
     def __enter__(self) -> Log:
@@ -180,11 +181,13 @@ def open_log(
     `sonar.toml` in its folder). topic: the image channel of an MCAP file. time: which of the times
     in it names a frame; frames come in the order of log time whatever it is.
     Raises SonarrecError where the log or its geometry cannot be used, UsageError where the topic
-    cannot be meant.
+    or time cannot be meant.
     """
     source = find_log(path)
     if topic is not None and not source.reader.has_topics:
         raise UsageError(f"{path}: --topic chooses a channel of an MCAP file; this is none")
+    if time not in get_args(Clock):
+        raise UsageError(f"{path}: time is {time!r}, not one of {', '.join(get_args(Clock))}")
     if time != "log" and not source.reader.has_topics:
         raise UsageError(f"{path}: --time chooses a clock of an MCAP file; this is none")
     resolved, where = source.stated_sonar(sonar or Sonar(), sonar_file)
