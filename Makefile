@@ -39,7 +39,7 @@ paper: .venv/installed  # the paper's experiment, our tables beside the publishe
 model: .venv/installed  # the built-in appearance model, from simulated recordings (minutes)
 	$(BIN)/python -m sonarrec.calibration
 
-regression: .venv/installed  # the sample logs' rates against the recorded ones
+regression: .venv/installed  # the sample logs against their results on record
 	$(BIN)/python -m tests.regression
 
 clean:

@@ -43,7 +43,8 @@ def sides(tmp_path: Path) -> tuple[Path, Path, Path]:
 def test_what_got_better_and_worse(sides: tuple[Path, Path, Path]) -> None:
     old, new, truth = sides
     done = command("--ground-truth", truth, "--compare", old, new)
-    assert "m, strict: TPR 1.0000 -> 0.5000 (-0.5000" in done.output
+    assert "m, strict: TPR 1.0000 -> 0.5000, FPR 0.0143 -> 0.0000, AUC" in done.output
+    assert "no p-values: cases in 1 of the 6 units needed" in done.output
     assert "4 better, 20 worse, 0 otherwise" in done.output  # two protocols
     assert "worse: out frames 15-24, m, strict, ID.1: TP -> FN" in done.output
     assert "better: out frames 30-31, m, strict, ID.2: FP -> TN" in done.output

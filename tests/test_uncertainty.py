@@ -180,7 +180,7 @@ def test_few_or_equal_units_are_said_to_say_nothing() -> None:
     rng = np.random.default_rng(0)
     (figure,) = intervals(few, replicates(few, bootstrap_weights(5, rng)))
     assert math.isnan(figure.low)
-    assert figure.note == "only 5 units: too few to say how sure"
+    assert figure.note == "cases in 5 of the 6 units needed: no interval"
     (difference,) = differences(few, few, bootstrap_weights(5, rng), coin_tosses(5, rng))
     assert math.isnan(difference.p)
     equal = ratio_tally(LABELS, ("rate",), [np.zeros(9)], [np.full(9, 9.0)])

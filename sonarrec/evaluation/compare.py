@@ -249,18 +249,21 @@ def _frame_changes(a: Scored, b: Scored, joined: Joined) -> Iterable[FrameChange
 
 def screen(found: Comparison, most: int = 12) -> str:
     """Totals before and after with their tests, then the longest runs of changed frames."""
-    lines = []
-    p = {(d.protocol, d.b, d.name): d for d in found.differences}
+    tests = {(d.protocol, d.b, d.name): d for d in found.differences}
+    totals: dict[str, list[str]] = {}
+    few = ""
     for r in found.rates:
         if r.landmark == "total":
-            test = p[r.protocol, r.method, r.rate]
-            says = (
-                f"p = {test.p:.2g} over {test.units} units" if not math.isnan(test.p) else test.note
-            )
-            lines.append(
-                f"{r.method}, {r.protocol}: {r.rate.upper()} {_told(r.old)} -> {_told(r.new)} "
-                f"({r.new - r.old:+.4f}; {says})"
-            )
+            text = f"{r.rate.upper()} {_told(r.old)}"
+            if r.new != r.old:
+                test = tests[r.protocol, r.method, r.rate]
+                text += f" -> {_told(r.new)}"
+                text += "" if math.isnan(test.p) else f" (p = {test.p:.2g})"
+                few = test.note.removesuffix(": no test") if math.isnan(test.p) else few
+            totals.setdefault(f"{r.method}, {r.protocol}", []).append(text)
+    lines = [f"{name}: {', '.join(texts)}" for name, texts in totals.items()]
+    if few:
+        lines.append(f"no p-values: {few}")
     lines += [f"{method}: only in the old results" for method in found.lost]
     lines += [f"{method}: only in the new results" for method in found.gained]
     verdicts = [c.verdict for c in found.frames]

@@ -150,7 +150,7 @@ def intervals(tally: Tally, drawn: FloatArray) -> list[Figure]:
         if math.isnan(value):
             note = "0/0: nothing to measure"
         elif units < MIN_UNITS:
-            note = f"only {units} units: too few to say how sure"
+            note = f"cases in {units} of the {MIN_UNITS} units needed: no interval"
         elif _alike(drawn[:, i]):
             # Resampling equal units gives no width, which is not certainty.
             note = f"alike in all {units} units: no interval"
@@ -182,7 +182,7 @@ def differences(a: Tally, b: Tally, weights: FloatArray, tosses: FloatArray) -> 
         if math.isnan(b.values[i] - a.values[i]) or math.isnan(seen[i]):
             note = "0/0 or infinite: nothing to compare"
         elif units < MIN_UNITS:
-            note = f"only {units} units: too few to tell"
+            note = f"cases in {units} of the {MIN_UNITS} units needed: no test"
         else:
             p = float(np.mean(~(np.abs(tossed[:, i]) < abs(seen[i]) - SAME)))
             note = "alike in every unit" if _alike(drawn[:, i]) else ""
