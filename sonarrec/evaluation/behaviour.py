@@ -205,22 +205,29 @@ def switch_tallies(
     return tallies
 
 
-def position_tallies(scored: Scored, joined: Joined, units: Units) -> list[Tally]:
+def position_tallies(strict: Sequence[Scored], joined: Joined, units: Units) -> list[Tally]:
     """Distance (m) of right claims from the true centre: median and 95 %, per ID and in all.
 
     Claims beyond the gate are none, so this says how exact the right ones are.
     """
-    right = scored.made[scored.made_effect[:, 0] > 0]
-    truth = scored.truth[right]
-    away = distance(joined, scored.claim[right], truth)
-    reach = float(joined.gate.max(initial=0.0))
-    # In steps of the gate / 512; the last one leaves room for rounding at the gate itself.
-    edges = np.append(np.arange(1, 512) / 512 * reach, np.inf)
+    rights = [s.made[s.made_effect[:, 0] > 0] for s in strict]
+    aways = [
+        distance(joined, s.claim[right], s.truth[right])
+        for s, right in zip(strict, rights, strict=True)
+    ]
+    pooled = np.concatenate(aways)
+    if not len(pooled):
+        return []
+    # Steps as fine as the errors are dense, the same for every method.
+    edges = np.unique(np.quantile(pooled, np.linspace(0, 1, 513), method="inverted_cdf"))
     found = []
-    for label, mine in _by_landmark(joined, scored.landmark[right]):
-        labels = ("strict", scored.method, label)
-        unit = units.of_truth[truth[mine]]
-        found.append(
-            quantile_tally(labels, ERRORS, (0.5, 0.95), away[mine], unit, units.count, edges)
-        )
+    for s, right, away in zip(strict, rights, aways, strict=True):
+        unit = units.of_truth[s.truth[right]]
+        for label, mine in _by_landmark(joined, s.landmark[right]):
+            labels = ("strict", s.method, label)
+            found.append(
+                quantile_tally(
+                    labels, ERRORS, (0.5, 0.95), away[mine], unit[mine], units.count, edges
+                )
+            )
     return found

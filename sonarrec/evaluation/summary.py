@@ -99,9 +99,8 @@ def summarise(evaluation: Evaluation, unit: UnitKind | None = None, seed: int = 
         changed = switches(joined, nearest, passes)
         rest += switch_tallies(changed, joined, passes, units)
         rest += false_claim_tallies(joined, nearest, units)
-        for scored in evaluation.scored:
-            if scored.protocol == "strict":
-                rest += position_tallies(scored, joined, units)
+        strict = [scored for scored in evaluation.scored if scored.protocol == "strict"]
+        rest += position_tallies(strict, joined, units)
         curves, calibration = reliability(joined, nearest, units)
         rest += calibration
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from sonarrec.evaluation.scoring import Evaluation, Scored
 from sonarrec.evaluation.summary import KINDS, Summary
-from sonarrec.evaluation.uncertainty import LEVEL, Difference, Figure
+from sonarrec.evaluation.uncertainty import LEVEL, MIN_UNITS, Difference, Figure
 
 WIDTH = 100
 LABEL, COLUMN = 30, 23
@@ -96,10 +96,11 @@ def summary_screen(evaluation: Evaluation, summary: Summary, details: bool = Fal
     joined = evaluation.joined
     main = "strict" if joined.placed else "paper"
     units = f"{summary.units.count} {KINDS[summary.units.kind]}"
+    over = f"; {LEVEL:.0%} intervals over {units}" if summary.units.count >= MIN_UNITS else ""
     lines = []
     for protocol in ("strict", "paper") if details else (main,):
         if any(s.protocol == protocol for s in evaluation.scored):
-            lines.append(f"protocol {protocol}, all IDs; {LEVEL:.0%} intervals over {units}")
+            lines.append(f"protocol {protocol}, all IDs{over}")
             lines += _figure_table(summary, protocol, joined.methods)
             lines.append("")
     told = [d for d in summary.differences if d.protocol == main and d.name in TESTED]
