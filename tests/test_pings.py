@@ -78,7 +78,7 @@ def test_a_window_that_changes(tmp_path: Path) -> None:
     found, problems, _ = read(log_of(tmp_path / "log.mcap", pings), sonar=TILT)
     assert [f.index for f in found] == [0, 1, 2]
     assert problems == [
-        "message 3 of /a: its window, 1.6 to 2.6 m, shows less than half of the first ping's, "
+        "message 3 of /a: its window, 1.6 to 2.6 m, shows less than half of the log's, "
         "1 to 2 m, skipped"
     ]
     fan = found[0].fan
@@ -90,6 +90,19 @@ def test_a_window_that_changes(tmp_path: Path) -> None:
     assert (found[1].image[inside] == 200).all()
     assert (found[2].image[inside & (range_m > 1.26)] == 200).all()
     assert (found[2].image[range_m < 1.24] == 0).all()
+
+
+def test_an_odd_first_ping_does_not_settle_the_window(tmp_path: Path) -> None:
+    """Sent before the driver had its settings: ten times as far, or nowhere near."""
+    for far, used in ((10.0, [0, 1, 2, 3]), (0.1, [1, 2, 3])):
+        pings = [messages.projected_fields(k, image) for k, image in enumerate(polar_frames(4))]
+        pings[0]["ranges"] = (pings[0]["ranges"] * far).astype(np.float32)
+        if used[0] == 0:  # from the sonar on, so that it shows what the others do
+            pings[0]["ranges"] = (np.arange(BINS) + 0.5).astype(np.float32) / 4
+        found, problems, _ = read(log_of(tmp_path / "log.mcap", pings), sonar=TILT)
+        assert [f.index for f in found] == used
+        assert len(problems) == 4 - len(used)
+        assert found[0].fan.range_max_m == pytest.approx((FIRST_BIN + BINS) * BIN_M)
 
 
 def test_a_topic_of_pings_and_images() -> None:
@@ -370,8 +383,8 @@ def test_run_with_the_flags(tmp_path: Path) -> None:
     assert fault.count("\n") == 1
     told = sonarrec("run", log, *out, "--tilt-deg", "20", "--time", "header", code=3).stderr
     assert told.splitlines() == [
-        "sonarrec: message 3 of /a: its window, 6 to 6.94 m, shows less than half of the first "
-        "ping's, 1 to 1.94 m, skipped"
+        "sonarrec: message 3 of /a: its window, 6 to 6.94 m, shows less than half of the "
+        "log's, 1 to 1.94 m, skipped"
     ]
     flags = ("--flip", "--beam-order", "range-major", "--pixel-scale", "log", "--full-scale", "255")
     stated = ("--tilt-deg", "20", "--range-min-m", "0.9", "--range-max-m", "1.9375")

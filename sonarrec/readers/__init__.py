@@ -10,7 +10,7 @@ import hashlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from types import TracebackType
 from typing import Any, get_args
@@ -24,7 +24,7 @@ from sonarrec.records import Clock, Fan, Frame, SonarrecError, UsageError
 
 SONAR_FILE = "sonar.toml"
 MAX_PROBLEM_LINES = 20
-SETTLING_FRAMES = 3  # whose commonest size is taken to be the log's
+SETTLING_FRAMES = 3  # whose commonest size or window is taken to be the log's
 
 
 def _open_mcap(path: Path, topic: str | None) -> RawLog:
@@ -117,7 +117,12 @@ class Log:
         geometry do not match the images.
         """
         used = skipped = 0
-        for index, raw in enumerate(_settled(self._raw)):
+        frames = _settled(self._raw)
+        first = list(islice(frames, SETTLING_FRAMES))
+        self._images.settle(first)
+        frames = chain(first, frames)
+        del first  # or it would keep its images to the end
+        for index, raw in enumerate(frames):
             if raw.pixels is None and raw.problem is None:
                 continue  # told in the faults, with others
             try:

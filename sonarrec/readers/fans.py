@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -30,8 +32,8 @@ class FanImages:
     """Makes the fan images of one log; the first frame settles the fan and the grey scale.
 
     A polar message tells its own window, which may change from ping to ping: later pings are
-    resampled into the fan of the first, so that a metre stays a metre, and show 0 where they hold
-    nothing. What the user states goes before what messages tell.
+    resampled into the fan of the first (see `settle`), so that a metre stays a metre, and show 0
+    where they hold nothing. What the user states goes before what messages tell.
 
     sonar: the geometry, of polar messages that of the first ping once it was read. fan: None
     before the first frame. notes: lines on what was stated against the messages, or found out.
@@ -70,6 +72,16 @@ class FanImages:
             self._scales[pixels.dtype] = scale
         assert self.fan is not None
         return image, self.fan
+
+    def settle(self, first: Sequence[RawFrame]) -> None:
+        """Take the fan from another ping than the first of these where most others show more of
+        its window: one that a driver sent before it had its settings must not cost the others.
+        """
+        pings = [(raw, raw.sonar) for raw in first if raw.pixels is not None and raw.sonar]
+        shown = [sum(_shows(other, sonar) for _, other in pings) for _, sonar in pings]
+        if shown and (best := int(np.argmax(shown))):
+            with contextlib.suppress(UnusableError):
+                self(pings[best][0])
 
     @property
     def scale(self) -> GreyScale | None:
@@ -139,17 +151,26 @@ class FanImages:
                 raise
             raise UnusableError(str(error).partition("\n")[0]) from None
         fan = to_fan.fan
-        near = max(fan.range_min_m, window.range_min_m)
-        far = min(fan.range_max_m, window.range_max_m)
-        if far - near < MIN_SHARED_WINDOW * fan.window_m:
+        if not _shows(window, fan):
             raise UnusableError(
                 f"its window, {window.range_min_m:.3g} to {window.range_max_m:.3g} m, shows less "
-                f"than half of the first ping's, {fan.range_min_m:.3g} to {fan.range_max_m:.3g} m"
+                f"than half of the log's, {fan.range_min_m:.3g} to {fan.range_max_m:.3g} m"
             )
         if against and not self._told_against:
             self._told_against = True
             self.notes.append(f"{self._where}: stated against the messages: {', '.join(against)}")
         return sonar, to_fan
+
+
+def _shows(window: Fan | Sonar, other: Fan | Sonar) -> bool:
+    """Whether a range window covers enough of another."""
+    assert window.range_min_m is not None
+    assert window.range_max_m is not None
+    assert other.range_min_m is not None
+    assert other.range_max_m is not None
+    near = max(window.range_min_m, other.range_min_m)
+    far = min(window.range_max_m, other.range_max_m)
+    return far - near >= MIN_SHARED_WINDOW * (other.range_max_m - other.range_min_m)
 
 
 def _as_stated(told: Sonar, stated: Sonar, bins: int) -> tuple[Sonar, list[str]]:
