@@ -3,7 +3,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 SAMPLE := sample_data/pan
 
-.PHONY: test lint demo bench memory fuzz paper model regression clean
+.PHONY: test lint demo bench memory fuzz paper scenes ablation study model regression clean
 
 .venv/installed: pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
@@ -35,6 +35,15 @@ fuzz: .venv/installed  # 2,000 damaged logs through `sonarrec info` and `sonarre
 
 paper: .venv/installed  # the paper's experiment, our tables beside the published ones
 	$(BIN)/python -m tests.paper
+
+scenes: .venv/installed  # every kind of random scene, all methods, beside the goals
+	$(BIN)/python -m tests.scenes
+
+ablation: .venv/installed  # the default with one idea at a time put back
+	$(BIN)/python -m tests.ablation
+
+study: .venv/installed  # the paper's scene thirty times over: intervals and tests
+	$(BIN)/python -m tests.study
 
 model: .venv/installed  # the built-in appearance model, from simulated recordings (minutes)
 	$(BIN)/python -m sonarrec.calibration

@@ -48,7 +48,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     begun = time.monotonic()
     configs = variants()
     jobs = [
-        Job(random_scene(seed, kind, frames=asked.frames), asked.out / f"{kind}_{seed}", configs)
+        Job(
+            random_scene(seed, kind, frames=asked.frames),
+            asked.out / f"{kind}_{seed}",
+            configs,
+            False,
+        )
         for kind in asked.kinds
         for seed in asked.seeds
     ]

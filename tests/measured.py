@@ -112,11 +112,12 @@ def reliability(found: Scored) -> Reliability:
     count = np.bincount(step, minlength=BINS)
     said = np.bincount(step, found.score, minlength=BINS)
     was = np.bincount(step, right, minlength=BINS)
-    with np.errstate(invalid="ignore"):
+    total = count.sum()
+    with np.errstate(invalid="ignore"):  # 0/0 without an estimate
         return Reliability(
             count=count,
             said=said / count,
             was=was / count,
-            ece=float(np.abs(said - was).sum() / count.sum()),
-            brier=float(np.mean((found.score - right) ** 2)),
+            ece=float(np.abs(said - was).sum() / total),
+            brier=float(((found.score - right) ** 2).sum() / total),
         )
