@@ -94,7 +94,8 @@ class ContinuityFilter:
         self._predict(motion)
         expected = self._particles.mean(axis=1)
         positions, spread = self._weigh(selection.score_map)
-        self._count(positions, spread, selection)
+        in_view = self._shares(positions) >= config.least_in_view
+        self._count(positions, spread, in_view, selection)
         alive = self._survivors(positions)
         if motion is None:
             self._lost = _Lost()  # nobody knows where they are now
@@ -102,7 +103,6 @@ class ContinuityFilter:
             # The floor does not move: a group pulled this far has left its object for another.
             moved = np.hypot(*((positions - expected) / self._diameter).T)
             alive &= moved <= config.jump
-        in_view = self._shares(positions) >= config.least_in_view
         if motion is not None:
             self._lost.positions = self._plane.moved(self._lost.positions, motion)
             self._lost.pass_frame(self._shares(self._lost.positions) > 0.9, config.strikes)
@@ -165,8 +165,17 @@ class ContinuityFilter:
         self._particles = self._particles.reshape(-1, 2)[chosen]
         return mean, spread
 
-    def _count(self, positions: FloatArray, spread: FloatArray, selection: Selection) -> None:
-        """Strikes for spread groups, and the Bayes filter of existence from hits and misses."""
+    def _count(
+        self,
+        positions: FloatArray,
+        spread: FloatArray,
+        in_view: npt.NDArray[np.bool_],
+        selection: Selection,
+    ) -> None:
+        """Strikes for spread groups, and the Bayes filter of existence from hits and misses.
+
+        What is out of view is missed without telling anything.
+        """
         config = self._config
         wide = (spread > config.spread_limit).any(axis=1)
         self._strikes = np.where(wide, self._strikes + 1, 0)
@@ -176,7 +185,8 @@ class ContinuityFilter:
         clutter = (1 - self._existence) * np.where(
             hit, config.p_hit_clutter, 1 - config.p_hit_clutter
         )
-        self._existence = np.clip(there / (there + clutter), 0.01, 0.99)
+        existence = np.clip(there / (there + clutter), 0.01, 0.99)
+        self._existence = np.where(in_view, existence, self._existence)
 
     def _survivors(self, positions: FloatArray) -> npt.NDArray[np.bool_]:
         config = self._config

@@ -379,3 +379,16 @@ def test_a_newcomer_elsewhere_is_not_taken_for_the_lost_one():
     groups = follow.step(selection(peaks(far), far), Motion(0.0))
     assert list(groups.numbers) == [2]
     assert list(groups.remembered) == [1]
+
+
+def test_what_is_out_of_view_is_not_missed():
+    """A turn that takes an object from the view and back leaves its existence as it was."""
+    settings = dataclasses.replace(PAPER, motion="image", least_in_view=0.35)
+    follow = new_filter(settings)
+    score = peaks(START)
+    follow.step(selection(score, START))
+    existence = follow.step(selection(score, START), Motion(0.0)).existence[0]
+    assert len(follow.step(selection(0 * score), Motion(30.0)).numbers) == 0
+    back = follow.step(selection(score, START), Motion(-30.0))
+    assert list(back.numbers) == [1]
+    assert back.existence[0] == pytest.approx(existence)
