@@ -223,6 +223,63 @@ def test_results_of_another_program(tmp_path: Path) -> None:
     assert "there is no run.toml" in page.text
 
 
+ODD_RESULTS = {
+    "no estimate": ("0,5\n1,9\n", ""),
+    "one frame": ("7,5\n", "7,framework,1,2.0,0.0,.9,.05,.05,0,0,1,.9,1\n"),
+    "single-frame method only": ("0,5\n1,9\n", "1,smi,0,2.0,0.0,.9,.05,.05,0,0,1,.9,1\n"),
+    "times that fall": ("0,9\n1,5\n", "1,framework,1,2.0,0.0,.9,.05,.05,0,0,1,.9,1\n"),
+    "one estimate in a gap": (
+        "".join(f"{n},{n}\n" for n in (0, 1, 50)),
+        "".join(f"{n},framework,1,2.0,0.0,.9,.05,.05,0,0,1,.9,1\n" for n in (0, 50)),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", ODD_RESULTS)
+@pytest.mark.parametrize("truth", [None, "", "7,1,2.0,0.0\n0,2,2.0,0.0\n"])
+def test_odd_results(tmp_path: Path, name: str, truth: str | None) -> None:
+    frames, estimates = ODD_RESULTS[name]
+    (tmp_path / "frames.csv").write_text(f"frame,timestamp_ns\n{frames}")
+    header = (
+        "frame,method,object,range_m,bearing_deg,p_1,p_2,p_3,p_4,p_none,landmark,score,declared"
+    )
+    (tmp_path / "estimates.csv").write_text(f"{header}\n{estimates}")
+    options: tuple[str | Path, ...] = ()
+    if truth is not None:
+        (tmp_path / "gt.csv").write_text(f"frame,landmark,range_m,bearing_deg\n{truth}")
+        options = ("--ground-truth", tmp_path / "gt.csv")
+    result = CliRunner().invoke(main, ["report", str(tmp_path), *map(str, options)])
+    if result.exit_code == 1:  # told in one line, as by evaluate
+        assert isinstance(result.exception, SystemExit)
+        assert result.stderr.startswith("sonarrec: ")
+        assert (truth is not None and name == "no estimate") or name == "one frame"
+        return
+    assert isinstance(result.exception, SystemExit | None), result.exception
+    page = Page(tmp_path / "report.html")
+    for _, attributes in page.elements:
+        assert "nan" not in str(attributes.get("d")) + str(attributes.get("style"))
+
+
+def test_a_landmark_set_of_nine_ids(tmp_path: Path) -> None:
+    sets = "".join(
+        f"[[landmark]]\nid = {n + 10}\nsectors = [{','.join('1' * (n + 1) + '0' * (9 - n))}]\n"
+        for n in range(9)
+    )
+    landmarks = tmp_path / "nine.toml"
+    landmarks.write_text(
+        f'name = "nine"\nradius_m = 0.2\nring = [0.8, 1.0]\nsymbol = [0.1, 0.6]\n{sets}'
+    )
+    (tmp_path / "frames.csv").write_text("frame\n0\n1\n")
+    (tmp_path / "estimates.csv").write_text(
+        "frame,method,object,landmark,score,declared\n"
+        + "".join(f"0,framework,{n},{n + 10},0.9,1\n" for n in range(9))
+    )
+    sonarrec("report", tmp_path, "--landmarks", landmarks)
+    page = Page(tmp_path / "report.html")
+    assert len(page.tables["Declared by framework, in order of first sight"]) == 10
+    assert "Never" not in page.text
+
+
 def test_several_logs(results: Path, tmp_path: Path) -> None:
     root = tmp_path / "out"
     for name in ("first", "pan"):
