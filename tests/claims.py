@@ -22,9 +22,10 @@ def joined(
     logs: Sequence[int] | None = None,
     seconds: float = 0.25,
 ) -> Joined:
-    """truth: (frame, ID, x, y, positive). claims: (method, frame, ID, x, y, score, declared), then,
-    if wanted, object and the probabilities of the IDs and of none. Frames and methods by index;
-    logs: the log of every frame, rising."""
+    """truth: (frame, ID, x, y, positive) and, if wanted, orientation, which is 0 for all claims.
+    claims: (method, frame, ID, x, y, score, declared), then, if wanted, object and the
+    probabilities of the IDs and of none. Frames and methods by index; logs: the log of every
+    frame, rising."""
     log = np.zeros(frames, dtype=int) if logs is None else np.asarray(logs)
     t = np.array([row[:4] for row in truth], dtype=float).reshape(-1, 4)
     c = np.array([row[:7] for row in claims], dtype=float).reshape(-1, 7)
@@ -51,6 +52,9 @@ def joined(
         claim_object=np.array([row[7] if len(row) > 7 else -1 for row in claims], dtype=int),
         probability=np.array(told, dtype=np.float32).reshape(-1, len(IDS) + 1),
         placed=True,
+        truth_orientation=np.array([row[5] if len(row) > 5 else np.nan for row in truth]),
+        claim_orientation=np.zeros(len(c)),
+        turn_deg=np.array([360.0, 180.0, 360.0, 360.0]),
     )
 
 

@@ -11,6 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from sonarrec.cli import main
+from sonarrec.evaluation.scoring import evaluate
 from sonarrec.evaluation.summary import Summary, summarise
 from tests.claims import evaluated, joined
 
@@ -122,6 +123,36 @@ def test_position_errors() -> None:
     summary = summary_of(100, truth, claims)
     assert value(summary, "position_error_median_m") == pytest.approx(0.05)
     assert value(summary, "position_error_95_m") == pytest.approx(0.095)
+
+
+def test_orientation_errors() -> None:
+    """Angles wrap round, and ID.2 (1010) looks the same after half a turn."""
+    ones = [(f, 1, 0, 0, True, a) for f, a in enumerate((359, 182, 3))]
+    twos = [(f, 2, 1, 0, True, a) for f, a in enumerate((359, 182, math.nan))]
+    claims = [claim(f, k + 1, x=k) for f in range(3) for k in (0, 1)]
+    summary = summary_of(3, ones + twos, claims)
+    assert value(summary, "orientation_error_median_deg", landmark="1") == 3
+    assert value(summary, "orientation_error_95_deg", landmark="1") == 178
+    assert value(summary, "orientation_error_95_deg", landmark="2") == 2
+    untold = summary_of(3, [row[:5] for row in ones], claims)
+    assert untold.figure("strict", "a", "orientation_error_median_deg") is None
+
+
+def test_orientation_from_files(tmp_path: Path) -> None:
+    (tmp_path / "frames.csv").write_text("frame\n0\n")
+    (tmp_path / "estimates.csv").write_text(
+        "frame,method,range_m,bearing_deg,orientation_deg,landmark,score,declared\n"
+        "0,m,2,0,350,1,0.9,1\n0,m,2,9,100,2,0.9,1\n0,m,3,9,,3,0.9,1\n"
+    )
+    (tmp_path / "gt.csv").write_text(
+        "frame,landmark,range_m,bearing_deg,orientation_deg\n0,1,2,0,10\n0,2,2,9,275\n0,3,3,9,7\n"
+    )
+    found = evaluate(tmp_path, tmp_path / "gt.csv")
+    assert found.joined.turn_deg.tolist() == [360, 180, 360, 360]  # 1000, 1010, 1100, 1110
+    summary = summarise(found)
+    for landmark, error in (("1", 20), ("2", 5)):
+        assert value(summary, "orientation_error_median_deg", "m", landmark) == error
+    assert math.isnan(value(summary, "orientation_error_median_deg", "m", "3"))
 
 
 # --- Calibration ---------------------------------------------------------------------------------

@@ -20,6 +20,7 @@ WAITS = ("frames_to_id_median", "frames_to_id_90")
 FALSE = ("false_claims_per_min", "wrong_ids_per_min")
 SWITCHES = ("id_switches_per_pass", "track_switches_per_pass")
 ERRORS = ("position_error_median_m", "position_error_95_m")
+TURNS = ("orientation_error_median_deg", "orientation_error_95_deg")
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,29 +206,50 @@ def switch_tallies(
     return tallies
 
 
-def position_tallies(strict: Sequence[Scored], joined: Joined, units: Units) -> list[Tally]:
-    """Distance (m) of right claims from the true centre: median and 95 %, per ID and in all.
+def error_tallies(strict: Sequence[Scored], joined: Joined, units: Units) -> list[Tally]:
+    """Errors of right claims, median and 95 %, per ID and in all: of position (m), and of
+    orientation (deg) where truth and estimates tell it.
 
-    Claims beyond the gate are none, so this says how exact the right ones are.
+    Claims beyond the gate are not right, so this says how exact the right ones are. An ID that
+    looks the same after a turn is not wrong by that turn.
     """
     rights = [s.made[s.made_effect[:, 0] > 0] for s in strict]
-    aways = [
-        distance(joined, s.claim[right], s.truth[right])
-        for s, right in zip(strict, rights, strict=True)
+    away, turned = [], []
+    for s, right in zip(strict, rights, strict=True):
+        claim, truth = s.claim[right], s.truth[right]
+        away.append(distance(joined, claim, truth))
+        period = joined.turn_deg[s.landmark[right]]
+        off = joined.claim_orientation[claim] - joined.truth_orientation[truth]
+        turned.append(np.abs((off + period / 2) % period - period / 2))
+    return [
+        *_error_tallies(strict, rights, away, ERRORS, joined, units),
+        *_error_tallies(strict, rights, turned, TURNS, joined, units),
     ]
-    pooled = np.concatenate(aways)
+
+
+def _error_tallies(
+    strict: Sequence[Scored],
+    rights: Sequence[IntArray],
+    errors: Sequence[FloatArray],
+    names: tuple[str, str],
+    joined: Joined,
+    units: Units,
+) -> list[Tally]:
+    """rights: per method its right claims, of which errors are; NaN where unknown."""
+    known = [~np.isnan(error) for error in errors]
+    pooled = np.concatenate([error[k] for error, k in zip(errors, known, strict=True)])
     if not len(pooled):
         return []
     # Steps as fine as the errors are dense, the same for every method.
     edges = np.unique(np.quantile(pooled, np.linspace(0, 1, 513), method="inverted_cdf"))
     found = []
-    for s, right, away in zip(strict, rights, aways, strict=True):
+    for s, right, error, k in zip(strict, rights, errors, known, strict=True):
         unit = units.of_truth[s.truth[right]]
         for label, mine in _by_landmark(joined, s.landmark[right]):
-            labels = ("strict", s.method, label)
+            labels, mine = ("strict", s.method, label), mine & k
             found.append(
                 quantile_tally(
-                    labels, ERRORS, (0.5, 0.95), away[mine], unit[mine], units.count, edges
+                    labels, names, (0.5, 0.95), error[mine], unit[mine], units.count, edges
                 )
             )
     return found

@@ -183,6 +183,7 @@ def _only(log: LogResults, frames: Any) -> LogResults:
         score=log.score[mine],
         declared=log.declared[mine],
         position=None if log.position is None else log.position[mine],
+        orientation=log.orientation[mine],
         object=log.object[mine],
         probability=None if log.probability is None else log.probability[mine],
     )

@@ -25,7 +25,9 @@ class Joined:
     claim is right. Claims (N,): method (index), claim_frame, claim_landmark, claim_position
     (N, 2) m, score, declared, claim_object (-1 unknown) and probability (N, K + 1), one per ID,
     then none of these, NaN where not stated. Positions are NaN where unknown; placed: whether
-    they are known wherever the strict protocol needs them.
+    they are known wherever the strict protocol needs them. truth_orientation (T,) and
+    claim_orientation (N,): deg, NaN where unknown; turn_deg: (K,) the least turn that an ID looks
+    the same after.
     """
 
     logs: tuple[str, ...]
@@ -48,6 +50,9 @@ class Joined:
     claim_object: IntArray
     probability: FloatArray
     placed: bool
+    truth_orientation: FloatArray
+    claim_orientation: FloatArray
+    turn_deg: FloatArray
 
 
 def join(logs: Sequence[LogResults], truths: Sequence[Truth], min_visible: float) -> Joined:
@@ -90,7 +95,22 @@ def join(logs: Sequence[LogResults], truths: Sequence[Truth], min_visible: float
             or (t.position is not None and (log.position is not None or not len(log.row)))
             for log, t in pairs
         ),
+        truth_orientation=cat(
+            [
+                np.full(len(t.row), np.nan) if t.orientation is None else t.orientation
+                for t in truths
+            ]
+        ),
+        claim_orientation=cat([log.orientation for log in logs]),
+        turn_deg=np.array([_turn_deg(np.array(s)) for s in logs[0].landmarks.sectors]),
     )
+
+
+def _turn_deg(sectors: IntArray) -> float:
+    """The least turn after which equal sectors are as before: 180 for 1010, 360 for 1000."""
+    n = len(sectors)
+    same = next(i for i in range(1, n + 1) if (np.roll(sectors, i) == sectors).all())
+    return 360 * same / n
 
 
 def _seconds_per_frame(log: LogResults) -> float:

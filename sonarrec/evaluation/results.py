@@ -38,8 +38,9 @@ class LogResults:
     methods: names; the arrays below have one element per estimate. method: index into methods.
     row: index into frame. landmark: index into landmarks.ids. score: 0 to 1. declared: bool.
     position: (N, 2) metres in the fan plane, or None where it is not known.
-    object: (N,) a number per candidate or track, -1 where not told. probability: (N, K + 1), one
-    per ID in the set's order, then none of these; None where the columns are missing.
+    orientation: (N,) deg, NaN where unknown. object: (N,) a number per candidate or track, -1
+    where not told. probability: (N, K + 1), one per ID in the set's order, then none of these;
+    None where the columns are missing.
     fan: turns fan pixels into metres; None where nothing states it.
     strays: estimates left out, for they lie on frames that frames.csv does not list.
     finished: False where run.toml says that the run was cut short.
@@ -57,6 +58,7 @@ class LogResults:
     score: FloatArray
     declared: BoolArray
     position: FloatArray | None
+    orientation: FloatArray
     object: IntArray
     probability: npt.NDArray[np.float32] | None
     strays: int
@@ -115,7 +117,10 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
     belief = [*(f"p_{i}" for i in landmark_set.ids), "p_none"]
     table = read_table(
         path,
-        kinds | POSITION_KINDS | {"object": "label"} | dict.fromkeys(belief, "share"),
+        kinds
+        | POSITION_KINDS
+        | {"object": "label", "orientation_deg": "blank or number"}
+        | dict.fromkeys(belief, "share"),
         tuple(kinds),
         "frame,method,range_m,bearing_deg,landmark,score,declared",
     )
@@ -153,6 +158,7 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
         score=table["score"][listed],
         declared=table["declared"][listed],
         position=None if position is None else position[listed],
+        orientation=table.get("orientation_deg", np.full(len(listed), np.nan))[listed],
         object=table["object"][listed] if "object" in table else np.full(listed.sum(), -1),
         probability=_probability(table, belief, listed),
         strays=int(np.count_nonzero(~listed)),

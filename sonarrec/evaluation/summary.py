@@ -11,10 +11,10 @@ import numpy as np
 from sonarrec.evaluation.behaviour import (
     Followed,
     Switches,
+    error_tallies,
     false_claim_tallies,
     follow,
     on_truth,
-    position_tallies,
     switch_tallies,
     switches,
     wait_tallies,
@@ -100,7 +100,7 @@ def summarise(evaluation: Evaluation, unit: UnitKind | None = None, seed: int = 
         rest += switch_tallies(changed, joined, passes, units)
         rest += false_claim_tallies(joined, nearest, units)
         strict = [scored for scored in evaluation.scored if scored.protocol == "strict"]
-        rest += position_tallies(strict, joined, units)
+        rest += error_tallies(strict, joined, units)
         curves, calibration = reliability(joined, nearest, units)
         rest += calibration
 

@@ -27,6 +27,8 @@ ROWS = (
     ("track_switches_per_pass", "track switches per pass", 2),
     ("position_error_median_m", "position error, median, m", 4),
     ("position_error_95_m", "position error, 95 %, m", 4),
+    ("orientation_error_median_deg", "orientation off, median, deg", 1),
+    ("orientation_error_95_deg", "orientation off, 95 %, deg", 1),
     ("brier", "Brier score, 0 to 2", 3),
     ("ece", "calibration error (ECE)", 3),
 )

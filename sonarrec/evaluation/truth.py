@@ -31,6 +31,7 @@ class TruthTable:
 
     key: "frame" or "timestamp_ns"; at: (R,) its values. landmark: (R,) IDs. visible: 0 to 1.
     log: (R,) names, or None. position: as tables.position_pair gives it, or None.
+    orientation: (R,) deg, NaN where blank; None without the column.
     """
 
     path: Path
@@ -40,6 +41,7 @@ class TruthTable:
     visible: FloatArray
     log: Any
     position: tuple[str, FloatArray, FloatArray] | None
+    orientation: FloatArray | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +49,8 @@ class Truth:
     """The landmarks in view of one log's processed frames. Arrays have one element per landmark.
 
     row: index into LogResults.frame. landmark: index into the set's ids. visible: 0 to 1.
-    position: (T, 2) metres in the fan plane, or None where it is not known.
+    position: (T, 2) metres in the fan plane, or None where it is not known. orientation: (T,) deg,
+    as in estimates.csv, or None.
     rows: rows of gt.csv that speak of this log. unprocessed: those of them on frames that were
     not processed. between: those, matched by time, for which a nearer stamp has the frame.
     """
@@ -56,6 +59,7 @@ class Truth:
     landmark: IntArray
     visible: FloatArray
     position: FloatArray | None
+    orientation: FloatArray | None
     rows: int
     unprocessed: int
     between: int
@@ -94,6 +98,7 @@ def read_rows(path: Path) -> TruthTable:
         "timestamp_ns": "whole",
         "landmark": "whole",
         "visible": "blank or number",
+        "orientation_deg": "blank or number",
         "log": "text",
     }
     table = read_table(path, kinds | POSITION_KINDS, ("landmark",), HEADER)
@@ -106,7 +111,16 @@ def read_rows(path: Path) -> TruthTable:
     visible = table.get("visible", np.ones(len(table["landmark"])))
     visible = np.where(np.isnan(visible), 1.0, visible)
     position = position_pair(path, table)
-    return TruthTable(path, key, table[key], table["landmark"], visible, table.get("log"), position)
+    return TruthTable(
+        path=path,
+        key=key,
+        at=table[key],
+        landmark=table["landmark"],
+        visible=visible,
+        log=table.get("log"),
+        position=position,
+        orientation=table.get("orientation_deg"),
+    )
 
 
 def repeated_rows(table: TruthTable) -> IntArray:
@@ -203,6 +217,7 @@ def match_truth(table: TruthTable, log: ReadLog, tolerance_s: float | None = Non
         landmark=by_id[np.searchsorted(ids, table.landmark[chosen], sorter=by_id)],
         visible=table.visible[chosen],
         position=None if position is None else position[chosen],
+        orientation=None if table.orientation is None else table.orientation[chosen],
         rows=len(at),
         unprocessed=int(np.count_nonzero(~matched)),
         between=int(np.count_nonzero(matched & ~kept)),
