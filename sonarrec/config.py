@@ -168,7 +168,7 @@ class Features:
         "averaged along the track, with 'none of these' among the hypotheses",
         ("single", "track"),
     )
-    memory_frames: float = _setting(20.0, "frames", "track: memory of the averaged shape matrix")
+    memory_frames: float = _setting(40.0, "frames", "track: memory of the averaged shape matrix")
     lag_frames: int = _setting(
         0,
         "frames",
@@ -207,7 +207,7 @@ SECTIONS = {"candidates": Candidates, "continuity": Continuity, "features": Feat
 
 PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     "default": {},
-    "offline": {"features": {"memory_frames": 60.0, "lag_frames": 240}},
+    "offline": {"features": {"memory_frames": 80.0, "lag_frames": 240}},
     "paper": {
         "candidates": {"plane": "fan", "detector": "edge", "threshold": 0.35},
         "continuity": {

@@ -19,6 +19,7 @@ from sonarrec.records import ByteImage, FloatArray, Selection
 GAP_MARGIN = 0.03
 OUTSIDE = (1.08, 1.35)
 COARSE = 4  # pixels, of the grid on which the surroundings' brightness is measured
+LEAST_SIGMA = 0.5  # grey levels
 LEAST_LOCAL_SIGMA = 0.5  # of the whole frame's
 # Peaks that are compared with each other; a frame with more is noise from edge to edge.
 MOST_PEAKS = 64
@@ -55,12 +56,9 @@ class CandidateSelector:
                 ring / ring.sum() - 0.5 * gap / gap.sum() - 0.5 * outside / outside.sum()
             ).astype(np.float32)
         self._margin = margin
-        rows, columns = plane.shape
-        self._coarse = (max(1, columns // COARSE), max(1, rows // COARSE))
         size = 4 * margin // COARSE + 1
         self._background = (size, size)
-        seen = cv2.resize(self._inside_grey, self._coarse, interpolation=cv2.INTER_AREA)
-        self._seen = np.maximum(np.asarray(cv2.blur(seen, self._background)), np.float32(1e-3))
+        self._seen = np.maximum(self._local_sum(self._inside_grey), np.float32(1e-3))
         self._diameter = 2 * np.array(plane.axes)
         visible = self._correlate(self._inside_grey, ring.astype(np.float32))
         visible /= ring.sum()
@@ -75,8 +73,9 @@ class CandidateSelector:
         """Candidates in a working image (uint8, the plane's shape)."""
         mean = self._local_mean(image * self._inside_grey)
         relief = (image - mean) * self._inside_grey
-        # A black or even frame has no relief; 1 keeps it so.
-        sigma = float(np.sqrt(cv2.norm(relief, cv2.NORM_L2SQR) / self._cells)) or 1.0
+        # A black or even frame has no relief but that of rounding.
+        sigma = float(np.sqrt(cv2.norm(relief, cv2.NORM_L2SQR) / self._cells))
+        sigma = max(sigma, LEAST_SIGMA)
         if self._config.detector == "edge":
             score = self._edge_score(image)
             # The tolerance makes plateaus; the middle of one is where the circle is, and its
@@ -86,23 +85,29 @@ class CandidateSelector:
             best = cv2.dilate(score, np.ones((size, size), np.uint8))
         else:
             score = hill = best = self._ring_score(relief, sigma)
-        top = hill == cv2.dilate(hill, np.ones((3, 3), np.uint8))
-        row, column = np.nonzero((best >= self._config.threshold) & top)
+        top = (hill == cv2.dilate(hill, np.ones((3, 3), np.uint8))) & (
+            best >= self._config.threshold
+        )
+        found = cv2.findNonZero(top.view(np.uint8))
+        column, row = np.empty((2, 0), np.intp) if found is None else found.reshape(-1, 2).T
         order = np.lexsort((-hill[row, column], -best[row, column]))[:MOST_PEAKS]
         row, column = row[order], column[order]
         positions = _refine(hill, column, row)
-        kept = self._apart(positions)[: self._config.max_candidates]
+        kept = self._apart(positions)
         scores = np.minimum(best[row, column][kept], 1).astype(float)
         return Selection(np.clip(score, 0, 1), positions[kept], scores, mean, sigma)
 
-    def _apart(self, positions: FloatArray) -> npt.NDArray[np.intp]:
+    def _apart(self, positions: FloatArray) -> list[int]:
         """Indices of the peaks, best first, that no better one is too near to."""
         offset = (positions[:, None] - positions[None]) / self._diameter
-        near = np.hypot(offset[..., 0], offset[..., 1]) < self._config.separation
-        kept = np.ones(len(positions), bool)
-        for i in range(1, len(positions)):
-            kept[i] = not (near[i, :i] & kept[:i]).any()
-        return np.flatnonzero(kept)
+        far = np.hypot(offset[..., 0], offset[..., 1]) >= self._config.separation
+        left = np.ones(len(positions), bool)
+        kept: list[int] = []
+        while left.any() and len(kept) < self._config.max_candidates:
+            kept.append(int(left.argmax()))
+            left &= far[kept[-1]]
+            left[kept[-1]] = False  # also where separation is 0
+        return kept
 
     def _edge_score(self, image: ByteImage) -> npt.NDArray[np.float32]:
         """Share of the outline's pixels that lie on or near an edge, per pixel."""
@@ -126,14 +131,25 @@ class CandidateSelector:
         return np.asarray(score / (local * np.float32(self._config.ring_full_contrast)))
 
     def _local_mean(self, values: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-        """Mean of (rows, columns) values, 0 outside the fan, over each pixel's surroundings.
+        """Mean of (rows, columns) values, 0 outside the fan, over each pixel's surroundings."""
+        rows, columns = values.shape
+        mean = self._local_sum(values) / self._seen
+        size = (mean.shape[1] * COARSE, mean.shape[0] * COARSE)
+        fine = cv2.resize(mean, size, interpolation=cv2.INTER_LINEAR)
+        return np.asarray(fine[:rows, :columns], np.float32)
 
-        Made on a coarse grid: it hardly changes from one pixel to the next.
+    def _local_sum(self, values: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Sum over each pixel's surroundings, of which the share outside the fan counts nothing.
+
+        Made on a coarse grid of whole blocks: it hardly changes from one pixel to the next.
         """
-        coarse = cv2.resize(values, self._coarse, interpolation=cv2.INTER_AREA)
-        mean = cv2.blur(coarse, self._background) / self._seen
-        size = (values.shape[1], values.shape[0])
-        return np.asarray(cv2.resize(mean, size, interpolation=cv2.INTER_LINEAR), np.float32)
+        rows, columns = (-side % COARSE for side in values.shape)
+        whole = cv2.copyMakeBorder(values, 0, rows, 0, columns, cv2.BORDER_CONSTANT, value=0)
+        size = (whole.shape[1] // COARSE, whole.shape[0] // COARSE)
+        coarse = cv2.resize(whole, size, interpolation=cv2.INTER_AREA)
+        return np.asarray(
+            cv2.blur(coarse, self._background, borderType=cv2.BORDER_CONSTANT), np.float32
+        )
 
     def _correlate(
         self, image: npt.NDArray[np.float32], kernel: npt.NDArray[np.float32]
