@@ -305,6 +305,18 @@ def test_several_logs(results: Path, tmp_path: Path) -> None:
     assert "there are first, pan" in other.stderr
 
 
+def test_logs_of_different_landmark_sets_are_refused(results: Path, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        shutil.copytree(results, tmp_path / name)
+    run = tmp_path / "b" / "run.toml"
+    run.write_text(run.read_text().replace("id = 2\n", "id = 7\n"))
+    estimates = tmp_path / "b" / "estimates.csv"
+    estimates.write_text(estimates.read_text().splitlines()[0] + "\n")
+    fault = sonarrec("report", tmp_path, code=1).stderr
+    assert fault.startswith("sonarrec: ")
+    assert "logs a and b were run with different landmark IDs" in fault
+
+
 def test_another_log_is_refused(results: Path, tmp_path: Path) -> None:
     folder = tmp_path / "pan"
     shutil.copytree(SAMPLE, folder)

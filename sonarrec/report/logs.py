@@ -21,7 +21,7 @@ from sonarrec.evaluation.results import (
 )
 from sonarrec.evaluation.truth import Truth, TruthTable, match_truth
 from sonarrec.geometry import Sonar
-from sonarrec.records import FloatArray, UsageError
+from sonarrec.records import FloatArray, SonarrecError, UsageError
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,9 +104,16 @@ def read_logs(
     """
     logs = []
     for folder in find_logs(results):
-        log = read_log(folder, landmarks, sonar)
-        found = None if truth is None else match_truth(truth, log, tolerance_s)
-        logs.append(_reported(folder, log, found, min_visible, method or _tracker(log.methods)))
+        found = read_log(folder, landmarks, sonar)
+        matched = None if truth is None else match_truth(truth, found, tolerance_s)
+        follow = method or _tracker(found.methods)
+        logs.append(_reported(folder, found, matched, min_visible, follow))
+    for log in logs:
+        if log.results.landmarks.ids != logs[0].results.landmarks.ids:
+            raise SonarrecError(
+                f"{results}: logs {logs[0].results.name} and {log.results.name} were run with "
+                "different landmark IDs; report them one by one, or give --landmarks"
+            )
     there = dict.fromkeys(name for log in logs for name in log.results.methods)
     if method is not None and method not in there:
         raise UsageError(f"{results}: no method {method!r}; there is {', '.join(there)}")

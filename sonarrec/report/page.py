@@ -138,6 +138,7 @@ def render(
         landmarks=landmarks,
         glyphs=[charts.glyph(landmarks, k) for k in range(len(landmarks.ids))],
         methods=methods,
+        line_styles=charts.STYLES,
         logs=[_log_view(log, most_tracks) for log in logs],
         tracker=logs[0].tracker,
         truth=None if truth is None else truth.name,
