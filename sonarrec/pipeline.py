@@ -44,6 +44,7 @@ def process(
     topic: str | None = None,
     time: Clock | None = None,
     odometry: Path | None = None,
+    odometry_topic: str | None = None,
     model: Path | None = None,
     observe: Callable[[FrameResult, int | None], None] | None = None,
 ) -> Summary:
@@ -54,13 +55,13 @@ def process(
     default its log time. earlier_run: a run.toml whose geometry and landmark set, and whose topic
     and time if it was of this log, serve where nothing else is given; a plain settings file has
     none of them and changes nothing. odometry: a table of the sonar's poses (see poses.py).
+    odometry_topic: the topic of the log that has them, in place of a table.
     model: an appearance model (see appearance_model.py), default that of the earlier run, else the
     built-in one.
     observe: told each result and the number of frames, where that is known. Raises SonarrecError
     for input or settings that cannot be used.
     """
     sonar = sonar or Sonar()
-    poses = None if odometry is None else read_poses(odometry)
     learned = None if model is None else read_model(model)
     if earlier_run is not None:
         table = tomllib.loads(earlier_run.read_text(encoding="utf-8"))
@@ -69,17 +70,24 @@ def process(
         earlier = table.get("input", {})
         if earlier.get("name") == Path(path).stem:
             topic, time = topic or earlier.get("topic"), time or earlier.get("time")
-            if poses is None and "odometry" in table:
-                raise UsageError(
-                    f"{earlier_run}: that run used the odometry {table['odometry'].get('name')}; "
-                    "give it again with --odometry"
-                )
+            if odometry is None and "odometry" in table:
+                odometry_topic = odometry_topic or table["odometry"].get("topic")
+                if odometry_topic is None:
+                    raise UsageError(
+                        f"{earlier_run}: that run used the odometry "
+                        f"{table['odometry'].get('name')}; give it again with --odometry"
+                    )
         if learned is None and "model" in table:
             learned = model_from_table(table["model"], str(earlier_run))
     if earlier_run is not None and landmarks is None and "landmarks" in table:
         landmark_set = landmarks_from_table(table["landmarks"], str(earlier_run))
     else:
         landmark_set = load_landmarks(landmarks or "basin")
+    poses = None if odometry is None else read_poses(odometry)
+    if odometry_topic is not None:
+        from sonarrec.readers.mcap_poses import read_topic  # with its decompressors, where needed
+
+        poses = read_topic(Path(path), odometry_topic, time or "log")
     with open_log(path, sonar=sonar, sonar_file=sonar_file, topic=topic, time=time or "log") as log:
         frames = iter(log)
         first = next(frames, None)
@@ -98,7 +106,7 @@ def process(
         source = (log.name, *log.digest_source())
         run = run_table(configs, log.stated, first.fan, landmark_set, source, log.reading())
         if poses is not None:
-            run["odometry"] = poses.as_table()
+            run["odometry"] = dict(poses.source)
         if learned is not None:
             run["model"] = learned.as_table()
         sightings = [Sightings(method) for method in recogniser.methods]

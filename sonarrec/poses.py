@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -28,13 +28,13 @@ GAP = 10
 class PoseTable:
     """The sonar's poses at rising times; between two rows they follow a straight line.
 
-    name, sha256: of the file, or of what was read from it. at: (N,) ns. yaw_deg: (N,) heading,
+    name: in messages. source: what run.toml says of it. at: (N,) ns. yaw_deg: (N,) heading,
     positive to the right (clockwise seen from above), without jumps of 360. x_m, y_m: (N,) place
     on the floor, y ahead and x to the right of a sonar whose yaw is 0.
     """
 
     name: str
-    sha256: str
+    source: Mapping[str, str]
     at: npt.NDArray[np.int64]
     yaw_deg: FloatArray
     x_m: FloatArray
@@ -69,9 +69,19 @@ class PoseTable:
             ahead_m=float(right * math.sin(heading) + ahead * math.cos(heading)),
         )
 
-    def as_table(self) -> dict[str, Any]:
-        """What run.toml says of it."""
-        return {"name": self.name, "sha256": self.sha256}
+
+def pose_table(
+    name: str,
+    source: Mapping[str, str],
+    at: npt.NDArray[np.int64],
+    yaw_deg: FloatArray,
+    x_m: FloatArray,
+    y_m: FloatArray,
+) -> PoseTable:
+    """A PoseTable of poses in any order; of several at one time the first counts."""
+    at, first = np.unique(at, return_index=True)
+    yaw_deg = np.unwrap(yaw_deg[first], period=360)
+    return PoseTable(name, source, at, yaw_deg, x_m[first], y_m[first])
 
 
 def read_poses(path: Path) -> PoseTable:
@@ -97,22 +107,22 @@ def read_poses(path: Path) -> PoseTable:
         )
     if ("x" in table) != ("y" in table):
         raise SonarrecError(f"{path}: x and y go together; give both or neither")
-    at, first = np.unique(at, return_index=True)
-    if len(at) < 2:
+    steps = np.diff(np.unique(at))
+    if not len(steps):
         raise SonarrecError(f"{path}: a motion needs rows at two times or more")
     if "timestamp_ns" not in table:
-        seconds = np.median(np.diff(at)) < NANOSECONDS_FROM
+        seconds = np.median(steps) < NANOSECONDS_FROM
         at = np.rint(at * 1e9 if seconds else at).astype(np.int64)
     still = np.zeros(len(at))
     try:
         digest = hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError as error:
         raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
-    return PoseTable(
-        name=path.name,
-        sha256=digest,
-        at=at,
-        yaw_deg=np.unwrap(table["yaw"][first], period=360),
-        x_m=table["x"][first] if "x" in table else still,
-        y_m=table["y"][first] if "y" in table else still,
+    return pose_table(
+        path.name,
+        {"name": path.name, "sha256": digest},
+        at,
+        table["yaw"],
+        table.get("x", still),
+        table.get("y", still),
     )

@@ -20,7 +20,7 @@ from sonarrec.cli.options import (
     sonar_from_flags,
     sonar_options,
 )
-from sonarrec.records import Clock, FrameResult
+from sonarrec.records import Clock, FrameResult, UsageError
 
 
 @click.command()
@@ -47,6 +47,11 @@ from sonarrec.records import Clock, FrameResult
     "and, where known, x, y (m).  [default: the turn is measured between the images]",
 )
 @click.option(
+    "--odometry-topic",
+    metavar="TOPIC",
+    help="Poses in the MCAP itself: nav_msgs/Odometry or geometry_msgs/PoseStamped.",
+)
+@click.option(
     "--model", type=FILE, help="Appearance model of `sonarrec calibrate`.  [default: built in]"
 )
 @preset_option
@@ -63,6 +68,7 @@ def run(
     clock: Clock | None,
     landmarks: str | None,
     odometry: Path | None,
+    odometry_topic: str | None,
     model: Path | None,
     preset: str | None,
     config_file: Path | None,
@@ -84,10 +90,13 @@ def run(
       sonarrec run log.mcap
       sonarrec run pings/ --tilt-deg 22 --height-m 0.7
       sonarrec run dive.mcap --topic /oculus/ping --tilt-deg 20 --time header
+      sonarrec run dive.mcap --odometry-topic /odom --model my.toml
       sonarrec run 'dump/*.png' --preset paper --out results
     """
     from sonarrec.pipeline import process
 
+    if odometry is not None and odometry_topic is not None:
+        raise UsageError("--odometry and --odometry-topic: choose one of the two")
     settings = chosen_settings(preset, config_file, assignments, seed)
     sonar = sonar_from_flags(flags)
     partly = False
@@ -103,6 +112,7 @@ def run(
             topic=topic,
             time=clock,
             odometry=odometry,
+            odometry_topic=odometry_topic,
             model=model,
             observe=_progress_bar(quiet),
         )

@@ -282,13 +282,22 @@ def decoder_for(
     kind = MESSAGES.get(name)
     if kind is None:
         return None
-    if message_encoding == "json":
-        return Decoder(_json, kind)
     if name in foxglove.FIELDS:
         if message_encoding == "protobuf":
             return Decoder(partial(foxglove.decode_protobuf, name), kind)
         if message_encoding == "flatbuffer":
             return Decoder(partial(foxglove.decode_flatbuffer, name), kind)
+    fields = ros_fields(name, schema_encoding, schema_data, message_encoding)
+    return None if fields is None else Decoder(fields, kind)
+
+
+def ros_fields(
+    name: str, schema_encoding: str, schema_data: bytes, message_encoding: str
+) -> Callable[[memoryview], Mapping[str, Any]] | None:
+    """What gives the fields of a message in CDR, ROS 1 or JSON; None for another encoding, and for
+    a message (package/Name) that neither the file nor we define."""
+    if message_encoding == "json":
+        return _json
     decode = {"cdr": ros_wire.decode_cdr, "ros1": ros_wire.decode_ros1}.get(message_encoding)
     layout = _ros_layout(name, message_encoding == "ros1", schema_encoding, schema_data)
-    return None if decode is None or layout is None else Decoder(partial(decode, layout), kind)
+    return None if decode is None or layout is None else partial(decode, layout)
