@@ -19,9 +19,14 @@ SHARES = ("share", "probability", "0 to 1")
 
 
 def _setting(
-    default: Any, unit: str, meaning: str, choices: tuple[str, ...] = (), least: float = 0
+    default: Any,
+    unit: str,
+    meaning: str,
+    choices: tuple[str, ...] = (),
+    least: float = 0,
+    most: float = float("inf"),
 ) -> Any:
-    limits = (least, 1.0 if unit in SHARES else float("inf"))
+    limits = (least, 1.0 if unit in SHARES else most)
     return field(
         default=default,
         metadata={"unit": unit, "meaning": meaning, "choices": choices, "limits": limits},
@@ -85,7 +90,9 @@ class Candidates:
 class Continuity:
     """Stage 2, continuity evaluation with a particle filter (Section 3.3)."""
 
-    particles: int = _setting(1000, "", "in each group; 1000 to 2000 in the paper", least=1)
+    particles: int = _setting(
+        1000, "", "in each group; 1000 to 2000 in the paper", least=1, most=30_000
+    )
     sigma_px: float = _setting(10.0, "fan pixels", "random walk of a particle per frame, Eq. 3")
     motion: str = _setting(
         "image",

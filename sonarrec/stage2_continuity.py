@@ -7,6 +7,7 @@ the object's position.
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -103,7 +104,6 @@ class ContinuityFilter:
             # The floor does not move: a group pulled this far has left its object for another.
             moved = np.hypot(*((positions - expected) / self._diameter).T)
             alive &= moved <= config.jump
-        if motion is not None:
             self._lost.positions = self._plane.moved(self._lost.positions, motion)
             self._lost.pass_frame(self._shares(self._lost.positions) > 0.9, config.strikes)
             left = alive & ~in_view
@@ -145,24 +145,23 @@ class ContinuityFilter:
         groups, n = self._particles.shape[:2]
         if groups == 0:
             return np.empty((0, 2)), np.empty((0, 2))
-        column, row = np.rint(self._particles).astype(np.intp).transpose(2, 0, 1)
-        rows, columns = score_map.shape
-        within = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
-        hit = np.where(within, score_map[row.clip(0, rows - 1), column.clip(0, columns - 1)], 0)
+        # Outside the image nothing is hit.
+        column, row = self._particles.transpose(2, 0, 1)
+        hit = cv2.remap(score_map, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
         weight = config.z_hit * hit.astype(float) ** config.hit_power + config.z_rand / n
         weight /= weight.sum(axis=1, keepdims=True)
-        mean = np.einsum("gn,gnd->gd", weight, self._particles)
+        mean = (weight[:, None] @ self._particles)[:, 0]
         offset = self._particles - mean[:, None]
-        spread = np.sqrt(np.einsum("gn,gnd->gd", weight, offset**2)) / self._diameter
-        # Systematic resampling of all groups in one search: group g's weights fill (g, g + 1].
-        edges = (np.cumsum(weight, axis=1) + np.arange(groups)[:, None]).ravel()
-        start = self._rng.random((groups, 1))
-        ticks = np.arange(groups)[:, None] + (np.arange(n) + start) / n
-        chosen = np.searchsorted(edges, ticks.ravel()).reshape(groups, n)
-        # Rounding in the cumulative sums must not hand a group its neighbour's particle.
-        first = np.arange(groups)[:, None] * n
-        chosen = np.clip(chosen, first, first + n - 1)
-        self._particles = self._particles.reshape(-1, 2)[chosen]
+        spread = np.sqrt((weight[:, None] @ offset**2)[:, 0]) / self._diameter
+        # Systematic resampling: a particle is drawn once for every tick that falls into its share
+        # of the cumulative weight; the ticks are 1 / n apart from a random start.
+        ticks = np.ceil(np.cumsum(weight, axis=1) * n - self._rng.random((groups, 1)))
+        ticks = ticks.clip(0, n)
+        ticks[:, -1] = n  # whatever rounding left
+        drawn = np.diff(ticks, axis=1, prepend=0).astype(np.intp)
+        self._particles = np.repeat(self._particles.reshape(-1, 2), drawn.ravel(), axis=0).reshape(
+            groups, n, 2
+        )
         return mean, spread
 
     def _count(
