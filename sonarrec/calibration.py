@@ -18,7 +18,6 @@ from sonarrec.appearance_model import BUILT_IN, AppearanceModel
 from sonarrec.config import Config, preset
 from sonarrec.geometry import PolarToFan
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.poses import PoseTable
 from sonarrec.recogniser import FRAMEWORK, Recogniser
 from sonarrec.records import Fan, FloatArray, Frame, SonarrecError
 from sonarrec.simulation.random_scenes import ALL_KINDS, random_scene
@@ -80,7 +79,6 @@ def describe(
     landmarks: LandmarkSet,
     *,
     name: str = "",
-    poses: PoseTable | None = None,
 ) -> Tracks:
     """Run stages 1 and 2 over a recording and describe every track in every frame."""
     recorder = _Recorder()
@@ -90,7 +88,7 @@ def describe(
     rows: list[int] = []
     for row, frame in enumerate(frames):
         fan = fan or frame.fan
-        recogniser = recogniser or Recogniser(config, fan, landmarks, recorder, poses=poses)
+        recogniser = recogniser or Recogniser(config, fan, landmarks, recorder)
         result = recogniser.step(frame)
         tracks = [e for e in result.estimates if e.method == FRAMEWORK]
         index.append(frame.index)

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 from sonarrec.appearance_model import model_from_table, read_model
 from sonarrec.config import Config
@@ -62,6 +63,7 @@ def process(
     for input or settings that cannot be used.
     """
     sonar = sonar or Sonar()
+    used: dict[str, Any] = {}  # the odometry of the earlier run
     learned = None if model is None else read_model(model)
     if earlier_run is not None:
         table = tomllib.loads(earlier_run.read_text(encoding="utf-8"))
@@ -70,13 +72,14 @@ def process(
         earlier = table.get("input", {})
         if earlier.get("name") == Path(path).stem:
             topic, time = topic or earlier.get("topic"), time or earlier.get("time")
-            if odometry is None and "odometry" in table:
-                odometry_topic = odometry_topic or table["odometry"].get("topic")
-                if odometry_topic is None:
-                    raise UsageError(
-                        f"{earlier_run}: that run used the odometry "
-                        f"{table['odometry'].get('name')}; give it again with --odometry"
-                    )
+            used = table.get("odometry", {})
+            if odometry is None:
+                odometry_topic = odometry_topic or used.get("topic")
+            if used and odometry is None and odometry_topic is None:
+                raise UsageError(
+                    f"{earlier_run}: that run used the odometry {used.get('name')}; "
+                    "give it again with --odometry"
+                )
         if learned is None and "model" in table:
             learned = model_from_table(table["model"], str(earlier_run))
     if earlier_run is not None and landmarks is None and "landmarks" in table:
@@ -88,6 +91,9 @@ def process(
         from sonarrec.readers.mcap_poses import read_topic  # with its decompressors, where needed
 
         poses = read_topic(Path(path), odometry_topic, time or "log")
+    notes = []
+    if poses is not None and used and used != poses.source:
+        notes.append(f"{earlier_run}: that run used another odometry than {poses.name}")
     with open_log(path, sonar=sonar, sonar_file=sonar_file, topic=topic, time=time or "log") as log:
         frames = iter(log)
         first = next(frames, None)
@@ -131,5 +137,5 @@ def process(
         for sighting in sightings:
             lines += [f"{sighting.method}:"] if len(sightings) > 1 else []
             lines += sighting.table()
-        notes = [*log.notes, *recogniser.notes()]
+        notes += [*log.notes, *recogniser.notes()]
         return Summary(out / log.name, writer.frames, problems, notes, lines)

@@ -246,7 +246,9 @@ def test_the_same_table_gives_the_same_bytes_again(pings, name):
     fault = sonarrec(*again, code=2).stderr
     assert "--odometry" in fault
     assert fault.count("\n") == 1
-    sonarrec(*again, "--odometry", table)
+    other = sonarrec(*again, "--odometry", pan_table(Path("other.csv"), per_second=1.01))
+    assert "another odometry than other.csv" in other.stderr
+    assert sonarrec(*again, "--odometry", table).stderr == ""
     for file in ("estimates.csv", "frames.csv", "run.toml"):
         assert (Path("again/pings") / file).read_bytes() == (out / file).read_bytes()
     sonarrec("run", pings, "--preset", name, "--out", "without")

@@ -89,6 +89,8 @@ def calibrate(
     from sonarrec.labelled_logs import learn
     from sonarrec.landmarks import load_landmarks
 
+    if not out.parent.is_dir():
+        raise UsageError(f"--out {out}: there is no folder {out.parent}")
     settings, *more = chosen_settings(preset, config_file, assignments, seed)
     if more:
         raise UsageError("several presets: a model is learned for one; choose it with --preset")

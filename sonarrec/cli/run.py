@@ -90,7 +90,8 @@ def run(
       sonarrec run log.mcap
       sonarrec run pings/ --tilt-deg 22 --height-m 0.7
       sonarrec run dive.mcap --topic /oculus/ping --tilt-deg 20 --time header
-      sonarrec run dive.mcap --odometry-topic /odom --model my.toml
+      sonarrec run pings/ --odometry poses.csv --model my.toml
+      sonarrec run dive.mcap --odometry-topic /odom
       sonarrec run 'dump/*.png' --preset paper --out results
     """
     from sonarrec.pipeline import process
