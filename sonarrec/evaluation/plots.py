@@ -213,25 +213,10 @@ def draw_reliability(path: Path, curves: Sequence[Reliability]) -> None:
     middles = (np.arange(BINS) + 0.5) / BINS
     for axes, bars, top in zip(*panels, tops, strict=True):
         axes.plot([0, 1], [0, 1], ":", color="0.5", label="perfectly calibrated")
-        many = top.count >= FEW
-        axes.plot(top.mean, top.right, "-", color=COLOURS[0], lw=1)
-        axes.plot(
-            top.mean[many],
-            top.right[many],
-            "o",
-            color=COLOURS[0],
-            clip_on=False,
-            label="most probable",
-        )
-        axes.plot(
-            top.mean[~many],
-            top.right[~many],
-            "o",
-            color="white",
-            mec=COLOURS[0],
-            clip_on=False,
-            label=f"of fewer than {FEW} estimates",
-        )
+        few = top.count < FEW
+        label = f"most probable; hollow: fewer than {FEW}"
+        axes.plot(top.mean, top.right, "o-", color=COLOURS[0], lw=1, label=label)
+        axes.plot(top.mean[few], top.right[few], "o", color="white", mec=COLOURS[0])
         axes.set(title=top.method, xlim=(0, 1), ylim=(0, 1.02))
         axes.grid(color="0.9")
         bars.bar(middles, np.maximum(top.count, 0.5), width=0.09, color=COLOURS[0])
