@@ -58,7 +58,7 @@ class TrackMatrix:
 
     def __init__(self, memory_frames: float, lines: int) -> None:
         self._keep = 1 - 1 / max(memory_frames, 1.0)
-        self._numbers = np.empty(0, np.int64)
+        self._numbers: list[int] = []
         self._sum: FloatArray = np.empty((0, lines, ANGLES))
         self._count: FloatArray = np.empty((0, lines, ANGLES))
 
@@ -69,13 +69,14 @@ class TrackMatrix:
 
         Tracks that are neither in view nor remembered are forgotten.
         """
-        numbers = np.union1d(groups.numbers, groups.remembered)
+        place = {number: i for i, number in enumerate(self._numbers)}
+        numbers = [*groups.numbers.tolist(), *groups.remembered.tolist()]
         total = np.zeros((len(numbers), *self._sum.shape[1:]))
         count = np.zeros_like(total)
-        known = np.isin(numbers, self._numbers)
-        before = np.searchsorted(self._numbers, numbers[known])
+        known = [i for i, number in enumerate(numbers) if number in place]
+        before = [place[numbers[i]] for i in known]
         total[known], count[known] = self._sum[before], self._count[before]
-        now = np.searchsorted(numbers, groups.numbers)
+        now = slice(len(groups.numbers))
         total[now] = self._keep * total[now] + np.where(seen, grey, 0.0)
         count[now] = self._keep * count[now] + seen
         self._numbers, self._sum, self._count = numbers, total, count

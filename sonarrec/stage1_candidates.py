@@ -6,6 +6,8 @@ correlation (Hough) map above a threshold are candidates.
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 import numpy.typing as npt
@@ -71,8 +73,9 @@ class CandidateSelector:
 
     def __call__(self, image: ByteImage) -> Selection:
         """Candidates in a working image (uint8, the plane's shape)."""
-        mean = self._local_mean(image * self._inside_grey)
-        relief = (image - mean) * self._inside_grey
+        mean = self._fine(self._local_mean(cv2.bitwise_and(image, image, mask=self._inside)))
+        relief = np.subtract(image, mean, dtype=np.float32)
+        relief *= self._inside_grey
         # A black or even frame has no relief but that of rounding.
         sigma = float(np.sqrt(cv2.norm(relief, cv2.NORM_L2SQR) / self._cells))
         sigma = max(sigma, LEAST_SIGMA)
@@ -95,7 +98,7 @@ class CandidateSelector:
         positions = _refine(hill, column, row)
         kept = self._apart(positions)
         scores = np.minimum(best[row, column][kept], 1).astype(float)
-        return Selection(np.clip(score, 0, 1), positions[kept], scores, mean, sigma)
+        return Selection(np.clip(score, 0, 1, out=score), positions[kept], scores, mean, sigma)
 
     def _apart(self, positions: FloatArray) -> list[int]:
         """Indices of the peaks, best first, that no better one is too near to."""
@@ -126,30 +129,35 @@ class CandidateSelector:
         """
         # Never far below the whole frame's: an even patch must not turn its noise into rings.
         least = (LEAST_LOCAL_SIGMA * sigma) ** 2
-        local = cv2.sqrt(np.maximum(self._local_mean(relief * relief), least))
-        score = self._correlate(relief, self._kernel) * self._gain
-        return np.asarray(score / (local * np.float32(self._config.ring_full_contrast)))
+        local = np.sqrt(np.maximum(self._local_mean(relief * relief), least))
+        score = self._correlate(relief, self._kernel)
+        score *= self._gain
+        score *= self._fine(1 / (self._config.ring_full_contrast * local))
+        return score
 
-    def _local_mean(self, values: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-        """Mean of (rows, columns) values, 0 outside the fan, over each pixel's surroundings."""
-        rows, columns = values.shape
-        mean = self._local_sum(values) / self._seen
-        size = (mean.shape[1] * COARSE, mean.shape[0] * COARSE)
-        fine = cv2.resize(mean, size, interpolation=cv2.INTER_LINEAR)
-        return np.asarray(fine[:rows, :columns], np.float32)
+    def _local_mean(self, values: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+        """Mean of (rows, columns) values, 0 outside the fan, over each pixel's surroundings.
 
-    def _local_sum(self, values: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-        """Sum over each pixel's surroundings, of which the share outside the fan counts nothing.
-
-        Made on a coarse grid of whole blocks: it hardly changes from one pixel to the next.
+        On a coarse grid, for it hardly changes from one pixel to the next.
         """
+        return np.asarray(self._local_sum(values) / self._seen, np.float32)
+
+    def _local_sum(self, values: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+        """Sum over each pixel's surroundings, in units of their size, on a grid of whole blocks."""
         rows, columns = (-side % COARSE for side in values.shape)
         whole = cv2.copyMakeBorder(values, 0, rows, 0, columns, cv2.BORDER_CONSTANT, value=0)
         size = (whole.shape[1] // COARSE, whole.shape[0] // COARSE)
-        coarse = cv2.resize(whole, size, interpolation=cv2.INTER_AREA)
+        coarse = cv2.resize(whole, size, interpolation=cv2.INTER_AREA).astype(np.float32)
         return np.asarray(
             cv2.blur(coarse, self._background, borderType=cv2.BORDER_CONSTANT), np.float32
         )
+
+    def _fine(self, coarse: FloatArray) -> npt.NDArray[np.float32]:
+        """(rows, columns) of values on the coarse grid."""
+        size = (coarse.shape[1] * COARSE, coarse.shape[0] * COARSE)
+        rows, columns = self._inside.shape
+        fine = cv2.resize(coarse, size, interpolation=cv2.INTER_LINEAR)
+        return np.asarray(fine[:rows, :columns], np.float32)
 
     def _correlate(
         self, image: npt.NDArray[np.float32], kernel: npt.NDArray[np.float32]

@@ -78,7 +78,8 @@ class FeatureEstimator:
         """model: (H, H) measurement model, rows = true, columns = measured."""
         self._config = config
         self._model = model
-        self._numbers = np.empty(0, np.int64)
+        self._numbers: list[int] = []
+        # Of the objects in view, which come first; those remembered have none.
         self._positions: FloatArray = np.empty((0, 2))
         self._beliefs: FloatArray = np.empty((0, len(model)))
 
@@ -86,25 +87,26 @@ class FeatureEstimator:
         """(n, H) beliefs after this frame; measured: (n, H) normalised similarities."""
         predicted = self._predict(groups)
         beliefs = update(predicted, measured, self._model)
-        away = np.isin(self._numbers, np.setdiff1d(groups.remembered, groups.numbers))
-        numbers = np.concatenate([groups.numbers, self._numbers[away]])
-        order = np.argsort(numbers)
-        self._numbers = numbers[order]
-        self._beliefs = np.concatenate([beliefs, self._beliefs[away]])[order]
-        self._positions = np.concatenate([groups.positions, self._positions[away]])[order]
+        remembered = set(groups.remembered.tolist())
+        away = [i for i, number in enumerate(self._numbers) if number in remembered]
+        self._numbers = [*groups.numbers.tolist(), *(self._numbers[i] for i in away)]
+        self._beliefs = np.concatenate([beliefs, self._beliefs[away]])
+        self._positions = groups.positions
         return beliefs
 
     def _predict(self, groups: Groups) -> FloatArray:
         """Eq. 5. An object that has just begun knows nothing: its belief is uniform."""
         hypotheses = len(self._model)
         predicted = np.full((len(groups.numbers), hypotheses), 1 / hypotheses)
-        known = np.isin(groups.numbers, self._numbers)
-        if not known.any():
+        place = {number: i for i, number in enumerate(self._numbers)}
+        numbers = groups.numbers.tolist()
+        known = [i for i, number in enumerate(numbers) if number in place]
+        if not known:
             return predicted
         if self._config.motion_model == "association":
-            predicted[known] = self._beliefs[np.searchsorted(self._numbers, groups.numbers[known])]
+            predicted[known] = self._beliefs[[place[numbers[i]] for i in known]]
         else:
             power = self._config.distance_power
             same = motion_model(groups.positions[known], self._positions, power)
-            predicted[known] = same @ self._beliefs
+            predicted[known] = same @ self._beliefs[: len(self._positions)]
         return predicted
