@@ -1,5 +1,5 @@
-"""What simulated truth tells beyond `sonarrec evaluate`: errors of orientation, whether stated
-uncertainties are what they say, and the score as a probability."""
+"""What simulated truth tells beyond `sonarrec evaluate`: whether stated uncertainties are what
+they say, and the score as a probability."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from sonarrec.evaluation.scoring import Scored
-from sonarrec.landmarks import LandmarkSet
+from sonarrec.evaluation.scoring import Evaluation, Scored
 from sonarrec.records import FloatArray
 
+SIGMAS = ["range_sigma_m", "bearing_sigma_deg", "orientation_sigma_deg"]
 BINS = 10
 NORMAL_MEDIAN = 0.6745
 """Of |x| where x is normal with sigma 1."""
@@ -34,47 +34,26 @@ class Errors:
     orientation_sigma_deg: FloatArray
 
 
-def errors(found: Scored, folders: Sequence[Path], landmarks: LandmarkSet) -> Errors:
-    """How far right claims are from the truth. found: one of `simulated.score(folders)`."""
+def errors(evaluation: Evaluation, found: Scored, folders: Sequence[Path]) -> Errors:
+    """How far right claims are from the truth. evaluation: `simulated.score(folders)`; found: one
+    method of it."""
+    joined = evaluation.joined
     right = found.made[found.made_effect[:, 0] > 0]
-    # The evaluation numbers claims and truths as the files hold them, one log after the other.
-    told = _table(folders, "estimates.csv").iloc[found.claim[right]]
-    true = _table(folders, "gt.csv").iloc[found.truth[right]]
-
-    def less(name: str) -> FloatArray:
-        # Explicitly numbers: the columns of a truth without a row are none.
-        return told[name].to_numpy(float) - true[name].to_numpy(float)
-
-    symmetry = {i: symmetry_deg(landmarks, i) for i in landmarks.ids}
-    turn = true["landmark"].map(symmetry).to_numpy(float)
+    claim, truth = found.claim[right], found.truth[right]
+    told, true = joined.claim_position[claim].T, joined.truth_position[truth].T
+    turn = joined.turn_deg[found.landmark[right]]
+    off = joined.claim_orientation[claim] - joined.truth_orientation[truth]
+    # The evaluation numbers claims as the files hold them, one log after the other.
+    sigmas = pd.concat([pd.read_csv(f / "estimates.csv", usecols=SIGMAS) for f in folders])
+    range_sigma, bearing_sigma, orientation_sigma = sigmas[SIGMAS].to_numpy()[claim].T
     return Errors(
-        range_m=less("range_m"),
-        range_sigma_m=told["range_sigma_m"].to_numpy(),
-        bearing_deg=less("bearing_deg"),
-        bearing_sigma_deg=told["bearing_sigma_deg"].to_numpy(),
-        orientation_deg=(less("orientation_deg") + turn / 2) % turn - turn / 2,
-        orientation_sigma_deg=told["orientation_sigma_deg"].to_numpy(),
+        range_m=np.hypot(*told) - np.hypot(*true),
+        range_sigma_m=range_sigma,
+        bearing_deg=np.degrees(np.arctan2(*told) - np.arctan2(*true)),
+        bearing_sigma_deg=bearing_sigma,
+        orientation_deg=(off + turn / 2) % turn - turn / 2,
+        orientation_sigma_deg=orientation_sigma,
     )
-
-
-def _table(folders: Sequence[Path], name: str) -> pd.DataFrame:
-    return pd.concat([pd.read_csv(folder / name) for folder in folders], ignore_index=True)
-
-
-def symmetry_deg(landmarks: LandmarkSet, landmark: int) -> float:
-    """The least turn that leaves a landmark's symbol as it is."""
-    code = np.array(landmarks.sectors[landmarks.ids.index(landmark)])
-    turns = range(1, len(code) + 1)
-    return 360 / len(code) * next(t for t in turns if (np.roll(code, t) == code).all())
-
-
-def sizes(error: FloatArray) -> tuple[float, float]:
-    """(median, 95 %) of the size of errors that are known; NaN without any."""
-    known = np.abs(error[~np.isnan(error)])
-    if not len(known):
-        return np.nan, np.nan
-    median, most = np.quantile(known, [0.5, 0.95])
-    return float(median), float(most)
 
 
 def honesty(error: FloatArray, sigma: FloatArray) -> tuple[float, float]:

@@ -21,14 +21,13 @@ from sonarrec.evaluation.curves import Count
 from sonarrec.evaluation.passes import find_passes
 from sonarrec.evaluation.scoring import Evaluation
 from sonarrec.evaluation.summary import Summary, summarise
-from sonarrec.landmarks import load_landmarks
 from sonarrec.simulation.random_scenes import (
     ALL_KINDS,
     KINDS_OF_SCENE,
     STRETCH_KINDS,
     random_scene,
 )
-from tests.measured import Reliability, errors, honesty, reliability, sizes
+from tests.measured import Reliability, errors, honesty, reliability
 from tests.simulated import METHODS, PRESETS, Job, recognise_all, score
 
 TUNING = range(2000, 3000)
@@ -115,11 +114,14 @@ def beyond(found: Evaluation, summary: Summary, name: str, folders: Sequence[Pat
         told = summary.figure("strict", METHODS[name], what)
         return math.nan if told is None else told.value
 
-    e = errors(strict, folders, load_landmarks("basin"))
+    e = errors(found, strict, folders)
     return Beyond(
         frames=(figure("frames_to_id_median"), figure("frames_to_id_90")),
         position_m=(figure("position_error_median_m"), figure("position_error_95_m")),
-        orientation_deg=sizes(e.orientation_deg),
+        orientation_deg=(
+            figure("orientation_error_median_deg"),
+            figure("orientation_error_95_deg"),
+        ),
         range_sigma=honesty(e.range_m, e.range_sigma_m),
         bearing_sigma=honesty(e.bearing_deg, e.bearing_sigma_deg),
         orientation_sigma=honesty(e.orientation_deg, e.orientation_sigma_deg),

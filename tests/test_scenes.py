@@ -29,7 +29,7 @@ from sonarrec.simulation.scene import (
 )
 from sonarrec.simulation.simulate import write_recording
 from tests import ablation, baseline, bench, scenes, study
-from tests.measured import BINS, errors, honesty, reliability, symmetry_deg
+from tests.measured import BINS, errors, honesty, reliability
 from tests.simulated import METHODS, PRESETS, Job, recognise, score
 
 # Another radius than the built-in set's, so that the set has to be handed on.
@@ -122,17 +122,12 @@ def test_errors_are_of_the_right_claims(in_memory: Path, found: Evaluation) -> N
                         float(claim["bearing_sigma_deg"]),
                     )
                 )
-    e = errors(strict(found, "default"), [in_memory], SCENE.landmark_set)
+    e = errors(found, strict(found, "default"), [in_memory])
     told = np.column_stack([e.range_m, e.bearing_deg, e.orientation_deg, e.bearing_sigma_deg])
     assert len(told) > 20
     # Claims come by falling score, rows of the file by frame.
     order = np.lexsort(told.T), np.lexsort(np.array(expected).T)
     np.testing.assert_allclose(told[order[0]], np.array(expected)[order[1]], atol=1e-9)
-
-
-def test_symmetry_of_the_symbols() -> None:
-    discs = load_landmarks("basin")
-    assert [symmetry_deg(discs, i) for i in (1, 2, 3, 4)] == [360, 180, 360, 360]
 
 
 @pytest.mark.parametrize("factor", [0.5, 1.0, 2.0])
