@@ -28,46 +28,44 @@ GAP = 10
 class PoseTable:
     """The sonar's poses at rising times; between two rows they follow a straight line.
 
-    name: in messages. source: what run.toml says of it. at: (N,) ns. yaw_deg: (N,) heading,
-    positive to the right (clockwise seen from above), without jumps of 360. x_m, y_m: (N,) place
-    on the floor, y ahead and x to the right of a sonar whose yaw is 0.
+    name: in messages. source: what run.toml says of it. at: (N,) ns. pose: (N, 3) yaw in deg,
+    positive to the right (clockwise seen from above) and without jumps of 360, then x and y, the
+    place on the floor in m, y ahead and x to the right of a sonar whose yaw is 0. gap_ns: across a
+    longer time between two rows nobody measured.
     """
 
     name: str
     source: Mapping[str, str]
     at: npt.NDArray[np.int64]
-    yaw_deg: FloatArray
-    x_m: FloatArray
-    y_m: FloatArray
+    pose: FloatArray
+    gap_ns: float
 
     def covers(self, time_ns: int) -> bool:
-        """Whether the pose at a time is told: not before the first row, after the last or in a gap
-        of more than GAP times the usual step."""
-        after = int(np.searchsorted(self.at, time_ns))
-        if after == len(self.at) or time_ns < self.at[0]:
-            return False
-        if self.at[after] == time_ns:
-            return True
-        steps = np.diff(self.at)
-        return bool(steps[after - 1] <= GAP * np.median(steps))
+        """Whether the pose at a time is told: from the first row to the last, and in no gap."""
+        return self._at(time_ns) is not None
 
     def motion(self, before_ns: int, now_ns: int) -> Motion | None:
         """How the sonar moved between two times; None where either is not covered."""
-        if not (self.covers(before_ns) and self.covers(now_ns)):
+        before, now = self._at(before_ns), self._at(now_ns)
+        if before is None or now is None:
             return None
-        # Whole nanoseconds since 1970 do not fit a float; since the first row they do.
-        times = np.array([before_ns, now_ns]) - self.at[0]
-        yaw, x, y = (
-            np.interp(times, self.at - self.at[0], column)
-            for column in (self.yaw_deg, self.x_m, self.y_m)
-        )
-        heading = math.radians(yaw[0])
-        right, ahead = x[1] - x[0], y[1] - y[0]
-        return Motion(
-            pan_deg=float(yaw[1] - yaw[0]),
-            right_m=float(right * math.cos(heading) - ahead * math.sin(heading)),
-            ahead_m=float(right * math.sin(heading) + ahead * math.cos(heading)),
-        )
+        pan_deg, right, ahead = (now - before).tolist()
+        heading = math.radians(before[0])
+        cos, sin = math.cos(heading), math.sin(heading)
+        return Motion(pan_deg, right * cos - ahead * sin, right * sin + ahead * cos)
+
+    def _at(self, time_ns: int) -> FloatArray | None:
+        """(3,) the pose at a time, None where it is not told."""
+        after = int(np.searchsorted(self.at, time_ns))
+        if after == len(self.at) or time_ns < self.at[0]:
+            return None
+        if self.at[after] == time_ns:
+            return np.asarray(self.pose[after])
+        step = self.at[after] - self.at[after - 1]
+        if step > self.gap_ns:
+            return None
+        share = (time_ns - self.at[after - 1]) / step
+        return np.asarray(self.pose[after - 1] * (1 - share) + self.pose[after] * share)
 
 
 def pose_table(
@@ -78,10 +76,11 @@ def pose_table(
     x_m: FloatArray,
     y_m: FloatArray,
 ) -> PoseTable:
-    """A PoseTable of poses in any order; of several at one time the first counts."""
+    """A PoseTable of poses at two times or more, in any order; of several at one time the first
+    counts."""
     at, first = np.unique(at, return_index=True)
-    yaw_deg = np.unwrap(yaw_deg[first], period=360)
-    return PoseTable(name, source, at, yaw_deg, x_m[first], y_m[first])
+    pose = np.column_stack([np.unwrap(yaw_deg[first], period=360), x_m[first], y_m[first]])
+    return PoseTable(name, source, at, pose, GAP * float(np.median(np.diff(at))))
 
 
 def read_poses(path: Path) -> PoseTable:

@@ -20,7 +20,7 @@ from rosbags.typesys import Stores, get_typestore
 from sonarrec.cli import main
 from sonarrec.config import Config, preset
 from sonarrec.plane import Plane
-from sonarrec.poses import PoseTable, read_poses
+from sonarrec.poses import PoseTable, pose_table, read_poses
 from sonarrec.readers.mcap_poses import read_topic
 from sonarrec.recogniser import FRAMEWORK, Recogniser
 from sonarrec.records import Frame, Motion, SonarrecError
@@ -77,7 +77,7 @@ def test_a_still_object_appears_where_trigonometry_says(
     ground = math.sqrt(range_m**2 - HEIGHT**2)
     x, y = before[1] + ground * math.sin(heading), before[2] + ground * math.cos(heading)
     columns = np.array([before, after]).T
-    table = PoseTable("", {}, np.array([0, 10**9]), *columns)
+    table = pose_table("", {}, np.array([0, 10**9]), *columns)
     motion = table.motion(0, 10**9)
     assert motion is not None
     plane = Plane(make_fan(120, height_m=HEIGHT), 0.15, kind, 10.0)
@@ -358,9 +358,8 @@ def test_a_topic_is_as_good_as_a_table(pings, schema, told):
     by_topic = sonarrec("run", log, "--topic", "/sonar", "--odometry-topic", "/odom")
     assert by_topic.stderr == ""
     table = read_topic(log, "/odom", "log")
-    np.testing.assert_allclose(np.diff(table.yaw_deg), np.diff(yaw), atol=1e-9)
-    assert table.x_m[0] == -2.0
-    assert table.y_m[0] == 1.0
+    np.testing.assert_allclose(np.diff(table.pose[:, 0]), np.diff(yaw), atol=1e-9)
+    assert table.pose[0, 1:].tolist() == [-2.0, 1.0]
     assert read_topic(log, "/odom", "header").at.tolist() == [n * 10**9 + 7 for n in range(16)]
     by_table = ("--odometry", pan_table(Path("odometry.csv")), "--out", "by_table")
     sonarrec("run", log, "--topic", "/sonar", *by_table)
