@@ -35,7 +35,7 @@ class _Program(click.Group):
 )
 @click.version_option(__version__, prog_name="sonarrec")
 def main() -> None:
-    """Recognise landmarks in recorded imaging-sonar logs, and score it against ground truth.
+    """Recognise landmarks in recorded imaging-sonar logs, and score the results.
 
     \b
     Exit codes: 0 done; 1 failed; 2 bad usage; 3 finished, but part of the input

@@ -22,9 +22,11 @@ from sonarrec.cli.options import (
 from sonarrec.records import Clock, SonarrecError, UsageError
 
 
-@click.command()
+@click.command(short_help="Learn from labelled logs how landmarks look.")
 @click.argument("log", nargs=-1, required=True)
-@click.option("--ground-truth", type=FILE, required=True, help="gt.csv; see FORMATS in the README.")
+@click.option(
+    "--ground-truth", type=FILE, required=True, help="gt.csv; its columns are in the README."
+)
 @click.option(
     "-o",
     "--out",
@@ -46,7 +48,10 @@ from sonarrec.records import Clock, SonarrecError, UsageError
     help="Which time of an MCAP message timestamp_ns means.  [default: log]",
 )
 @click.option(
-    "--landmarks", default="basin", show_default=True, help="A built-in set or a TOML file."
+    "--landmarks",
+    default="basin",
+    show_default=True,
+    help="Landmark set: a built-in name or a TOML file.",
 )
 @preset_option
 @config_option

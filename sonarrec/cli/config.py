@@ -16,7 +16,7 @@ from sonarrec.cli.options import (
 from sonarrec.records import UsageError
 
 
-@click.command()
+@click.command(short_help="Print every setting, as a file for --config.")
 @preset_option
 @config_option
 @set_option

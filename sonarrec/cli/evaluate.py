@@ -13,11 +13,13 @@ from sonarrec.records import UsageError
 FOLDER = click.Path(path_type=Path)
 
 
-@click.command()
+@click.command(short_help="Score results against ground truth, or compare two.")
 @click.argument("results", type=FOLDER, required=False)
-@click.option("--ground-truth", type=FILE, help="gt.csv; see FORMATS in the README.")
+@click.option("--ground-truth", type=FILE, help="gt.csv; its columns are in the README.")
 @click.option(
-    "--pairs", type=FILE, help="In place of both: a CSV of results,ground_truth[,log], one per log."
+    "--pairs",
+    type=FILE,
+    help="In place of RESULTS and truth: a CSV of results,ground_truth[,log], a row per log.",
 )
 @click.option(
     "--compare",
@@ -52,7 +54,10 @@ FOLDER = click.Path(path_type=Path)
 )
 @click.option("--details", is_flag=True, help="Print both protocols' figures, per ID and per log.")
 @click.option("--det", is_flag=True, help="Draw det.png, the detection error trade-off, too.")
-@click.option("--landmarks", help="Landmark set.  [default: that of run.toml, else basin]")
+@click.option(
+    "--landmarks",
+    help="Landmark set: a built-in name or a TOML file.  [default: that of run.toml, else basin]",
+)
 @sonar_options
 @click.option(
     "--out", type=FOLDER, help="Folder for the files.  [default: RESULTS, NEW or PAIRS' evaluation]"
@@ -120,7 +125,7 @@ def evaluate(
         found = scoring.evaluate_pairs(scoring.read_pairs(pairs), **options)
         folder = out or pairs.parent / "evaluation"
     else:
-        raise UsageError("give --ground-truth, or --pairs")
+        raise UsageError("nothing to score against: give --ground-truth, or --pairs")
     summary = summarise(found, unit)
     written = files.write_evaluation(folder, found, summary, det)
     for problem in found.unused:

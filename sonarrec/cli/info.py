@@ -13,13 +13,13 @@ from sonarrec.cli.options import PARTLY, pixel_options, sonar_from_flags, sonar_
 from sonarrec.records import SonarrecError, UsageError
 
 
-@click.command()
+@click.command(short_help="Show what is in a log, and whether it is whole.")
 @click.argument("log", nargs=-1, required=True)
 @click.option("--topic", help="Look at this channel of an MCAP alone.")
 @click.option(
     "--quick",
     is_flag=True,
-    help="Read the first frame only; do not check every frame and checksum.",
+    help="Read the summary and the first frames only; do not check every frame and checksum.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print JSON; its keys are in the README.")
 @sonar_options

@@ -24,11 +24,14 @@ def sonar_options(command: Command) -> Command:
         "tilt_deg": "Downward tilt of the sonar, deg.",
         "height_m": "Height of the sonar above the floor, m.",
         "frame_rate_hz": "Frames per second, where frames carry no time.",
-        "metres_per_pixel": "Scale of a fan image.",
+        "metres_per_pixel": "Scale of a fan image, m.",
     }
     options = [
         click.option(
-            "--sonar", "sonar_file", type=FILE, help="Sonar geometry; see FORMATS in the README."
+            "--sonar",
+            "sonar_file",
+            type=FILE,
+            help="Sonar geometry, in place of the sonar.toml beside the log.",
         ),
         click.option("--layout", type=click.Choice(["fan", "polar"]), help="Layout of the images."),
         *(
@@ -36,7 +39,11 @@ def sonar_options(command: Command) -> Command:
             for key, text in numbers.items()
         ),
         click.option(
-            "--apex-px", type=float, nargs=2, metavar="COLUMN ROW", help="Apex of a fan image."
+            "--apex-px",
+            type=float,
+            nargs=2,
+            metavar="COLUMN ROW",
+            help="Apex of a fan image, pixels.",
         ),
         click.option(
             "--bearings-deg", metavar="B,B,...", help="One bearing per beam of a polar image."
@@ -78,7 +85,7 @@ def pixel_options(command: Command) -> Command:
         click.option(
             "--dynamic-range-db",
             type=float,
-            help="From black to white for log and db.  [default: 50]",
+            help="Decibels from black to white, for log and db.  [default: 50]",
         ),
     ]
     for option in reversed(options):
@@ -103,16 +110,22 @@ def sonar_from_flags(flags: dict[str, Any]) -> Any:
 preset_option = click.option(
     "--preset",
     metavar="NAME[,NAME]",
-    help="default: frame by frame; offline: each result waits for what its log shows later; paper: "
-    "every rule as published. Several are run side by side.",
+    help="default (frame by frame), offline (each result waits for what its log shows later) or "
+    "paper (every rule as published). Several are run side by side.",
 )
 config_option = click.option(
     "--config", "config_file", type=FILE, help="Settings (TOML), or the run.toml of an earlier run."
 )
 set_option = click.option(
-    "--set", "assignments", multiple=True, metavar="STAGE.KEY=VALUE", help="Change one setting."
+    "--set",
+    "assignments",
+    multiple=True,
+    metavar="STAGE.KEY=VALUE",
+    help="Change one setting; repeatable.",
 )
-seed_option = click.option("--seed", type=click.IntRange(min=0), help="Of all that is random.")
+seed_option = click.option(
+    "--seed", type=click.IntRange(min=0), help="Of all that is random.  [default: 0]"
+)
 
 
 def chosen_settings(

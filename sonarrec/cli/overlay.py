@@ -14,17 +14,22 @@ from sonarrec.records import UsageError
 OUT = click.Path(path_type=Path)
 
 
-@click.command()
+@click.command(short_help="Draw results onto the frames of their log.")
 @click.argument("log")
 @click.argument("results", type=OUT, default=Path("sonarrec_out"))
 @click.option("--mcap", type=OUT, metavar="OUT", help="Annotations for Foxglove.")
 @click.option("--video", type=OUT, metavar="OUT.mp4", help="The frames drawn, as MPEG-4.")
 @click.option("--images", type=OUT, metavar="DIR", help="The frames drawn, as DIR/000000.png, ...")
 @click.option("--method", help="Method of estimates.csv.  [default: framework]")
-@click.option("--frames", metavar="A:B", help="From frame A up to, not including, B.")
+@click.option(
+    "--frames", metavar="A:B", help="From frame A up to, not including, B; either may be left out."
+)
 @click.option("--ground-truth", type=FILE, help="gt.csv, drawn dashed.")
 @click.option("--topic", help="Channel of an MCAP that holds several image channels.")
-@click.option("--landmarks", help="Landmark set.  [default: that of run.toml, else basin]")
+@click.option(
+    "--landmarks",
+    help="Landmark set: a built-in name or a TOML file.  [default: that of run.toml, else basin]",
+)
 @sonar_options
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar and no summary.")
 def overlay(

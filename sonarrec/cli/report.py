@@ -10,7 +10,7 @@ import click
 from sonarrec.cli.options import FILE, PARTLY, sonar_from_flags, sonar_options
 
 
-@click.command()
+@click.command(short_help="Write results as one HTML page.")
 @click.argument("results", type=click.Path(path_type=Path), default=Path("sonarrec_out"))
 @click.option("--ground-truth", type=FILE, help="gt.csv; without it nothing is scored.")
 @click.option(
@@ -43,7 +43,10 @@ from sonarrec.cli.options import FILE, PARTLY, sonar_from_flags, sonar_options
     "--method",
     help="Whose sightings and tracks are shown.  [default: framework, or the first preset]",
 )
-@click.option("--landmarks", help="Landmark set.  [default: that of run.toml, else basin]")
+@click.option(
+    "--landmarks",
+    help="Landmark set: a built-in name or a TOML file.  [default: that of run.toml, else basin]",
+)
 @click.option("--topic", help="Channel of an MCAP --log, where run.toml does not tell it.")
 @sonar_options
 @click.option("-q", "--quiet", is_flag=True, help="Write the page only; print nothing.")

@@ -9,7 +9,7 @@ import click
 from sonarrec.records import UsageError
 
 
-@click.command()
+@click.command(short_help="Render a recording with known truth.")
 @click.option(
     "--scene", "source", default="paper", show_default=True, help="Built-in name or a TOML file."
 )

@@ -9,7 +9,7 @@ from sonarrec.cli.truth_convert import convert
 from sonarrec.cli.truth_propose import propose
 
 
-@click.group()
+@click.group(short_help="Make ground truth: convert, check, propose.")
 def truth() -> None:
     """Ground truth: convert annotations, check a gt.csv, propose one from results.
 

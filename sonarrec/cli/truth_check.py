@@ -40,7 +40,10 @@ _MOST_LINES = 20  # told of one kind of fault
     help="Which time of an MCAP message timestamp_ns means.  [default: log]",
 )
 @click.option(
-    "--landmarks", default="basin", show_default=True, help="A built-in set or a TOML file."
+    "--landmarks",
+    default="basin",
+    show_default=True,
+    help="Landmark set: a built-in name or a TOML file.",
 )
 @click.option("--topic", help="Channel of an MCAP that holds several image channels.")
 @sonar_options

@@ -52,7 +52,10 @@ def _label_map(_: click.Context, __: click.Parameter, given: tuple[str, ...]) ->
     help="A new file; one that exists is not touched.",
 )
 @click.option(
-    "--landmarks", default="basin", show_default=True, help="A built-in set or a TOML file."
+    "--landmarks",
+    default="basin",
+    show_default=True,
+    help="Landmark set: a built-in name or a TOML file.",
 )
 @click.option("--topic", help="Channel of an MCAP that holds several image channels.")
 @sonar_options

@@ -36,8 +36,7 @@ def propose(results: Path, method: str, min_score: float, max_gap: int, out: Pat
 
     RESULTS is the folder of one log, or one that holds several (default: sonarrec_out). It is for
     a person to correct: look at it with `sonarrec truth check`, add what is missing, remove what
-    is wrong.
-    Scoring the same results against an uncorrected proposal says nothing about them.
+    is wrong. Scoring the same results against an uncorrected proposal says nothing about them.
 
     \b
     Examples:
