@@ -18,7 +18,7 @@ import numpy.typing as npt
 from sonarrec.records import FloatArray, Motion, SonarrecError
 
 HEADER = "timestamp,yaw,x,y"
-# Between rows, in the median: 10,000 s are hours and 10,000 ns a hundredth of a millisecond.
+# No table has its rows hours apart (10,000 s), nor as near as a hundredth of a millisecond.
 NANOSECONDS_FROM = 10_000
 # Longer than so many times the usual time between rows, nobody measured in between.
 GAP = 10
