@@ -12,12 +12,14 @@ from sonarrec.cli.options import (
     PARTLY,
     chosen_settings,
     config_option,
+    landmarks_option,
     pixel_options,
     preset_option,
     seed_option,
     set_option,
     sonar_from_flags,
     sonar_options,
+    topic_option,
 )
 from sonarrec.records import Clock, SonarrecError, UsageError
 
@@ -40,19 +42,14 @@ from sonarrec.records import Clock, SonarrecError, UsageError
     help="Forget the built-in model, in place of starting from it: for thousands of labelled "
     "frames of all that may be met.",
 )
-@click.option("--topic", help="Channel of an MCAP that holds several image channels.")
+@topic_option
 @click.option(
     "--time",
     "clock",
     type=click.Choice(["log", "publish", "header"]),
     help="Which time of an MCAP message timestamp_ns means.  [default: log]",
 )
-@click.option(
-    "--landmarks",
-    default="basin",
-    show_default=True,
-    help="Landmark set: a built-in name or a TOML file.",
-)
+@landmarks_option
 @preset_option
 @config_option
 @set_option

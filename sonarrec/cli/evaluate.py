@@ -7,7 +7,15 @@ from typing import Any
 
 import click
 
-from sonarrec.cli.options import FILE, PARTLY, sonar_from_flags, sonar_options
+from sonarrec.cli.options import (
+    FILE,
+    PARTLY,
+    landmarks_of_results_option,
+    min_visible_option,
+    sonar_from_flags,
+    sonar_options,
+    tolerance_option,
+)
 from sonarrec.records import UsageError
 
 FOLDER = click.Path(path_type=Path)
@@ -34,19 +42,8 @@ FOLDER = click.Path(path_type=Path)
     metavar="BAND",
     help="With --compare: exit 1 where a rate is worse by more than BAND (and two frames).",
 )
-@click.option(
-    "--min-visible",
-    type=float,
-    default=0.9,
-    show_default=True,
-    help="Share of the disc in view from which a landmark counts; with less it is ignored.",
-)
-@click.option(
-    "--tolerance",
-    type=float,
-    metavar="SECONDS",
-    help="For truth matched by timestamp_ns.  [default: half the time between frames]",
-)
+@min_visible_option
+@tolerance_option
 @click.option(
     "--unit",
     type=click.Choice(["pass", "log"]),
@@ -54,10 +51,7 @@ FOLDER = click.Path(path_type=Path)
 )
 @click.option("--details", is_flag=True, help="Print both protocols' figures, per ID and per log.")
 @click.option("--det", is_flag=True, help="Draw det.png, the detection error trade-off, too.")
-@click.option(
-    "--landmarks",
-    help="Landmark set: a built-in name or a TOML file.  [default: that of run.toml, else basin]",
-)
+@landmarks_of_results_option
 @sonar_options
 @click.option(
     "--out", type=FOLDER, help="Folder for the files.  [default: RESULTS, NEW or PAIRS' evaluation]"

@@ -107,6 +107,25 @@ def sonar_from_flags(flags: dict[str, Any]) -> Any:
     return sonar_from_table(stated, "command line")
 
 
+_LANDMARKS = "Landmark set: a built-in name or a TOML file."
+landmarks_option = click.option("--landmarks", default="basin", show_default=True, help=_LANDMARKS)
+landmarks_of_results_option = click.option(
+    "--landmarks", help=f"{_LANDMARKS}  [default: that of run.toml, else basin]"
+)
+topic_option = click.option("--topic", help="Channel of an MCAP that holds several image channels.")
+min_visible_option = click.option(
+    "--min-visible",
+    type=float,
+    default=0.9,
+    show_default=True,
+    help="Share of the disc in view from which a landmark counts; with less it is ignored.",
+)
+tolerance_option = click.option(
+    "--tolerance",
+    type=float,
+    metavar="SECONDS",
+    help="For truth matched by timestamp_ns.  [default: half the time between frames]",
+)
 preset_option = click.option(
     "--preset",
     metavar="NAME[,NAME]",

@@ -8,7 +8,14 @@ from typing import Any
 
 import click
 
-from sonarrec.cli.options import FILE, PARTLY, sonar_from_flags, sonar_options
+from sonarrec.cli.options import (
+    FILE,
+    PARTLY,
+    landmarks_of_results_option,
+    sonar_from_flags,
+    sonar_options,
+    topic_option,
+)
 from sonarrec.records import UsageError
 
 OUT = click.Path(path_type=Path)
@@ -25,11 +32,8 @@ OUT = click.Path(path_type=Path)
     "--frames", metavar="A:B", help="From frame A up to, not including, B; either may be left out."
 )
 @click.option("--ground-truth", type=FILE, help="gt.csv, drawn dashed.")
-@click.option("--topic", help="Channel of an MCAP that holds several image channels.")
-@click.option(
-    "--landmarks",
-    help="Landmark set: a built-in name or a TOML file.  [default: that of run.toml, else basin]",
-)
+@topic_option
+@landmarks_of_results_option
 @sonar_options
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar and no summary.")
 def overlay(

@@ -7,7 +7,15 @@ from typing import Any
 
 import click
 
-from sonarrec.cli.options import FILE, PARTLY, sonar_from_flags, sonar_options
+from sonarrec.cli.options import (
+    FILE,
+    PARTLY,
+    landmarks_of_results_option,
+    min_visible_option,
+    sonar_from_flags,
+    sonar_options,
+    tolerance_option,
+)
 
 
 @click.command(short_help="Write results as one HTML page.")
@@ -26,27 +34,13 @@ from sonarrec.cli.options import FILE, PARTLY, sonar_from_flags, sonar_options
     type=click.Path(dir_okay=False, path_type=Path),
     help="The page.  [default: RESULTS/report.html]",
 )
-@click.option(
-    "--min-visible",
-    type=float,
-    default=0.9,
-    show_default=True,
-    help="Share of the disc in view from which a landmark counts; with less it is ignored.",
-)
-@click.option(
-    "--tolerance",
-    type=float,
-    metavar="SECONDS",
-    help="For truth matched by timestamp_ns.  [default: half the time between frames]",
-)
+@min_visible_option
+@tolerance_option
 @click.option(
     "--method",
     help="Whose sightings and tracks are shown.  [default: framework, or the first preset]",
 )
-@click.option(
-    "--landmarks",
-    help="Landmark set: a built-in name or a TOML file.  [default: that of run.toml, else basin]",
-)
+@landmarks_of_results_option
 @click.option("--topic", help="Channel of an MCAP --log, where run.toml does not tell it.")
 @sonar_options
 @click.option("-q", "--quiet", is_flag=True, help="Write the page only; print nothing.")

@@ -19,6 +19,7 @@ from sonarrec.cli.options import (
     set_option,
     sonar_from_flags,
     sonar_options,
+    topic_option,
 )
 from sonarrec.records import Clock, FrameResult, UsageError
 
@@ -32,7 +33,7 @@ from sonarrec.records import Clock, FrameResult, UsageError
     show_default=True,
     help="Results go to OUT/<log name>.",
 )
-@click.option("--topic", help="Channel of an MCAP that holds several image channels.")
+@topic_option
 @click.option(
     "--time",
     "clock",

@@ -8,7 +8,15 @@ from typing import Any
 
 import click
 
-from sonarrec.cli.options import FILE, PARTLY, pixel_options, sonar_from_flags, sonar_options
+from sonarrec.cli.options import (
+    FILE,
+    PARTLY,
+    landmarks_option,
+    pixel_options,
+    sonar_from_flags,
+    sonar_options,
+    topic_option,
+)
 from sonarrec.records import Clock
 
 _MOST_LINES = 20  # told of one kind of fault
@@ -39,13 +47,8 @@ _MOST_LINES = 20  # told of one kind of fault
     type=click.Choice(["log", "publish", "header"]),
     help="Which time of an MCAP message timestamp_ns means.  [default: log]",
 )
-@click.option(
-    "--landmarks",
-    default="basin",
-    show_default=True,
-    help="Landmark set: a built-in name or a TOML file.",
-)
-@click.option("--topic", help="Channel of an MCAP that holds several image channels.")
+@landmarks_option
+@topic_option
 @sonar_options
 @pixel_options
 def check(

@@ -7,7 +7,14 @@ from typing import Any
 
 import click
 
-from sonarrec.cli.options import PARTLY, pixel_options, sonar_from_flags, sonar_options
+from sonarrec.cli.options import (
+    PARTLY,
+    landmarks_option,
+    pixel_options,
+    sonar_from_flags,
+    sonar_options,
+    topic_option,
+)
 from sonarrec.records import UsageError
 
 
@@ -51,13 +58,8 @@ def _label_map(_: click.Context, __: click.Parameter, given: tuple[str, ...]) ->
     show_default=True,
     help="A new file; one that exists is not touched.",
 )
-@click.option(
-    "--landmarks",
-    default="basin",
-    show_default=True,
-    help="Landmark set: a built-in name or a TOML file.",
-)
-@click.option("--topic", help="Channel of an MCAP that holds several image channels.")
+@landmarks_option
+@topic_option
 @sonar_options
 @pixel_options
 def convert(
