@@ -144,8 +144,8 @@ KNOTS = 8
 RIDGE = 0.3
 SMOOTHNESS = 3.0
 # How much more strongly a curve is drawn towards that of a prior. A track's frames share a memory
-# of 20 (features.memory_frames): so many say hardly more than one does. Of 3 to 100, 20 was best
-# where landmarks look unlike the simulator's (tuning seeds), and next to harmless elsewhere.
+# of 20 (features.memory_frames): so many say hardly more than one does. By `python -m tests.prior`
+# 10 to 20 serve best where landmarks look unlike the simulator's; 20 is next to harmless elsewhere.
 PRIOR_WEIGHT = 20.0
 
 
