@@ -52,7 +52,7 @@ class Candidates:
         ("edge", "ring"),
     )
     disc_radius_px: float = _setting(
-        15.0,
+        12.0,
         "pixels",
         "radius of the landmark on the floor plane; never finer than the fan",
         least=3,

@@ -17,8 +17,8 @@ from sonarrec.landmarks import landmarks_from_table, load_landmarks
 from sonarrec.output import ResultsWriter, Sightings, run_table
 from sonarrec.poses import read_poses
 from sonarrec.readers import open_log
-from sonarrec.recogniser import SideBySide
 from sonarrec.records import Clock, FrameResult, SonarrecError, Stamps, UsageError
+from sonarrec.side_by_side import SideBySide
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-
 import numpy as np
 import numpy.typing as npt
 
@@ -16,7 +12,7 @@ from sonarrec.landmarks import LandmarkSet
 from sonarrec.odometry import Odometry
 from sonarrec.plane import Plane
 from sonarrec.poses import PoseTable
-from sonarrec.records import Estimate, Fan, FloatArray, Frame, FrameResult, Groups
+from sonarrec.records import Estimate, Fan, FloatArray, Frame, FrameResult
 from sonarrec.shape_matrix import ANGLES, ShapeSampler, identify, turned_codes
 from sonarrec.stage1_candidates import CandidateSelector
 from sonarrec.stage2_continuity import ContinuityFilter
@@ -74,8 +70,6 @@ class Recogniser:
         self._features = FeatureEstimator(config.features, confusion)
         self._method = method
         self._with_smi = with_smi
-        # What is now thought of each track: beliefs, turn, its uncertainty, existence, when.
-        self._latest: dict[int, _Opinion] = {}
 
     def step(self, frame: Frame) -> FrameResult:
         """The estimates of one frame, by the single-frame method and by the framework."""
@@ -121,38 +115,9 @@ class Recogniser:
             turn_sigma=turn_sigma,
             threshold=self._config.features.declare,
         )
-        if self._config.features.lag_frames:
-            self._remember(frame.index, groups, beliefs, turns, turn_sigma)
         return FrameResult(
             frame.index, frame.timestamp_ns, n, len(groups.numbers), tuple(estimates)
         )
-
-    def revised(self, result: FrameResult) -> FrameResult:
-        """A past result with what has been learned of its tracks since (`lag_frames`)."""
-        if not self._config.features.lag_frames:
-            return result
-        estimates = tuple(
-            self._latest[e.object].applied_to(e, self._landmarks.ids, self._config.features.declare)
-            if e.method == self._method and e.object in self._latest
-            else e
-            for e in result.estimates
-        )
-        return replace(result, estimates=estimates)
-
-    def _remember(
-        self,
-        frame: int,
-        groups: Groups,
-        beliefs: FloatArray,
-        turns: FloatArray,
-        turn_sigma: FloatArray,
-    ) -> None:
-        oldest = frame - 2 * self._config.features.lag_frames
-        self._latest = {k: o for k, o in self._latest.items() if o.frame >= oldest}
-        for i, number in enumerate(groups.numbers.tolist()):
-            self._latest[number] = _Opinion(
-                frame, beliefs[i], float(turns[i]), float(turn_sigma[i]), float(groups.existence[i])
-            )
 
     def _estimates(
         self,
@@ -207,77 +172,3 @@ class Recogniser:
             )
             for i in range(count)
         ]
-
-
-@dataclass(frozen=True, slots=True)
-class _Opinion:
-    """What was thought of a track when it was last in view. turn, turn_sigma: in steps."""
-
-    frame: int
-    beliefs: FloatArray
-    turn: float
-    turn_sigma: float
-    existence: float
-
-    def applied_to(self, estimate: Estimate, ids: tuple[int, ...], threshold: float) -> Estimate:
-        best = int(self.beliefs[: len(ids)].argmax())
-        score = float(self.beliefs[best])
-        return replace(
-            estimate,
-            probabilities=self.beliefs,
-            landmark=ids[best],
-            score=score,
-            declared=score >= threshold,
-            existence=self.existence,
-            orientation_deg=(90 - estimate.bearing_deg + self.turn * STEP_DEG) % 360,
-            orientation_sigma_deg=self.turn_sigma * STEP_DEG,
-        )
-
-
-class SideBySide:
-    """Several configurations over the same frames, their results put together.
-
-    Of one configuration the framework's method is plain `framework`; of several each has its
-    preset's name behind it. `smi` is that of the first.
-    """
-
-    def __init__(
-        self,
-        configs: Sequence[Config],
-        fan: Fan,
-        landmarks: LandmarkSet,
-        model: Judge | None = None,
-        poses: PoseTable | None = None,
-    ) -> None:
-        several = len(configs) > 1
-        self.methods = [f"{FRAMEWORK}:{c.preset}" if several else FRAMEWORK for c in configs]
-        self._recognisers = [
-            Recogniser(config, fan, landmarks, model, method, with_smi=i == 0, poses=poses)
-            for i, (config, method) in enumerate(zip(configs, self.methods, strict=True))
-        ]
-        self._lag = max(config.features.lag_frames for config in configs)
-        self._pending: deque[list[FrameResult]] = deque()
-
-    def step(self, frame: Frame) -> Iterator[FrameResult]:
-        """The results that are final after this frame, in the log's order."""
-        self._pending.append([r.step(frame) for r in self._recognisers])
-        if len(self._pending) > self._lag:
-            yield self._final()
-
-    def finish(self) -> Iterator[FrameResult]:
-        """The results that were still waiting."""
-        while self._pending:
-            yield self._final()
-
-    def problems(self) -> list[str]:
-        """What of the poses could not be used, so far."""
-        return list(dict.fromkeys(p for r in self._recognisers for p in r.odometry.problems()))
-
-    def notes(self) -> list[str]:
-        """What of the poses the frames contradict, so far."""
-        return list(dict.fromkeys(n for r in self._recognisers for n in r.odometry.notes()))
-
-    def _final(self) -> FrameResult:
-        parts = self._pending.popleft()
-        parts = [r.revised(part) for r, part in zip(self._recognisers, parts, strict=True)]
-        return replace(parts[0], estimates=tuple(e for part in parts for e in part.estimates))

@@ -14,8 +14,9 @@ from sonarrec import config
 from sonarrec.geometry import Sonar, fan_for_image, load_sonar
 from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.output import ResultsWriter
-from sonarrec.recogniser import FRAMEWORK, SMI, Recogniser, SideBySide
+from sonarrec.recogniser import FRAMEWORK, SMI, Recogniser
 from sonarrec.records import Frame, FrameResult, SonarrecError, UsageError
+from sonarrec.side_by_side import SideBySide
 
 BASIN = load_landmarks("basin")
 BASIN_A = Path(__file__).parents[2] / "shared" / "data" / "basin_a"
