@@ -284,7 +284,11 @@ def test_every_command_has_an_example() -> None:
 
 def test_every_command_and_option_is_in_the_readme() -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
+    commands: dict[str, click.Command] = dict(main.commands)
     for name, command in main.commands.items():
+        if isinstance(command, click.Group):
+            commands |= {f"{name} {part}": c for part, c in command.commands.items()}
+    for name, command in commands.items():
         assert f"sonarrec {name}" in text, name
         for parameter in command.params:
             if isinstance(parameter, click.Option):
