@@ -215,20 +215,32 @@ SECTIONS = {"candidates": Candidates, "continuity": Continuity, "features": Feat
 PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     "default": {},
     "offline": {"features": {"memory_frames": 80.0, "lag_frames": 240}},
+    # What is open in the paper was searched for on two seeds of its scene (2100 and 2101, 400
+    # frames each): of some 80 settings these come nearest to both published operating points.
     "paper": {
-        "candidates": {"plane": "fan", "detector": "edge", "threshold": 0.35},
+        "candidates": {
+            "plane": "fan",
+            "detector": "edge",
+            "threshold": 0.55,
+            "canny_low": 0.75,
+            "canny_high": 2.5,
+            "edge_tolerance_px": 1,
+            "max_candidates": 6,
+        },
         "continuity": {
             "motion": "random_walk",
             "particles": 1500,
+            "hit_power": 2.0,
             "min_existence": 0.0,
             "least_in_view": 0.0,
         },
         "features": {
             "motion_model": "inverse_distance",
-            "distance_power": 4.0,
+            "distance_power": 6.0,
             "measurement": "single",
-            "declare": 0.35,
+            "declare": 0.31,
         },
+        "smi": {"declare": 0.48},
     },
 }
 
