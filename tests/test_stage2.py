@@ -20,7 +20,7 @@ PLANE = Plane(FAN, BASIN.radius_m, "fan", 15.0)
 DIAMETER = 2 * PLANE.axes[0]
 # The paper's rules with nothing added: only the strikes delete.
 PAPER = dataclasses.replace(
-    config.preset("paper").continuity, particles=1500, min_existence=0.0, motion="random_walk"
+    config.preset("paper").continuity, particles=1500, hit_power=4.0, motion="random_walk"
 )
 START = (190.0, 250.0)
 
