@@ -52,7 +52,7 @@ _FOXGLOVE_TYPES = {
 _ROS_ENCODINGS = ("", "+ros1", "+json")  # CDR without a suffix
 SCHEMAS = (
     *(name.replace("/", "/msg/") + suffix for name in _ROS_TYPES for suffix in _ROS_ENCODINGS),
-    *(name + suffix for name in _FOXGLOVE_TYPES for suffix in ("", "+json")),
+    *(name + suffix for name in _FOXGLOVE_TYPES for suffix in ("", "+json", "+flatbuffer")),
 )
 """What can be written: a schema's name, with the messages' encoding where it is another than CDR
 (ROS) or protobuf (Foxglove)."""
@@ -91,6 +91,11 @@ def _foxglove_family(name: str, encoding: str) -> _Family:
         layout = parse_definition(definition_text(ros_name).replace("nanosec", "nsec"), ros_name)
         encode = partial(_encoded, partial(fields.in_foxglove_json, make), encode_json)
         return _Family(name, "jsonschema", json_schema(layout, name), "json", encode)
+    if encoding == "flatbuffer":
+        from sonarrec.mcap_writer.flatbuffer import binary_schema, encode_flatbuffer
+
+        encode = partial(_encoded, make, partial(encode_flatbuffer, name))
+        return _Family(name, "flatbuffer", binary_schema(name), "flatbuffer", encode)
     encode = partial(_encoded, make, partial(encode_protobuf, name))
     return _Family(name, "protobuf", descriptor_set(name), "protobuf", encode)
 
