@@ -296,8 +296,24 @@ def in_fan(fan: Fan, range_m: FloatArray, bearing_deg: FloatArray) -> np.ndarray
 
 def fan_mask(fan: Fan) -> ByteImage:
     """(rows, columns) uint8: 255 where the image holds sonar data, 0 outside the fan."""
-    row, column = np.mgrid[0 : fan.rows, 0 : fan.columns]
-    return in_fan(fan, *polar_from_pixel(fan, column, row)).astype(np.uint8) * 255
+    mask = np.empty((fan.rows, fan.columns), np.uint8)
+    for band, row, column in row_bands(mask.shape):
+        mask[band] = in_fan(fan, *polar_from_pixel(fan, column, row))
+    mask *= 255
+    return mask
+
+
+def row_bands(shape: tuple[int, int]) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
+    """An image's rows a few at a time: what is worked out in between takes little memory then.
+
+    shape: (rows, columns). Yields the band's rows, and their pixels' row (n, 1) and column
+    (columns,).
+    """
+    rows, columns = shape
+    column = np.arange(columns, dtype=float)
+    for first in range(0, rows, 64):
+        row = np.arange(first, min(first + 64, rows), dtype=float)
+        yield slice(first, first + 64), row[:, None], column
 
 
 def bin_ranges(sonar: Sonar, bins: int) -> FloatArray:
@@ -322,17 +338,9 @@ def beam_bearings(sonar: Sonar, beams: int) -> FloatArray:
 def _polar_of_pixels(fan: Fan) -> tuple[FloatArray, FloatArray]:
     range_m = np.empty((fan.rows, fan.columns))
     bearing_deg = np.empty_like(range_m)
-    column = np.arange(fan.columns, dtype=float)
-    for band in _bands(fan):
-        row = np.arange(fan.rows, dtype=float)[band, None]
+    for band, row, column in row_bands((fan.rows, fan.columns)):
         range_m[band], bearing_deg[band] = polar_from_pixel(fan, column, row)
     return range_m, bearing_deg
-
-
-def _bands(fan: Fan) -> Iterator[slice]:
-    """The rows a few at a time: what is worked out in between takes little memory then."""
-    for first in range(0, fan.rows, 64):
-        yield slice(first, first + 64)
 
 
 class PolarToFan:
@@ -370,7 +378,7 @@ class PolarToFan:
             bearings = np.asarray(sonar.bearings_deg) * (-1 if sonar.flip else 1)
             order = np.argsort(bearings)
         everywhere = _polar_of_pixels(fan)
-        for band in _bands(fan):
+        for band, _, _ in row_bands((fan.rows, fan.columns)):
             range_m, bearing_deg = everywhere[0][band], everywhere[1][band]
             if bearings is None or order is None:
                 span = own.bearing_max_deg - own.bearing_min_deg

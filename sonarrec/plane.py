@@ -20,6 +20,7 @@ from sonarrec.geometry import (
     in_fan,
     pixel_from_polar,
     polar_from_pixel,
+    row_bands,
     slant_range,
 )
 from sonarrec.records import ByteImage, Fan, FloatArray, Motion, SonarrecError
@@ -71,22 +72,26 @@ class Plane:
             self._apex[1] - math.floor(bottom) + 1,
             math.ceil(right) - math.floor(left) + 1,
         )
-        row, column = np.mgrid[0 : self.shape[0], 0 : self.shape[1]].astype(float)
-        range_m, bearing_deg = self.to_polar(column, row)
-        fan_column, fan_row = pixel_from_polar(fan, range_m, bearing_deg)
-        inside = in_fan(fan, range_m, bearing_deg) & (range_m >= nearest)
-        inside &= (fan_column >= 0) & (fan_column <= fan.columns - 1)
-        inside &= (fan_row >= 0) & (fan_row <= fan.rows - 1)
-        # The outermost pixels are mixed with the black outside.
-        self.inside = np.asarray(
-            cv2.erode(inside.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=0), np.uint8
-        )
         # Whole-number shrinking averages speckle before the resampling picks pixels.
         self._shrink = max(1, round(1 / self.scale))
-        self._map, self._weights = cv2.convertMaps(
-            ((fan_column + 0.5) / self._shrink - 0.5).astype(np.float32),
-            ((fan_row + 0.5) / self._shrink - 0.5).astype(np.float32),
-            cv2.CV_16SC2,
+        self._map = np.empty((*self.shape, 2), np.int16)
+        self._weights = np.empty(self.shape, np.uint16)
+        floor = np.empty(self.shape, np.uint8)
+        for band, row, column in row_bands(self.shape):
+            range_m, bearing_deg = self.to_polar(column, row)
+            fan_column, fan_row = pixel_from_polar(fan, range_m, bearing_deg)
+            inside = in_fan(fan, range_m, bearing_deg) & (range_m >= nearest)
+            inside &= (fan_column >= 0) & (fan_column <= fan.columns - 1)
+            inside &= (fan_row >= 0) & (fan_row <= fan.rows - 1)
+            floor[band] = inside
+            self._map[band], self._weights[band] = cv2.convertMaps(
+                ((fan_column + 0.5) / self._shrink - 0.5).astype(np.float32),
+                ((fan_row + 0.5) / self._shrink - 0.5).astype(np.float32),
+                cv2.CV_16SC2,
+            )
+        # The outermost pixels are mixed with the black outside.
+        self.inside = np.asarray(
+            cv2.erode(floor, np.ones((3, 3), np.uint8), borderValue=0), np.uint8
         )
 
     def warp(self, image: ByteImage) -> ByteImage:
