@@ -33,7 +33,6 @@ class CandidateSelector:
     def __init__(self, config: Candidates, plane: Plane, landmarks: LandmarkSet) -> None:
         self._config = config
         self._inside = plane.inside
-        self._inside_grey = plane.inside.astype(np.float32)
         self._cells = max(1, int(np.count_nonzero(plane.inside)))
         across, along = plane.axes
         margin = int(np.ceil(max(across, along) * OUTSIDE[1]))
@@ -60,9 +59,10 @@ class CandidateSelector:
         self._margin = margin
         size = 4 * margin // COARSE + 1
         self._background = (size, size)
-        self._seen = np.maximum(self._local_sum(self._inside_grey), np.float32(1e-3))
+        inside = plane.inside.astype(np.float32)
+        self._seen = np.maximum(self._local_sum(inside), np.float32(1e-3))
         self._diameter = 2 * np.array(plane.axes)
-        visible = self._correlate(self._inside_grey, ring.astype(np.float32))
+        visible = self._correlate(inside, ring.astype(np.float32))
         visible /= ring.sum()
         # A part of a ring is scored by what shows of it. The correlation is short by the share that
         # is hidden, its noise by the root of that: dividing by the root keeps the rate of chance
@@ -75,7 +75,7 @@ class CandidateSelector:
         """Candidates in a working image (uint8, the plane's shape)."""
         mean = self._fine(self._local_mean(cv2.bitwise_and(image, image, mask=self._inside)))
         relief = np.subtract(image, mean, dtype=np.float32)
-        relief *= self._inside_grey
+        relief *= self._inside
         # A black or even frame has no relief but that of rounding.
         sigma = float(np.sqrt(cv2.norm(relief, cv2.NORM_L2SQR) / self._cells))
         sigma = max(sigma, LEAST_SIGMA)
