@@ -120,7 +120,9 @@ def _tracks(folder: Path, log: LogResults, method: str, min_score: float) -> lis
     table: Table = read_table(path, kinds, tuple(kinds), ",".join(kinds))
     chosen = np.asarray(table["method"] == method) & np.isin(table["frame"], log.frame)
     if not chosen.any() and method not in log.methods:
-        raise UsageError(f"--method {method}: {path} has {', '.join(log.methods)}")
+        raise UsageError(
+            f"{path} holds no method {method}; choose one with --method: {', '.join(log.methods)}"
+        )
     columns: dict[str, Any] = {n: table[n][chosen] for n in kinds if n != "method"}
     order = np.lexsort((columns["frame"], columns["object"]))
     columns = {name: column[order] for name, column in columns.items()}

@@ -16,7 +16,7 @@ import numpy as np
 
 from sonarrec.geometry import Sonar, check_sonar, fan_for_image, fan_for_polar
 from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
-from sonarrec.records import Fan, FloatArray, SonarrecError
+from sonarrec.records import Fan, FloatArray, SonarrecError, UsageError
 
 BUILT_IN = Path(__file__).parent / "scenes"
 
@@ -362,7 +362,7 @@ def load_scene(source: str | Path) -> Scene:
         path = Path(source)
     if not path.is_file():
         built_in = ", ".join(sorted(p.stem for p in BUILT_IN.glob("*.toml")))
-        raise SonarrecError(f"no scene {str(source)!r}: neither a file nor built in ({built_in})")
+        raise UsageError(f"no scene {str(source)!r}: neither a file nor built in ({built_in})")
     try:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:

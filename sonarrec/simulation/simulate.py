@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from sonarrec.geometry import Sonar, in_fan, pixel_from_polar, polar_from_pixel
-from sonarrec.records import ByteImage, Fan, FloatArray, SonarrecError
+from sonarrec.records import ByteImage, Fan, FloatArray, SonarrecError, UsageError
 from sonarrec.simulation.motion import Pose, ar1, poses
 from sonarrec.simulation.random_scenes import KINDS_OF_SCENE, random_scene
 from sonarrec.simulation.scene import (
@@ -362,7 +362,7 @@ def write_recording(
         raise SonarrecError(f'image format must be "png" or "mcap", not {image_format!r}')
     single = out.suffix == ".mcap"
     if single and image_format != "mcap":
-        raise SonarrecError(f"{out}: a name ending in .mcap needs --format mcap")
+        raise UsageError(f"{out}: a name ending in .mcap needs --format mcap")
     sonar = scene_sonar(scene)
     stated = sonar
     if image_format == "mcap":
