@@ -454,7 +454,7 @@ def test_simulate_command(tmp_path) -> None:
     assert again.exit_code == 1
     assert "already exists" in again.output
     wrong = runner.invoke(main, ["simulate", "--scene", "x", "--out", str(tmp_path / "new")])
-    assert wrong.exit_code == 1
+    assert wrong.exit_code == 2
     assert not (tmp_path / "new").exists()
 
 
