@@ -17,7 +17,7 @@ from sonarrec.mcap_writer.fields import MakeFields
 from sonarrec.mcap_writer.protobuf import descriptor_set, encode_protobuf
 from sonarrec.mcap_writer.ros import encode_cdr, encode_json, encode_ros1, json_schema
 from sonarrec.readers.ros_definitions import definition_text, parse_definition
-from sonarrec.records import SonarrecError
+from sonarrec.records import SonarrecError, UsageError
 
 _COMPRESSIONS = {
     "none": CompressionType.NONE,
@@ -119,13 +119,13 @@ def is_polar(schema: str) -> bool:
 def check_schema(schema: str, compression: str, sonar: Sonar | None) -> None:
     """Raise SonarrecError for what McapImageWriter cannot write."""
     if schema not in SCHEMAS:
-        raise SonarrecError(f"no writer for schema {schema!r}; one of {', '.join(SCHEMAS)}")
+        raise UsageError(f"no writer for schema {schema!r}; one of {', '.join(SCHEMAS)}")
     if compression not in _COMPRESSIONS:
         raise SonarrecError(
             f"no MCAP compression {compression!r}; one of {', '.join(_COMPRESSIONS)}"
         )
     if is_polar(schema) and (sonar is None or sonar.layout != "polar"):
-        raise SonarrecError(f"schema {schema!r} holds polar pings: it needs a polar scene")
+        raise UsageError(f"schema {schema!r} holds polar pings: it needs a polar scene")
 
 
 class McapImageWriter:
