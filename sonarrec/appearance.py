@@ -46,7 +46,7 @@ FEATURES = (
     "existence",  # log odds that stage 2 gives
 )
 LEAST_CONTRAST = 0.3  # of the ring, in the shares
-TURN_SIGMA = 0.3  # scale of the turn's standard error; measured by `make scenes`
+TURN_SIGMA = 0.3  # scale of the turn's standard error; tuning seeds, checked by `make scenes`
 LIMIT = 9.0  # of every feature's magnitude
 
 
