@@ -362,11 +362,11 @@ def test_simulate_refuses(tmp_path: Path) -> None:
     to = ("--out", tmp_path / "x.mcap")
     assert (
         "needs a polar scene"
-        in sonarrec("simulate", "--format", "mcap", *polar, *to, code=1).stderr
+        in sonarrec("simulate", "--format", "mcap", *polar, *to, code=2).stderr
     )
     assert (
         "one of sensor_msgs/msg/Image, "
-        in sonarrec("simulate", "--format", "mcap", "--schema", "x", *to, code=1).stderr
+        in sonarrec("simulate", "--format", "mcap", "--schema", "x", *to, code=2).stderr
     )
     assert "--format mcap" in sonarrec("simulate", *polar, "--out", tmp_path / "y", code=2).stderr
     assert not list(tmp_path.iterdir())
