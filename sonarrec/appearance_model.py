@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from sonarrec.appearance import FEATURES
+from sonarrec.appearance_features import FEATURES
 from sonarrec.records import FloatArray, UsageError
 
 BUILT_IN = Path(__file__).parent / "models" / "appearance.toml"

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from sonarrec.appearance import FEATURES
+from sonarrec.appearance_features import FEATURES
 from sonarrec.appearance_model import BUILT_IN, AppearanceModel
 from sonarrec.config import Config, preset
 from sonarrec.geometry import PolarToFan
@@ -142,7 +142,7 @@ def _on_fan(polar: FloatArray) -> FloatArray:
 # towards a straight line, in samples.
 KNOTS = 8
 RIDGE = 0.3
-SMOOTHNESS = 3.0
+SMOOTHNESS = 30.0
 # How much more strongly a curve is drawn towards that of a prior. A track's frames share a memory
 # of 20 (features.memory_frames): so many say hardly more than one does. By `python -m tests.prior`
 # 10 to 20 serve best where landmarks look unlike the simulator's; 20 is next to harmless elsewhere.

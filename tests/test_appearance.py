@@ -12,7 +12,8 @@ from drawn import SECTORS, disc_pattern, draw_on_floor, make_fan, speckled, surr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sonarrec.appearance import FEATURES, LIMIT, AppearanceMeasurement, Describer, TrackMatrix
+from sonarrec.appearance import AppearanceMeasurement, TrackMatrix
+from sonarrec.appearance_features import FEATURES, LIMIT, Describer
 from sonarrec.appearance_model import AppearanceModel, load_model
 from sonarrec.landmarks import load_landmarks
 from sonarrec.plane import Plane
@@ -150,9 +151,15 @@ def test_the_features_of_a_perfect_landmark_by_hand(landmark):
         "ring_over_floor": 2,
         "gap_over_floor": -1,
         "margin": 3,
-        "margin_share": 1,
         "weakest_bright": 3,
         "strongest_dark": 0,
+        # The gap is dark all round: counted from what lies beside it the symbol is the same.
+        "local_margin_share": 1,
+        "local_weakest_bright": 3,
+        "local_strongest_dark": 0,
+        # The edges are sharp, and two steps to either side of them the sectors are themselves.
+        "edge": 3,
+        "weakest_edge": 3,
         "weakest_ring": 2 - 0.5 * (-1 + 0),
         "weakest_ring_share": 2.5 / 3,
         "ring_texture_share": 0,
@@ -166,13 +173,40 @@ def test_the_features_of_a_perfect_landmark_by_hand(landmark):
         assert named[name] == pytest.approx(value, abs=1e-6), name
     # The model's sector edges are softer than these: the fit is near the truth, not on it.
     assert named["correlation"] > 0.95
-    assert named["step_share"] == pytest.approx(1, abs=0.1)
+    assert named["step"] == pytest.approx(3, abs=0.3)
     assert named["dark_over_gap"] == pytest.approx(0, abs=0.2)
     assert named["bright_over_ring"] == pytest.approx(0, abs=0.2)
     best = found.features[0, :, FEATURES.index("correlation")].argmax()
     assert best == landmark - 1
     turn = found.turn[0, landmark - 1] % (18 if landmark == 2 else 36)
     assert turn == pytest.approx(7, abs=1e-6)
+
+
+@pytest.mark.parametrize("landmark", sorted(SECTORS))
+def test_light_that_lies_over_symbol_and_gap_alike_leaves_the_local_features(landmark):
+    """A late echo fills half the disc by as much as a bright sector exceeds a dark one."""
+    clear = drawn_matrix(landmark, 0)
+    hazy = clear + 3.0 * (np.arange(ANGLES) >= ANGLES // 2)
+    count = np.full(clear.shape, 8.0)
+    before, after = (
+        dict(zip(FEATURES, DESCRIBE(m, count, SURE[:1]).features[0, landmark - 1], strict=True))
+        for m in (clear, hazy)
+    )
+    for name in ("local_weakest_bright", "local_strongest_dark"):
+        assert after[name] == pytest.approx(before[name], abs=1e-9), name
+    assert after["strongest_dark"] > before["strongest_dark"] + 1  # half of 3 over the mean gap
+
+
+def test_edges_that_were_not_seen_do_not_count():
+    matrix = drawn_matrix(1, 0)  # bright from step 0 to 8: a rise before 0, a fall after 8
+    count = np.full(matrix.shape, 8.0)
+    matrix[:, SAMPLER.bands.symbol, 9:18] = 1.0  # beyond the fall it is half dark only
+    named = dict(zip(FEATURES, DESCRIBE(matrix, count, SURE[:1]).features[0, 0], strict=True))
+    assert named["weakest_edge"] == pytest.approx(1)
+    assert named["edge"] == pytest.approx((3 + 1) / 2)
+    count[:, :, 9:18] = 0
+    named = dict(zip(FEATURES, DESCRIBE(matrix, count, SURE[:1]).features[0, 0], strict=True))
+    assert named["weakest_edge"] == named["edge"] == pytest.approx(3)
 
 
 def test_one_missing_ring_quarter_shows_in_the_weakest():

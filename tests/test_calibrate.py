@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-from sonarrec.appearance import FEATURES
+from sonarrec.appearance_features import FEATURES
 from sonarrec.appearance_model import AppearanceModel, load_model
 from sonarrec.calibration import Samples, Tracks, fit, label
 from sonarrec.cli import main

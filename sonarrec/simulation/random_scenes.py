@@ -22,6 +22,7 @@ from sonarrec.simulation.scene import (
     Scene,
     SonarSection,
     check_scene,
+    vertical_beam_db,
 )
 from sonarrec.simulation.world import object_radius
 
@@ -43,6 +44,9 @@ KINDS_OF_SCENE = (
 # and landmark sets, windows and images unlike the basin's.
 STRETCH_KINDS = ("tiny_discs", "all_hard", "other_sets")
 ALL_KINDS = KINDS_OF_SCENE + STRETCH_KINDS
+# Of the vertical beam where an object lies, against its axis. Where less sound falls on the floor
+# than this, the picture is black: nobody would look for landmarks there.
+LEAST_LIT_DB = -12.0
 _UNSTEADY = ("jitter", "all_hard")
 _FADING = ("fading", "all_hard")
 _FAKES = ("near_miss", "no_landmark", "all_hard")
@@ -185,6 +189,7 @@ class _Floor:
 
     def __init__(self, sonar: SonarSection, rng: np.random.Generator) -> None:
         self._rng = rng
+        self._sonar = sonar
         self._near = math.sqrt(max(sonar.range_min_m**2 - sonar.height_m**2, 0.04))
         self._far = math.sqrt(sonar.range_max_m**2 - sonar.height_m**2)
         self._taken: list[tuple[float, float, float]] = []
@@ -192,13 +197,16 @@ class _Floor:
     def place(self, radius_m: float, share: float = 1.0) -> tuple[float, float] | None:
         """(ground_m, azimuth_deg) of a free circle in the nearest `share` of the window, or None.
 
-        All of it lies inside the range window.
+        All of it lies inside the range window, and its centre in the beam.
         """
         near = self._near + 1.15 * radius_m
         far = max(self._near + share * (self._far - self._near) - 1.15 * radius_m, near + 0.02)
         for _ in range(200):
             ground = self._rng.uniform(near, far)
             azimuth = self._rng.uniform(-40, 40)
+            slant = np.array(math.hypot(ground, self._sonar.height_m))
+            if vertical_beam_db(self._sonar, self._sonar.height_m, slant) < LEAST_LIT_DB:
+                continue
             x = ground * math.sin(math.radians(azimuth))
             y = ground * math.cos(math.radians(azimuth))
             if all(math.hypot(x - a, y - b) > radius_m + c + 0.05 for a, b, c in self._taken):

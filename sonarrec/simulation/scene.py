@@ -389,6 +389,16 @@ def scene_table(scene: Scene) -> dict[str, Any]:
     return table
 
 
+def vertical_beam_db(sonar: SonarSection, height_m: float, range_m: FloatArray) -> FloatArray:
+    """Power (dB, at most 0) of a two-way Gaussian beam where it meets the floor.
+
+    range_m: slant ranges. Relative to the axis at the true tilt.
+    """
+    sine = np.minimum(height_m / np.maximum(range_m, 1e-6), 1.0)
+    off_axis = (np.degrees(np.arcsin(sine)) - sonar.tilt_deg) / sonar.vertical_beam_deg
+    return np.asarray(-40 * math.log10(2) * off_axis**2)
+
+
 def scene_bearings(scene: Scene) -> FloatArray:
     """(beams,) bearing of every beam's centre in degrees, left to right."""
     beams = scene.sonar.beams

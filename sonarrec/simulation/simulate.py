@@ -29,6 +29,7 @@ from sonarrec.simulation.scene import (
     scene_fan,
     scene_sonar,
     scene_table,
+    vertical_beam_db,
 )
 from sonarrec.simulation.world import World, object_radius
 
@@ -114,9 +115,9 @@ def vertical_pattern(scene: Scene, height_m: float, range_m: FloatArray) -> Floa
     """
     sonar = scene.sonar
     sine = np.minimum(height_m / np.maximum(range_m, 1e-6), 1.0)
-    off_axis = (np.degrees(np.arcsin(sine)) - sonar.tilt_deg) / sonar.vertical_beam_deg
     on_axis = max(math.sin(math.radians(sonar.tilt_deg)), 0.05)
-    power = np.exp(-4 * math.log(2) * off_axis**2) * (sine / on_axis) ** scene.floor.angle_exponent
+    beam = 10 ** (vertical_beam_db(sonar, height_m, range_m) / 10)
+    power = beam * (sine / on_axis) ** scene.floor.angle_exponent
     return np.asarray(np.where(range_m > height_m, np.sqrt(power), 0.0))
 
 

@@ -1,0 +1,289 @@
+"""An averaged shape matrix described under every ID: the FEATURES that the model judges."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from sonarrec.landmarks import LandmarkSet
+from sonarrec.records import FloatArray
+from sonarrec.shape_matrix import ANGLES, Bands, turned_codes
+
+# Levels are in standard deviations of the frame. Those named "share" are divided by the ring's
+# contrast over the gap, which makes them free of gain and grey scale but worthless on a faint
+# ring. Those named "local" count the symbol from the gap in the same direction: echoes that come
+# late and light that falls unevenly lie over both alike.
+FEATURES = (
+    "correlation",  # of the symbol with the ID's sectors at the best rotation: mean of plain, local
+    "step",  # bright sectors over dark ones
+    "dark_over_gap",  # dark sectors over the gap, 0 on a landmark
+    "bright_over_ring",  # bright sectors over the ring, 0 on a landmark
+    "margin",  # darkest bright sector over the brightest dark one
+    "weakest_bright",  # darkest bright sector over the gap
+    "strongest_dark",  # brightest dark sector over the gap, 0 on a landmark
+    "local_margin_share",
+    "local_weakest_bright",
+    "local_strongest_dark",
+    "edge",  # step across the edges between bright and dark sectors, mean
+    "weakest_edge",  # the least of them
+    "texture",  # spread within the sectors
+    "bright_outwards",  # bright sectors: outermost line over the innermost
+    "dark_outwards",  # dark sectors: the same
+    "ring_over_gap",
+    "ring_over_floor",  # over the floor outside
+    "gap_over_floor",
+    "weakest_ring",  # weakest quarter of the ring over what lies beside it
+    "weakest_ring_share",
+    "ring_texture_share",  # spread along the ring
+    "unseen",  # share of the disc outside the fan so far
+    "log_frames",  # natural logarithm of the frames gathered
+    "existence",  # log odds that stage 2 gives
+)
+LEAST_CONTRAST = 0.3  # of the ring, in the shares
+# The steps next to each step, and those beyond what the beam smears of an edge.
+BEFORE, AFTER = ((np.arange(ANGLES) + off) % ANGLES for off in (-1, 1))
+FAR_BEFORE, FAR_AFTER = ((np.arange(ANGLES) + off) % ANGLES for off in (-2, 2))
+TURN_SIGMA = 0.3  # scale of the turn's standard error; tuning seeds, checked by `make scenes`
+LIMIT = 9.0  # of every feature's magnitude
+
+
+@dataclass(frozen=True, slots=True)
+class Description:
+    """n objects under each of K IDs. features: (n, K, F).
+
+    turn, turn_sigma: (n, K) the rotation that fits best and its standard error, in steps.
+    """
+
+    features: FloatArray
+    turn: FloatArray
+    turn_sigma: FloatArray
+
+
+class _Regression(NamedTuple):
+    """mean, variance: (...) of the profiles. The others: (..., ANGLES, K), by rotation and ID."""
+
+    mean: FloatArray
+    variance: FloatArray
+    code_mean: FloatArray
+    slope: FloatArray
+    correlation: FloatArray
+
+
+class Describer:
+    """Describes averaged shape matrices under every ID of one landmark set."""
+
+    def __init__(self, bands: Bands, radii: FloatArray, landmarks: LandmarkSet) -> None:
+        """bands, radii: of the lines, from ShapeSampler."""
+        self._bands = bands
+        # A line stands for its part of the disc's area; the innermost is little more than a point.
+        self._area = (radii / radii.max())[:, None]
+        codes = turned_codes(landmarks)
+        # As a beam sees them: sector edges smeared over a step.
+        self._codes = 0.5 * codes + 0.25 * (codes[..., BEFORE] + codes[..., AFTER])
+        flat = self._codes.reshape(-1, ANGLES).T
+        self._flat, self._flat_squared = flat.copy(), flat**2
+        # 1 at the two steps that flank a rise counter-clockwise, -1 at those of a fall.
+        self._edges = codes[..., AFTER] - codes[..., BEFORE]
+        table = np.asarray(landmarks.sectors, dtype=bool)
+        sector = ((np.arange(ANGLES) + 0.5) / ANGLES * table.shape[1]).astype(int)
+        self._sectors = table
+        # Towards its edges a sector runs into its neighbours.
+        within = (np.arange(ANGLES) + 0.5) / ANGLES * table.shape[1] % 1
+        member = sector[:, None] == np.arange(table.shape[1])
+        member = member * np.sin(np.pi * within)[:, None]  # (ANGLES, S)
+        self._cells = member.sum(axis=0)
+        # Every sector at every rotation: (ANGLES, ANGLES x S).
+        self._member = np.stack([np.roll(member, turn, axis=0) for turn in range(ANGLES)], axis=1)
+        self._member = self._member.reshape(ANGLES, -1)
+
+    def __call__(
+        self, average: FloatArray, count: FloatArray, existence: FloatArray
+    ) -> Description:
+        """The FEATURES of averaged matrices (n, L, ANGLES) and their counts from TrackMatrix.
+
+        existence: (n,) probability by stage 2.
+        """
+        bands = self._bands
+        frames = np.maximum(count.max(axis=(1, 2)), 0.5)
+        unseen = 1 - np.minimum(count, 1.0).mean(axis=(1, 2))
+        count = count * self._area
+        symbol, weight = _profile(average, count, bands.symbol)
+        ring, ring_weight = _profile(average, count, bands.ring)
+        gap, gap_weight = _profile(average, count, bands.gap)
+        outer, outer_weight = _profile(average, count, bands.outer)
+        ring_level = _level(ring, ring_weight)
+        gap_level = _level(gap, gap_weight)
+        outer_level = _level(outer, outer_weight)
+        contrast = np.maximum(ring_level - gap_level, LEAST_CONTRAST)
+        ring_spread = np.sqrt(_level((ring - ring_level[:, None]) ** 2, ring_weight))
+        weakest = _weakest_quarter(ring - 0.5 * (gap + outer), np.minimum(ring_weight, 1.0))
+
+        objects, ids = len(average), self._codes.shape[1]
+        # The symbol counted from the gap's level, and locally.
+        counted = np.stack([symbol - gap_level[:, None], symbol - gap])  # (2, n, ANGLES)
+        weights = np.stack([weight, weight * (gap_weight > 0)])
+        fit = self._regress(counted, weights)
+        correlation = fit.correlation.mean(axis=0)
+        turn = correlation.argmax(axis=1)  # (n, K)
+        at = (np.arange(objects)[:, None], turn, np.arange(ids))
+        best, step, plain = correlation[at], fit.slope[0][at], fit.correlation[0][at]
+        dark = fit.mean[0][:, None] - step * fit.code_mean[0][at]
+        texture = np.sqrt(np.maximum(fit.variance[0][:, None] * (1 - plain**2), 0))
+        margin, darkest, brightest = self._sector_extremes(counted, weights, turn)
+        code = self._codes[turn, np.arange(ids)]  # (n, K, ANGLES)
+        edge, weakest_edge = _steepness(symbol, weight, self._edges[turn, np.arange(ids)])
+        bright_outwards, dark_outwards = _outwards(
+            average[:, bands.symbol], count[:, bands.symbol], code
+        )
+
+        odds = existence / (1 - existence)
+        values = [
+            best,
+            step,
+            dark,
+            dark + step - (ring_level - gap_level)[:, None],
+            margin[0],
+            darkest[0],
+            brightest[0],
+            margin[1] / contrast[:, None],
+            darkest[1],
+            brightest[1],
+            edge,
+            weakest_edge,
+            texture,
+            bright_outwards,
+            dark_outwards,
+            ring_level - gap_level,
+            ring_level - outer_level,
+            gap_level - outer_level,
+            weakest,
+            weakest / contrast,
+            ring_spread / contrast,
+            unseen,
+            np.log(frames),
+            np.log(odds),
+        ]
+        features = np.empty((objects, ids, len(FEATURES)))
+        for i, value in enumerate(values):
+            features[:, :, i] = value if value.ndim == 2 else value[:, None]
+        exact, bend = _summit(correlation, turn)
+        # The steeper the correlation falls off, and the less of the symbol it leaves unexplained,
+        # the better is the turn known (curvature of a least-squares fit).
+        noise = np.sqrt(1 - np.minimum(best, 0.999) ** 2)
+        turn_sigma = TURN_SIGMA * noise / np.sqrt(np.maximum(bend, 1e-4))
+        return Description(np.clip(features, -LIMIT, LIMIT), exact, turn_sigma)
+
+    def _regress(self, profile: FloatArray, weight: FloatArray) -> _Regression:
+        """Weighted regression of (..., ANGLES) profiles on every ID's code at every rotation."""
+        total = np.maximum(weight.sum(axis=-1), 1e-9)[..., None]
+        share = weight / total
+        mean = (profile * share).sum(axis=-1)
+        variance = np.maximum((profile**2 * share).sum(axis=-1) - mean**2, 1e-9)
+        code_mean = share @ self._flat
+        code_variance = share @ self._flat_squared - code_mean**2
+        covariance = (share * profile) @ self._flat - mean[..., None] * code_mean
+        # Of a symbol that has shown no edge of the code nothing is known.
+        known = code_variance > 0.02
+        code_variance = np.maximum(code_variance, 1e-9)
+        correlation = known * covariance / np.sqrt(variance[..., None] * code_variance)
+        slope = known * covariance / code_variance
+        shape = (*profile.shape, self._codes.shape[1])
+        return _Regression(
+            mean,
+            variance,
+            code_mean.reshape(shape),
+            slope.reshape(shape),
+            correlation.reshape(shape),
+        )
+
+    def _sector_extremes(
+        self, symbol: FloatArray, weight: FloatArray, turn: npt.NDArray[np.intp]
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Darkest bright sector less the brightest dark one, and the two; 0 if unseen.
+
+        symbol, weight: (m, n, ANGLES). turn: (n, K). Returns (m, n, K).
+        """
+        shape = (*symbol.shape, len(self._cells))
+        turned = (slice(None), np.arange(len(turn))[:, None], turn)
+        share = (weight @ self._member).reshape(shape)[turned]  # (m, n, K, S)
+        level = ((symbol * weight) @ self._member).reshape(shape)[turned]
+        level /= np.maximum(share, 1e-9)
+        full = weight.max(axis=-1)[..., None, None] * self._cells
+        known = share > 0.3 * np.maximum(full, 1e-9)
+        darkest = np.where(known & self._sectors, level, np.inf).min(axis=-1)
+        brightest = np.where(known & ~self._sectors, level, -np.inf).max(axis=-1)
+        bright_seen, dark_seen = np.isfinite(darkest), np.isfinite(brightest)
+        darkest, brightest = np.where(bright_seen, darkest, 0), np.where(dark_seen, brightest, 0)
+        margin = np.where(bright_seen & dark_seen, darkest - brightest, 0)
+        return margin, darkest, brightest
+
+
+def _steepness(
+    symbol: FloatArray, weight: FloatArray, edges: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """(n, K) mean and least rise of (n, ANGLES) profiles across edges (n, K, ANGLES); 0: unseen."""
+    rise = symbol[:, FAR_AFTER] - symbol[:, FAR_BEFORE]
+    seen = (weight[:, FAR_AFTER] > 0) & (weight[:, FAR_BEFORE] > 0)
+    edges = edges * seen[:, None]
+    rise = rise[:, None] * edges
+    count = np.abs(edges).sum(axis=2)
+    mean = rise.sum(axis=2) / np.maximum(count, 1)
+    least = np.where(edges != 0, rise, np.inf).min(axis=2)
+    return mean, np.where(count > 0, least, 0.0)
+
+
+def _summit(correlation: FloatArray, turn: npt.NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
+    """(n, K) the summit of (n, ANGLES, K) next to a whole turn, and how sharply it bends there.
+
+    Through three samples, each the mean of three: the sector edges make the very top flat.
+    """
+    near = (turn[:, None] + np.arange(-2, 3)[:, None]) % ANGLES  # (n, 5, K)
+    values = np.take_along_axis(correlation, near, axis=1)
+    before, here, after = (values[:, i : i + 3].mean(axis=1) for i in range(3))
+    bend = 2 * here - before - after
+    part = np.where(bend > 1e-6, 0.5 * (after - before) / np.maximum(bend, 1e-6), 0.0)
+    return turn + np.clip(part, -0.5, 0.5), bend
+
+
+def _profile(average: FloatArray, count: FloatArray, band: slice) -> tuple[FloatArray, FloatArray]:
+    """(n, ANGLES) mean over a band's lines, and how often its cells were seen."""
+    weight = count[:, band]
+    total = weight.sum(axis=1)
+    return (average[:, band] * weight).sum(axis=1) / np.maximum(total, 1e-9), total
+
+
+def _level(profile: FloatArray, weight: FloatArray) -> FloatArray:
+    """(n,) mean round the disc."""
+    return np.asarray((profile * weight).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-9))
+
+
+def _weakest_quarter(contrast: FloatArray, seen: FloatArray) -> FloatArray:
+    """(n,) least mean of (n, ANGLES) contrast over a quarter turn of which half was seen."""
+    quarter = ANGLES // 4
+
+    def over_quarters(values: FloatArray) -> FloatArray:
+        sums = np.cumsum(np.concatenate([values, values[:, :quarter]], axis=1), axis=1)
+        return np.asarray(sums[:, quarter:] - sums[:, :-quarter])
+
+    cells = over_quarters(seen)
+    mean = over_quarters(contrast * seen) / np.maximum(cells, 1e-9)
+    return np.asarray(np.where(cells > 0.5 * quarter, mean, LIMIT).min(axis=1))
+
+
+def _outwards(
+    symbol: FloatArray, count: FloatArray, code: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """(n, K) outermost over innermost line of the symbol, in bright and in dark sectors.
+
+    symbol, count: (n, lines, ANGLES). code: (n, K, ANGLES), 0 to 1.
+    """
+    weight = count[:, [0, -1]].transpose(0, 2, 1)  # (n, ANGLES, 2)
+    value = symbol[:, [0, -1]].transpose(0, 2, 1) * weight
+    bright = (code @ value) / np.maximum(code @ weight, 1e-9)
+    dark = ((1 - code) @ value) / np.maximum((1 - code) @ weight, 1e-9)
+    return bright[..., 1] - bright[..., 0], dark[..., 1] - dark[..., 0]
+
+
