@@ -69,14 +69,18 @@ class AppearanceMeasurement:
         self._model = model
 
     def step(
-        self, groups: Groups, grey: FloatArray, seen: npt.NDArray[np.bool_]
+        self,
+        groups: Groups,
+        grey: FloatArray,
+        seen: npt.NDArray[np.bool_],
+        smear: FloatArray,
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """(n, K + 1) probabilities, the (n,) turn of the likeliest ID and its error, in steps.
 
-        grey, seen: (n, L, ANGLES) of the groups in view, from this frame.
+        grey, seen: (n, L, ANGLES) of the groups in view, from this frame. smear: (n,) as Describer.
         """
         average, count = self._matrix.step(groups, grey, seen)
-        description = self._describe(average, count, groups.existence)
+        description = self._describe(average, count, groups.existence, smear)
         probabilities = self._model.probabilities(description.features)
         best = probabilities[:, :-1].argmax(axis=1)
         at = (np.arange(len(best)), best)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from sonarrec.expected_symbol import ExpectedSymbols
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.records import FloatArray
 from sonarrec.shape_matrix import ANGLES, Bands, turned_codes
@@ -17,7 +17,7 @@ from sonarrec.shape_matrix import ANGLES, Bands, turned_codes
 # ring. Those named "local" count the symbol from the gap in the same direction: echoes that come
 # late and light that falls unevenly lie over both alike.
 FEATURES = (
-    "correlation",  # of the symbol with the ID's sectors at the best rotation: mean of plain, local
+    "correlation",  # with the ID's expected symbol at the best rotation: mean of plain and local
     "step",  # bright sectors over dark ones
     "dark_over_gap",  # dark sectors over the gap, 0 on a landmark
     "bright_over_ring",  # bright sectors over the ring, 0 on a landmark
@@ -62,16 +62,6 @@ class Description:
     turn_sigma: FloatArray
 
 
-class _Regression(NamedTuple):
-    """mean, variance: (...) of the profiles. The others: (..., ANGLES, K), by rotation and ID."""
-
-    mean: FloatArray
-    variance: FloatArray
-    code_mean: FloatArray
-    slope: FloatArray
-    correlation: FloatArray
-
-
 class Describer:
     """Describes averaged shape matrices under every ID of one landmark set."""
 
@@ -83,8 +73,7 @@ class Describer:
         codes = turned_codes(landmarks)
         # As a beam sees them: sector edges smeared over a step.
         self._codes = 0.5 * codes + 0.25 * (codes[..., BEFORE] + codes[..., AFTER])
-        flat = self._codes.reshape(-1, ANGLES).T
-        self._flat, self._flat_squared = flat.copy(), flat**2
+        self._expected = ExpectedSymbols(landmarks, radii, bands)
         # 1 at the two steps that flank a rise counter-clockwise, -1 at those of a fall.
         self._edges = codes[..., AFTER] - codes[..., BEFORE]
         table = np.asarray(landmarks.sectors, dtype=bool)
@@ -100,11 +89,12 @@ class Describer:
         self._member = self._member.reshape(ANGLES, -1)
 
     def __call__(
-        self, average: FloatArray, count: FloatArray, existence: FloatArray
+        self, average: FloatArray, count: FloatArray, existence: FloatArray, smear: FloatArray
     ) -> Description:
         """The FEATURES of averaged matrices (n, L, ANGLES) and their counts from TrackMatrix.
 
-        existence: (n,) probability by stage 2.
+        existence: (n,) probability by stage 2. smear: (n,) the beam's standard deviation across the
+        line of sight, in disc radii.
         """
         bands = self._bands
         frames = np.maximum(count.max(axis=(1, 2)), 0.5)
@@ -122,18 +112,18 @@ class Describer:
         weakest = _weakest_quarter(ring - 0.5 * (gap + outer), np.minimum(ring_weight, 1.0))
 
         objects, ids = len(average), self._codes.shape[1]
+        gap_seen = gap_weight > 0
+        correlation = self._expected.correlation(
+            average[:, bands.symbol], count[:, bands.symbol], gap, gap_seen, smear
+        )
+        turn = correlation.argmax(axis=1)  # (n, K)
+        best = correlation[np.arange(objects)[:, None], turn, np.arange(ids)]
+        code = self._codes[turn, np.arange(ids)]  # (n, K, ANGLES)
         # The symbol counted from the gap's level, and locally.
         counted = np.stack([symbol - gap_level[:, None], symbol - gap])  # (2, n, ANGLES)
-        weights = np.stack([weight, weight * (gap_weight > 0)])
-        fit = self._regress(counted, weights)
-        correlation = fit.correlation.mean(axis=0)
-        turn = correlation.argmax(axis=1)  # (n, K)
-        at = (np.arange(objects)[:, None], turn, np.arange(ids))
-        best, step, plain = correlation[at], fit.slope[0][at], fit.correlation[0][at]
-        dark = fit.mean[0][:, None] - step * fit.code_mean[0][at]
-        texture = np.sqrt(np.maximum(fit.variance[0][:, None] * (1 - plain**2), 0))
+        weights = np.stack([weight, weight * gap_seen])
+        dark, step, texture = _regress(counted[0], weight, code)
         margin, darkest, brightest = self._sector_extremes(counted, weights, turn)
-        code = self._codes[turn, np.arange(ids)]  # (n, K, ANGLES)
         edge, weakest_edge = _steepness(symbol, weight, self._edges[turn, np.arange(ids)])
         bright_outwards, dark_outwards = _outwards(
             average[:, bands.symbol], count[:, bands.symbol], code
@@ -176,29 +166,6 @@ class Describer:
         turn_sigma = TURN_SIGMA * noise / np.sqrt(np.maximum(bend, 1e-4))
         return Description(np.clip(features, -LIMIT, LIMIT), exact, turn_sigma)
 
-    def _regress(self, profile: FloatArray, weight: FloatArray) -> _Regression:
-        """Weighted regression of (..., ANGLES) profiles on every ID's code at every rotation."""
-        total = np.maximum(weight.sum(axis=-1), 1e-9)[..., None]
-        share = weight / total
-        mean = (profile * share).sum(axis=-1)
-        variance = np.maximum((profile**2 * share).sum(axis=-1) - mean**2, 1e-9)
-        code_mean = share @ self._flat
-        code_variance = share @ self._flat_squared - code_mean**2
-        covariance = (share * profile) @ self._flat - mean[..., None] * code_mean
-        # Of a symbol that has shown no edge of the code nothing is known.
-        known = code_variance > 0.02
-        code_variance = np.maximum(code_variance, 1e-9)
-        correlation = known * covariance / np.sqrt(variance[..., None] * code_variance)
-        slope = known * covariance / code_variance
-        shape = (*profile.shape, self._codes.shape[1])
-        return _Regression(
-            mean,
-            variance,
-            code_mean.reshape(shape),
-            slope.reshape(shape),
-            correlation.reshape(shape),
-        )
-
     def _sector_extremes(
         self, symbol: FloatArray, weight: FloatArray, turn: npt.NDArray[np.intp]
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -219,6 +186,26 @@ class Describer:
         darkest, brightest = np.where(bright_seen, darkest, 0), np.where(dark_seen, brightest, 0)
         margin = np.where(bright_seen & dark_seen, darkest - brightest, 0)
         return margin, darkest, brightest
+
+
+def _regress(
+    symbol: FloatArray, weight: FloatArray, code: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(n, K) level of dark sectors, bright ones over them, and what is left unexplained.
+
+    Weighted regression of (n, ANGLES) profiles on codes (n, K, ANGLES).
+    """
+    share = (weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-9))[..., None]
+    symbol = symbol[..., None]
+    mean = (symbol * share).sum(axis=1)
+    variance = np.maximum((symbol**2 * share).sum(axis=1) - mean**2, 0)
+    code_mean = (code @ share)[..., 0]
+    code_variance = (code**2 @ share)[..., 0] - code_mean**2
+    covariance = (code @ (share * symbol))[..., 0] - mean * code_mean
+    # Of a symbol that has shown no edge of the code nothing is known.
+    step = np.where(code_variance > 0.02, covariance / np.maximum(code_variance, 1e-9), 0.0)
+    texture = np.sqrt(np.maximum(variance - step * covariance, 0))
+    return mean - step * code_mean, step, texture
 
 
 def _steepness(
@@ -242,7 +229,9 @@ def _summit(correlation: FloatArray, turn: npt.NDArray[np.intp]) -> tuple[FloatA
     """
     near = (turn[:, None] + np.arange(-2, 3)[:, None]) % ANGLES  # (n, 5, K)
     values = np.take_along_axis(correlation, near, axis=1)
-    before, here, after = (values[:, i : i + 3].mean(axis=1) for i in range(3))
+    before, here, after = (
+        (values[:, i] + values[:, i + 1] + values[:, i + 2]) / 3 for i in range(3)
+    )
     bend = 2 * here - before - after
     part = np.where(bend > 1e-6, 0.5 * (after - before) / np.maximum(bend, 1e-6), 0.0)
     return turn + np.clip(part, -0.5, 0.5), bend
@@ -285,5 +274,3 @@ def _outwards(
     bright = (code @ value) / np.maximum(code @ weight, 1e-9)
     dark = ((1 - code) @ value) / np.maximum((1 - code) @ weight, 1e-9)
     return bright[..., 1] - bright[..., 0], dark[..., 1] - dark[..., 0]
-
-

@@ -21,6 +21,7 @@ from sonarrec.stage3_features import FeatureEstimator, measurement_model
 SMI = "smi"
 FRAMEWORK = "framework"
 STEP_DEG = 360 / ANGLES
+HALF_POWER = 2 * (2 * np.log(2)) ** 0.5  # width of a Gaussian at half power, in its deviations
 # Standard error of a group's mean, in shares of its particles' spread: chosen on tuning seeds, held
 # against the truth by `make scenes`.
 POSITION_SHARE = 0.22
@@ -84,8 +85,10 @@ class Recogniser:
         grey, seen = self._sampler(
             image, self._plane.inside, places, sight, selection.mean, selection.sigma
         )
-        single = identify(grey, seen, self._sampler.bands, self._turned)
         n = len(selection.positions)
+        # The groups' own is wanted only where each frame is judged by itself.
+        alone = slice(n if self._appearance is not None else None)
+        single = identify(grey[alone], seen[alone], self._sampler.bands, self._turned)
 
         estimates = []
         if self._with_smi:
@@ -100,10 +103,12 @@ class Recogniser:
                 threshold=self._config.smi.declare,
             )
 
-        measured, turns = single.measurement[n:], single.turn[n:].astype(float)
-        turn_sigma = np.full(len(turns), np.nan)
         if self._appearance is not None:
-            measured, turns, turn_sigma = self._appearance.step(groups, grey[n:], seen[n:])
+            smear = self._smear(groups.positions)
+            measured, turns, turn_sigma = self._appearance.step(groups, grey[n:], seen[n:], smear)
+        else:
+            measured, turns = single.measurement[n:], single.turn[n:].astype(float)
+            turn_sigma = np.full(len(turns), np.nan)
         beliefs = self._features.step(groups, measured)  # stage 3
         estimates += self._estimates(
             self._method,
@@ -119,6 +124,12 @@ class Recogniser:
         return FrameResult(
             frame.index, frame.timestamp_ns, n, len(groups.numbers), tuple(estimates)
         )
+
+    def _smear(self, positions: FloatArray) -> FloatArray:
+        """(n,) the beam's standard deviation across the line of sight, in disc radii."""
+        range_m, _ = self._plane.to_polar(positions[:, 0], positions[:, 1])
+        sigma_deg = self._config.features.beam_width_deg / HALF_POWER
+        return np.asarray(np.radians(sigma_deg) * range_m / self._landmarks.radius_m)
 
     def _estimates(
         self,

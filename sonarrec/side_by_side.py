@@ -22,7 +22,7 @@ LEAST_BELIEF = 1e-4  # in a logarithm: no single frame rules an ID out for good
 class _Opinion:
     """What a track's frames said of it, all taken together.
 
-    log_beliefs: (K + 1,) sum over the frames of log belief, each weighed by the frames behind it.
+    log_beliefs: (K + 1,) weighted sum over the frames of log belief. weight: sum of the weights.
     turns: per ID, (score, degrees from the line of sight, their standard error) when surest of it.
     """
 
@@ -42,8 +42,9 @@ class Hindsight:
     """Revises past estimates of one method by what was learned of their tracks since.
 
     A track is one object, so one belief holds for all its frames: the mean of what each frame
-    said, in logarithms, weighed by how many frames it had seen by then. The last word alone would
-    not do: as it leaves the view, or is taken for another on its return, a track is known badly.
+    said, in logarithms, weighed by how many frames it had seen by then and by how sure it was. The
+    last word alone would not do: as it leaves the view, or is taken for another on its return, a
+    track is known badly.
     """
 
     def __init__(self, method: str, config: Config, landmarks: LandmarkSet) -> None:
@@ -65,10 +66,12 @@ class Hindsight:
     def _add(self, frame: int, estimate: Estimate) -> None:
         opinion = self._opinions.setdefault(estimate.object, _Opinion(np.zeros(len(self._ids) + 1)))
         opinion.frames += 1
-        opinion.weight += opinion.frames
-        opinion.log_beliefs += opinion.frames * np.log(
-            np.maximum(estimate.probabilities, LEAST_BELIEF)
-        )
+        beliefs = np.maximum(estimate.probabilities, LEAST_BELIEF)
+        # Minus the entropy: its exponential is 1 where the frame is sure, 1 / (K + 1) where it is
+        # not. Squared: tuning seeds.
+        weight = opinion.frames * float(np.exp(beliefs @ np.log(beliefs))) ** 2
+        opinion.weight += weight
+        opinion.log_beliefs += weight * np.log(beliefs)
         opinion.last_frame = frame
         if estimate.score > opinion.turns.get(estimate.landmark, (0.0,))[0]:
             turn = estimate.orientation_deg + estimate.bearing_deg

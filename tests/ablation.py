@@ -40,7 +40,7 @@ def variants() -> list[Config]:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Render, recognise, score and tell."""
     parser = argparse.ArgumentParser(prog="python -m tests.ablation", description=__doc__)
-    parser.add_argument("--seeds", type=seeds, default=REPORTED, help="first:end, end left out")
+    parser.add_argument("--seeds", type=seeds, default=REPORTED[:4], help="first:end, end left out")
     parser.add_argument("--kinds", nargs="+", choices=KINDS_OF_SCENE, default=KINDS_OF_SCENE)
     parser.add_argument("--frames", type=int, default=FRAMES, help="of each recording")
     parser.add_argument("--out", type=Path, default=Path("build") / "ablation")

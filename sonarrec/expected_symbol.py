@@ -1,0 +1,134 @@
+"""What a symbol should look like under every ID, at every rotation, as the beam smears it.
+
+Far out, or on a small disc, a beam is as wide as a sector: seen through it, ID.1 and ID.2 differ
+less, and otherwise, than as drawn. A pan leaves the smear alone, for angles count from the line of
+sight and the beam smears across it.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from sonarrec.landmarks import LandmarkSet
+from sonarrec.records import FloatArray
+from sonarrec.shape_matrix import ANGLES, STEP, Bands
+
+# Typical echo levels in dB over the floor, and the noise beneath: they say how the logarithm of the
+# picture bends a smeared edge. Correlations hardly depend on them.
+RING_DB, SYMBOL_DB, PLATE_DB, FLOOR_DB, NOISE_DB = 12.0, 10.0, -8.0, 0.0, -6.0
+# Smears (standard deviation across the line of sight, in disc radii) are rounded to this.
+SMEAR_STEP = 0.04
+MOST_STEPS = 10
+# What one pixel takes in, in any direction: standard deviation in disc radii.
+PIXEL = 0.05
+# Points and weights that stand for a Gaussian of standard deviation 1 (Gauss and Hermite's).
+_THREE = np.sqrt(3) * np.array([-1, 0, 1])
+_THREE_SHARE = np.array([1, 4, 1]) / 6
+BEAM_POINT = 0.08  # a beam is summed over points no farther apart than this, in disc radii
+LEAST_SPREAD = 0.1  # variance of an expected symbol over what was seen, in that over the whole
+
+
+class _Expected(NamedTuple):
+    """(2, cells, ANGLES x K) of the symbol's cells as they are and counted from the gap.
+
+    0 on the plate to 1 on a symbol. squared: the same. least: (2, 1, ANGLES x K) variance over
+    the cells seen below which nothing of the symbol has shown.
+    """
+
+    flat: FloatArray
+    squared: FloatArray
+    least: FloatArray
+
+
+class ExpectedSymbols:
+    """Compares symbols with what every ID of a set should show."""
+
+    def __init__(self, landmarks: LandmarkSet, radii: FloatArray, bands: Bands) -> None:
+        """radii, bands: of the lines of the shape matrix, from ShapeSampler."""
+        self._landmarks = landmarks
+        self._symbol = radii[bands.symbol]
+        self._gap = radii[bands.gap]
+        self._ids = len(landmarks.ids)
+        # Only the smears that a log's ranges call for are ever drawn.
+        self._expected = cache(self._draw)
+
+    def correlation(
+        self,
+        symbol: FloatArray,
+        weight: FloatArray,
+        gap: FloatArray,
+        gap_seen: npt.NDArray[np.bool_],
+        smear: FloatArray,
+    ) -> FloatArray:
+        """(n, ANGLES, K) correlation with every ID at every rotation: mean of plain and local.
+
+        symbol, weight: (n, lines, ANGLES) and how often each cell was seen. gap, gap_seen: (n,
+        ANGLES), what the local symbol is counted from. smear: (n,) in disc radii.
+        """
+        shape = (2, len(symbol), symbol.shape[1] * ANGLES)
+        values = np.stack([symbol, symbol - gap[:, None]]).reshape(shape)
+        weights = np.stack([weight, weight * gap_seen[:, None]]).reshape(shape)
+        steps = np.minimum(np.rint(smear / SMEAR_STEP), MOST_STEPS).astype(int)
+        found = np.zeros((len(symbol), ANGLES * self._ids))
+        for step in set(steps.tolist()):
+            of = steps == step
+            plain, local = _correlate(values[:, of], weights[:, of], self._expected(step))
+            found[of] = 0.5 * (plain + local)
+        return found.reshape(-1, ANGLES, self._ids)
+
+    def _draw(self, steps: int) -> _Expected:
+        """What the symbol should show, smeared by `steps`."""
+        symbol = self._look(self._symbol, steps)
+        gap = self._look(self._gap, steps).mean(axis=2, keepdims=True)
+        look = np.stack([symbol, symbol - gap])  # (2, ANGLES, K, lines, ANGLES)
+        flat = np.ascontiguousarray(look.reshape(2, ANGLES * self._ids, -1).swapaxes(1, 2))
+        return _Expected(flat, flat**2, LEAST_SPREAD * flat.var(axis=1, keepdims=True))
+
+    def _look(self, radii: FloatArray, steps: int) -> FloatArray:
+        """(ANGLES, K, lines, ANGLES) of lines at `radii`, turned by every step."""
+        discs = self._landmarks
+        angle = ((np.arange(ANGLES) + 0.5) * STEP)[:, None, None, None]
+        # Over a pixel along the radius and round the disc, so that turns stay exact, and over the
+        # beam across the line of sight, which is angle 0: (lines, ANGLES, 3, 3, points).
+        smear = steps * SMEAR_STEP
+        half = math.ceil(2.4 * smear / BEAM_POINT)
+        deviations = np.linspace(-2.4, 2.4, 2 * half + 1) if half else np.zeros(1)
+        beam = smear * deviations
+        beam_share = np.exp(-0.5 * deviations**2)
+        share = np.einsum("i,j,k->ijk", _THREE_SHARE, _THREE_SHARE, beam_share / beam_share.sum())
+        out = radii[:, None, None, None, None] + PIXEL * _THREE[:, None, None]
+        round_ = PIXEL * _THREE[:, None]
+        across = -out * np.sin(angle) - round_ * np.cos(angle) + beam
+        away = out * np.cos(angle) - round_ * np.sin(angle) + 0 * beam
+        points = (len(radii), ANGLES, -1)
+        across, away = across.reshape(points), away.reshape(points)
+        radius = np.hypot(across, away)
+        turned = np.arctan2(-across, away) - (np.arange(ANGLES) * STEP)[:, None, None, None]
+        codes = discs.codes(turned.ravel()).reshape(self._ids, *turned.shape)
+        within = (radius >= discs.symbol[0]) & (radius <= discs.symbol[1])
+        ring = (radius >= discs.ring[0]) & (radius <= discs.ring[1])
+        level = np.where(within & (codes > 0.5), SYMBOL_DB, PLATE_DB)
+        level = np.where(ring, RING_DB, np.where(radius > 1, FLOOR_DB, level))
+        power = 10 ** (level / 10) @ share.ravel() + 10 ** (
+            NOISE_DB / 10
+        )  # (K, ANGLES, lines, ANGLES)
+        look = (10 * np.log10(power) - PLATE_DB) / (SYMBOL_DB - PLATE_DB)
+        return np.asarray(look.swapaxes(0, 1))
+
+
+def _correlate(values: FloatArray, weight: FloatArray, expected: _Expected) -> FloatArray:
+    """(2, n, ANGLES x K) weighted correlation of (2, n, cells) values with what is expected."""
+    share = weight / np.maximum(weight.sum(axis=2, keepdims=True), 1e-9)
+    weighted = share * values
+    mean = weighted.sum(axis=2, keepdims=True)
+    variance = np.maximum((weighted * values).sum(axis=2, keepdims=True) - mean**2, 1e-9)
+    centre = share @ expected.flat
+    spread = share @ expected.squared - centre**2
+    covariance = weighted @ expected.flat - mean * centre
+    known = spread > expected.least
+    return np.asarray(known * covariance / np.sqrt(variance * np.maximum(spread, 1e-9)))
