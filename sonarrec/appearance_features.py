@@ -46,7 +46,7 @@ LEAST_CONTRAST = 0.3  # of the ring, in the shares
 # The steps next to each step, and those beyond what the beam smears of an edge.
 BEFORE, AFTER = ((np.arange(ANGLES) + off) % ANGLES for off in (-1, 1))
 FAR_BEFORE, FAR_AFTER = ((np.arange(ANGLES) + off) % ANGLES for off in (-2, 2))
-TURN_SIGMA = 0.3  # scale of the turn's standard error; tuning seeds, checked by `make scenes`
+TURN_SIGMA = 0.22  # scale of the turn's standard error; tuning seeds, checked by `make scenes`
 LIMIT = 9.0  # of every feature's magnitude
 
 

@@ -145,8 +145,8 @@ RIDGE = 0.3
 SMOOTHNESS = 30.0
 # How much more strongly a curve is drawn towards that of a prior. A track's frames share a memory
 # of 40 (features.memory_frames): so many say hardly more than one does. By `python -m tests.prior`
-# 10 to 20 serve best where landmarks look unlike the simulator's; 20 is next to harmless elsewhere.
-PRIOR_WEIGHT = 20.0
+# 40 is the least that does next to no harm where a recording or two are all there is.
+PRIOR_WEIGHT = 40.0
 
 
 def fit(
