@@ -84,13 +84,13 @@ class ExpectedSymbols:
     def _draw(self, steps: int) -> _Expected:
         """What the symbol should show, smeared by `steps`."""
         symbol = self._look(self._symbol, steps)
-        gap = self._look(self._gap, steps).mean(axis=2, keepdims=True)
-        look = np.stack([symbol, symbol - gap])  # (2, ANGLES, K, lines, ANGLES)
-        flat = np.ascontiguousarray(look.reshape(2, ANGLES * self._ids, -1).swapaxes(1, 2))
+        gap = self._look(self._gap, steps).mean(axis=0, keepdims=True)
+        shape = (2, -1, symbol.shape[-1])
+        flat = np.stack([symbol, symbol - gap]).reshape(shape)
         return _Expected(flat, flat**2, LEAST_SPREAD * flat.var(axis=1, keepdims=True))
 
     def _look(self, radii: FloatArray, steps: int) -> FloatArray:
-        """(ANGLES, K, lines, ANGLES) of lines at `radii`, turned by every step."""
+        """(lines, ANGLES, ANGLES x K) what lines at `radii` show of every ID at every turn."""
         discs = self._landmarks
         angle = ((np.arange(ANGLES) + 0.5) * STEP)[:, None, None, None]
         # Over a pixel along the radius and round the disc, so that turns stay exact, and over the
@@ -105,20 +105,27 @@ class ExpectedSymbols:
         round_ = PIXEL * _THREE[:, None]
         across = -out * np.sin(angle) - round_ * np.cos(angle) + beam
         away = out * np.cos(angle) - round_ * np.sin(angle) + 0 * beam
-        points = (len(radii), ANGLES, -1)
-        across, away = across.reshape(points), away.reshape(points)
         radius = np.hypot(across, away)
-        turned = np.arctan2(-across, away) - (np.arange(ANGLES) * STEP)[:, None, None, None]
-        codes = discs.codes(turned.ravel()).reshape(self._ids, *turned.shape)
-        within = (radius >= discs.symbol[0]) & (radius <= discs.symbol[1])
+        share = np.broadcast_to(share, radius.shape)
+
         ring = (radius >= discs.ring[0]) & (radius <= discs.ring[1])
-        level = np.where(within & (codes > 0.5), SYMBOL_DB, PLATE_DB)
-        level = np.where(ring, RING_DB, np.where(radius > 1, FLOOR_DB, level))
-        power = 10 ** (level / 10) @ share.ravel() + 10 ** (
-            NOISE_DB / 10
-        )  # (K, ANGLES, lines, ANGLES)
-        look = (10 * np.log10(power) - PLATE_DB) / (SYMBOL_DB - PLATE_DB)
-        return np.asarray(look.swapaxes(0, 1))
+        bare = np.where(ring, RING_DB, np.where(radius > 1, FLOOR_DB, PLATE_DB))
+        power = (10 ** (bare / 10) * share).sum(axis=(2, 3, 4)) + 10 ** (NOISE_DB / 10)
+        # How much of each cell lies in each of so many directions of the symbol that both a step
+        # and a sector are whole numbers of them: a turn is a roll of these.
+        sectors = np.asarray(discs.sectors, dtype=float)
+        directions = ANGLES * sectors.shape[1]
+        direction = np.mod(np.arctan2(-across, away), 2 * np.pi) / (2 * np.pi) * directions
+        cell = np.arange(power.size).reshape(*power.shape, 1, 1, 1)
+        within = (radius >= discs.symbol[0]) & (radius <= discs.symbol[1])
+        at = (cell * directions + np.minimum(direction, directions - 1).astype(int))[within]
+        spread = np.bincount(at, share[within], power.size * directions)
+        codes = np.repeat(sectors, ANGLES, axis=1)
+        turned = [np.roll(codes, turn * sectors.shape[1], axis=1) for turn in range(ANGLES)]
+        lit = spread.reshape(power.size, directions) @ np.concatenate(turned).T
+        brighter = 10 ** (SYMBOL_DB / 10) - 10 ** (PLATE_DB / 10)
+        power = power[..., None] + brighter * lit.reshape(*power.shape, -1)
+        return np.asarray((10 * np.log10(power) - PLATE_DB) / (SYMBOL_DB - PLATE_DB))
 
 
 def _correlate(values: FloatArray, weight: FloatArray, expected: _Expected) -> FloatArray:
