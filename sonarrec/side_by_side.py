@@ -15,7 +15,7 @@ from sonarrec.poses import PoseTable
 from sonarrec.recogniser import FRAMEWORK, Recogniser
 from sonarrec.records import Estimate, Fan, FloatArray, Frame, FrameResult
 
-LEAST_BELIEF = 1e-4  # in a logarithm: no single frame rules an ID out for good
+LEAST_BELIEF = 1e-2  # in a logarithm: no single frame rules an ID out for good
 
 
 @dataclass(slots=True)
