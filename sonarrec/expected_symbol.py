@@ -92,40 +92,49 @@ class ExpectedSymbols:
     def _look(self, radii: FloatArray, steps: int) -> FloatArray:
         """(lines, ANGLES, ANGLES x K) what lines at `radii` show of every ID at every turn."""
         discs = self._landmarks
-        angle = ((np.arange(ANGLES) + 0.5) * STEP)[:, None, None, None]
-        # Over a pixel along the radius and round the disc, so that turns stay exact, and over the
-        # beam across the line of sight, which is angle 0: (lines, ANGLES, 3, 3, points).
-        smear = steps * SMEAR_STEP
-        half = math.ceil(2.4 * smear / BEAM_POINT)
-        deviations = np.linspace(-2.4, 2.4, 2 * half + 1) if half else np.zeros(1)
-        beam = smear * deviations
-        beam_share = np.exp(-0.5 * deviations**2)
-        share = np.einsum("i,j,k->ijk", _THREE_SHARE, _THREE_SHARE, beam_share / beam_share.sum())
-        out = radii[:, None, None, None, None] + PIXEL * _THREE[:, None, None]
-        round_ = PIXEL * _THREE[:, None]
-        across = -out * np.sin(angle) - round_ * np.cos(angle) + beam
-        away = out * np.cos(angle) - round_ * np.sin(angle) + 0 * beam
-        radius = np.hypot(across, away)
-        share = np.broadcast_to(share, radius.shape)
-
+        radius, angle, share = _points(radii, steps * SMEAR_STEP)
         ring = (radius >= discs.ring[0]) & (radius <= discs.ring[1])
         bare = np.where(ring, RING_DB, np.where(radius > 1, FLOOR_DB, PLATE_DB))
-        power = (10 ** (bare / 10) * share).sum(axis=(2, 3, 4)) + 10 ** (NOISE_DB / 10)
+        power = 10 ** (bare / 10) @ share + 10 ** (NOISE_DB / 10)  # (lines, ANGLES)
         # How much of each cell lies in each of so many directions of the symbol that both a step
         # and a sector are whole numbers of them: a turn is a roll of these.
         sectors = np.asarray(discs.sectors, dtype=float)
         directions = ANGLES * sectors.shape[1]
-        direction = np.mod(np.arctan2(-across, away), 2 * np.pi) / (2 * np.pi) * directions
-        cell = np.arange(power.size).reshape(*power.shape, 1, 1, 1)
+        direction = np.mod(angle, 2 * np.pi) / (2 * np.pi) * directions
+        cell = np.arange(power.size).reshape(*power.shape, 1)
         within = (radius >= discs.symbol[0]) & (radius <= discs.symbol[1])
-        at = (cell * directions + np.minimum(direction, directions - 1).astype(int))[within]
-        spread = np.bincount(at, share[within], power.size * directions)
+        at = cell * directions + np.minimum(direction, directions - 1).astype(int)
+        shares = np.broadcast_to(share, radius.shape)[within]
+        spread = np.bincount(at[within], shares, power.size * directions)
         codes = np.repeat(sectors, ANGLES, axis=1)
         turned = [np.roll(codes, turn * sectors.shape[1], axis=1) for turn in range(ANGLES)]
         lit = spread.reshape(power.size, directions) @ np.concatenate(turned).T
         brighter = 10 ** (SYMBOL_DB / 10) - 10 ** (PLATE_DB / 10)
         power = power[..., None] + brighter * lit.reshape(*power.shape, -1)
         return np.asarray((10 * np.log10(power) - PLATE_DB) / (SYMBOL_DB - PLATE_DB))
+
+
+def _points(radii: FloatArray, smear: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Where the echoes in each cell come from: distance from the centre, angle, and share.
+
+    The first two (lines, ANGLES, points), the share (points,). Over a pixel along the radius and
+    round the disc, so that turns stay exact, and over the beam across the line of sight.
+    """
+    half = math.ceil(2.4 * smear / BEAM_POINT)
+    deviations = np.linspace(-2.4, 2.4, 2 * half + 1) if half else np.zeros(1)
+    beam_share = np.exp(-0.5 * deviations**2)
+    share = np.einsum("i,j,k->ijk", _THREE_SHARE, _THREE_SHARE, beam_share / beam_share.sum())
+    angle = ((np.arange(ANGLES) + 0.5) * STEP)[:, None, None, None]  # from the line of sight
+    out = radii[:, None, None, None, None] + PIXEL * _THREE[:, None, None]
+    round_ = PIXEL * _THREE[:, None]
+    aside = out * np.sin(angle) + round_ * np.cos(angle) + smear * deviations  # to the left
+    away = out * np.cos(angle) - round_ * np.sin(angle) + 0 * deviations
+    points = (len(radii), ANGLES, share.size)
+    return (
+        np.hypot(aside, away).reshape(points),
+        np.arctan2(aside, away).reshape(points),
+        share.ravel(),
+    )
 
 
 def _correlate(values: FloatArray, weight: FloatArray, expected: _Expected) -> FloatArray:
