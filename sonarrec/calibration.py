@@ -290,7 +290,7 @@ def make_model() -> None:
     count = sum(len(p.label) for p in parts)
     head = (
         "# Log odds of an ID against 'none of these' = bias + the curves of all features, which\n"
-        "# appearance.py names.\n"
+        "# appearance_features.py names.\n"
         f"# Made by `make model`: {len(drawn)} simulated recordings (seeds\n"
         f"# {MODEL_SEEDS.start} to {MODEL_SEEDS.stop - 1} of every kind of scene), "
         f"{count} tracks in frames.\n"
