@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
+import cv2
 import numpy as np
 
 from sonarrec.geometry import Sonar, fan_for_image
@@ -151,3 +152,37 @@ def speckled(
 def surroundings(image: np.ndarray) -> tuple[np.ndarray, float]:
     """Mean map and sigma of an image for ShapeSampler, the same everywhere."""
     return np.full(image.shape, image.mean(), np.float32), float(image.std()) or 1.0
+
+
+def smeared_matrix(
+    sectors: Sequence[int],
+    turn_rad: float,
+    radii: np.ndarray,
+    angles: int,
+    across: float,
+    along: float = 0.05,
+) -> np.ndarray:
+    """(lines, angles) of grey values (dB) of a landmark drawn finely and blurred in power.
+
+    Angles count counter-clockwise from the line of sight, which points up the picture; the first
+    sector begins `turn_rad` from it. across, along: standard deviation of the blur across the line
+    of sight and along it, in disc radii. Ring, symbol, plate, floor and noise at 12, 10, -8, 0 and
+    -6 dB.
+    """
+    size, reach = 600, 1.7
+    pixels = size / (2 * reach)
+    axis = (np.arange(size) + 0.5) / pixels - reach
+    x, y = np.meshgrid(axis, -axis)
+    radius = np.hypot(x, y)
+    on = disc_pattern(sectors, turn_rad + math.pi / 2)(x, y) > 0
+    level = np.where(on, 10.0, -8.0)
+    level = np.where((radius >= RING[0]) & (radius <= RING[1]), 12.0, level)
+    level = np.where(radius > RING[1], 0.0, level)
+    power = cv2.GaussianBlur(
+        10 ** (level / 10), (0, 0), sigmaX=across * pixels, sigmaY=along * pixels
+    )
+    grey = 10 * np.log10(power + 10**-0.6)
+    angle = (np.arange(angles) + 0.5) * 2 * np.pi / angles
+    column = (-np.outer(radii, np.sin(angle)) + reach) * pixels - 0.5
+    row = (reach - np.outer(radii, np.cos(angle))) * pixels - 0.5
+    return cv2.remap(grey, column.astype(np.float32), row.astype(np.float32), cv2.INTER_LINEAR)

@@ -2,22 +2,13 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 import pytest
+from drawn import SECTORS, smeared_matrix
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sonarrec.expected_symbol import (
-    FLOOR_DB,
-    NOISE_DB,
-    PIXEL,
-    PLATE_DB,
-    RING_DB,
-    SMEAR_STEP,
-    SYMBOL_DB,
-    ExpectedSymbols,
-)
+from sonarrec.expected_symbol import PIXEL, SMEAR_STEP, ExpectedSymbols
 from sonarrec.landmarks import load_landmarks
 from sonarrec.shape_matrix import ANGLES, STEP, ShapeSampler
 
@@ -28,28 +19,9 @@ LINES = len(SAMPLER.radii)
 
 
 def smeared_disc(k: int, turn: int, smear: float) -> np.ndarray:
-    """(LINES, ANGLES) grey values (dB) of a landmark drawn finely and blurred in power.
-
-    The line of sight points up the picture, the disc is turned by `turn` steps from it.
-    """
-    size, reach = 600, 1.7
-    axis = (np.arange(size) + 0.5) / size * 2 * reach - reach
-    x, y = np.meshgrid(axis, -axis)
-    radius = np.hypot(x, y)
-    # The landmark's own right is its first sector's beginning; here that is up, then the turn.
-    away = np.arctan2(-x, y) - turn * STEP
-    on = BASIN.pattern(k, radius * np.cos(away), radius * np.sin(away)) > 0.5
-    ring = (radius >= BASIN.ring[0]) & (radius <= BASIN.ring[1])
-    level = np.where(ring, RING_DB, np.where(on, SYMBOL_DB, PLATE_DB))
-    level = np.where(radius > 1, FLOOR_DB, level)
-    pixels = size / (2 * reach)
-    across = np.hypot(smear, PIXEL) * pixels
-    power = cv2.GaussianBlur(10 ** (level / 10), (0, 0), sigmaX=across, sigmaY=PIXEL * pixels)
-    grey = 10 * np.log10(power + 10 ** (NOISE_DB / 10))
-    angle = (np.arange(ANGLES) + 0.5) * STEP
-    column = (-np.outer(SAMPLER.radii, np.sin(angle)) + reach) * pixels - 0.5
-    row = (reach - np.outer(SAMPLER.radii, np.cos(angle))) * pixels - 0.5
-    return cv2.remap(grey, column.astype(np.float32), row.astype(np.float32), cv2.INTER_LINEAR)
+    """(LINES, ANGLES) of a landmark by its place in the set; the pixel's own width included."""
+    sectors = SECTORS[k + 1]
+    return smeared_matrix(sectors, turn * STEP, SAMPLER.radii, ANGLES, np.hypot(smear, PIXEL))
 
 
 def correlation(matrix: np.ndarray, smear: float) -> np.ndarray:
