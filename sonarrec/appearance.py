@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sonarrec.appearance_features import Describer
+from sonarrec.config import Features
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.records import FloatArray, Groups
 from sonarrec.shape_matrix import ANGLES, ShapeSampler
@@ -62,10 +63,12 @@ class AppearanceMeasurement:
     """The default measurement of stage 3: from each track's averaged shape matrix."""
 
     def __init__(
-        self, memory_frames: float, sampler: ShapeSampler, landmarks: LandmarkSet, model: Judge
+        self, config: Features, sampler: ShapeSampler, landmarks: LandmarkSet, model: Judge
     ) -> None:
-        self._matrix = TrackMatrix(memory_frames, len(sampler.radii))
-        self._describe = Describer(sampler.bands, sampler.radii, landmarks)
+        self._matrix = TrackMatrix(config.memory_frames, len(sampler.radii))
+        self._describe = Describer(
+            sampler.bands, sampler.radii, landmarks, alike=config.alike_radii
+        )
         self._model = model
 
     def step(

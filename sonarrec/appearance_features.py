@@ -15,9 +15,10 @@ from sonarrec.shape_matrix import ANGLES, Bands, turned_codes
 # Levels are in standard deviations of the frame. Those named "share" are divided by the ring's
 # contrast over the gap, which makes them free of gain and grey scale but worthless on a faint
 # ring. Those named "local" count the symbol from the gap in the same direction: echoes that come
-# late and light that falls unevenly lie over both alike.
+# late and light that falls unevenly lie over both alike. Those named "over_floor" count it from the
+# floor just outside in that direction.
 FEATURES = (
-    "correlation",  # with the ID's expected symbol at the best rotation: mean of plain and local
+    "correlation",  # with the ID's expected symbol and gap at the best rotation
     "step",  # bright sectors over dark ones
     "dark_over_gap",  # dark sectors over the gap, 0 on a landmark
     "bright_over_ring",  # bright sectors over the ring, 0 on a landmark
@@ -27,6 +28,8 @@ FEATURES = (
     "local_margin_share",
     "local_weakest_bright",
     "local_strongest_dark",
+    "weakest_bright_over_floor",
+    "strongest_dark_over_floor",
     "edge",  # step across the edges between bright and dark sectors, mean
     "weakest_edge",  # the least of them
     "texture",  # spread within the sectors
@@ -46,7 +49,7 @@ LEAST_CONTRAST = 0.3  # of the ring, in the shares
 # The steps next to each step, and those beyond what the beam smears of an edge.
 BEFORE, AFTER = ((np.arange(ANGLES) + off) % ANGLES for off in (-1, 1))
 FAR_BEFORE, FAR_AFTER = ((np.arange(ANGLES) + off) % ANGLES for off in (-2, 2))
-TURN_SIGMA = 0.22  # scale of the turn's standard error; tuning seeds, checked by `make scenes`
+TURN_SIGMA = 0.12  # scale of the turn's standard error; tuning seeds, checked by `make scenes`
 LIMIT = 9.0  # of every feature's magnitude
 
 
@@ -65,15 +68,17 @@ class Description:
 class Describer:
     """Describes averaged shape matrices under every ID of one landmark set."""
 
-    def __init__(self, bands: Bands, radii: FloatArray, landmarks: LandmarkSet) -> None:
-        """bands, radii: of the lines, from ShapeSampler."""
+    def __init__(
+        self, bands: Bands, radii: FloatArray, landmarks: LandmarkSet, alike: float
+    ) -> None:
+        """bands, radii: of the lines, from ShapeSampler. alike: as ExpectedSymbols."""
         self._bands = bands
         # A line stands for its part of the disc's area; the innermost is little more than a point.
         self._area = (radii / radii.max())[:, None]
         codes = turned_codes(landmarks)
         # As a beam sees them: sector edges smeared over a step.
         self._codes = 0.5 * codes + 0.25 * (codes[..., BEFORE] + codes[..., AFTER])
-        self._expected = ExpectedSymbols(landmarks, radii, bands)
+        self._expected = ExpectedSymbols(landmarks, radii, bands, alike)
         # 1 at the two steps that flank a rise counter-clockwise, -1 at those of a fall.
         self._edges = codes[..., AFTER] - codes[..., BEFORE]
         table = np.asarray(landmarks.sectors, dtype=bool)
@@ -113,15 +118,15 @@ class Describer:
 
         objects, ids = len(average), self._codes.shape[1]
         gap_seen = gap_weight > 0
-        correlation = self._expected.correlation(
-            average[:, bands.symbol], count[:, bands.symbol], gap, gap_seen, smear
-        )
+        lines = self._expected.lines
+        correlation = self._expected.correlation(average[:, lines], count[:, lines] > 0, smear)
         turn = correlation.argmax(axis=1)  # (n, K)
         best = correlation[np.arange(objects)[:, None], turn, np.arange(ids)]
         code = self._codes[turn, np.arange(ids)]  # (n, K, ANGLES)
-        # The symbol counted from the gap's level, and locally.
-        counted = np.stack([symbol - gap_level[:, None], symbol - gap])  # (2, n, ANGLES)
-        weights = np.stack([weight, weight * gap_seen])
+        # The symbol counted from the gap's level, locally, and from the floor: (3, n, ANGLES).
+        floor = 0.5 * outer + 0.25 * (outer[:, BEFORE] + outer[:, AFTER])
+        counted = np.stack([symbol - gap_level[:, None], symbol - gap, symbol - floor])
+        weights = np.stack([weight, weight * gap_seen, weight * (outer_weight > 0)])
         dark, step, texture = _regress(counted[0], weight, code)
         margin, darkest, brightest = self._sector_extremes(counted, weights, turn)
         edge, weakest_edge = _steepness(symbol, weight, self._edges[turn, np.arange(ids)])
@@ -141,6 +146,8 @@ class Describer:
             margin[1] / contrast[:, None],
             darkest[1],
             brightest[1],
+            darkest[2],
+            brightest[2],
             edge,
             weakest_edge,
             texture,

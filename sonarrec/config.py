@@ -183,16 +183,22 @@ class Features:
         "symbol they smear",
         most=5,
     )
+    alike_radii: float = _setting(
+        0.45,
+        "disc radii",
+        "track: how far speckle, patches that fade and late echoes are alike (1/e); 0: not at all",
+        most=2,
+    )
     lag_frames: int = _setting(
         0,
         "frames",
         "results wait so long and are revised by what was learned of their tracks since",
     )
     declare: float = _setting(
-        0.65,
+        0.75,
         "probability",
         "least score at which an ID is declared; in steps of 0.05 the least with a strict FPR "
-        "under 0.002 on the tuning seeds (2000 to 2013 of every kind of random scene)",
+        "under 0.006 in every kind of random scene of the pool on tuning seeds (from 2000 on)",
     )
 
 

@@ -3,6 +3,10 @@
 Far out, or on a small disc, a beam is as wide as a sector: seen through it, ID.1 and ID.2 differ
 less, and otherwise, than as drawn. A pan leaves the smear alone, for angles count from the line of
 sight and the beam smears across it.
+
+A symbol is compared by generalised least squares. What lies over a disc unevenly (speckle, which
+the floor keeps as the sonar pans, patches that fade, late echoes) is alike in neighbouring cells:
+a broad patch that looks like half a sector is weak evidence, a step at a sector's edge strong.
 """
 
 from __future__ import annotations
@@ -30,69 +34,91 @@ PIXEL = 0.05
 _THREE = np.sqrt(3) * np.array([-1, 0, 1])
 _THREE_SHARE = np.array([1, 4, 1]) / 6
 BEAM_POINT = 0.08  # a beam is summed over points no farther apart than this, in disc radii
-LEAST_SPREAD = 0.1  # variance of an expected symbol over what was seen, in that over the whole
+# Variance that is a cell's own, where it stands for the mean cell's area, in that of what is alike
+# in neighbouring ones. On tuning seeds next to nothing depends on it or on how far they are alike.
+OWN = 0.3
+LEAST_SHOWN = 0.1  # share of a whole symbol's evidence below which nothing of it has shown
 
 
 class _Expected(NamedTuple):
-    """(2, cells, ANGLES x K) of the symbol's cells as they are and counted from the gap.
+    """flat: (cells, ANGLES x K) of what is expected, 0 on the plate to 1 on a symbol.
 
-    0 on the plate to 1 on a symbol. squared: the same. least: (2, 1, ANGLES x K) variance over
-    the cells seen below which nothing of the symbol has shown.
+    whitened: the same times the precision. power: (ANGLES x K,) the product of the two.
     """
 
     flat: FloatArray
-    squared: FloatArray
-    least: FloatArray
+    whitened: FloatArray
+    power: FloatArray
 
 
 class ExpectedSymbols:
-    """Compares symbols with what every ID of a set should show."""
+    """Compares symbols, and the gap round them, with what every ID of a set should show.
 
-    def __init__(self, landmarks: LandmarkSet, radii: FloatArray, bands: Bands) -> None:
-        """radii, bands: of the lines of the shape matrix, from ShapeSampler."""
+    lines: which lines of the shape matrix take part. expected: from a smear in whole SMEAR_STEPs to
+    what their cells should show.
+    """
+
+    def __init__(
+        self, landmarks: LandmarkSet, radii: FloatArray, bands: Bands, alike: float
+    ) -> None:
+        """radii, bands: of the lines of the shape matrix, from ShapeSampler.
+
+        alike: how far what lies unevenly over a disc is alike (1/e), in disc radii.
+        """
         self._landmarks = landmarks
-        self._symbol = radii[bands.symbol]
-        self._gap = radii[bands.gap]
+        self.lines = np.r_[bands.symbol, bands.gap]
+        self._radii = radii[self.lines]
         self._ids = len(landmarks.ids)
+        self._precision = _precision(self._radii, alike)
         # Only the smears that a log's ranges call for are ever drawn.
-        self._expected = cache(self._draw)
+        self.expected = cache(self._draw)
 
     def correlation(
-        self,
-        symbol: FloatArray,
-        weight: FloatArray,
-        gap: FloatArray,
-        gap_seen: npt.NDArray[np.bool_],
-        smear: FloatArray,
+        self, cells: FloatArray, seen: npt.NDArray[np.bool_], smear: FloatArray
     ) -> FloatArray:
-        """(n, ANGLES, K) correlation with every ID at every rotation: mean of plain and local.
+        """(n, ANGLES, K) correlation with every ID at every rotation, -1 to 1.
 
-        symbol, weight: (n, lines, ANGLES) and how often each cell was seen. gap, gap_seen: (n,
-        ANGLES), what the local symbol is counted from. smear: (n,) in disc radii.
+        That of generalised least squares: its square is the share of the (whitened) variation that
+        the ID explains beyond a level. 0 where too little of the ID has shown. cells, seen: (n,
+        lines, ANGLES). smear: (n,) standard deviation across the line of sight in disc radii.
         """
-        shape = (2, len(symbol), symbol.shape[1] * ANGLES)
-        values = np.stack([symbol, symbol - gap[:, None]]).reshape(shape)
-        weights = np.stack([weight, weight * gap_seen[:, None]]).reshape(shape)
+        shape = (len(cells), len(self._precision))
+        seen = seen.reshape(shape)
+        values = np.where(seen, cells.reshape(shape), 0.0)
+        whitened = values @ self._precision
+        variation = (whitened * values).sum(axis=1)
         steps = np.minimum(np.rint(smear / SMEAR_STEP), MOST_STEPS).astype(int)
-        found = np.zeros((len(symbol), ANGLES * self._ids))
+        found = np.zeros((len(cells), ANGLES * self._ids))
         for step in set(steps.tolist()):
-            of = steps == step
-            plain, local = _correlate(values[:, of], weights[:, of], self._expected(step))
-            found[of] = 0.5 * (plain + local)
+            of = np.flatnonzero(steps == step)
+            expected = self.expected(step)
+            product = values[of] @ expected.whitened
+            power = np.tile(expected.power, (len(of), 1))
+            for row, i in enumerate(of):
+                hidden = np.flatnonzero(~seen[i])
+                if 0 < len(hidden) < shape[1]:
+                    # Unseen cells leave the precision by their Schur complement.
+                    sides = np.column_stack([whitened[i, hidden], expected.whitened[hidden]])
+                    precision = self._precision[np.ix_(hidden, hidden)]
+                    solved = np.linalg.solve(precision, sides)
+                    variation[i] -= sides[:, 0] @ solved[:, 0]
+                    product[row] -= sides[:, 0] @ solved[:, 1:]
+                    power[row] -= (sides[:, 1:] * solved[:, 1:]).sum(axis=0)
+            shown = power > LEAST_SHOWN * expected.power
+            scale = np.sqrt(np.maximum(power * variation[of, None], 1e-12))
+            found[of] = np.where(shown, product / scale, 0.0)
         return found.reshape(-1, ANGLES, self._ids)
 
     def _draw(self, steps: int) -> _Expected:
-        """What the symbol should show, smeared by `steps`."""
-        symbol = self._look(self._symbol, steps)
-        gap = self._look(self._gap, steps).mean(axis=0, keepdims=True)
-        shape = (2, -1, symbol.shape[-1])
-        flat = np.stack([symbol, symbol - gap]).reshape(shape)
-        return _Expected(flat, flat**2, LEAST_SPREAD * flat.var(axis=1, keepdims=True))
+        """What the cells should show, smeared by `steps`."""
+        flat = self._look(steps).reshape(len(self._precision), -1)
+        whitened = self._precision @ flat
+        return _Expected(flat, whitened, (flat * whitened).sum(axis=0))
 
-    def _look(self, radii: FloatArray, steps: int) -> FloatArray:
-        """(lines, ANGLES, ANGLES x K) what lines at `radii` show of every ID at every turn."""
+    def _look(self, steps: int) -> FloatArray:
+        """(lines, ANGLES, ANGLES x K) what the lines show of every ID at every turn."""
         discs = self._landmarks
-        radius, angle, share = _points(radii, steps * SMEAR_STEP)
+        radius, angle, share = _points(self._radii, steps * SMEAR_STEP)
         ring = (radius >= discs.ring[0]) & (radius <= discs.ring[1])
         bare = np.where(ring, RING_DB, np.where(radius > 1, FLOOR_DB, PLATE_DB))
         power = 10 ** (bare / 10) @ share + 10 ** (NOISE_DB / 10)  # (lines, ANGLES)
@@ -137,14 +163,12 @@ def _points(radii: FloatArray, smear: float) -> tuple[FloatArray, FloatArray, Fl
     )
 
 
-def _correlate(values: FloatArray, weight: FloatArray, expected: _Expected) -> FloatArray:
-    """(2, n, ANGLES x K) weighted correlation of (2, n, cells) values with what is expected."""
-    share = weight / np.maximum(weight.sum(axis=2, keepdims=True), 1e-9)
-    weighted = share * values
-    mean = weighted.sum(axis=2, keepdims=True)
-    variance = np.maximum((weighted * values).sum(axis=2, keepdims=True) - mean**2, 1e-9)
-    centre = share @ expected.flat
-    spread = share @ expected.squared - centre**2
-    covariance = weighted @ expected.flat - mean * centre
-    known = spread > expected.least
-    return np.asarray(known * covariance / np.sqrt(variance * np.maximum(spread, 1e-9)))
+def _precision(radii: FloatArray, alike: float) -> FloatArray:
+    """(cells, cells) inverse covariance of the cells on lines at `radii`, their level taken out."""
+    angle = (np.arange(ANGLES) + 0.5) * STEP
+    x, y = (np.outer(radii, way(angle)).ravel() for way in (np.cos, np.sin))
+    apart = np.hypot(x[:, None] - x, y[:, None] - y)
+    area = np.repeat(radii / radii.mean(), ANGLES)
+    inverse = np.linalg.inv(np.exp(-apart / max(alike, 1e-6)) + np.diag(OWN / area))
+    level = inverse.sum(axis=1)
+    return np.asarray(inverse - np.outer(level, level) / level.sum())

@@ -64,7 +64,7 @@ class Recogniser:
         self._appearance = None
         if config.features.measurement == "track":
             self._appearance = AppearanceMeasurement(
-                config.features.memory_frames, self._sampler, landmarks, model or load_model()
+                config.features, self._sampler, landmarks, model or load_model()
             )
             confusion: FloatArray = np.eye(len(landmarks.ids) + 1)
         else:

@@ -21,6 +21,7 @@ ABLATIONS = {
     "no memory of lost objects": ("continuity.remember_frames=0",),
     "each frame by itself": ("features.measurement=single",),
     "memory of one frame": ("features.memory_frames=1",),
+    "cells of a symbol taken for independent": ("features.alike_radii=0",),
     "symbols as drawn, not as the beam smears them": ("features.beam_width_deg=0",),
     "circles in the fan, Eq. 1": ("candidates.plane=fan",),
     "edges, not rings": ("candidates.detector=edge",),

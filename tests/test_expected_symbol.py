@@ -8,13 +8,14 @@ from drawn import SECTORS, smeared_matrix
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sonarrec.expected_symbol import PIXEL, SMEAR_STEP, ExpectedSymbols
+from sonarrec.expected_symbol import OWN, PIXEL, SMEAR_STEP, ExpectedSymbols
 from sonarrec.landmarks import load_landmarks
 from sonarrec.shape_matrix import ANGLES, STEP, ShapeSampler
 
 BASIN = load_landmarks("basin")
 SAMPLER = ShapeSampler(BASIN, (12.0, 12.0))
-EXPECTED = ExpectedSymbols(BASIN, SAMPLER.radii, SAMPLER.bands)
+ALIKE = 0.45
+EXPECTED = ExpectedSymbols(BASIN, SAMPLER.radii, SAMPLER.bands, ALIKE)
 LINES = len(SAMPLER.radii)
 
 
@@ -24,12 +25,12 @@ def smeared_disc(k: int, turn: int, smear: float) -> np.ndarray:
     return smeared_matrix(sectors, turn * STEP, SAMPLER.radii, ANGLES, np.hypot(smear, PIXEL))
 
 
-def correlation(matrix: np.ndarray, smear: float) -> np.ndarray:
-    """(ANGLES, K) of one matrix seen whole."""
-    symbol = matrix[None, SAMPLER.bands.symbol]
-    gap = matrix[None, SAMPLER.bands.gap].mean(axis=1)
-    seen = np.ones((1, ANGLES), bool)
-    return EXPECTED.correlation(symbol, np.ones(symbol.shape), gap, seen, np.array([smear]))[0]
+def correlation(matrix: np.ndarray, smear: float, seen: np.ndarray | None = None) -> np.ndarray:
+    """(ANGLES, K) of one matrix; seen: (LINES, ANGLES) bool, whole if not given."""
+    if seen is None:
+        seen = np.ones(matrix.shape, bool)
+    lines = EXPECTED.lines
+    return EXPECTED.correlation(matrix[None, lines], seen[None, lines], np.array([smear]))[0]
 
 
 @pytest.mark.parametrize("k", range(4))
@@ -74,3 +75,39 @@ def test_the_correlation_is_one_at_most_and_blind_to_gain_and_offset(
     found = correlation(matrix, smear)
     assert np.abs(found).max() <= 1 + 1e-9
     np.testing.assert_allclose(correlation(3 * matrix + 7, smear), found, atol=1e-9)
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), hidden=st.integers(0, ANGLES - 4), smear=st.floats(0, 0.4))
+def test_it_is_the_correlation_of_generalised_least_squares(
+    seed: int, hidden: int, smear: float
+) -> None:
+    """Its square: how much of what a level leaves unexplained an ID explains, cells unseen left
+    out, by fits to values whitened with a Cholesky factor of their covariance."""
+    rng = np.random.default_rng(seed)
+    matrix = rng.normal(size=(LINES, ANGLES)) + smeared_disc(seed % 4, seed % ANGLES, smear)
+    seen = np.roll(np.arange(ANGLES) >= hidden, seed % ANGLES) & np.ones((LINES, 1), bool)
+    seen[SAMPLER.bands.symbol.start, :5] = False
+    found = correlation(matrix, smear, seen)
+
+    radii, angle = SAMPLER.radii[EXPECTED.lines], (np.arange(ANGLES) + 0.5) * STEP
+    place = (radii[:, None] * np.exp(1j * angle)).ravel()
+    covariance = np.exp(-np.abs(place[:, None] - place) / ALIKE)
+    covariance += np.diag(OWN * radii.mean() / np.abs(place))
+    of = seen[EXPECTED.lines].ravel()
+    factor = np.linalg.cholesky(covariance[np.ix_(of, of)])
+    flat = EXPECTED.expected(round(smear / SMEAR_STEP)).flat.reshape(-1, ANGLES, 4)
+    for k, turn in ((0, 0), (1, 7), (2, 20), (3, 31)):
+        columns = [matrix[EXPECTED.lines].ravel(), np.ones(len(of)), flat[:, turn, k]]
+        values, level, symbol = np.linalg.solve(factor, np.column_stack(columns)[of]).T
+        rest = values - level * (level @ values) / (level @ level)
+        both = np.column_stack([level, symbol])
+        fit = np.linalg.lstsq(both, values, rcond=None)[0]
+        explained = 1 - np.sum((values - both @ fit) ** 2) / np.sum(rest**2)
+        if found[turn, k] != 0:
+            assert found[turn, k] == pytest.approx(np.sign(fit[1]) * np.sqrt(explained), abs=1e-6)
+
+
+def test_a_disc_not_seen_says_nothing() -> None:
+    seen = np.zeros((LINES, ANGLES), bool)
+    np.testing.assert_array_equal(correlation(smeared_disc(0, 0, 0.1), 0.1, seen), 0)
