@@ -49,6 +49,8 @@ LEAST_CONTRAST = 0.3  # of the ring, in the shares
 # The steps next to each step, and those beyond what the beam smears of an edge.
 BEFORE, AFTER = ((np.arange(ANGLES) + off) % ANGLES for off in (-1, 1))
 FAR_BEFORE, FAR_AFTER = ((np.arange(ANGLES) + off) % ANGLES for off in (-2, 2))
+# Column by column, 1 over each quarter turn.
+QUARTERS = np.stack([np.roll(np.arange(ANGLES) < ANGLES // 4, i) for i in range(ANGLES)], 1) * 1.0
 TURN_SIGMA = 0.12  # scale of the turn's standard error; tuning seeds, checked by `make scenes`
 LIMIT = 9.0  # of every feature's magnitude
 
@@ -73,6 +75,7 @@ class Describer:
     ) -> None:
         """bands, radii: of the lines, from ShapeSampler. alike: as ExpectedSymbols."""
         self._bands = bands
+        self._starts = [b.start for b in (bands.symbol, bands.ring, bands.gap, bands.outer)]
         # A line stands for its part of the disc's area; the innermost is little more than a point.
         self._area = (radii / radii.max())[:, None]
         codes = turned_codes(landmarks)
@@ -105,19 +108,18 @@ class Describer:
         frames = np.maximum(count.max(axis=(1, 2)), 0.5)
         unseen = 1 - np.minimum(count, 1.0).mean(axis=(1, 2))
         count = count * self._area
-        symbol, weight = _profile(average, count, bands.symbol)
-        ring, ring_weight = _profile(average, count, bands.ring)
-        gap, gap_weight = _profile(average, count, bands.gap)
-        outer, outer_weight = _profile(average, count, bands.outer)
-        ring_level = _level(ring, ring_weight)
-        gap_level = _level(gap, gap_weight)
-        outer_level = _level(outer, outer_weight)
+        # Mean over each band's lines and how often its cells were seen: (bands, n, ANGLES).
+        weights = np.add.reduceat(count, self._starts, axis=1).swapaxes(0, 1)
+        profiles = np.add.reduceat(average * count, self._starts, axis=1).swapaxes(0, 1)
+        profiles = profiles / np.maximum(weights, 1e-9)
+        symbol, ring, gap, outer = profiles
+        weight, ring_weight, gap_weight, outer_weight = weights
+        _, ring_level, gap_level, outer_level = _level(profiles, weights)
         contrast = np.maximum(ring_level - gap_level, LEAST_CONTRAST)
         ring_spread = np.sqrt(_level((ring - ring_level[:, None]) ** 2, ring_weight))
         weakest = _weakest_quarter(ring - 0.5 * (gap + outer), np.minimum(ring_weight, 1.0))
 
         objects, ids = len(average), self._codes.shape[1]
-        gap_seen = gap_weight > 0
         lines = self._expected.lines
         correlation = self._expected.correlation(average[:, lines], count[:, lines] > 0, smear)
         turn = correlation.argmax(axis=1)  # (n, K)
@@ -126,9 +128,9 @@ class Describer:
         # The symbol counted from the gap's level, locally, and from the floor: (3, n, ANGLES).
         floor = 0.5 * outer + 0.25 * (outer[:, BEFORE] + outer[:, AFTER])
         counted = np.stack([symbol - gap_level[:, None], symbol - gap, symbol - floor])
-        weights = np.stack([weight, weight * gap_seen, weight * (outer_weight > 0)])
+        known = np.stack([weight, weight * (gap_weight > 0), weight * (outer_weight > 0)])
         dark, step, texture = _regress(counted[0], weight, code)
-        margin, darkest, brightest = self._sector_extremes(counted, weights, turn)
+        margin, darkest, brightest = self._sector_extremes(counted, known, turn)
         edge, weakest_edge = _steepness(symbol, weight, self._edges[turn, np.arange(ids)])
         bright_outwards, dark_outwards = _outwards(
             average[:, bands.symbol], count[:, bands.symbol], code
@@ -244,29 +246,16 @@ def _summit(correlation: FloatArray, turn: npt.NDArray[np.intp]) -> tuple[FloatA
     return turn + np.clip(part, -0.5, 0.5), bend
 
 
-def _profile(average: FloatArray, count: FloatArray, band: slice) -> tuple[FloatArray, FloatArray]:
-    """(n, ANGLES) mean over a band's lines, and how often its cells were seen."""
-    weight = count[:, band]
-    total = weight.sum(axis=1)
-    return (average[:, band] * weight).sum(axis=1) / np.maximum(total, 1e-9), total
-
-
 def _level(profile: FloatArray, weight: FloatArray) -> FloatArray:
-    """(n,) mean round the disc."""
-    return np.asarray((profile * weight).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-9))
+    """Mean round the disc, over the last axis."""
+    return np.asarray((profile * weight).sum(axis=-1) / np.maximum(weight.sum(axis=-1), 1e-9))
 
 
 def _weakest_quarter(contrast: FloatArray, seen: FloatArray) -> FloatArray:
     """(n,) least mean of (n, ANGLES) contrast over a quarter turn of which half was seen."""
-    quarter = ANGLES // 4
-
-    def over_quarters(values: FloatArray) -> FloatArray:
-        sums = np.cumsum(np.concatenate([values, values[:, :quarter]], axis=1), axis=1)
-        return np.asarray(sums[:, quarter:] - sums[:, :-quarter])
-
-    cells = over_quarters(seen)
-    mean = over_quarters(contrast * seen) / np.maximum(cells, 1e-9)
-    return np.asarray(np.where(cells > 0.5 * quarter, mean, LIMIT).min(axis=1))
+    cells = seen @ QUARTERS
+    mean = (contrast * seen) @ QUARTERS / np.maximum(cells, 1e-9)
+    return np.asarray(np.where(cells > 0.5 * ANGLES / 4, mean, LIMIT).min(axis=1))
 
 
 def _outwards(

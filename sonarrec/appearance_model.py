@@ -10,6 +10,7 @@ import hashlib
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from sonarrec.records import FloatArray, UsageError
 BUILT_IN = Path(__file__).parent / "models" / "appearance.toml"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class AppearanceModel:
     """An additive model over FEATURES.
 
@@ -35,10 +36,21 @@ class AppearanceModel:
 
     def log_odds(self, features: FloatArray) -> FloatArray:
         """(n, K) of each ID against 'none of these'. features: (n, K, F)."""
-        total = np.full(features.shape[:2], self.bias)
-        for i, (knots, values) in enumerate(zip(self.knots, self.values, strict=True)):
-            total += np.interp(features[:, :, i], knots, values)
-        return total
+        knots, values, least, most, apart = self._end_to_end
+        held = np.minimum(np.maximum(features, least), most)
+        return np.asarray(self.bias + np.interp(held + apart, knots, values).sum(axis=2))
+
+    @cached_property
+    def _end_to_end(self) -> tuple[FloatArray, ...]:
+        """All curves as one, each moved beyond the one before: a single look-up serves them all.
+
+        Its knots and values; per feature its first knot, its last, and how far it was moved.
+        """
+        least, most = (np.array([k[end] for k in self.knots]) for end in (0, -1))
+        room = most - least + 1.0
+        apart = np.cumsum(room) - room - least
+        moved = [k + by for k, by in zip(self.knots, apart, strict=True)]
+        return np.concatenate(moved), np.concatenate(self.values), least, most, apart
 
     def probabilities(self, features: FloatArray) -> FloatArray:
         """(n, K + 1): every ID, then 'none of these'; rows sum to 1. features: (n, K, F)."""

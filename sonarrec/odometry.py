@@ -43,8 +43,11 @@ class PanEstimator:
         shift = np.arange(2 * BEARINGS)
         shift = np.where(shift < BEARINGS, shift, shift - 2 * BEARINGS)
         self._shift = shift
+        # The beams that two frames have in common at each shift: [low, high) of the later one.
+        self._low = np.clip(-shift, 0, BEARINGS)
+        self._high = np.clip(BEARINGS - shift, 0, BEARINGS)
         self._tried = np.abs(shift) <= (1 - LEAST_OVERLAP) * BEARINGS
-        self._before: tuple[npt.NDArray[np.complexfloating], FloatArray] | None = None
+        self._before: tuple[npt.NDArray[np.float32], FloatArray] | None = None
 
     def step(self, image: ByteImage) -> tuple[float, float]:
         """(pan in deg since the last image, correlation there, 0 to 1).
@@ -60,15 +63,19 @@ class PanEstimator:
         polar *= self._seen
         polar -= polar.mean(axis=0)
         polar *= self._seen
-        spectrum = np.fft.rfft(polar, 2 * BEARINGS, axis=1)
+        # Twice as wide, so that no beam meets one from the other edge. OpenCV's transform of rows
+        # takes a quarter of numpy's time.
+        wide = cv2.copyMakeBorder(polar, 0, 0, 0, BEARINGS, cv2.BORDER_CONSTANT)
+        spectrum = np.asarray(cv2.dft(wide, flags=cv2.DFT_ROWS), np.float32)
         energy = np.concatenate([[0.0], np.cumsum((polar**2).sum(axis=0, dtype=float))])
         before, self._before = self._before, (spectrum, energy)
         if before is None:
             return 0.0, 0.0
         # product[s] = sum over cells of now[b] * before[b + s]: s > 0 is a turn to the right.
-        product = np.fft.irfft((np.conj(spectrum) * before[0]).sum(axis=0), 2 * BEARINGS)
-        low = np.clip(-self._shift, 0, BEARINGS)
-        high = np.clip(BEARINGS - self._shift, 0, BEARINGS)
+        crossed = cv2.mulSpectrums(before[0], spectrum, cv2.DFT_ROWS, conjB=True)
+        summed = cv2.reduce(crossed, 0, cv2.REDUCE_SUM)
+        product = cv2.idft(summed, flags=cv2.DFT_ROWS | cv2.DFT_SCALE)[0]
+        low, high = self._low, self._high
         now_energy = energy[high] - energy[low]
         before_energy = before[1][BEARINGS - low] - before[1][BEARINGS - high]
         scale = np.sqrt(np.maximum(now_energy * before_energy, 1e-9))
