@@ -63,8 +63,7 @@ class PanEstimator:
         polar *= self._seen
         polar -= polar.mean(axis=0)
         polar *= self._seen
-        # Twice as wide, so that no beam meets one from the other edge. OpenCV's transform of rows
-        # takes a quarter of numpy's time.
+        # Twice as wide, so that no beam meets one from the other edge.
         wide = cv2.copyMakeBorder(polar, 0, 0, 0, BEARINGS, cv2.BORDER_CONSTANT)
         spectrum = np.asarray(cv2.dft(wide, flags=cv2.DFT_ROWS), np.float32)
         energy = np.concatenate([[0.0], np.cumsum((polar**2).sum(axis=0, dtype=float))])

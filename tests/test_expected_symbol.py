@@ -111,3 +111,20 @@ def test_it_is_the_correlation_of_generalised_least_squares(
 def test_a_disc_not_seen_says_nothing() -> None:
     seen = np.zeros((LINES, ANGLES), bool)
     np.testing.assert_array_equal(correlation(smeared_disc(0, 0, 0.1), 0.1, seen), 0)
+
+
+@pytest.mark.parametrize("way", [0.0, 1.0, 2.0, 4.0])
+def test_a_broad_patch_is_no_symbol_and_a_symbol_under_it_is_one(way: float) -> None:
+    """A late echo over half a disc: cells taken for independent see most of an ID in it."""
+    angle = (np.arange(ANGLES) + 0.5) * STEP
+    place = SAMPLER.radii[:, None] * np.exp(1j * angle)
+    patch = np.exp(-0.5 * np.abs(place - 0.4 * np.exp(1j * way)) ** 2 / 0.35**2)
+    cells = patch[None, EXPECTED.lines]
+    seen, smear = np.ones(cells.shape, bool), np.array([0.1])
+    independent = ExpectedSymbols(BASIN, SAMPLER.radii, SAMPLER.bands, 0.0)
+    assert independent.correlation(cells, seen, smear).max() > 0.5
+    assert correlation(patch, 0.1).max() < 0.25
+    for k in range(4):
+        found = correlation(smeared_disc(k, 9, 0.1) + 0.5 * patch, 0.1)
+        assert found.max() > 0.85
+        assert found.max(axis=0).argmax() == k
