@@ -11,7 +11,7 @@ from pathlib import Path
 from sonarrec.config import Config, preset, with_assignments
 from sonarrec.evaluation.passes import find_passes
 from sonarrec.recogniser import FRAMEWORK
-from sonarrec.simulation.random_scenes import KINDS_OF_SCENE, random_scene
+from sonarrec.simulation.random_scenes import ALL_KINDS, KINDS_OF_SCENE, random_scene
 from tests.scenes import FRAMES, REPORTED, seeds, show, told
 from tests.simulated import Job, recognise_all, score
 
@@ -43,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Render, recognise, score and tell."""
     parser = argparse.ArgumentParser(prog="python -m tests.ablation", description=__doc__)
     parser.add_argument("--seeds", type=seeds, default=REPORTED[:4], help="first:end, end left out")
-    parser.add_argument("--kinds", nargs="+", choices=KINDS_OF_SCENE, default=KINDS_OF_SCENE)
+    parser.add_argument("--kinds", nargs="+", choices=ALL_KINDS, default=KINDS_OF_SCENE)
     parser.add_argument("--frames", type=int, default=FRAMES, help="of each recording")
     parser.add_argument("--out", type=Path, default=Path("build") / "ablation")
     asked = parser.parse_args(arguments)
