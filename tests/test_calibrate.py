@@ -13,7 +13,7 @@ from click.testing import CliRunner, Result
 
 from sonarrec.appearance_features import FEATURES
 from sonarrec.appearance_model import AppearanceModel, load_model
-from sonarrec.calibration import Samples, Tracks, fit, label
+from sonarrec.calibration import PRIOR_WEIGHT, Samples, Tracks, fit, label
 from sonarrec.cli import main
 from sonarrec.config import preset
 from sonarrec.labelled_logs import FOLDS, learn
@@ -78,12 +78,17 @@ def test_known_curves_are_recovered():
 
 
 def test_a_prior_is_left_as_far_as_the_samples_ask():
-    """Few samples that fit it leave it alone, many that do not make it give way."""
+    """Few samples that fit it leave it alone, many that do not make it give way.
+
+    Many: in proportion to how strongly curves are drawn to it.
+    """
     truth = known_model()
     other = replace(truth, values=(-truth.values[0], *truth.values[1:]))
     few = fit([drawn(truth, 30, 4)], truth)
     assert max(apart(few, truth, feature) for feature in range(len(FEATURES))) < 0.2
-    steps = [apart(fit([drawn(other, n, 5)], truth), other, 0) for n in (30, 300, 2000)]
+    steps = [
+        apart(fit([drawn(other, n, 5)], truth), other, 0) for n in (30, 300, 50 * int(PRIOR_WEIGHT))
+    ]
     assert steps[0] > steps[1] > steps[2]
     assert steps[2] < 0.25 * apart(truth, other, 0)
     # The more it weighs, the nearer one stays to it.
