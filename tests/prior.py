@@ -16,7 +16,7 @@ from sonarrec.calibration import Samples, fit, samples_of
 from sonarrec.simulation.random_scenes import random_scene
 
 FRAMES = 160
-WEIGHTS = (1.0, 3.0, 10.0, 20.0, 40.0, 100.0)
+WEIGHTS = (1.0, 3.0, 10.0, 20.0, 40.0, 100.0, 300.0)
 # Kind of scene, and what of its picture is unlike the simulator's own range.
 LIKE = (
     ("low_contrast", {}),
