@@ -109,7 +109,7 @@ class Continuity:
         0.25,
         "disc diameters",
         "image: a group pulled farther than this from where the pan puts "
-        "it has left its object, and is deleted",
+        "it has left its object, and is deleted; out of view, it is remembered",
     )
     z_hit: float = _setting(0.95, "weight", "of the score map in Eq. 4; open in the paper")
     z_rand: float = _setting(0.05, "weight", "of the uniform part in Eq. 4; open in the paper")

@@ -84,6 +84,9 @@ class ContinuityFilter:
         self._strikes = np.empty(0, np.int64)
         self._existence = np.empty(0)
         self._particles = np.empty((0, config.particles, 2), np.float32)
+        # Where each was last a candidate, moved with the floor: at the fan's edge, where the score
+        # map ends, particles hang on when their object has gone.
+        self._places: FloatArray = np.empty((0, 2))
         self._lost = _Lost()
 
     def step(self, selection: Selection, motion: Motion | None = None) -> Groups:
@@ -95,20 +98,30 @@ class ContinuityFilter:
         self._predict(motion)
         expected = self._particles.mean(axis=1)
         positions, spread = self._weigh(selection.score_map)
-        in_view = self._shares(positions) >= config.least_in_view
-        self._count(positions, spread, in_view, selection)
-        alive = self._survivors(positions)
+        hit = (self._distances(positions, selection.positions) < config.merge).any(axis=1)
+        pulled = np.zeros(len(positions), bool)
         if motion is None:
+            self._places = positions
             self._lost = _Lost()  # nobody knows where they are now
         else:
             # The floor does not move: a group pulled this far has left its object for another.
             moved = np.hypot(*((positions - expected) / self._diameter).T)
-            alive &= moved <= config.jump
+            pulled = moved > config.jump
+            self._places = self._plane.moved(self._places, motion)
+            there = hit & ~pulled
+            self._places[there] = positions[there]
+        in_view = self._shares(self._places) >= config.least_in_view
+        self._count(spread, hit, in_view)
+        alive = self._survivors(pulled & in_view)
+        if motion is not None:
             self._lost.positions = self._plane.moved(self._lost.positions, motion)
             self._lost.pass_frame(self._shares(self._lost.positions) > 0.9, config.strikes)
             left = alive & ~in_view
             self._lost.add(
-                self._numbers[left], positions[left], self._existence[left], config.remember_frames
+                self._numbers[left],
+                self._places[left],
+                self._existence[left],
+                config.remember_frames,
             )
         alive &= in_view
         self._keep(alive)
@@ -165,11 +178,7 @@ class ContinuityFilter:
         return mean, spread
 
     def _count(
-        self,
-        positions: FloatArray,
-        spread: FloatArray,
-        in_view: npt.NDArray[np.bool_],
-        selection: Selection,
+        self, spread: FloatArray, hit: npt.NDArray[np.bool_], in_view: npt.NDArray[np.bool_]
     ) -> None:
         """Strikes for spread groups, and the Bayes filter of existence from hits and misses.
 
@@ -178,8 +187,6 @@ class ContinuityFilter:
         config = self._config
         wide = (spread > config.spread_limit).any(axis=1)
         self._strikes = np.where(wide, self._strikes + 1, 0)
-        near = self._distances(positions, selection.positions) < config.merge
-        hit = near.any(axis=1)
         there = self._existence * np.where(hit, config.p_hit_object, 1 - config.p_hit_object)
         clutter = (1 - self._existence) * np.where(
             hit, config.p_hit_clutter, 1 - config.p_hit_clutter
@@ -187,11 +194,13 @@ class ContinuityFilter:
         existence = np.clip(there / (there + clutter), 0.01, 0.99)
         self._existence = np.where(in_view, existence, self._existence)
 
-    def _survivors(self, positions: FloatArray) -> npt.NDArray[np.bool_]:
+    def _survivors(self, astray: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+        """Groups that are still believed in, but those astray."""
         config = self._config
         alive = (self._strikes < config.strikes) & (self._existence >= config.min_existence)
+        alive &= ~astray
         # Groups are in order of age: of two on one object the older stays.
-        near = np.tril(self._distances(positions, positions) < config.merge, k=-1)
+        near = np.tril(self._distances(self._places, self._places) < config.merge, k=-1)
         return np.asarray(alive & ~(near & alive[None, :]).any(axis=1))
 
     def _shares(self, positions: FloatArray) -> FloatArray:
@@ -206,6 +215,7 @@ class ContinuityFilter:
         self._numbers = self._numbers[alive]
         self._strikes = self._strikes[alive]
         self._existence = self._existence[alive]
+        self._places = self._places[alive]
         self._particles = self._particles[alive]
 
     def _begin(self, positions: FloatArray, selection: Selection) -> FloatArray:
@@ -226,6 +236,7 @@ class ContinuityFilter:
         self._numbers = np.append(self._numbers, numbers)
         self._strikes = np.append(self._strikes, np.zeros(len(born), np.int64))
         self._existence = np.append(self._existence, existence)
+        self._places = np.concatenate([self._places, born])
         return born
 
     def _distances(self, a: FloatArray, b: FloatArray) -> FloatArray:

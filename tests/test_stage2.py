@@ -372,6 +372,24 @@ def test_what_does_not_show_where_it_should_is_forgotten():
     assert swept(new_filter(REMEMBER), AWAY_AND_BACK, hidden=many)[-1] == [2]
 
 
+@pytest.mark.parametrize("width", [12.0, 18.0])
+def test_a_group_held_back_at_the_edge_is_remembered_where_its_object_went(width):
+    """What scores at the fan's edge, though no candidate, draws particles back there."""
+    pans = [*np.arange(0, -14, -0.4), *np.arange(-14, 6, 0.4)]
+    edge = seen_at(-2.0)  # where the object was at 12 deg
+    follow, before, numbers = new_filter(REMEMBER), pans[0], []
+    for pan in pans:
+        place = seen_at(pan)
+        shows = abs(10.0 - pan) < 14
+        score = peaks(place if shows else edge, width=width)
+        groups = follow.step(selection(score, *([place] if shows else [])), Motion(pan - before))
+        numbers.append(list(groups.numbers))
+        before = pan
+    assert numbers[0] == numbers[-1] == [1]
+    assert [] in numbers
+    assert {n for frame in numbers for n in frame} == {1}
+
+
 def test_a_newcomer_elsewhere_is_not_taken_for_the_lost_one():
     follow = new_filter(REMEMBER)
     swept(follow, AWAY_AND_BACK[:12])
