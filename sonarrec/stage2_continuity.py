@@ -98,7 +98,7 @@ class ContinuityFilter:
         self._predict(motion)
         expected = self._particles.mean(axis=1)
         positions, spread = self._weigh(selection.score_map)
-        hit = (self._distances(positions, selection.positions) < config.merge).any(axis=1)
+        hit = np.any(self._distances(positions, selection.positions) < config.merge, axis=1)
         pulled = np.zeros(len(positions), bool)
         if motion is None:
             self._places = positions
