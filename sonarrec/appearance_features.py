@@ -12,40 +12,35 @@ from sonarrec.landmarks import LandmarkSet
 from sonarrec.records import FloatArray
 from sonarrec.shape_matrix import ANGLES, Bands, turned_codes
 
-# Levels are in standard deviations of the frame. Those named "share" are divided by the ring's
-# contrast over the gap, which makes them free of gain and grey scale but worthless on a faint
-# ring. Those named "local" count the symbol from the gap in the same direction: echoes that come
-# late and light that falls unevenly lie over both alike. Those named "over_floor" count it from the
-# floor just outside in that direction.
+# Levels are in standard deviations of the frame. Those named "local" count the symbol from the gap
+# in the same direction: echoes that come late and light that falls unevenly lie over both alike.
+# That named "over_floor" counts it from the floor just outside in that direction. What these are
+# worth depends on how far the beam smears them: those named "smeared" are the same times the smear.
 FEATURES = (
     "correlation",  # with the ID's expected symbol and gap at the best rotation
+    "smeared_correlation",  # counted from what is typical
+    "over_cross",  # correlation, less that with a cross
     "step",  # bright sectors over dark ones
     "dark_over_gap",  # dark sectors over the gap, 0 on a landmark
     "bright_over_ring",  # bright sectors over the ring, 0 on a landmark
-    "margin",  # darkest bright sector over the brightest dark one
-    "weakest_bright",  # darkest bright sector over the gap
+    "local_weakest_bright",  # darkest bright sector over the gap
+    "smeared_weakest_bright",
     "strongest_dark",  # brightest dark sector over the gap, 0 on a landmark
-    "local_margin_share",
-    "local_weakest_bright",
     "local_strongest_dark",
-    "weakest_bright_over_floor",
     "strongest_dark_over_floor",
     "edge",  # step across the edges between bright and dark sectors, mean
     "weakest_edge",  # the least of them
     "texture",  # spread within the sectors
-    "bright_outwards",  # bright sectors: outermost line over the innermost
-    "dark_outwards",  # dark sectors: the same
-    "ring_over_gap",
     "ring_over_floor",  # over the floor outside
-    "gap_over_floor",
     "weakest_ring",  # weakest quarter of the ring over what lies beside it
-    "weakest_ring_share",
-    "ring_texture_share",  # spread along the ring
-    "unseen",  # share of the disc outside the fan so far
+    "ring_texture_share",  # spread along the ring, in its contrast over the gap
     "log_frames",  # natural logarithm of the frames gathered
     "existence",  # log odds that stage 2 gives
 )
-LEAST_CONTRAST = 0.3  # of the ring, in the shares
+TYPICAL_CORRELATION = 0.7
+# Smears (standard deviation across the line of sight, in disc radii) count in this, up to so many.
+SMEAR_UNIT, MOST_SMEAR = 0.1, 3.0
+LEAST_CONTRAST = 0.3  # of the ring, where its texture counts in that
 # The steps next to each step, and those beyond what the beam smears of an edge.
 BEFORE, AFTER = ((np.arange(ANGLES) + off) % ANGLES for off in (-1, 1))
 FAR_BEFORE, FAR_AFTER = ((np.arange(ANGLES) + off) % ANGLES for off in (-2, 2))
@@ -74,7 +69,6 @@ class Describer:
         self, bands: Bands, radii: FloatArray, landmarks: LandmarkSet, alike: float
     ) -> None:
         """bands, radii: of the lines, from ShapeSampler. alike: as ExpectedSymbols."""
-        self._bands = bands
         self._starts = [b.start for b in (bands.symbol, bands.ring, bands.gap, bands.outer)]
         # A line stands for its part of the disc's area; the innermost is little more than a point.
         self._area = (radii / radii.max())[:, None]
@@ -104,9 +98,7 @@ class Describer:
         existence: (n,) probability by stage 2. smear: (n,) the beam's standard deviation across the
         line of sight, in disc radii.
         """
-        bands = self._bands
         frames = np.maximum(count.max(axis=(1, 2)), 0.5)
-        unseen = 1 - np.minimum(count, 1.0).mean(axis=(1, 2))
         count = count * self._area
         # Mean over each band's lines and how often its cells were seen: (bands, n, ANGLES).
         weights = np.add.reduceat(count, self._starts, axis=1).swapaxes(0, 1)
@@ -121,7 +113,9 @@ class Describer:
 
         objects, ids = len(average), self._codes.shape[1]
         lines = self._expected.lines
-        correlation = self._expected.correlation(average[:, lines], count[:, lines] > 0, smear)
+        correlation, cross = self._expected.correlation(
+            average[:, lines], count[:, lines] > 0, smear
+        )
         turn = correlation.argmax(axis=1)  # (n, K)
         best = correlation[np.arange(objects)[:, None], turn, np.arange(ids)]
         code = self._codes[turn, np.arange(ids)]  # (n, K, ANGLES)
@@ -130,38 +124,29 @@ class Describer:
         counted = np.stack([symbol - gap_level[:, None], symbol - gap, symbol - floor])
         known = np.stack([weight, weight * (gap_weight > 0), weight * (outer_weight > 0)])
         dark, step, texture = _regress(counted[0], weight, code)
-        margin, darkest, brightest = self._sector_extremes(counted, known, turn)
+        darkest, brightest = self._sector_extremes(counted, known, turn)
         edge, weakest_edge = _steepness(symbol, weight, self._edges[turn, np.arange(ids)])
-        bright_outwards, dark_outwards = _outwards(
-            average[:, bands.symbol], count[:, bands.symbol], code
-        )
 
+        smeared = np.clip(smear[:, None] / SMEAR_UNIT, 0, MOST_SMEAR)
         odds = existence / (1 - existence)
         values = [
             best,
+            (best - TYPICAL_CORRELATION) * smeared,
+            best - cross[:, None],
             step,
             dark,
             dark + step - (ring_level - gap_level)[:, None],
-            margin[0],
-            darkest[0],
-            brightest[0],
-            margin[1] / contrast[:, None],
             darkest[1],
+            darkest[1] * smeared,
+            brightest[0],
             brightest[1],
-            darkest[2],
             brightest[2],
             edge,
             weakest_edge,
             texture,
-            bright_outwards,
-            dark_outwards,
-            ring_level - gap_level,
             ring_level - outer_level,
-            gap_level - outer_level,
             weakest,
-            weakest / contrast,
             ring_spread / contrast,
-            unseen,
             np.log(frames),
             np.log(odds),
         ]
@@ -177,8 +162,8 @@ class Describer:
 
     def _sector_extremes(
         self, symbol: FloatArray, weight: FloatArray, turn: npt.NDArray[np.intp]
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Darkest bright sector less the brightest dark one, and the two; 0 if unseen.
+    ) -> tuple[FloatArray, FloatArray]:
+        """Levels of the darkest bright sector and of the brightest dark one; 0 if unseen.
 
         symbol, weight: (m, n, ANGLES). turn: (n, K). Returns (m, n, K).
         """
@@ -191,10 +176,10 @@ class Describer:
         known = share > 0.3 * np.maximum(full, 1e-9)
         darkest = np.where(known & self._sectors, level, np.inf).min(axis=-1)
         brightest = np.where(known & ~self._sectors, level, -np.inf).max(axis=-1)
-        bright_seen, dark_seen = np.isfinite(darkest), np.isfinite(brightest)
-        darkest, brightest = np.where(bright_seen, darkest, 0), np.where(dark_seen, brightest, 0)
-        margin = np.where(bright_seen & dark_seen, darkest - brightest, 0)
-        return margin, darkest, brightest
+        return (
+            np.where(np.isfinite(darkest), darkest, 0.0),
+            np.where(np.isfinite(brightest), brightest, 0.0),
+        )
 
 
 def _regress(
@@ -256,17 +241,3 @@ def _weakest_quarter(contrast: FloatArray, seen: FloatArray) -> FloatArray:
     cells = seen @ QUARTERS
     mean = (contrast * seen) @ QUARTERS / np.maximum(cells, 1e-9)
     return np.asarray(np.where(cells > 0.5 * ANGLES / 4, mean, LIMIT).min(axis=1))
-
-
-def _outwards(
-    symbol: FloatArray, count: FloatArray, code: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """(n, K) outermost over innermost line of the symbol, in bright and in dark sectors.
-
-    symbol, count: (n, lines, ANGLES). code: (n, K, ANGLES), 0 to 1.
-    """
-    weight = count[:, [0, -1]].transpose(0, 2, 1)  # (n, ANGLES, 2)
-    value = symbol[:, [0, -1]].transpose(0, 2, 1) * weight
-    bright = (code @ value) / np.maximum(code @ weight, 1e-9)
-    dark = ((1 - code) @ value) / np.maximum((1 - code) @ weight, 1e-9)
-    return bright[..., 1] - bright[..., 0], dark[..., 1] - dark[..., 0]

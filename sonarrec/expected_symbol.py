@@ -37,13 +37,18 @@ BEAM_POINT = 0.08  # a beam is summed over points no farther apart than this, in
 # Variance that is a cell's own, where it stands for the mean cell's area, in that of what is alike
 # in neighbouring ones. On tuning seeds 0.1 does as well, and so do cells alike over 0.3 or 0.6.
 OWN = 0.3
+# Half the width of a cross's arms, and where they begin, in disc radii. It looks the same after so
+# many steps.
+ARM, HUB = 0.07, 0.12
+CROSS_TURNS = ANGLES // 4
 LEAST_SHOWN = 0.1  # share of a whole symbol's evidence below which nothing of it has shown
 
 
 class _Expected(NamedTuple):
-    """flat: (cells, ANGLES x K) of what is expected, 0 on the plate to 1 on a symbol.
+    """flat: (cells, T) of what is expected, 0 on the plate to 1 on a symbol.
 
-    whitened: the same times the precision. power: (ANGLES x K,) the product of the two.
+    T: every ID at every turn (ANGLES x K), then a cross at CROSS_TURNS. whitened: the same times
+    the precision. power: (T,) the product of the two.
     """
 
     flat: FloatArray
@@ -75,8 +80,8 @@ class ExpectedSymbols:
 
     def correlation(
         self, cells: FloatArray, seen: npt.NDArray[np.bool_], smear: FloatArray
-    ) -> FloatArray:
-        """(n, ANGLES, K) correlation with every ID at every rotation, -1 to 1.
+    ) -> tuple[FloatArray, FloatArray]:
+        """(n, ANGLES, K) correlation with every ID at every rotation, (n,) best with a cross.
 
         That of generalised least squares: its square is the share of the (whitened) variation that
         the ID explains beyond a level. 0 where too little of the ID has shown. cells, seen: (n,
@@ -88,7 +93,7 @@ class ExpectedSymbols:
         whitened = values @ self._precision
         variation = (whitened * values).sum(axis=1)
         steps = np.minimum(np.rint(smear / SMEAR_STEP), MOST_STEPS).astype(int)
-        found = np.zeros((len(cells), ANGLES * self._ids))
+        found = np.zeros((len(cells), ANGLES * self._ids + CROSS_TURNS))
         for step in set(steps.tolist()):
             of = np.flatnonzero(steps == step)
             expected = self.expected(step)
@@ -107,7 +112,8 @@ class ExpectedSymbols:
             shown = power > LEAST_SHOWN * expected.power
             scale = np.sqrt(np.maximum(power * variation[of, None], 1e-12))
             found[of] = np.where(shown, product / scale, 0.0)
-        return found.reshape(-1, ANGLES, self._ids)
+        ids, cross = np.split(found, [ANGLES * self._ids], axis=1)
+        return ids.reshape(-1, ANGLES, self._ids), cross.max(axis=1)
 
     def _draw(self, steps: int) -> _Expected:
         """What the cells should show, smeared by `steps`."""
@@ -116,7 +122,7 @@ class ExpectedSymbols:
         return _Expected(flat, whitened, (flat * whitened).sum(axis=0))
 
     def _look(self, steps: int) -> FloatArray:
-        """(lines, ANGLES, ANGLES x K) what the lines show of every ID at every turn."""
+        """(lines, ANGLES, T) what the lines show of every ID, and of a cross, at every turn."""
         discs = self._landmarks
         radius, angle, share = _points(self._radii, steps * SMEAR_STEP)
         ring = (radius >= discs.ring[0]) & (radius <= discs.ring[1])
@@ -135,6 +141,11 @@ class ExpectedSymbols:
         codes = np.repeat(sectors, ANGLES, axis=1)
         turned = [np.roll(codes, turn * sectors.shape[1], axis=1) for turn in range(ANGLES)]
         lit = spread.reshape(power.size, directions) @ np.concatenate(turned).T
+        apart = angle - np.arange(CROSS_TURNS)[:, None, None, None] * STEP
+        off_axis = radius * np.minimum(np.abs(np.sin(apart)), np.abs(np.cos(apart)))
+        arms = (off_axis < ARM) & (radius >= HUB) & (radius <= discs.symbol[1])
+        cross = (arms @ share).reshape(CROSS_TURNS, -1).T
+        lit = np.concatenate([lit, cross], axis=1)
         brighter = 10 ** (SYMBOL_DB / 10) - 10 ** (PLATE_DB / 10)
         power = power[..., None] + brighter * lit.reshape(*power.shape, -1)
         return np.asarray((10 * np.log10(power) - PLATE_DB) / (SYMBOL_DB - PLATE_DB))

@@ -57,6 +57,18 @@ def disc_pattern(
     return pattern
 
 
+def cross_pattern(turn_rad: float = 0.0) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """Brightness 0 or 1 over the unit disc: four spokes, the first at `turn_rad`."""
+
+    def pattern(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        along = x * math.cos(turn_rad) + y * math.sin(turn_rad)
+        aside = y * math.cos(turn_rad) - x * math.sin(turn_rad)
+        lit = np.minimum(np.abs(along), np.abs(aside)) < 0.07
+        return (lit & (np.hypot(x, y) <= SYMBOL[1])).astype(float)
+
+    return pattern
+
+
 def _fine_grid(rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
     """(row, column) of FINE x FINE samples in every pixel, pixel centres at whole numbers."""
     row, column = np.mgrid[0 : rows * FINE, 0 : columns * FINE]
@@ -155,27 +167,25 @@ def surroundings(image: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def smeared_matrix(
-    sectors: Sequence[int],
-    turn_rad: float,
+    pattern: Callable[[np.ndarray, np.ndarray], np.ndarray],
     radii: np.ndarray,
     angles: int,
     across: float,
     along: float = 0.05,
 ) -> np.ndarray:
-    """(lines, angles) of grey values (dB) of a landmark drawn finely and blurred in power.
+    """(lines, angles) of grey values (dB) of a ringed disc drawn finely and blurred in power.
 
-    Angles count counter-clockwise from the line of sight, which points up the picture; the first
-    sector begins `turn_rad` from it. across, along: standard deviation of the blur across the line
-    of sight and along it, in disc radii. Ring, symbol, plate, floor and noise at 12, 10, -8, 0 and
-    -6 dB.
+    pattern: where its symbol is bright (x right, y up), over the unit disc. Angles count
+    counter-clockwise from the line of sight, which points up the picture. across, along: standard
+    deviation of the blur across the line of sight and along it, in disc radii. Ring, symbol, plate,
+    floor and noise at 12, 10, -8, 0 and -6 dB.
     """
     size, reach = 600, 1.7
     pixels = size / (2 * reach)
     axis = (np.arange(size) + 0.5) / pixels - reach
     x, y = np.meshgrid(axis, -axis)
     radius = np.hypot(x, y)
-    on = disc_pattern(sectors, turn_rad + math.pi / 2)(x, y) > 0
-    level = np.where(on, 10.0, -8.0)
+    level = np.where(pattern(x, y) > 0, 10.0, -8.0)
     level = np.where((radius >= RING[0]) & (radius <= RING[1]), 12.0, level)
     level = np.where(radius > RING[1], 0.0, level)
     power = cv2.GaussianBlur(

@@ -7,7 +7,6 @@ them; only the images never touch the disk.
 from __future__ import annotations
 
 import multiprocessing
-import os
 import shutil
 from collections import deque
 from collections.abc import Iterable, Sequence
@@ -85,7 +84,6 @@ def recognise(job: Job) -> None:
 
 def recognise_all(jobs: Sequence[Job]) -> None:
     """`recognise` each, PROCESSES at a time, on a core each."""
-    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # heeded where numpy is imported anew: spawn
     with ProcessPoolExecutor(
         PROCESSES, multiprocessing.get_context("spawn"), cv2.setNumThreads, (1,)
     ) as workers:

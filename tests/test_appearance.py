@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from drawn import (
     SECTORS,
+    cross_pattern,
     disc_pattern,
     draw_on_floor,
     make_fan,
@@ -161,32 +162,28 @@ def test_the_features_of_a_perfect_landmark_by_hand(landmark):
     )
     named = dict(zip(FEATURES, found.features[0, landmark - 1], strict=True))
     expected = {
-        "ring_over_gap": 3,
         "ring_over_floor": 2,
-        "gap_over_floor": -1,
-        "margin": 3,
-        "weakest_bright": 3,
         "strongest_dark": 0,
         # The gap is dark all round: counted from what lies beside it the symbol is the same.
-        "local_margin_share": 1,
         "local_weakest_bright": 3,
         "local_strongest_dark": 0,
         # The edges are sharp, and two steps to either side of them the sectors are themselves.
         "edge": 3,
         "weakest_edge": 3,
         "weakest_ring": 2 - 0.5 * (-1 + 0),
-        "weakest_ring_share": 2.5 / 3,
         "ring_texture_share": 0,
-        "bright_outwards": 0,
-        "dark_outwards": 0,
-        "unseen": 0,
+        "strongest_dark_over_floor": -1,
+        # These lie in how far the beam smears them: not at all.
+        "smeared_correlation": 0,
+        "smeared_weakest_bright": 0,
         "log_frames": math.log(8),
         "existence": math.log(9),
     }
     for name, value in expected.items():
         assert named[name] == pytest.approx(value, abs=1e-6), name
     # A picture's pixels smear the edges; what is expected has that in it.
-    seen = smeared_matrix(SECTORS[landmark], 7 * STEP, SAMPLER.radii, ANGLES, 0.05)
+    symbol = disc_pattern(SECTORS[landmark], 7 * STEP + math.pi / 2)
+    seen = smeared_matrix(symbol, SAMPLER.radii, ANGLES, 0.05)
     count = np.full((1, LINES, ANGLES), 8.0)
     smeared = DESCRIBE(seen[None] / 9, count, SURE[:1], SHARP[:1]).features[0, landmark - 1]
     assert smeared[FEATURES.index("correlation")] > 0.95
@@ -219,6 +216,38 @@ def test_light_that_lies_over_symbol_and_gap_alike_leaves_the_local_features(lan
     for name in ("local_weakest_bright", "local_strongest_dark"):
         assert after[name] == pytest.approx(before[name], abs=1e-9), name
     assert after["strongest_dark"] > before["strongest_dark"] + 1  # nearly 1.5 over the mean gap
+
+
+@pytest.mark.parametrize(("smear", "counts"), [(0.05, 0.5), (0.2, 2.0), (0.5, 3.0)])
+def test_the_smeared_features_are_the_others_in_tenths_of_a_radius_three_at_most(smear, counts):
+    rng = np.random.default_rng(3)
+    matrix = drawn_matrix(3, 4) + 0.5 * rng.normal(size=(1, LINES, ANGLES))
+    found = DESCRIBE(matrix, np.full(matrix.shape, 5.0), SURE[:1], np.array([smear]))
+    for k in range(4):
+        named = dict(zip(FEATURES, found.features[0, k], strict=True))
+        for name, plain in (
+            ("smeared_correlation", named["correlation"] - 0.7),
+            ("smeared_weakest_bright", named["local_weakest_bright"]),
+        ):
+            assert named[name] == pytest.approx(counts * plain)
+
+
+def test_a_cross_is_told_by_its_own_feature():
+    """Landmarks correlate with themselves by more than with a cross, a cross by less."""
+    count = np.full((1, LINES, ANGLES), 8.0)
+    for turn in np.arange(0, 0.5, 0.1) * np.pi:
+        for smear in (0.05, 0.2):
+            over = {}
+            for name, pattern in {
+                "cross": cross_pattern(turn),
+                **{k: disc_pattern(s, turn) for k, s in SECTORS.items()},
+            }.items():
+                seen = smeared_matrix(pattern, SAMPLER.radii, ANGLES, smear)[None] / 9
+                found = DESCRIBE(seen, count, SURE[:1], np.array([smear])).features[0]
+                over[name] = found[:, FEATURES.index("over_cross")]
+            assert over.pop("cross").max() < -0.1
+            for landmark, of in over.items():
+                assert of[landmark - 1] > 0.2
 
 
 def test_edges_that_were_not_seen_do_not_count():
