@@ -93,25 +93,21 @@ class ExpectedSymbols:
         whitened = values @ self._precision
         variation = (whitened * values).sum(axis=1)
         steps = np.minimum(np.rint(smear / SMEAR_STEP), MOST_STEPS).astype(int)
-        found = np.zeros((len(cells), ANGLES * self._ids + CROSS_TURNS))
+        product, power = np.empty((2, len(cells), ANGLES * self._ids + CROSS_TURNS))
         for step in set(steps.tolist()):
-            of = np.flatnonzero(steps == step)
-            expected = self.expected(step)
-            product = values[of] @ expected.whitened
-            power = np.tile(expected.power, (len(of), 1))
-            for row, i in enumerate(of):
-                hidden = np.flatnonzero(~seen[i])
-                if 0 < len(hidden) < shape[1]:
-                    # Unseen cells leave the precision by their Schur complement.
-                    sides = np.column_stack([whitened[i, hidden], expected.whitened[hidden]])
-                    precision = self._precision[np.ix_(hidden, hidden)]
-                    solved = np.linalg.solve(precision, sides)
-                    variation[i] -= sides[:, 0] @ solved[:, 0]
-                    product[row] -= sides[:, 0] @ solved[:, 1:]
-                    power[row] -= (sides[:, 1:] * solved[:, 1:]).sum(axis=0)
-            shown = power > LEAST_SHOWN * expected.power
-            scale = np.sqrt(np.maximum(power * variation[of, None], 1e-12))
-            found[of] = np.where(shown, product / scale, 0.0)
+            of, expected = steps == step, self.expected(step)
+            product[of], power[of] = values[of] @ expected.whitened, expected.power
+        least = LEAST_SHOWN * power
+        for i in np.flatnonzero(seen.any(axis=1) & ~seen.all(axis=1)):
+            # Unseen cells leave the precision by their Schur complement.
+            expected, hidden = self.expected(int(steps[i])), np.flatnonzero(~seen[i])
+            sides = np.column_stack([whitened[i, hidden], expected.whitened[hidden]])
+            solved = np.linalg.solve(self._precision[np.ix_(hidden, hidden)], sides)
+            variation[i] -= sides[:, 0] @ solved[:, 0]
+            product[i] -= sides[:, 0] @ solved[:, 1:]
+            power[i] -= (sides[:, 1:] * solved[:, 1:]).sum(axis=0)
+        scale = np.sqrt(np.maximum(power * variation[:, None], 1e-12))
+        found = np.where(power > least, product / scale, 0.0)
         ids, cross = np.split(found, [ANGLES * self._ids], axis=1)
         return ids.reshape(-1, ANGLES, self._ids), cross.max(axis=1)
 
@@ -133,19 +129,22 @@ class ExpectedSymbols:
         sectors = np.asarray(discs.sectors, dtype=float)
         directions = ANGLES * sectors.shape[1]
         direction = np.mod(angle, 2 * np.pi) / (2 * np.pi) * directions
-        cell = np.arange(power.size).reshape(*power.shape, 1)
+        cell = np.broadcast_to(np.arange(power.size).reshape(*power.shape, 1), radius.shape)
+        shares = np.broadcast_to(share, radius.shape)
         within = (radius >= discs.symbol[0]) & (radius <= discs.symbol[1])
         at = cell * directions + np.minimum(direction, directions - 1).astype(int)
-        shares = np.broadcast_to(share, radius.shape)[within]
-        spread = np.bincount(at[within], shares, power.size * directions)
+        spread = np.bincount(at[within], shares[within], power.size * directions)
         codes = np.repeat(sectors, ANGLES, axis=1)
         turned = [np.roll(codes, turn * sectors.shape[1], axis=1) for turn in range(ANGLES)]
         lit = spread.reshape(power.size, directions) @ np.concatenate(turned).T
-        apart = angle - np.arange(CROSS_TURNS)[:, None, None, None] * STEP
-        off_axis = radius * np.minimum(np.abs(np.sin(apart)), np.abs(np.cos(apart)))
-        arms = (off_axis < ARM) & (radius >= HUB) & (radius <= discs.symbol[1])
-        cross = (arms @ share).reshape(CROSS_TURNS, -1).T
-        lit = np.concatenate([lit, cross], axis=1)
+        within &= radius >= HUB
+        x, y = (radius[within] * way(angle[within]) for way in (np.cos, np.sin))
+        cos, sin = (way(np.arange(CROSS_TURNS)[:, None] * STEP) for way in (np.cos, np.sin))
+        off_axis = np.minimum(np.abs(x * cos + y * sin), np.abs(y * cos - x * sin))
+        turn, point = np.nonzero(off_axis < ARM)
+        at = cell[within][point] * CROSS_TURNS + turn
+        cross = np.bincount(at, shares[within][point], power.size * CROSS_TURNS)
+        lit = np.concatenate([lit, cross.reshape(power.size, CROSS_TURNS)], axis=1)
         brighter = 10 ** (SYMBOL_DB / 10) - 10 ** (PLATE_DB / 10)
         power = power[..., None] + brighter * lit.reshape(*power.shape, -1)
         return np.asarray((10 * np.log10(power) - PLATE_DB) / (SYMBOL_DB - PLATE_DB))

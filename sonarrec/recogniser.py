@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 
@@ -25,6 +27,23 @@ HALF_POWER = 2 * (2 * np.log(2)) ** 0.5  # width of a Gaussian at half power, in
 # Standard error of a group's mean, in shares of its particles' spread: chosen on tuning seeds, held
 # against the truth by `make scenes`.
 POSITION_SHARE = 0.22
+
+
+class _Places(NamedTuple):
+    """Where n objects lie.
+
+    working: (n, 2) pixels of the working image. column, row: (n,) pixels of the fan image. range_m,
+    bearing_deg: (n,) of the sonar.
+    """
+
+    working: FloatArray
+    column: FloatArray
+    row: FloatArray
+    range_m: FloatArray
+    bearing_deg: FloatArray
+
+    def part(self, of: slice) -> _Places:
+        return _Places(*(values[of] for values in self))
 
 
 class Recogniser:
@@ -80,10 +99,13 @@ class Recogniser:
         motion = self.odometry.step(image, frame.timestamp_ns)
         groups = self._continuity.step(selection, motion)  # stage 2
 
-        places = np.concatenate([selection.positions, groups.positions])
-        sight = self._plane.line_of_sight(places)
+        working = np.concatenate([selection.positions, groups.positions])
+        places = _Places(
+            working, *self._plane.to_fan(*working.T), *self._plane.to_polar(*working.T)
+        )
+        sight = self._plane.line_of_sight(working)
         grey, seen = self._sampler(
-            image, self._plane.inside, places, sight, selection.mean, selection.sigma
+            image, self._plane.inside, working, sight, selection.mean, selection.sigma
         )
         n = len(selection.positions)
         # The groups' own is wanted only where each frame is judged by itself.
@@ -95,7 +117,7 @@ class Recogniser:
             estimates = self._estimates(
                 SMI,
                 np.arange(n),
-                places[:n],
+                places.part(slice(n)),
                 single.measurement[:n],
                 single.turn[:n].astype(float),
                 selection.scores,
@@ -103,8 +125,9 @@ class Recogniser:
                 threshold=self._config.smi.declare,
             )
 
+        tracked = places.part(slice(n, None))
         if self._appearance is not None:
-            smear = self._smear(groups.positions)
+            smear = self._smear(tracked.range_m)
             measured, turns, turn_sigma = self._appearance.step(groups, grey[n:], seen[n:], smear)
         else:
             measured, turns = single.measurement[n:], single.turn[n:].astype(float)
@@ -113,7 +136,7 @@ class Recogniser:
         estimates += self._estimates(
             self._method,
             groups.numbers,
-            places[n:],
+            tracked,
             beliefs,
             turns,
             groups.existence,
@@ -125,9 +148,8 @@ class Recogniser:
             frame.index, frame.timestamp_ns, n, len(groups.numbers), tuple(estimates)
         )
 
-    def _smear(self, positions: FloatArray) -> FloatArray:
+    def _smear(self, range_m: FloatArray) -> FloatArray:
         """(n,) the beam's standard deviation across the line of sight, in disc radii."""
-        range_m, _ = self._plane.to_polar(positions[:, 0], positions[:, 1])
         sigma_deg = self._config.features.beam_width_deg / HALF_POWER
         return np.asarray(np.radians(sigma_deg) * range_m / self._landmarks.radius_m)
 
@@ -135,7 +157,7 @@ class Recogniser:
         self,
         method: str,
         objects: npt.NDArray[np.int64],
-        places: FloatArray,
+        places: _Places,
         beliefs: FloatArray,
         turns: FloatArray,
         existence: FloatArray,
@@ -151,27 +173,27 @@ class Recogniser:
         sight, in steps. scores: default, the largest belief in an ID.
         """
         ids = self._landmarks.ids
-        count = len(places)
+        count = len(places.range_m)
         if beliefs.shape[1] == len(ids):
             beliefs = np.column_stack([beliefs, np.zeros(count)])
         best = beliefs[:, : len(ids)].argmax(axis=1)
         if scores is None:
             scores = beliefs[np.arange(count), best]
-        column, row = self._plane.to_fan(places[:, 0], places[:, 1])
-        range_m, bearing_deg = self._plane.to_polar(places[:, 0], places[:, 1])
         range_sigma, bearing_sigma = np.full((2, count), np.nan)
         if spread is not None:
-            range_sigma, bearing_sigma = self._plane.polar_sigma(places, POSITION_SHARE * spread)
-        orientation_deg = (90 - bearing_deg + turns * STEP_DEG) % 360
+            range_sigma, bearing_sigma = self._plane.polar_sigma(
+                places.working, POSITION_SHARE * spread
+            )
+        orientation_deg = (90 - places.bearing_deg + turns * STEP_DEG) % 360
         orientation_sigma = np.full(count, np.nan) if turn_sigma is None else turn_sigma * STEP_DEG
         return [
             Estimate(
                 method=method,
                 object=int(objects[i]),
-                x_px=float(column[i]),
-                y_px=float(row[i]),
-                range_m=float(range_m[i]),
-                bearing_deg=float(bearing_deg[i]),
+                x_px=float(places.column[i]),
+                y_px=float(places.row[i]),
+                range_m=float(places.range_m[i]),
+                bearing_deg=float(places.bearing_deg[i]),
                 orientation_deg=float(orientation_deg[i]),
                 existence=float(existence[i]),
                 probabilities=beliefs[i],

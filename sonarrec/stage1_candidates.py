@@ -184,9 +184,8 @@ def _refine(
 
     def offset(before: FloatArray, at: FloatArray, after: FloatArray) -> FloatArray:
         bend = before - 2 * at + after
-        with np.errstate(divide="ignore", invalid="ignore"):
-            shift = np.where(bend < 0, 0.5 * (before - after) / bend, 0.0)
-        return np.asarray(np.clip(shift, -0.5, 0.5))
+        shift = 0.5 * (before - after) / np.minimum(bend, np.float32(-1e-12))
+        return np.asarray(np.where(bend < 0, np.clip(shift, -0.5, 0.5), 0.0))
 
     x = column + offset(score[r, c - 1], score[r, c], score[r, c + 1])
     y = row + offset(score[r - 1, c], score[r, c], score[r + 1, c])

@@ -96,10 +96,11 @@ class ContinuityFilter:
         """
         config = self._config
         self._predict(motion)
-        expected = self._particles.mean(axis=1)
+        expected = _mean(self._particles)
         positions, spread = self._weigh(selection.score_map)
         hit = np.any(self._distances(positions, selection.positions) < config.merge, axis=1)
-        pulled = np.zeros(len(positions), bool)
+        count = len(positions)
+        pulled = np.zeros(count, bool)
         if motion is None:
             self._places = positions
             self._lost = _Lost()  # nobody knows where they are now
@@ -107,15 +108,17 @@ class ContinuityFilter:
             # The floor does not move: a group pulled this far has left its object for another.
             moved = np.hypot(*((positions - expected) / self._diameter).T)
             pulled = moved > config.jump
-            self._places = self._plane.moved(self._places, motion)
+            places = np.concatenate([self._places, self._lost.positions])
+            places = self._plane.moved(places, motion)
+            self._places, self._lost.positions = places[:count], places[count:]
             there = hit & ~pulled
             self._places[there] = positions[there]
-        in_view = self._shares(self._places) >= config.least_in_view
+        share = self._shares(np.concatenate([self._places, self._lost.positions]))
+        in_view = share[:count] >= config.least_in_view
         self._count(spread, hit, in_view)
         alive = self._survivors(pulled & in_view)
         if motion is not None:
-            self._lost.positions = self._plane.moved(self._lost.positions, motion)
-            self._lost.pass_frame(self._shares(self._lost.positions) > 0.9, config.strikes)
+            self._lost.pass_frame(share[count:] > 0.9, config.strikes)
             left = alive & ~in_view
             self._lost.add(
                 self._numbers[left],
@@ -161,7 +164,8 @@ class ContinuityFilter:
         # Outside the image nothing is hit.
         column, row = self._particles.transpose(2, 0, 1)
         hit = cv2.remap(score_map, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
-        weight = config.z_hit * hit.astype(float) ** config.hit_power + config.z_rand / n
+        likely = hit ** np.float32(config.hit_power)
+        weight = config.z_hit * likely.astype(float) + config.z_rand / n
         weight /= weight.sum(axis=1, keepdims=True)
         mean = (weight[:, None] @ self._particles)[:, 0]
         offset = self._particles - mean[:, None]
@@ -243,3 +247,9 @@ class ContinuityFilter:
         """(len(a), len(b)) distances in disc diameters, as measured on the disc's own ellipse."""
         offset = (a[:, None] - b[None]) / self._diameter
         return np.asarray(np.hypot(offset[..., 0], offset[..., 1]))
+
+
+def _mean(particles: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """(n, 2) of (n, particles, 2). As a product: mean(axis=1) takes twenty times as long."""
+    count = particles.shape[1]
+    return np.asarray((np.full((1, count), 1 / count, np.float32) @ particles)[:, 0])
