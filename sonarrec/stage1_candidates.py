@@ -179,14 +179,11 @@ def _refine(
 ) -> FloatArray:
     """(n, 2) peaks to a part of a pixel, by a parabola through three samples in each axis."""
     rows, columns = score.shape
-    c = np.clip(column, 1, columns - 2)
-    r = np.clip(row, 1, rows - 2)
-
-    def offset(before: FloatArray, at: FloatArray, after: FloatArray) -> FloatArray:
-        bend = before - 2 * at + after
-        shift = 0.5 * (before - after) / np.minimum(bend, np.float32(-1e-12))
-        return np.asarray(np.where(bend < 0, np.clip(shift, -0.5, 0.5), 0.0))
-
-    x = column + offset(score[r, c - 1], score[r, c], score[r, c + 1])
-    y = row + offset(score[r - 1, c], score[r, c], score[r + 1, c])
-    return np.column_stack([x, y]).astype(float)
+    c = np.clip(column, 1, columns - 2)[:, None]
+    r = np.clip(row, 1, rows - 2)[:, None]
+    three = np.arange(-1, 2)
+    before, at, after = np.stack([score[r, c + three], score[r + three, c]], axis=1).T  # (2, n)
+    bend = before - 2 * at + after
+    shift = np.clip(0.5 * (before - after) / np.minimum(bend, np.float32(-1e-12)), -0.5, 0.5)
+    shift[bend >= 0] = 0.0
+    return np.column_stack([column + shift[0], row + shift[1]]).astype(float)

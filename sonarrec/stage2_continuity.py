@@ -120,12 +120,13 @@ class ContinuityFilter:
         if motion is not None:
             self._lost.pass_frame(share[count:] > 0.9, config.strikes)
             left = alive & ~in_view
-            self._lost.add(
-                self._numbers[left],
-                self._places[left],
-                self._existence[left],
-                config.remember_frames,
-            )
+            if left.any():
+                self._lost.add(
+                    self._numbers[left],
+                    self._places[left],
+                    self._existence[left],
+                    config.remember_frames,
+                )
         alive &= in_view
         self._keep(alive)
         born = self._begin(positions[alive], selection)
@@ -173,9 +174,9 @@ class ContinuityFilter:
         # Systematic resampling: a particle is drawn once for every tick that falls into its share
         # of the cumulative weight; the ticks are 1 / n apart from a random start.
         ticks = np.ceil(np.cumsum(weight, axis=1) * n - self._rng.random((groups, 1)))
-        ticks = ticks.clip(0, n)
-        ticks[:, -1] = n  # whatever rounding left
-        drawn = np.diff(ticks, axis=1, prepend=0).astype(np.intp)
+        drawn = ticks.clip(0, n).astype(np.intp)
+        drawn[:, -1] = n  # whatever rounding left
+        drawn[:, 1:] -= drawn[:, :-1].copy()
         self._particles = np.repeat(self._particles.reshape(-1, 2), drawn.ravel(), axis=0).reshape(
             groups, n, 2
         )
@@ -226,6 +227,8 @@ class ContinuityFilter:
         """Start a group round every candidate that no group has. Returns their (n, 2) centres."""
         far = self._distances(selection.positions, positions) > self._config.new_group
         born = selection.positions[far.all(axis=1)]
+        if len(born) == 0:
+            return born
         shape = (len(born), self._particles.shape[1], 2)
         cloud = self._rng.standard_normal(shape, np.float32) * np.float32(self._sigma)
         self._particles = np.concatenate(
