@@ -16,7 +16,7 @@ from sonarrec.calibration import Samples, fit, samples_of
 from sonarrec.simulation.random_scenes import random_scene
 
 FRAMES = 160
-WEIGHTS = (1.0, 3.0, 10.0, 20.0, 40.0, 100.0, 300.0)
+WEIGHTS = (1.0, 10.0, 40.0, 100.0, 300.0, 1000.0)
 # Kind of scene, and what of its picture is unlike the simulator's own range.
 LIKE = (
     ("low_contrast", {}),
@@ -32,6 +32,7 @@ LIKE = (
 )
 # Kind of scene, and by how many dB symbols and plates are brighter than the simulator makes them.
 UNLIKE = (("plain", -5.0, 6.0), ("near_miss", 0.0, 9.0), ("near_miss", -7.0, 0.0))
+PLACES = 4  # of each of these
 
 
 def recordings(
@@ -76,7 +77,11 @@ def row(taught: list[Samples], judged: Samples) -> list[float]:
 def main() -> None:
     """Print the mean over places, for one and for two recordings learned from."""
     like = [(2300 + i, kind, picture) for i, (kind, picture) in enumerate(LIKE)]
-    unlike = [(2400 + i, kind, {}, *look) for i, (kind, *look) in enumerate(UNLIKE)]
+    unlike = [
+        (2400 + 10 * place + i, kind, {}, *look)
+        for place in range(PLACES)
+        for i, (kind, *look) in enumerate(UNLIKE)
+    ]
     print("mean log likelihood".ljust(24), "built-in", " scratch", *(f"{w:8g}" for w in WEIGHTS))
     with ProcessPoolExecutor() as workers:
         for name, places in (("as simulated", like), ("unlike it", unlike)):
