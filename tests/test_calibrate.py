@@ -86,8 +86,10 @@ def test_a_prior_is_left_as_far_as_the_samples_ask():
     other = replace(truth, values=(-truth.values[0], *truth.values[1:]))
     few = fit([drawn(truth, 30, 4)], truth)
     assert max(apart(few, truth, feature) for feature in range(len(FEATURES))) < 0.2
+    many = [drawn(other, int(PRIOR_WEIGHT), seed) for seed in range(10, 60)]
     steps = [
-        apart(fit([drawn(other, n, 5)], truth), other, 0) for n in (30, 300, 50 * int(PRIOR_WEIGHT))
+        apart(fit(samples, truth), other, 0)
+        for samples in ([drawn(other, 30, 5)], [drawn(other, 300, 5)], many)
     ]
     assert steps[0] > steps[1] > steps[2]
     assert steps[2] < 0.25 * apart(truth, other, 0)
