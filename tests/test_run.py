@@ -232,6 +232,12 @@ def test_another_landmark_set(work: Path) -> None:
 # What is said, and what is not
 
 
+def test_one_frame_is_a_frame(pings: Path) -> None:
+    for image in sorted(pings.glob("*.png"))[1:]:
+        image.unlink()
+    assert sonarrec("run", "pings").stdout.splitlines()[0].endswith("pings: 1 frame")
+
+
 def test_silent_where_stderr_is_no_terminal(pings: Path) -> None:
     command = [sys.executable, "-m", "sonarrec", "run", str(pings)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)

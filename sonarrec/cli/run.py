@@ -124,7 +124,7 @@ def run(
             click.echo(f"sonarrec: {problem}", err=True)
         partly |= bool(summary.problems)
         if not quiet:
-            click.echo(f"{summary.folder}: {summary.frames} frames")
+            click.echo(f"{summary.folder}: {summary.frames} frame{'s' * (summary.frames != 1)}")
             for line in summary.sightings:
                 click.echo(f"  {line}")
     if partly:
