@@ -124,7 +124,12 @@ class Describer:
         counted = np.stack([symbol - gap_level[:, None], symbol - gap, symbol - floor])
         known = np.stack([weight, weight * (gap_weight > 0), weight * (outer_weight > 0)])
         dark, step, texture = _regress(counted[0], weight, code)
-        darkest, brightest = self._sector_extremes(counted, known, turn)
+        level, shown = self._sector_levels(counted, known, turn)
+        # 0 where no such sector has shown.
+        brightest = np.where(shown & ~self._sectors, level, -np.inf).max(axis=-1)
+        brightest = np.where(np.isfinite(brightest), brightest, 0.0)
+        darkest = np.where(shown[1] & self._sectors, level[1], np.inf).min(axis=-1)
+        darkest = np.where(np.isfinite(darkest), darkest, 0.0)
         edge, weakest_edge = _steepness(symbol, weight, self._edges[turn, np.arange(ids)])
 
         smeared = np.clip(smear[:, None] / SMEAR_UNIT, 0, MOST_SMEAR)
@@ -136,8 +141,8 @@ class Describer:
             step,
             dark,
             dark + step - (ring_level - gap_level)[:, None],
-            darkest[1],
-            darkest[1] * smeared,
+            darkest,
+            darkest * smeared,
             brightest[0],
             brightest[1],
             brightest[2],
@@ -160,26 +165,19 @@ class Describer:
         turn_sigma = TURN_SIGMA * noise / np.sqrt(np.maximum(bend, 1e-4))
         return Description(np.clip(features, -LIMIT, LIMIT), exact, turn_sigma)
 
-    def _sector_extremes(
+    def _sector_levels(
         self, symbol: FloatArray, weight: FloatArray, turn: npt.NDArray[np.intp]
-    ) -> tuple[FloatArray, FloatArray]:
-        """Levels of the darkest bright sector and of the brightest dark one; 0 if unseen.
+    ) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+        """Mean level of every sector of every ID, and whether enough of it has shown.
 
-        symbol, weight: (m, n, ANGLES). turn: (n, K). Returns (m, n, K).
+        symbol, weight: (m, n, ANGLES). turn: (n, K). Returns (m, n, K, S).
         """
         shape = (*symbol.shape, len(self._cells))
         turned = (slice(None), np.arange(len(turn))[:, None], turn)
-        share = (weight @ self._member).reshape(shape)[turned]  # (m, n, K, S)
+        share = (weight @ self._member).reshape(shape)[turned]
         level = ((symbol * weight) @ self._member).reshape(shape)[turned]
-        level /= np.maximum(share, 1e-9)
         full = weight.max(axis=-1)[..., None, None] * self._cells
-        known = share > 0.3 * np.maximum(full, 1e-9)
-        darkest = np.where(known & self._sectors, level, np.inf).min(axis=-1)
-        brightest = np.where(known & ~self._sectors, level, -np.inf).max(axis=-1)
-        return (
-            np.where(np.isfinite(darkest), darkest, 0.0),
-            np.where(np.isfinite(brightest), brightest, 0.0),
-        )
+        return level / np.maximum(share, 1e-9), share > 0.3 * np.maximum(full, 1e-9)
 
 
 def _regress(
