@@ -65,25 +65,19 @@ class AppearanceMeasurement:
     def __init__(
         self, config: Features, sampler: ShapeSampler, landmarks: LandmarkSet, model: Judge
     ) -> None:
-        self._matrix = TrackMatrix(config.memory_frames, len(sampler.radii))
         self._describe = Describer(
             sampler.bands, sampler.radii, landmarks, alike=config.alike_radii
         )
         self._model = model
 
-    def step(
-        self,
-        groups: Groups,
-        grey: FloatArray,
-        seen: npt.NDArray[np.bool_],
-        smear: FloatArray,
+    def __call__(
+        self, average: FloatArray, count: FloatArray, existence: FloatArray, smear: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """(n, K + 1) probabilities, the (n,) turn of the likeliest ID and its error, in steps.
 
-        grey, seen: (n, L, ANGLES) of the groups in view, from this frame. smear: (n,) as Describer.
+        average, count: (n, L, ANGLES) from TrackMatrix. existence, smear: (n,) as Describer.
         """
-        average, count = self._matrix.step(groups, grey, seen)
-        description = self._describe(average, count, groups.existence, smear)
+        description = self._describe(average, count, existence, smear)
         probabilities = self._model.probabilities(description.features)
         best = probabilities[:, :-1].argmax(axis=1)
         at = (np.arange(len(best)), best)

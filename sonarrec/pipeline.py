@@ -127,9 +127,12 @@ def process(
                     if observe is not None:
                         observe(result, log.frame_count)
 
-            for frame in chain([first], frames):
-                stamps.append(frame.stamps)
-                take(recogniser.step(frame))
+            try:
+                for frame in chain([first], frames):
+                    stamps.append(frame.stamps)
+                    take(recogniser.step(frame))
+            finally:  # whatever breaks off, the frames before it are written
+                take(recogniser.judge())
             take(recogniser.finish())
             problems = [*log.problems, *recogniser.problems()]
             writer.finish(problems)

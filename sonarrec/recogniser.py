@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from sonarrec.appearance import AppearanceMeasurement, Judge
+from sonarrec.appearance import AppearanceMeasurement, Judge, TrackMatrix
 from sonarrec.appearance_model import load_model
 from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.odometry import Odometry
 from sonarrec.plane import Plane
 from sonarrec.poses import PoseTable
-from sonarrec.records import Estimate, Fan, FloatArray, Frame, FrameResult
-from sonarrec.shape_matrix import ANGLES, ShapeSampler, identify, turned_codes
+from sonarrec.records import Estimate, Fan, FloatArray, Frame, FrameResult, Groups
+from sonarrec.shape_matrix import (
+    ANGLES,
+    Identification,
+    ShapeSampler,
+    identify,
+    turned_codes,
+)
 from sonarrec.stage1_candidates import CandidateSelector
 from sonarrec.stage2_continuity import ContinuityFilter
 from sonarrec.stage3_features import FeatureEstimator, measurement_model
@@ -29,25 +36,32 @@ HALF_POWER = 2 * (2 * np.log(2)) ** 0.5  # width of a Gaussian at half power, in
 POSITION_SHARE = 0.22
 
 
-class _Places(NamedTuple):
-    """Where n objects lie.
+@dataclass(frozen=True, slots=True)
+class Followed:
+    """What stages 1 and 2 made of one frame, and what stage 3 needs of its picture.
 
-    working: (n, 2) pixels of the working image. column, row: (n,) pixels of the fan image. range_m,
-    bearing_deg: (n,) of the sonar.
+    candidates: (n, 2) pixels of the working image. scores: (n,) of stage 1. grey, seen: (n, L,
+    ANGLES) their shape matrices. groups: m of them. average, count: (m, L, ANGLES) of the groups,
+    from TrackMatrix; where each frame is measured by itself, this one's own.
     """
 
-    working: FloatArray
-    column: FloatArray
-    row: FloatArray
-    range_m: FloatArray
-    bearing_deg: FloatArray
-
-    def part(self, of: slice) -> _Places:
-        return _Places(*(values[of] for values in self))
+    index: int
+    timestamp_ns: int
+    candidates: FloatArray
+    scores: FloatArray
+    grey: FloatArray
+    seen: npt.NDArray[np.bool_]
+    groups: Groups
+    average: FloatArray
+    count: FloatArray
 
 
 class Recogniser:
     """Frames of one log in, estimates out, in the log's order.
+
+    Stages 1 and 2 go frame by frame (`follow`); stage 3 takes any number of frames at once
+    (`judge`), for what costs most there is what every call of numpy costs. It says the same of a
+    frame whatever others come with it.
 
     Everything random comes from one generator seeded by the configuration: the same frames and
     settings give the same estimates.
@@ -80,8 +94,9 @@ class Recogniser:
         self._select = CandidateSelector(config.candidates, plane, landmarks)
         self._continuity = ContinuityFilter(config.continuity, plane, rng)
         self.odometry = Odometry(plane, config.continuity, poses)
-        self._appearance = None
+        self._matrix = self._appearance = None
         if config.features.measurement == "track":
+            self._matrix = TrackMatrix(config.features.memory_frames, len(self._sampler.radii))
             self._appearance = AppearanceMeasurement(
                 config.features, self._sampler, landmarks, model or load_model()
             )
@@ -93,71 +108,120 @@ class Recogniser:
         self._with_smi = with_smi
 
     def step(self, frame: Frame) -> FrameResult:
-        """The estimates of one frame, by the single-frame method and by the framework."""
+        """The estimates of one frame."""
+        return self.judge([self.follow(frame)])[0]
+
+    def follow(self, frame: Frame) -> Followed:
+        """Stages 1 and 2 of the log's next frame."""
         image = self._plane.warp(frame.image)
         selection = self._select(image)  # stage 1
         motion = self.odometry.step(image, frame.timestamp_ns)
         groups = self._continuity.step(selection, motion)  # stage 2
 
         working = np.concatenate([selection.positions, groups.positions])
-        places = _Places(
-            working, *self._plane.to_fan(*working.T), *self._plane.to_polar(*working.T)
-        )
         sight = self._plane.line_of_sight(working)
         grey, seen = self._sampler(
             image, self._plane.inside, working, sight, selection.mean, selection.sigma
         )
         n = len(selection.positions)
-        # The groups' own is wanted only where each frame is judged by itself.
-        alone = slice(n if self._appearance is not None else None)
-        single = identify(grey[alone], seen[alone], self._sampler.bands, self._turned)
+        average, count = grey[n:], seen[n:].astype(float)
+        if self._matrix is not None:
+            average, count = self._matrix.step(groups, grey[n:], seen[n:])
+        return Followed(
+            frame.index,
+            frame.timestamp_ns,
+            selection.positions,
+            selection.scores,
+            grey[:n],
+            seen[:n],
+            groups,
+            average,
+            count,
+        )
 
-        estimates = []
+    def judge(self, frames: Sequence[Followed]) -> list[FrameResult]:
+        """Stage 3 of some frames, at least one, that come after those judged before.
+
+        The estimates of each frame, by the single-frame method and by the framework.
+        """
+        singles: list[list[Estimate]] = [[] for _ in frames]
         if self._with_smi:
-            estimates = self._estimates(
-                SMI,
-                np.arange(n),
-                places.part(slice(n)),
-                single.measurement[:n],
-                single.turn[:n].astype(float),
-                selection.scores,
-                scores=single.similarity[:n].max(axis=1) * single.ring[:n],
-                threshold=self._config.smi.declare,
+            singles = self._single(frames)
+        return [
+            FrameResult(
+                frame.index,
+                frame.timestamp_ns,
+                len(frame.candidates),
+                len(frame.groups.numbers),
+                (*single, *tracked),
             )
+            for frame, single, tracked in zip(frames, singles, self._tracked(frames), strict=True)
+        ]
 
-        tracked = places.part(slice(n, None))
+    def _single(self, frames: Sequence[Followed]) -> list[list[Estimate]]:
+        """Of each frame, what shape-matrix identification alone says of its candidates."""
+        single = self._identify(
+            np.concatenate([f.grey for f in frames]), np.concatenate([f.seen for f in frames])
+        )
+        counts = [len(f.candidates) for f in frames]
+        return self._estimates(
+            SMI,
+            counts,
+            np.concatenate([np.arange(n) for n in counts]),
+            np.concatenate([f.candidates for f in frames]),
+            single.measurement,
+            single.turn.astype(float),
+            np.concatenate([f.scores for f in frames]),
+            scores=single.similarity.max(axis=1) * single.ring,
+            threshold=self._config.smi.declare,
+        )
+
+    def _tracked(self, frames: Sequence[Followed]) -> list[list[Estimate]]:
+        """Of each frame, what the framework says of its groups."""
+        groups = [f.groups for f in frames]
+        counts = [len(g.numbers) for g in groups]
+        positions = np.concatenate([g.positions for g in groups])
+        existence = np.concatenate([g.existence for g in groups])
+        average = np.concatenate([f.average for f in frames])
+        count = np.concatenate([f.count for f in frames])
         if self._appearance is not None:
-            smear = self._smear(tracked.range_m)
-            measured, turns, turn_sigma = self._appearance.step(groups, grey[n:], seen[n:], smear)
+            measured, turns, turn_sigma = self._appearance(
+                average, count, existence, self._smear(positions)
+            )
         else:
-            measured, turns = single.measurement[n:], single.turn[n:].astype(float)
+            single = self._identify(average, count > 0)
+            measured, turns = single.measurement, single.turn.astype(float)
             turn_sigma = np.full(len(turns), np.nan)
-        beliefs = self._features.step(groups, measured)  # stage 3
-        estimates += self._estimates(
+        parts = np.split(measured, np.cumsum(counts)[:-1])
+        beliefs = [self._features.step(g, q) for g, q in zip(groups, parts, strict=True)]
+        return self._estimates(
             self._method,
-            groups.numbers,
-            tracked,
-            beliefs,
+            counts,
+            np.concatenate([g.numbers for g in groups]),
+            positions,
+            np.concatenate(beliefs),
             turns,
-            groups.existence,
-            spread=groups.spread,
+            existence,
+            spread=np.concatenate([g.spread for g in groups]),
             turn_sigma=turn_sigma,
             threshold=self._config.features.declare,
         )
-        return FrameResult(
-            frame.index, frame.timestamp_ns, n, len(groups.numbers), tuple(estimates)
-        )
 
-    def _smear(self, range_m: FloatArray) -> FloatArray:
+    def _identify(self, grey: FloatArray, seen: npt.NDArray[np.bool_]) -> Identification:
+        return identify(grey, seen, self._sampler.bands, self._turned)
+
+    def _smear(self, positions: FloatArray) -> FloatArray:
         """(n,) the beam's standard deviation across the line of sight, in disc radii."""
+        range_m, _ = self._plane.to_polar(*positions.T)
         sigma_deg = self._config.features.beam_width_deg / HALF_POWER
         return np.asarray(np.radians(sigma_deg) * range_m / self._landmarks.radius_m)
 
     def _estimates(
         self,
         method: str,
+        counts: Sequence[int],
         objects: npt.NDArray[np.int64],
-        places: _Places,
+        positions: FloatArray,
         beliefs: FloatArray,
         turns: FloatArray,
         existence: FloatArray,
@@ -166,14 +230,15 @@ class Recogniser:
         scores: FloatArray | None = None,
         spread: FloatArray | None = None,
         turn_sigma: FloatArray | None = None,
-    ) -> list[Estimate]:
-        """One Estimate per object.
+    ) -> list[list[Estimate]]:
+        """One Estimate per object, parted into frames of `counts` each.
 
-        beliefs: (n, K), or (n, K + 1) with 'none of these' last. turns: (n,) from the line of
-        sight, in steps. scores: default, the largest belief in an ID.
+        positions: (n, 2) pixels of the working image. beliefs: (n, K), or (n, K + 1) with 'none of
+        these' last. turns: (n,) from the line of sight, in steps. scores: default, the largest
+        belief in an ID.
         """
         ids = self._landmarks.ids
-        count = len(places.range_m)
+        count = len(positions)
         if beliefs.shape[1] == len(ids):
             beliefs = np.column_stack([beliefs, np.zeros(count)])
         best = beliefs[:, : len(ids)].argmax(axis=1)
@@ -181,19 +246,19 @@ class Recogniser:
             scores = beliefs[np.arange(count), best]
         range_sigma, bearing_sigma = np.full((2, count), np.nan)
         if spread is not None:
-            range_sigma, bearing_sigma = self._plane.polar_sigma(
-                places.working, POSITION_SHARE * spread
-            )
-        orientation_deg = (90 - places.bearing_deg + turns * STEP_DEG) % 360
+            range_sigma, bearing_sigma = self._plane.polar_sigma(positions, POSITION_SHARE * spread)
+        column, row = self._plane.to_fan(*positions.T)
+        range_m, bearing_deg = self._plane.to_polar(*positions.T)
+        orientation_deg = (90 - bearing_deg + turns * STEP_DEG) % 360
         orientation_sigma = np.full(count, np.nan) if turn_sigma is None else turn_sigma * STEP_DEG
-        return [
+        estimates = [
             Estimate(
                 method=method,
                 object=int(objects[i]),
-                x_px=float(places.column[i]),
-                y_px=float(places.row[i]),
-                range_m=float(places.range_m[i]),
-                bearing_deg=float(places.bearing_deg[i]),
+                x_px=float(column[i]),
+                y_px=float(row[i]),
+                range_m=float(range_m[i]),
+                bearing_deg=float(bearing_deg[i]),
                 orientation_deg=float(orientation_deg[i]),
                 existence=float(existence[i]),
                 probabilities=beliefs[i],
@@ -206,3 +271,5 @@ class Recogniser:
             )
             for i in range(count)
         ]
+        ends = np.cumsum(counts).tolist()
+        return [estimates[end - n : end] for end, n in zip(ends, counts, strict=True)]

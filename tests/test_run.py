@@ -456,15 +456,15 @@ def test_died_in_the_middle_is_not_passed_off_as_whole(
     pings: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sonarrec("run", pings)
-    step, calls = Recogniser.step, []
+    follow, calls = Recogniser.follow, []
 
     def failing(*arguments: object) -> object:
         calls.append(1)
         if len(calls) == 5:
             raise RuntimeError("power cut")
-        return step(*arguments)  # type: ignore[arg-type]
+        return follow(*arguments)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(Recogniser, "step", failing)
+    monkeypatch.setattr(Recogniser, "follow", failing)
     with pytest.raises(RuntimeError, match="power cut"):
         sonarrec("run", pings)
     run = tomllib.loads(Path("sonarrec_out/pings/run.toml").read_text())
