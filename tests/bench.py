@@ -13,19 +13,28 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import patch
 
 import cv2
 import numpy as np
 
-from sonarrec.config import preset
+from sonarrec.config import Config, preset
 from sonarrec.evaluation.scoring import evaluate
 from sonarrec.landmarks import load_landmarks
 from sonarrec.mcap_writer import McapImageWriter
+from sonarrec.odometry import Odometry
+from sonarrec.output import ResultsWriter
 from sonarrec.pipeline import process
+from sonarrec.plane import Plane
+from sonarrec.recogniser import Recogniser
+from sonarrec.shape_matrix import ShapeSampler
 from sonarrec.simulation.scene import MotionSection, PlacedLandmark, Scene
 from sonarrec.simulation.simulate import load_scene, random_scene, write_recording
+from sonarrec.stage1_candidates import CandidateSelector
+from sonarrec.stage2_continuity import ContinuityFilter
 from tests.baseline import METHOD, HoughSmi, fan_of, read_grey, write_estimates
 
 FRAMES = 144
@@ -33,6 +42,17 @@ REPEATS = 7
 LONG = (500, 5000)
 # Scenes the baseline's accuracy is reported on: not those that baseline.py tunes it on.
 REPORTED = ("basin", (501, "plain"), (502, "near_miss"), (503, "fading"))
+# What a frame goes through, and where.
+PARTS = {
+    "fan to floor": (Plane, "warp"),
+    "stage 1": (CandidateSelector, "__call__"),
+    "pan from the images": (Odometry, "step"),
+    "stage 2": (ContinuityFilter, "step"),
+    "shape matrices": (ShapeSampler, "__call__"),
+    "stage 3 and smi": (Recogniser, "judge"),
+    "writing": (ResultsWriter, "write"),
+}
+REST = "decoding, set-up and the rest"
 
 
 def three_in_view() -> Scene:
@@ -47,6 +67,14 @@ def three_in_view() -> Scene:
             PlacedLandmark(4, ground_m=1.7, azimuth_deg=6.0, orientation_deg=250.0),
         ),
     )
+
+
+def far() -> Scene:
+    """The same in a window of 5 m, half as far out again."""
+    near = three_in_view()
+    sonar = replace(near.sonar, range_min_m=1.25, range_max_m=6.25, height_m=1.0, tilt_deg=18.0)
+    placed = tuple(replace(x, ground_m=1.5 * x.ground_m) for x in near.landmarks)
+    return replace(near, name="far", sonar=sonar, landmarks=placed)
 
 
 def interleaved(tasks: dict[str, Callable[[], object]]) -> dict[str, float]:
@@ -76,32 +104,36 @@ def cost(work: Path) -> None:
     write_recording(scene, work / "fan")
     polar = replace(scene, sonar=replace(scene.sonar, layout="polar"))
     write_recording(polar, work / "polar")
+    write_recording(far(), work / "far")
     paths = sorted((work / "fan").glob("*.png"))
+    far_paths = sorted((work / "far").glob("*.png"))
     images = [read_grey(p) for p in paths]
     for compression in ("none", "zstd"):
         write_mcap(work / f"{compression}.mcap", images, compression, work / "fan" / "sonar.toml")
     landmarks, settings = load_landmarks("basin"), preset("default")
     rival = HoughSmi(fan_of(work / "fan", images[0]), landmarks)
 
-    def decode() -> None:
-        for path in paths:
-            read_grey(path)
+    def decode(paths: list[Path]) -> Callable[[], object]:
+        return lambda: [read_grey(path) for path in paths]
 
     def hough() -> None:
         for path in paths:
             rival(read_grey(path))
 
-    def ours(log: str) -> Callable[[], object]:
+    def ours(log: str, settings: Config = settings) -> Callable[[], object]:
         return lambda: process(work / log, work / "out", settings)
 
     ms = interleaved(
         {
-            "a  decode the PNGs": decode,
+            "a  decode the PNGs": decode(paths),
             "b  decode + HoughCircles + SMI": hough,
             "c  sonarrec from PNG": ours("fan"),
             "d  sonarrec from raw MCAP": ours("none.mcap"),
             "d' sonarrec from zstd MCAP": ours("zstd.mcap"),
             "e  sonarrec from polar PNG": ours("polar"),
+            "f  sonarrec --preset offline": ours("fan", preset("offline")),
+            "g  decode the PNGs, 5 m window": decode(far_paths),
+            "h  sonarrec from PNG, 5 m window": ours("far"),
         }
     )
     rows, columns = images[0].shape
@@ -110,13 +142,45 @@ def cost(work: Path) -> None:
     print("(hashing the input, set-up, decoding, three stages, both CSV files)\n")
     for name, value in ms.items():
         print(f"  {name:<32} {value:7.2f} ms  {1e3 / value:7.0f} frames/s")
-    a, b, c, d, zstd, _ = ms.values()
+    a, b, c, d, zstd, _, offline, g, h = ms.values()
     print()
     judge("c/a  from PNG / decoding", c / a, 4.0)
     judge("c/b  from PNG / Hough loop", c / b, 1.5)
     judge("d/c  from raw MCAP / from PNG", d / c, 1.0)
     judge("d'/c from zstd MCAP / from PNG", zstd / c, 1.0)
+    judge("f/c  offline / default", offline / c, 2.0)
+    judge("h/g  5 m window / decoding", h / g, 6.0)
+    where(ours("fan"))
     memory(work, images)
+
+
+def where(task: Callable[[], object]) -> None:
+    """Print the ms per frame that each of PARTS takes of a task, median of REPEATS."""
+    taken: dict[str, list[float]] = {name: [] for name in (*PARTS, REST)}
+
+    def timed(name: str, work: Callable[..., object]) -> Callable[..., object]:
+        def wrapped(*arguments: object, **named: object) -> object:
+            start = time.perf_counter()
+            try:
+                return work(*arguments, **named)
+            finally:
+                taken[name][-1] += time.perf_counter() - start
+
+        return wrapped
+
+    with ExitStack() as patched:
+        for name, (owner, method) in PARTS.items():
+            patched.enter_context(patch.object(owner, method, timed(name, getattr(owner, method))))
+        for _ in range(REPEATS):
+            for times in taken.values():
+                times.append(0.0)
+            start = time.perf_counter()
+            task()
+            rest = time.perf_counter() - start - sum(times[-1] for times in taken.values())
+            taken[REST][-1] = rest
+    print("\nWhere the time of c goes, ms per frame\n")
+    for name, times in taken.items():
+        print(f"  {name:<32} {statistics.median(times) / FRAMES * 1e3:7.2f}")
 
 
 def judge(what: str, value: float, most: float, unit: str = "") -> None:
