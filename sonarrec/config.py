@@ -361,9 +361,17 @@ def with_assignments(config: Config, assignments: Sequence[str]) -> Config:
         try:
             parsed = tomllib.loads(f"value = {value}")["value"]
         except tomllib.TOMLDecodeError:
-            parsed = value.strip()
+            parsed = _plain(value)
         config = with_table(config, {section: {key: parsed}}, f"--set {text}")
     return config
+
+
+def _plain(value: str) -> float | str:
+    """What is no TOML but plain enough: .5, or a name without its quotes."""
+    try:
+        return float(value)
+    except ValueError:
+        return value.strip()
 
 
 def as_table(config: Config) -> dict[str, Any]:

@@ -99,6 +99,7 @@ def test_what_is_no_setting_is_told_by_name(text, named, tmp_path):
         ("candidates.threshold=", "candidates.threshold"),
         ("candidates.threshold=high", "candidates.threshold"),
         ("continuity.particles=1e400", "continuity.particles"),
+        ("continuity.particles=infinity", "continuity.particles"),
         ("features.motion_model=wheels", "features.motion_model"),
     ],
 )
@@ -119,6 +120,12 @@ def test_an_assignment_changes_its_own_setting_and_nothing_else(name, value):
     assert after[section][key] == value
     after[section][key] = before[section][key]
     assert after == before
+
+
+@pytest.mark.parametrize("text", [".35", "0.35", " 3.5e-1", "+.35"])
+def test_numbers_are_read_as_people_write_them(text):
+    settings = config.with_assignments(config.Config(), [f"candidates.threshold={text}"])
+    assert settings.candidates.threshold == 0.35
 
 
 def test_texts_may_be_bare_or_quoted_and_the_last_assignment_wins():

@@ -130,7 +130,7 @@ preset_option = click.option(
     "--preset",
     metavar="NAME[,NAME]",
     help="default (frame by frame), offline (each result waits for what its log shows later) or "
-    "paper (every rule as published). Several are run side by side.",
+    "paper (every rule as published). `sonarrec run` takes several, side by side.",
 )
 config_option = click.option(
     "--config", "config_file", type=FILE, help="Settings (TOML), or the run.toml of an earlier run."
