@@ -59,9 +59,9 @@ class Followed:
 class Recogniser:
     """Frames of one log in, estimates out, in the log's order.
 
-    Stages 1 and 2 go frame by frame (`follow`); stage 3 takes any number of frames at once
-    (`judge`), for what costs most there is what every call of numpy costs. It says the same of a
-    frame whatever others come with it.
+    Stages 1 and 2 go frame by frame (`follow`). Stage 3 takes any number of frames at once
+    (`judge`) and says the same of each whatever others come with it: most of its time goes into
+    calling numpy, however little there is to count.
 
     Everything random comes from one generator seeded by the configuration: the same frames and
     settings give the same estimates.
