@@ -71,10 +71,13 @@ class Row:
 class Beyond:
     """Of one method over the pool, strict: what the rates do not tell.
 
-    frames: to a lasting right ID, median and 90 % of the passes. position_m, orientation_deg:
-    errors of right claims, median and 95 %. *_sigma: `honesty` of what is stated of these.
+    tpr, fpr: their 95 % intervals over recordings; frames are not independent. frames: to a lasting
+    right ID, median and 90 % of the passes. position_m, orientation_deg: errors of right claims,
+    median and 95 %. *_sigma: `honesty` of what is stated of these.
     """
 
+    tpr: tuple[float, float]
+    fpr: tuple[float, float]
     frames: tuple[float, float]
     position_m: tuple[float, float]
     orientation_deg: tuple[float, float]
@@ -114,8 +117,14 @@ def beyond(found: Evaluation, summary: Summary, name: str, folders: Sequence[Pat
         told = summary.figure("strict", METHODS[name], what)
         return math.nan if told is None else told.value
 
+    def interval(what: str) -> tuple[float, float]:
+        told = summary.figure("strict", METHODS[name], what)
+        return (math.nan, math.nan) if told is None else (told.low, told.high)
+
     e = errors(found, strict, folders)
     return Beyond(
+        tpr=interval("tpr"),
+        fpr=interval("fpr"),
         frames=(figure("frames_to_id_median"), figure("frames_to_id_90")),
         position_m=(figure("position_error_median_m"), figure("position_error_95_m")),
         orientation_deg=(
@@ -161,7 +170,14 @@ def show_rates(rows: Sequence[Row]) -> None:
 
 
 def show_beyond(measured: dict[str, Beyond]) -> None:
-    """How soon, how exact and how honest each method is."""
+    """How sure the rates are; how soon, how exact and how honest each method is."""
+    lines = []
+    for name, b in measured.items():
+        line = {"method": name}
+        for what, pair, form in (("TPR", b.tpr, ".3f"), ("FPR", b.fpr, ".4f")):
+            line[what] = " to ".join(told(v, form) for v in pair)
+        lines.append(line)
+    show("Pooled: 95 % intervals of the rates, over recordings", lines)
     lines = []
     for name, b in measured.items():
         line = {"method": name}
