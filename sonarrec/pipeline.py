@@ -131,7 +131,7 @@ def process(
                 for frame in chain([first], frames):
                     stamps.append(frame.stamps)
                     take(recogniser.step(frame))
-            finally:  # whatever breaks off, the frames before it are written
+            finally:  # whatever breaks off, what only waited to be judged is written
                 take(recogniser.judge())
             take(recogniser.finish())
             problems = [*log.problems, *recogniser.problems()]

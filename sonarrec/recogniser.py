@@ -42,7 +42,7 @@ class Followed:
 
     candidates: (n, 2) pixels of the working image. scores: (n,) of stage 1. grey, seen: (n, L,
     ANGLES) their shape matrices. groups: m of them. average, count: (m, L, ANGLES) of the groups,
-    from TrackMatrix; where each frame is measured by itself, this one's own.
+    from TrackMatrix.
     """
 
     index: int
@@ -94,9 +94,11 @@ class Recogniser:
         self._select = CandidateSelector(config.candidates, plane, landmarks)
         self._continuity = ContinuityFilter(config.continuity, plane, rng)
         self.odometry = Odometry(plane, config.continuity, poses)
-        self._matrix = self._appearance = None
-        if config.features.measurement == "track":
-            self._matrix = TrackMatrix(config.features.memory_frames, len(self._sampler.radii))
+        along_track = config.features.measurement == "track"
+        memory = config.features.memory_frames if along_track else 1.0  # of this frame alone
+        self._matrix = TrackMatrix(memory, len(self._sampler.radii))
+        self._appearance = None
+        if along_track:
             self._appearance = AppearanceMeasurement(
                 config.features, self._sampler, landmarks, model or load_model()
             )
@@ -124,9 +126,7 @@ class Recogniser:
             image, self._plane.inside, working, sight, selection.mean, selection.sigma
         )
         n = len(selection.positions)
-        average, count = grey[n:], seen[n:].astype(float)
-        if self._matrix is not None:
-            average, count = self._matrix.step(groups, grey[n:], seen[n:])
+        average, count = self._matrix.step(groups, grey[n:], seen[n:])
         return Followed(
             frame.index,
             frame.timestamp_ns,
@@ -193,7 +193,7 @@ class Recogniser:
             measured, turns = single.measurement, single.turn.astype(float)
             turn_sigma = np.full(len(turns), np.nan)
         parts = np.split(measured, np.cumsum(counts)[:-1])
-        beliefs = [self._features.step(g, q) for g, q in zip(groups, parts, strict=True)]
+        beliefs = [self._features.step(g, q) for g, q in zip(groups, parts, strict=True)]  # stage 3
         return self._estimates(
             self._method,
             counts,

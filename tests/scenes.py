@@ -113,24 +113,21 @@ def beyond(found: Evaluation, summary: Summary, name: str, folders: Sequence[Pat
     """found, summary: of `score(folders)`. name: short, of a method."""
     strict = next(s for s in found.scored if (s.protocol, s.method) == ("strict", METHODS[name]))
 
-    def figure(what: str) -> float:
+    def figure(what: str) -> tuple[float, float, float]:
+        """The figure and its interval."""
         told = summary.figure("strict", METHODS[name], what)
-        return math.nan if told is None else told.value
+        return (math.nan,) * 3 if told is None else (told.value, told.low, told.high)
 
-    def interval(what: str) -> tuple[float, float]:
-        told = summary.figure("strict", METHODS[name], what)
-        return (math.nan, math.nan) if told is None else (told.low, told.high)
+    def values(*names: str) -> tuple[float, ...]:
+        return tuple(figure(what)[0] for what in names)
 
     e = errors(found, strict, folders)
     return Beyond(
-        tpr=interval("tpr"),
-        fpr=interval("fpr"),
-        frames=(figure("frames_to_id_median"), figure("frames_to_id_90")),
-        position_m=(figure("position_error_median_m"), figure("position_error_95_m")),
-        orientation_deg=(
-            figure("orientation_error_median_deg"),
-            figure("orientation_error_95_deg"),
-        ),
+        tpr=figure("tpr")[1:],
+        fpr=figure("fpr")[1:],
+        frames=values("frames_to_id_median", "frames_to_id_90"),
+        position_m=values("position_error_median_m", "position_error_95_m"),
+        orientation_deg=values("orientation_error_median_deg", "orientation_error_95_deg"),
         range_sigma=honesty(e.range_m, e.range_sigma_m),
         bearing_sigma=honesty(e.bearing_deg, e.bearing_sigma_deg),
         orientation_sigma=honesty(e.orientation_deg, e.orientation_sigma_deg),
