@@ -110,12 +110,20 @@ def process(
             configs, first.fan, landmark_set, learned.model if learned else None, poses
         )
         source = (log.name, *log.digest_source())
-        run = run_table(configs, log.stated, first.fan, landmark_set, source, log.reading())
+        run = run_table(
+            configs,
+            recogniser.methods,
+            log.stated,
+            first.fan,
+            landmark_set,
+            source,
+            log.reading(),
+        )
         if poses is not None:
             run["odometry"] = dict(poses.source)
         if learned is not None:
             run["model"] = learned.as_table()
-        sightings = [Sightings(method) for method in recogniser.methods]
+        sightings = [Sightings(method) for method in recogniser.tracking]
         stamps = deque[Stamps]()
         with ResultsWriter(out / log.name, landmark_set, run) as writer:
 
