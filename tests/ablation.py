@@ -54,7 +54,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
             random_scene(seed, kind, frames=asked.frames),
             asked.out / f"{kind}_{seed}",
             configs,
-            False,
         )
         for kind in asked.kinds
         for seed in asked.seeds

@@ -28,7 +28,7 @@ from sonarrec.simulation.random_scenes import (
     random_scene,
 )
 from tests.measured import Reliability, errors, honesty, reliability
-from tests.simulated import METHODS, PRESETS, Job, recognise_all, score
+from tests.simulated import METHODS, PRESETS, HoughRival, Job, recognise_all, score
 
 TUNING = range(2000, 3000)
 """Seeds that settings are chosen on."""
@@ -275,7 +275,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     configs = [preset(name) for name in PRESETS]
     recognise_all(
         [
-            Job(random_scene(r.seed, r.kind, frames=asked.frames), r.folder, configs)
+            Job(random_scene(r.seed, r.kind, frames=asked.frames), r.folder, configs, (HoughRival,))
             for r in recordings
         ]
     )

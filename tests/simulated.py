@@ -13,6 +13,7 @@ from collections.abc import Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -44,17 +45,25 @@ METHODS = {
 """As they are told: short name, and the one in estimates.csv. SMI is named for its candidates."""
 
 
+class Rival(Protocol):
+    """Another recogniser of one log, whose estimates go under its own method names."""
+
+    def __init__(self, fan: Fan, landmarks: LandmarkSet) -> None: ...
+
+    def step(self, image: np.ndarray) -> list[Estimate]: ...
+
+
 @dataclass(frozen=True, slots=True)
 class Job:
     """One scene to render, and what is to recognise it. folder: emptied, then written.
 
-    rival: whether the plain Hough loop of baseline.py is run as well.
+    rivals: what else judges the same frames, e.g. the plain Hough loop of baseline.py.
     """
 
     scene: Scene
     folder: Path
     configs: Sequence[Config]
-    rival: bool = True
+    rivals: Sequence[type[Rival]] = ()
 
 
 def recognise(job: Job) -> None:
@@ -63,7 +72,7 @@ def recognise(job: Job) -> None:
     assert scene.sonar.layout == "fan"
     shutil.rmtree(job.folder, ignore_errors=True)
     recogniser = SideBySide(job.configs, fan, landmarks)
-    rival = _Rival(fan, landmarks) if job.rival else None
+    rivals = [rival(fan, landmarks) for rival in job.rivals]
     source = (scene.name, 0, "")
     methods = recogniser.methods
     run = run_table(job.configs, methods, scene_sonar(scene), fan, landmarks, source)
@@ -77,7 +86,7 @@ def recognise(job: Job) -> None:
 
         for frame in render(scene):
             truth += ([frame.index, *asdict(row).values()] for row in frame.truth)
-            waiting.append(rival.step(frame.image) if rival else [])
+            waiting.append([e for rival in rivals for e in rival.step(frame.image)])
             take(recogniser.step(Frame(frame.index, frame.timestamp_ns, frame.image, fan)))
         take(recogniser.finish())
         writer.finish([])
@@ -99,7 +108,7 @@ def score(folders: Sequence[Path]) -> Evaluation:
     return evaluate_pairs([Pair(folder, folder / "gt.csv") for folder in folders])
 
 
-class _Rival:
+class HoughRival:
     """The plain Hough loop with its votes, one frame at a time."""
 
     def __init__(self, fan: Fan, landmarks: LandmarkSet) -> None:

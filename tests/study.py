@@ -25,7 +25,7 @@ from sonarrec.records import FloatArray, SonarrecError
 from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene, load_scene
 from sonarrec.simulation.world import object_radius
 from tests.scenes import seeds, show, told
-from tests.simulated import METHODS, PRESETS, Job, recognise_all, score
+from tests.simulated import METHODS, PRESETS, HoughRival, Job, recognise_all, score
 
 STUDIED = range(4000, 4030)
 """Seeds of the sequences; nothing is learned or chosen on them."""
@@ -145,8 +145,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     configs = [preset(name) for name in PRESETS]
     scene = replace(scene, frames=asked.frames)
     jobs = [
-        Job(varied(scene, seed), asked.out / "logs" / f"{scene.name}_{seed}", configs)
-        for seed in asked.seeds
+        Job(varied(scene, s), asked.out / "logs" / f"{scene.name}_{s}", configs, (HoughRival,))
+        for s in asked.seeds
     ]
     recognise_all(jobs)
     found = score([job.folder for job in jobs])
