@@ -10,10 +10,10 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from sonarrec.geometry import Sonar, check_sonar, missing_keys, sonar_from_table
 from sonarrec.readers import Log, Source, find_log
 from sonarrec.readers.raw import RawFrame, RawLog
 from sonarrec.records import SonarrecError, UsageError
+from sonarrec.sonar import Sonar, check_sonar, missing_keys, sonar_from_table
 
 Observe = Callable[[int | None], None]
 _YEAR_2000_NS = 946_684_800 * 10**9

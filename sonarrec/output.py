@@ -13,9 +13,9 @@ from typing import Any, Self
 import tomli_w
 
 from sonarrec import __version__, config
-from sonarrec.geometry import Sonar
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.records import NO_STAMPS, Fan, FrameResult, SonarrecError, Stamps
+from sonarrec.sonar import Sonar
 
 FRAME_COLUMNS = (
     "frame",

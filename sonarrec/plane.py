@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sonarrec.geometry import (
+    STEEPEST,
     fan_mask,
     floor_depth,
     ground_range,
@@ -24,10 +25,6 @@ from sonarrec.geometry import (
     slant_range,
 )
 from sonarrec.records import ByteImage, Fan, FloatArray, Motion, SonarrecError
-
-# Nearer than this multiple of the height the floor is seen so steeply that a pixel of slant range
-# covers several of floor.
-STEEPEST = 1.05
 
 
 class Plane:

@@ -27,9 +27,9 @@ from sonarrec.landmarks import load_landmarks
 from sonarrec.mcap_writer import McapImageWriter
 from sonarrec.odometry import Odometry
 from sonarrec.output import ResultsWriter
-from sonarrec.pipeline import process
 from sonarrec.plane import Plane
 from sonarrec.recogniser import Recogniser
+from sonarrec.run import process
 from sonarrec.shape_matrix import ShapeSampler
 from sonarrec.simulation.scene import MotionSection, PlacedLandmark, Scene
 from sonarrec.simulation.simulate import load_scene, random_scene, write_recording

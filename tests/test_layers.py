@@ -20,7 +20,7 @@ CLI = {name for name in MODULES if name.startswith("sonarrec.cli")}
 # What `sonarrec --help`, `run` and `simulate` load; heavy packages must not come with it.
 LIGHT = (
     "sonarrec.cli",
-    "sonarrec.pipeline",
+    "sonarrec.run",
     "sonarrec.simulation.simulate",
     "sonarrec.readers.mcap_file",
 )

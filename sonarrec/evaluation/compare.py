@@ -22,8 +22,8 @@ from sonarrec.evaluation.uncertainty import (
     coin_tosses,
     differences,
 )
-from sonarrec.geometry import Sonar
 from sonarrec.records import SonarrecError
+from sonarrec.sonar import Sonar
 
 RATES = ("tpr", "fpr", "auc")
 FRAMES_FREE = 2

@@ -9,10 +9,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from sonarrec.evaluation.results import IntArray
+from sonarrec.drawing import Colour, disc_outline, landmark_colours
 from sonarrec.evaluation.truth_check import CheckedTruth
-from sonarrec.overlay.drawing import Colour, disc_outline, landmark_colours
-from sonarrec.records import ByteImage, FloatArray, Frame, SonarrecError
+from sonarrec.records import ByteImage, FloatArray, Frame, IntArray, SonarrecError
 
 TILES = 8
 """Frames shown of a pass, from its first to its last."""

@@ -10,24 +10,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sonarrec.evaluation.tables import (
-    POSITION_KINDS,
-    Kind,
-    Table,
-    line_number,
-    plane_position,
-    position_pair,
-    read_table,
-)
-from sonarrec.geometry import Sonar, check_sonar, fan_for_image, sonar_from_table
+from sonarrec.geometry import fan_for_image, plane_position
 from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
-from sonarrec.records import Fan, FloatArray, SonarrecError
+from sonarrec.records import BoolArray, Fan, FloatArray, IntArray, SonarrecError
+from sonarrec.sonar import Sonar, check_sonar, sonar_from_table
+from sonarrec.tables import POSITION_KINDS, Kind, Table, line_number, position_pair, read_table
 
 METHODS = ("smi", "framework")
 """The methods that every run of ours holds, also where one of them saw nothing."""
-
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)

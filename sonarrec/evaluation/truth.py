@@ -10,17 +10,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from sonarrec.evaluation.results import BoolArray, IntArray
-from sonarrec.evaluation.tables import (
-    POSITION_KINDS,
-    Kind,
-    line_number,
-    plane_position,
-    position_pair,
-    read_table,
-)
+from sonarrec.geometry import plane_position
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import Fan, FloatArray, SonarrecError
+from sonarrec.records import BoolArray, Fan, FloatArray, IntArray, SonarrecError
+from sonarrec.tables import POSITION_KINDS, Kind, line_number, position_pair, read_table
 
 HEADER = "frame,landmark,x_px,y_px,visible"
 

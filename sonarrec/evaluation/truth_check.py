@@ -8,8 +8,6 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.evaluation.in_view import share_in_fan
-from sonarrec.evaluation.results import BoolArray, IntArray
-from sonarrec.evaluation.tables import POSITION_KINDS, read_table
 from sonarrec.evaluation.truth import (
     HEADER,
     TruthTable,
@@ -20,7 +18,8 @@ from sonarrec.evaluation.truth import (
 from sonarrec.geometry import ground_range, pixel_from_polar, polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.readers import Log
-from sonarrec.records import Fan, FloatArray, SonarrecError
+from sonarrec.records import BoolArray, Fan, FloatArray, IntArray, SonarrecError
+from sonarrec.tables import POSITION_KINDS, read_table
 
 SLACK = 0.1
 """What a person cannot be held to: a tenth of the radius in place, of the area in `visible`."""

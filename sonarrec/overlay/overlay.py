@@ -14,12 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from sonarrec.evaluation.results import read_log, read_run
-from sonarrec.evaluation.tables import read_table
-from sonarrec.evaluation.truth import match_truth, read_truth
-from sonarrec.geometry import Sonar, sonar_from_table
-from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
-from sonarrec.overlay.drawing import (
+from sonarrec.drawing import (
     STRIP_FRAMES,
     Mark,
     Moment,
@@ -28,11 +23,16 @@ from sonarrec.overlay.drawing import (
     draw_strip,
     trails,
 )
+from sonarrec.evaluation.results import read_log, read_run
+from sonarrec.evaluation.truth import match_truth, read_truth
+from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
 from sonarrec.overlay.estimates import choose_method, read_estimates
 from sonarrec.overlay.foxglove_mcap import FoxgloveFile
 from sonarrec.overlay.video import ImageFolder, VideoFile
 from sonarrec.readers import Log, open_log
 from sonarrec.records import ByteImage, Estimate, Fan, Frame, SonarrecError, UsageError
+from sonarrec.sonar import Sonar, sonar_from_table
+from sonarrec.tables import read_table
 
 
 @dataclass(frozen=True, slots=True)

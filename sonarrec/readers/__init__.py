@@ -15,12 +15,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, get_args
 
-from sonarrec.geometry import Sonar, check_sonar, load_sonar
 from sonarrec.readers.fans import FanImages
 from sonarrec.readers.images import IMAGE_SUFFIXES, ImageFiles, is_image, natural_order
 from sonarrec.readers.raw import RawFrame, RawLog, UnusableError
 from sonarrec.readers.video import VIDEO_SUFFIXES, VideoFrames
 from sonarrec.records import Clock, Fan, Frame, SonarrecError, UsageError
+from sonarrec.sonar import Sonar, check_sonar, load_sonar
 
 SONAR_FILE = "sonar.toml"
 MAX_PROBLEM_LINES = 20

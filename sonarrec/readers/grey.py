@@ -23,9 +23,9 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 
-from sonarrec.geometry import Sonar
 from sonarrec.readers.raw import UnusableError
 from sonarrec.records import ByteImage, SonarrecError
+from sonarrec.sonar import Sonar
 
 DYNAMIC_RANGE_DB = 50.0
 _MEDIAN_AT = 1 / 3  # where floor speckle lies in the range: high enough for shadows to show

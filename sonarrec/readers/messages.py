@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from sonarrec.geometry import MIN_WINDOW_M, Sonar
 from sonarrec.readers import foxglove, ros_wire
 from sonarrec.readers.fields import Fields
 from sonarrec.readers.raw import Ping, UnusableError, decode_image, raw_pixels
@@ -26,6 +25,7 @@ from sonarrec.readers.ros_definitions import (
     parse_definition,
 )
 from sonarrec.records import FloatArray
+from sonarrec.sonar import MIN_WINDOW_M, Sonar
 
 # What each message means
 

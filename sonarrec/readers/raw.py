@@ -12,8 +12,8 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from sonarrec.geometry import Sonar
 from sonarrec.records import NO_STAMPS, Stamps
+from sonarrec.sonar import Sonar
 
 
 class UnusableError(Exception):

@@ -11,17 +11,10 @@ import numpy as np
 import pandas as pd
 
 from sonarrec.evaluation.joined import join, nearest_truth
-from sonarrec.evaluation.results import (
-    BoolArray,
-    IntArray,
-    LogResults,
-    find_logs,
-    read_log,
-    read_run,
-)
+from sonarrec.evaluation.results import LogResults, find_logs, read_log, read_run
 from sonarrec.evaluation.truth import Truth, TruthTable, match_truth
-from sonarrec.geometry import Sonar
-from sonarrec.records import FloatArray, SonarrecError, UsageError
+from sonarrec.records import BoolArray, FloatArray, IntArray, SonarrecError, UsageError
+from sonarrec.sonar import Sonar
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from sonarrec.overlay.drawing import Mark, draw_frame
+from sonarrec.drawing import Mark, draw_frame
 from sonarrec.overlay.estimates import read_estimates
 from sonarrec.readers import Log
 from sonarrec.records import Estimate, Fan, Frame, SonarrecError

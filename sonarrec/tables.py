@@ -11,8 +11,7 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
-from sonarrec.geometry import polar_from_pixel
-from sonarrec.records import Fan, FloatArray, SonarrecError
+from sonarrec.records import FloatArray, SonarrecError
 
 Kind = Literal["whole", "number", "blank or number", "share", "flag", "text", "label"]
 Table = dict[str, Any]
@@ -144,17 +143,3 @@ def position_pair(path: Path, table: Table) -> tuple[str, FloatArray, FloatArray
             raise SonarrecError(f"{path} line {line}: {' or '.join(pair)} is empty")
         return kind, first, second
     return None
-
-
-def plane_position(pair: tuple[str, FloatArray, FloatArray], fan: Fan | None) -> FloatArray | None:
-    """(rows, 2) metres in the fan plane, right and ahead of the sonar.
-
-    None where the pair is in pixels and there is no fan to turn them into metres.
-    """
-    kind, first, second = pair
-    if kind == "pixel":
-        if fan is None:
-            return None
-        first, second = polar_from_pixel(fan, first, second)
-    bearing = np.radians(second)
-    return np.column_stack([first * np.sin(bearing), first * np.cos(bearing)])

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from sonarrec.geometry import (
+    STEEPEST,
     floor_depth,
     ground_range,
     pixel_from_polar,
@@ -20,7 +21,6 @@ from sonarrec.geometry import (
     slant_range,
 )
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.plane import STEEPEST
 from sonarrec.records import ByteImage, Estimate, Fan, FloatArray
 
 Colour = tuple[int, int, int]

@@ -12,13 +12,13 @@ from typing import Any
 
 from sonarrec.appearance_model import model_from_table, read_model
 from sonarrec.config import Config
-from sonarrec.geometry import Sonar, sonar_from_table
 from sonarrec.landmarks import landmarks_from_table, load_landmarks
 from sonarrec.output import ResultsWriter, Sightings, run_table
 from sonarrec.poses import read_poses
 from sonarrec.readers import open_log
 from sonarrec.records import Clock, FrameResult, SonarrecError, Stamps, UsageError
 from sonarrec.side_by_side import SideBySide
+from sonarrec.sonar import Sonar, sonar_from_table
 
 
 @dataclass(frozen=True, slots=True)
