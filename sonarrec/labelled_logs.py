@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from sonarrec.appearance_model import AppearanceModel, load_model
 from sonarrec.calibration import Samples, Tracks, describe, fit, label
 from sonarrec.config import Config
 from sonarrec.evaluation.truth import Truth, match_truth, read_truth
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.readers import open_log
+from sonarrec.recogniser.stage3_features.model import AppearanceModel, load_model
 from sonarrec.records import Clock, FloatArray, Frame, SonarrecError, UsageError
 from sonarrec.sonar import Sonar
 

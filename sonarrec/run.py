@@ -10,14 +10,14 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from sonarrec.appearance_model import model_from_table, read_model
 from sonarrec.config import Config
 from sonarrec.landmarks import landmarks_from_table, load_landmarks
 from sonarrec.output import ResultsWriter, Sightings, run_table
 from sonarrec.poses import read_poses
 from sonarrec.readers import open_log
+from sonarrec.recogniser.side_by_side import SideBySide
+from sonarrec.recogniser.stage3_features.model import model_from_table, read_model
 from sonarrec.records import Clock, FrameResult, SonarrecError, Stamps, UsageError
-from sonarrec.side_by_side import SideBySide
 from sonarrec.sonar import Sonar, sonar_from_table
 
 
@@ -57,8 +57,8 @@ def process(
     and time if it was of this log, serve where nothing else is given; a plain settings file has
     none of them and changes nothing. odometry: a table of the sonar's poses (see poses.py).
     odometry_topic: the topic of the log that has them, in place of a table.
-    model: an appearance model (see appearance_model.py), default that of the earlier run, else the
-    built-in one.
+    model: an appearance model (stage3_features/model.py), default that of the earlier run, else
+    the built-in one.
     observe: told each result and the number of frames, where that is known. Raises SonarrecError
     for input or settings that cannot be used.
     """

@@ -24,9 +24,9 @@ from sonarrec.evaluation.truth import write_truth
 from sonarrec.geometry import polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.output import ResultsWriter, run_table
-from sonarrec.recogniser import FRAMEWORK, SMI
+from sonarrec.recogniser.recogniser import FRAMEWORK, SMI
+from sonarrec.recogniser.side_by_side import SideBySide
 from sonarrec.records import Estimate, Fan, Frame, FrameResult
-from sonarrec.side_by_side import SideBySide
 from sonarrec.simulation.scene import Scene, scene_fan, scene_sonar
 from sonarrec.simulation.simulate import LandmarkTruth, render
 from tests.baseline import METHOD, HoughSmi, MajorityTracks

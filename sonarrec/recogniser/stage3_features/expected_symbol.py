@@ -19,8 +19,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sonarrec.landmarks import LandmarkSet
+from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES, STEP, Bands
 from sonarrec.records import FloatArray
-from sonarrec.shape_matrix import ANGLES, STEP, Bands
 
 # Typical echo levels in dB over the floor, and the noise beneath: they say how the logarithm of the
 # picture bends a smeared edge. Correlations hardly depend on them.

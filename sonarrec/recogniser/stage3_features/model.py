@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from sonarrec.appearance_features import FEATURES
+from sonarrec.recogniser.stage3_features.description import FEATURES
 from sonarrec.records import FloatArray, UsageError
 
-BUILT_IN = Path(__file__).parent / "models" / "appearance.toml"
+BUILT_IN = Path(__file__).parent / "appearance.toml"
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from sonarrec.config import Candidates
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.plane import Plane
+from sonarrec.recogniser.plane import Plane
 from sonarrec.records import ByteImage, FloatArray, Selection
 
 # The ring filter's dark surroundings, in disc radii: part of the gap inside, the floor outside.

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sonarrec.config import Continuity
-from sonarrec.plane import Plane
 from sonarrec.poses import PoseTable
+from sonarrec.recogniser.plane import Plane
 from sonarrec.records import ByteImage, FloatArray, Motion
 
 RANGES = 128

@@ -8,24 +8,20 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sonarrec.appearance import AppearanceMeasurement, Judge, TrackMatrix
-from sonarrec.appearance_model import load_model
 from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.odometry import Odometry
-from sonarrec.plane import Plane
 from sonarrec.poses import PoseTable
+from sonarrec.recogniser.odometry import Odometry
+from sonarrec.recogniser.plane import Plane
+from sonarrec.recogniser.stage1_candidates import CandidateSelector
+from sonarrec.recogniser.stage2_continuity import ContinuityFilter
+from sonarrec.recogniser.stage3_features.appearance import AppearanceMeasurement, Judge
+from sonarrec.recogniser.stage3_features.model import load_model
+from sonarrec.recogniser.stage3_features.published import FeatureEstimator, measurement_model
+from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES, ShapeSampler, turned_codes
+from sonarrec.recogniser.stage3_features.smi import Identification, identify
+from sonarrec.recogniser.stage3_features.track_matrix import TrackMatrix
 from sonarrec.records import Estimate, Fan, FloatArray, Frame, FrameResult, Groups
-from sonarrec.shape_matrix import (
-    ANGLES,
-    Identification,
-    ShapeSampler,
-    identify,
-    turned_codes,
-)
-from sonarrec.stage1_candidates import CandidateSelector
-from sonarrec.stage2_continuity import ContinuityFilter
-from sonarrec.stage3_features import FeatureEstimator, measurement_model
 
 SMI = "smi"
 FRAMEWORK = "framework"

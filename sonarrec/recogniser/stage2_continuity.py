@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sonarrec.config import Continuity
-from sonarrec.plane import Plane
+from sonarrec.recogniser.plane import Plane
 from sonarrec.records import FloatArray, Groups, Motion, Selection
 
 NEW_EXISTENCE = 0.5  # of a group that has just begun

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sonarrec.expected_symbol import ExpectedSymbols
 from sonarrec.landmarks import LandmarkSet
+from sonarrec.recogniser.stage3_features.expected_symbol import ExpectedSymbols
+from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES, Bands, turned_codes
 from sonarrec.records import FloatArray
-from sonarrec.shape_matrix import ANGLES, Bands, turned_codes
 
 # Levels are in standard deviations of the frame. Those named "local" count the symbol from the gap
 # in the same direction: echoes that come late and light that falls unevenly lie over both alike.
