@@ -13,8 +13,8 @@ from typing import Any
 from sonarrec.config import Config
 from sonarrec.landmarks import landmarks_from_table, load_landmarks
 from sonarrec.output import ResultsWriter, Sightings, run_table
-from sonarrec.poses import read_poses
 from sonarrec.readers import open_log
+from sonarrec.readers.poses_csv import read_poses
 from sonarrec.recogniser.side_by_side import SideBySide
 from sonarrec.recogniser.stage3_features.model import model_from_table, read_model
 from sonarrec.records import Clock, FrameResult, SonarrecError, Stamps, UsageError

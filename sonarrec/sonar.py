@@ -41,7 +41,7 @@ class Sonar:
     ranges_m: one per range bin, at its middle, both where they are not evenly spaced.
     beam_order: of a polar image, "range-major" (a row per range bin) or "beam-major" (a row per
     beam). flip: left and right are exchanged. pixel_scale, full_scale, dynamic_range_db: how
-    pixels become 8-bit grey, see `readers.grey`.
+    pixels become 8-bit grey, see `readers.pixels`.
     """
 
     layout: Literal["fan", "polar"] | None = None

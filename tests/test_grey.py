@@ -22,7 +22,7 @@ from messages import (
 
 from sonarrec.geometry import PolarToFan
 from sonarrec.readers import open_log
-from sonarrec.readers.grey import grey_scale, single_channel, to_grey8
+from sonarrec.readers.pixels import grey_scale, single_channel, to_grey8
 from sonarrec.readers.raw import UnusableError
 from sonarrec.records import SonarrecError
 from sonarrec.sonar import Sonar, sonar_from_table

@@ -17,7 +17,8 @@ from logs import PERIOD_NS, SONAR_TOML, cdr_image, frames, image_folder, mcap_fi
 
 from sonarrec.geometry import PolarToFan
 from sonarrec.mcap_writer import SCHEMAS, McapImageWriter, is_polar
-from sonarrec.readers import MAX_PROBLEM_LINES, open_log
+from sonarrec.readers import open_log
+from sonarrec.readers.log import MAX_PROBLEM_LINES
 from sonarrec.records import Frame, SonarrecError, UsageError
 from sonarrec.sonar import Sonar, load_sonar
 

@@ -16,8 +16,9 @@ from sonarrec.evaluation.in_view import share_in_fan
 from sonarrec.evaluation.truth import HEADER, write_truth
 from sonarrec.geometry import beam_bearings, bin_ranges, pixel_from_polar, polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.readers import Log, find_log
+from sonarrec.readers.find import find_log
 from sonarrec.readers.images import is_image, natural_order
+from sonarrec.readers.log import Log
 from sonarrec.records import Fan, FloatArray, SonarrecError, UsageError
 from sonarrec.sonar import Sonar
 

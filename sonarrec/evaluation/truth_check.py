@@ -17,7 +17,7 @@ from sonarrec.evaluation.truth import (
 )
 from sonarrec.geometry import ground_range, pixel_from_polar, polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.readers import Log
+from sonarrec.readers.log import Log
 from sonarrec.records import BoolArray, Fan, FloatArray, IntArray, SonarrecError
 from sonarrec.tables import POSITION_KINDS, read_table
 

@@ -29,7 +29,8 @@ from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
 from sonarrec.overlay.estimates import choose_method, read_estimates
 from sonarrec.overlay.foxglove_mcap import FoxgloveFile
 from sonarrec.overlay.video import ImageFolder, VideoFile
-from sonarrec.readers import Log, open_log
+from sonarrec.readers import open_log
+from sonarrec.readers.log import Log
 from sonarrec.records import ByteImage, Estimate, Fan, Frame, SonarrecError, UsageError
 from sonarrec.sonar import Sonar, sonar_from_table
 from sonarrec.tables import read_table

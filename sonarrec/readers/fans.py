@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from sonarrec.geometry import MAX_FAN_PIXELS, PolarToFan, fan_for_image, fan_for_polar
-from sonarrec.readers.grey import GreyScale, grey_scale, single_channel, to_grey8
+from sonarrec.readers.pixels import GreyScale, grey_scale, single_channel, to_grey8
 from sonarrec.readers.raw import RawFrame, UnusableError
 from sonarrec.records import ByteImage, Fan, SonarrecError
 from sonarrec.sonar import Sonar, check_sonar, missing_keys

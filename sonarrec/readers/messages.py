@@ -16,7 +16,8 @@ import numpy as np
 
 from sonarrec.readers import foxglove, ros_wire
 from sonarrec.readers.fields import Fields
-from sonarrec.readers.raw import Ping, UnusableError, decode_image, raw_pixels
+from sonarrec.readers.pixels import decode_image, raw_pixels
+from sonarrec.readers.raw import Ping, UnusableError
 from sonarrec.readers.ros_definitions import (
     DefinitionError,
     Struct,

@@ -11,7 +11,7 @@ import numpy as np
 
 from sonarrec.drawing import Mark, draw_frame
 from sonarrec.overlay.estimates import read_estimates
-from sonarrec.readers import Log
+from sonarrec.readers.log import Log
 from sonarrec.records import Estimate, Fan, Frame, SonarrecError
 from sonarrec.report.logs import ReportedLog
 
