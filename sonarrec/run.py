@@ -12,12 +12,14 @@ from typing import Any
 
 from sonarrec.config import Config
 from sonarrec.landmarks import landmarks_from_table, load_landmarks
-from sonarrec.output import ResultsWriter, Sightings, run_table
 from sonarrec.readers import open_log
 from sonarrec.readers.poses_csv import read_poses
 from sonarrec.recogniser.side_by_side import SideBySide
 from sonarrec.recogniser.stage3_features.model import model_from_table, read_model
 from sonarrec.records import Clock, FrameResult, SonarrecError, Stamps, UsageError
+from sonarrec.results.run_file import run_table
+from sonarrec.results.sightings import Sightings
+from sonarrec.results.write import ResultsWriter
 from sonarrec.sonar import Sonar, sonar_from_table
 
 

@@ -23,10 +23,11 @@ from sonarrec.evaluation.scoring import Evaluation, Pair, evaluate_pairs
 from sonarrec.evaluation.truth import write_truth
 from sonarrec.geometry import polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.output import ResultsWriter, run_table
 from sonarrec.recogniser.recogniser import FRAMEWORK, SMI
 from sonarrec.recogniser.side_by_side import SideBySide
 from sonarrec.records import Estimate, Fan, Frame, FrameResult
+from sonarrec.results.run_file import run_table
+from sonarrec.results.write import ResultsWriter
 from sonarrec.simulation.scene import Scene, scene_fan, scene_sonar
 from sonarrec.simulation.simulate import LandmarkTruth, render
 from tests.baseline import METHOD, HoughSmi, MajorityTracks

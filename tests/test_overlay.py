@@ -44,11 +44,11 @@ from sonarrec.drawing import (
 )
 from sonarrec.geometry import pixel_from_polar
 from sonarrec.landmarks import LandmarkSet, load_landmarks
-from sonarrec.output import ResultsWriter
-from sonarrec.overlay.estimates import choose_method, read_estimates
 from sonarrec.overlay.overlay import Targets, write_overlay
 from sonarrec.readers import open_log
 from sonarrec.records import Estimate, Fan, FrameResult, SonarrecError, UsageError
+from sonarrec.results.stream import choose_method, read_estimates
+from sonarrec.results.write import ResultsWriter
 from sonarrec.sonar import Sonar, load_sonar
 
 BASIN = load_landmarks("basin")

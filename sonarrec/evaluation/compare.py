@@ -12,7 +12,6 @@ import numpy as np
 
 from sonarrec.evaluation.joined import Joined
 from sonarrec.evaluation.passes import find_passes, find_units
-from sonarrec.evaluation.results import LogResults, find_logs, read_log
 from sonarrec.evaluation.scoring import Evaluation, Scored, check_options, pool
 from sonarrec.evaluation.tallies import rate_tallies
 from sonarrec.evaluation.truth import match_truth, read_truth
@@ -23,6 +22,7 @@ from sonarrec.evaluation.uncertainty import (
     differences,
 )
 from sonarrec.records import SonarrecError
+from sonarrec.results.read import LogResults, find_logs, read_log
 from sonarrec.sonar import Sonar
 
 RATES = ("tpr", "fpr", "auc")

@@ -17,9 +17,9 @@ import numpy.typing as npt
 
 from sonarrec.evaluation.curves import Count, Curve
 from sonarrec.evaluation.joined import Joined, join, nearest_truth
-from sonarrec.evaluation.results import LogResults, find_logs, read_log
 from sonarrec.evaluation.truth import Truth, TruthTable, match_truth, read_truth
 from sonarrec.records import BoolArray, FloatArray, IntArray, SonarrecError, UsageError
+from sonarrec.results.read import LogResults, find_logs, read_log
 from sonarrec.sonar import Sonar
 from sonarrec.tables import read_table
 

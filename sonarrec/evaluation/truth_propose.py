@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from sonarrec.evaluation.in_view import share_in_fan
-from sonarrec.evaluation.results import LogResults, find_logs, read_log
 from sonarrec.evaluation.truth import write_truth
 from sonarrec.geometry import ground_range, pixel_from_polar
 from sonarrec.records import Fan, FloatArray, SonarrecError, UsageError
+from sonarrec.results.read import LogResults, find_logs, read_log
 from sonarrec.tables import Kind, Table, read_table
 
 FILLED_IN = "interpolated"

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import tomllib
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from sonarrec.geometry import fan_for_image, plane_position
+from sonarrec.geometry import plane_position
 from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
 from sonarrec.records import BoolArray, Fan, FloatArray, IntArray, SonarrecError
-from sonarrec.sonar import Sonar, check_sonar, sonar_from_table
+from sonarrec.results.run_file import fan_of_run, read_run
+from sonarrec.sonar import Sonar
 from sonarrec.tables import POSITION_KINDS, Kind, Table, line_number, position_pair, read_table
 
 METHODS = ("smi", "framework")
@@ -81,7 +80,7 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
         landmark_set = load_landmarks(landmarks or "basin")
     else:
         landmark_set = landmarks_from_table(run["landmarks"], str(folder / "run.toml"))
-    fan = _fan(run, folder / "run.toml", sonar)
+    fan = fan_of_run(run, folder / "run.toml", sonar)
 
     path = folder / "frames.csv"
     frames = read_table(
@@ -165,28 +164,3 @@ def _probability(
     for k, name in enumerate(columns):
         probability[:, k] = table.pop(name)[listed]
     return probability
-
-
-def read_run(path: Path) -> dict[str, Any]:
-    """run.toml as a table, {} where it is missing or empty."""
-    if not path.is_file():
-        return {}
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise SonarrecError(f"{path}: not a readable TOML file ({error})") from None
-
-
-def _fan(run: dict[str, Any], path: Path, given: Sonar | None) -> Fan | None:
-    """The fan that pixel positions refer to; None where its scale and apex are not stated."""
-    known = {field.name for field in fields(Sonar)}
-    table = {key: value for key, value in run.get("sonar", {}).items() if key in known}
-    # [fan] describes the images that pixels refer to, also where the recording was polar.
-    fan = run.get("fan", {})
-    table |= {key: value for key, value in fan.items() if key in known}
-    sonar = sonar_from_table(table, str(path)).updated(given or Sonar())
-    if sonar.metres_per_pixel is None or sonar.apex_px is None:
-        return None
-    check_sonar(sonar, str(path) if run else "command line")
-    # Scale and apex are stated, so the image's size does not enter the conversion.
-    return fan_for_image(sonar, rows=1, columns=1)
