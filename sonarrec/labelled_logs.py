@@ -10,12 +10,13 @@ import numpy as np
 
 from sonarrec.calibration import Samples, Tracks, describe, fit, label
 from sonarrec.config import Config
-from sonarrec.evaluation.truth import Truth, match_truth, read_truth
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.readers import open_log
 from sonarrec.recogniser.stage3_features.model import AppearanceModel, load_model
 from sonarrec.records import Clock, FloatArray, Frame, SonarrecError, UsageError
 from sonarrec.sonar import Sonar
+from sonarrec.truth.match import Truth, match_truth
+from sonarrec.truth.table import read_truth
 
 # Parts of the tracks, each left out once; with fewer tracks of landmarks, or of others, that
 # would measure nothing.

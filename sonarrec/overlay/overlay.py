@@ -22,7 +22,6 @@ from sonarrec.drawing import (
     draw_strip,
     trails,
 )
-from sonarrec.evaluation.truth import match_truth, read_truth
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.overlay.foxglove_mcap import FoxgloveFile
 from sonarrec.overlay.video import ImageFolder, VideoFile
@@ -33,6 +32,8 @@ from sonarrec.results.read import read_log
 from sonarrec.results.run_file import as_run, check_same, frames_table, read_run
 from sonarrec.results.stream import choose_method, read_estimates
 from sonarrec.sonar import Sonar
+from sonarrec.truth.match import match_truth
+from sonarrec.truth.table import read_truth
 
 
 @dataclass(frozen=True, slots=True)

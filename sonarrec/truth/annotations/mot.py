@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from sonarrec.annotations.shapes import HALF_A_PIXEL, Annotations, Shape, finite, read_text
 from sonarrec.records import SonarrecError
+from sonarrec.truth.annotations.shapes import HALF_A_PIXEL, Annotations, Shape, finite, read_text
 
 LABELS = "labels.txt"
 

@@ -12,7 +12,8 @@ from itertools import pairwise
 from pathlib import Path
 from xml.parsers import expat
 
-from sonarrec.annotations.shapes import (
+from sonarrec.records import SonarrecError
+from sonarrec.truth.annotations.shapes import (
     HALF_A_PIXEL,
     Annotations,
     Shape,
@@ -20,7 +21,6 @@ from sonarrec.annotations.shapes import (
     finite,
     stated_visible,
 )
-from sonarrec.records import SonarrecError
 
 MAX_GAP = 100_000  # frames between two keyframes of a track; beyond it a number is mistyped
 

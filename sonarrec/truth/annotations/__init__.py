@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from sonarrec.annotations import coco, cvat, labelme, mot
-from sonarrec.annotations.shapes import Annotations
 from sonarrec.records import SonarrecError
+from sonarrec.truth.annotations import coco, cvat, labelme, mot
+from sonarrec.truth.annotations.shapes import Annotations
 
 
 @dataclass(frozen=True, slots=True)

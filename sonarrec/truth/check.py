@@ -7,19 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from sonarrec.evaluation.in_view import share_in_fan
-from sonarrec.evaluation.truth import (
-    HEADER,
-    TruthTable,
-    match_times,
-    read_rows,
-    repeated_rows,
-)
 from sonarrec.geometry import ground_range, pixel_from_polar, polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.readers.log import Log
 from sonarrec.records import BoolArray, Fan, FloatArray, IntArray, SonarrecError
 from sonarrec.tables import POSITION_KINDS, read_table
+from sonarrec.truth.in_view import share_in_fan
+from sonarrec.truth.match import match_times
+from sonarrec.truth.table import HEADER, TruthTable, read_rows, repeated_rows
 
 SLACK = 0.1
 """What a person cannot be held to: a tenth of the radius in place, of the area in `visible`."""

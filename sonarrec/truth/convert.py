@@ -10,10 +10,6 @@ from pathlib import Path
 
 import numpy as np
 
-from sonarrec.annotations import read_annotations
-from sonarrec.annotations.shapes import Annotations, Shape
-from sonarrec.evaluation.in_view import share_in_fan
-from sonarrec.evaluation.truth import HEADER, write_truth
 from sonarrec.geometry import beam_bearings, bin_ranges, pixel_from_polar, polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.readers.find import find_log
@@ -21,6 +17,10 @@ from sonarrec.readers.images import is_image, natural_order
 from sonarrec.readers.log import Log
 from sonarrec.records import Fan, FloatArray, SonarrecError, UsageError
 from sonarrec.sonar import Sonar
+from sonarrec.truth.annotations import read_annotations
+from sonarrec.truth.annotations.shapes import Annotations, Shape
+from sonarrec.truth.in_view import share_in_fan
+from sonarrec.truth.table import HEADER, write_truth
 
 _PLAIN_LABEL = re.compile(r"(?:(?:id|landmark)[\s._-]*)?(\d+)", re.IGNORECASE)
 _BY_NUMBER = "frames by the number that ends every image name"

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from sonarrec.annotations.shapes import (
+from sonarrec.records import SonarrecError
+from sonarrec.truth.annotations.shapes import (
     HALF_A_PIXEL,
     NOT_AS_DESCRIBED,
     PARTLY_HIDDEN,
@@ -16,7 +17,6 @@ from sonarrec.annotations.shapes import (
     read_json,
     stated_visible,
 )
-from sonarrec.records import SonarrecError
 
 
 def matches(path: Path, text: str) -> bool:

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 
 from sonarrec.drawing import Colour, disc_outline, landmark_colours
-from sonarrec.evaluation.truth_check import CheckedTruth
 from sonarrec.records import ByteImage, FloatArray, Frame, IntArray, SonarrecError
+from sonarrec.truth.check import CheckedTruth
 
 TILES = 8
 """Frames shown of a pass, from its first to its last."""

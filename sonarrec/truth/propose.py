@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from sonarrec.evaluation.in_view import share_in_fan
-from sonarrec.evaluation.truth import write_truth
 from sonarrec.geometry import ground_range, pixel_from_polar
 from sonarrec.records import Fan, FloatArray, SonarrecError, UsageError
 from sonarrec.results.read import LogResults, find_logs, read_log
 from sonarrec.tables import Kind, Table, read_table
+from sonarrec.truth.in_view import share_in_fan
+from sonarrec.truth.table import write_truth
 
 FILLED_IN = "interpolated"
 HEADER = ("frame", "landmark", "x_px", "y_px", "visible", "track", "source")
