@@ -224,7 +224,7 @@ def tune() -> Settings:
     """
     import tempfile
 
-    from sonarrec.evaluation.scoring import evaluate
+    from sonarrec.evaluation.evaluate import evaluate
     from sonarrec.simulation.simulate import random_scene, write_recording
 
     landmarks = load_landmarks("basin")

@@ -22,7 +22,7 @@ import cv2
 import numpy as np
 
 from sonarrec.config import Config, preset
-from sonarrec.evaluation.scoring import evaluate
+from sonarrec.evaluation.evaluate import evaluate
 from sonarrec.landmarks import load_landmarks
 from sonarrec.mcap_writer import McapImageWriter
 from sonarrec.recogniser.odometry import Odometry

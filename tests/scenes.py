@@ -18,8 +18,8 @@ import pandas as pd
 
 from sonarrec.config import preset
 from sonarrec.evaluation.curves import Count
+from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.evaluation.passes import find_passes
-from sonarrec.evaluation.scoring import Evaluation
 from sonarrec.evaluation.summary import Summary, summarise
 from sonarrec.simulation.random_scenes import (
     ALL_KINDS,

@@ -18,9 +18,9 @@ import numpy as np
 
 from sonarrec.config import preset
 from sonarrec.evaluation.curves import PUBLISHED
-from sonarrec.evaluation.files import write_evaluation
 from sonarrec.evaluation.summary import Summary, summarise
 from sonarrec.evaluation.uncertainty import LEVEL
+from sonarrec.evaluation.write import write_evaluation
 from sonarrec.records import FloatArray, SonarrecError
 from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene, load_scene
 from sonarrec.simulation.world import object_radius

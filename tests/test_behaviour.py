@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from sonarrec.cli import main
-from sonarrec.evaluation.scoring import evaluate
+from sonarrec.evaluation.evaluate import evaluate
 from sonarrec.evaluation.summary import Summary, summarise
 from tests.claims import evaluated, joined
 

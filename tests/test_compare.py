@@ -11,7 +11,7 @@ from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
 from sonarrec.evaluation.compare import compare
-from sonarrec.evaluation.scoring import Pair, evaluate, evaluate_pairs, read_pairs
+from sonarrec.evaluation.evaluate import Pair, evaluate, evaluate_pairs, read_pairs
 from sonarrec.records import SonarrecError
 from tests.test_evaluation import TRUTH_HEADER, random_case, scored, write_case, write_csv
 

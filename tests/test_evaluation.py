@@ -16,8 +16,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sonarrec.cli import main
-from sonarrec.evaluation.scoring import Evaluation, Scored, evaluate
-from sonarrec.evaluation.tabulate import rate, screen
+from sonarrec.evaluation.cells import rate
+from sonarrec.evaluation.evaluate import Evaluation, evaluate
+from sonarrec.evaluation.scoring import Scored
+from sonarrec.evaluation.tabulate import screen
 from sonarrec.landmarks import load_landmarks
 
 IDS = (1, 2, 3, 4)

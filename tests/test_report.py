@@ -20,7 +20,8 @@ from hypothesis import strategies as st
 
 from sonarrec.cli import main
 from sonarrec.drawing import landmark_colours
-from sonarrec.evaluation.scoring import PROTOCOLS, evaluate, score
+from sonarrec.evaluation.evaluate import evaluate
+from sonarrec.evaluation.scoring import PROTOCOLS, score
 from sonarrec.evaluation.summary import summarise
 from sonarrec.landmarks import load_landmarks
 from sonarrec.report import charts

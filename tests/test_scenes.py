@@ -17,7 +17,8 @@ from sklearn.metrics import brier_score_loss
 from sonarrec.calibration import MODEL_SEEDS
 from sonarrec.cli import main as sonarrec
 from sonarrec.config import preset
-from sonarrec.evaluation.scoring import Evaluation, Scored
+from sonarrec.evaluation.evaluate import Evaluation
+from sonarrec.evaluation.scoring import Scored
 from sonarrec.landmarks import load_landmarks
 from sonarrec.records import SonarrecError
 from sonarrec.simulation.scene import (

@@ -6,9 +6,10 @@ import math
 from dataclasses import dataclass
 
 from sonarrec.evaluation.curves import Count
-from sonarrec.evaluation.scoring import Evaluation, Scored
+from sonarrec.evaluation.evaluate import Evaluation
+from sonarrec.evaluation.metrics import DIGITS, ROWS, TESTED
+from sonarrec.evaluation.scoring import Scored
 from sonarrec.evaluation.summary import Summary
-from sonarrec.evaluation.tabulate import DIGITS, ROWS, TESTED, rate
 from sonarrec.evaluation.uncertainty import Figure
 
 TESTED_LABELS = [label for name, label, _ in ROWS if name in TESTED]
@@ -130,7 +131,7 @@ def differences(evaluation: Evaluation, summary: Summary) -> list[tuple[str, lis
             digits = DIGITS[d.name]
             rows.setdefault(f"{d.b} less {d.a}", []).append(
                 Cell(
-                    _number(d.value, digits, "+"),
+                    number(d.value, digits, "+"),
                     _span(d.low, d.high, digits, "+"),
                     d.note if math.isnan(d.p) else f"p = {d.p:.2g}",
                 )
@@ -141,7 +142,7 @@ def differences(evaluation: Evaluation, summary: Summary) -> list[tuple[str, lis
 def _cell(figure: Figure | None, digits: int) -> Cell:
     if figure is None:
         return Cell("-")
-    return Cell(_number(figure.value, digits), _interval(figure, digits))
+    return Cell(number(figure.value, digits), _interval(figure, digits))
 
 
 def _interval(figure: Figure | None, digits: int) -> str:
@@ -151,15 +152,35 @@ def _interval(figure: Figure | None, digits: int) -> str:
 def _span(low: float, high: float, digits: int, sign: str = "") -> str:
     if math.isnan(low):
         return ""
-    return f"{_number(low, digits, sign)} to {_number(high, digits, sign)}"
-
-
-def _number(value: float, digits: int, sign: str = "") -> str:
-    if math.isnan(value):
-        return "-"
-    return "never" if math.isinf(value) else f"{value:{sign}.{digits}f}"
+    return f"{number(low, digits, sign)} to {number(high, digits, sign)}"
 
 
 def _rate(part: int, whole: int) -> str:
     """A rate to four digits; a dash where there is nothing to measure."""
     return rate(part, whole).strip() if whole else "-"
+
+
+def rate(part: int, whole: int) -> str:
+    """A rate to four digits, halves upward as in the paper; "0.0000*" for 0/0."""
+    if whole == 0:
+        return "0.0000*"
+    # In whole numbers: 52/640 is .08125 and printed .0813, which binary rounding makes .0812.
+    digits = (2 * 10_000 * part + whole) // (2 * whole)
+    return f"{digits // 10_000}.{digits % 10_000:04d} "
+
+
+def number(value: float, digits: int, sign: str = "") -> str:
+    """A number; a dash for none, "never" for an infinite one."""
+    if math.isnan(value):
+        return "-"
+    return "never" if math.isinf(value) else f"{value:{sign}.{digits}f}"
+
+
+def with_interval(figure: Figure | None, digits: int) -> str:
+    """A figure and, where known, its interval in brackets."""
+    if figure is None:
+        return "-"
+    value = number(figure.value, digits)
+    if math.isnan(figure.low):
+        return value
+    return f"{value} ({number(figure.low, digits)}-{number(figure.high, digits)})"

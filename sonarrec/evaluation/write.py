@@ -12,9 +12,10 @@ from typing import Any
 
 from sonarrec.evaluation.compare import Comparison
 from sonarrec.evaluation.curves import Count, macro_curve
+from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.evaluation.plots import draw_det, draw_reliability, draw_roc, draw_roc_by_id
 from sonarrec.evaluation.reliability import BINS
-from sonarrec.evaluation.scoring import Evaluation, Scored
+from sonarrec.evaluation.scoring import Scored
 from sonarrec.evaluation.summary import Summary
 from sonarrec.records import SonarrecError
 
