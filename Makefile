@@ -46,7 +46,7 @@ study: .venv/installed  # the paper's scene thirty times over: intervals and tes
 	$(BIN)/python -m tests.study
 
 model: .venv/installed  # the built-in appearance model, from simulated recordings (minutes)
-	$(BIN)/python -m sonarrec.calibration
+	$(BIN)/python -m sonarrec.learning.built_in
 
 regression: .venv/installed  # the sample logs against their results on record
 	$(BIN)/python -m tests.regression

@@ -11,7 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from sonarrec.calibration import Samples, fit, samples_of
+from sonarrec.learning.built_in import samples_of
+from sonarrec.learning.fit import fit
+from sonarrec.learning.samples import Samples
 from sonarrec.recogniser.stage3_features.model import AppearanceModel, load_model
 from sonarrec.simulation.random_scenes import random_scene
 

@@ -14,12 +14,12 @@ import pytest
 from click.testing import CliRunner
 from sklearn.metrics import brier_score_loss
 
-from sonarrec.calibration import MODEL_SEEDS
 from sonarrec.cli import main as sonarrec
 from sonarrec.config import preset
 from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.evaluation.scoring import Scored
 from sonarrec.landmarks import load_landmarks
+from sonarrec.learning.built_in import MODEL_SEEDS
 from sonarrec.records import SonarrecError
 from sonarrec.simulation.scene import (
     MotionSection,

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from sonarrec.calibration import Samples, Tracks, describe, fit, label
 from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
+from sonarrec.learning.fit import fit
+from sonarrec.learning.samples import Samples, Tracks, describe, label
 from sonarrec.readers import open_log
 from sonarrec.recogniser.stage3_features.model import AppearanceModel, load_model
 from sonarrec.records import Clock, FloatArray, Frame, SonarrecError, UsageError
