@@ -10,7 +10,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import messages
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -21,6 +20,7 @@ from sonarrec.readers.messages import decoder_for
 from sonarrec.readers.raw import UnusableError
 from sonarrec.run import process
 from sonarrec.simulation.simulate import load_scene, render
+from tests.support import messages
 from tests.support.logs import PERIOD_NS, SONAR_TOML, image_folder
 from tests.support.messages import (
     BEAMS,

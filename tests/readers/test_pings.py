@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import messages
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
@@ -22,6 +21,7 @@ from sonarrec.readers.raw import RawFrame, UnusableError
 from sonarrec.records import SonarrecError, UsageError
 from sonarrec.run import process
 from sonarrec.sonar import Sonar
+from tests.support import messages
 from tests.support.logs import PERIOD_NS, frames, image_folder, mcap_file
 from tests.support.messages import (
     BEAMS,

@@ -6,7 +6,6 @@ import math
 from pathlib import Path
 from typing import Any
 
-import messages
 import numpy as np
 import pytest
 
@@ -16,6 +15,7 @@ from sonarrec.readers.pixels import grey_scale, single_channel, to_grey8
 from sonarrec.readers.raw import UnusableError
 from sonarrec.records import SonarrecError
 from sonarrec.sonar import Sonar, sonar_from_table
+from tests.support import messages
 from tests.support.messages import (
     BEAMS,
     BEARINGS_DEG,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import struct
 from pathlib import Path
 
-import messages
 import pytest
 
 from sonarrec.readers.messages import MESSAGES, decoder_for, message_type
@@ -17,6 +16,7 @@ from sonarrec.readers.ros_definitions import (
     known,
     parse_definition,
 )
+from tests.support import messages
 from tests.support.logs import mcap_file
 from tests.support.messages import (
     DEFINITIONS,
