@@ -89,12 +89,15 @@ def process(
             configs, first.fan, stated.landmarks, learned.model if learned else None, poses
         )
         source = (log.name, *log.digest_source())
-        run = run_table(configs, log.stated, first.fan, stated.landmarks, source, log.reading())
+        methods = recogniser.methods
+        run = run_table(
+            configs, methods, log.stated, first.fan, stated.landmarks, source, log.reading()
+        )
         if poses is not None:
             run["odometry"] = dict(poses.source)
         if learned is not None:
             run["model"] = learned.as_table()
-        sightings = [Sightings(method) for method in recogniser.methods]
+        sightings = [Sightings(method) for method in recogniser.tracking]
         stamps = deque[Stamps]()
         with ResultsWriter(out / log.name, stated.landmarks, run) as writer:
 

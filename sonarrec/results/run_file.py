@@ -18,6 +18,7 @@ from sonarrec.sonar import Sonar, check_sonar, sonar_from_table
 
 def run_table(
     settings: Sequence[config.Config],
+    methods: Sequence[str],
     sonar: Sonar,
     fan: Fan,
     landmarks: LandmarkSet,
@@ -26,9 +27,10 @@ def run_table(
 ) -> dict[str, Any]:
     """The tables of run.toml: all that is needed to get the same results again.
 
-    sonar: as stated, which serves a run again. source: the input's name, size in bytes and SHA-256.
-    reading: how it was read (`Log.reading`). The fan is written out also where the geometry leaves
-    it to defaults or to the log's messages, so that fan pixels can be read later.
+    methods: names in estimates.csv. sonar: as stated, which serves a run again. source: the
+    input's name, size in bytes and SHA-256. reading: how it was read (`Log.reading`). The fan is
+    written out also where the geometry leaves it to defaults or to the log's messages, so that fan
+    pixels can be read later.
     """
     resolved = Sonar(metres_per_pixel=fan.metres_per_pixel, apex_px=(fan.apex_column, fan.apex_row))
     table = sonar.as_table() | {
@@ -40,7 +42,7 @@ def run_table(
     name, size, digest = source
     tables = [config.as_table(c) for c in settings]
     return {
-        "program": {"name": "sonarrec", "version": __version__},
+        "program": {"name": "sonarrec", "version": __version__, "methods": list(methods)},
         "input": {"name": name, "bytes": size, "sha256": digest, **reading},
         "config": tables if len(tables) > 1 else tables[0],
         "sonar": table,
