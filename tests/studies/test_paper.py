@@ -83,7 +83,7 @@ def test_worlds_lie_in_their_ranges_and_are_seen_as_often_as_published() -> None
 
 
 def test_in_view_of_a_place_in_the_middle_of_the_pan() -> None:
-    """A place well inside 80 degrees of pan is in a fan of 28.8 degrees for 28.8 / 80 of the time."""
+    """Well inside 80 degrees of pan a fan of 28.8 degrees shows it for 28.8 / 80 of the time."""
     counts = in_view(np.array([[0.0, 5.0, -5.0]]), np.array([-40.0]))
     whole = 6 * 28.8 / 0.5  # six whole passes; the seventh ends before it comes there
     assert counts[0] == pytest.approx(whole, abs=7)
