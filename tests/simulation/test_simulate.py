@@ -438,7 +438,9 @@ def test_paper_scene_is_the_papers_experiment() -> None:
     assert {item.id for item in scene.landmarks} == {1, 3, 4}
     for item in scene.landmarks:
         assert 1.7 <= math.hypot(item.ground_m, scene.sonar.height_m) <= 2.3
-    assert {item.kind for item in scene.objects} >= {"mesh", "beam", "blank"}
+    kinds = {item.kind for item in scene.objects}
+    assert kinds >= {"mesh", "beam"}
+    assert kinds & {"blank", "half_ring", "spokes", "filled"}, "no circular fake"
 
 
 def test_simulate_command(tmp_path) -> None:

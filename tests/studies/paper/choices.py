@@ -30,6 +30,8 @@ from tests.support.simulated import Job, recognise_all, score
 
 SEEDS = range(6000, 6100)
 """Of the recordings on which readings are compared."""
+RECORDINGS = 2
+"""Of each world."""
 CHOSEN = Path(__file__).with_name("choices.toml")
 
 Table = Mapping[str, Mapping[str, Any]]
@@ -120,7 +122,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, default=Path("build") / "paper" / "choices")
     asked = parser.parse_args(arguments)
     begun = time.monotonic()
-    worlds = kept_worlds()
+    worlds = kept_worlds() * RECORDINGS
     seeds = SEEDS[: len(worlds)]
     literal = {"literal": LITERAL}
     first, found = compare(worlds, seeds, literal | STAGE_2, asked.out)

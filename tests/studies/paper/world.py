@@ -120,7 +120,7 @@ class World:
                 v[f"azimuth_deg_{i}"],
                 v[f"turn_deg_{i}"],
                 bright_db=v["ring_db"],
-                symbol_db=v["ring_db"] + v["symbol_db"] + v[f"own_db_{i}"],
+                symbol_db=round(v["ring_db"] + v["symbol_db"] + v[f"own_db_{i}"], 2),
                 plate_db=v["plate_db"],
             )
             for i in PRESENT
