@@ -88,7 +88,7 @@ def process(
         landmark_set = load_landmarks(landmarks or "basin")
     poses = None if odometry is None else read_poses(odometry)
     if odometry_topic is not None:
-        from sonarrec.readers.mcap_poses import read_topic  # with its decompressors, where needed
+        from sonarrec.readers.mcap.poses import read_topic  # with its decompressors, where needed
 
         poses = read_topic(Path(path), odometry_topic, time or "log")
     notes = []

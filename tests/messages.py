@@ -26,7 +26,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from sonarrec.geometry import Sonar
 from sonarrec.readers import open_log
-from sonarrec.readers.messages import decoder_for
+from sonarrec.readers.mcap.messages import decoder_for
 from sonarrec.readers.raw import Ping
 from sonarrec.records import Frame
 

@@ -22,7 +22,7 @@ LIGHT = (
     "sonarrec.cli",
     "sonarrec.pipeline",
     "sonarrec.simulation.simulate",
-    "sonarrec.readers.mcap_file",
+    "sonarrec.readers.mcap.images",
 )
 HEAVY = {"pandas", "matplotlib", "scipy"}
 
@@ -55,7 +55,7 @@ def packages(names: set[str]) -> set[str]:
 
 def test_the_modules_are_found() -> None:
     assert len(STAGES) == 3
-    assert "sonarrec.readers.mcap_file" in READERS
+    assert "sonarrec.readers.mcap.images" in READERS
 
 
 def test_records_import_nothing_of_ours() -> None:
@@ -72,7 +72,7 @@ def test_layers(name: str) -> None:
     if name not in CLI | {"sonarrec.__main__"}:
         assert not ours(name) & CLI
         assert not packages(imports(name)) & {"click", "tqdm"}
-    if "mcap" not in name:  # the modules that know the format say so in their name
+    if "mcap" not in name:  # the rooms that know the format say so in their name
         assert "mcap" not in packages(imports(name))
 
 

@@ -39,8 +39,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from sonarrec.geometry import Sonar
 from sonarrec.mcap_writer import _ROS_TYPES, SCHEMAS, McapImageWriter
 from sonarrec.readers import open_log
-from sonarrec.readers.mcap_records import MAGIC
-from sonarrec.readers.messages import decoder_for, message_type
+from sonarrec.readers.mcap.messages import decoder_for, message_type
+from sonarrec.readers.mcap.salvage import MAGIC
 from sonarrec.readers.raw import UnusableError
 from sonarrec.records import Frame, SonarrecError, UsageError
 

@@ -40,7 +40,7 @@ from messages import (
 
 from sonarrec import config
 from sonarrec.pipeline import process
-from sonarrec.readers.messages import decoder_for
+from sonarrec.readers.mcap.messages import decoder_for
 from sonarrec.readers.raw import UnusableError
 from sonarrec.simulation.simulate import load_scene, render
 

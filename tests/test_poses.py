@@ -21,7 +21,7 @@ from sonarrec.cli import main
 from sonarrec.config import Config, preset
 from sonarrec.plane import Plane
 from sonarrec.poses import PoseTable, pose_table, read_poses
-from sonarrec.readers.mcap_poses import read_topic
+from sonarrec.readers.mcap.poses import read_topic
 from sonarrec.recogniser import FRAMEWORK, Recogniser
 from sonarrec.records import Frame, Motion, SonarrecError
 from sonarrec.simulation.motion import poses

@@ -18,15 +18,15 @@ from messages import (
     serialised,
 )
 
-from sonarrec.readers.messages import MESSAGES, decoder_for, message_type
-from sonarrec.readers.raw import UnusableError
-from sonarrec.readers.ros_definitions import (
+from sonarrec.readers.mcap.messages import MESSAGES, decoder_for, message_type
+from sonarrec.readers.mcap.ros_definitions import (
     DefinitionError,
     Struct,
     definition_text,
     known,
     parse_definition,
 )
+from sonarrec.readers.raw import UnusableError
 
 
 def test_definitions_are_those_of_the_packages() -> None:

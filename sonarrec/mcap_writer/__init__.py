@@ -16,7 +16,7 @@ from sonarrec.mcap_writer import fields
 from sonarrec.mcap_writer.fields import MakeFields
 from sonarrec.mcap_writer.protobuf import descriptor_set, encode_protobuf
 from sonarrec.mcap_writer.ros import encode_cdr, encode_json, encode_ros1, json_schema
-from sonarrec.readers.ros_definitions import definition_text, parse_definition
+from sonarrec.readers.mcap.ros_definitions import definition_text, parse_definition
 from sonarrec.records import SonarrecError, UsageError
 
 _COMPRESSIONS = {

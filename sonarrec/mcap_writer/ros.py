@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from sonarrec.readers.ros_definitions import Struct
+from sonarrec.readers.mcap.ros_definitions import Struct
 
 
 def encode_cdr(layout: Struct, fields: Mapping[str, Any]) -> bytes:

@@ -28,7 +28,7 @@ SETTLING_FRAMES = 3  # whose commonest size or window is taken to be the log's
 
 
 def _open_mcap(path: Path, topic: str | None) -> RawLog:
-    from sonarrec.readers.mcap_file import McapImages  # with its decompressors, only where needed
+    from sonarrec.readers.mcap.images import McapImages  # with its decompressors, only where needed
 
     return McapImages(path, topic)
 

@@ -20,7 +20,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Footer, Header, Schema, Statistics
 
-from sonarrec.readers.mcap_chunks import (
+from sonarrec.readers.mcap.chunks import (
     RECORD_HEAD,
     ChunkHead,
     ChunkStore,

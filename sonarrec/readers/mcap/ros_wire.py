@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from sonarrec.readers.mcap.ros_definitions import Struct
 from sonarrec.readers.raw import UnusableError
-from sonarrec.readers.ros_definitions import Struct
 
 # Second byte of the encapsulation header: plain CDR and plain XCDR2, big- and little-endian.
 _CDR_KINDS = {0: (">", 8), 1: ("<", 8), 6: (">", 4), 7: ("<", 4)}  # byte order, widest alignment

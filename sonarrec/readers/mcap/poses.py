@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.poses import PoseTable, pose_table
-from sonarrec.readers.fields import Fields
-from sonarrec.readers.mcap_file import schema_of
-from sonarrec.readers.mcap_messages import MessageReader
-from sonarrec.readers.mcap_records import McapFile
-from sonarrec.readers.messages import message_type, ros_fields
+from sonarrec.readers.mcap.fields import Fields
+from sonarrec.readers.mcap.images import schema_of
+from sonarrec.readers.mcap.in_order import MessageReader
+from sonarrec.readers.mcap.messages import message_type, ros_fields
+from sonarrec.readers.mcap.salvage import McapFile
 from sonarrec.readers.raw import UnusableError
 from sonarrec.records import Clock, SonarrecError, UsageError
 

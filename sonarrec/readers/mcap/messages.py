@@ -15,16 +15,16 @@ from typing import Any
 import numpy as np
 
 from sonarrec.geometry import MIN_WINDOW_M, Sonar
-from sonarrec.readers import foxglove, ros_wire
-from sonarrec.readers.fields import Fields
-from sonarrec.readers.raw import Ping, UnusableError, decode_image, raw_pixels
-from sonarrec.readers.ros_definitions import (
+from sonarrec.readers.mcap import foxglove, ros_wire
+from sonarrec.readers.mcap.fields import Fields
+from sonarrec.readers.mcap.ros_definitions import (
     DefinitionError,
     Struct,
     definition_text,
     known,
     parse_definition,
 )
+from sonarrec.readers.raw import Ping, UnusableError, decode_image, raw_pixels
 from sonarrec.records import FloatArray
 
 # What each message means

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from mcap.records import Channel, Schema
 
-from sonarrec.readers.mcap_messages import MessageReader
-from sonarrec.readers.mcap_records import McapFile
-from sonarrec.readers.messages import READABLE, Decoder, decoder_for
+from sonarrec.readers.mcap.in_order import MessageReader
+from sonarrec.readers.mcap.messages import READABLE, Decoder, decoder_for
+from sonarrec.readers.mcap.salvage import McapFile
 from sonarrec.readers.raw import RawFrame, UnusableError
 from sonarrec.records import SonarrecError, Stamps, UsageError
 
