@@ -24,13 +24,13 @@ import numpy as np
 from sonarrec.config import Config, preset
 from sonarrec.evaluation.scoring import evaluate
 from sonarrec.landmarks import load_landmarks
-from sonarrec.mcap_writer import McapImageWriter
 from sonarrec.odometry import Odometry
 from sonarrec.output import ResultsWriter
 from sonarrec.pipeline import process
 from sonarrec.plane import Plane
 from sonarrec.recogniser import Recogniser
 from sonarrec.shape_matrix import ShapeSampler
+from sonarrec.simulation.mcap_writer import McapImageWriter
 from sonarrec.simulation.scene import MotionSection, PlacedLandmark, Scene
 from sonarrec.simulation.simulate import load_scene, random_scene, write_recording
 from sonarrec.stage1_candidates import CandidateSelector

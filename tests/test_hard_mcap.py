@@ -20,10 +20,10 @@ from hypothesis import strategies as st
 from mcap.records import Channel, Schema, Statistics
 
 from sonarrec.geometry import Sonar
-from sonarrec.mcap_writer import McapImageWriter
 from sonarrec.readers import open_log
 from sonarrec.readers.mcap import chunks, in_order
 from sonarrec.records import Frame, SonarrecError
+from sonarrec.simulation.mcap_writer import McapImageWriter
 from tests.hard_logs import HardLog, built, record
 from tests.logs import PERIOD_NS, cdr_image, frames
 from tests.memory import peak_of_reading, shapes

@@ -1,87 +1,64 @@
-"""Takes Foxglove's image messages apart: protobuf and flatbuffers."""
+"""Foxglove's messages: its images taken apart, and its schemas for what we write.
+
+The schemas come with its package `foxglove-schemas-protobuf`, imported where one is needed.
+"""
 
 from __future__ import annotations
 
+import importlib
 import struct
+from functools import cache
 from typing import Any
 
 from sonarrec.readers.raw import UnusableError
 
-# Their fields, in the order of the flatbuffers tables, with the protobuf field numbers. Both stay
-# as they are in every version: that is how these formats grow.
+# Fields in the order of the flatbuffers tables, which stays in every version: so the format grows.
 FIELDS = {
-    "foxglove/RawImage": {
-        "timestamp": 1, "frame_id": 7, "width": 2, "height": 3, "encoding": 4, "step": 5, "data": 6,
-    },
-    "foxglove/CompressedImage": {"timestamp": 1, "frame_id": 4, "data": 2, "format": 3},
+    "foxglove/RawImage": (
+        "timestamp", "frame_id", "width", "height", "encoding", "step", "data",
+    ),
+    "foxglove/CompressedImage": ("timestamp", "frame_id", "data", "format"),
 }  # fmt: skip
-_TEXTS = ("frame_id", "encoding", "format")
 _NUMBERS = ("width", "height", "step")
 
 
+@cache
+def _lenient_class(name: str) -> Any:
+    """The class of a message by Foxglove's schema, but with bytes in place of texts: protobuf
+    refuses a message with one text of another code page, which some writers leave in a frame_id."""
+    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
+
+    dotted = name.replace("/", ".")
+    file = descriptor_pb2.FileDescriptorProto()
+    message_class(dotted).DESCRIPTOR.file.CopyToProto(file)
+    for field in file.message_type[0].field:
+        if field.type == field.TYPE_STRING:
+            field.type = field.TYPE_BYTES
+    pool = descriptor_pool.DescriptorPool()
+    pool.AddSerializedFile(timestamp_pb2.DESCRIPTOR.serialized_pb)
+    pool.Add(file)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(dotted))
+
+
 def decode_protobuf(name: str, message: memoryview) -> dict[str, Any]:
-    """The fields of a protobuf message of FIELDS. Raises UnusableError where it is malformed."""
-    numbered = protobuf_fields(message)
-    fields: dict[str, Any] = {}
-    for key, number in FIELDS[name].items():
-        value = numbered.get(number)
-        if value is None:  # proto3 leaves zeros and empty fields out
-            value = 0 if key in _NUMBERS else memoryview(b"")
-        if isinstance(value, int) != (key in _NUMBERS):
-            raise UnusableError(f"malformed message (field {number} is not its {key})")
-        fields[key] = value
-    clock = protobuf_fields(fields["timestamp"])
-    fields["timestamp"] = {"sec": clock.get(1, 0), "nanosec": clock.get(2, 0)}
-    return _with_texts(fields)
+    """The fields of one of Foxglove's images. Raises UnusableError where it is malformed."""
+    from google.protobuf.message import DecodeError
 
-
-def _with_texts(fields: dict[str, Any]) -> dict[str, Any]:
-    texts = {k: bytes(fields[k]).decode(errors="replace") for k in _TEXTS if k in fields}
-    return fields | texts
-
-
-def _varint(message: memoryview, at: int) -> tuple[int, int]:
-    """(value, position after it) of a protobuf varint."""
-    value = 0
-    for n, byte in enumerate(message[at : at + 10]):
-        value |= (byte & 0x7F) << 7 * n
-        if byte < 0x80:
-            return value, at + n + 1
-    raise UnusableError("malformed message (bad varint)")
-
-
-def protobuf_fields(message: memoryview) -> dict[int, int | memoryview]:
-    """The fields of one protobuf message by number; of repeated ones the last.
-
-    Length-delimited fields are views of the message, everything else whole numbers.
-    Raises UnusableError where the bytes are no protobuf message.
-    """
-    fields: dict[int, int | memoryview] = {}
-    at = 0
-    while at < len(message):
-        key, at = _varint(message, at)
-        wire_type = key & 7
-        if wire_type == 0:
-            fields[key >> 3], at = _varint(message, at)
-            continue
-        if wire_type == 2:
-            size, at = _varint(message, at)
-        elif wire_type in (1, 5):
-            size = 8 if wire_type == 1 else 4
-        else:
-            raise UnusableError("malformed message (bad wire type)")
-        value = message[at : at + size]
-        if len(value) != size:
-            raise UnusableError("malformed message (it ends too early)")
-        at += size
-        fields[key >> 3] = (
-            value if wire_type == 2 else struct.unpack("<Q" if size == 8 else "<I", value)[0]
-        )
-    return fields
+    try:
+        made = _lenient_class(name).FromString(message)
+    except DecodeError:
+        raise UnusableError("malformed message (no protobuf of its schema)") from None
+    clock = made.timestamp
+    fields = {key: getattr(made, key) for key in FIELDS[name]}
+    return fields | {"timestamp": {"sec": clock.seconds, "nanosec": clock.nanos}}
 
 
 def decode_flatbuffer(name: str, message: memoryview) -> dict[str, Any]:
-    """The fields of a flatbuffers message of FIELDS. Raises UnusableError where it is malformed."""
+    """The fields of one of Foxglove's images. Raises UnusableError where it is malformed.
+
+    By hand: the flatbuffers package follows offsets out of a damaged message, and gives bytes one
+    by one.
+    """
     try:
         root = _uint(message, 0)
         vtable = root - struct.unpack_from("<i", message, root)[0]
@@ -101,10 +78,10 @@ def decode_flatbuffer(name: str, message: memoryview) -> dict[str, Any]:
             elif key in _NUMBERS:
                 fields[key] = _uint(message, at) if offset else 0
             else:
-                fields[key] = _vector(message, at) if offset else memoryview(b"")
+                fields[key] = _vector(message, at) if offset else b""
     except struct.error:
         raise UnusableError("malformed message (it ends too early)") from None
-    return _with_texts(fields)
+    return fields
 
 
 def _uint(message: memoryview, at: int) -> int:
@@ -118,3 +95,73 @@ def _vector(message: memoryview, at: int) -> memoryview:
     if len(data) != _uint(message, start):
         raise UnusableError("malformed message (it ends too early)")
     return data
+
+
+DECODERS = {"protobuf": decode_protobuf, "flatbuffer": decode_flatbuffer}
+"""By a channel's message encoding."""
+
+
+# Schemas
+
+
+def message_class(name: str) -> Any:
+    """The protobuf class of a message such as foxglove.RawImage."""
+    short = name.removeprefix("foxglove.")
+    return getattr(importlib.import_module(f"foxglove_schemas_protobuf.{short}_pb2"), short)
+
+
+def descriptor_set(name: str) -> bytes:
+    """The FileDescriptorSet of a message, as MCAP asks of a protobuf schema."""
+    from google.protobuf.descriptor_pb2 import FileDescriptorSet
+
+    files: dict[str, Any] = {}
+
+    def add(file: Any) -> None:
+        for dependency in file.dependencies:
+            add(dependency)
+        files[file.name] = file
+
+    add(message_class(name).DESCRIPTOR.file)
+    schema = FileDescriptorSet()
+    for file in files.values():
+        file.CopyToProto(schema.file.add())
+    return bytes(schema.SerializeToString())
+
+
+def json_schema(name: str) -> dict[str, Any]:
+    """The JSON schema of a message, as Foxglove publishes it but for its descriptions."""
+    return {"title": name, **_object(message_class(name).DESCRIPTOR)}
+
+
+_TIME = {
+    "type": "object",
+    "title": "time",
+    "properties": {
+        "sec": {"type": "integer", "minimum": 0},
+        "nsec": {"type": "integer", "minimum": 0, "maximum": 999_999_999},
+    },
+    "required": ["sec", "nsec"],
+}
+
+
+def _object(message: Any) -> dict[str, Any]:
+    if message.full_name == "google.protobuf.Timestamp":
+        return _TIME
+    properties = {}
+    for field in message.fields:
+        single = _single(field)
+        properties[field.name] = {"type": "array", "items": single} if field.is_repeated else single
+    required = [name for name in properties if name not in ("timestamp", "metadata")]
+    return {"type": "object", "properties": properties, "required": required}
+
+
+def _single(field: Any) -> dict[str, Any]:
+    if field.message_type is not None:
+        return _object(field.message_type)
+    if field.enum_type is not None:
+        return {"oneOf": [{"const": value.number} for value in field.enum_type.values]}
+    if field.type == field.TYPE_BYTES:
+        return {"type": "string", "contentEncoding": "base64"}
+    if field.type == field.TYPE_STRING:
+        return {"type": "string"}
+    return {"type": "number" if field.cpp_type == field.CPPTYPE_DOUBLE else "integer"}

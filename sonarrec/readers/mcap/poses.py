@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.poses import PoseTable, pose_table
+from sonarrec.readers.mcap.decode import fields_decoder
 from sonarrec.readers.mcap.fields import Fields
 from sonarrec.readers.mcap.images import schema_of
 from sonarrec.readers.mcap.in_order import MessageReader
-from sonarrec.readers.mcap.messages import message_type, ros_fields
+from sonarrec.readers.mcap.messages import message_type
 from sonarrec.readers.mcap.salvage import McapFile
 from sonarrec.readers.raw import UnusableError
 from sonarrec.records import Clock, SonarrecError, UsageError
@@ -40,7 +41,9 @@ def read_topic(path: Path, topic: str, time: Clock) -> PoseTable:
             schema = schema_of(log, channel)
             kind = message_type(schema.name)
             if kind in POSES:
-                decode = ros_fields(kind, schema.encoding, schema.data, channel.message_encoding)
+                decode = fields_decoder(
+                    kind, schema.encoding, schema.data, channel.message_encoding
+                )
                 if decode is not None:
                     decoders[channel.id], kinds[channel.id] = decode, kind
         chosen = {c for c in decoders if log.channels[c].topic == topic}
