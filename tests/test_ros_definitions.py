@@ -27,7 +27,7 @@ from messages import (
 )
 from rosbags.typesys import get_types_from_msg
 
-from sonarrec.readers.mcap.decode import DefinitionError
+from sonarrec.readers.mcap.fields import DefinitionError
 from sonarrec.readers.mcap.messages import MESSAGES, decoder_for, message_type
 from sonarrec.readers.mcap.ros import RosDecoder, known_messages, parse_definition, ros_decoder
 from sonarrec.readers.raw import UnusableError

@@ -15,10 +15,6 @@ Decode = Callable[[memoryview], Mapping[str, Any]]
 message may come as its bytes."""
 
 
-class DefinitionError(Exception):
-    """A message definition cannot be used; the text says why."""
-
-
 def fields_decoder(
     name: str, schema_encoding: str, schema_data: bytes, message_encoding: str
 ) -> Decode | None:

@@ -11,6 +11,10 @@ import numpy as np
 from sonarrec.readers.raw import UnusableError
 
 
+class DefinitionError(Exception):
+    """A message definition cannot be used; the text says why."""
+
+
 class Fields:
     """Fields as the decoders give them: from binary messages or from JSON, where bytes are base64
     or a list of numbers. Every method raises UnusableError where a field is missing or of
@@ -100,8 +104,7 @@ class Fields:
         return np.column_stack(columns)
 
     def stamp_ns(self) -> int | None:
-        """The header's stamp, or Foxglove's timestamp, in ns; None without either. It may be
-        written by another hand than the rest, yet one beyond 64 bits is not passed over."""
+        """The header's stamp, or Foxglove's timestamp, in ns; None without either."""
         clock: Any = self._values.get("timestamp")
         header = self._values.get("header")
         if isinstance(header, Mapping):

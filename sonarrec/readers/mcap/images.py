@@ -7,7 +7,7 @@ from pathlib import Path
 
 from mcap.records import Channel, Schema
 
-from sonarrec.readers.mcap.decode import DefinitionError
+from sonarrec.readers.mcap.fields import DefinitionError
 from sonarrec.readers.mcap.in_order import MessageReader
 from sonarrec.readers.mcap.messages import READABLE, Decoder, decoder_for
 from sonarrec.readers.mcap.salvage import McapFile

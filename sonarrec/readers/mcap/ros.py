@@ -21,7 +21,7 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from sonarrec.readers.mcap.decode import DefinitionError
+from sonarrec.readers.mcap.fields import DefinitionError
 from sonarrec.readers.raw import UnusableError
 
 _MAX_DEFINITION_BYTES = 2**18
