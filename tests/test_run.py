@@ -17,7 +17,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
-from sonarrec.recogniser import Recogniser
+from sonarrec.recogniser.recogniser import Recogniser
 from sonarrec.simulation.mcap_writer import McapImageWriter
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -16,12 +16,12 @@ from mcap.writer import CompressionType, Writer
 from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
 
-from sonarrec.geometry import Sonar
 from sonarrec.readers.mcap import foxglove
 from sonarrec.readers.mcap.ros import known_messages
 from sonarrec.records import SonarrecError, UsageError
 from sonarrec.simulation import mcap_fields as fields
 from sonarrec.simulation.mcap_fields import MakeFields
+from sonarrec.sonar import Sonar
 
 _COMPRESSIONS = {
     "none": CompressionType.NONE,

@@ -11,11 +11,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sonarrec.geometry import MIN_WINDOW_M, Sonar
 from sonarrec.readers.mcap.decode import Decode, fields_decoder
 from sonarrec.readers.mcap.fields import Fields
-from sonarrec.readers.raw import Ping, UnusableError, decode_image, raw_pixels
+from sonarrec.readers.pixels import decode_image, raw_pixels
+from sonarrec.readers.raw import Ping, UnusableError
 from sonarrec.records import FloatArray
+from sonarrec.sonar import MIN_WINDOW_M, Sonar
 
 # What each message means
 
