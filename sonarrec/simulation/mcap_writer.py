@@ -113,28 +113,24 @@ def _ros_message(store: Typestore, name: str, values: Mapping[str, Any]) -> Any:
     return store.types[name](*made)
 
 
+_OCTETS = {"type": "string", "contentEncoding": "base64"}
+_JSON_TYPES = {"bool": "boolean", "string": "string", "float32": "number", "float64": "number"}
+
+
 def _ros_json_schema(store: Typestore, name: str) -> dict[str, Any]:
     properties: dict[str, Any] = {}
     for field, (node, detail) in store.fielddefs[name][1]:
-        (node, kind), many = (
-            (cast(Any, detail)[0], True)
-            if node == Nodetype.SEQUENCE
-            else ((node, cast(Any, detail)), False)
+        inner, kind = (
+            cast(Any, detail)[0] if node == Nodetype.SEQUENCE else (node, cast(Any, detail))
         )
-        if many and kind == ("uint8", 0):
-            properties[field] = {"type": "string", "contentEncoding": "base64"}
-            continue
-        if node == Nodetype.NAME:
-            single = _ros_json_schema(store, kind)
+        if inner == Nodetype.NAME:
+            schema = _ros_json_schema(store, kind)
         else:
-            types = {
-                "bool": "boolean",
-                "string": "string",
-                "float32": "number",
-                "float64": "number",
-            }
-            single = {"type": types.get(kind[0], "integer")}
-        properties[field] = {"type": "array", "items": single} if many else single
+            schema = {"type": _JSON_TYPES.get(kind[0], "integer")}
+        if node == Nodetype.SEQUENCE:
+            octets = kind == ("uint8", 0)
+            schema = _OCTETS if octets else {"type": "array", "items": schema}
+        properties[field] = schema
     return {"type": "object", "properties": properties}
 
 

@@ -172,25 +172,22 @@ NOT_UNDERSTOOD = {
 @pytest.mark.parametrize("text", NOT_UNDERSTOOD.values(), ids=NOT_UNDERSTOOD)
 def test_definitions_that_cannot_be_understood(text: str, tmp_path: Path) -> None:
     """One line says why, where no definition of ours serves."""
-    start = time.perf_counter()
+    start = time.process_time()
     with pytest.raises(DefinitionError) as caught:
         ros_decoder("pkg/Self", text.encode(), ros1=False)
-    assert time.perf_counter() - start < 2
+    assert time.process_time() - start < 5
     assert "\n" not in str(caught.value)
-    for name, told in (
-        ("sonar_oculus_interface/msg/OculusPing", f"the definition of /a .*{'.' if text else ''}"),
-        ("sensor_msgs/msg/Image", ""),
-    ):
-        path = mcap_file(
+
+    def log(name: str) -> Path:
+        return mcap_file(
             tmp_path / "log.mcap", [("/a", 0, cdr_image(IMAGE))],
             schema=name, schema_encoding="ros2msg", schema_data=text.encode(),
         )  # fmt: skip
-        if told:
-            with pytest.raises(SonarrecError, match=told) as refused:
-                read(path)
-            assert "\n" not in str(refused.value)
-        else:
-            assert read(path)[0][0].image.any()
+
+    with pytest.raises(SonarrecError, match="the definition of /a cannot be used") as refused:
+        read(log("sonar_oculus_interface/msg/OculusPing"))
+    assert "\n" not in str(refused.value)
+    np.testing.assert_array_equal(read(log("sensor_msgs/msg/Image"))[0][0].image, IMAGE)
 
 
 def test_a_definition_that_lies_about_sizes() -> None:
@@ -213,10 +210,10 @@ def test_a_definition_that_lies_about_sizes() -> None:
             decode = decoder_for("sensor_msgs/Image", "ros2msg", text.encode(), wire)
             assert decode is not None
             tracemalloc.start()
-            start = time.perf_counter()
+            start = time.process_time()
             with pytest.raises(UnusableError):
                 decode(memoryview(message))
-            assert time.perf_counter() - start < 2
+            assert time.process_time() - start < 5
             assert tracemalloc.get_traced_memory()[1] < 20e6
             tracemalloc.stop()
 
@@ -229,12 +226,12 @@ def test_nested_empty_messages_cost_nothing(ros1: bool) -> None:
     ]
     text = "\n===\n".join(["M0 m", *levels, "MSG: pkg/M15\n"])
     tracemalloc.start()
-    start = time.perf_counter()
+    start = time.process_time()
     decode = ros_decoder("pkg/Root", text.encode(), ros1)
     assert decode is not None
     with pytest.raises(UnusableError, match="too many elements"):
         decode(memoryview(LE + bytes(2**20)))
-    assert time.perf_counter() - start < 5
+    assert time.process_time() - start < 20
     assert tracemalloc.get_traced_memory()[1] < 50e6
     tracemalloc.stop()
 

@@ -147,10 +147,9 @@ class RosDecoder:
 
 
 class _Layout:
-    """A definition as rosbags gets it: in names of ours, with what it would refuse in other words.
-
-    A text is an array of bytes, as it is on the wire: rosbags refuses one without its closing zero
-    or of another code page, which some writers leave in a frame_id.
+    """A definition as rosbags gets it: under names of ours, and a text as the array of bytes that
+    it is on the wire. rosbags refuses a whole message for one text without its closing zero or
+    that is not UTF-8, such as a frame_id.
     """
 
     def __init__(self, types: Types, name: str, ros1: bool, narrow: str = "") -> None:
