@@ -26,7 +26,8 @@ class PoseTable:
     name: in messages. source: what run.toml says of it. at: (N,) ns. pose: (N, 3) yaw in deg,
     positive to the right (clockwise seen from above) and without jumps of 360, then x and y, the
     place on the floor in m, y ahead and x to the right of a sonar whose yaw is 0. gap_ns: across a
-    longer time between two rows nobody measured.
+    longer time between two rows nobody measured. problems: a line for each row that could not be
+    used.
     """
 
     name: str
@@ -34,6 +35,7 @@ class PoseTable:
     at: npt.NDArray[np.int64]
     pose: FloatArray
     gap_ns: float
+    problems: tuple[str, ...] = ()
 
     def covers(self, time_ns: int) -> bool:
         """Whether the pose at a time is told: from the first row to the last, and in no gap."""

@@ -140,7 +140,7 @@ def _model(
 def _poses(log: Path, table: Path | None, topic: str | None, time: Clock) -> PoseTable | None:
     """The poses of a topic of the log, else of a table; None without either."""
     if topic is not None:
-        from sonarrec.readers.mcap_poses import read_topic  # with its decompressors, where needed
+        from sonarrec.readers.mcap.poses import read_topic  # with its decompressors, where needed
 
         return read_topic(log, topic, time)
     return None if table is None else read_poses(table)

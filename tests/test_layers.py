@@ -14,7 +14,6 @@ FLOORS = (
     {"config", "sonar", "landmarks", "poses", "tables"},
     {"geometry"},
     {"recogniser", "readers", "results", "drawing"},
-    {"mcap_writer"},
     {"run", "truth", "simulation"},
     {"evaluation", "overlay", "learning"},
     {"report"},
@@ -26,11 +25,11 @@ STAGES = ("stage1_candidates", "stage2_continuity", "stage3_features")
 MAY_IMPORT = {
     "click": ("cli",),
     "tqdm": ("cli",),
-    "mcap": ("readers.mcap", "mcap_writer", "overlay.foxglove"),
+    "mcap": ("readers.mcap", "simulation.mcap_writer", "overlay.foxglove"),
     "lz4": ("readers.mcap",),
     "zstandard": ("readers.mcap",),
-    "flatbuffers": ("mcap_writer",),
-    "foxglove_schemas_flatbuffer": ("mcap_writer",),
+    "rosbags": ("readers.mcap.ros", "simulation.mcap_writer"),
+    "google": ("readers.mcap.foxglove",),  # protobuf
     "pandas": ("tables", "report.logs", "report.mistakes"),
     "matplotlib": ("evaluation.plots", "report.charts", "truth.contact_sheet"),
     "jinja2": ("report.page",),
@@ -42,7 +41,6 @@ MAY_IMPORT = {
         "readers.fans",
         "readers.pixels",
         "readers.video",
-        "mcap_writer",
         "truth.contact_sheet",
         "simulation",
         "overlay",
@@ -51,8 +49,8 @@ MAY_IMPORT = {
 }
 """Of each package but numpy the modules that may import it, by how their names begin."""
 # What `sonarrec --help`, `run` and `simulate` load; heavy packages must not come with it.
-LIGHT = ("cli", "run", "simulation.simulate", "readers.mcap")
-HEAVY = {"pandas", "matplotlib", "scipy"}
+LIGHT = ("cli", "run", "simulation.simulate", "readers.mcap.images", "readers.mcap.poses")
+HEAVY = {"pandas", "matplotlib", "scipy", "rosbags", "google"}
 
 Sources = dict[str, str]
 PACKAGE = Path(__file__).parents[1] / "sonarrec"
@@ -108,7 +106,7 @@ def room(name: str) -> str:
 
 
 def begins(name: str, prefixes: tuple[str, ...]) -> bool:
-    """Whether a module is one of these, in one, or named as one and more: readers.mcap_file."""
+    """Whether a module is one of these, in one, or named as one and more: overlay.foxglove_mcap."""
     return any(name == p or name.startswith((f"{p}.", f"{p}_")) for p in prefixes)
 
 

@@ -17,8 +17,8 @@ import pytest
 from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
-from sonarrec.mcap_writer import McapImageWriter
 from sonarrec.recogniser.recogniser import Recogniser
+from sonarrec.simulation.mcap_writer import McapImageWriter
 
 ROOT = Path(__file__).resolve().parents[1]
 SAMPLE = ROOT / "sample_data" / "pan"

@@ -26,8 +26,9 @@ from sonarrec.records import UsageError
 @click.option(
     "--schema",
     metavar="NAME",
-    help="Message type of an MCAP, any that is read, such as sensor_msgs/msg/Image+ros1; a wrong "
-    "name lists them all.  [default: sensor_msgs/msg/Image]",
+    help="Message type of an MCAP, such as sensor_msgs/msg/Image, with +ros1 or +json for another "
+    "encoding than CDR (ROS) or protobuf (Foxglove); a wrong name lists them all.  "
+    "[default: sensor_msgs/msg/Image]",
 )
 @click.option(
     "--compression",

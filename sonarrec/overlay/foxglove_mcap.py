@@ -25,95 +25,12 @@ from sonarrec.drawing import (
     pixel_unit,
 )
 from sonarrec.landmarks import LandmarkSet
+from sonarrec.readers.mcap.foxglove import json_schema
 from sonarrec.records import Estimate, FloatArray, Frame, SonarrecError
 
 ANNOTATIONS_TOPIC = "/sonarrec/annotations"
 FAN_TOPIC = "/sonarrec/fan"
 LINE_LOOP, LINE_STRIP, LINE_LIST = 2, 3, 4
-
-# The schemas that Foxglove publishes, without their descriptions.
-
-
-def _object(properties: Mapping[str, Any], optional: Sequence[str] = ()) -> dict[str, Any]:
-    required = [name for name in properties if name not in optional]
-    return {"type": "object", "properties": dict(properties), "required": required}
-
-
-def _list(items: Mapping[str, Any]) -> dict[str, Any]:
-    return {"type": "array", "items": dict(items)}
-
-
-_NUMBER, _TEXT = {"type": "number"}, {"type": "string"}
-_TIME = {
-    "title": "time",
-    **_object(
-        {
-            "sec": {"type": "integer", "minimum": 0},
-            "nsec": {"type": "integer", "minimum": 0, "maximum": 999_999_999},
-        }
-    ),
-}
-_POINT = _object({"x": _NUMBER, "y": _NUMBER})
-_COLOUR = _object(dict.fromkeys("rgba", _NUMBER))
-_METADATA = _list(_object({"key": _TEXT, "value": _TEXT}))
-ANNOTATIONS_SCHEMA = {
-    "title": "foxglove.ImageAnnotations",
-    **_object(
-        {
-            "timestamp": _TIME,
-            "circles": _list(
-                _object(
-                    {
-                        "timestamp": _TIME,
-                        "position": _POINT,
-                        "diameter": _NUMBER,
-                        "thickness": _NUMBER,
-                        "fill_color": _COLOUR,
-                        "outline_color": _COLOUR,
-                    }
-                )
-            ),
-            "points": _list(
-                _object(
-                    {
-                        "timestamp": _TIME,
-                        "type": {"oneOf": [{"const": n} for n in range(5)]},
-                        "points": _list(_POINT),
-                        "outline_color": _COLOUR,
-                        "outline_colors": _list(_COLOUR),
-                        "fill_color": _COLOUR,
-                        "thickness": _NUMBER,
-                    }
-                )
-            ),
-            "texts": _list(
-                _object(
-                    {
-                        "timestamp": _TIME,
-                        "position": _POINT,
-                        "text": _TEXT,
-                        "font_size": _NUMBER,
-                        "text_color": _COLOUR,
-                        "background_color": _COLOUR,
-                    }
-                )
-            ),
-            "metadata": _METADATA,
-        },
-        optional=("timestamp", "metadata"),
-    ),
-}
-IMAGE_SCHEMA = {
-    "title": "foxglove.CompressedImage",
-    **_object(
-        {
-            "timestamp": _TIME,
-            "frame_id": _TEXT,
-            "data": {"type": "string", "contentEncoding": "base64"},
-            "format": _TEXT,
-        }
-    ),
-}
 
 
 class FoxgloveFile:
@@ -133,8 +50,8 @@ class FoxgloveFile:
             self._writer.start(library="sonarrec")
         except OSError as error:
             raise SonarrecError(f"{path}: cannot be written ({error.strerror})") from None
-        self._annotations = self._channel(ANNOTATIONS_TOPIC, ANNOTATIONS_SCHEMA)
-        self._images = self._channel(FAN_TOPIC, IMAGE_SCHEMA) if with_images else None
+        self._annotations = self._channel(ANNOTATIONS_TOPIC, "foxglove.ImageAnnotations")
+        self._images = self._channel(FAN_TOPIC, "foxglove.CompressedImage") if with_images else None
 
     def write(
         self,
@@ -152,9 +69,9 @@ class FoxgloveFile:
         message = annotations_message(frame, stamp, self._landmarks, estimates, paths, truth)
         self._add(self._annotations, message, logged)
 
-    def _channel(self, topic: str, schema: Mapping[str, Any]) -> int:
-        data = json.dumps(schema).encode()
-        number = self._writer.register_schema(schema["title"], "jsonschema", data)
+    def _channel(self, topic: str, message: str) -> int:
+        data = json.dumps(json_schema(message)).encode()
+        number = self._writer.register_schema(message, "jsonschema", data)
         return self._writer.register_channel(topic, "json", number)
 
     def _add(self, channel: int, message: Mapping[str, Any], log_time: int) -> None:

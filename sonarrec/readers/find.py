@@ -20,7 +20,7 @@ SONAR_FILE = "sonar.toml"
 
 
 def _open_mcap(path: Path, topic: str | None) -> RawLog:
-    from sonarrec.readers.mcap_file import McapImages  # with its decompressors, only where needed
+    from sonarrec.readers.mcap.images import McapImages  # with its decompressors, only where needed
 
     return McapImages(path, topic)
 

@@ -203,8 +203,8 @@ def describe(
 
 def _container(path: Path) -> tuple[Container, list[str]]:
     """An MCAP file's own account of itself, and what is wrong with it at first sight."""
-    from sonarrec.readers.mcap_file import image_decoders, schema_of
-    from sonarrec.readers.mcap_records import McapFile
+    from sonarrec.readers.mcap.images import image_decoders, schema_of
+    from sonarrec.readers.mcap.salvage import McapFile
 
     try:
         log = McapFile(path)

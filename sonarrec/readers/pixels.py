@@ -259,6 +259,7 @@ def raw_pixels(
                 f"{width} x {height} {encoding} pixels do not fit {len(data)} bytes (step {step})"
             )
         step = row
+    step = min(step, len(data))  # of a single row it may be anything
     pixels: np.ndarray = np.ndarray(
         (height, width, channels),
         dtype,

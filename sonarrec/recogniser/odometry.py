@@ -125,16 +125,18 @@ class Odometry:
         return told or seen
 
     def problems(self) -> list[str]:
-        """What of the table could not be used, so far: one line at most."""
-        if not self._untold:
+        """What of the table could not be used, so far."""
+        if self._poses is None:
             return []
-        assert self._poses is not None
+        if not self._untold:
+            return list(self._poses.problems)
         assert self._span is not None
         told = "{:.3f} to {:.3f} s".format(*(self._poses.at[[0, -1]] / 1e9))
         log = "{:.3f} to {:.3f} s".format(*(t / 1e9 for t in self._span))
         return [
+            *self._poses.problems,
             f"{self._poses.name}: no pose for {self._untold} of {self._frames} frames; it tells "
-            f"{told}, and the frames are from {log}"
+            f"{told}, and the frames are from {log}",
         ]
 
     def notes(self) -> list[str]:

@@ -358,7 +358,7 @@ def write_recording(
     """
     import tomli_w  # only writers of TOML need it
 
-    from sonarrec.mcap_writer import McapImageWriter, check_schema, is_polar
+    from sonarrec.simulation.mcap_writer import McapImageWriter, check_schema, is_polar
 
     if image_format not in ("png", "mcap"):
         raise SonarrecError(f'image format must be "png" or "mcap", not {image_format!r}')

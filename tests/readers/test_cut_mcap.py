@@ -17,8 +17,9 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 
 from sonarrec.cli import main
-from sonarrec.readers import mcap_chunks, open_log
-from sonarrec.readers.mcap_chunks import DamagedError, lz4_cut_block
+from sonarrec.readers import open_log
+from sonarrec.readers.mcap import chunks
+from sonarrec.readers.mcap.chunks import DamagedError, lz4_cut_block
 from sonarrec.records import Frame
 from tests.support.logs import PERIOD_NS, cdr_image, frames, mcap_file
 
@@ -115,9 +116,9 @@ def test_cut_lz4_frames(options: dict[str, int], tmp_path: Path) -> None:
     gained = 0
     for cut in [*random.Random(1).sample(range(len(data)), 40), len(data)]:
         path.write_bytes(data[:cut])
-        head = mcap_chunks.ChunkHead(0, 0, 0, len(plain), 0, "lz4", 0, len(data), cut)
+        head = chunks.ChunkHead(0, 0, 0, len(plain), 0, "lz4", 0, len(data), cut)
         with path.open("rb") as file:
-            contents = mcap_chunks.ChunkStore(file).open(head)
+            contents = chunks.ChunkStore(file).open(head)
             contents.file.seek(0)
             found = contents.file.read()
         whole_blocks = lz4.frame.LZ4FrameDecompressor().decompress(data[:cut])

@@ -19,9 +19,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.records import Channel, Schema, Statistics
 
-from sonarrec.mcap_writer import McapImageWriter
-from sonarrec.readers import mcap_chunks, mcap_messages, open_log
+from sonarrec.readers import open_log
+from sonarrec.readers.mcap import chunks, in_order
 from sonarrec.records import Frame, SonarrecError
+from sonarrec.simulation.mcap_writer import McapImageWriter
 from sonarrec.sonar import Sonar
 from tests.studies.memory import peak_of_reading, shapes
 from tests.support.hard_logs import HardLog, built, record
@@ -210,7 +211,7 @@ def test_a_window_beyond_the_bound_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_message_beyond_the_bound(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mcap_messages, "MAX_MESSAGE_BYTES", 500)
+    monkeypatch.setattr(in_order, "MAX_MESSAGE_BYTES", 500)
     path = tmp_path / "log.mcap"
     with HardLog(path) as log:
         log.loose([TIMED[0], (PERIOD_NS, bytes(600)), *TIMED[2:]])
@@ -366,8 +367,8 @@ def test_any_spread_over_chunks_gives_log_time_order(
     path = tmp_path_factory.mktemp("spread", numbered=True) / "log.mcap"
     numbers = data.draw(st.permutations(range(12)))
     cuts = sorted(data.draw(st.sets(st.integers(1, 11), max_size=5)))
-    held = mcap_chunks.HELD_BYTES
-    mcap_chunks.HELD_BYTES = data.draw(st.sampled_from([0, 1200, held]))
+    held = chunks.HELD_BYTES
+    chunks.HELD_BYTES = data.draw(st.sampled_from([0, 1200, held]))
     try:
         with HardLog(path, finished=data.draw(st.booleans())) as log:
             for start, end in pairwise([0, *cuts, 12]):
@@ -378,27 +379,27 @@ def test_any_spread_over_chunks_gives_log_time_order(
                     log.loose(part)
         assert_frames(read(path)[0], list(range(12)))
     finally:
-        mcap_chunks.HELD_BYTES = held
+        chunks.HELD_BYTES = held
 
 
 def test_room_in_the_temporary_file_is_used_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(mcap_chunks, "HELD_BYTES", 0)
+    monkeypatch.setattr(chunks, "HELD_BYTES", 0)
     path = tmp_path / "log.mcap"
     with HardLog(path) as log:
         for first in range(11):  # each overlaps the next by one message
             log.chunk(TIMED[first : first + 2], "zstd")
     most = 0
-    original = mcap_chunks.ChunkStore._room
+    original = chunks.ChunkStore._room
 
-    def watched(store: mcap_chunks.ChunkStore, size: int) -> mcap_chunks.Contents:
+    def watched(store: chunks.ChunkStore, size: int) -> chunks.Contents:
         nonlocal most
         contents = original(store, size)
         most = max(most, contents.end)
         return contents
 
-    monkeypatch.setattr(mcap_chunks.ChunkStore, "_room", watched)
+    monkeypatch.setattr(chunks.ChunkStore, "_room", watched)
     assert len(read(path)[0]) == 22
     assert most <= 4 * (len(TIMED[0][1]) + 31)
 
@@ -408,8 +409,8 @@ def test_no_room_on_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         def write(self, _data: object) -> int:
             raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(mcap_chunks, "HELD_BYTES", 0)
-    monkeypatch.setattr(mcap_chunks.tempfile, "TemporaryFile", lambda **_: Full())
+    monkeypatch.setattr(chunks, "HELD_BYTES", 0)
+    monkeypatch.setattr(chunks.tempfile, "TemporaryFile", lambda **_: Full())
     path = tmp_path / "log.mcap"
     with HardLog(path) as log:
         log.chunk(TIMED, "zstd")

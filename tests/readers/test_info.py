@@ -15,9 +15,9 @@ from mcap.reader import make_reader
 
 from sonarrec.cli import main
 from sonarrec.cli.info import lines
-from sonarrec.mcap_writer import McapImageWriter
 from sonarrec.readers import open_log
 from sonarrec.readers.info import describe
+from sonarrec.simulation.mcap_writer import McapImageWriter
 from sonarrec.sonar import Sonar
 from tests.support.hard_logs import HardLog
 from tests.support.logs import PERIOD_NS, cdr_image, frames, image_folder, mcap_file

@@ -12,12 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import flatbuffers
 import jsonschema
 import numpy as np
 import pytest
 import zstandard
-from flatbuffers import number_types
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.data_stream import RecordBuilder
@@ -27,12 +25,12 @@ from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoders
 from mcap_ros2.decoder import DecoderFactory as Ros2Decoders
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from sonarrec.mcap_writer import _ROS_TYPES, SCHEMAS, McapImageWriter
 from sonarrec.readers import open_log
-from sonarrec.readers.mcap_records import MAGIC
-from sonarrec.readers.messages import decoder_for, message_type
+from sonarrec.readers.mcap.messages import decoder_for, message_type
+from sonarrec.readers.mcap.salvage import MAGIC
 from sonarrec.readers.raw import UnusableError
 from sonarrec.records import Frame, SonarrecError, UsageError
+from sonarrec.simulation.mcap_writer import _TYPES, SCHEMAS, McapImageWriter
 from sonarrec.sonar import Sonar
 from tests.support.logs import (
     PERIOD_NS,
@@ -431,8 +429,7 @@ POLAR = Sonar(layout="polar", range_min_m=1.0, range_max_m=1.9, field_of_view_de
 
 def read_by_others(schema: Schema, channel: Channel, data: bytes) -> dict[str, Any]:
     """By rosbags and by mcap-ros2-support from the definition in the file, by protobuf from the
-    descriptor in the file, by json and flatbuffers from its schema. Times are called sec and
-    nanosec."""
+    descriptor in the file, by json from its schema. Times are called sec and nanosec."""
     if channel.message_encoding == "protobuf":
         message = ProtobufDecoders().decoder_for("protobuf", schema)(data)  # type: ignore[misc]
         fields = {d.name: value for d, value in message.ListFields()}
@@ -442,8 +439,6 @@ def read_by_others(schema: Schema, channel: Channel, data: bytes) -> dict[str, A
         table = json.loads(data)
         jsonschema.validate(table, json.loads(schema.data))
         return json.loads(data.replace(b'"nsec"', b'"nanosec"'))  # type: ignore[no-any-return]
-    if channel.message_encoding == "flatbuffer":
-        return by_binary_schema(schema.data, schema.name, data)
     ros1 = channel.message_encoding == "ros1"
     store = get_typestore(Stores.EMPTY)
     name = schema.name if "/msg/" in schema.name else schema.name.replace("/", "/msg/")
@@ -454,60 +449,6 @@ def read_by_others(schema: Schema, channel: Channel, data: bytes) -> dict[str, A
         decode = Ros2Decoders().decoder_for("cdr", schema)
         assert decode is not None
         same(found, decode(data))
-    return found
-
-
-U8, U16, U32 = number_types.Uint8Flags, number_types.Uint16Flags, number_types.Uint32Flags
-
-
-class Table(flatbuffers.table.Table):  # type: ignore[misc]
-    """A flatbuffers table whose fields go by number; one that is left out is 0 or empty."""
-
-    @classmethod
-    def root(cls, data: bytes) -> Table:
-        return cls(data, flatbuffers.encode.Get(flatbuffers.packer.uoffset, data, 0))
-
-    def offset(self, field: int) -> int:
-        return int(self.Offset(4 + 2 * field))
-
-    def number(self, field: int, kind: type) -> int:
-        return int(self.GetSlot(4 + 2 * field, 0, kind))
-
-    def text(self, field: int) -> str:
-        return bytes(self.String(self.Pos + self.offset(field))).decode()
-
-    def table(self, field: int) -> Table:
-        return Table(self.Bytes, self.Indirect(self.Pos + self.offset(field)))
-
-    def tables(self, field: int) -> list[Table]:
-        start, count = self.Vector(self.offset(field)), self.VectorLen(self.offset(field))
-        return [Table(self.Bytes, self.Indirect(start + 4 * n)) for n in range(count)]
-
-
-def by_binary_schema(schema: bytes, name: str, data: bytes) -> dict[str, Any]:
-    """The fields of a flatbuffers message, found by its .bfbs alone, whose own layout is
-    flatbuffers' reflection.fbs."""
-    assert flatbuffers.util.BufferHasIdentifier(schema, 0, b"BFBS")
-    types = {table.text(0): table for table in Table.root(schema).tables(0)}
-    assert Table.root(schema).table(4).text(0) == name
-    message = Table.root(data)
-    found: dict[str, Any] = {}
-    for field in types[name].tables(1):
-        number = field.number(2, U16)
-        kind = field.table(1).number(0, U8)
-        if kind == 8:  # uint
-            value: Any = message.number(number, U32)
-        elif kind == 13:  # string
-            value = message.text(number)
-        elif kind == 14:  # a vector, here always of ubyte
-            assert field.table(1).number(1, U8) == 4
-            value = message.GetVectorAsNumpy(U8, message.offset(number)).tobytes()
-        else:  # the one struct
-            at = message.Pos + message.offset(number)
-            parts = types["foxglove.Time"].tables(1)
-            clock = {part.text(0): message.Get(U32, at + part.number(3, U16)) for part in parts}
-            value = {"sec": clock["sec"], "nanosec": clock["nsec"]}
-        found[field.text(0)] = value
     return found
 
 
@@ -559,7 +500,7 @@ def test_others_read_what_the_writer_writes(schema: str, dtype: type, tmp_path: 
     assert channel.topic == "/x"
     key = message_type(schema.partition("+")[0])
     assert message_type(record.name) == key
-    make = _ROS_TYPES[key.replace("foxglove/", "foxglove_msgs/")].fields
+    make = _TYPES[key.replace("foxglove/", "foxglove_msgs/")].fields
     assert agrees(make(stamp + 1, image, POLAR), read_by_others(record, channel, message.data))
 
 

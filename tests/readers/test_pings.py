@@ -14,12 +14,12 @@ from click.testing import CliRunner, Result
 from sonarrec import config
 from sonarrec.cli import main
 from sonarrec.geometry import PolarToFan, polar_from_pixel
-from sonarrec.mcap_writer import SCHEMAS, is_polar
 from sonarrec.readers import open_log
 from sonarrec.readers.fans import FanImages, looks_beam_major
 from sonarrec.readers.raw import RawFrame, UnusableError
 from sonarrec.records import SonarrecError, UsageError
 from sonarrec.run import process
+from sonarrec.simulation.mcap_writer import SCHEMAS, is_polar
 from sonarrec.sonar import Sonar
 from tests.support import messages
 from tests.support.logs import PERIOD_NS, frames, image_folder, mcap_file

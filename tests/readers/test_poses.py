@@ -13,13 +13,14 @@ import pytest
 from click.testing import CliRunner, Result
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.reader import make_reader
 from mcap.writer import Writer
 from rosbags.typesys import Stores, get_typestore
 
 from sonarrec.cli import main
 from sonarrec.config import Config, preset
 from sonarrec.poses import PoseTable, pose_table
-from sonarrec.readers.mcap_poses import read_topic
+from sonarrec.readers.mcap.poses import read_topic
 from sonarrec.readers.poses_csv import read_poses
 from sonarrec.recogniser.plane import Plane
 from sonarrec.recogniser.recogniser import FRAMEWORK, Recogniser
@@ -390,3 +391,36 @@ def test_a_topic_that_is_not_there_is_told_in_one_line(pings):
         fault = sonarrec("run", *arguments, code=2).stderr
         assert told in fault
         assert fault.count("\n") == 1
+
+
+def test_a_pose_that_cannot_be_used_is_a_line_and_a_gap(pings):
+    """Here by its log time, beyond 63 bits, and by its bytes; the run goes on without them."""
+    log = pose_log(Path("dive.mcap"), pings, "nav_msgs/msg/Odometry", True, [0.0] * 16)
+    whole = read_topic(log, "/odom", "log")
+    assert not whole.problems
+    with log.open("rb") as file:
+        recorded = list(make_reader(file).iter_messages())
+    numbers = {"/sonar": 0, "/odom": 0}
+    with log.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        channels = {}
+        for schema, channel, message in recorded:
+            if channel.topic not in channels:
+                number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.topic] = writer.register_channel(channel.topic, "cdr", number)
+            at, data, number = message.log_time, message.data, numbers[channel.topic]
+            numbers[channel.topic] += 1
+            if channel.topic == "/odom" and number in (7, 9, 15):
+                at, data = (2**63 + number, data) if number != 9 else (at, data[:50])
+            writer.add_message(channels[channel.topic], at, data, at)
+        writer.finish()
+    table = read_topic(log, "/odom", "log")
+    assert len(table.at) == len(whole.at) - 3
+    assert [line.partition(":")[0] for line in table.problems] == [
+        f"message {n} of /odom" for n in (8, 14, 15)
+    ]
+    told = sonarrec("run", log, "--topic", "/sonar", "--odometry-topic", "/odom", code=3).stderr
+    lines = [line for line in told.splitlines() if "/odom" in line]
+    assert len([line for line in lines if line.endswith(" ns is beyond every clock, skipped")]) == 2
+    assert len([line for line in lines if "malformed message" in line]) == 1

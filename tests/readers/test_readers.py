@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 
 from sonarrec.geometry import PolarToFan
-from sonarrec.mcap_writer import SCHEMAS, McapImageWriter, is_polar
 from sonarrec.readers import open_log
 from sonarrec.readers.log import MAX_PROBLEM_LINES
 from sonarrec.records import Frame, SonarrecError, UsageError
+from sonarrec.simulation.mcap_writer import SCHEMAS, McapImageWriter, is_polar
 from sonarrec.sonar import Sonar, load_sonar
 from tests.support.logs import PERIOD_NS, SONAR_TOML, cdr_image, frames, image_folder, mcap_file
 

@@ -24,7 +24,6 @@ import numpy as np
 from sonarrec.config import Config, preset
 from sonarrec.evaluation.evaluate import evaluate
 from sonarrec.landmarks import load_landmarks
-from sonarrec.mcap_writer import McapImageWriter
 from sonarrec.recogniser.odometry import Odometry
 from sonarrec.recogniser.plane import Plane
 from sonarrec.recogniser.recogniser import Recogniser
@@ -33,6 +32,7 @@ from sonarrec.recogniser.stage2_continuity import ContinuityFilter
 from sonarrec.recogniser.stage3_features.shape_matrix import ShapeSampler
 from sonarrec.results.write import ResultsWriter
 from sonarrec.run import process
+from sonarrec.simulation.mcap_writer import McapImageWriter
 from sonarrec.simulation.scene import MotionSection, PlacedLandmark, Scene
 from sonarrec.simulation.simulate import load_scene, random_scene, write_recording
 from tests.studies.baseline import METHOD, HoughSmi, fan_of, read_grey, write_estimates

@@ -27,9 +27,10 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
 from sonarrec.cli import main as sonarrec
-from sonarrec.mcap_writer import SCHEMAS, McapImageWriter
+from sonarrec.simulation.mcap_writer import SCHEMAS, McapImageWriter
 from sonarrec.sonar import Sonar
 from tests.support.logs import SONAR_TOML
+from tests.support.messages import WRITERS
 
 LIMIT_S = 10
 LIMIT_MB = 400
@@ -56,6 +57,7 @@ POLAR = Sonar(
     range_max_m=3.75,
     bearings_deg=tuple(np.linspace(-14, 14, COLUMNS).tolist()),
 )
+FLATBUFFERS = [name for name in WRITERS if "flatbuffer" in name]
 COMPRESSIONS = (CompressionType.NONE, CompressionType.LZ4, CompressionType.ZSTD)
 
 
@@ -70,15 +72,19 @@ class Recorded:
     messages: list[bytes]
 
 
-def recorded(schema: str, folder: Path) -> Recorded:
-    """A few pings of one schema, with some structure in them."""
+def recorded(kind: str, folder: Path) -> Recorded:
+    """A few pings of one schema, or of one of the WRITERS, with some structure in them."""
     rng = np.random.default_rng(1)
     ramp = np.add.outer(np.arange(ROWS), np.arange(COLUMNS))
+    noise = rng.integers(0, 30, (FRAMES, ROWS, COLUMNS))
+    pings = [((ramp * (n + 1) + noise[n]) % 256).astype(np.uint8) for n in range(FRAMES)]
     path = folder / "whole.mcap"
-    with McapImageWriter(path, schema=schema, sonar=POLAR) as writer:
-        for n in range(FRAMES):
-            noise = rng.integers(0, 30, (ROWS, COLUMNS))
-            writer.write(n * 250_000_000, ((ramp * (n + 1) + noise) % 256).astype(np.uint8))
+    if kind in WRITERS:
+        WRITERS[kind](path, pings, "none")
+    else:
+        with McapImageWriter(path, schema=kind, sonar=POLAR) as writer:
+            for n, ping in enumerate(pings):
+                writer.write(n * 250_000_000, ping)
     with path.open("rb") as file:
         found = list(make_reader(file).iter_messages())
     record, channel, _ = found[0]
@@ -203,7 +209,7 @@ def run_batch(numbers: range, keep: Path | None) -> None:
     """Make and run the files; a line for each: number, exit codes, seconds, peak MB, failure."""
     with tempfile.TemporaryDirectory(prefix="sonarrec_fuzz_") as name:
         folder = Path(name)
-        kinds = [recorded(schema, folder) for schema in SCHEMAS]
+        kinds = [recorded(kind, folder) for kind in (*SCHEMAS, *FLATBUFFERS)]
         path = (keep or folder) / "damaged.mcap"
         for number in numbers:
             print(number, end=" ", flush=True)  # told even where the process dies of this file

@@ -24,9 +24,10 @@ CHUNK_MESSAGES = 7  # about 1 MB, what recorders make
 # Reads every frame; prints how many, and its own peak in KiB (bytes on macOS).
 _READ = """
 import resource, sys
-from sonarrec.readers import mcap_chunks, open_log
+from sonarrec.readers import open_log
+from sonarrec.readers.mcap import chunks
 if len(sys.argv) > 2:
-    mcap_chunks.HELD_BYTES = int(sys.argv[2])
+    chunks.HELD_BYTES = int(sys.argv[2])
 from sonarrec.records import SonarrecError
 frames = 0
 try:

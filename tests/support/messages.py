@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import flatbuffers
 import foxglove
 import numpy as np
 from foxglove.channels import CompressedImageChannel, RawImageChannel
@@ -24,10 +23,11 @@ from mcap_ros2.writer import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from sonarrec.readers import open_log
-from sonarrec.readers.messages import decoder_for
+from sonarrec.readers.mcap.messages import decoder_for
 from sonarrec.readers.raw import Ping
 from sonarrec.records import Frame
 from sonarrec.sonar import Sonar
+from tests.support.flatbuffer import binary_schema, encode_flatbuffer
 from tests.support.logs import COMPRESSION, PERIOD_NS, mcap_file
 
 # As the packages' own .msg files have them, FORMATS in short.
@@ -347,40 +347,19 @@ def by_foxglove(compressed: bool) -> Maker:
     return make
 
 
-def _flatbuffer(k: int, image: np.ndarray, compressed: bool) -> bytes:
-    builder = flatbuffers.Builder(64)
-    frame_id = builder.CreateString("sonar")
-    text = builder.CreateString("png" if compressed else "mono8")
-    data = builder.CreateNumpyVector(png(image) if compressed else image.ravel())
-    builder.StartObject(4 if compressed else 7)
-    sec, nanosec = divmod(stamp_ns(k), 10**9)
-    builder.Prep(4, 8)
-    builder.PrependUint32(nanosec)
-    builder.PrependUint32(sec)
-    builder.PrependStructSlot(0, builder.Offset(), 0)
-    builder.PrependUOffsetTRelativeSlot(1, frame_id, 0)
-    if compressed:
-        builder.PrependUOffsetTRelativeSlot(2, data, 0)
-        builder.PrependUOffsetTRelativeSlot(3, text, 0)
-    else:
-        rows, columns = image.shape
-        for slot, number in ((2, columns), (3, rows), (5, columns)):
-            builder.PrependUint32Slot(slot, number, 0)
-        builder.PrependUOffsetTRelativeSlot(4, text, 0)
-        builder.PrependUOffsetTRelativeSlot(6, data, 0)
-    builder.Finish(builder.EndObject())
-    return bytes(builder.Output())
-
-
 def by_flatbuffers(compressed: bool) -> Maker:
-    """The flatbuffers package writes the messages; slots as in Foxglove's .fbs files."""
+    """The flatbuffers package writes the messages, by the code that flatc made of the schemas."""
+    name = "foxglove.CompressedImage" if compressed else "foxglove.RawImage"
+    fields = FIELDS[name.replace("foxglove.", "foxglove_msgs/msg/")]
 
     def make(path: Path, images: list[np.ndarray], compression: str) -> None:
+        messages = [
+            ("/sonar", k * PERIOD_NS, encode_flatbuffer(name, plain(fields(k, image), text=False)))
+            for k, image in enumerate(images)
+        ]
         mcap_file(
-            path,
-            [("/a", k * PERIOD_NS, _flatbuffer(k, i, compressed)) for k, i in enumerate(images)],
-            schema="foxglove.CompressedImage" if compressed else "foxglove.RawImage",
-            encoding="flatbuffer", schema_encoding="flatbuffer", compression=compression,
+            path, messages, schema=name, encoding="flatbuffer", schema_encoding="flatbuffer",
+            schema_data=binary_schema(name), compression=compression,
         )  # fmt: skip
 
     return make

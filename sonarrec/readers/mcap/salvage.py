@@ -1,7 +1,7 @@
 """What an MCAP file holds: whole, cut short, unindexed or damaged.
 
-The `mcap` package reads whole files well, but no further than the first damage. This seeks from
-record to record, with or without an index. The records' own layouts come from the package.
+By hand because the `mcap` package reads no further than the first damage. This seeks from record
+to record, with or without an index. The records' own layouts come from the package.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Footer, Header, Schema, Statistics
 
-from sonarrec.readers.mcap_chunks import (
+from sonarrec.readers.mcap.chunks import (
     RECORD_HEAD,
     ChunkHead,
     ChunkStore,

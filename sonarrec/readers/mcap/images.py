@@ -7,9 +7,10 @@ from pathlib import Path
 
 from mcap.records import Channel, Schema
 
-from sonarrec.readers.mcap_messages import MessageReader
-from sonarrec.readers.mcap_records import McapFile
-from sonarrec.readers.messages import READABLE, Decoder, decoder_for
+from sonarrec.readers.mcap.fields import DefinitionError
+from sonarrec.readers.mcap.in_order import MessageReader
+from sonarrec.readers.mcap.messages import READABLE, Decoder, decoder_for
+from sonarrec.readers.mcap.salvage import McapFile
 from sonarrec.readers.raw import RawFrame, UnusableError
 from sonarrec.records import SonarrecError, Stamps, UsageError
 
@@ -22,12 +23,24 @@ def schema_of(log: McapFile, channel: Channel) -> Schema:
 
 
 def image_decoders(log: McapFile) -> dict[int, Decoder]:
-    """A decoder for every channel of sonar images."""
-    decoders = {}
+    """A decoder for every channel of sonar images.
+
+    What speaks against a definition that cannot be used is added to the file's faults.
+    """
+    decoders: dict[int, Decoder] = {}
+    made: dict[tuple[int, str], Decoder | None] = {}  # channels may share a schema
     for channel in log.channels.values():
-        schema = schema_of(log, channel)
-        decoder = decoder_for(schema.name, schema.encoding, schema.data, channel.message_encoding)
-        if decoder is not None:
+        key = channel.schema_id, channel.message_encoding
+        if key not in made:
+            schema = schema_of(log, channel)
+            try:
+                made[key] = decoder_for(
+                    schema.name, schema.encoding, schema.data, channel.message_encoding
+                )
+            except DefinitionError as error:
+                made[key] = None
+                log.fault(f"the definition of {channel.topic} cannot be used ({error})")
+        if (decoder := made[key]) is not None:
             decoders[channel.id] = decoder
     return decoders
 

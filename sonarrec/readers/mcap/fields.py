@@ -11,6 +11,10 @@ import numpy as np
 from sonarrec.readers.raw import UnusableError
 
 
+class DefinitionError(Exception):
+    """A message definition cannot be used; the text says why."""
+
+
 class Fields:
     """Fields as the decoders give them: from binary messages or from JSON, where bytes are base64
     or a list of numbers. Every method raises UnusableError where a field is missing or of
@@ -54,8 +58,10 @@ class Fields:
         return float(value)
 
     def text(self, name: str) -> str:
-        """A string."""
+        """A string; binary messages give its bytes, some with a closing zero."""
         value = self._get(name)
+        if isinstance(value, bytes | memoryview | np.ndarray):
+            value = bytes(value).rstrip(b"\0").decode(errors="replace")
         if not isinstance(value, str):
             raise self._wrong(name, "text")
         return value
@@ -92,7 +98,10 @@ class Fields:
             value = {axis: [v.get(axis, 0.0) for v in value] for axis in "xyz"}
         if not isinstance(value, Mapping):
             raise self._wrong(name, "list of vectors")
-        return np.column_stack([Fields(value).numbers(axis) for axis in "xyz"])
+        columns = [Fields(value).numbers(axis) for axis in "xyz"]
+        if len({len(column) for column in columns}) > 1:
+            raise self._wrong(name, "list of vectors")
+        return np.column_stack(columns)
 
     def stamp_ns(self) -> int | None:
         """The header's stamp, or Foxglove's timestamp, in ns; None without either."""
@@ -107,4 +116,7 @@ class Fields:
         nanosec = next((clock[k] for k in ("nanosec", "nsec", "nsecs") if k in clock), 0)
         if not isinstance(sec, int) or not isinstance(nanosec, int):
             return None
-        return sec * 10**9 + nanosec
+        stamp = sec * 10**9 + nanosec
+        if not -(2**63) <= stamp < 2**63:
+            raise UnusableError("malformed message (its stamp is no time in nanoseconds)")
+        return stamp

@@ -6,25 +6,15 @@ fields come out of the bytes (CDR, ROS 1, JSON, protobuf, flatbuffers) is kept a
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any
 
 import numpy as np
 
-from sonarrec.readers import foxglove, ros_wire
-from sonarrec.readers.fields import Fields
+from sonarrec.readers.mcap.decode import Decode, fields_decoder
+from sonarrec.readers.mcap.fields import Fields
 from sonarrec.readers.pixels import decode_image, raw_pixels
 from sonarrec.readers.raw import Ping, UnusableError
-from sonarrec.readers.ros_definitions import (
-    DefinitionError,
-    Struct,
-    definition_text,
-    known,
-    parse_definition,
-)
 from sonarrec.records import FloatArray
 from sonarrec.sonar import MIN_WINDOW_M, Sonar
 
@@ -232,34 +222,11 @@ def message_type(schema_name: str) -> str:
     return schema_name.replace(".", "/").replace("/msg/", "/")
 
 
-# How fields come out of bytes
-
-
-def _json(message: memoryview) -> Mapping[str, Any]:
-    try:
-        table = json.loads(bytes(message))
-    except (ValueError, RecursionError):
-        table = None
-    if not isinstance(table, dict):
-        raise UnusableError("malformed message (no JSON object)")
-    return table
-
-
-def _ros_layout(name: str, ros1: bool, schema_encoding: str, schema_data: bytes) -> Struct | None:
-    """The layout that the log states, which may be of another version than ours; else ours."""
-    if schema_encoding in ("ros1msg", "ros2msg") and schema_data.strip():
-        try:
-            return parse_definition(schema_data.decode(errors="replace"), name)
-        except DefinitionError:
-            pass
-    return parse_definition(definition_text(name, ros1), name) if known(name) else None
-
-
 @dataclass(frozen=True, slots=True)
 class Decoder:
     """Gives the Ping of one message's bytes; raises UnusableError where they cannot be used."""
 
-    fields: Callable[[memoryview], Mapping[str, Any]]
+    fields: Decode
     kind: MessageType
 
     @property
@@ -278,27 +245,11 @@ def decoder_for(
     """The decoder of a channel's messages, or None where they are not read.
 
     schema_encoding, schema_data: the message definition as the file holds it ("ros2msg", ...).
+    Raises DefinitionError where it cannot be used and there is none of ours.
     """
     name = message_type(schema_name)
     kind = MESSAGES.get(name)
     if kind is None:
         return None
-    if name in foxglove.FIELDS:
-        if message_encoding == "protobuf":
-            return Decoder(partial(foxglove.decode_protobuf, name), kind)
-        if message_encoding == "flatbuffer":
-            return Decoder(partial(foxglove.decode_flatbuffer, name), kind)
-    fields = ros_fields(name, schema_encoding, schema_data, message_encoding)
+    fields = fields_decoder(name, schema_encoding, schema_data, message_encoding)
     return None if fields is None else Decoder(fields, kind)
-
-
-def ros_fields(
-    name: str, schema_encoding: str, schema_data: bytes, message_encoding: str
-) -> Callable[[memoryview], Mapping[str, Any]] | None:
-    """What gives the fields of a message in CDR, ROS 1 or JSON; None for another encoding, and for
-    a message (package/Name) that neither the file nor we define."""
-    if message_encoding == "json":
-        return _json
-    decode = {"cdr": ros_wire.decode_cdr, "ros1": ros_wire.decode_ros1}.get(message_encoding)
-    layout = _ros_layout(name, message_encoding == "ros1", schema_encoding, schema_data)
-    return None if decode is None or layout is None else partial(decode, layout)

@@ -15,8 +15,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from mcap.opcode import Opcode
 
-from sonarrec.readers.mcap_chunks import RECORD_HEAD, ChunkHead, Contents, DamagedError
-from sonarrec.readers.mcap_records import CHUNK, MESSAGE_HEAD, McapFile, records_in
+from sonarrec.readers.mcap.chunks import RECORD_HEAD, ChunkHead, Contents, DamagedError
+from sonarrec.readers.mcap.salvage import CHUNK, MESSAGE_HEAD, McapFile, records_in
 from sonarrec.records import SonarrecError
 
 MAX_MESSAGE_BYTES = 48 * 2**20  # an image of 4096 x 4096 pixels of three bytes

@@ -1,6 +1,7 @@
 """The chunks of an MCAP file: inflated in pieces under a bound, checked, of cut ones what is whole.
 
-The `mcap` package inflates a chunk in one go, however large, and gives up one that is cut.
+By hand because the `mcap` package inflates a chunk in one go, however large, and gives up one that
+is cut.
 """
 
 from __future__ import annotations

@@ -71,13 +71,17 @@ def foxglove_compressed_image(timestamp_ns: int, image: np.ndarray, _: Sonar) ->
     }
 
 
-def in_foxglove_json(
-    make: MakeFields, timestamp_ns: int, image: np.ndarray, sonar: Sonar
+def with_clock(
+    make: MakeFields,
+    seconds: str,
+    nanoseconds: str,
+    timestamp_ns: int,
+    image: np.ndarray,
+    sonar: Sonar,
 ) -> dict[str, Any]:
-    """The fields of a foxglove message as its JSON names them: nsec for nanosec."""
-    made = make(timestamp_ns, image, sonar)
-    clock = made["timestamp"]
-    return made | {"timestamp": {"sec": clock["sec"], "nsec": clock["nanosec"]}}
+    """The fields of a foxglove message, with its time as another encoding names it."""
+    clock = dict(zip((seconds, nanoseconds), divmod(timestamp_ns, 1_000_000_000), strict=True))
+    return make(timestamp_ns, image, sonar) | {"timestamp": clock}
 
 
 def _ping_info() -> dict[str, Any]:

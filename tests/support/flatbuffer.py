@@ -26,7 +26,9 @@ def encode_flatbuffer(message: str, fields: Mapping[str, Any]) -> bytes:
     for key, value in values.items():
         if key == "timestamp":
             value = CreateTime(builder, value["sec"], value["nanosec"])
-        getattr(table, "Add" + key.title().replace("_", ""))(builder, value)
+        add = getattr(table, "Add" + key.title().replace("_", ""), None)
+        if add is not None:  # else a field of ROS alone
+            add(builder, value)
     builder.Finish(table.End(builder))
     return bytes(builder.Output())
 

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import base64
+import json
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from types import TracebackType
+from typing import Any, cast
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
+from rosbags.interfaces import Nodetype
+from rosbags.typesys.store import Typestore
 
-from sonarrec.mcap_writer import fields
-from sonarrec.mcap_writer.fields import MakeFields
-from sonarrec.mcap_writer.protobuf import descriptor_set, encode_protobuf
-from sonarrec.mcap_writer.ros import encode_cdr, encode_json, encode_ros1, json_schema
-from sonarrec.readers.ros_definitions import definition_text, parse_definition
+from sonarrec.readers.mcap import foxglove
+from sonarrec.readers.mcap.ros import known_messages
 from sonarrec.records import SonarrecError, UsageError
+from sonarrec.simulation import mcap_fields as fields
+from sonarrec.simulation.mcap_fields import MakeFields
 from sonarrec.sonar import Sonar
 
 _COMPRESSIONS = {
@@ -34,8 +38,8 @@ class _Type:
     polar: bool = False
 
 
-# A further message type is one function and one row; its definition is in ros_definitions.
-_ROS_TYPES = {
+# A further message type is one function and one row; its definition is in readers/mcap/sonars.msg.
+_TYPES = {
     "sensor_msgs/Image": _Type(fields.ros_image),
     "sensor_msgs/CompressedImage": _Type(fields.ros_compressed_image),
     "foxglove_msgs/RawImage": _Type(fields.foxglove_image),
@@ -46,13 +50,12 @@ _ROS_TYPES = {
     "oculus_interfaces/Ping": _Type(fields.oculus_interfaces_ping, polar=True),
 }
 _FOXGLOVE_TYPES = {
-    "foxglove.RawImage": "foxglove_msgs/RawImage",
-    "foxglove.CompressedImage": "foxglove_msgs/CompressedImage",
+    "foxglove.RawImage": fields.foxglove_image,
+    "foxglove.CompressedImage": fields.foxglove_compressed_image,
 }
-_ROS_ENCODINGS = ("", "+ros1", "+json")  # CDR without a suffix
 SCHEMAS = (
-    *(name.replace("/", "/msg/") + suffix for name in _ROS_TYPES for suffix in _ROS_ENCODINGS),
-    *(name + suffix for name in _FOXGLOVE_TYPES for suffix in ("", "+json", "+flatbuffer")),
+    *(n.replace("/", "/msg/") + suffix for n in _TYPES for suffix in ("", "+ros1", "+json")),
+    *(name + suffix for name in _FOXGLOVE_TYPES for suffix in ("", "+json")),
 )
 """What can be written: a schema's name, with the messages' encoding where it is another than CDR
 (ROS) or protobuf (Foxglove)."""
@@ -60,59 +63,99 @@ SCHEMAS = (
 
 @dataclass(frozen=True, slots=True)
 class _Family:
-    """How one kind of message is written: its schema and the bytes of one image."""
+    """How one kind of message is written: its schema, and the bytes of the fields of one image."""
 
     name: str
     schema_encoding: str
     schema_data: bytes
     message_encoding: str
-    encode: Callable[[int, np.ndarray, Sonar], bytes]
+    fields: MakeFields
+    encode: Callable[[dict[str, Any]], bytes | memoryview]
 
 
 def _ros_family(name: str, encoding: str) -> _Family:
-    make = _ROS_TYPES[name].fields
-    text = definition_text(name, ros1=encoding == "ros1")
-    layout = parse_definition(text, name)
-    if encoding == "ros1":
-        encode = partial(_encoded, make, partial(encode_ros1, layout))
-        return _Family(name, "ros1msg", text.encode(), "ros1", encode)
+    ros1, make, full = encoding == "ros1", _TYPES[name].fields, name.replace("/", "/msg/")
+    store = known_messages(ros1)
+    text = store.generate_msgdef(full, ros_version=1 if ros1 else 2)[0].encode()
+    if ros1:
+        return _Family(
+            name, "ros1msg", text, "ros1", make,
+            lambda values: store.serialize_ros1(_ros_message(store, full, values), full),
+        )  # fmt: skip
     if encoding == "json":
-        dotted = name.replace("/", ".msg.")  # as the BlueOS recorder names them
-        encode = partial(_encoded, make, encode_json)
-        return _Family(dotted, "jsonschema", json_schema(layout, dotted), "json", encode)
-    encode = partial(_encoded, make, partial(encode_cdr, layout))
-    return _Family(name.replace("/", "/msg/"), "ros2msg", text.encode(), "cdr", encode)
+        dotted = full.replace("/", ".")  # as the BlueOS recorder names them
+        schema = {"title": dotted, **_ros_json_schema(store, full)}
+        return _Family(dotted, "jsonschema", json.dumps(schema).encode(), "json", make, _json)
+    return _Family(
+        full, "ros2msg", text, "cdr", make,
+        lambda values: store.serialize_cdr(
+            _ros_message(store, full, values), full, little_endian=True
+        ),
+    )  # fmt: skip
+
+
+def _ros_message(store: Typestore, name: str, values: Mapping[str, Any]) -> Any:
+    """A message as rosbags writes it: sequences of numbers as arrays."""
+    made = []
+    for field, (node, detail) in store.fielddefs[name][1]:
+        value = values[field]
+        if node == Nodetype.NAME:
+            value = _ros_message(store, str(detail), value)
+        elif node == Nodetype.SEQUENCE:
+            (inner, kind), _ = cast(Any, detail)
+            if inner == Nodetype.NAME:
+                value = [_ros_message(store, kind, item) for item in value]
+            elif isinstance(value, bytes):
+                value = np.frombuffer(value, np.uint8)
+            else:
+                value = np.asarray(value, kind[0])
+        made.append(value)
+    return store.types[name](*made)
+
+
+_OCTETS = {"type": "string", "contentEncoding": "base64"}
+_JSON_TYPES = {"bool": "boolean", "string": "string", "float32": "number", "float64": "number"}
+
+
+def _ros_json_schema(store: Typestore, name: str) -> dict[str, Any]:
+    properties: dict[str, Any] = {}
+    for field, (node, detail) in store.fielddefs[name][1]:
+        inner, kind = (
+            cast(Any, detail)[0] if node == Nodetype.SEQUENCE else (node, cast(Any, detail))
+        )
+        if inner == Nodetype.NAME:
+            schema = _ros_json_schema(store, kind)
+        else:
+            schema = {"type": _JSON_TYPES.get(kind[0], "integer")}
+        if node == Nodetype.SEQUENCE:
+            octets = kind == ("uint8", 0)
+            schema = _OCTETS if octets else {"type": "array", "items": schema}
+        properties[field] = schema
+    return {"type": "object", "properties": properties}
+
+
+def _json(values: dict[str, Any]) -> bytes:
+    """A JSON message; bytes are base64."""
+    return json.dumps(values, default=lambda data: base64.b64encode(data).decode()).encode()
 
 
 def _foxglove_family(name: str, encoding: str) -> _Family:
-    ros_name = _FOXGLOVE_TYPES[name]
-    make = _ROS_TYPES[ros_name].fields
-    if encoding == "json":  # where nanoseconds have another name
-        layout = parse_definition(definition_text(ros_name).replace("nanosec", "nsec"), ros_name)
-        encode = partial(_encoded, partial(fields.in_foxglove_json, make), encode_json)
-        return _Family(name, "jsonschema", json_schema(layout, name), "json", encode)
-    if encoding == "flatbuffer":
-        from sonarrec.mcap_writer.flatbuffer import binary_schema, encode_flatbuffer
-
-        encode = partial(_encoded, make, partial(encode_flatbuffer, name))
-        return _Family(name, "flatbuffer", binary_schema(name), "flatbuffer", encode)
-    encode = partial(_encoded, make, partial(encode_protobuf, name))
-    return _Family(name, "protobuf", descriptor_set(name), "protobuf", encode)
-
-
-def _encoded(
-    make: MakeFields,
-    encode: Callable[[dict[str, object]], bytes],
-    timestamp_ns: int,
-    image: np.ndarray,
-    sonar: Sonar,
-) -> bytes:
-    return encode(make(timestamp_ns, image, sonar))
+    make = _FOXGLOVE_TYPES[name]
+    if encoding == "json":
+        schema = json.dumps(foxglove.json_schema(name)).encode()
+        named = partial(fields.with_clock, make, "sec", "nsec")
+        return _Family(name, "jsonschema", schema, "json", named, _json)
+    message = foxglove.message_class(name)
+    named = partial(fields.with_clock, make, "seconds", "nanos")
+    return _Family(
+        name, "protobuf", foxglove.descriptor_set(name), "protobuf", named,
+        lambda values: bytes(message(**values).SerializeToString()),
+    )  # fmt: skip
 
 
 def is_polar(schema: str) -> bool:
     """Whether a schema of SCHEMAS holds polar pings, which tell their own geometry."""
-    kind = _ROS_TYPES.get(schema.partition("+")[0].replace("/msg/", "/"))
+    kind = _TYPES.get(schema.partition("+")[0].replace("/msg/", "/"))
     return kind is not None and kind.polar
 
 
@@ -177,7 +220,8 @@ class McapImageWriter:
             raise ValueError(
                 f"expected a 2-D uint8 or uint16 image, not {image.dtype} {image.shape}"
             )
-        data = self._family.encode(timestamp_ns, image, self._sonar)
+        family = self._family
+        data = bytes(family.encode(family.fields(timestamp_ns, image, self._sonar)))
         self._writer.add_message(
             self._channel, timestamp_ns, data, publish_time=timestamp_ns, sequence=self._sequence
         )

@@ -1,0 +1,105 @@
+"""Reads a pose topic of an MCAP file: `sonarrec run --odometry-topic`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from sonarrec.poses import PoseTable, pose_table
+from sonarrec.readers.log import MAX_PROBLEM_LINES
+from sonarrec.readers.mcap.decode import Decode, fields_decoder
+from sonarrec.readers.mcap.fields import Fields
+from sonarrec.readers.mcap.images import schema_of
+from sonarrec.readers.mcap.in_order import Message, MessageReader
+from sonarrec.readers.mcap.messages import message_type
+from sonarrec.readers.mcap.salvage import McapFile
+from sonarrec.readers.raw import UnusableError
+from sonarrec.records import Clock, SonarrecError, UsageError
+
+# Where the pose is inside each message.
+POSES = {
+    "nav_msgs/Odometry": ("pose", "pose"),
+    "geometry_msgs/PoseStamped": ("pose",),
+    "geometry_msgs/PoseWithCovarianceStamped": ("pose", "pose"),
+}
+
+
+def read_topic(path: Path, topic: str, time: Clock) -> PoseTable:
+    """The poses of one topic, by the clock that names the frames.
+
+    ROS counts angles counter-clockwise and has x ahead and y to the left at yaw 0 (REP 103).
+    Messages that cannot be read leave a gap, and a line each in the table's problems.
+    Raises SonarrecError where the file or too few of its messages can be used, UsageError where
+    the topic cannot be meant.
+    """
+    if path.suffix.lower() != ".mcap":
+        raise UsageError(f"{path}: --odometry-topic names a channel of an MCAP file; this is none")
+    at, rows, problems = [], [], []
+    log = McapFile(path)
+    try:
+        channels = _channels(log, topic)
+        for number, message in enumerate(MessageReader(log, channels)):
+            try:
+                if message.data is None:
+                    if message.problem is None:
+                        continue  # it went with a damaged chunk, which the log itself tells
+                    raise UnusableError(message.problem)
+                decode, places = channels[message.channel]
+                fields = Fields(decode(message.data))
+                row = _pose(fields, places)
+                at.append(_stamp(message, fields, time))
+                rows.append(row)
+            except UnusableError as error:
+                problems.append(f"message {number} of {topic}: {error}, skipped")
+    finally:
+        log.close()
+    if len(set(at)) < 2:
+        raise SonarrecError(
+            f"{path}: {topic} has fewer than two poses that can be read"
+            + (f" ({problems[0]})" if problems else "")
+        )
+    if len(problems) > MAX_PROBLEM_LINES:
+        more = len(problems) - MAX_PROBLEM_LINES
+        problems[MAX_PROBLEM_LINES:] = [f"{more} more poses of {topic} skipped"]
+    ahead, left, x, y, z, w = np.array(rows).T
+    yaw = np.degrees(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y**2 + z**2)))
+    table = pose_table(topic, {"topic": topic}, np.array(at, np.int64), -yaw, -left, ahead)
+    return replace(table, problems=tuple(problems))
+
+
+def _channels(log: McapFile, topic: str) -> dict[int, tuple[Decode, tuple[str, ...]]]:
+    """Of every channel of a pose topic its decoder, and where the pose is inside its messages."""
+    found: dict[int, tuple[Decode, tuple[str, ...]]] = {}
+    for channel in log.channels.values():
+        schema = schema_of(log, channel)
+        kind = message_type(schema.name)
+        if kind in POSES:
+            decode = fields_decoder(kind, schema.encoding, schema.data, channel.message_encoding)
+            if decode is not None:
+                found[channel.id] = decode, POSES[kind]
+    chosen = {c: how for c, how in found.items() if log.channels[c].topic == topic}
+    if not chosen:
+        topics = sorted({log.channels[c].topic for c in found})
+        there = f"there is {', '.join(topics)}" if topics else f"this reads {', '.join(POSES)}"
+        raise UsageError(f"{log.path}: no pose topic {topic!r}; {there}")
+    return chosen
+
+
+def _pose(fields: Fields, places: tuple[str, ...]) -> list[float]:
+    """x and y of the position, x, y, z and w of the orientation."""
+    for name in places:
+        fields = fields.inner(name)
+    place, turn = fields.inner("position"), fields.inner("orientation")
+    return [*(place.number(k) for k in "xy"), *(turn.number(k) for k in "xyzw")]
+
+
+def _stamp(message: Message, fields: Fields, time: Clock) -> int:
+    stamps = {"log": message.log_time, "publish": message.publish_time, "header": fields.stamp_ns()}
+    stamp = stamps[time]
+    if stamp is None:
+        raise UnusableError(f"without a {time} time")
+    if stamp >= 2**63:
+        raise UnusableError(f"its {time} time of {stamp} ns is beyond every clock")
+    return stamp

@@ -1,0 +1,275 @@
+"""Takes ROS messages apart, CDR and the serialisation of ROS 1, by `rosbags`.
+
+rosbags writes code from a message's definition and runs it. So no word of a file's definition
+goes into that code: messages and fields get names of ours first, constants and default values are
+left out, and what is left are kinds of numbers and lengths, all within bounds.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Callable, Mapping
+from functools import cache, partial
+from importlib import resources
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from rosbags.interfaces import Nodetype
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from sonarrec.readers.mcap.fields import DefinitionError
+from sonarrec.readers.raw import UnusableError
+
+_MAX_DEFINITION_BYTES = 2**18
+_MAX_FIELDS = 1000  # of a message and all inside: of those read here the largest has some 50
+_MAX_DEPTH = 16
+_MAX_ITEMS = 10_000  # texts and messages inside of a message: none read here has as many
+
+Types = Mapping[str, tuple[Any, Any]]
+"""Messages as rosbags lists them: package/msg/Name to (constants, [(field, kind)])."""
+
+_FIELD = re.compile(
+    r"(?P<type>[a-zA-Z][\w/]*(?:<=[0-9]{1,9})?(?:\[(?:<=)?[0-9]{0,9}\])?)\s+"
+    r"(?P<name>[a-zA-Z]\w*)(?P<rest>\s*=.*|\s.*)?",  # a constant, or a field and its default
+    re.ASCII,
+)
+_TITLE = re.compile(r"MSG:\s*([\w/]+)", re.ASCII)
+# `time` and `duration` of ROS 1, which no file defines.
+_CLOCK = [(name, (Nodetype.BASE, ("uint32", 0))) for name in ("sec", "nanosec")]
+_CLOCKS: Types = {f"builtin_interfaces/msg/{name}": ([], _CLOCK) for name in ("Time", "Duration")}
+# Kinds as rosbags lists them. CDR has no empty message: one byte stands in its place.
+_HALF = (Nodetype.BASE, ("uint32", 0))
+_OCTETS = (Nodetype.SEQUENCE, ((Nodetype.BASE, ("uint8", 0)), 0))
+_EMPTY = [("structure_needs_at_least_one_member", (Nodetype.BASE, ("uint8", 0)))]
+_NUMPY = {"byte": "uint8", "char": "uint8"}
+_WIDE = {"float64": "d", "int64": "q", "uint64": "Q"}
+# Second byte of the encapsulation header: plain CDR and plain XCDR2, big- and little-endian.
+_CDR_KINDS = {0: ("be", False), 1: ("le", False), 6: ("be", True), 7: ("le", True)}
+
+
+def ros_decoder(name: str, definition: bytes, ros1: bool) -> RosDecoder | None:
+    """The decoder of a message (package/Name) by the definition in the file, by ours where it has
+    none that can be used; None without either.
+
+    Raises DefinitionError where there is only one that cannot be used.
+    """
+    try:
+        if definition.strip():
+            types = parse_definition(definition.decode(errors="replace"), name)
+            return RosDecoder(types, name, ros1)
+    except DefinitionError:
+        if not _known(name, ros1):
+            raise
+    return RosDecoder({}, name, ros1) if _known(name, ros1) else None
+
+
+def _known(name: str, ros1: bool) -> bool:
+    return name.replace("/", "/msg/") in known_messages(ros1).fielddefs
+
+
+@cache
+def known_messages(ros1: bool) -> Typestore:
+    """The messages of a ROS distribution, and those of the packages of sonars."""
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    text = resources.files(__package__).joinpath("sonars.msg").read_text(encoding="utf-8")
+    title, _, rest = text.partition("\n")
+    store.register(get_types_from_msg(rest, title.removeprefix("MSG: ")))
+    return store
+
+
+def parse_definition(text: str, name: str) -> Types:
+    """The fields of message `name` (package/Name) and of those that are defined below it.
+
+    Comments, constants and default values are left out: nothing in the text is evaluated.
+    Raises DefinitionError where it cannot be understood.
+    """
+    if len(text) > _MAX_DEFINITION_BYTES:
+        raise DefinitionError(f"{len(text)} bytes are more than is read")
+    defined = set(_TITLE.findall(text.replace("/msg/", "/")))
+    owner, lines = name, []
+    for line in text.splitlines():
+        line = line.partition("#")[0].strip()
+        if title := _TITLE.fullmatch(line):
+            owner = title[1]
+            lines += ["=" * 80, f"MSG: {owner}"]
+        elif line.strip("="):
+            field = _FIELD.fullmatch(line)
+            if field is None:
+                raise DefinitionError(f"{line[:60]!r} in {owner} is no field")
+            if (field["rest"] or "").lstrip().startswith("="):
+                continue
+            own = f"{owner.partition('/')[0]}/Header"
+            known = own in defined and field["type"].partition("[")[0] == "Header"
+            # To rosbags a Header without its package is always that of std_msgs.
+            kind = field["type"].replace("Header", own) if known else field["type"]
+            lines.append(f"{kind} {field['name']}")
+    if len(lines) > 3 * _MAX_FIELDS:  # with titles, and with messages that are not used
+        raise DefinitionError(f"{len(lines)} lines are more than is read")
+    try:
+        return get_types_from_msg("\n".join(lines) + "\n", name)
+    except TypesysError:
+        raise DefinitionError(f"the definition of {name} cannot be parsed") from None
+
+
+class RosDecoder:
+    """Gives the fields of the messages of one definition.
+
+    Numbers come as such, sequences of numbers as arrays without a copy, texts as arrays of their
+    bytes, messages inside as dicts, sequences of these as lists.
+    """
+
+    def __init__(self, types: Types, name: str, ros1: bool) -> None:
+        """types: the definitions in the file; the rest is taken from known_messages.
+
+        Raises DefinitionError where a message is nowhere defined or one is beyond bounds.
+        """
+        self._types, self._name, self._ros1 = types, name.replace("/", "/msg/"), ros1
+        self._layouts = {"": _Layout(types, self._name, ros1)}
+
+    def __call__(self, message: memoryview) -> dict[str, Any]:
+        """The fields of a message, of a CDR one behind its encapsulation header of 4 bytes.
+
+        Bytes behind its end are passed over. Raises UnusableError where it is malformed.
+        """
+        if self._ros1:
+            return self._layouts[""].fields("deserialize_ros1", message)
+        if len(message) < 4 or message[0] != 0 or message[1] not in _CDR_KINDS:
+            raise UnusableError("malformed message (no CDR header)")
+        order, narrow = _CDR_KINDS[message[1]]
+        if narrow and order not in self._layouts:
+            self._layouts[order] = _Layout(self._types, self._name, False, order)
+        layout = self._layouts[order if narrow else ""]
+        return layout.fields(f"deserialize_cdr_{order}", message[4:])
+
+
+class _Layout:
+    """A definition as rosbags gets it: under names of ours, and a text as the array of bytes that
+    it is on the wire. rosbags refuses a whole message for one text without its closing zero or
+    that is not UTF-8, such as a frame_id.
+    """
+
+    def __init__(self, types: Types, name: str, ros1: bool, narrow: str = "") -> None:
+        """narrow: the byte order ("le", "be") where numbers of 8 bytes are aligned to 4 as in
+        XCDR2, which rosbags does not read: it gets each as two of 4 bytes. Empty for all else.
+        """
+        self._types, self._ros1, self._narrow = types, ros1, narrow
+        self._store: Any = Typestore()
+        self._done: dict[str, tuple[Any, int]] = {}  # its kind there, and how deep it nests
+        self._vectors: dict[str, tuple[Any, list[str]]] = {}  # messages of one kind of number
+        self._field_count = self._items_left = 0
+        self._put("string", [_OCTETS], lambda values: values[0])
+        mark = ">" if narrow == "be" else "<"
+        for kind, code in _WIDE.items():
+            self._put(kind, [_HALF, _HALF], partial(_joined, f"{mark}2I", f"{mark}{code}"))
+        (_, root), _ = self._message(name, 0)
+        self._root = self._store.get_msgdef(root)
+
+    def fields(self, function: str, body: memoryview) -> dict[str, Any]:
+        """The fields of a message, by one of rosbags' functions."""
+        self._items_left = _MAX_ITEMS
+        try:
+            made, _ = getattr(self._root, function)(body, 0, self._root.cls, self._store)
+        except (SerdeError, struct.error, ValueError):
+            raise UnusableError("malformed message (its bytes do not fit its definition)") from None
+        return dict(made)
+
+    def _message(self, name: str, depth: int) -> tuple[Any, int]:
+        """The kind of a message in the store, which it and all inside are put into, and how deep
+        it nests."""
+        kind, height = self._done.get(name, (None, 0))
+        if depth + height > _MAX_DEPTH:
+            raise DefinitionError(f"{name} nests too deeply")
+        if kind is None:
+            found = self._types.get(name) or (_CLOCKS.get(name) if self._ros1 else None)
+            found = found or known_messages(self._ros1).fielddefs.get(name)
+            if found is None:
+                raise DefinitionError(f"{name} is not defined")
+            names = [field for field, _ in found[1]]
+            kinds = [self._kind(told, depth + 1) for _, told in found[1]]
+            self._add_fields(len(kinds))
+            ours, height = f"m{len(self._done)}", max((h + 1 for _, h in kinds), default=0)
+            self._put(
+                ours, [k for k, _ in kinds], lambda values: dict(zip(names, values, strict=False))
+            )
+            kind = Nodetype.NAME, ours
+            if len({k for k, _ in kinds}) == 1 and kinds[0][0][0] == Nodetype.BASE:
+                self._vectors[ours] = kinds[0][0], names
+            self._done[name] = kind, height
+        return kind, height
+
+    def _kind(self, told: Any, depth: int) -> tuple[Any, int]:
+        """A kind of field as the store gets it, and how deep it nests."""
+        node, detail = told
+        if node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+            single, count = detail
+            kind, height = self._kind(single, depth)
+            if kind == _OCTETS:  # a text, by the name of which its bytes are put
+                kind = Nodetype.NAME, "string"
+            if node == Nodetype.SEQUENCE and kind[1] in self._vectors:
+                return self._table(*self._vectors[kind[1]]), 0
+            if node == Nodetype.ARRAY:
+                if not count:
+                    raise DefinitionError("an array of no element")
+                if kind[0] == Nodetype.NAME:  # for each of these rosbags writes lines of code
+                    self._add_fields(count)
+            return (node, (kind, count)), height
+        if node == Nodetype.NAME:
+            return self._message(detail, depth)
+        if detail[0] == "string":
+            return _OCTETS, 0
+        if self._narrow and detail[0] in _WIDE:
+            return (Nodetype.NAME, detail[0]), 0
+        return told, 0
+
+    def _add_fields(self, count: int) -> None:
+        self._field_count += count
+        if self._field_count > _MAX_FIELDS:
+            raise DefinitionError(f"more than {_MAX_FIELDS} fields")
+
+    def _table(self, number: Any, names: list[str]) -> Any:
+        """The kind of a sequence of vectors, read as columns by code of ours: one by one, as
+        rosbags does it, the beam directions of a ping take six times as long as all the rest."""
+        code = np.dtype(_NUMPY.get(number[1][0], number[1][0])).str[1:]
+
+        def read(order: str, aligned: bool, body: memoryview, at: int, *_: Any) -> tuple[Any, int]:
+            dtype = np.dtype(order + code)
+            (count,) = struct.unpack_from(f"{order}I", body, at)
+            at += 4
+            if aligned and count:
+                at += -at % dtype.itemsize
+            table = np.frombuffer(body, dtype, count * len(names), at).reshape(count, len(names))
+            return {name: table[:, i] for i, name in enumerate(names)}, at + table.nbytes
+
+        name = f"table{len(self._store.cache)}"
+        self._store.cache[name] = SimpleNamespace(
+            fields=[("f0", (Nodetype.SEQUENCE, (number, 0)))],
+            size_cdr=0,
+            size_ros1=0,
+            cls=None,
+            deserialize_cdr_le=partial(read, "<", True),
+            deserialize_cdr_be=partial(read, ">", True),
+            deserialize_ros1=partial(read, "<", False),
+        )
+        return Nodetype.NAME, name
+
+    def _put(self, name: str, kinds: list[Any], make: Callable[[tuple[Any, ...]], Any]) -> None:
+        """Put a message into the store. make: what its fields are made into."""
+
+        def counted(*values: Any) -> Any:
+            self._items_left -= 1
+            if self._items_left < 0:
+                raise UnusableError("malformed message (too many elements)")
+            return make(values)
+
+        fields = [(f"f{k}", kind) for k, kind in enumerate(kinds)]
+        self._store.fielddefs[name] = ([], fields or _EMPTY)
+        self._store.types[name] = counted
+
+
+def _joined(halves: str, whole: str, values: tuple[int, int]) -> Any:
+    """The number of 8 bytes that is stored in two of 4."""
+    return struct.unpack(whole, struct.pack(halves, *values))[0]
