@@ -4,35 +4,34 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import click
 
 from sonarrec.cli.options import (
     FILE,
+    NEW_FILE,
+    OUTPUT,
     PARTLY,
+    SCORING,
+    LogChoice,
+    command,
     landmarks_option,
-    pixel_options,
-    sonar_from_flags,
-    sonar_options,
-    topic_option,
+    leave,
+    log_options,
+    option,
+    tell,
 )
-from sonarrec.records import Clock
 
 _MOST_LINES = 20  # told of one kind of fault
 
 
-@click.command()
+@command(short_help="Find what cannot be true in a gt.csv.")
 @click.argument("ground_truth", type=FILE, metavar="GT.CSV")
 @click.argument("log")
-@click.option(
-    "--sheet",
-    type=click.Path(dir_okay=False, path_type=Path),
-    default=Path("truth_check.png"),
-    show_default=True,
-    help="Where the contact sheet goes.",
-)
-@click.option(
+@log_options(time=True)
+@landmarks_option
+@option(
+    SCORING,
     "--max-pan",
     "max_pan_deg",
     type=click.FloatRange(min=0, min_open=True),
@@ -41,26 +40,22 @@ _MOST_LINES = 20  # told of one kind of fault
     metavar="DEG",
     help="By how much the sonar may turn from one frame to the next.",
 )
-@click.option(
-    "--time",
-    "clock",
-    type=click.Choice(["log", "publish", "header"]),
-    help="Which time of an MCAP message timestamp_ns means.  [default: log]",
+@option(
+    OUTPUT,
+    "-o",
+    "--sheet",
+    type=NEW_FILE,
+    default=Path("truth_check.png"),
+    show_default=True,
+    help="Where the contact sheet goes.",
 )
-@landmarks_option
-@topic_option
-@sonar_options
-@pixel_options
 def check(
     ground_truth: Path,
     log: str,
-    sheet: Path,
+    log_choice: LogChoice,
+    landmarks: str | None,
     max_pan_deg: float,
-    landmarks: str,
-    topic: str | None,
-    clock: Clock | None,
-    sonar_file: Path | None,
-    **flags: Any,
+    sheet: Path,
 ) -> None:
     """Find what cannot be true in GT.CSV, and draw it on LOG.
 
@@ -72,7 +67,7 @@ def check(
 
     \b
     Examples:
-      sonarrec truth check gt.csv log.mcap
+      sonarrec truth check sample_data/pan.gt.csv sample_data/pan.mcap
       sonarrec truth check gt_proposed.csv pings/ --sheet look.png --max-pan 10
     """
     from sonarrec.evaluation.contact_sheet import draw_contact_sheet
@@ -80,10 +75,8 @@ def check(
     from sonarrec.landmarks import load_landmarks
     from sonarrec.readers import open_log
 
-    landmark_set, sonar = load_landmarks(landmarks), sonar_from_flags(flags)
-    reopen = partial(
-        open_log, log, sonar=sonar, sonar_file=sonar_file, topic=topic, time=clock or "log"
-    )
+    landmark_set = load_landmarks(landmarks or "basin")
+    reopen = partial(open_log, log, **log_choice.arguments())
     with reopen() as opened:
         checked = check_truth(ground_truth, opened, landmark_set, max_pan_deg=max_pan_deg)
     with reopen() as opened:
@@ -96,8 +89,7 @@ def check(
     for kind, count in told.items():
         if count > _MOST_LINES:
             click.echo(f"... and {count - _MOST_LINES} more of the kind: {kind}")
-    for problem in checked.problems:
-        click.echo(f"sonarrec: {problem}", err=True)
+    tell(checked.problems)
     click.echo(f"{ground_truth}: {checked.told()}")
     if checked.others:
         click.echo(f"note: {checked.others} rows of other logs were not looked at")
@@ -106,4 +98,4 @@ def check(
     else:
         click.echo("note: no row has a position on a frame of the log, so there is no sheet")
     if checked.faults or checked.problems:
-        click.get_current_context().exit(PARTLY)
+        leave(PARTLY)

@@ -6,30 +6,33 @@ from pathlib import Path
 
 import click
 
+from sonarrec.cli.options import ANY, INPUT, NEW_FILE, SCORING, command, option, out_option
 
-@click.command()
-@click.argument("results", type=click.Path(path_type=Path), default=Path("sonarrec_out"))
-@click.option("--method", default="framework", show_default=True, help="Whose tracks.")
-@click.option(
+
+@command(short_help="Propose a gt.csv from confident tracks.")
+@click.argument("results", type=ANY, default=Path("sonarrec_out"))
+@option(INPUT, "--method", default="framework", show_default=True, help="Whose tracks.")
+@option(
+    SCORING,
     "--min-score",
     type=float,
     default=0.9,
     show_default=True,
     help="That a track must reach at its best.",
 )
-@click.option(
+@option(
+    SCORING,
     "--max-gap",
     type=click.IntRange(min=0),
     default=8,
     show_default=True,
     help="Frames missing from a track that are filled in.",
 )
-@click.option(
-    "--out",
-    type=click.Path(dir_okay=False, path_type=Path),
+@out_option(
+    NEW_FILE,
+    "A new file; one that exists is not touched.",
     default=Path("gt_proposed.csv"),
     show_default=True,
-    help="A new file; one that exists is not touched.",
 )
 def propose(results: Path, method: str, min_score: float, max_gap: int, out: Path) -> None:
     """Propose a gt.csv from the confident tracks of RESULTS.
@@ -40,8 +43,8 @@ def propose(results: Path, method: str, min_score: float, max_gap: int, out: Pat
 
     \b
     Examples:
-      sonarrec truth propose sonarrec_out/log_7
-      sonarrec truth propose --min-score 0.95 --max-gap 0 --out gt.csv
+      sonarrec truth propose sonarrec_out/pan
+      sonarrec truth propose --min-score 0.95 --max-gap 0 -o gt.csv
     """
     from sonarrec.evaluation.truth_propose import propose as propose_truth
 
