@@ -65,8 +65,8 @@ def calibrate(
       sonarrec run next.mcap --model model.toml
       sonarrec calibrate day_1/ day_2/ --ground-truth both.csv -o model.toml --landmarks my.toml
     """
-    from sonarrec.labelled_logs import learn
     from sonarrec.landmarks import load_landmarks
+    from sonarrec.learning.calibrate import learn
 
     if not out.parent.is_dir():
         raise UsageError(f"--out {out}: there is no folder {out.parent}")

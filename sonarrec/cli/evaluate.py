@@ -104,21 +104,22 @@ def evaluate(
         _compare(*compare, ground_truth, out or compare[1] / "evaluation", band, quiet, scoring)
         return
 
-    from sonarrec.evaluation import files, tabulate
-    from sonarrec.evaluation import scoring as scores
+    from sonarrec.evaluation import tabulate, write
+    from sonarrec.evaluation.evaluate import evaluate as score
+    from sonarrec.evaluation.evaluate import evaluate_pairs, read_pairs
     from sonarrec.evaluation.summary import summarise
 
     if ground_truth is not None:
         results = results or Path("sonarrec_out")
-        found = scores.evaluate(results, ground_truth, **scoring)
+        found = score(results, ground_truth, **scoring)
         folder = out or results / "evaluation"
     elif pairs is not None:
-        found = scores.evaluate_pairs(scores.read_pairs(pairs), **scoring)
+        found = evaluate_pairs(read_pairs(pairs), **scoring)
         folder = out or pairs.parent / "evaluation"
     else:
         raise UsageError("nothing to score against: give --ground-truth, or --pairs")
     summary = summarise(found, unit)
-    written = files.write_evaluation(folder, found, summary, det)
+    written = write.write_evaluation(folder, found, summary, det)
     tell(found.unused)
     if not quiet:
         click.echo(tabulate.screen(found))
@@ -139,10 +140,10 @@ def _compare(
     quiet: bool,
     scoring: dict[str, Any],
 ) -> None:
-    from sonarrec.evaluation import compare, files
+    from sonarrec.evaluation import compare, write
 
     found = compare.compare(old, new, ground_truth, **scoring)
-    files.write_comparison(folder, found)
+    write.write_comparison(folder, found)
     tell(found.unused)
     if not quiet:
         click.echo(compare.screen(found))

@@ -184,7 +184,7 @@ class LogChoice:
 
     def sonar(self) -> Any:
         """The Sonar that the flags alone state. Raises UsageError for what is no list."""
-        from sonarrec.geometry import sonar_from_table
+        from sonarrec.sonar import sonar_from_table
 
         keys = [key for key in (*_GEOMETRY, *_PIXELS) if key != "sonar_file"]
         stated = {key: self.values[key] for key in keys if self.values.get(key) is not None}
@@ -198,7 +198,7 @@ class LogChoice:
 
     def sonar_without_log(self) -> Any:
         """The Sonar of --sonar and the flags, which win, where no log is opened."""
-        from sonarrec.geometry import Sonar, load_sonar
+        from sonarrec.sonar import Sonar, load_sonar
 
         file = self.values["sonar_file"]
         return (load_sonar(file) if file else Sonar()).updated(self.sonar())

@@ -81,7 +81,7 @@ def run(
       sonarrec run pings/ --odometry poses.csv --model my.toml
       sonarrec run 'dump/*.png' --preset paper -o results
     """
-    from sonarrec.pipeline import process
+    from sonarrec.run import process
 
     if odometry is not None and odometry_topic is not None:
         raise UsageError("--odometry and --odometry-topic: choose one of the two")

@@ -1,0 +1,183 @@
+"""Stage 3 against PAPER's equations written out and figures worked out from them."""
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sonarrec.config import Features
+from sonarrec.landmarks import LandmarkSet, load_landmarks
+from sonarrec.recogniser.stage3_features.published import (
+    FeatureEstimator,
+    measurement_model,
+    motion_model,
+    update,
+)
+from sonarrec.records import Groups
+
+IDEAL = {  # shares of agreeing sectors between the four IDs, by hand
+    1: (1, 0.75, 0.75, 0.5),
+    2: (0.75, 1, 0.5, 0.75),
+    3: (0.75, 0.5, 1, 0.75),
+    4: (0.5, 0.75, 0.75, 1),
+}
+BASIN = load_landmarks("basin")
+
+
+def groups(numbers, positions) -> Groups:
+    n = len(numbers)
+    return Groups(
+        np.asarray(numbers, np.int64),
+        np.asarray(positions, float).reshape(n, 2),
+        np.zeros((n, 2)),
+        np.full(n, 0.9),
+        np.empty(0, np.int64),
+    )
+
+
+def ideal_q(landmark: int) -> np.ndarray:
+    return np.array(IDEAL[landmark]) / sum(IDEAL[landmark])
+
+
+def rows_of(shape, low=0.01):
+    """Strategy: arrays of positive rows that sum to 1."""
+    count = int(np.prod(shape))
+    return st.lists(st.floats(low, 1), min_size=count, max_size=count).map(
+        lambda v: np.reshape(v, shape) / np.reshape(v, shape).sum(axis=-1, keepdims=True)
+    )
+
+
+@pytest.mark.parametrize(("frames", "belief"), [(4, 0.304), (16, 0.447), (32, 0.584), (100, 0.816)])
+def test_convergence_is_as_slow_as_the_paper_s_rule_makes_it(frames, belief):
+    model = measurement_model(BASIN, 2.5)
+    p = np.full((1, 4), 0.25)
+    for _ in range(frames):
+        p = update(p, ideal_q(1)[None], model)
+    # PAPER's figures come from a q of three digits, which moves the last of them by .003.
+    assert p[0, 0] == pytest.approx(belief, abs=3e-3)
+
+
+@settings(max_examples=50, deadline=None)
+@given(data=st.data(), n=st.integers(1, 4), k=st.integers(2, 6))
+def test_update_is_equations_6_to_8_written_out(data, n, k):
+    predicted, q = data.draw(rows_of((n, k))), data.draw(rows_of((n, k)))
+    model = data.draw(rows_of((k, k)))
+    expected = np.zeros((n, k))
+    for m, j in itertools.product(range(n), range(k)):
+        normaliser = sum(model[other, j] * predicted[m, other] for other in range(k))  # Eq. 7
+        for i in range(k):
+            expected[m, i] += model[i, j] * predicted[m, i] / normaliser * q[m, j]  # Eq. 6, 8
+    belief = update(predicted, q, model)
+    np.testing.assert_allclose(belief, expected, rtol=1e-9)
+    np.testing.assert_allclose(belief.sum(axis=1), 1, rtol=1e-12)
+
+
+def test_a_model_that_never_errs_passes_the_measurement_through():
+    q = np.array([[0.1, 0.2, 0.7], [0.5, 0.25, 0.25]])
+    np.testing.assert_allclose(update(np.full((2, 3), 1 / 3), q, np.eye(3)), q)
+
+
+@pytest.mark.parametrize(
+    ("window_m", "table"), [(1.25, 2), (1.5, 2), (2.0, 3), (2.5, 3), (5.0, 3), (10.0, 3), (0.6, 2)]
+)
+def test_the_table_measured_nearest_to_the_window_is_chosen(window_m, table):
+    model = measurement_model(BASIN, window_m)
+    # The first entries are PAPER's; rows are renormalised, which moves them by less than 1e-3.
+    assert model[0, 0] == pytest.approx({2: 0.3195, 3: 0.3341}[table], abs=1e-4)
+    assert model[2, 1] == pytest.approx({2: 0.1742, 3: 0.1769}[table], abs=1e-4)
+    np.testing.assert_allclose(model.sum(axis=1), 1, rtol=1e-12)
+    assert (model.argmax(axis=1) == np.arange(4)).all()
+
+
+def test_other_landmark_sets_get_the_ideal_similarities():
+    sectors = ((1, 0, 0, 0, 0, 0), (1, 1, 0, 1, 0, 0), (1, 1, 1, 0, 1, 0))
+    other = LandmarkSet("six", 0.2, (0.8, 1.0), (0.0, 0.6), (7, 9, 12), sectors)
+    model = measurement_model(other, 2.5)
+    for a, b in itertools.product(range(3), repeat=2):
+        agree = [sum(x == y for x, y in zip(sectors[a], sectors[c], strict=True)) for c in range(3)]
+        assert model[a, b] == pytest.approx(agree[b] / sum(agree))
+
+
+positions = st.lists(
+    st.tuples(st.integers(0, 600), st.integers(0, 600)), min_size=1, max_size=5, unique=True
+)
+
+
+@settings(max_examples=50, deadline=None)
+@given(now=positions, before=positions, power=st.sampled_from([1.0, 2.0, 4.0]))
+def test_motion_model_rows_sum_to_one_and_follow_inverse_distance(now, before, power):
+    same = motion_model(np.array(now, float), np.array(before, float), power)
+    assert same.shape == (len(now), len(before))
+    np.testing.assert_allclose(same.sum(axis=1), 1, rtol=1e-9)
+    for m, a in enumerate(now):
+        distance = [max(np.hypot(a[0] - b[0], a[1] - b[1]), 1) for b in before]
+        for i, j in itertools.combinations(range(len(before)), 2):
+            ratio = (distance[j] / distance[i]) ** power
+            assert same[m, i] / same[m, j] == pytest.approx(ratio, rel=1e-6)
+
+
+def three_in_a_row(kind: str, power: float, shift: float, frames: int) -> np.ndarray:
+    """Beliefs in ID.1, ID.3 and ID.4, 60 and 120 px apart, measured without noise over 2.5 m.
+
+    shift: how far the picture moves from frame to frame, in pixels.
+    """
+    config = Features(motion_model=kind, distance_power=power)
+    estimator = FeatureEstimator(config, measurement_model(BASIN, 2.5))
+    place = np.array([(100, 200), (160, 200), (280, 200)], float)
+    q = np.stack([ideal_q(1), ideal_q(3), ideal_q(4)])
+    for _ in range(frames):
+        place = place + np.array([shift, 0])
+        belief = estimator.step(groups([1, 2, 3], place), q)
+        np.testing.assert_allclose(belief.sum(axis=1), 1, rtol=1e-9)
+    return belief
+
+
+# Panning 2 deg/s at 4 frames/s moves the picture by 3 to 5 px where the landmarks lie.
+@pytest.mark.parametrize("shift", [0, 5, 20])
+def test_association_keeps_neighbours_apart(shift):
+    belief = three_in_a_row("association", 1.0, shift, 200)
+    assert list(belief.argmax(axis=1)) == [0, 2, 3]
+    assert belief[[0, 1, 2], [0, 2, 3]].min() > 0.85
+
+
+@pytest.mark.parametrize(("shift", "frames", "wrong"), [(5, 300, 1), (20, 60, 0)])
+def test_the_trap_literal_inverse_distance_ends_with_a_wrong_id(shift, frames, wrong):
+    belief = three_in_a_row("inverse_distance", 1.0, shift, frames)
+    assert belief[wrong].argmax() != (0, 2, 3)[wrong]
+
+
+def test_a_sharp_power_keeps_neighbours_apart():
+    belief = three_in_a_row("inverse_distance", 4.0, 5, 200)
+    assert list(belief.argmax(axis=1)) == [0, 2, 3]
+
+
+@pytest.mark.parametrize("kind", ["association", "inverse_distance"])
+def test_a_new_track_knows_nothing_and_an_old_one_remembers(kind):
+    model = measurement_model(BASIN, 2.5)
+    estimator = FeatureEstimator(Features(motion_model=kind, distance_power=1.0), model)
+    for _ in range(30):
+        old = estimator.step(groups([4], [(50, 50)]), ideal_q(1)[None])
+    both = estimator.step(groups([4, 9], [(50, 50), (52, 50)]), np.stack([ideal_q(1)] * 2))
+    np.testing.assert_allclose(both[0], update(old, ideal_q(1)[None], model)[0])
+    np.testing.assert_allclose(both[1], update(np.full((1, 4), 0.25), ideal_q(1)[None], model)[0])
+
+
+def test_a_track_that_came_back_under_a_new_number_starts_again():
+    model = measurement_model(BASIN, 2.5)
+    estimator = FeatureEstimator(Features(motion_model="association"), model)
+    estimator.step(groups([1, 2], [(0, 0), (99, 0)]), np.stack([ideal_q(1), ideal_q(4)]))
+    empty = estimator.step(groups([], []), np.empty((0, 4)))
+    assert empty.shape == (0, 4)
+    again = estimator.step(groups([2], [(99, 0)]), ideal_q(4)[None])
+    np.testing.assert_allclose(again, update(np.full((1, 4), 0.25), ideal_q(4)[None], model))
+
+
+def test_deleting_a_track_leaves_the_others_beliefs_in_place():
+    model = measurement_model(BASIN, 2.5)
+    estimator = FeatureEstimator(Features(motion_model="association"), model)
+    q = np.stack([ideal_q(1), ideal_q(3), ideal_q(4)])
+    first = estimator.step(groups([1, 2, 3], [(0, 0), (99, 0), (199, 0)]), q)
+    after = estimator.step(groups([1, 3], [(0, 0), (199, 0)]), q[[0, 2]])
+    np.testing.assert_allclose(after, update(first[[0, 2]], q[[0, 2]], model))

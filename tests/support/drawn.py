@@ -1,0 +1,199 @@
+"""Pictures with known truth for the tests, drawn from first principles.
+
+Nothing here calls the code under test: geometry and patterns are written out again.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import cv2
+import numpy as np
+
+from sonarrec.geometry import fan_for_image
+from sonarrec.records import Fan
+from sonarrec.sonar import Sonar
+
+RING = (0.80, 1.00)
+SYMBOL = (0.00, 0.62)
+SECTORS = {1: (1, 0, 0, 0), 2: (1, 0, 1, 0), 3: (1, 1, 0, 0), 4: (1, 1, 1, 0)}
+FINE = 3  # samples per pixel and axis
+
+
+def make_fan(
+    rows: int = 300,
+    range_min_m: float = 1.25,
+    range_max_m: float = 3.75,
+    field_of_view_deg: float = 28.8,
+    tilt_deg: float = 20.0,
+    height_m: float | None = 0.68,
+) -> Fan:
+    """The fan of an image just wide enough for its field of view."""
+    sonar = Sonar(
+        layout="fan",
+        range_min_m=range_min_m,
+        range_max_m=range_max_m,
+        field_of_view_deg=field_of_view_deg,
+        tilt_deg=tilt_deg,
+        height_m=height_m,
+    )
+    half = range_max_m * math.sin(math.radians(field_of_view_deg / 2))
+    columns = 2 * math.ceil(half / ((range_max_m - range_min_m) / rows)) + 1
+    return fan_for_image(sonar, rows, columns)
+
+
+def disc_pattern(
+    sectors: Sequence[int], turn_rad: float = 0.0
+) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """Brightness 0 or 1 over the unit disc (x right, y up), first sector at `turn_rad`."""
+
+    def pattern(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        radius = np.hypot(x, y)
+        share = np.mod(np.arctan2(y, x) - turn_rad, 2 * np.pi) / (2 * np.pi)
+        sector = np.minimum((share * len(sectors)).astype(int), len(sectors) - 1)
+        lit = (radius <= SYMBOL[1]) & (np.asarray(sectors)[sector] == 1)
+        return ((radius >= RING[0]) & (radius <= RING[1]) | lit).astype(float)
+
+    return pattern
+
+
+def cross_pattern(turn_rad: float = 0.0) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """Brightness 0 or 1 over the unit disc: four spokes, the first at `turn_rad`."""
+
+    def pattern(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        along = x * math.cos(turn_rad) + y * math.sin(turn_rad)
+        aside = y * math.cos(turn_rad) - x * math.sin(turn_rad)
+        lit = np.minimum(np.abs(along), np.abs(aside)) < 0.07
+        return (lit & (np.hypot(x, y) <= SYMBOL[1])).astype(float)
+
+    return pattern
+
+
+def _fine_grid(rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
+    """(row, column) of FINE x FINE samples in every pixel, pixel centres at whole numbers."""
+    row, column = np.mgrid[0 : rows * FINE, 0 : columns * FINE]
+    return (row + 0.5) / FINE - 0.5, (column + 0.5) / FINE - 0.5
+
+
+def _pixels(fine: np.ndarray) -> np.ndarray:
+    rows, columns = fine.shape[0] // FINE, fine.shape[1] // FINE
+    return fine.reshape(rows, FINE, columns, FINE).mean(axis=(1, 3))
+
+
+def draw_ellipse_disc(
+    shape: tuple[int, int],
+    centre: tuple[float, float],
+    axes: tuple[float, float],
+    pattern: Callable[[np.ndarray, np.ndarray], np.ndarray],
+) -> np.ndarray:
+    """(rows, columns) brightness 0 to 1 of a disc squeezed to semi-axes (across, along) pixels."""
+    row, column = _fine_grid(*shape)
+    return _pixels(pattern((column - centre[0]) / axes[0], (centre[1] - row) / axes[1]))
+
+
+def draw_on_floor(
+    fan: Fan,
+    range_m: float,
+    bearing_deg: float,
+    radius_m: float,
+    pattern: Callable[[np.ndarray, np.ndarray], np.ndarray],
+) -> tuple[np.ndarray, np.ndarray]:
+    """A disc on a flat floor as a fan image sees it.
+
+    Returns the brightness 0 to 1 and where the fan is seen at all, both (rows, columns). The fan
+    must know its height: ground range = sqrt(slant range^2 - height^2).
+    """
+    assert fan.height_m is not None
+    row, column = np.mgrid[0 : fan.rows, 0 : fan.columns]
+    slant, bearing, x, y = _on_disc(fan, row, column, range_m, bearing_deg, radius_m)
+    seen = (slant >= fan.range_min_m) & (slant <= fan.range_max_m)
+    seen &= np.abs(np.degrees(bearing)) <= fan.bearing_max_deg
+    brightness = np.zeros((fan.rows, fan.columns))
+    rows, columns = np.nonzero(np.hypot(x, y) < 1.5)
+    if len(rows):
+        box = np.s_[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
+        row, column = _fine_grid(*brightness[box].shape)
+        _, _, x, y = _on_disc(
+            fan, row + rows.min(), column + columns.min(), range_m, bearing_deg, radius_m
+        )
+        brightness[box] = _pixels(pattern(x, y))
+    return brightness, seen
+
+
+def _on_disc(
+    fan: Fan,
+    row: np.ndarray,
+    column: np.ndarray,
+    range_m: float,
+    bearing_deg: float,
+    radius_m: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Slant range (m), bearing (rad) and place on the disc (radii) of fan pixels."""
+    assert fan.height_m is not None
+    across = (column - fan.apex_column) * fan.metres_per_pixel
+    ahead = (fan.apex_row - row) * fan.metres_per_pixel
+    slant, bearing = np.hypot(across, ahead), np.arctan2(across, ahead)
+    ground = np.sqrt(np.maximum(slant**2 - fan.height_m**2, 0))
+    place = math.sqrt(range_m**2 - fan.height_m**2)
+    b = math.radians(bearing_deg)
+    x = (ground * np.sin(bearing) - place * math.sin(b)) / radius_m
+    y = (ground * np.cos(bearing) - place * math.cos(b)) / radius_m
+    return slant, bearing, x, y
+
+
+def speckled(
+    brightness: np.ndarray,
+    seen: np.ndarray,
+    rng: np.random.Generator,
+    *,
+    floor_db: float = -14.0,
+    dark: np.ndarray | None = None,
+) -> np.ndarray:
+    """uint8 log-compressed picture (60 dB over 255 levels): Rayleigh speckle, black outside.
+
+    dark: 0 to 1, where the floor is hidden by a plate 8 dB darker still.
+    """
+    floor = 10 ** (floor_db / 10)
+    power = floor * (1.0 if dark is None else 1 - 0.84 * dark) * (1 - brightness) + brightness
+    power = power * rng.exponential(size=power.shape)
+    decibel = 10 * np.log10(np.maximum(power, 1e-9))
+    grey = np.clip((decibel + 45) / 60 * 255, 1, 255)
+    return np.where(seen, grey, 0).astype(np.uint8)
+
+
+def surroundings(image: np.ndarray) -> tuple[np.ndarray, float]:
+    """Mean map and sigma of an image for ShapeSampler, the same everywhere."""
+    return np.full(image.shape, image.mean(), np.float32), float(image.std()) or 1.0
+
+
+def smeared_matrix(
+    pattern: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    radii: np.ndarray,
+    angles: int,
+    across: float,
+    along: float = 0.05,
+) -> np.ndarray:
+    """(lines, angles) of grey values (dB) of a ringed disc drawn finely and blurred in power.
+
+    pattern: where its symbol is bright (x right, y up), over the unit disc. Angles count
+    counter-clockwise from the line of sight, which points up the picture. across, along: standard
+    deviation of the blur across the line of sight and along it, in disc radii. Ring, symbol, plate,
+    floor and noise at 12, 10, -8, 0 and -6 dB.
+    """
+    size, reach = 600, 1.7
+    pixels = size / (2 * reach)
+    axis = (np.arange(size) + 0.5) / pixels - reach
+    x, y = np.meshgrid(axis, -axis)
+    radius = np.hypot(x, y)
+    level = np.where(pattern(x, y) > 0, 10.0, -8.0)
+    level = np.where((radius >= RING[0]) & (radius <= RING[1]), 12.0, level)
+    level = np.where(radius > RING[1], 0.0, level)
+    power = cv2.GaussianBlur(
+        10 ** (level / 10), (0, 0), sigmaX=across * pixels, sigmaY=along * pixels
+    )
+    grey = 10 * np.log10(power + 10**-0.6)
+    angle = (np.arange(angles) + 0.5) * 2 * np.pi / angles
+    column = (-np.outer(radii, np.sin(angle)) + reach) * pixels - 0.5
+    row = (reach - np.outer(radii, np.cos(angle))) * pixels - 0.5
+    return cv2.remap(grey, column.astype(np.float32), row.astype(np.float32), cv2.INTER_LINEAR)

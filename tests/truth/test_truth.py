@@ -1,0 +1,318 @@
+"""Ground truth and results read back: matching by time, and every fault one clear line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from sonarrec.cli import main
+from sonarrec.records import SonarrecError
+from sonarrec.results.read import read_log
+from sonarrec.truth.match import Truth, match_truth
+from sonarrec.truth.table import read_truth
+
+FRAMES = "frame,timestamp_ns\n0,1000000000\n1,1250000000\n3,1750000000\n"
+ESTIMATES = (
+    "frame,method,range_m,bearing_deg,landmark,score,declared\n"
+    "0,m,2.0,0.0,1,0.9,1\n"
+    "3,m,2.0,1.0,2,0.4,0\n"
+)
+TRUTH = "frame,landmark,range_m,bearing_deg,visible\n0,1,2.0,0.0,1\n1,1,2.0,1.0,0.95\n"
+
+
+@pytest.fixture
+def case(tmp_path: Path) -> Path:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "frames.csv").write_text(FRAMES)
+    (tmp_path / "out" / "estimates.csv").write_text(ESTIMATES)
+    (tmp_path / "gt.csv").write_text(TRUTH)
+    return tmp_path
+
+
+def run(case: Path, *more: str) -> Result:
+    arguments = ["evaluate", "--ground-truth", str(case / "gt.csv"), str(case / "out"), *more]
+    return CliRunner().invoke(main, arguments)
+
+
+def failure(done: Result, code: int = 1) -> str:
+    """The one line said of a fault; nothing may have been written as a result."""
+    assert done.exit_code == code, done.output
+    assert done.stdout == ""
+    (line,) = done.stderr.splitlines()
+    return line
+
+
+def matched(case: Path, tolerance_s: float | None = None) -> Truth:
+    return match_truth(read_truth(case / "gt.csv"), read_log(case / "out"), tolerance_s)
+
+
+def test_sound_case(case: Path) -> None:
+    done = run(case, "-q")
+    assert (done.exit_code, done.output) == (0, "")
+    assert {p.name for p in (case / "out" / "evaluation").iterdir()} >= {
+        "confusion.csv",
+        "evaluation.json",
+        "roc.csv",
+        "roc.png",
+    }
+
+
+# --- Reading -------------------------------------------------------------------------------------
+
+
+def test_spreadsheet_habits_are_read(case: Path) -> None:
+    """Byte-order mark, spaces after commas, CRLF, blank lines, whole numbers as 3.0, extras."""
+    (case / "gt.csv").write_bytes(
+        b"\xef\xbb\xbfframe, landmark, visible, remark\r\n0.0, 1, , good\r\n\r\n3, 2, 0.5, part\r\n"
+    )
+    truth = matched(case)
+    assert truth.row.tolist() == [0, 2]
+    assert truth.landmark.tolist() == [0, 1]
+    assert truth.visible.tolist() == [1.0, 0.5]
+    assert truth.position is None
+
+
+def test_position_columns_left_blank_count_as_absent(case: Path) -> None:
+    (case / "gt.csv").write_text("frame,landmark,range_m,bearing_deg,x_px,y_px\n0,1,,,50,60\n")
+    table = read_truth(case / "gt.csv")
+    assert table.position is not None
+    assert table.position[0] == "pixel"
+
+
+def test_position_is_metres_in_the_fan_plane(case: Path) -> None:
+    (case / "gt.csv").write_text("frame,landmark,range_m,bearing_deg\n0,1,2.0,30.0\n")
+    np.testing.assert_allclose(matched(case).position, [[1.0, 3**0.5]])
+
+
+def test_header_alone_means_no_landmark_anywhere(case: Path) -> None:
+    (case / "gt.csv").write_text("frame,landmark,x_px,y_px,visible\n")
+    done = run(case)
+    assert done.exit_code == 0, done.output
+    assert "no row in the ground truth" in done.output
+    assert "protocol strict" in done.output
+
+
+def test_truth_without_position_is_scored_under_the_paper_protocol_only(case: Path) -> None:
+    (case / "gt.csv").write_text("frame,landmark\n0,1\n")
+    done = run(case)
+    assert done.exit_code == 0, done.output
+    assert "protocol paper" in done.output
+    assert "strict protocol is not scored" in done.output
+
+
+def test_nan_in_columns_that_are_not_scored(case: Path) -> None:
+    text = (
+        "frame,method,orientation_deg,landmark,score,declared\n0,m,nan,1,0.5,1\n1,m,3.5,1,0.5,1\n"
+    )
+    (case / "out" / "estimates.csv").write_text(text)
+    log = read_log(case / "out")
+    assert log.score.tolist() == [0.5, 0.5]
+    assert log.position is None
+
+
+def test_true_and_false_are_flags_too(case: Path) -> None:
+    text = ESTIMATES.replace(",1\n", ",True\n").replace(",0\n", ",False\n")
+    (case / "out" / "estimates.csv").write_text(text)
+    assert read_log(case / "out").declared.tolist() == [True, False]
+
+
+# --- Matching by time ----------------------------------------------------------------------------
+
+
+def stamps(case: Path, *times_ms: int) -> None:
+    rows = "".join(f"{t * 1_000_000},1\n" for t in times_ms)
+    (case / "gt.csv").write_text("timestamp_ns,landmark\n" + rows)
+
+
+def test_nearest_frame_within_half_an_interval(case: Path) -> None:
+    # Frames at 1000, 1250 and 1750 ms: the median interval is 375 ms, half of it 187.5.
+    stamps(case, 900, 1260, 1562, 1600, 1938)
+    truth = matched(case)
+    assert truth.row.tolist() == [0, 1, 2]  # 1562 and 1600 both belong to 1750; 1600 is nearer
+    assert (truth.between, truth.unprocessed) == (0, 2)
+    assert matched(case, 0.05).row.tolist() == [1]
+    assert matched(case, 0.2).between == 2
+
+
+def test_denser_truth_shows_a_landmark_once_per_frame(case: Path) -> None:
+    stamps(case, *range(950, 1800, 10))
+    truth = matched(case, 0.1)
+    assert truth.row.tolist() == [0, 1, 2]
+    assert truth.between + truth.unprocessed == truth.rows - 3
+
+
+def test_equally_near_stamps_take_the_earlier_with_all_its_rows(case: Path) -> None:
+    (case / "gt.csv").write_text("timestamp_ns,landmark\n1010000000,1\n990000000,2\n990000000,3\n")
+    assert sorted(matched(case).landmark.tolist()) == [1, 2]
+
+
+def test_time_matching_against_brute_force(case: Path) -> None:
+    rng = np.random.default_rng(2)
+    frame_ms = np.sort(rng.choice(5000, 40, replace=False))
+    rows = "".join(f"{i},{t * 1_000_000}\n" for i, t in enumerate(frame_ms))
+    (case / "out" / "frames.csv").write_text("frame,timestamp_ns\n" + rows)
+    truth_ms = rng.choice(5000, 300, replace=False)
+    stamps(case, *truth_ms)
+    expected = set()
+    for i, frame in enumerate(frame_ms):
+        mine = [t for t in truth_ms if np.argmin(np.abs(frame_ms - t)) == i]
+        near = min(mine, key=lambda t: (abs(t - frame), t), default=None)
+        if near is not None and abs(near - frame) <= 30:
+            expected.add(i)
+    truth = matched(case, 0.03)
+    assert set(truth.row.tolist()) == expected
+    assert len(truth.row) == len(expected)
+
+
+def test_frame_numbers_go_before_times(case: Path) -> None:
+    (case / "gt.csv").write_text("frame,timestamp_ns,landmark\n3,1000000000,1\n")
+    assert matched(case).row.tolist() == [2]
+
+
+# --- Faults of the truth -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("image,id\n0,1\n", "expected a header such as frame,landmark,x_px,y_px,visible"),
+        ("landmark,x_px,y_px\n1,2,3\n", "neither frame nor timestamp_ns"),
+        ("", "empty; expected a header"),
+        ("frame;landmark\n0;1\n", "expected a header such as"),
+        (
+            "frame,landmark\n0,1\n\none,1\n",
+            "gt.csv line 4: frame must be a whole number, not 'one'",
+        ),
+        ("frame,landmark\n0,1\n,1\n", "line 3: frame must be a whole number, not an empty cell"),
+        ("frame,landmark\n0.5,1\n", "line 2: frame must be a whole number, not '0.5'"),
+        ("frame,landmark\n0,ID.1\n", "line 2: landmark must be a whole number, not 'ID.1'"),
+        ("frame,landmark,visible\n0,1,yes\n", "line 2: visible must be a finite number"),
+        ("frame,landmark,visible\n0,1,95\n", "line 2: visible is the share of the disc"),
+        ("frame,landmark,range_m,bearing_deg\n0,1,2,3\n1,1,,\n", "line 3: range_m or bearing_deg"),
+        ("frame,landmark,x_px,y_px\n0,1,inf,3\n", "line 2: x_px must be a finite number"),
+        ("frame,landmark\n0,1,7\n", "not a readable CSV table"),
+        ("frame,landmark\n0,1\n1,1,7,8\n", "not a readable CSV table"),
+        ("frame,landmark,x_px,y_px\n0,1,5,6\n1,1,5,6\n0,1,5,6\n", "line 4: repeats line 2"),
+        ("frame,landmark\n0,7\n", "landmark 7 is not in the set 'basin' (1, 2, 3, 4)"),
+        ("frame,landmark\n500,1\n501,1\n", "none of its 2 rows (frame 500 to 501)"),
+        ("timestamp_ns,landmark\n5,1\n", "none of its 1 rows (timestamp_ns 5 to 5)"),
+        ("log,frame,landmark\nother,0,1\n", "its log column names none of out"),
+    ],
+)
+def test_bad_truth(case: Path, text: str, said: str) -> None:
+    (case / "gt.csv").write_text(text)
+    line = failure(run(case))
+    assert said in line
+    assert "gt.csv" in line
+    assert not (case / "out" / "evaluation").exists()
+
+
+def test_truth_that_is_no_text(case: Path) -> None:
+    (case / "gt.csv").write_bytes(b"frame,landmark\n\xff\xfe\x00,1\n")
+    assert "not a readable CSV table" in failure(run(case))
+
+
+def test_truth_beyond_the_processed_frames_is_counted_and_said(case: Path) -> None:
+    (case / "gt.csv").write_text("frame,landmark\n0,1\n2,1\n4,1\n")
+    done = run(case)
+    assert done.exit_code == 3
+    assert "2 of 3 rows lie on frames that were not processed" in done.stderr
+    assert "protocol paper" in done.stdout
+
+
+# --- Faults of the results -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("frames.csv", "index\n0\n", "frames.csv: wrong columns, no frame"),
+        ("frames.csv", "frame\n", "no frame was processed"),
+        ("frames.csv", "frame\n0\n1\n0\n", "frames.csv line 4: frame 0 is listed twice"),
+        ("estimates.csv", "frame,method\n0,m\n", "wrong columns, no landmark, score, declared"),
+        ("estimates.csv", ESTIMATES + "0,,2,0,1,0.5,0\n", "line 4: method must be a name"),
+        ("estimates.csv", ESTIMATES + "0,m,2,0,1,high,0\n", "line 4: score must be a finite"),
+        ("estimates.csv", ESTIMATES + "0,m,2,0,1,nan,0\n", "line 4: score must be a finite"),
+        ("estimates.csv", ESTIMATES + "0,m,2,0,1,0.5,2\n", "line 4: declared must be 0 or 1"),
+        ("estimates.csv", ESTIMATES + "0,m,2,0,9,0.5,1\n", "line 4: landmark 9 is not in the set"),
+        ("estimates.csv", ESTIMATES.splitlines()[0] + "\n", "names no method to score"),
+        ("run.toml", "[sonar\n", "run.toml: not a readable TOML file"),
+        ("run.toml", "[landmarks]\nname = 'x'\n", "run.toml: a landmark set has exactly"),
+    ],
+)
+def test_bad_results(case: Path, name: str, text: str, said: str) -> None:
+    (case / "out" / name).write_text(text)
+    assert said in failure(run(case))
+
+
+def test_no_results(case: Path) -> None:
+    (case / "out" / "estimates.csv").unlink()
+    assert "estimates.csv: no such file" in failure(run(case))
+    (case / "out" / "frames.csv").unlink()
+    assert "no results here" in failure(run(case))
+    (case / "out").rename(case / "gone")
+    assert "no such results folder" in failure(run(case))
+
+
+def test_estimates_off_the_listed_frames_are_counted_and_said(case: Path) -> None:
+    (case / "out" / "estimates.csv").write_text(ESTIMATES + "2,m,2,0,1,0.5,1\n")
+    done = run(case)
+    assert done.exit_code == 3
+    assert "1 estimates lie on frames that frames.csv does not list" in done.stderr
+
+
+def test_a_run_cut_short_is_not_passed_off_as_whole(case: Path) -> None:
+    (case / "out" / "run.toml").write_text("finished = false\n")
+    done = run(case)
+    assert done.exit_code == 3
+    assert "out: the run was cut short" in done.stderr
+    (case / "out" / "run.toml").write_text("finished = true\n")
+    assert run(case).exit_code == 0
+
+
+def test_an_empty_run_of_ours_is_scored(case: Path) -> None:
+    """Nothing seen at all, as on a riverbed, is a result and no fault."""
+    (case / "out" / "estimates.csv").write_text(ESTIMATES.splitlines()[0] + "\n")
+    (case / "out" / "run.toml").write_text('[program]\nname = "sonarrec"\n')
+    done = run(case)
+    assert done.exit_code == 0, done.output
+    assert "framework: no estimate at all" in done.output
+
+
+def test_several_logs_need_a_log_column(case: Path) -> None:
+    for name in ("a", "b"):
+        (case / "root" / name).mkdir(parents=True)
+        for table in ("frames.csv", "estimates.csv"):
+            (case / "root" / name / table).write_text((case / "out" / table).read_text())
+    (case / "out" / "frames.csv").unlink()
+    (case / "root").rename(case / "out" / "root")
+    root = str(case / "out" / "root")
+    arguments = ["evaluate", "--ground-truth", str(case / "gt.csv"), root]
+    assert "holds 2 logs (a, b), so the truth needs a log column" in failure(
+        CliRunner().invoke(main, arguments)
+    )
+    (case / "gt.csv").write_text("log,frame,landmark\na,0,1\nc,0,1\n")
+    done = CliRunner().invoke(main, arguments)
+    assert done.exit_code == 3
+    assert "1 of 2 rows" in done.stderr
+    assert "b: no row in the ground truth" in done.stdout
+    assert (case / "out" / "root" / "evaluation" / "confusion.csv").is_file()
+
+
+def test_times_cannot_be_matched_without_times(case: Path) -> None:
+    (case / "out" / "frames.csv").write_text("frame\n0\n1\n")
+    stamps(case, 1000)
+    assert "frames.csv of out has no such column" in failure(run(case))
+
+
+@pytest.mark.parametrize("option", [("--min-visible", "1.5"), ("--tolerance", "-1")])
+def test_options_that_cannot_be_meant(case: Path, option: tuple[str, str]) -> None:
+    assert option[0] in failure(run(case, *option), code=2)
+
+
+def test_library_raises_what_the_command_line_shows(case: Path) -> None:
+    with pytest.raises(SonarrecError, match="no such file"):
+        read_truth(case / "missing.csv")
