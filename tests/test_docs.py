@@ -182,6 +182,13 @@ def test_pages_named_in_the_documentation_exist() -> None:
             assert page in PAGES, f"{document.name}: {page}"
 
 
+def test_files_named_in_the_readme_exist() -> None:
+    text = README.read_text(encoding="utf-8")
+    named = re.findall(r"[`(]((?:sonarrec|tests|sample_data)/[\w./]+)[`)]", text)
+    assert len(named) > 5
+    assert not [path for path in named if not (ROOT / path).exists()]
+
+
 def test_help_is_in_groups() -> None:
     text = CliRunner().invoke(main, ["run", "--help"]).stdout
     groups = re.findall(r"^(\w+):$", text, re.MULTILINE)

@@ -19,6 +19,7 @@ from sonarrec.cli.options import (
     leave,
     log_options,
     option,
+    quiet_option,
     tell,
 )
 
@@ -49,6 +50,7 @@ _MOST_LINES = 20  # told of one kind of fault
     show_default=True,
     help="Where the contact sheet goes.",
 )
+@quiet_option
 def check(
     ground_truth: Path,
     log: str,
@@ -56,11 +58,12 @@ def check(
     landmarks: str | None,
     max_pan_deg: float,
     sheet: Path,
+    quiet: bool,
 ) -> None:
     """Find what cannot be true in GT.CSV, and draw it on LOG.
 
-    Told, line by line: IDs that are not in the set, frames that are not in the log, discs wholly
-    outside the fan, `visible` outside 0 to 1 or above the share of the disc inside the fan,
+    Reported, line by line: IDs not in the set, frames not in the log, discs wholly outside the
+    fan, `visible` outside 0 to 1 or above the share of the disc inside the fan,
     repeated rows, landmarks that lie on each other or change their ID, pixels that contradict
     range and bearing, and jumps that no pan explains. The contact sheet shows every pass of a
     landmark at a few frames, outlined. Exit code 3: something was found.
@@ -90,12 +93,13 @@ def check(
         if count > _MOST_LINES:
             click.echo(f"... and {count - _MOST_LINES} more of the kind: {kind}")
     tell(checked.problems)
-    click.echo(f"{ground_truth}: {checked.told()}")
+    if not quiet:
+        click.echo(f"{ground_truth}: {checked.told()}")
     if checked.others:
         click.echo(f"note: {checked.others} rows of other logs were not looked at")
-    if strips:
+    if strips and not quiet:
         click.echo(f"{sheet}: contact sheet")
-    else:
+    elif not strips:
         click.echo("note: no row has a position on a frame of the log, so there is no sheet")
     if checked.faults or checked.problems:
         leave(PARTLY)

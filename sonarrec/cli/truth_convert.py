@@ -19,6 +19,7 @@ from sonarrec.cli.options import (
     log_options,
     option,
     out_option,
+    quiet_option,
     tell,
 )
 from sonarrec.records import UsageError
@@ -68,6 +69,7 @@ def _label_map(_: click.Context, __: click.Parameter, given: tuple[str, ...]) ->
     default=Path("gt.csv"),
     show_default=True,
 )
+@quiet_option
 def convert(
     annotations: Path,
     log: str | None,
@@ -77,6 +79,7 @@ def convert(
     log_choice: LogChoice,
     landmarks: str | None,
     out: Path,
+    quiet: bool,
 ) -> None:
     """Write ANNOTATIONS as a gt.csv.
 
@@ -110,7 +113,8 @@ def convert(
     )
     tell(done.unused)
     counts = ", ".join(f"ID.{i} {count}" for i, count in done.counts.items()) or "no landmark"
-    click.echo(f"{out}: {sum(done.counts.values())} rows from {done.format} ({counts})")
+    if not quiet:
+        click.echo(f"{out}: {sum(done.counts.values())} rows from {done.format} ({counts})")
     for line in done.notes:
         click.echo(f"note: {line}")
     if done.unused:

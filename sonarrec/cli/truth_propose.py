@@ -6,7 +6,16 @@ from pathlib import Path
 
 import click
 
-from sonarrec.cli.options import ANY, INPUT, NEW_FILE, SCORING, command, option, out_option
+from sonarrec.cli.options import (
+    ANY,
+    INPUT,
+    NEW_FILE,
+    SCORING,
+    command,
+    option,
+    out_option,
+    quiet_option,
+)
 
 
 @command(short_help="Propose a gt.csv from confident tracks.")
@@ -34,7 +43,10 @@ from sonarrec.cli.options import ANY, INPUT, NEW_FILE, SCORING, command, option,
     default=Path("gt_proposed.csv"),
     show_default=True,
 )
-def propose(results: Path, method: str, min_score: float, max_gap: int, out: Path) -> None:
+@quiet_option
+def propose(
+    results: Path, method: str, min_score: float, max_gap: int, out: Path, quiet: bool
+) -> None:
     """Propose a gt.csv from the confident tracks of RESULTS.
 
     RESULTS is the folder of one log, or one that holds several (default: sonarrec_out). It is for
@@ -49,6 +61,8 @@ def propose(results: Path, method: str, min_score: float, max_gap: int, out: Pat
     from sonarrec.truth.propose import propose as propose_truth
 
     tracks = propose_truth(results, out, method=method, min_score=min_score, max_gap=max_gap)
+    if quiet:
+        return
     rows = sum(track.rows for track in tracks)
     click.echo(f"{out}: {rows} rows from {sum(bool(t.rows) for t in tracks)} tracks")
     for t in sorted(tracks, key=lambda t: (t.log, t.frames)):
