@@ -1,0 +1,179 @@
+"""Every TOML that is read: whatever it holds, a fault is one line that names file and key."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sonarrec import toml
+from sonarrec.config import Config, configs, with_assignments
+from sonarrec.landmarks import load_landmarks
+from sonarrec.records import SonarrecError, UsageError
+from sonarrec.simulation.scene import load_scene
+
+SET = 'name = "x"\nradius_m = 1\nring = [0.5, 1]\nsymbol = [0, 0.5]\n'
+
+# reader, what of its file is sound, a number in it
+READERS: dict[str, tuple[Callable[[Path], object], str, str]] = {
+    "settings": (lambda path: configs(path=path), "[candidates]\n", "candidates.threshold"),
+    "run.toml": (lambda path: configs(path=path), "[config.candidates]\n", "candidates.threshold"),
+    "seed": (lambda path: configs(path=path), "", "seed"),
+    "landmarks": (load_landmarks, SET.replace("radius_m = 1\n", ""), "radius_m"),
+    "landmark": (load_landmarks, SET + "[[landmark]]\nsectors = [1, 0]\n", "id"),
+    "scene": (load_scene, "", "frames"),
+    "scene's section": (load_scene, "[noise]\n", "noise.snr_db"),
+    "scene's landmark": (load_scene, "[[landmark]]\nid = 1\nground_m = 2\n", "azimuth_deg"),
+}
+HOSTILE = {
+    "400 digits": "9" * 400,
+    "5,000 digits": "9" * 5000,
+    "5,000 digits of hex": "0x" + "f" * 5000,
+    "nan": "nan",
+    "-inf": "-inf",
+    "bool": "true",
+    "text": '"fast"',
+    "long text": '"' + "x" * 10**5 + '"',
+    "date": "2020-01-01",
+    "nested lists": "[" * 5000 + "]" * 5000,
+    "nested tables": "{a=" * 5000 + "1" + "}" * 5000,
+    "NUL": "1\0",
+    "NUL told": r'"\u0000"',
+}
+
+
+def one_line(read: Callable[[], object], path: Path) -> str:
+    with pytest.raises(SonarrecError) as caught:
+        read()
+    text = str(caught.value)
+    assert text.startswith(str(path))
+    assert len(text) < len(str(path)) + 300
+    assert text.isprintable()
+    return text
+
+
+@pytest.mark.parametrize("value", HOSTILE.values(), ids=HOSTILE.keys())
+@pytest.mark.parametrize("reader", READERS)
+def test_a_value_that_cannot_be_meant(reader: str, value: str, tmp_path: Path) -> None:
+    read, sound, key = READERS[reader]
+    path = tmp_path / "x.toml"
+    path.write_text(f"{sound}{key.split('.')[-1]} = {value}\n")
+    text = one_line(lambda: read(path), path)
+    assert key in text or "not a readable TOML file" in text
+
+
+@pytest.mark.parametrize(
+    "key", ['"a\\nb"', '"\\u001b[31m"', '""', "k" * 5000, ".".join("a" * 5000)]
+)
+@pytest.mark.parametrize("reader", READERS)
+def test_a_key_that_cannot_be_meant(reader: str, key: str, tmp_path: Path) -> None:
+    read, sound, _ = READERS[reader]
+    path = tmp_path / "x.toml"
+    path.write_text(f"{sound}{key} = 1\n")
+    text = one_line(lambda: read(path), path)
+    assert "unknown key" in text or "expected one table" in text
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_a_file_that_cannot_be_read(reader: str, tmp_path: Path) -> None:
+    read = READERS[reader][0]
+    path = tmp_path / "x.toml"
+    path.write_bytes(b"\xff\xfe")
+    assert "utf-8" in one_line(lambda: read(path), path)
+    path.write_text("a = 1\nb =\n")
+    assert "line 2" in one_line(lambda: read(path), path)
+    with path.open("wb") as file:
+        file.truncate(2**25)  # sparse: 32 MiB that are not on the disk
+    assert "larger than 16 MiB" in one_line(lambda: read(path), path)
+
+
+def test_names_no_file_can_have() -> None:
+    for load in (load_landmarks, load_scene):
+        for name in ("x" * 5000, "a\0b", "a\nb"):
+            with pytest.raises(SonarrecError, match="neither a file nor built in") as caught:
+                load(name)
+            assert str(caught.value).isprintable()
+
+
+@pytest.mark.parametrize("value", HOSTILE.values(), ids=HOSTILE.keys())
+def test_assignments_that_cannot_be_meant(value: str) -> None:
+    with pytest.raises(UsageError, match=r"candidates\.threshold must be a number") as caught:
+        with_assignments(Config(), [f"candidates.threshold={value}"])
+    assert str(caught.value).isprintable()
+    assert len(str(caught.value)) < 300
+
+
+@dataclass(frozen=True)
+class Part:
+    share: toml.Share = 0.5
+    word: Literal["red", "green"] = "red"
+    pair: tuple[toml.Positive, toml.Positive] | None = None
+
+
+@dataclass(frozen=True)
+class Row:
+    id: toml.Whole
+
+
+@dataclass(frozen=True)
+class Whole:
+    count: toml.Count = 3
+    part: Part = Part()
+    rows: tuple[Row, ...] = ()
+
+
+def test_a_table_becomes_its_dataclass() -> None:
+    table: dict[str, Any] = {"count": 1e3, "part": {"pair": [1, 2.5]}, "rows": [{"id": -4}]}
+    found = toml.from_table(Whole, table, "here")
+    assert found == Whole(1000, Part(pair=(1.0, 2.5)), (Row(-4),))
+    assert (type(found.count), type(found.part.pair[0])) == (int, float)  # type: ignore[index]
+    over = toml.from_table(Whole, {"part": {"share": 1}}, "here", over=found)
+    assert over == Whole(1000, Part(1.0, pair=(1.0, 2.5)), (Row(-4),))
+
+
+@pytest.mark.parametrize(
+    ("table", "says"),
+    [
+        ({"cuont": 1}, "here: unknown key cuont; known keys: count, part, rows"),
+        ({"part": {"c d": 1}}, "here: unknown key part.'c d'; known in [part]: share, word, pair"),
+        ({"part": 3}, "here: [part] must be a table of keys, not 3"),
+        ({"count": -1}, "here: count must be a whole number, 0 or more, not -1"),
+        ({"count": 1.5}, "here: count must be a whole number, 0 or more, not 1.5"),
+        ({"part": {"share": 2}}, "here: part.share must be a number from 0 to 1, not 2"),
+        ({"part": {"word": "blue"}}, 'here: part.word must be "red" or "green", not \'blue\''),
+        ({"part": {"pair": [1]}}, "here: part.pair must be a list of 2, each a number above 0, "),
+        ({"rows": {"id": 1}}, "here: write each rows under its own [[rows]]"),
+        ({"rows": [{"id": 1}, {}]}, "here: [[rows]] 2 lacks id"),
+        ({"rows": [{"id": "x"}]}, "here: [[rows]] 1: id must be a whole number, not 'x'"),
+    ],
+)
+def test_faults_name_the_key_the_bound_and_the_value(table: dict[str, Any], says: str) -> None:
+    with pytest.raises(SonarrecError) as caught:
+        toml.from_table(Whole, table, "here")
+    assert str(caught.value).startswith(says)
+
+
+@given(value=st.floats() | st.integers())
+def test_bounds_hold_for_every_number(value: float) -> None:
+    most = sys.float_info.max
+    for wanted, good in (
+        (toml.Finite, -most <= value <= most),
+        (toml.Positive, 0 < value <= most),
+        (toml.NotNegative, 0 <= value <= most),
+        (toml.Share, 0 <= value <= 1),
+        (toml.Count, 0 <= value < 2**63 and int(value) == value),
+        (toml.Whole, -(2**63) <= value < 2**63 and int(value) == value),
+    ):
+        try:
+            found = toml.checked(value, wanted, "x")
+        except SonarrecError:
+            assert not good
+        else:
+            assert good
+            assert found == type(found)(value)
