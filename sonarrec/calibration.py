@@ -13,12 +13,12 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from sonarrec.appearance_features import FEATURES
-from sonarrec.appearance_model import BUILT_IN, AppearanceModel
 from sonarrec.config import Config, preset
 from sonarrec.geometry import PolarToFan
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.recogniser import FRAMEWORK, Recogniser
+from sonarrec.recogniser.recogniser import FRAMEWORK, Recogniser
+from sonarrec.recogniser.stage3_features.description import FEATURES
+from sonarrec.recogniser.stage3_features.model import BUILT_IN, AppearanceModel
 from sonarrec.records import Fan, FloatArray, Frame, SonarrecError
 from sonarrec.simulation.random_scenes import ALL_KINDS, random_scene
 from sonarrec.simulation.scene import Scene, scene_sonar
@@ -291,7 +291,7 @@ def make_model() -> None:
     count = sum(len(p.label) for p in parts)
     head = (
         "# Log odds of an ID against 'none of these' = bias + the curves of all features, which\n"
-        "# appearance_features.py names.\n"
+        "# description.py names.\n"
         f"# Made by `make model`: {len(drawn)} simulated recordings (seeds\n"
         f"# {MODEL_SEEDS.start} to {MODEL_SEEDS.stop - 1} of every kind of scene), "
         f"{count} tracks in frames.\n"

@@ -8,14 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from sonarrec.appearance_model import AppearanceModel, load_model
 from sonarrec.calibration import Samples, Tracks, describe, fit, label
 from sonarrec.config import Config
-from sonarrec.evaluation.truth import Truth, match_truth, read_truth
-from sonarrec.geometry import Sonar
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.readers import open_log
+from sonarrec.recogniser.stage3_features.model import AppearanceModel, load_model
 from sonarrec.records import Clock, FloatArray, Frame, SonarrecError, UsageError
+from sonarrec.sonar import Sonar
+from sonarrec.truth.match import Truth, match_truth
+from sonarrec.truth.table import read_truth
 
 # Parts of the tracks, each left out once; with fewer tracks of landmarks, or of others, that
 # would measure nothing.
@@ -89,7 +90,7 @@ def learn(
     """Learn an appearance model from logs and their gt.csv.
 
     from_scratch: forget the built-in model, in place of starting from it. observe: called at
-    every frame. The rest is as in `pipeline.process`.
+    every frame. The rest is as in `run.process`.
     Raises SonarrecError where logs or truth cannot be used or hold too little.
     """
     if config.features.measurement != "track":

@@ -1,4 +1,4 @@
-"""Where the sonar was, told by a table: `sonarrec run --odometry`.
+"""Where the sonar was, told by a table or by a topic of the log.
 
 Positions and headings are the sonar's own on the floor. Only differences between rows count, so
 the origin and the direction of zero are free.
@@ -6,20 +6,15 @@ the origin and the direction of zero are free.
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from sonarrec.records import FloatArray, Motion, SonarrecError
+from sonarrec.records import FloatArray, Motion
 
-HEADER = "timestamp,yaw,x,y"
-# No table has its rows hours apart (10,000 s), nor as near as a hundredth of a millisecond.
-NANOSECONDS_FROM = 10_000
 # Longer than so many times the usual time between rows, nobody measured in between.
 GAP = 10
 
@@ -81,47 +76,3 @@ def pose_table(
     at, first = np.unique(at, return_index=True)
     pose = np.column_stack([np.unwrap(yaw_deg[first], period=360), x_m[first], y_m[first]])
     return PoseTable(name, source, at, pose, GAP * float(np.median(np.diff(at))))
-
-
-def read_poses(path: Path) -> PoseTable:
-    """Read a CSV table with a header such as HEADER; x and y together or not at all.
-
-    timestamp_ns is in nanoseconds; timestamp is in seconds, or in nanoseconds where its rows are
-    NANOSECONDS_FROM or more apart in the median. Rows may come in any order; of several at one
-    time the first counts. Raises SonarrecError where the table cannot be used.
-    """
-    # With pandas, which only runs with such a table need.
-    from sonarrec.evaluation.tables import Kind, read_table
-
-    kinds: dict[str, Kind] = dict.fromkeys(("timestamp", "yaw", "x", "y"), "number")
-    table = read_table(path, {"timestamp_ns": "whole", **kinds}, ("yaw",), HEADER)
-    if "timestamp_ns" in table:
-        at = table["timestamp_ns"]
-    elif "timestamp" in table:
-        at = table["timestamp"]
-    else:
-        raise SonarrecError(
-            f"{path}: wrong columns, neither timestamp nor timestamp_ns; "
-            f"expected a header such as {HEADER}"
-        )
-    if ("x" in table) != ("y" in table):
-        raise SonarrecError(f"{path}: x and y go together; give both or neither")
-    steps = np.diff(np.unique(at))
-    if not len(steps):
-        raise SonarrecError(f"{path}: a motion needs rows at two times or more")
-    if "timestamp_ns" not in table:
-        seconds = np.median(steps) < NANOSECONDS_FROM
-        at = np.rint(at * 1e9 if seconds else at).astype(np.int64)
-    still = np.zeros(len(at))
-    try:
-        digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    except OSError as error:
-        raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
-    return pose_table(
-        path.name,
-        {"name": path.name, "sha256": digest},
-        at,
-        table["yaw"],
-        table.get("x", still),
-        table.get("y", still),
-    )

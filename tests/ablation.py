@@ -10,7 +10,7 @@ from pathlib import Path
 
 from sonarrec.config import Config, preset, with_assignments
 from sonarrec.evaluation.passes import find_passes
-from sonarrec.recogniser import FRAMEWORK
+from sonarrec.recogniser.recogniser import FRAMEWORK
 from sonarrec.simulation.random_scenes import ALL_KINDS, KINDS_OF_SCENE, random_scene
 from tests.scenes import FRAMES, REPORTED, seeds, show, told
 from tests.simulated import Job, recognise_all, score

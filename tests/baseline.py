@@ -274,7 +274,8 @@ def tune() -> Settings:
 
 def fan_of(folder: Path, image: np.ndarray) -> Fan:
     """The fan of a simulated fan log's images."""
-    from sonarrec.geometry import fan_for_image, load_sonar
+    from sonarrec.geometry import fan_for_image
+    from sonarrec.sonar import load_sonar
 
     return fan_for_image(load_sonar(folder / "sonar.toml"), *image.shape[:2])
 

@@ -25,16 +25,16 @@ from sonarrec.config import Config, preset
 from sonarrec.evaluation.scoring import evaluate
 from sonarrec.landmarks import load_landmarks
 from sonarrec.mcap_writer import McapImageWriter
-from sonarrec.odometry import Odometry
-from sonarrec.output import ResultsWriter
-from sonarrec.pipeline import process
-from sonarrec.plane import Plane
-from sonarrec.recogniser import Recogniser
-from sonarrec.shape_matrix import ShapeSampler
+from sonarrec.recogniser.odometry import Odometry
+from sonarrec.recogniser.plane import Plane
+from sonarrec.recogniser.recogniser import Recogniser
+from sonarrec.recogniser.stage1_candidates import CandidateSelector
+from sonarrec.recogniser.stage2_continuity import ContinuityFilter
+from sonarrec.recogniser.stage3_features.shape_matrix import ShapeSampler
+from sonarrec.results.write import ResultsWriter
+from sonarrec.run import process
 from sonarrec.simulation.scene import MotionSection, PlacedLandmark, Scene
 from sonarrec.simulation.simulate import load_scene, random_scene, write_recording
-from sonarrec.stage1_candidates import CandidateSelector
-from sonarrec.stage2_continuity import ContinuityFilter
 from tests.baseline import METHOD, HoughSmi, fan_of, read_grey, write_estimates
 
 FRAMES = 144

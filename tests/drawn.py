@@ -11,8 +11,9 @@ from collections.abc import Callable, Sequence
 import cv2
 import numpy as np
 
-from sonarrec.geometry import Sonar, fan_for_image
+from sonarrec.geometry import fan_for_image
 from sonarrec.records import Fan
+from sonarrec.sonar import Sonar
 
 RING = (0.80, 1.00)
 SYMBOL = (0.00, 0.62)

@@ -27,8 +27,8 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
 from sonarrec.cli import main as sonarrec
-from sonarrec.geometry import Sonar
 from sonarrec.mcap_writer import SCHEMAS, McapImageWriter
+from sonarrec.sonar import Sonar
 from tests.logs import SONAR_TOML
 
 LIMIT_S = 10

@@ -24,11 +24,11 @@ from logs import COMPRESSION, PERIOD_NS, mcap_file
 from mcap_ros2.writer import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from sonarrec.geometry import Sonar
 from sonarrec.readers import open_log
 from sonarrec.readers.messages import decoder_for
 from sonarrec.readers.raw import Ping
 from sonarrec.records import Frame
+from sonarrec.sonar import Sonar
 
 # As the packages' own .msg files have them, FORMATS in short.
 DEFINITIONS = {

@@ -12,7 +12,7 @@ import numpy as np
 
 from sonarrec.config import preset
 from sonarrec.overlay.overlay import Targets, write_overlay
-from sonarrec.pipeline import process
+from sonarrec.run import process
 
 SAMPLES = Path(__file__).resolve().parents[1] / "sample_data"
 BUILD = SAMPLES.parent / "build" / "picture"

@@ -11,8 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from sonarrec.appearance_model import AppearanceModel, load_model
 from sonarrec.calibration import Samples, fit, samples_of
+from sonarrec.recogniser.stage3_features.model import AppearanceModel, load_model
 from sonarrec.simulation.random_scenes import random_scene
 
 FRAMES = 160

@@ -20,15 +20,16 @@ from tqdm import tqdm
 
 from sonarrec.config import Config
 from sonarrec.evaluation.scoring import Evaluation, Pair, evaluate_pairs
-from sonarrec.evaluation.truth import write_truth
 from sonarrec.geometry import polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.output import ResultsWriter, run_table
-from sonarrec.recogniser import FRAMEWORK, SMI
+from sonarrec.recogniser.recogniser import FRAMEWORK, SMI
+from sonarrec.recogniser.side_by_side import SideBySide
 from sonarrec.records import Estimate, Fan, Frame, FrameResult
-from sonarrec.side_by_side import SideBySide
+from sonarrec.results.run_file import run_table
+from sonarrec.results.write import ResultsWriter
 from sonarrec.simulation.scene import Scene, scene_fan, scene_sonar
 from sonarrec.simulation.simulate import LandmarkTruth, render
+from sonarrec.truth.table import write_truth
 from tests.baseline import METHOD, HoughSmi, MajorityTracks
 
 PROCESSES = 2

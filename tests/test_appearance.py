@@ -21,14 +21,15 @@ from drawn import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sonarrec.appearance import AppearanceMeasurement, TrackMatrix
-from sonarrec.appearance_features import FEATURES, LIMIT, Describer
-from sonarrec.appearance_model import AppearanceModel, load_model
 from sonarrec.config import Features
 from sonarrec.landmarks import load_landmarks
-from sonarrec.plane import Plane
+from sonarrec.recogniser.plane import Plane
+from sonarrec.recogniser.stage3_features.appearance import AppearanceMeasurement
+from sonarrec.recogniser.stage3_features.description import FEATURES, LIMIT, Describer
+from sonarrec.recogniser.stage3_features.model import AppearanceModel, load_model
+from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES, STEP, ShapeSampler
+from sonarrec.recogniser.stage3_features.track_matrix import TrackMatrix
 from sonarrec.records import Groups, UsageError
-from sonarrec.shape_matrix import ANGLES, STEP, ShapeSampler
 
 BASIN = load_landmarks("basin")
 FAN = make_fan(512)

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-from sonarrec.appearance_features import FEATURES
-from sonarrec.appearance_model import AppearanceModel, load_model
 from sonarrec.calibration import PRIOR_WEIGHT, Samples, Tracks, fit, label
 from sonarrec.cli import main
 from sonarrec.config import preset
 from sonarrec.labelled_logs import FOLDS, learn
 from sonarrec.landmarks import load_landmarks
+from sonarrec.recogniser.stage3_features.description import FEATURES
+from sonarrec.recogniser.stage3_features.model import AppearanceModel, load_model
 from sonarrec.simulation.random_scenes import random_scene
 from sonarrec.simulation.simulate import write_recording
 

@@ -8,9 +8,15 @@ from drawn import SECTORS, cross_pattern, disc_pattern, smeared_matrix
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sonarrec.expected_symbol import LEAST_SHOWN, OWN, PIXEL, SMEAR_STEP, ExpectedSymbols
 from sonarrec.landmarks import load_landmarks
-from sonarrec.shape_matrix import ANGLES, STEP, ShapeSampler
+from sonarrec.recogniser.stage3_features.expected_symbol import (
+    LEAST_SHOWN,
+    OWN,
+    PIXEL,
+    SMEAR_STEP,
+    ExpectedSymbols,
+)
+from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES, STEP, ShapeSampler
 
 BASIN = load_landmarks("basin")
 SAMPLER = ShapeSampler(BASIN, (12.0, 12.0))

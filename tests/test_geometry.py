@@ -12,22 +12,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sonarrec.geometry import (
-    EXAMPLE_SONAR_TOML,
     PolarToFan,
-    Sonar,
-    check_sonar,
     fan_for_image,
     fan_for_polar,
     fan_mask,
     ground_range,
     in_fan,
-    load_sonar,
     pixel_from_polar,
     polar_from_pixel,
     slant_range,
-    sonar_from_table,
 )
 from sonarrec.records import SonarrecError
+from sonarrec.sonar import EXAMPLE_SONAR_TOML, Sonar, check_sonar, load_sonar, sonar_from_table
 
 BASIN = Sonar(
     layout="fan",

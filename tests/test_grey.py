@@ -20,11 +20,12 @@ from messages import (
     polar_frames,
 )
 
-from sonarrec.geometry import PolarToFan, Sonar, sonar_from_table
+from sonarrec.geometry import PolarToFan
 from sonarrec.readers import open_log
-from sonarrec.readers.grey import grey_scale, single_channel, to_grey8
+from sonarrec.readers.pixels import grey_scale, single_channel, to_grey8
 from sonarrec.readers.raw import UnusableError
 from sonarrec.records import SonarrecError
+from sonarrec.sonar import Sonar, sonar_from_table
 
 
 def floats_log(path: Path, images: list[np.ndarray], number: int) -> Path:

@@ -19,10 +19,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.records import Channel, Schema, Statistics
 
-from sonarrec.geometry import Sonar
 from sonarrec.mcap_writer import McapImageWriter
 from sonarrec.readers import mcap_chunks, mcap_messages, open_log
 from sonarrec.records import Frame, SonarrecError
+from sonarrec.sonar import Sonar
 from tests.hard_logs import HardLog, built, record
 from tests.logs import PERIOD_NS, cdr_image, frames
 from tests.memory import peak_of_reading, shapes

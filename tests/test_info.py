@@ -14,10 +14,11 @@ from click.testing import CliRunner, Result
 from mcap.reader import make_reader
 
 from sonarrec.cli import main
-from sonarrec.geometry import Sonar
-from sonarrec.info import describe, lines
+from sonarrec.cli.info import lines
 from sonarrec.mcap_writer import McapImageWriter
 from sonarrec.readers import open_log
+from sonarrec.readers.info import describe
+from sonarrec.sonar import Sonar
 from tests.hard_logs import HardLog
 from tests.logs import PERIOD_NS, cdr_image, frames, image_folder, mcap_file
 

@@ -14,13 +14,13 @@ MODULES = {
     ): path
     for path in PACKAGE.rglob("*.py")
 }
-STAGES = {name for name in MODULES if name.startswith("sonarrec.stage")}
+STAGES = {name for name in MODULES if name.startswith("sonarrec.recogniser.stage")}
 READERS = {name for name in MODULES if name.startswith("sonarrec.readers")}
 CLI = {name for name in MODULES if name.startswith("sonarrec.cli")}
 # What `sonarrec --help`, `run` and `simulate` load; heavy packages must not come with it.
 LIGHT = (
     "sonarrec.cli",
-    "sonarrec.pipeline",
+    "sonarrec.run",
     "sonarrec.simulation.simulate",
     "sonarrec.readers.mcap_file",
 )
@@ -54,7 +54,7 @@ def packages(names: set[str]) -> set[str]:
 
 
 def test_the_modules_are_found() -> None:
-    assert len(STAGES) == 3
+    assert len(STAGES) == 11
     assert "sonarrec.readers.mcap_file" in READERS
 
 
@@ -64,7 +64,8 @@ def test_records_import_nothing_of_ours() -> None:
 
 @pytest.mark.parametrize("stage", sorted(STAGES))
 def test_stages_know_neither_each_other_nor_a_reader(stage: str) -> None:
-    assert not ours(stage) & (STAGES | READERS - {stage})
+    same = {name for name in STAGES if name.startswith(".".join(stage.split(".")[:3]))}
+    assert not ours(stage) & ((STAGES | READERS) - same)
 
 
 @pytest.mark.parametrize("name", sorted(MODULES))

@@ -36,13 +36,13 @@ from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoders
 from mcap_ros2.decoder import DecoderFactory as Ros2Decoders
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from sonarrec.geometry import Sonar
 from sonarrec.mcap_writer import _ROS_TYPES, SCHEMAS, McapImageWriter
 from sonarrec.readers import open_log
 from sonarrec.readers.mcap_records import MAGIC
 from sonarrec.readers.messages import decoder_for, message_type
 from sonarrec.readers.raw import UnusableError
 from sonarrec.records import Frame, SonarrecError, UsageError
+from sonarrec.sonar import Sonar
 
 IMAGE = frames(1)[0]
 

@@ -39,9 +39,9 @@ from messages import (
 )
 
 from sonarrec import config
-from sonarrec.pipeline import process
 from sonarrec.readers.messages import decoder_for
 from sonarrec.readers.raw import UnusableError
+from sonarrec.run import process
 from sonarrec.simulation.simulate import load_scene, render
 
 # The matrix

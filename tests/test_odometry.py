@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from drawn import make_fan
 
-from sonarrec.odometry import PanEstimator
-from sonarrec.plane import Plane
+from sonarrec.recogniser.odometry import PanEstimator
+from sonarrec.recogniser.plane import Plane
 
 FAN = make_fan(300)
 PER_DEG = 20  # samples of the floor's speckle per degree of bearing

@@ -11,10 +11,13 @@ import pytest
 from drawn import make_fan
 
 from sonarrec import config
-from sonarrec.geometry import Sonar, load_sonar, sonar_from_table
 from sonarrec.landmarks import landmarks_from_table, load_landmarks
-from sonarrec.output import ResultsWriter, Sightings, estimate_columns, run_table
 from sonarrec.records import Estimate, FrameResult, SonarrecError, Stamps
+from sonarrec.results.columns import estimate_columns
+from sonarrec.results.run_file import run_table
+from sonarrec.results.sightings import Sightings
+from sonarrec.results.write import ResultsWriter
+from sonarrec.sonar import Sonar, load_sonar, sonar_from_table
 
 BASIN = load_landmarks("basin")
 CONTRACT = (

@@ -27,10 +27,7 @@ from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
 from sonarrec.cli import main
-from sonarrec.geometry import Sonar, load_sonar, pixel_from_polar
-from sonarrec.landmarks import LandmarkSet, load_landmarks
-from sonarrec.output import ResultsWriter
-from sonarrec.overlay.drawing import (
+from sonarrec.drawing import (
     OKABE_ITO,
     STRIP_FRAMES,
     TRAIL_FRAMES,
@@ -45,10 +42,14 @@ from sonarrec.overlay.drawing import (
     landmark_colours,
     trails,
 )
-from sonarrec.overlay.estimates import choose_method, read_estimates
+from sonarrec.geometry import pixel_from_polar
+from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.overlay.overlay import Targets, write_overlay
 from sonarrec.readers import open_log
 from sonarrec.records import Estimate, Fan, FrameResult, SonarrecError, UsageError
+from sonarrec.results.stream import choose_method, read_estimates
+from sonarrec.results.write import ResultsWriter
+from sonarrec.sonar import Sonar, load_sonar
 
 BASIN = load_landmarks("basin")
 FAN = make_fan(rows=512)

@@ -31,13 +31,14 @@ from messages import (
 
 from sonarrec import config
 from sonarrec.cli import main
-from sonarrec.geometry import PolarToFan, Sonar, polar_from_pixel
+from sonarrec.geometry import PolarToFan, polar_from_pixel
 from sonarrec.mcap_writer import SCHEMAS, is_polar
-from sonarrec.pipeline import process
 from sonarrec.readers import open_log
 from sonarrec.readers.fans import FanImages, looks_beam_major
 from sonarrec.readers.raw import RawFrame, UnusableError
 from sonarrec.records import SonarrecError, UsageError
+from sonarrec.run import process
+from sonarrec.sonar import Sonar
 
 
 def test_uneven_ranges(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sonarrec.geometry import floor_depth
-from sonarrec.plane import Plane
+from sonarrec.recogniser.plane import Plane
 from sonarrec.records import Motion
 
 WINDOWS = [  # range_min_m, range_max_m, height_m

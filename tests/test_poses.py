@@ -19,10 +19,11 @@ from rosbags.typesys import Stores, get_typestore
 
 from sonarrec.cli import main
 from sonarrec.config import Config, preset
-from sonarrec.plane import Plane
-from sonarrec.poses import PoseTable, pose_table, read_poses
+from sonarrec.poses import PoseTable, pose_table
 from sonarrec.readers.mcap_poses import read_topic
-from sonarrec.recogniser import FRAMEWORK, Recogniser
+from sonarrec.readers.poses_csv import read_poses
+from sonarrec.recogniser.plane import Plane
+from sonarrec.recogniser.recogniser import FRAMEWORK, Recogniser
 from sonarrec.records import Frame, Motion, SonarrecError
 from sonarrec.simulation.motion import poses
 from sonarrec.simulation.scene import Scene, load_scene

@@ -15,10 +15,12 @@ import numpy as np
 import pytest
 from logs import PERIOD_NS, SONAR_TOML, cdr_image, frames, image_folder, mcap_file
 
-from sonarrec.geometry import PolarToFan, Sonar, load_sonar
+from sonarrec.geometry import PolarToFan
 from sonarrec.mcap_writer import SCHEMAS, McapImageWriter, is_polar
-from sonarrec.readers import MAX_PROBLEM_LINES, open_log
+from sonarrec.readers import open_log
+from sonarrec.readers.log import MAX_PROBLEM_LINES
 from sonarrec.records import Frame, SonarrecError, UsageError
+from sonarrec.sonar import Sonar, load_sonar
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
 Maker = Callable[[Path, list[np.ndarray]], Path]

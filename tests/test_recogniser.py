@@ -11,12 +11,13 @@ import pytest
 from drawn import SECTORS, disc_pattern, draw_on_floor, make_fan, speckled
 
 from sonarrec import config
-from sonarrec.geometry import Sonar, fan_for_image, load_sonar
+from sonarrec.geometry import fan_for_image
 from sonarrec.landmarks import LandmarkSet, load_landmarks
-from sonarrec.output import ResultsWriter
-from sonarrec.recogniser import FRAMEWORK, SMI, Recogniser
+from sonarrec.recogniser.recogniser import FRAMEWORK, SMI, Recogniser
+from sonarrec.recogniser.side_by_side import FRAMES_AT_ONCE, SideBySide
 from sonarrec.records import Frame, FrameResult, SonarrecError, UsageError
-from sonarrec.side_by_side import FRAMES_AT_ONCE, SideBySide
+from sonarrec.results.write import ResultsWriter
+from sonarrec.sonar import Sonar, load_sonar
 
 BASIN = load_landmarks("basin")
 BASIN_A = Path(__file__).parents[2] / "shared" / "data" / "basin_a"

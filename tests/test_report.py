@@ -19,16 +19,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sonarrec.cli import main
+from sonarrec.drawing import landmark_colours
 from sonarrec.evaluation.scoring import PROTOCOLS, evaluate, score
 from sonarrec.evaluation.summary import summarise
-from sonarrec.evaluation.truth import read_truth
-from sonarrec.geometry import Sonar
 from sonarrec.landmarks import load_landmarks
-from sonarrec.overlay.drawing import landmark_colours
 from sonarrec.report import charts
 from sonarrec.report.logs import ReportedLog, alongside, read_logs, sightings, tracks
 from sonarrec.report.mistakes import episodes, told
 from sonarrec.report.page import darkened, settings_tables
+from sonarrec.sonar import Sonar
+from sonarrec.truth.table import read_truth
 
 ROOT = Path(__file__).resolve().parents[1]
 SAMPLE = ROOT / "sample_data" / "pan"

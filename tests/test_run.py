@@ -18,7 +18,7 @@ from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
 from sonarrec.mcap_writer import McapImageWriter
-from sonarrec.recogniser import Recogniser
+from sonarrec.recogniser.recogniser import Recogniser
 
 ROOT = Path(__file__).resolve().parents[1]
 SAMPLE = ROOT / "sample_data" / "pan"

@@ -10,15 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sonarrec.landmarks import load_landmarks
-from sonarrec.shape_matrix import (
+from sonarrec.recogniser.stage3_features.shape_matrix import (
     ANGLES,
     STEP,
-    Identification,
     ShapeSampler,
-    identify,
-    otsu_levels,
     turned_codes,
 )
+from sonarrec.recogniser.stage3_features.smi import Identification, identify, otsu_levels
 
 BASIN = load_landmarks("basin")
 TURNED = turned_codes(BASIN)

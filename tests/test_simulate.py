@@ -15,7 +15,6 @@ from click.testing import CliRunner
 from mcap.reader import make_reader
 
 from sonarrec.cli import main
-from sonarrec.geometry import load_sonar
 from sonarrec.records import SonarrecError
 from sonarrec.simulation.motion import sweep_deg
 from sonarrec.simulation.scene import (
@@ -42,6 +41,7 @@ from sonarrec.simulation.simulate import (
     write_recording,
 )
 from sonarrec.simulation.world import object_radius
+from sonarrec.sonar import load_sonar
 
 # A still sonar over an even floor, without faults. speckle_s far below the frame time gives every
 # frame speckle of its own, so that a mean over frames tends to the expected power.

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from sonarrec import config
 from sonarrec.landmarks import load_landmarks
-from sonarrec.plane import Plane
+from sonarrec.recogniser.plane import Plane
+from sonarrec.recogniser.stage1_candidates import CandidateSelector
 from sonarrec.records import Fan, Selection
-from sonarrec.stage1_candidates import CandidateSelector
 
 BASIN = load_landmarks("basin")
 FAN = make_fan(512)

@@ -9,10 +9,10 @@ from drawn import SECTORS, disc_pattern, draw_on_floor, make_fan, speckled
 
 from sonarrec import config
 from sonarrec.landmarks import load_landmarks
-from sonarrec.plane import Plane
+from sonarrec.recogniser.plane import Plane
+from sonarrec.recogniser.stage1_candidates import CandidateSelector
+from sonarrec.recogniser.stage2_continuity import ContinuityFilter
 from sonarrec.records import Motion, Selection
-from sonarrec.stage1_candidates import CandidateSelector
-from sonarrec.stage2_continuity import ContinuityFilter
 
 BASIN = load_landmarks("basin")
 FAN = make_fan(512)

@@ -9,8 +9,13 @@ from hypothesis import strategies as st
 
 from sonarrec.config import Features
 from sonarrec.landmarks import LandmarkSet, load_landmarks
+from sonarrec.recogniser.stage3_features.published import (
+    FeatureEstimator,
+    measurement_model,
+    motion_model,
+    update,
+)
 from sonarrec.records import Groups
-from sonarrec.stage3_features import FeatureEstimator, measurement_model, motion_model, update
 
 IDEAL = {  # shares of agreeing sectors between the four IDs, by hand
     1: (1, 0.75, 0.75, 0.5),

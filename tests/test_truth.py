@@ -9,9 +9,10 @@ import pytest
 from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
-from sonarrec.evaluation.results import read_log
-from sonarrec.evaluation.truth import Truth, match_truth, read_truth
 from sonarrec.records import SonarrecError
+from sonarrec.results.read import read_log
+from sonarrec.truth.match import Truth, match_truth
+from sonarrec.truth.table import read_truth
 
 FRAMES = "frame,timestamp_ns\n0,1000000000\n1,1250000000\n3,1750000000\n"
 ESTIMATES = (

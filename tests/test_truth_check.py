@@ -17,12 +17,13 @@ from hypothesis import strategies as st
 
 from sonarrec.cli import main
 from sonarrec.cli.truth import truth as truth_group
-from sonarrec.evaluation.contact_sheet import MOST_STRIPS, SIDE, draw_contact_sheet
-from sonarrec.evaluation.truth_check import CheckedTruth, Fault, check_truth
-from sonarrec.geometry import fan_for_image, load_sonar, polar_from_pixel
+from sonarrec.geometry import fan_for_image, polar_from_pixel
 from sonarrec.landmarks import load_landmarks
 from sonarrec.readers import open_log
 from sonarrec.simulation.simulate import Pose, visible_share
+from sonarrec.sonar import load_sonar
+from sonarrec.truth.check import CheckedTruth, Fault, check_truth
+from sonarrec.truth.contact_sheet import MOST_STRIPS, SIDE, draw_contact_sheet
 from tests.logs import image_folder
 
 SAMPLES = Path(__file__).parents[1] / "sample_data"

@@ -15,13 +15,14 @@ from click.testing import CliRunner, Result
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sonarrec.annotations.convert import convert
-from sonarrec.annotations.shapes import centre_of_area
 from sonarrec.cli import main
-from sonarrec.evaluation.in_view import share_in_fan
-from sonarrec.geometry import Sonar, floor_depth
+from sonarrec.geometry import floor_depth
 from sonarrec.landmarks import load_landmarks
 from sonarrec.readers import open_log
+from sonarrec.sonar import Sonar
+from sonarrec.truth.annotations.shapes import centre_of_area
+from sonarrec.truth.convert import convert
+from sonarrec.truth.in_view import share_in_fan
 from tests.drawn import make_fan
 from tests.logs import frames, image_folder
 

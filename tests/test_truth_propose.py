@@ -12,8 +12,8 @@ from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
 from sonarrec.config import preset
-from sonarrec.evaluation.truth import read_truth
-from sonarrec.pipeline import process
+from sonarrec.run import process
+from sonarrec.truth.table import read_truth
 
 SAMPLES = Path(__file__).parents[1] / "sample_data"
 RUN = """\

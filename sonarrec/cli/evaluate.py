@@ -95,7 +95,7 @@ def evaluate(
     if band is not None and compare is None:
         raise UsageError("--fail-on-regression goes with --compare")
 
-    from sonarrec.geometry import Sonar, load_sonar
+    from sonarrec.sonar import Sonar, load_sonar
 
     stated = load_sonar(sonar_file) if sonar_file else Sonar()
     options: dict[str, Any] = {

@@ -94,7 +94,7 @@ def pixel_options(command: Command) -> Command:
 
 
 def sonar_from_flags(flags: dict[str, Any]) -> Any:
-    from sonarrec.geometry import sonar_from_table
+    from sonarrec.sonar import sonar_from_table
 
     stated = {key: value for key, value in flags.items() if value is not None}
     for key in ("bearings_deg", "ranges_m"):

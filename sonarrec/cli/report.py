@@ -71,8 +71,8 @@ def report(
       sonarrec report sonarrec_out/log_7 --log log_7.mcap
       sonarrec report --ground-truth gt.csv --log pings/ -o report.html
     """
-    from sonarrec.geometry import Sonar, load_sonar
     from sonarrec.report.build import write_report
+    from sonarrec.sonar import Sonar, load_sonar
 
     stated = load_sonar(sonar_file) if sonar_file else Sonar()
     written = write_report(

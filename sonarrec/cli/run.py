@@ -95,7 +95,7 @@ def run(
       sonarrec run dive.mcap --odometry-topic /odom
       sonarrec run 'dump/*.png' --preset paper --out results
     """
-    from sonarrec.pipeline import process
+    from sonarrec.run import process
 
     if odometry is not None and odometry_topic is not None:
         raise UsageError("--odometry and --odometry-topic: choose one of the two")

@@ -75,10 +75,10 @@ def check(
       sonarrec truth check gt.csv log.mcap
       sonarrec truth check gt_proposed.csv pings/ --sheet look.png --max-pan 10
     """
-    from sonarrec.evaluation.contact_sheet import draw_contact_sheet
-    from sonarrec.evaluation.truth_check import check_truth
     from sonarrec.landmarks import load_landmarks
     from sonarrec.readers import open_log
+    from sonarrec.truth.check import check_truth
+    from sonarrec.truth.contact_sheet import draw_contact_sheet
 
     landmark_set, sonar = load_landmarks(landmarks), sonar_from_flags(flags)
     reopen = partial(

@@ -86,10 +86,10 @@ def convert(
       sonarrec truth convert annotations.xml --log pings/
       sonarrec truth convert coco.json --map "half ring=none" --map north=3 --out gt.csv
     """
-    from sonarrec.annotations.convert import convert as convert_annotations
-    from sonarrec.annotations.convert import look_at
     from sonarrec.landmarks import load_landmarks
     from sonarrec.readers import open_log
+    from sonarrec.truth.convert import convert as convert_annotations
+    from sonarrec.truth.convert import look_at
 
     landmark_set, images = load_landmarks(landmarks), None
     if log is not None:

@@ -43,7 +43,7 @@ def propose(results: Path, method: str, min_score: float, max_gap: int, out: Pat
       sonarrec truth propose sonarrec_out/log_7
       sonarrec truth propose --min-score 0.95 --max-gap 0 --out gt.csv
     """
-    from sonarrec.evaluation.truth_propose import propose as propose_truth
+    from sonarrec.truth.propose import propose as propose_truth
 
     tracks = propose_truth(results, out, method=method, min_score=min_score, max_gap=max_gap)
     rows = sum(track.rows for track in tracks)

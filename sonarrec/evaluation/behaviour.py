@@ -10,11 +10,10 @@ import numpy as np
 
 from sonarrec.evaluation.joined import Joined, distance, nearest_truth
 from sonarrec.evaluation.passes import Passes, Units
-from sonarrec.evaluation.results import BoolArray, IntArray
 from sonarrec.evaluation.scoring import Scored
 from sonarrec.evaluation.tallies import quantile_tally, ratio_tally
 from sonarrec.evaluation.uncertainty import Tally
-from sonarrec.records import FloatArray
+from sonarrec.records import BoolArray, FloatArray, IntArray
 
 WAITS = ("frames_to_id_median", "frames_to_id_90")
 FALSE = ("false_claims_per_min", "wrong_ids_per_min")

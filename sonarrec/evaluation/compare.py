@@ -12,18 +12,19 @@ import numpy as np
 
 from sonarrec.evaluation.joined import Joined
 from sonarrec.evaluation.passes import find_passes, find_units
-from sonarrec.evaluation.results import LogResults, find_logs, read_log
 from sonarrec.evaluation.scoring import Evaluation, Scored, check_options, pool
 from sonarrec.evaluation.tallies import rate_tallies
-from sonarrec.evaluation.truth import match_truth, read_truth
 from sonarrec.evaluation.uncertainty import (
     Difference,
     bootstrap_weights,
     coin_tosses,
     differences,
 )
-from sonarrec.geometry import Sonar
 from sonarrec.records import SonarrecError
+from sonarrec.results.read import LogResults, find_logs, read_log
+from sonarrec.sonar import Sonar
+from sonarrec.truth.match import match_truth
+from sonarrec.truth.table import read_truth
 
 RATES = ("tpr", "fpr", "auc")
 FRAMES_FREE = 2

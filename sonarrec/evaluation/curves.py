@@ -8,8 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sonarrec.evaluation.results import IntArray
-from sonarrec.records import FloatArray
+from sonarrec.records import FloatArray, IntArray
 
 FPR_POINTS = (0.01, 0.0276, 0.05)
 """Where the TPR is read off a curve; .0276 is the FPR of the paper's framework (Table 5)."""

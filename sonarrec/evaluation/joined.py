@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sonarrec.evaluation.results import METHODS, BoolArray, IntArray, LogResults
-from sonarrec.evaluation.truth import Truth
-from sonarrec.records import FloatArray
+from sonarrec.records import BoolArray, FloatArray, IntArray
+from sonarrec.results.read import METHODS, LogResults
+from sonarrec.truth.match import Truth
 
 ROUNDING_M = 1e-9
 """A claim exactly on the gate is inside it, whatever the last bit says."""

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from sonarrec.evaluation.joined import Joined
-from sonarrec.evaluation.results import IntArray
+from sonarrec.records import IntArray
 
 PASS_GAP = 10
 """Frames that a landmark may be out of view within one pass: a shake of the sonar ends none."""

@@ -9,9 +9,8 @@ import numpy as np
 from sonarrec.evaluation.curves import ratio
 from sonarrec.evaluation.joined import Joined
 from sonarrec.evaluation.passes import Units
-from sonarrec.evaluation.results import BoolArray, IntArray
 from sonarrec.evaluation.uncertainty import Tally
-from sonarrec.records import FloatArray
+from sonarrec.records import BoolArray, FloatArray, IntArray
 
 BINS = 10
 CALIBRATION = ("brier", "ece")

@@ -17,11 +17,12 @@ import numpy.typing as npt
 
 from sonarrec.evaluation.curves import Count, Curve
 from sonarrec.evaluation.joined import Joined, join, nearest_truth
-from sonarrec.evaluation.results import BoolArray, IntArray, LogResults, find_logs, read_log
-from sonarrec.evaluation.tables import read_table
-from sonarrec.evaluation.truth import Truth, TruthTable, match_truth, read_truth
-from sonarrec.geometry import Sonar
-from sonarrec.records import FloatArray, SonarrecError, UsageError
+from sonarrec.records import BoolArray, FloatArray, IntArray, SonarrecError, UsageError
+from sonarrec.results.read import LogResults, find_logs, read_log
+from sonarrec.sonar import Sonar
+from sonarrec.tables import read_table
+from sonarrec.truth.match import Truth, match_truth
+from sonarrec.truth.table import TruthTable, read_truth
 
 PROTOCOLS = ("paper", "strict")
 NEGATIVE, POSITIVE, IGNORED = 0, 1, 2

@@ -8,10 +8,9 @@ import numpy as np
 
 from sonarrec.evaluation.curves import FPR_POINTS, PARTIAL_FPR, area, ratio, tpr_at
 from sonarrec.evaluation.passes import Units
-from sonarrec.evaluation.results import IntArray
 from sonarrec.evaluation.scoring import Scored
 from sonarrec.evaluation.uncertainty import Figure, Tally, intervals
-from sonarrec.records import FloatArray
+from sonarrec.records import FloatArray, IntArray
 
 RATES = ("tpr", "fpr")
 CURVES = ("auc", f"pauc_{PARTIAL_FPR:g}", *(f"tpr_at_fpr_{fpr:g}" for fpr in FPR_POINTS))

@@ -11,13 +11,13 @@ from types import TracebackType
 import numpy as np
 from mcap.writer import CompressionType, Writer
 
-from sonarrec.geometry import Sonar
 from sonarrec.mcap_writer import fields
 from sonarrec.mcap_writer.fields import MakeFields
 from sonarrec.mcap_writer.protobuf import descriptor_set, encode_protobuf
 from sonarrec.mcap_writer.ros import encode_cdr, encode_json, encode_ros1, json_schema
 from sonarrec.readers.ros_definitions import definition_text, parse_definition
 from sonarrec.records import SonarrecError, UsageError
+from sonarrec.sonar import Sonar
 
 _COMPRESSIONS = {
     "none": CompressionType.NONE,

@@ -8,7 +8,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from sonarrec.geometry import Sonar, beam_bearings, bin_ranges
+from sonarrec.geometry import beam_bearings, bin_ranges
+from sonarrec.sonar import Sonar
 
 FRAME_ID = "sonar"
 SOUND_SPEED = 1500.0  # m/s

@@ -13,8 +13,7 @@ import cv2
 import numpy as np
 from mcap.writer import CompressionType, Writer
 
-from sonarrec.landmarks import LandmarkSet
-from sonarrec.overlay.drawing import (
+from sonarrec.drawing import (
     AROUND,
     TRUTH,
     UNNAMED,
@@ -25,6 +24,7 @@ from sonarrec.overlay.drawing import (
     landmark_colours,
     pixel_unit,
 )
+from sonarrec.landmarks import LandmarkSet
 from sonarrec.records import Estimate, FloatArray, Frame, SonarrecError
 
 ANNOTATIONS_TOPIC = "/sonarrec/annotations"

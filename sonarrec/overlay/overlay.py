@@ -10,16 +10,10 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from sonarrec.evaluation.results import read_log, read_run
-from sonarrec.evaluation.tables import read_table
-from sonarrec.evaluation.truth import match_truth, read_truth
-from sonarrec.geometry import Sonar, sonar_from_table
-from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
-from sonarrec.overlay.drawing import (
+from sonarrec.drawing import (
     STRIP_FRAMES,
     Mark,
     Moment,
@@ -28,11 +22,18 @@ from sonarrec.overlay.drawing import (
     draw_strip,
     trails,
 )
-from sonarrec.overlay.estimates import choose_method, read_estimates
+from sonarrec.landmarks import LandmarkSet
 from sonarrec.overlay.foxglove_mcap import FoxgloveFile
 from sonarrec.overlay.video import ImageFolder, VideoFile
-from sonarrec.readers import Log, open_log
+from sonarrec.readers import open_log
+from sonarrec.readers.log import Log
 from sonarrec.records import ByteImage, Estimate, Fan, Frame, SonarrecError, UsageError
+from sonarrec.results.read import read_log
+from sonarrec.results.run_file import as_run, check_same, frames_table, read_run
+from sonarrec.results.stream import choose_method, read_estimates
+from sonarrec.sonar import Sonar
+from sonarrec.truth.match import match_truth
+from sonarrec.truth.table import read_truth
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,13 +81,13 @@ def write_overlay(
     _spare_the_log(path, targets)
     folder = _results_folder(path, results)
     run = read_run(folder / "run.toml")
-    landmark_set, sonar = _as_run(run, folder, landmarks, sonar or Sonar(), sonar_file)
+    landmark_set, sonar = as_run(run, folder, landmarks, sonar or Sonar(), sonar_file)
     table = folder / "estimates.csv"
     method = choose_method(table, method)
     read_as = run.get("input", {})
     topic, time = topic or read_as.get("topic"), read_as.get("time", "log")
     with open_log(path, sonar=sonar, sonar_file=sonar_file, topic=topic, time=time) as log:
-        problems = _check_same(log, folder, run)
+        problems = check_same(log, folder, run)
         frames = iter(log)
         first = next(frames)  # raises where there is no usable frame
         truth: dict[int, list[Mark]] = {}
@@ -126,21 +127,6 @@ def _picture(
     estimates, paths = history[-1].estimates, trails(history)
     drawn = draw_frame(frame.image, frame.fan, landmarks, estimates, paths=paths, truth=marks)
     return draw_picture(drawn, draw_strip(history, landmarks, max(drawn.shape[1], 512)))
-
-
-def _as_run(
-    run: dict[str, Any],
-    folder: Path,
-    landmarks: str | None,
-    sonar: Sonar,
-    sonar_file: Path | None,
-) -> tuple[LandmarkSet, Sonar]:
-    """The landmark set and geometry of the run, under what the user states."""
-    if "sonar" in run and sonar_file is None:
-        sonar = sonar_from_table(run["sonar"], str(folder / "run.toml")).updated(sonar)
-    if landmarks is None and "landmarks" in run:
-        return landmarks_from_table(run["landmarks"], str(folder / "run.toml")), sonar
-    return load_landmarks(landmarks or "basin"), sonar
 
 
 def _open_targets(
@@ -194,37 +180,9 @@ def _results_folder(path: Path, results: Path) -> Path:
     )
 
 
-def _check_same(log: Log, folder: Path, run: dict[str, Any]) -> list[str]:
-    """What is amiss, in lines; SonarrecError where the results are of another log."""
-    made_from = run.get("input", {})
-    if "sha256" in made_from:
-        size, digest = log.digest_source()
-        if (size, digest) != (made_from.get("bytes"), made_from["sha256"]):
-            raise SonarrecError(
-                f"{folder}: results of another log, {made_from.get('name')} with "
-                f"{made_from.get('bytes')} bytes and SHA-256 {made_from['sha256'][:12]}..., not of "
-                f"{log.path} with {size} and {digest[:12]}...; give the log they were made from, "
-                f"or `sonarrec run {log.path}`"
-            )
-    last = int(_frames_table(folder)["frame"].max(initial=-1))
-    if "sha256" not in made_from and log.frame_count is not None and last >= log.frame_count:
-        raise SonarrecError(
-            f"{folder / 'frames.csv'}: results of another log: frame {last} is listed, but "
-            f"{log.path} has only {log.frame_count} frames"
-        )
-    if run.get("finished", True) is False:
-        return [f"{folder}: the run was cut short; frames after {last} have no results"]
-    return []
-
-
-def _frames_table(folder: Path) -> dict[str, Any]:
-    kinds: dict[str, Any] = {"frame": "whole", "timestamp_ns": "whole"}
-    return read_table(folder / "frames.csv", kinds, ("frame",), "frame,timestamp_ns")
-
-
 def _frame_rate(folder: Path, sonar: Sonar) -> float:
     """Frames per second: of the results' times, else of the sonar, else 10."""
-    times = _frames_table(folder).get("timestamp_ns", ())
+    times = frames_table(folder).get("timestamp_ns", ())
     between = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
     return 1e9 / between if between > 0 else sonar.frame_rate_hz or 10.0
 

@@ -11,18 +11,11 @@ from typing import Any
 import cv2
 import numpy as np
 
-from sonarrec.geometry import (
-    MAX_FAN_PIXELS,
-    PolarToFan,
-    Sonar,
-    check_sonar,
-    fan_for_image,
-    fan_for_polar,
-    missing_keys,
-)
-from sonarrec.readers.grey import GreyScale, grey_scale, single_channel, to_grey8
+from sonarrec.geometry import MAX_FAN_PIXELS, PolarToFan, fan_for_image, fan_for_polar
+from sonarrec.readers.pixels import GreyScale, grey_scale, single_channel, to_grey8
 from sonarrec.readers.raw import RawFrame, UnusableError
 from sonarrec.records import ByteImage, Fan, SonarrecError
+from sonarrec.sonar import Sonar, check_sonar, missing_keys
 
 MIN_SHARED_WINDOW = 0.5
 """A ping whose window covers less of the fan's is not used."""

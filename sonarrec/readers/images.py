@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from sonarrec.readers.raw import RawFrame, UnusableError, decode_image
+from sonarrec.readers.pixels import decode_image
+from sonarrec.readers.raw import RawFrame, UnusableError
 
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"})
 

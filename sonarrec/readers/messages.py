@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from sonarrec.geometry import MIN_WINDOW_M, Sonar
 from sonarrec.readers import foxglove, ros_wire
 from sonarrec.readers.fields import Fields
-from sonarrec.readers.raw import Ping, UnusableError, decode_image, raw_pixels
+from sonarrec.readers.pixels import decode_image, raw_pixels
+from sonarrec.readers.raw import Ping, UnusableError
 from sonarrec.readers.ros_definitions import (
     DefinitionError,
     Struct,
@@ -26,6 +26,7 @@ from sonarrec.readers.ros_definitions import (
     parse_definition,
 )
 from sonarrec.records import FloatArray
+from sonarrec.sonar import MIN_WINDOW_M, Sonar
 
 # What each message means
 

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.evaluation.scoring import Evaluation, evaluate
-from sonarrec.evaluation.truth import read_truth
-from sonarrec.geometry import Sonar, sonar_from_table
 from sonarrec.readers import open_log
 from sonarrec.records import SonarrecError, UsageError
 from sonarrec.report.logs import ReportedLog, read_logs, sightings
 from sonarrec.report.mistakes import episodes, told
 from sonarrec.report.page import render
 from sonarrec.report.pictures import Picture, Wanted, draw
+from sonarrec.sonar import Sonar, sonar_from_table
+from sonarrec.truth.table import read_truth
 
 MOST_SEEN = 3
 MOST_MISTAKEN = 6

@@ -14,10 +14,9 @@ from matplotlib.ticker import MaxNLocator
 
 from sonarrec.evaluation.curves import PUBLISHED
 from sonarrec.evaluation.reliability import Reliability
-from sonarrec.evaluation.results import IntArray
 from sonarrec.evaluation.scoring import Scored
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import FloatArray
+from sonarrec.records import FloatArray, IntArray
 from sonarrec.report.logs import ReportedLog, Track, alongside
 
 WIDTH, HEIGHT = 2000, 1000

@@ -11,17 +11,12 @@ import numpy as np
 import pandas as pd
 
 from sonarrec.evaluation.joined import join, nearest_truth
-from sonarrec.evaluation.results import (
-    BoolArray,
-    IntArray,
-    LogResults,
-    find_logs,
-    read_log,
-    read_run,
-)
-from sonarrec.evaluation.truth import Truth, TruthTable, match_truth
-from sonarrec.geometry import Sonar
-from sonarrec.records import FloatArray, SonarrecError, UsageError
+from sonarrec.records import BoolArray, FloatArray, IntArray, SonarrecError, UsageError
+from sonarrec.results.read import LogResults, find_logs, read_log
+from sonarrec.results.run_file import read_run
+from sonarrec.sonar import Sonar
+from sonarrec.truth.match import Truth, match_truth
+from sonarrec.truth.table import TruthTable
 
 
 @dataclass(frozen=True, slots=True)

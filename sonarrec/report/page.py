@@ -12,12 +12,12 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from sonarrec import __version__
+from sonarrec.drawing import Colour, landmark_colours
 from sonarrec.evaluation.curves import Count
 from sonarrec.evaluation.plots import COLOURS
 from sonarrec.evaluation.scoring import Evaluation
 from sonarrec.evaluation.summary import KINDS, summarise
 from sonarrec.evaluation.uncertainty import LEVEL
-from sonarrec.overlay.drawing import Colour, landmark_colours
 from sonarrec.report import charts, figures
 from sonarrec.report.logs import ReportedLog, Sighting, Track, sightings, tracks, true_landmark
 from sonarrec.report.mistakes import Episode, episodes, protocol_of_mistakes, told

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from sonarrec.overlay.drawing import Mark, draw_frame
-from sonarrec.overlay.estimates import read_estimates
-from sonarrec.readers import Log
+from sonarrec.drawing import Mark, draw_frame
+from sonarrec.readers.log import Log
 from sonarrec.records import Estimate, Fan, Frame, SonarrecError
 from sonarrec.report.logs import ReportedLog
+from sonarrec.results.stream import read_estimates
 
 LARGEST = 640  # pixels of the longer side; draw_frame lays its text out for this
 QUALITY = 80

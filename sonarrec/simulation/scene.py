@@ -13,9 +13,10 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from sonarrec.geometry import Sonar, check_sonar, fan_for_image, fan_for_polar
+from sonarrec.geometry import fan_for_image, fan_for_polar
 from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
 from sonarrec.records import Fan, FloatArray, SonarrecError, UsageError
+from sonarrec.sonar import Sonar, check_sonar
 from sonarrec.toml import (
     Count,
     Finite,

@@ -16,7 +16,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from sonarrec.geometry import Sonar, in_fan, pixel_from_polar, polar_from_pixel
+from sonarrec.geometry import in_fan, pixel_from_polar, polar_from_pixel
 from sonarrec.records import ByteImage, Fan, FloatArray, SonarrecError, UsageError
 from sonarrec.simulation.motion import Pose, ar1, poses
 from sonarrec.simulation.random_scenes import KINDS_OF_SCENE, random_scene
@@ -32,6 +32,7 @@ from sonarrec.simulation.scene import (
     vertical_beam_db,
 )
 from sonarrec.simulation.world import World, object_radius
+from sonarrec.sonar import Sonar
 
 __all__ = [
     "KINDS_OF_SCENE",

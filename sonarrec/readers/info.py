@@ -1,0 +1,298 @@
+"""What is in a log and how it would be read: `sonarrec info`, for programs as well."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from sonarrec.readers.find import Source, find_log
+from sonarrec.readers.log import Log
+from sonarrec.readers.raw import RawFrame, RawLog
+from sonarrec.records import SonarrecError, UsageError
+from sonarrec.sonar import Sonar, check_sonar, missing_keys, sonar_from_table
+
+Observe = Callable[[int | None], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """One channel of an MCAP file. schema, schema_encoding, message_encoding: as the file names
+    them, schema empty where there is none. images: its messages are read as sonar images."""
+
+    topic: str
+    schema: str
+    schema_encoding: str
+    message_encoding: str
+    messages: int
+    images: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Container:
+    """What an MCAP file says of itself. footer: it has one, so it was closed. chunks: how many, by
+    compression. start_ns, end_ns: first and last log time of all channels, None without a message.
+    """
+
+    profile: str
+    library: str
+    footer: bool
+    chunks: dict[str, int]
+    start_ns: int | None
+    end_ns: int | None
+    channels: list[Channel]
+
+
+@dataclass(frozen=True, slots=True)
+class Images:
+    """One sequence of sonar images: of a channel, or all that a folder or video holds.
+
+    topic: None outside of MCAP. frames: how many there are, None where the container does not
+    tell. usable: how many `sonarrec run` can use once the geometry is complete, None where they
+    were not read. rows, columns, pixels: the commonest size as stored, and the type ("uint8",
+    "3 x uint8"). start_ns, end_ns: time of the first and last frame, rate_hz: frames a second
+    between them, None where frames carry no time.
+    layout: "fan" or "polar". polar_messages: the messages tell their own geometry. geometry: its
+    keys as stated, or told by the first ping. lacks: the keys that are missing.
+    notes: what was stated against the messages. problems: one line for each frame that cannot be
+    used (at most 20, then a count).
+    """
+
+    topic: str | None
+    frames: int | None
+    usable: int | None
+    rows: int | None
+    columns: int | None
+    pixels: str | None
+    start_ns: int | None
+    end_ns: int | None
+    rate_hz: float | None
+    layout: str
+    polar_messages: bool
+    geometry: dict[str, Any]
+    geometry_from: str | None
+    lacks: list[str]
+    notes: list[str]
+    problems: list[str]
+
+
+@dataclass(frozen=True, slots=True)
+class LogInfo:
+    """What is in one log.
+
+    kind: "MCAP", "video" or "images". size_bytes: of all its files. container: None outside of
+    MCAP. images: each sequence of sonar images; none where nothing can be read. checked: every
+    frame was read and every checksum compared. faults: lines about what is wrong with the file as
+    a whole.
+    """
+
+    path: str
+    kind: str
+    files: int
+    size_bytes: int
+    checked: bool
+    container: Container | None
+    images: list[Images]
+    faults: list[str]
+
+    def as_table(self) -> dict[str, Any]:
+        """For JSON: every field by its name."""
+        return asdict(self)
+
+    @property
+    def nothing(self) -> bool:
+        """Whether not one frame can be used."""
+        return not any(i.usable if self.checked else i.rows for i in self.images)
+
+    @property
+    def partly(self) -> bool:
+        """Whether something cannot be used."""
+        return bool(self.faults) or any(i.problems for i in self.images)
+
+
+class _Watched:
+    """A RawLog that keeps count of what passes through it."""
+
+    def __init__(self, raw: RawLog, observe: Observe | None) -> None:
+        self._raw = raw
+        self._observe = observe
+        self.frame_count, self.topic = raw.frame_count, raw.topic
+        self.polar, self.faults = raw.polar, raw.faults
+        self.frames = self.timed = 0
+        self.sizes: Counter[tuple[int, int]] = Counter()
+        self.pixels: Counter[str] = Counter()
+        self.start_ns: int | None = None
+        self.end_ns: int | None = None
+
+    def __iter__(self) -> Iterator[RawFrame]:
+        for frame in self._raw:
+            self.frames += 1
+            if frame.timestamp_ns is not None:
+                self.timed += 1
+                self.start_ns = frame.timestamp_ns if self.start_ns is None else self.start_ns
+                self.end_ns = frame.timestamp_ns
+            if frame.pixels is not None:
+                rows, columns, *channels = frame.pixels.shape
+                self.sizes[rows, columns] += 1
+                name = frame.pixels.dtype.newbyteorder("=").name
+                self.pixels[f"{channels[0]} x {name}" if channels else name] += 1
+            if self._observe is not None:
+                self._observe(self.frame_count)
+            yield frame
+
+    def close(self) -> None:
+        """Close what is watched."""
+        self._raw.close()
+
+    def rate_hz(self) -> float | None:
+        """Frames a second between the first and the last time."""
+        if self.start_ns is None or self.end_ns is None or self.end_ns <= self.start_ns:
+            return None
+        return (self.timed - 1) / (self.end_ns - self.start_ns) * 1e9
+
+
+def describe(
+    path: str | Path,
+    *,
+    sonar: Sonar | None = None,
+    sonar_file: Path | None = None,
+    topic: str | None = None,
+    quick: bool = False,
+    observe: Observe | None = None,
+) -> LogInfo:
+    """What is in a log: a folder or glob of images, a video or an MCAP file.
+
+    sonar, sonar_file: the geometry, as of `open_log`. topic: look at this channel alone.
+    quick: look at the first frame only, in place of reading and checking every one.
+    observe: told at each frame how many there are, where that is known.
+    Raises SonarrecError where there is no log or its geometry cannot be read, UsageError for a
+    topic that is not there.
+    """
+    source = find_log(path)
+    if topic is not None and not source.reader.has_topics:
+        raise UsageError(f"{path}: --topic chooses a channel of an MCAP file; this is none")
+    stated, where = source.stated_sonar(sonar or Sonar(), sonar_file)
+    container: Container | None = None
+    topics: Sequence[str | None] = [None]
+    faults: list[str] = []
+    if source.reader.has_topics:
+        container, faults = _container(source.path)
+        topics = sorted({c.topic for c in container.channels if c.images})
+        if topic is not None and topic not in topics:
+            there = ", ".join(map(str, topics)) or "none"
+            raise UsageError(f"{path}: no image channel {topic!r}; there is {there}")
+    images = []
+    for each in [topic] if topic is not None else topics:
+        found, more = _images(source, stated, where, each, quick, observe)
+        images.append(found)
+        faults += [fault for fault in more if fault not in faults]
+    return LogInfo(
+        path=str(source.path),
+        kind="images" if source.reader.kind == "image" else source.reader.kind,
+        files=len(source.files),
+        size_bytes=sum(file.stat().st_size for file in source.files),
+        checked=not quick,
+        container=container,
+        images=images,
+        faults=faults,
+    )
+
+
+def _container(path: Path) -> tuple[Container, list[str]]:
+    """An MCAP file's own account of itself, and what is wrong with it at first sight."""
+    from sonarrec.readers.mcap_file import image_decoders, schema_of
+    from sonarrec.readers.mcap_records import McapFile
+
+    try:
+        log = McapFile(path)
+    except OSError as error:
+        raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
+    log.close()
+    decoders = image_decoders(log)
+    channels = []
+    for channel in sorted(log.channels.values(), key=lambda c: (c.topic, c.id)):
+        schema = schema_of(log, channel)
+        channels.append(
+            Channel(
+                channel.topic,
+                schema.name,
+                schema.encoding,
+                channel.message_encoding,
+                log.counts[channel.id],
+                channel.id in decoders,
+            )
+        )
+    start, end = log.span or (None, None)
+    header = log.header
+    profile, library = (header.profile, header.library) if header is not None else ("", "")
+    chunks = dict(sorted(log.chunks.items()))
+    return Container(profile, library, log.whole, chunks, start, end, channels), log.faults
+
+
+def _images(
+    source: Source,
+    stated: Sonar,
+    where: str,
+    topic: str | None,
+    quick: bool,
+    observe: Observe | None,
+) -> tuple[Images, list[str]]:
+    """Read one sequence of images as `sonarrec run` would, with stand-ins for missing geometry.
+
+    where: names the geometry. Returns also the faults of the file that reading it brought up.
+    """
+    raw = _Watched(source.open(topic), observe)
+    if stated.layout is None:
+        stated = replace(stated, layout="polar" if raw.polar else "fan")
+    lacks = [key for key in missing_keys(stated) if key == "tilt_deg" or not raw.polar]
+    complete = _with_stand_ins(stated, lacks)
+    problems: list[str] = []
+    used = 0
+    with Log(source.path, source.name, source.files, complete, raw, "log") as log:
+        try:
+            if not raw.polar:
+                check_sonar(complete, where)
+            for _ in islice(log, 1 if quick else None):
+                used += 1
+        except SonarrecError as error:
+            problems += log.problems or [str(error).partition("\n")[0]]
+        else:
+            problems += log.problems
+    size = raw.sizes.most_common(1)
+    geometry = log.sonar.as_table()
+    layout = geometry.pop("layout")
+    images = Images(
+        topic=topic,
+        frames=raw.frame_count if quick else raw.frames,
+        usable=None if quick else used,
+        rows=size[0][0][0] if size else None,
+        columns=size[0][0][1] if size else None,
+        pixels=raw.pixels.most_common(1)[0][0] if size else None,
+        start_ns=None if quick else raw.start_ns,
+        end_ns=None if quick else raw.end_ns,
+        rate_hz=None if quick else raw.rate_hz(),
+        layout="polar" if raw.polar else layout,
+        polar_messages=raw.polar,
+        geometry={key: value for key, value in geometry.items() if key not in lacks},
+        geometry_from=where if where != str(source.path) else None,
+        lacks=lacks,
+        notes=log.notes,
+        problems=[p for p in problems if p not in raw.faults],
+    )
+    return images, raw.faults
+
+
+def _with_stand_ins(stated: Sonar, lacks: list[str]) -> Sonar:
+    """A geometry with something in place of what it lacks: which frames can be used does not
+    depend on it."""
+    near = stated.range_min_m if stated.range_min_m is not None else 0.0
+    values = {
+        "range_min_m": 0.0,
+        "range_max_m": max(near, stated.height_m or 0.0) + 1.0,
+        "tilt_deg": 0.0,
+        "field_of_view_deg": 30.0,
+    }
+    return stated.updated(sonar_from_table({key: values[key] for key in lacks}, "stand-ins"))

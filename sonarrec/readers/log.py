@@ -1,0 +1,167 @@
+"""A log opened: one pass of Frames, and what of it could not be used."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from itertools import chain, islice
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from sonarrec.readers.fans import FanImages
+from sonarrec.readers.raw import RawFrame, RawLog, UnusableError
+from sonarrec.records import Clock, Fan, Frame, SonarrecError
+from sonarrec.sonar import Sonar
+
+MAX_PROBLEM_LINES = 20
+SETTLING_FRAMES = 3  # whose commonest size or window is taken to be the log's
+
+
+class Log:
+    """A recorded log: one pass of Frames, streamed. Use it as a context manager.
+
+    name: of the folder or file, for the results folder. frame_count: frames to come, None where
+    unknown. stated: the geometry as file and flags state it. problems: one line for each thing that
+    could not be used (at most MAX_PROBLEM_LINES, then a count), complete after the pass.
+    """
+
+    def __init__(
+        self, path: Path, name: str, files: list[Path], stated: Sonar, raw: RawLog, time: Clock
+    ) -> None:
+        """files: what the log consists of, in order. time: which of its times names a frame."""
+        self.path = path
+        self.name = name
+        self.stated = stated
+        self.frame_count = raw.frame_count
+        self.problems: list[str] = []
+        self._files = files
+        self._raw = raw
+        self._time = time
+        self._images = FanImages(stated, str(path))
+
+    @property
+    def sonar(self) -> Sonar:
+        """The geometry as resolved: of polar messages that of the first ping once it was read."""
+        return self._images.sonar
+
+    @property
+    def fan(self) -> Fan | None:
+        """The fan images' geometry, None before the first frame."""
+        return self._images.fan
+
+    def reading(self) -> dict[str, Any]:
+        """How the log was read, for run.toml: what was chosen, and what the first frame settled."""
+        settled: dict[str, Any] = {"time": self._time}
+        if self._raw.topic is not None:
+            settled["topic"] = self._raw.topic
+        if self._raw.polar and self.sonar.beam_order is not None:
+            settled["beam_order"] = self.sonar.beam_order
+        scale = self._images.scale
+        return settled if scale is None else settled | scale.as_table()
+
+    @property
+    def notes(self) -> list[str]:
+        """What is stated against the log's own messages, or was found out; complete after the
+        pass."""
+        return self._images.notes
+
+    def __enter__(self) -> Log:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._raw.close()
+
+    def __iter__(self) -> Iterator[Frame]:
+        """The usable frames in order; each keeps its number in the log.
+
+        Where frames carry no time, it is number / frame_rate_hz, or at one a second without.
+        Raises SonarrecError where no frame can be used, or where the bearings in the sonar
+        geometry do not match the images.
+        """
+        used = skipped = 0
+        frames = _settled(self._raw)
+        first = list(islice(frames, SETTLING_FRAMES))
+        self._images.settle(first)
+        frames = chain(first, frames)
+        del first  # or it would keep its images to the end
+        for index, raw in enumerate(frames):
+            if raw.pixels is None and raw.problem is None:
+                continue  # told in the faults, with others
+            try:
+                image, fan = self._images(raw)
+                stamp = self._named(index, raw)
+            except UnusableError as error:
+                skipped += 1
+                if skipped <= MAX_PROBLEM_LINES:
+                    self.problems.append(f"{raw.name}: {error}, skipped")
+                continue
+            used += 1
+            yield Frame(index, stamp, image, fan, raw.stamps)
+        if skipped > MAX_PROBLEM_LINES:
+            self.problems.append(f"{skipped - MAX_PROBLEM_LINES} more frames skipped")
+        self.problems.extend(self._raw.faults)
+        if not used:
+            reason = f" ({self.problems[0]})" if self.problems else ""
+            raise SonarrecError(f"{self.path}: not one frame could be used{reason}")
+
+    def _named(self, index: int, raw: RawFrame) -> int:
+        """The time that names a frame, ns. Raises UnusableError where the log has no such time."""
+        stamps = raw.stamps
+        named = {"log": raw.timestamp_ns, "publish": stamps.publish, "header": stamps.header}
+        stamp = named[self._time]
+        if stamp is None and self._time != "log":
+            raise UnusableError(f"without a {self._time} time; --time log needs none")
+        return round(index * 1e9 / (self.sonar.frame_rate_hz or 1.0)) if stamp is None else stamp
+
+    def digest_source(self) -> tuple[int, str]:
+        """(size in bytes, SHA-256 in hex) of the log's file.
+
+        Of several images, the sum of their sizes and the hash over each one's name, a zero byte
+        and its contents, in frame order. Raises SonarrecError where a file cannot be read.
+        """
+        size, digest = 0, hashlib.sha256()
+        for path in self._files:
+            if self._files != [self.path]:
+                digest.update(path.name.encode(errors="surrogateescape") + b"\0")
+            try:
+                with path.open("rb") as file:
+                    while block := file.read(2**20):
+                        size += len(block)
+                        digest.update(block)
+            except OSError as error:
+                raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
+        return size, digest.hexdigest()
+
+
+def _settled(frames: Iterable[RawFrame]) -> Iterator[RawFrame]:
+    """The frames; of the first few, those of an odd size cannot be used.
+
+    The first frame that is used settles the size of the log: one that a driver sent before it had
+    its settings must not cost all the others.
+    """
+    frames = iter(frames)
+    first = list(islice(frames, SETTLING_FRAMES))
+    sizes = Counter(size for f in first if (size := _stored_size(f)) is not None)
+    for frame in first:
+        size = _stored_size(frame)
+        if size is None or size == (usual := sizes.most_common(1)[0][0]):
+            yield frame
+        else:
+            problem = f"{size[1]} x {size[0]} pixels in a log of {usual[1]} x {usual[0]}"
+            yield replace(frame, pixels=None, problem=problem)
+    yield from frames
+
+
+def _stored_size(frame: RawFrame) -> tuple[int, ...] | None:
+    """(rows, columns) of an image that does not tell its geometry."""
+    if frame.pixels is None or frame.sonar is not None:
+        return None
+    return frame.pixels.shape[:2]

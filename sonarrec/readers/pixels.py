@@ -1,0 +1,270 @@
+"""The one place where image bytes become pixels, and pixels the 8-bit grey of recognition.
+
+Recognition expects a logarithmic scale.
+
+| pixels | `pixel_scale` | `full_scale`, which becomes 255 |
+|---|---|---|
+| 8 bit | linear: sonars compress before they store so few bits | 255 |
+| 16 bit | linear, but log where the first frame would be next to black | 65535 |
+| floating-point images within 0 to 1 | linear | 1 |
+| floating-point, some negative | db: decibels | by the first frame |
+| 32 and 64 bit, all other floating-point | log: echo amplitudes | by the first frame |
+
+`linear` is 255 v / full_scale, `log` 255 (1 + 20 log10(v / full_scale) / dynamic_range_db), `db`
+255 (1 + (v - full_scale) / dynamic_range_db), each cut to 0 to 255. These are the defaults; keys of
+the geometry state others. The full scale of log and db is such that the median of the first frame's
+echoes, floor speckle whatever bright things lie on it, comes to a third of the range. Later frames
+never enter.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+
+from sonarrec.readers.raw import UnusableError
+from sonarrec.records import ByteImage, SonarrecError
+from sonarrec.sonar import Sonar
+
+DYNAMIC_RANGE_DB = 50.0
+_MEDIAN_AT = 1 / 3  # where floor speckle lies in the range: high enough for shadows to show
+_NEXT_TO_BLACK = 1 / 32  # of full scale: no compressed image has its median below
+
+Scale = Literal["linear", "log", "db"]
+
+
+@dataclass(frozen=True, slots=True)
+class GreyScale:
+    """How the pixels of one log become grey; see the module. bounded: pixels below 0 or above
+    full_scale are a fault rather than black or white."""
+
+    pixel_scale: Scale
+    full_scale: float
+    dynamic_range_db: float
+    bounded: bool = False
+
+    def as_table(self) -> dict[str, Any]:
+        """The keys of the geometry that would state this scale."""
+        table = {"pixel_scale": self.pixel_scale, "full_scale": self.full_scale}
+        linear = self.pixel_scale == "linear"
+        return table if linear else table | {"dynamic_range_db": self.dynamic_range_db}
+
+
+def single_channel(pixels: np.ndarray) -> np.ndarray:
+    """(rows, columns) in this machine's byte order, of pixels as a Ping holds them.
+
+    Colour becomes grey by OpenCV's weights (.299 R + .587 G + .114 B; alpha is left out).
+    Raises UnusableError for other pixels.
+    """
+    if pixels.dtype.kind not in "uif" or pixels.dtype == np.float16:
+        raise UnusableError(f"{pixels.dtype} pixels are not supported")
+    pixels = pixels.astype(pixels.dtype.newbyteorder("="), copy=False)
+    if pixels.dtype == np.float64:
+        with np.errstate(over="ignore"):  # beyond 32 bits is infinite, hence white
+            pixels = pixels.astype(np.float32)
+    if pixels.ndim == 3 and pixels.shape[2] == 1:
+        pixels = pixels[:, :, 0]
+    if pixels.ndim == 3 and pixels.shape[2] in (3, 4):
+        if pixels.dtype not in (np.uint8, np.uint16, np.float32):
+            raise UnusableError(f"{pixels.dtype} colour pixels are not supported")
+        code = cv2.COLOR_BGR2GRAY if pixels.shape[2] == 3 else cv2.COLOR_BGRA2GRAY
+        pixels = cv2.cvtColor(np.ascontiguousarray(pixels), code)
+    if pixels.ndim != 2 or not pixels.size:
+        raise UnusableError(f"an image of shape {pixels.shape} is not supported")
+    return np.asarray(pixels)
+
+
+def grey_scale(sonar: Sonar, pixels: np.ndarray, amplitudes: bool) -> GreyScale | None:
+    """The scale of a log by its first frame, as far as `sonar` does not state it.
+
+    pixels: of single_channel. amplitudes: floating-point pixels are echo amplitudes, whatever
+    their size. None where the frame is blank, and so black on any scale. Raises SonarrecError for
+    a full scale that cannot be meant.
+    """
+    values = pixels[np.isfinite(pixels)]
+    if not values.any():
+        return None
+    floating = pixels.dtype.kind == "f"
+    unit = floating and not amplitudes and values.min() >= 0 and values.max() <= 1
+    largest = 1.0 if unit else None
+    if not floating and pixels.itemsize <= 2:
+        largest = float(np.iinfo(pixels.dtype).max)
+    scale = sonar.pixel_scale or _usual_scale(values, largest)
+    span = sonar.dynamic_range_db or DYNAMIC_RANGE_DB
+    if sonar.full_scale is not None:
+        if sonar.full_scale <= 0 and scale != "db":
+            raise SonarrecError(
+                f"full_scale = {sonar.full_scale:g} must be above 0 ({scale} scale)"
+            )
+        return GreyScale(scale, sonar.full_scale, span)
+    if scale == "linear":
+        full = float(values.max()) if largest is None else largest
+        return GreyScale(scale, full, span, bounded=unit)
+    above = (1 - _MEDIAN_AT) * span
+    if scale == "db":
+        return GreyScale(scale, float(np.median(values)) + above, span)
+    echoes = values[values > 0]
+    if not echoes.size:
+        return None
+    return GreyScale(scale, float(np.median(echoes) * 10 ** (above / 20)), span)
+
+
+def _usual_scale(values: np.ndarray, largest: float | None) -> Scale:
+    """The default for finite values of a type whose full scale is `largest`, None if unknown."""
+    if largest is None:
+        return "db" if values.dtype.kind == "f" and values.min() < 0 else "log"
+    dim = values.itemsize == 2 and np.median(values[values != 0]) < _NEXT_TO_BLACK * largest
+    return "log" if dim else "linear"
+
+
+def to_grey8(pixels: np.ndarray, scale: GreyScale) -> ByteImage:
+    """(rows, columns) uint8 of the pixels of single_channel; NaN (no data) becomes 0.
+
+    Raises UnusableError where pixels are out of bounds.
+    """
+    full = scale.full_scale
+    if scale.pixel_scale == "linear":
+        if pixels.dtype == np.uint8 and full == 255:
+            return np.ascontiguousarray(pixels)
+        if pixels.dtype == np.uint16:
+            return _rounded(np.ascontiguousarray(pixels), 255 / full)
+    values = np.nan_to_num(pixels.astype(np.float32), nan=0.0, posinf=np.inf, neginf=-np.inf)
+    if scale.bounded and (values.min() < 0 or values.max() > full):
+        raise UnusableError(
+            f"floating-point pixels must lie in 0 to {full:g}, as in the first frame"
+        )
+    if scale.pixel_scale == "log":
+        decibels = np.log10(np.maximum(values, np.finfo(np.float32).tiny)) * np.float32(20)
+        values = decibels - np.float32(20 * np.log10(full)) + np.float32(scale.dynamic_range_db)
+    elif scale.pixel_scale == "db":
+        no_data = np.isnan(pixels)
+        values = values - np.float32(full - scale.dynamic_range_db)
+        values[no_data] = 0
+    white = full if scale.pixel_scale == "linear" else scale.dynamic_range_db
+    return _rounded(np.clip(values, 0, np.float32(white)), 255 / white)
+
+
+def _rounded(values: np.ndarray, factor: float) -> ByteImage:
+    return np.asarray(cv2.convertScaleAbs(values, alpha=factor), np.uint8)
+
+
+@contextlib.contextmanager
+def _quiet_stderr() -> Iterator[None]:
+    """Sends file descriptor 2 to nowhere: libpng writes there past every logging setting."""
+    try:
+        kept = os.dup(2)
+    except OSError:  # stderr is closed, so there is nothing to silence
+        yield
+        return
+    try:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, 2)
+        os.close(nowhere)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+
+
+_PNG = b"\x89PNG\r\n\x1a\n"
+_PNG_CHUNK = struct.Struct(">I4s")  # length, name; a checksum of 4 bytes follows the contents
+
+
+def _png_is_whole(data: memoryview) -> bool:
+    """Whether a PNG holds all its chunks up to the last; True of anything else.
+
+    OpenCV believes the length of a chunk, and makes room for it (up to 4 GB), before it reads.
+    """
+    if data[: len(_PNG)] != _PNG:
+        return True
+    at = len(_PNG)
+    while at + _PNG_CHUNK.size <= len(data):
+        length, name = _PNG_CHUNK.unpack_from(data, at)
+        at += _PNG_CHUNK.size + int(length) + 4
+        if name == b"IEND":
+            return at <= len(data)
+    return False
+
+
+def decode_image(data: bytes | memoryview | np.ndarray) -> np.ndarray:
+    """The pixels of an image file in memory (PNG, JPEG, TIFF, BMP, PGM, ...), as stored.
+
+    Raises UnusableError where OpenCV cannot read it whole.
+    """
+    buffer = np.frombuffer(data, np.uint8)
+    if not buffer.size:
+        raise UnusableError("empty image")
+    if not _png_is_whole(buffer.data):
+        raise UnusableError("unreadable image")
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        with _quiet_stderr():
+            image = cv2.imdecode(buffer, cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        image = None
+    if image is None:
+        raise UnusableError("unreadable image")
+    return np.asarray(image)
+
+
+_RAW_ENCODINGS: dict[str, tuple[str, int, bool]] = {
+    # encoding: (dtype without byte order, channels, red first)
+    "mono8": ("u1", 1, False),
+    "8UC1": ("u1", 1, False),
+    "mono16": ("u2", 1, False),
+    "16UC1": ("u2", 1, False),
+    "32FC1": ("f4", 1, False),
+    "64FC1": ("f8", 1, False),
+    "8UC3": ("u1", 3, False),
+    "8UC4": ("u1", 4, False),
+    "bgr8": ("u1", 3, False),
+    "rgb8": ("u1", 3, True),
+    "bgra8": ("u1", 4, False),
+    "rgba8": ("u1", 4, True),
+}
+
+
+def raw_pixels(
+    data: memoryview | bytes,
+    height: int,
+    width: int,
+    encoding: str,
+    step: int,
+    big_endian: bool,
+) -> np.ndarray:
+    """The pixels of an uncompressed image message, without a copy where they lie in BGR order.
+
+    step: bytes from row to row. Some drivers state it wrongly: where step * height is not the
+    length of the data but the pixels without padding are, the width is believed.
+    Raises UnusableError where the numbers do not fit together or the encoding is unknown.
+    """
+    if encoding not in _RAW_ENCODINGS:
+        known = ", ".join(_RAW_ENCODINGS)
+        raise UnusableError(f"encoding {encoding!r} is not supported (only {known})")
+    kind, channels, red_first = _RAW_ENCODINGS[encoding]
+    dtype = np.dtype((">" if big_endian else "<") + kind)
+    row = width * channels * dtype.itemsize
+    if not height or not width:
+        raise UnusableError("empty image")
+    if not (step >= row and step * (height - 1) + row <= len(data) <= step * height):
+        if row * height != len(data):
+            raise UnusableError(
+                f"{width} x {height} {encoding} pixels do not fit {len(data)} bytes (step {step})"
+            )
+        step = row
+    pixels: np.ndarray = np.ndarray(
+        (height, width, channels),
+        dtype,
+        buffer=data,
+        strides=(step, channels * dtype.itemsize, dtype.itemsize),
+    )
+    if red_first:
+        pixels = pixels[:, :, [2, 1, 0, 3][:channels]]
+    return pixels[:, :, 0] if channels == 1 else pixels

@@ -1,0 +1,59 @@
+"""A table of the sonar's poses: `sonarrec run --odometry`."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+
+from sonarrec.poses import PoseTable, pose_table
+from sonarrec.records import SonarrecError
+
+HEADER = "timestamp,yaw,x,y"
+# No table has its rows hours apart (10,000 s), nor as near as a hundredth of a millisecond.
+NANOSECONDS_FROM = 10_000
+
+
+def read_poses(path: Path) -> PoseTable:
+    """Read a CSV table with a header such as HEADER; x and y together or not at all.
+
+    timestamp_ns is in nanoseconds; timestamp is in seconds, or in nanoseconds where its rows are
+    NANOSECONDS_FROM or more apart in the median. Rows may come in any order; of several at one
+    time the first counts. Raises SonarrecError where the table cannot be used.
+    """
+    # With pandas, which only runs with such a table need.
+    from sonarrec.tables import Kind, read_table
+
+    kinds: dict[str, Kind] = dict.fromkeys(("timestamp", "yaw", "x", "y"), "number")
+    table = read_table(path, {"timestamp_ns": "whole", **kinds}, ("yaw",), HEADER)
+    if "timestamp_ns" in table:
+        at = table["timestamp_ns"]
+    elif "timestamp" in table:
+        at = table["timestamp"]
+    else:
+        raise SonarrecError(
+            f"{path}: wrong columns, neither timestamp nor timestamp_ns; "
+            f"expected a header such as {HEADER}"
+        )
+    if ("x" in table) != ("y" in table):
+        raise SonarrecError(f"{path}: x and y go together; give both or neither")
+    steps = np.diff(np.unique(at))
+    if not len(steps):
+        raise SonarrecError(f"{path}: a motion needs rows at two times or more")
+    if "timestamp_ns" not in table:
+        seconds = np.median(steps) < NANOSECONDS_FROM
+        at = np.rint(at * 1e9 if seconds else at).astype(np.int64)
+    still = np.zeros(len(at))
+    try:
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
+    return pose_table(
+        path.name,
+        {"name": path.name, "sha256": digest},
+        at,
+        table["yaw"],
+        table.get("x", still),
+        table.get("y", still),
+    )

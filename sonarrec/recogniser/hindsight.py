@@ -1,0 +1,99 @@
+"""What an `offline` preset knows in hindsight: one belief per track, for all its frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from sonarrec.config import Config
+from sonarrec.landmarks import LandmarkSet
+from sonarrec.records import Estimate, FloatArray, FrameResult
+
+LEAST_BELIEF = 1e-2  # in a logarithm: no single frame rules an ID out for good
+
+
+@dataclass(slots=True)
+class _Opinion:
+    """What a track's frames said of it, all taken together.
+
+    log_beliefs: (K + 1,) weighted sum over the frames of log belief. weight: sum of the weights.
+    turns: per ID, (score, degrees from the line of sight, their standard error) when surest of it.
+    """
+
+    log_beliefs: FloatArray
+    weight: float = 0.0
+    frames: int = 0
+    last_frame: int = 0
+    turns: dict[int, tuple[float, float, float]] = field(default_factory=dict)
+
+    def beliefs(self) -> FloatArray:
+        """(K + 1,) weighted geometric mean of the beliefs, which sums to 1."""
+        mean = np.exp(self.log_beliefs / self.weight)
+        return np.asarray(mean / mean.sum())
+
+
+class Hindsight:
+    """Revises past estimates of one method by what was learned of their tracks since.
+
+    A track is one object, so one belief holds for all its frames: the mean of what each frame
+    said, in logarithms, weighed by how many frames it had seen by then and by how sure it was. The
+    last word alone would not do: as it leaves the view, or is taken for another on its return, a
+    track is known badly.
+    """
+
+    def __init__(self, method: str, config: Config, landmarks: LandmarkSet) -> None:
+        self._method = method
+        self._lag = config.features.lag_frames
+        self._threshold = config.features.declare
+        self._ids = landmarks.ids
+        self._opinions: dict[int, _Opinion] = {}
+
+    def learn(self, result: FrameResult) -> None:
+        """Take in a frame's estimates."""
+        for estimate in result.estimates:
+            if estimate.method == self._method:
+                self._add(result.index, estimate)
+        # No result still waiting is of an older track.
+        oldest = result.index - 2 * self._lag
+        self._opinions = {k: o for k, o in self._opinions.items() if o.last_frame >= oldest}
+
+    def _add(self, frame: int, estimate: Estimate) -> None:
+        opinion = self._opinions.setdefault(estimate.object, _Opinion(np.zeros(len(self._ids) + 1)))
+        opinion.frames += 1
+        beliefs = np.maximum(estimate.probabilities, LEAST_BELIEF)
+        # Minus the entropy: its exponential is 1 where the frame is sure, 1 / (K + 1) where it is
+        # not. Squared: tuning seeds.
+        weight = opinion.frames * float(np.exp(beliefs @ np.log(beliefs))) ** 2
+        opinion.weight += weight
+        opinion.log_beliefs += weight * np.log(beliefs)
+        opinion.last_frame = frame
+        if estimate.score > opinion.turns.get(estimate.landmark, (0.0,))[0]:
+            turn = estimate.orientation_deg + estimate.bearing_deg
+            sigma = estimate.orientation_sigma_deg
+            opinion.turns[estimate.landmark] = (estimate.score, turn, sigma)
+
+    def revised(self, result: FrameResult) -> FrameResult:
+        """A past result, learned before, as it is seen now."""
+        return replace(result, estimates=tuple(self._revise(e) for e in result.estimates))
+
+    def _revise(self, estimate: Estimate) -> Estimate:
+        if estimate.method != self._method:
+            return estimate
+        opinion = self._opinions[estimate.object]
+        beliefs = opinion.beliefs()
+        best = int(beliefs[: len(self._ids)].argmax())
+        landmark, score = self._ids[best], float(beliefs[best])
+        turn, sigma = estimate.orientation_deg + estimate.bearing_deg, np.nan
+        if landmark in opinion.turns:
+            _, turn, sigma = opinion.turns[landmark]
+        return replace(
+            estimate,
+            probabilities=beliefs,
+            landmark=landmark,
+            score=score,
+            declared=score >= self._threshold,
+            # The line of sight turns with the bearing, the object as seen from it does not.
+            orientation_deg=(turn - estimate.bearing_deg) % 360,
+            orientation_sigma_deg=sigma,
+        )

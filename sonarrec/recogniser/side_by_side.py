@@ -1,0 +1,92 @@
+"""Several presets over the same frames."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+from sonarrec.config import Config
+from sonarrec.landmarks import LandmarkSet
+from sonarrec.poses import PoseTable
+from sonarrec.recogniser.hindsight import Hindsight
+from sonarrec.recogniser.recogniser import FRAMEWORK, Followed, Recogniser
+from sonarrec.recogniser.stage3_features.appearance import Judge
+from sonarrec.records import Fan, Frame, FrameResult
+
+# Stage 3 takes so many frames at once and costs less than half; of twice as many hardly less still.
+FRAMES_AT_ONCE = 8
+
+
+class SideBySide:
+    """Several configurations over the same frames, their results put together.
+
+    Of one configuration the framework's method is plain `framework`; of several each has its
+    preset's name behind it. `smi` is that of the first. Results wait for the longest lag, and for
+    the frames that stage 3 takes at once.
+    """
+
+    def __init__(
+        self,
+        configs: Sequence[Config],
+        fan: Fan,
+        landmarks: LandmarkSet,
+        model: Judge | None = None,
+        poses: PoseTable | None = None,
+    ) -> None:
+        several = len(configs) > 1
+        self.methods = [f"{FRAMEWORK}:{c.preset}" if several else FRAMEWORK for c in configs]
+        named = list(zip(configs, self.methods, strict=True))
+        self._recognisers = [
+            Recogniser(config, fan, landmarks, model, method, with_smi=i == 0, poses=poses)
+            for i, (config, method) in enumerate(named)
+        ]
+        self._hindsight = [
+            Hindsight(method, config, landmarks) if config.features.lag_frames else None
+            for config, method in named
+        ]
+        self._lag = max(config.features.lag_frames for config in configs)
+        self._followed: list[list[Followed]] = []  # frame by frame
+        self._pending: deque[list[FrameResult]] = deque()
+
+    def step(self, frame: Frame) -> Iterator[FrameResult]:
+        """The results that are final after this frame, in the log's order."""
+        self._followed.append([recogniser.follow(frame) for recogniser in self._recognisers])
+        if len(self._followed) == FRAMES_AT_ONCE:
+            yield from self.judge()
+
+    def judge(self) -> Iterator[FrameResult]:
+        """Stage 3 of the frames that wait for it: the results that are final after them."""
+        followed, self._followed = self._followed, []
+        if not followed:
+            return
+        by_recogniser = zip(*followed, strict=True)
+        parts = [r.judge(f) for r, f in zip(self._recognisers, by_recogniser, strict=True)]
+        for results in map(list, zip(*parts, strict=True)):
+            for hindsight, result in zip(self._hindsight, results, strict=True):
+                if hindsight is not None:
+                    hindsight.learn(result)
+            self._pending.append(results)
+            if len(self._pending) > self._lag:
+                yield self._final()
+
+    def finish(self) -> Iterator[FrameResult]:
+        """The results that were still waiting."""
+        yield from self.judge()
+        while self._pending:
+            yield self._final()
+
+    def problems(self) -> list[str]:
+        """What of the poses could not be used, so far."""
+        return list(dict.fromkeys(p for r in self._recognisers for p in r.odometry.problems()))
+
+    def notes(self) -> list[str]:
+        """What of the poses the frames contradict, so far."""
+        return list(dict.fromkeys(n for r in self._recognisers for n in r.odometry.notes()))
+
+    def _final(self) -> FrameResult:
+        results = [
+            result if hindsight is None else hindsight.revised(result)
+            for hindsight, result in zip(self._hindsight, self._pending.popleft(), strict=True)
+        ]
+        return replace(results[0], estimates=tuple(e for r in results for e in r.estimates))

@@ -1,0 +1,240 @@
+"""An averaged shape matrix described under every ID: the FEATURES that the model judges."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sonarrec.landmarks import LandmarkSet
+from sonarrec.recogniser.stage3_features.expected_symbol import ExpectedSymbols
+from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES, Bands, turned_codes
+from sonarrec.records import FloatArray
+
+# Levels are in standard deviations of the frame. Those named "local" count the symbol from the gap
+# in the same direction: echoes that come late and light that falls unevenly lie over both alike.
+# That named "over_floor" counts it from the floor just outside in that direction. What these are
+# worth depends on how far the beam smears them: those named "smeared" are the same times the smear.
+FEATURES = (
+    "correlation",  # with the ID's expected symbol and gap at the best rotation
+    "smeared_correlation",  # counted from what is typical
+    "over_cross",  # correlation, less that with a cross
+    "step",  # bright sectors over dark ones
+    "dark_over_gap",  # dark sectors over the gap, 0 on a landmark
+    "bright_over_ring",  # bright sectors over the ring, 0 on a landmark
+    "local_weakest_bright",  # darkest bright sector over the gap
+    "smeared_weakest_bright",
+    "strongest_dark",  # brightest dark sector over the gap, 0 on a landmark
+    "local_strongest_dark",
+    "strongest_dark_over_floor",
+    "edge",  # step across the edges between bright and dark sectors, mean
+    "weakest_edge",  # the least of them
+    "texture",  # spread within the sectors
+    "ring_over_floor",  # over the floor outside
+    "weakest_ring",  # weakest quarter of the ring over what lies beside it
+    "ring_texture_share",  # spread along the ring, in its contrast over the gap
+    "log_frames",  # natural logarithm of the frames gathered
+    "existence",  # log odds that stage 2 gives
+)
+TYPICAL_CORRELATION = 0.7
+# Smears (standard deviation across the line of sight, in disc radii) count in this, up to so many.
+SMEAR_UNIT, MOST_SMEAR = 0.1, 3.0
+LEAST_CONTRAST = 0.3  # of the ring, where its texture counts in that
+# The steps next to each step, and those beyond what the beam smears of an edge.
+BEFORE, AFTER = ((np.arange(ANGLES) + off) % ANGLES for off in (-1, 1))
+FAR_BEFORE, FAR_AFTER = ((np.arange(ANGLES) + off) % ANGLES for off in (-2, 2))
+# Column by column, 1 over each quarter turn.
+QUARTERS = np.stack([np.roll(np.arange(ANGLES) < ANGLES // 4, i) for i in range(ANGLES)], 1) * 1.0
+TURN_SIGMA = 0.12  # scale of the turn's standard error; tuning seeds, checked by `make scenes`
+LIMIT = 9.0  # of every feature's magnitude
+
+
+@dataclass(frozen=True, slots=True)
+class Description:
+    """n objects under each of K IDs. features: (n, K, F).
+
+    turn, turn_sigma: (n, K) the rotation that fits best and its standard error, in steps.
+    """
+
+    features: FloatArray
+    turn: FloatArray
+    turn_sigma: FloatArray
+
+
+class Describer:
+    """Describes averaged shape matrices under every ID of one landmark set."""
+
+    def __init__(
+        self, bands: Bands, radii: FloatArray, landmarks: LandmarkSet, alike: float
+    ) -> None:
+        """bands, radii: of the lines, from ShapeSampler. alike: as ExpectedSymbols."""
+        self._starts = [b.start for b in (bands.symbol, bands.ring, bands.gap, bands.outer)]
+        # A line stands for its part of the disc's area; the innermost is little more than a point.
+        self._area = (radii / radii.max())[:, None]
+        codes = turned_codes(landmarks)
+        # As a beam sees them: sector edges smeared over a step.
+        self._codes = 0.5 * codes + 0.25 * (codes[..., BEFORE] + codes[..., AFTER])
+        self._expected = ExpectedSymbols(landmarks, radii, bands, alike)
+        # 1 at the two steps that flank a rise counter-clockwise, -1 at those of a fall.
+        self._edges = codes[..., AFTER] - codes[..., BEFORE]
+        table = np.asarray(landmarks.sectors, dtype=bool)
+        sector = ((np.arange(ANGLES) + 0.5) / ANGLES * table.shape[1]).astype(int)
+        self._sectors = table
+        # Towards its edges a sector runs into its neighbours.
+        within = (np.arange(ANGLES) + 0.5) / ANGLES * table.shape[1] % 1
+        member = sector[:, None] == np.arange(table.shape[1])
+        member = member * np.sin(np.pi * within)[:, None]  # (ANGLES, S)
+        self._cells = member.sum(axis=0)
+        # Every sector at every rotation: (ANGLES, ANGLES x S).
+        self._member = np.stack([np.roll(member, turn, axis=0) for turn in range(ANGLES)], axis=1)
+        self._member = self._member.reshape(ANGLES, -1)
+
+    def __call__(
+        self, average: FloatArray, count: FloatArray, existence: FloatArray, smear: FloatArray
+    ) -> Description:
+        """The FEATURES of averaged matrices (n, L, ANGLES) and their counts from TrackMatrix.
+
+        existence: (n,) probability by stage 2. smear: (n,) the beam's standard deviation across the
+        line of sight, in disc radii.
+        """
+        frames = np.maximum(count.max(axis=(1, 2)), 0.5)
+        count = count * self._area
+        # Mean over each band's lines and how often its cells were seen: (bands, n, ANGLES).
+        weights = np.add.reduceat(count, self._starts, axis=1).swapaxes(0, 1)
+        profiles = np.add.reduceat(average * count, self._starts, axis=1).swapaxes(0, 1)
+        profiles = profiles / np.maximum(weights, 1e-9)
+        symbol, ring, gap, outer = profiles
+        weight, ring_weight, gap_weight, outer_weight = weights
+        _, ring_level, gap_level, outer_level = _level(profiles, weights)
+        contrast = np.maximum(ring_level - gap_level, LEAST_CONTRAST)
+        ring_spread = np.sqrt(_level((ring - ring_level[:, None]) ** 2, ring_weight))
+        weakest = _weakest_quarter(ring - 0.5 * (gap + outer), np.minimum(ring_weight, 1.0))
+
+        objects, ids = len(average), self._codes.shape[1]
+        lines = self._expected.lines
+        correlation, cross = self._expected.correlation(
+            average[:, lines], count[:, lines] > 0, smear
+        )
+        turn = correlation.argmax(axis=1)  # (n, K)
+        best = correlation[np.arange(objects)[:, None], turn, np.arange(ids)]
+        code = self._codes[turn, np.arange(ids)]  # (n, K, ANGLES)
+        # The symbol counted from the gap's level, locally, and from the floor: (3, n, ANGLES).
+        floor = 0.5 * outer + 0.25 * (outer[:, BEFORE] + outer[:, AFTER])
+        counted = np.stack([symbol - gap_level[:, None], symbol - gap, symbol - floor])
+        known = np.stack([weight, weight * (gap_weight > 0), weight * (outer_weight > 0)])
+        dark, step, texture = _regress(counted[0], weight, code)
+        level, shown = self._sector_levels(counted, known, turn)
+        # 0 where no such sector has shown.
+        brightest = np.where(shown & ~self._sectors, level, -np.inf).max(axis=-1)
+        brightest = np.where(np.isfinite(brightest), brightest, 0.0)
+        darkest = np.where(shown[1] & self._sectors, level[1], np.inf).min(axis=-1)
+        darkest = np.where(np.isfinite(darkest), darkest, 0.0)
+        edge, weakest_edge = _steepness(symbol, weight, self._edges[turn, np.arange(ids)])
+
+        smeared = np.clip(smear[:, None] / SMEAR_UNIT, 0, MOST_SMEAR)
+        odds = existence / (1 - existence)
+        values = [
+            best,
+            (best - TYPICAL_CORRELATION) * smeared,
+            best - cross[:, None],
+            step,
+            dark,
+            dark + step - (ring_level - gap_level)[:, None],
+            darkest,
+            darkest * smeared,
+            brightest[0],
+            brightest[1],
+            brightest[2],
+            edge,
+            weakest_edge,
+            texture,
+            ring_level - outer_level,
+            weakest,
+            ring_spread / contrast,
+            np.log(frames),
+            np.log(odds),
+        ]
+        features = np.empty((objects, ids, len(FEATURES)))
+        for i, value in enumerate(values):
+            features[:, :, i] = value if value.ndim == 2 else value[:, None]
+        exact, bend = _summit(correlation, turn)
+        # The steeper the correlation falls off, and the less of the symbol it leaves unexplained,
+        # the better is the turn known (curvature of a least-squares fit).
+        noise = np.sqrt(1 - np.minimum(best, 0.999) ** 2)
+        turn_sigma = TURN_SIGMA * noise / np.sqrt(np.maximum(bend, 1e-4))
+        return Description(np.clip(features, -LIMIT, LIMIT), exact, turn_sigma)
+
+    def _sector_levels(
+        self, symbol: FloatArray, weight: FloatArray, turn: npt.NDArray[np.intp]
+    ) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+        """Mean level of every sector of every ID, and whether enough of it has shown.
+
+        symbol, weight: (m, n, ANGLES). turn: (n, K). Returns (m, n, K, S).
+        """
+        shape = (*symbol.shape, len(self._cells))
+        turned = (slice(None), np.arange(len(turn))[:, None], turn)
+        share = (weight @ self._member).reshape(shape)[turned]
+        level = ((symbol * weight) @ self._member).reshape(shape)[turned]
+        full = weight.max(axis=-1)[..., None, None] * self._cells
+        return level / np.maximum(share, 1e-9), share > 0.3 * np.maximum(full, 1e-9)
+
+
+def _regress(
+    symbol: FloatArray, weight: FloatArray, code: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(n, K) level of dark sectors, bright ones over them, and what is left unexplained.
+
+    Weighted regression of (n, ANGLES) profiles on codes (n, K, ANGLES).
+    """
+    share = (weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-9))[..., None]
+    symbol = symbol[..., None]
+    mean = (symbol * share).sum(axis=1)
+    variance = np.maximum((symbol**2 * share).sum(axis=1) - mean**2, 0)
+    code_mean = (code @ share)[..., 0]
+    code_variance = (code**2 @ share)[..., 0] - code_mean**2
+    covariance = (code @ (share * symbol))[..., 0] - mean * code_mean
+    # Of a symbol that has shown no edge of the code nothing is known.
+    step = np.where(code_variance > 0.02, covariance / np.maximum(code_variance, 1e-9), 0.0)
+    texture = np.sqrt(np.maximum(variance - step * covariance, 0))
+    return mean - step * code_mean, step, texture
+
+
+def _steepness(
+    symbol: FloatArray, weight: FloatArray, edges: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """(n, K) mean and least rise of (n, ANGLES) profiles across edges (n, K, ANGLES); 0: unseen."""
+    rise = symbol[:, FAR_AFTER] - symbol[:, FAR_BEFORE]
+    seen = (weight[:, FAR_AFTER] > 0) & (weight[:, FAR_BEFORE] > 0)
+    edges = edges * seen[:, None]
+    rise = rise[:, None] * edges
+    count = np.abs(edges).sum(axis=2)
+    mean = rise.sum(axis=2) / np.maximum(count, 1)
+    least = np.where(edges != 0, rise, np.inf).min(axis=2)
+    return mean, np.where(count > 0, least, 0.0)
+
+
+def _summit(correlation: FloatArray, turn: npt.NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
+    """(n, K) the summit of (n, ANGLES, K) next to a whole turn, and how sharply it bends there.
+
+    Through three samples, each the mean of three: the sector edges make the very top flat.
+    """
+    near = (turn + np.arange(-2, 3)[:, None, None]) % ANGLES  # (5, n, K)
+    objects, ids = np.ogrid[: turn.shape[0], : turn.shape[1]]
+    values = correlation[objects, near, ids]
+    before, here, after = ((values[i] + values[i + 1] + values[i + 2]) / 3 for i in range(3))
+    bend = 2 * here - before - after
+    part = np.where(bend > 1e-6, 0.5 * (after - before) / np.maximum(bend, 1e-6), 0.0)
+    return turn + np.clip(part, -0.5, 0.5), bend
+
+
+def _level(profile: FloatArray, weight: FloatArray) -> FloatArray:
+    """Mean round the disc, over the last axis."""
+    return np.asarray((profile * weight).sum(axis=-1) / np.maximum(weight.sum(axis=-1), 1e-9))
+
+
+def _weakest_quarter(contrast: FloatArray, seen: FloatArray) -> FloatArray:
+    """(n,) least mean of (n, ANGLES) contrast over a quarter turn of which half was seen."""
+    cells = seen @ QUARTERS
+    mean = (contrast * seen) @ QUARTERS / np.maximum(cells, 1e-9)
+    return np.asarray(np.where(cells > 0.5 * ANGLES / 4, mean, LIMIT).min(axis=1))

@@ -1,0 +1,184 @@
+"""What a symbol should look like under every ID, at every rotation, as the beam smears it.
+
+Far out, or on a small disc, a beam is as wide as a sector: seen through it, ID.1 and ID.2 differ
+less, and otherwise, than as drawn. A pan leaves the smear alone, for angles count from the line of
+sight and the beam smears across it.
+
+A symbol is compared by generalised least squares. What lies over a disc unevenly (speckle, which
+the floor keeps as the sonar pans, patches that fade, late echoes) is alike in neighbouring cells:
+a broad patch that looks like half a sector is weak evidence, a step at a sector's edge strong.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from sonarrec.landmarks import LandmarkSet
+from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES, STEP, Bands
+from sonarrec.records import FloatArray
+
+# Typical echo levels in dB over the floor, and the noise beneath: they say how the logarithm of the
+# picture bends a smeared edge. Correlations hardly depend on them.
+RING_DB, SYMBOL_DB, PLATE_DB, FLOOR_DB, NOISE_DB = 12.0, 10.0, -8.0, 0.0, -6.0
+# Smears (standard deviation across the line of sight, in disc radii) are rounded to this.
+SMEAR_STEP = 0.04
+MOST_STEPS = 10
+# What one pixel takes in, in any direction: standard deviation in disc radii.
+PIXEL = 0.05
+# Points and weights that stand for a Gaussian of standard deviation 1 (Gauss and Hermite's).
+_THREE = np.sqrt(3) * np.array([-1, 0, 1])
+_THREE_SHARE = np.array([1, 4, 1]) / 6
+BEAM_POINT = 0.08  # a beam is summed over points no farther apart than this, in disc radii
+# Variance that is a cell's own, where it stands for the mean cell's area, in that of what is alike
+# in neighbouring ones. On tuning seeds 0.1 does as well, and so do cells alike over 0.3 or 0.6.
+OWN = 0.3
+# Half the width of a cross's arms, and where they begin, in disc radii. It looks the same after so
+# many steps.
+ARM, HUB = 0.07, 0.12
+CROSS_TURNS = ANGLES // 4
+LEAST_SHOWN = 0.1  # share of a whole symbol's evidence below which nothing of it has shown
+
+
+class _Expected(NamedTuple):
+    """flat: (cells, T) of what is expected, 0 on the plate to 1 on a symbol.
+
+    T: every ID at every turn (ANGLES x K), then a cross at CROSS_TURNS. whitened: the same times
+    the precision. power: (T,) the product of the two.
+    """
+
+    flat: FloatArray
+    whitened: FloatArray
+    power: FloatArray
+
+
+class ExpectedSymbols:
+    """Compares symbols, and the gap round them, with what every ID of a set should show.
+
+    lines: which lines of the shape matrix take part. expected: from a smear in whole SMEAR_STEPs to
+    what their cells should show.
+    """
+
+    def __init__(
+        self, landmarks: LandmarkSet, radii: FloatArray, bands: Bands, alike: float
+    ) -> None:
+        """radii, bands: of the lines of the shape matrix, from ShapeSampler.
+
+        alike: how far what lies unevenly over a disc is alike (1/e), in disc radii.
+        """
+        self._landmarks = landmarks
+        self.lines = np.r_[bands.symbol, bands.gap]
+        self._radii = radii[self.lines]
+        self._ids = len(landmarks.ids)
+        self._precision = _precision(self._radii, alike)
+        # Only the smears that a log's ranges call for are ever drawn.
+        self.expected = cache(self._draw)
+
+    def correlation(
+        self, cells: FloatArray, seen: npt.NDArray[np.bool_], smear: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """(n, ANGLES, K) correlation with every ID at every rotation, (n,) best with a cross.
+
+        That of generalised least squares: its square is the share of the (whitened) variation that
+        the ID explains beyond a level. 0 where too little of the ID has shown. cells, seen: (n,
+        lines, ANGLES). smear: (n,) standard deviation across the line of sight in disc radii.
+        """
+        shape = (len(cells), len(self._precision))
+        seen = seen.reshape(shape)
+        values = np.where(seen, cells.reshape(shape), 0.0)
+        whitened = values @ self._precision
+        variation = (whitened * values).sum(axis=1)
+        steps = np.minimum(np.rint(smear / SMEAR_STEP), MOST_STEPS).astype(int)
+        product, power = np.empty((2, len(cells), ANGLES * self._ids + CROSS_TURNS))
+        for step in set(steps.tolist()):
+            of, expected = steps == step, self.expected(step)
+            product[of], power[of] = values[of] @ expected.whitened, expected.power
+        least = LEAST_SHOWN * power
+        for i in np.flatnonzero(seen.any(axis=1) & ~seen.all(axis=1)):
+            # Unseen cells leave the precision by their Schur complement.
+            expected, hidden = self.expected(int(steps[i])), np.flatnonzero(~seen[i])
+            sides = np.column_stack([whitened[i, hidden], expected.whitened[hidden]])
+            solved = np.linalg.solve(self._precision[np.ix_(hidden, hidden)], sides)
+            variation[i] -= sides[:, 0] @ solved[:, 0]
+            product[i] -= sides[:, 0] @ solved[:, 1:]
+            power[i] -= (sides[:, 1:] * solved[:, 1:]).sum(axis=0)
+        scale = np.sqrt(np.maximum(power * variation[:, None], 1e-12))
+        found = np.where(power > least, product / scale, 0.0)
+        ids, cross = np.split(found, [ANGLES * self._ids], axis=1)
+        return ids.reshape(-1, ANGLES, self._ids), cross.max(axis=1)
+
+    def _draw(self, steps: int) -> _Expected:
+        """What the cells should show, smeared by `steps`."""
+        flat = self._look(steps).reshape(len(self._precision), -1)
+        whitened = self._precision @ flat
+        return _Expected(flat, whitened, (flat * whitened).sum(axis=0))
+
+    def _look(self, steps: int) -> FloatArray:
+        """(lines, ANGLES, T) what the lines show of every ID, and of a cross, at every turn."""
+        discs = self._landmarks
+        radius, angle, share = _points(self._radii, steps * SMEAR_STEP)
+        ring = (radius >= discs.ring[0]) & (radius <= discs.ring[1])
+        bare = np.where(ring, RING_DB, np.where(radius > 1, FLOOR_DB, PLATE_DB))
+        power = 10 ** (bare / 10) @ share + 10 ** (NOISE_DB / 10)  # (lines, ANGLES)
+        # How much of each cell lies in each of so many directions of the symbol that both a step
+        # and a sector are whole numbers of them: a turn is a roll of these.
+        sectors = np.asarray(discs.sectors, dtype=float)
+        directions = ANGLES * sectors.shape[1]
+        direction = np.mod(angle, 2 * np.pi) / (2 * np.pi) * directions
+        cell = np.broadcast_to(np.arange(power.size).reshape(*power.shape, 1), radius.shape)
+        shares = np.broadcast_to(share, radius.shape)
+        within = (radius >= discs.symbol[0]) & (radius <= discs.symbol[1])
+        at = cell * directions + np.minimum(direction, directions - 1).astype(int)
+        spread = np.bincount(at[within], shares[within], power.size * directions)
+        codes = np.repeat(sectors, ANGLES, axis=1)
+        turned = [np.roll(codes, turn * sectors.shape[1], axis=1) for turn in range(ANGLES)]
+        lit = spread.reshape(power.size, directions) @ np.concatenate(turned).T
+        within &= radius >= HUB
+        x, y = (radius[within] * way(angle[within]) for way in (np.cos, np.sin))
+        cos, sin = (way(np.arange(CROSS_TURNS)[:, None] * STEP) for way in (np.cos, np.sin))
+        off_axis = np.minimum(np.abs(x * cos + y * sin), np.abs(y * cos - x * sin))
+        turn, point = np.nonzero(off_axis < ARM)
+        at = cell[within][point] * CROSS_TURNS + turn
+        cross = np.bincount(at, shares[within][point], power.size * CROSS_TURNS)
+        lit = np.concatenate([lit, cross.reshape(power.size, CROSS_TURNS)], axis=1)
+        brighter = 10 ** (SYMBOL_DB / 10) - 10 ** (PLATE_DB / 10)
+        power = power[..., None] + brighter * lit.reshape(*power.shape, -1)
+        return np.asarray((10 * np.log10(power) - PLATE_DB) / (SYMBOL_DB - PLATE_DB))
+
+
+def _points(radii: FloatArray, smear: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Where the echoes in each cell come from: distance from the centre, angle, and share.
+
+    The first two (lines, ANGLES, points), the share (points,). Over a pixel along the radius and
+    round the disc, so that turns stay exact, and over the beam across the line of sight.
+    """
+    half = math.ceil(2.4 * smear / BEAM_POINT)
+    deviations = np.linspace(-2.4, 2.4, 2 * half + 1) if half else np.zeros(1)
+    beam_share = np.exp(-0.5 * deviations**2)
+    share = np.einsum("i,j,k->ijk", _THREE_SHARE, _THREE_SHARE, beam_share / beam_share.sum())
+    angle = ((np.arange(ANGLES) + 0.5) * STEP)[:, None, None, None]  # from the line of sight
+    out = radii[:, None, None, None, None] + PIXEL * _THREE[:, None, None]
+    round_ = PIXEL * _THREE[:, None]
+    aside = out * np.sin(angle) + round_ * np.cos(angle) + smear * deviations  # to the left
+    away = out * np.cos(angle) - round_ * np.sin(angle) + 0 * deviations
+    points = (len(radii), ANGLES, share.size)
+    return (
+        np.hypot(aside, away).reshape(points),
+        np.arctan2(aside, away).reshape(points),
+        share.ravel(),
+    )
+
+
+def _precision(radii: FloatArray, alike: float) -> FloatArray:
+    """(cells, cells) inverse covariance of the cells on lines at `radii`, their level taken out."""
+    angle = (np.arange(ANGLES) + 0.5) * STEP
+    x, y = (np.outer(radii, way(angle)).ravel() for way in (np.cos, np.sin))
+    apart = np.hypot(x[:, None] - x, y[:, None] - y)
+    area = np.repeat(radii / radii.mean(), ANGLES)
+    inverse = np.linalg.inv(np.exp(-apart / max(alike, 1e-6)) + np.diag(OWN / area))
+    level = inverse.sum(axis=1)
+    return np.asarray(inverse - np.outer(level, level) / level.sum())

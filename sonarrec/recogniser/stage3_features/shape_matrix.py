@@ -1,0 +1,105 @@
+"""Shape matrices (Section 3.4.2): concentric lines sampled on the disc.
+
+The measurement of stage 3, and with the identification of `smi` the paper's single-frame
+baseline. Brightness is sampled along concentric lines at equally spaced angles on the disc
+as it appears in the working plane.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from sonarrec.landmarks import LandmarkSet
+from sonarrec.records import ByteImage, FloatArray
+
+ANGLES = 36
+STEP = 2 * np.pi / ANGLES
+# Lines at the middle of equal parts of the symbol and the ring; for the track's average also of
+# the dark gap between them and of the floor just outside.
+SYMBOL_LINES = 3
+RING_LINES = 3
+GAP_LINES = 2
+OUTER_LINES = 2
+OUTER = (1.12, 1.32)
+
+
+def _middles(band: tuple[float, float], lines: int) -> FloatArray:
+    return band[0] + (band[1] - band[0]) * (np.arange(lines) + 0.5) / lines
+
+
+@dataclass(frozen=True, slots=True)
+class Bands:
+    """Which rows of a shape matrix lie on which part of the disc."""
+
+    symbol: slice
+    ring: slice
+    gap: slice
+    outer: slice
+
+
+class ShapeSampler:
+    """Samples the shape matrices of many objects at once.
+
+    radii: (L,) of the lines, as fractions of the disc's radius. bands: which line is what.
+    """
+
+    def __init__(self, landmarks: LandmarkSet, axes: tuple[float, float]) -> None:
+        """axes: (across, along) semi-axes of the disc in pixels."""
+        gap = (landmarks.symbol[1], landmarks.ring[0])
+        parts = [
+            _middles(landmarks.symbol, SYMBOL_LINES),
+            _middles(landmarks.ring, RING_LINES),
+            _middles(gap, GAP_LINES),
+            _middles(OUTER, OUTER_LINES),
+        ]
+        ends = np.cumsum([0] + [len(p) for p in parts])
+        self.bands = Bands(*(slice(int(a), int(b)) for a, b in pairwise(ends)))
+        self.radii = np.concatenate(parts)
+        self._axes = axes
+
+    def __call__(
+        self,
+        image: ByteImage,
+        inside: ByteImage,
+        centres: FloatArray,
+        start_rad: FloatArray,
+        mean: npt.NDArray[np.float32],
+        sigma: float,
+    ) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+        """Brightness (n, L, ANGLES) float64 and where it was seen (n, L, ANGLES) bool.
+
+        Brightness is counted from the mean of each object's surroundings, in standard deviations
+        of the frame (mean, sigma: as in Selection), so that gain and grey scale drop out. image,
+        inside: working image and 1 where it holds sonar data, both uint8. centres: (n, 2) (column,
+        row). start_rad: (n,) direction of the first angle; angles run counter-clockwise seen from
+        above.
+        """
+        size = (len(centres), len(self.radii), ANGLES)
+        if len(centres) == 0:  # OpenCV refuses empty maps
+            return np.empty(size), np.empty(size, bool)
+        angle = start_rad[:, None, None] + (np.arange(ANGLES) + 0.5) * STEP
+        radius = self.radii[:, None]
+        column = centres[:, 0, None, None] + self._axes[0] * radius * np.cos(angle)
+        row = centres[:, 1, None, None] - self._axes[1] * radius * np.sin(angle)
+        shape = (-1, ANGLES)
+        column = column.astype(np.float32).reshape(shape)
+        row = row.astype(np.float32).reshape(shape)
+        grey = cv2.remap(image, column, row, cv2.INTER_LINEAR)
+        seen = cv2.remap(inside, column, row, cv2.INTER_NEAREST)
+        rows, columns = image.shape
+        at = np.rint(centres).astype(int).T
+        middle = (at[1].clip(0, rows - 1), at[0].clip(0, columns - 1))
+        around = mean[middle][:, None, None].astype(float)
+        grey = (grey.reshape(size) - around) / sigma
+        return grey, seen.reshape(size).astype(bool)
+
+
+def turned_codes(landmarks: LandmarkSet) -> FloatArray:
+    """(ANGLES, K, ANGLES): every ID's ideal symbol, 0 or 1, turned by every step."""
+    codes = landmarks.codes((np.arange(ANGLES) + 0.5) * STEP)
+    return np.stack([np.roll(codes, turn, axis=1) for turn in range(ANGLES)])

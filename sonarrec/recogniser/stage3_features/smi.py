@@ -1,0 +1,81 @@
+"""Shape-matrix identification of a single frame (Section 3.4.2), the paper's baseline (SMI)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES, Bands
+from sonarrec.records import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Identification:
+    """What SMI says of n objects in one frame.
+
+    similarity: (n, K) share of inner cells that agree with each ID, at the one rotation that fits
+    best. turn: (n,) that rotation in steps. ring: (n,) share of ring cells that are bright.
+    """
+
+    similarity: FloatArray
+    turn: npt.NDArray[np.intp]
+    ring: FloatArray
+
+    @property
+    def measurement(self) -> FloatArray:
+        """(n, K) q of Eq. 8: the similarities divided by their sum."""
+        total = self.similarity.sum(axis=1, keepdims=True)
+        uniform = np.full_like(self.similarity, 1 / self.similarity.shape[1])
+        np.divide(self.similarity, total, out=uniform, where=total > 0)
+        return uniform
+
+
+def identify(
+    grey: FloatArray, seen: npt.NDArray[np.bool_], bands: Bands, turned: FloatArray
+) -> Identification:
+    """Single-frame shape-matrix identification of sampled objects.
+
+    grey, seen: (n, L, ANGLES) from ShapeSampler. turned: from turned_codes. Cells are bright above
+    the level that best parts each disc's own ring and symbol samples in two (Otsu, over the disc
+    alone). Cells outside the fan agree with nothing and count for nothing.
+    """
+    disc = np.concatenate([grey[:, bands.symbol], grey[:, bands.ring]], axis=1)
+    disc_seen = np.concatenate([seen[:, bands.symbol], seen[:, bands.ring]], axis=1)
+    cells = (len(grey), disc.shape[1] * ANGLES)
+    level = otsu_levels(disc.reshape(cells), disc_seen.reshape(cells))
+    bright = grey > level[:, None, None]
+    weight = seen[:, bands.symbol].sum(axis=1)
+    on = (bright & seen)[:, bands.symbol].sum(axis=1)
+    # Agreeing cells = bright where the code is 1, dark where it is 0; sums over the lines first.
+    # on . code + off . (1 - code), as one matrix product over all rotations and IDs.
+    off = weight - on
+    agreeing = (on - off).astype(float) @ turned.reshape(-1, ANGLES).T + off.sum(axis=1)[:, None]
+    total = np.maximum(weight.sum(axis=1), 1)[:, None]
+    fit = (agreeing / total).reshape(-1, *turned.shape[:2])
+    turn = fit.max(axis=2).argmax(axis=1)
+    ring_seen = seen[:, bands.ring].sum(axis=(1, 2))
+    ring = (bright & seen)[:, bands.ring].sum(axis=(1, 2)) / np.maximum(ring_seen, 1)
+    return Identification(fit[np.arange(len(grey)), turn], turn, ring)
+
+
+def otsu_levels(values: FloatArray, seen: npt.NDArray[np.bool_]) -> FloatArray:
+    """(n,) Otsu's threshold of each row of (n, m) values, over the cells that were seen.
+
+    The level that maximises the variance between the two classes it makes; brute force over the
+    row's own sorted values.
+    """
+    order = np.argsort(np.where(seen, values, np.inf), axis=1)
+    ranked = np.take_along_axis(np.where(seen, values, 0.0), order, axis=1)
+    count = seen.sum(axis=1)
+    below = np.arange(1, values.shape[1])
+    above = np.maximum(count[:, None] - below, 0)
+    cumulative = np.cumsum(ranked, axis=1)
+    low = cumulative[:, :-1] / below
+    high = (cumulative[:, -1:] - cumulative[:, :-1]) / np.maximum(above, 1)
+    between = np.where(above > 0, below * above * (high - low) ** 2, -1.0)
+    best = between.argmax(axis=1)
+    rows = np.arange(len(values))
+    nxt = np.minimum(best + 1, values.shape[1] - 1)
+    return np.asarray((ranked[rows, best] + ranked[rows, nxt]) / 2)

@@ -1,0 +1,1 @@
+"""Results on disk: written as they come, read back whole or frame by frame."""

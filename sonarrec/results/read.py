@@ -1,0 +1,166 @@
+"""Results folders, read back for scoring: ours, or another program's in the same tables."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from sonarrec.geometry import plane_position
+from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
+from sonarrec.records import BoolArray, Fan, FloatArray, IntArray, SonarrecError
+from sonarrec.results.run_file import fan_of_run, read_run
+from sonarrec.sonar import Sonar
+from sonarrec.tables import POSITION_KINDS, Kind, Table, line_number, position_pair, read_table
+
+METHODS = ("smi", "framework")
+"""The methods that every run of ours holds, also where one of them saw nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class LogResults:
+    """What all methods said of one log.
+
+    frame: (F,) numbers of the frames processed, rising. timestamp_ns: (F,) or None.
+    methods: names; the arrays below have one element per estimate. method: index into methods.
+    row: index into frame. landmark: index into landmarks.ids. score: 0 to 1. declared: bool.
+    position: (N, 2) metres in the fan plane, or None where it is not known.
+    orientation: (N,) deg, NaN where unknown. object: (N,) a number per candidate or track, -1
+    where not told. probability: (N, K + 1), one per ID in the set's order, then none of these;
+    None where the columns are missing.
+    fan: turns fan pixels into metres; None where nothing states it.
+    strays: estimates left out, for they lie on frames that frames.csv does not list.
+    finished: False where run.toml says that the run was cut short.
+    """
+
+    name: str
+    landmarks: LandmarkSet
+    fan: Fan | None
+    frame: IntArray
+    timestamp_ns: IntArray | None
+    methods: tuple[str, ...]
+    method: IntArray
+    row: IntArray
+    landmark: IntArray
+    score: FloatArray
+    declared: BoolArray
+    position: FloatArray | None
+    orientation: FloatArray
+    object: IntArray
+    probability: npt.NDArray[np.float32] | None
+    strays: int
+    finished: bool
+
+
+def find_logs(results: Path) -> list[Path]:
+    """The folders of single logs: `results` itself, or those in it; SonarrecError if none."""
+    if (results / "frames.csv").is_file():
+        return [results]
+    if not results.is_dir():
+        raise SonarrecError(f"{results}: no such results folder; `sonarrec run LOG` writes one")
+    logs = sorted(p.parent for p in results.glob("*/frames.csv"))
+    if not logs:
+        raise SonarrecError(
+            f"{results}: no results here (no frames.csv, nor a folder that holds one); "
+            "give the folder that `sonarrec run` wrote"
+        )
+    return logs
+
+
+def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = None) -> LogResults:
+    """Read one log's frames.csv, estimates.csv and, where there is one, run.toml.
+
+    `landmarks` and the keys stated in `sonar` go before what run.toml says.
+    Raises SonarrecError on any fault.
+    """
+    run = read_run(folder / "run.toml")
+    if landmarks is not None or "landmarks" not in run:
+        landmark_set = load_landmarks(landmarks or "basin")
+    else:
+        landmark_set = landmarks_from_table(run["landmarks"], str(folder / "run.toml"))
+    fan = fan_of_run(run, folder / "run.toml", sonar)
+
+    path = folder / "frames.csv"
+    frames = read_table(
+        path, {"frame": "whole", "timestamp_ns": "whole"}, ("frame",), "frame,timestamp_ns"
+    )
+    order = np.argsort(frames["frame"], kind="stable")
+    frame = frames["frame"][order]
+    repeated = np.flatnonzero(np.diff(frame) == 0)
+    if repeated.size:
+        line = line_number(path, int(order[repeated[0] + 1]))
+        raise SonarrecError(f"{path} line {line}: frame {frame[repeated[0]]} is listed twice")
+    if not frame.size:
+        raise SonarrecError(f"{path}: no frame was processed, so there is nothing to score")
+
+    path = folder / "estimates.csv"
+    kinds: dict[str, Kind] = {
+        "frame": "whole",
+        "method": "text",
+        "landmark": "whole",
+        "score": "number",
+        "declared": "flag",
+    }
+    belief = [*(f"p_{i}" for i in landmark_set.ids), "p_none"]
+    table = read_table(
+        path,
+        kinds
+        | POSITION_KINDS
+        | {"object": "label", "orientation_deg": "blank or number"}
+        | dict.fromkeys(belief, "share"),
+        tuple(kinds),
+        "frame,method,range_m,bearing_deg,landmark,score,declared",
+    )
+    ids = np.asarray(landmark_set.ids)
+    known = np.isin(table["landmark"], ids)
+    if not known.all():
+        row = int(np.argmin(known))
+        raise SonarrecError(
+            f"{path} line {line_number(path, row)}: landmark {table['landmark'][row]} is not in "
+            f"the set {landmark_set.name!r} ({', '.join(map(str, ids))}); "
+            "name the set used with --landmarks"
+        )
+    pair = position_pair(path, table)
+    position = None if pair is None else plane_position(pair, fan)
+    listed = np.isin(table["frame"], frame)
+    names = [str(name) for name in table["method"].categories]
+    # A method of a run of ours that found nothing at all is scored as well.
+    expected: tuple[str, ...] = METHODS
+    if isinstance(run.get("config"), list):  # of several presets
+        expected = ("smi", *(f"framework:{preset.get('preset')}" for preset in run["config"]))
+    methods = [m for m in expected if m in names or run]
+    methods += [m for m in names if m not in methods]
+    renumber = np.array([methods.index(m) for m in names], dtype=np.int64)
+    by_id = np.argsort(ids)
+    return LogResults(
+        name=folder.resolve().name,
+        landmarks=landmark_set,
+        fan=fan,
+        frame=frame,
+        timestamp_ns=frames["timestamp_ns"][order] if "timestamp_ns" in frames else None,
+        methods=tuple(methods),
+        method=renumber[table["method"].codes[listed]],
+        row=np.searchsorted(frame, table["frame"][listed]),
+        landmark=by_id[np.searchsorted(ids, table["landmark"][listed], sorter=by_id)],
+        score=table["score"][listed],
+        declared=table["declared"][listed],
+        position=None if position is None else position[listed],
+        orientation=table.get("orientation_deg", np.full(len(listed), np.nan))[listed],
+        object=table["object"][listed] if "object" in table else np.full(listed.sum(), -1),
+        probability=_probability(table, belief, listed),
+        strays=int(np.count_nonzero(~listed)),
+        finished=run.get("finished", True) is not False,
+    )
+
+
+def _probability(
+    table: Table, columns: list[str], listed: BoolArray
+) -> npt.NDArray[np.float32] | None:
+    if any(name not in table for name in columns):
+        return None
+    probability = np.empty((int(listed.sum()), len(columns)), dtype=np.float32)
+    for k, name in enumerate(columns):
+        probability[:, k] = table.pop(name)[listed]
+    return probability

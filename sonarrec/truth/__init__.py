@@ -1,0 +1,1 @@
+"""Ground truth: read, matched to frames, checked, proposed and converted."""

@@ -1,0 +1,192 @@
+"""CVAT XML 1.1, "for video" (tracks) and "for images".
+
+Read as a stream of elements. CVAT writes no document type declaration and none is accepted:
+without one there are no entities to expand and nothing is fetched from elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from xml.parsers import expat
+
+from sonarrec.records import SonarrecError
+from sonarrec.truth.annotations.shapes import (
+    HALF_A_PIXEL,
+    Annotations,
+    Shape,
+    centre_of_area,
+    finite,
+    stated_visible,
+)
+
+MAX_GAP = 100_000  # frames between two keyframes of a track; beyond it a number is mistyped
+
+
+def matches(path: Path, text: str) -> bool:
+    """Whether a file, which begins with `text`, is CVAT's."""
+    return path.is_file() and "<annotations" in text
+
+
+def read(path: Path) -> Annotations:
+    """Read an annotations.xml. Raises SonarrecError, with the line, on anything not understood.
+
+    Frames between two keyframes of a track are filled in linearly, as CVAT itself does on export,
+    unless the first of the two is marked outside.
+    """
+    parser = expat.ParserCreate()
+    reader = _Reader()
+    parser.StartElementHandler = reader.start
+    parser.EndElementHandler = reader.end
+    parser.CharacterDataHandler = reader.text
+    parser.StartDoctypeDeclHandler = _refuse
+    parser.buffer_text = True
+    try:
+        with path.open("rb") as file:
+            parser.ParseFile(file)
+    except OSError as error:
+        raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
+    except expat.ExpatError as error:
+        raise SonarrecError(f"{path}: not well-formed XML ({error})") from None
+    except KeyError as error:
+        where = f"{path} line {parser.CurrentLineNumber}"
+        raise SonarrecError(f"{where}: lacks the attribute {error.args[0]!r}") from None
+    except ValueError as error:
+        raise SonarrecError(f"{path} line {parser.CurrentLineNumber}: {error}") from None
+    return reader.found
+
+
+def _refuse(*_: object) -> None:
+    raise ValueError("a document type declaration, which CVAT does not write, is not accepted")
+
+
+def _box(a: Mapping[str, str]) -> tuple[float, float]:
+    # Also of a rotated box, which turns about its centre.
+    return (finite(a["xtl"]) + finite(a["xbr"])) / 2, (finite(a["ytl"]) + finite(a["ybr"])) / 2
+
+
+def _ellipse(a: Mapping[str, str]) -> tuple[float, float]:
+    return finite(a["cx"]), finite(a["cy"])
+
+
+def _mask(a: Mapping[str, str]) -> tuple[float, float]:
+    return (
+        finite(a["left"]) + finite(a["width"]) / 2,
+        finite(a["top"]) + finite(a["height"]) / 2,
+    )
+
+
+def _points(a: Mapping[str, str]) -> list[tuple[float, float]]:
+    pairs = [point.split(",") for point in a["points"].split(";")]
+    return [(finite(x), finite(y)) for x, y in pairs]
+
+
+def _point(a: Mapping[str, str]) -> tuple[float, float]:
+    points = _points(a)
+    if len(points) != 1:
+        raise ValueError(f"a landmark is marked by one point, not {len(points)}")
+    return points[0]
+
+
+_CENTRES: dict[str, Callable[[Mapping[str, str]], tuple[float, float]]] = {
+    "box": _box,
+    "ellipse": _ellipse,
+    "mask": _mask,
+    "polygon": lambda a: centre_of_area(_points(a)),
+    "points": _point,
+}
+_OTHER_SHAPES = {"polyline", "cuboid", "skeleton", "tag"}
+
+
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """Where a track is in one frame; as Shape."""
+
+    frame: int
+    x: float
+    y: float
+    visible: float | None
+    outside: bool
+
+
+class _Reader:
+    """Handles the elements as they come."""
+
+    def __init__(self) -> None:
+        self.found = Annotations()
+        self._places: list[_Place] | None = None  # of the track that is open
+        self._image: str | None = None  # that is open
+        self._label = ""
+        self._open: list[tuple[str, dict[str, str]]] = []
+        self._told: dict[str, str] = {}  # free attributes of the shape that is open
+        self._tasks: set[str] = set()
+        self._text = ""
+        self._width = 0
+
+    def start(self, tag: str, attributes: dict[str, str]) -> None:
+        self._text = ""
+        self._open.append((tag, attributes))
+        if tag in ("track", "image"):
+            self._tasks.add(attributes.get("task_id", ""))
+            if len(self._tasks) > 1:
+                raise ValueError("several tasks in one file; export them one by one")
+        if tag == "track":
+            self._places, self._label = [], attributes["label"]
+        elif tag == "image":
+            self._image = attributes["name"]
+            self.found.images.append(self._image)
+            self.found.sizes.add((int(attributes["width"]), int(attributes["height"])))
+        elif tag in _CENTRES:
+            self._told = {}
+        elif tag in _OTHER_SHAPES and len(self._open) == 3:
+            self.found.unused[f"{tag} shapes, which have no one centre"] += 1
+
+    def text(self, text: str) -> None:
+        self._text += text
+
+    def end(self, tag: str) -> None:
+        _, attributes = self._open.pop()
+        if tag == "attribute" and "name" in attributes:
+            self._told[attributes["name"]] = self._text
+        elif tag == "width":
+            self._width = int(self._text)
+        elif tag == "height":
+            self.found.sizes.add((self._width, int(self._text)))
+        elif tag == "track" and self._places is not None:
+            self._close_track(sorted(self._places, key=lambda place: place.frame))
+            self._places = None
+        elif tag == "image":
+            self._image = None
+        # The parts of a skeleton lie one level deeper and are no shapes of their own.
+        elif tag in _CENTRES and len(self._open) == 2:
+            self._close_shape(tag, attributes)
+
+    def _close_shape(self, tag: str, attributes: dict[str, str]) -> None:
+        x, y = (value - HALF_A_PIXEL for value in _CENTRES[tag](attributes))
+        visible = stated_visible({"occluded": attributes.get("occluded"), **self._told})
+        if self._places is not None:
+            outside = attributes.get("outside") == "1"
+            self._places.append(_Place(int(attributes["frame"]), x, y, visible, outside))
+        elif self._image is not None:
+            self.found.shapes.append(Shape(self._image, attributes["label"], x, y, visible))
+
+    def _close_track(self, places: list[_Place]) -> None:
+        def add(frame: int, x: float, y: float, visible: float | None) -> None:
+            self.found.shapes.append(Shape(frame, self._label, x, y, visible))
+
+        for place in places:
+            if not place.outside:
+                add(place.frame, place.x, place.y, place.visible)
+        for a, b in pairwise(places):
+            gap = b.frame - a.frame
+            if a.outside or gap < 2:
+                continue
+            if gap > MAX_GAP:
+                raise ValueError(f"{gap} frames between two keyframes of a track")
+            for step in range(1, gap):
+                part = step / gap
+                x, y = a.x + part * (b.x - a.x), a.y + part * (b.y - a.y)
+                add(a.frame + step, x, y, a.visible)
+            self.found.interpolated += gap - 1

@@ -1,0 +1,55 @@
+"""MOTChallenge gt.txt: frame, id, left, top, width, height, considered, class, visibility."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from sonarrec.records import SonarrecError
+from sonarrec.truth.annotations.shapes import HALF_A_PIXEL, Annotations, Shape, finite, read_text
+
+LABELS = "labels.txt"
+
+
+def matches(path: Path, text: str) -> bool:
+    """Whether a file, which begins with `text`, is a table of seven numbers or more, no header."""
+    try:
+        numbers = [float(cell) for cell in text.strip().partition("\n")[0].split(",")]
+    except ValueError:
+        return False
+    return path.is_file() and len(numbers) >= 7
+
+
+def read(path: Path) -> Annotations:
+    """Read a gt.txt. Raises SonarrecError, with the line, on anything not understood.
+
+    The label is the class: its name in a labels.txt beside the file, else its number; where there
+    is no class (seven columns, or -1, as in MOT15) the label is the track's id. Frames and boxes
+    count from 1; but whoever writes a labels.txt (CVAT, Datumaro) counts boxes from 0.
+    A row not to be considered is given `visible` 0: in view, but ignored in scoring.
+    """
+    labels = path.with_name(LABELS)
+    names = [name.strip() for name in read_text(labels).splitlines()] if labels.is_file() else None
+    origin = 0 if names else 1
+    found = Annotations(first_frame=1)
+    for number, line in enumerate(read_text(path).splitlines(), 1):
+        if not line.strip():
+            continue
+        try:
+            cells = [finite(cell) for cell in line.split(",")]
+            frame, track, left, top, width, height, considered = cells[:7]
+            kind = int(cells[7]) if len(cells) > 7 else -1
+            visible = cells[8] if len(cells) > 8 and kind != -1 else None
+            if frame != int(frame) or (visible is not None and not 0 <= visible <= 1):
+                raise ValueError("frames are whole numbers, visibility is a share, 0 to 1")
+            if kind == -1:
+                label = str(int(track))
+            elif names and not 1 <= kind <= len(names):
+                raise ValueError(f"class {kind} is not in {LABELS}")
+            else:
+                label = names[kind - 1] if names else str(kind)
+        except ValueError as error:
+            raise SonarrecError(f"{path} line {number}: {error}") from None
+        x = left - origin + width / 2 - HALF_A_PIXEL
+        y = top - origin + height / 2 - HALF_A_PIXEL
+        found.shapes.append(Shape(int(frame), label, x, y, visible if considered else 0.0))
+    return found

@@ -1,0 +1,316 @@
+"""What cannot be true in a gt.csv, found by the geometry and the log it describes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sonarrec.geometry import ground_range, pixel_from_polar, polar_from_pixel
+from sonarrec.landmarks import LandmarkSet
+from sonarrec.readers.log import Log
+from sonarrec.records import BoolArray, Fan, FloatArray, IntArray, SonarrecError
+from sonarrec.tables import POSITION_KINDS, read_table
+from sonarrec.truth.in_view import share_in_fan
+from sonarrec.truth.match import match_times
+from sonarrec.truth.table import HEADER, TruthTable, read_rows, repeated_rows
+
+SLACK = 0.1
+"""What a person cannot be held to: a tenth of the radius in place, of the area in `visible`."""
+SLACK_PX = 2.0
+"""Between x_px,y_px and range_m,bearing_deg of one row, which are rounded."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One thing that cannot be true: the line of gt.csv, the kind of fault, and what it is."""
+
+    line: int
+    kind: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedTruth:
+    """A gt.csv seen against its log. Arrays have one element per row that speaks of this log.
+
+    path: of gt.csv. fan: of the log. landmarks: the set. line: (N,) in gt.csv.
+    landmark: (N,) IDs as written. frame: (N,) number in the log, -1 where the log has none.
+    x_px, y_px: (N,) fan pixels, None where the file tells no positions. visible: (N,) as written.
+    faults: in order of the lines. others: rows that speak of other logs. problems: of the log.
+    """
+
+    path: Path
+    fan: Fan
+    landmarks: LandmarkSet
+    line: IntArray
+    landmark: IntArray
+    frame: IntArray
+    x_px: FloatArray | None
+    y_px: FloatArray | None
+    visible: FloatArray
+    faults: list[Fault]
+    others: int
+    problems: list[str]
+
+    def told(self) -> str:
+        """How much was looked at, and how much of it is wrong."""
+        faults = f"{len(self.faults) or 'no'} fault{'s' * (len(self.faults) > 1)}"
+        return f"{len(self.line)} rows, {faults}"
+
+
+@dataclass(frozen=True, slots=True)
+class _Places:
+    """Where the landmarks are; one element per row of this log. Ranges m, bearings deg, floor m."""
+
+    frame: IntArray
+    landmark: IntArray
+    range_m: FloatArray
+    bearing_deg: FloatArray
+    floor: FloatArray
+
+
+def check_truth(
+    path: Path, log: Log, landmarks: LandmarkSet, *, max_pan_deg: float
+) -> CheckedTruth:
+    """Check a gt.csv against the log it describes: one pass over the log, for its frames.
+
+    max_pan_deg: by how much the sonar may turn from one frame to the next.
+    Raises SonarrecError where either cannot be read at all.
+    """
+    table = read_rows(path)
+    mine = np.ones(len(table.at), bool) if table.log is None else np.asarray(table.log == log.name)
+    row = np.flatnonzero(mine)
+    if len(table.at) and not len(row):
+        named = ", ".join(sorted({str(name) for name in table.log}))
+        raise SonarrecError(f"{path}: its log column does not name {log.name}; it has {named}")
+    lines = _lines(path)
+    line = lines[row]
+    index, stamp = [], []
+    for frame in log:
+        index.append(frame.index)
+        stamp.append(frame.timestamp_ns)
+    assert log.fan is not None
+    numbers = np.array(index, dtype=np.int64)
+    at = table.at[row]
+    if table.key == "frame":
+        known = np.isin(at, numbers)
+        frames = np.where(known, at, -1)
+    else:
+        nearest, known, kept = match_times(np.array(stamp, dtype=np.int64), at)
+        # Of truth denser than the frames, the nearest counts, as in scoring.
+        frames = np.where(kept, numbers[nearest], -1)
+    faults = _frames(line[~known], at[~known], table.key, numbers)
+    faults += _ids(line, table.landmark[row], landmarks)
+    visible = table.visible[row]
+    wrong = (visible < 0) | (visible > 1)
+    faults += [
+        Fault(int(n), "visible", f"visible is a share, 0 to 1, not {v:g}")
+        for n, v in zip(line[wrong], visible[wrong], strict=True)
+    ]
+    x = y = None
+    if table.position is not None:
+        kind, first, second = table.position[0], table.position[1][row], table.position[2][row]
+        polar = (first, second) if kind == "polar" else polar_from_pixel(log.fan, first, second)
+        x, y = pixel_from_polar(log.fan, *polar)
+        bearing = np.radians(polar[1])
+        # Nearer than the floor counts as straight below.
+        ground = np.nan_to_num(ground_range(log.fan, polar[0]))
+        floor = np.column_stack([ground * np.sin(bearing), ground * np.cos(bearing)])
+        places = _Places(frames, table.landmark[row], *polar, floor)
+        faults += _repeats(table, mine, lines)
+        faults += _contradictions(path, row, line, x, y)
+        faults += _outside(line, places, visible, log.fan, landmarks.radius_m)
+        faults += _overlaps(line, places, landmarks.radius_m)
+        faults += _changes(line, places, landmarks.radius_m)
+        faults += _jumps(line, places, landmarks.radius_m, max_pan_deg)
+    return CheckedTruth(
+        path,
+        log.fan,
+        landmarks,
+        line,
+        table.landmark[row],
+        frames,
+        x,
+        y,
+        visible,
+        sorted(faults, key=lambda fault: fault.line),
+        len(table.at) - len(row),
+        list(log.problems),
+    )
+
+
+def _lines(path: Path) -> IntArray:
+    """(rows,) 1-based line of every row: blank lines hold none."""
+    with path.open(encoding="utf-8-sig") as file:
+        filled = [number for number, text in enumerate(file, 1) if text.strip()]
+    return np.array(filled[1:], dtype=np.int64)
+
+
+def _frames(line: IntArray, at: IntArray, key: str, numbers: IntArray) -> list[Fault]:
+    """Frames that the log does not have."""
+    last = int(numbers.max())
+    faults = []
+    for number, frame in zip(line, at, strict=True):
+        if key != "frame":
+            text = f"no frame of the log is near {key} {frame}"
+        elif 0 <= frame <= last:
+            text = f"frame {frame} of the log cannot be read"
+        else:
+            text = f"frame {frame} is not in the log, which has 0 to {last}"
+        faults.append(Fault(int(number), "frame", text))
+    return faults
+
+
+def _ids(line: IntArray, landmark: IntArray, landmarks: LandmarkSet) -> list[Fault]:
+    known = ", ".join(map(str, landmarks.ids))
+    return [
+        Fault(int(number), "landmark", f"ID.{i} is not in the set {landmarks.name!r} ({known})")
+        for number, i in zip(line, landmark, strict=True)
+        if i not in landmarks.ids
+    ]
+
+
+def _repeats(table: TruthTable, mine: BoolArray, lines: IntArray) -> list[Fault]:
+    return [
+        Fault(int(lines[b]), "repeated", f"repeats line {lines[a]}")
+        for a, b in repeated_rows(table)
+        if mine[b]
+    ]
+
+
+def _contradictions(
+    path: Path, row: IntArray, line: IntArray, x: FloatArray, y: FloatArray
+) -> list[Fault]:
+    """Rows whose pixels are not where their range and bearing are: one of them was edited."""
+    table = read_table(path, POSITION_KINDS, (), HEADER)
+    if not POSITION_KINDS.keys() <= table.keys():
+        return []
+    apart = np.hypot(table["x_px"][row] - x, table["y_px"][row] - y)
+    return [
+        Fault(
+            int(line[n]),
+            "position",
+            f"x_px,y_px and range_m,bearing_deg are {apart[n]:.1f} pixels apart",
+        )
+        for n in np.flatnonzero(apart > SLACK_PX)
+    ]
+
+
+def _outside(
+    line: IntArray, places: _Places, visible: FloatArray, fan: Fan, radius_m: float
+) -> list[Fault]:
+    """Discs that lie outside the fan, or show less than `visible` says.
+
+    A landmark may be hidden by something else as well, so less than the geometry allows is sound.
+    """
+    share = share_in_fan(fan, places.range_m, places.bearing_deg, radius_m)
+    near = share_in_fan(fan, places.range_m, places.bearing_deg, radius_m * (1 + SLACK))
+    faults = []
+    for n in np.flatnonzero((near == 0) | ((visible <= 1) & (visible > share + SLACK))):
+        if near[n] == 0:
+            where = f"range {places.range_m[n]:.2f} m, bearing {places.bearing_deg[n]:.1f} deg"
+            text = f"the whole disc is outside the fan ({where})"
+            faults.append(Fault(int(line[n]), "outside", text))
+        else:
+            text = f"visible {visible[n]:.2f}, but {share[n]:.2f} of the disc is inside the fan"
+            faults.append(Fault(int(line[n]), "visible", text))
+    return faults
+
+
+def _overlaps(line: IntArray, places: _Places, radius_m: float) -> list[Fault]:
+    """Two landmarks of one frame, of whatever ID, that would lie on each other."""
+    order = np.argsort(places.frame, kind="stable")
+    frame = places.frame[order]
+    faults = []
+    # Neighbours in the order, then next but one, until no two of a frame are left.
+    for step in range(1, len(order)):
+        together = np.flatnonzero((frame[step:] == frame[:-step]) & (frame[step:] >= 0))
+        if not len(together):
+            break
+        a, b = order[together], order[together + step]
+        apart = np.hypot(*(places.floor[a] - places.floor[b]).T)
+        # The same ID in the same place is a repeated row, told already.
+        other = (apart > 0) | (places.landmark[a] != places.landmark[b])
+        for n in np.flatnonzero((apart < radius_m) & other):
+            first, second = sorted((int(line[a[n]]), int(line[b[n]])))
+            text = f"lies on the landmark of line {first}, {apart[n]:.2f} m away on the floor"
+            faults.append(Fault(second, "overlap", text))
+    return faults
+
+
+def _changes(line: IntArray, places: _Places, radius_m: float) -> list[Fault]:
+    """Landmarks that change their ID from one frame to the next: one is gone, another in its place.
+
+    The way back from a row that is wrong is no fault of its own.
+    """
+    order = np.argsort(places.frame, kind="stable")
+    order = order[places.frame[order] >= 0]
+    frame, landmark, floor = places.frame[order], places.landmark[order], places.floor[order]
+    present = set(zip(frame.tolist(), landmark.tolist(), strict=True))
+    first = np.searchsorted(frame, frame - 1)
+    count = np.searchsorted(frame, frame - 1, side="right") - first
+    wrong: dict[int, Fault] = {}
+    for k in range(int(count.max(initial=0))):
+        before = np.where(k < count, first + k, 0)
+        apart = np.hypot(*(floor - floor[before]).T)
+        for n in np.flatnonzero((k < count) & (apart < radius_m) & (landmark != landmark[before])):
+            old, new, at = int(landmark[before[n]]), int(landmark[n]), int(frame[n])
+            if (at, old) in present or (at - 1, new) in present or before[n] in wrong:
+                continue
+            text = f"ID.{new} where frame {at - 1} has ID.{old} (line {line[order[before[n]]]})"
+            wrong[int(n)] = Fault(int(line[order[n]]), "changed", text)
+    return list(wrong.values())
+
+
+def _jumps(line: IntArray, places: _Places, radius_m: float, max_pan_deg: float) -> list[Fault]:
+    """Rows to which no row of the same ID leads from the last frame that has one.
+
+    A pan turns everything about the sonar and leaves ranges as they are; what little the sonar
+    rises and drifts is allowed for by a disc radius a frame. The way back from a row that is wrong
+    is no fault of its own.
+    """
+    order = np.lexsort((places.frame, places.landmark))
+    order = order[places.frame[order] >= 0]
+    landmark, frame = places.landmark[order], places.frame[order]
+    range_m, bearing_deg = places.range_m[order], places.bearing_deg[order]
+    # A group: the rows of one ID in one frame, nearly always one.
+    new = np.diff(landmark, prepend=-1) != 0
+    new |= np.diff(frame, prepend=-1) != 0
+    starts = np.flatnonzero(new)
+    sizes = np.diff(np.append(starts, len(order)))
+    group = np.cumsum(new) - 1
+
+    def led_from(back: int) -> tuple[FloatArray, IntArray]:
+        """Per row: the shortest way from a row `back` groups earlier, 1 being the limit; that row.
+
+        (inf, -1) where the ID has no such group.
+        """
+        earlier = np.maximum(group - back, 0)
+        count = np.where(group >= back, sizes[earlier], 0)
+        least = np.full(len(order), np.inf)
+        nearest = np.full(len(order), -1)
+        for k in range(int(sizes.max(initial=0))):
+            there = np.where(k < count, starts[earlier] + k, 0)
+            gap = np.maximum(frame - frame[there], 1)
+            turned = np.abs(bearing_deg - bearing_deg[there]) / (max_pan_deg * gap)
+            moved = np.abs(range_m - range_m[there]) / (radius_m * gap)
+            excess = np.maximum(turned, moved)
+            better = (k < count) & (landmark[there] == landmark) & (excess < least)
+            least, nearest = np.where(better, excess, least), np.where(better, there, nearest)
+        return least, nearest
+
+    (once, before), (twice, _) = led_from(1), led_from(2)
+    wrong: dict[int, Fault] = {}
+    for b in np.flatnonzero((before >= 0) & (once > 1)):
+        a = int(before[b])
+        if a in wrong and twice[b] <= 1:
+            continue
+        text = (
+            f"ID.{landmark[b]} jumps by {bearing_deg[b] - bearing_deg[a]:+.1f} deg and "
+            f"{range_m[b] - range_m[a]:+.2f} m from frame {frame[a]} (line {line[order[a]]}) "
+            f"to {frame[b]}"
+        )
+        wrong[int(b)] = Fault(int(line[order[b]]), "jump", text)
+    return list(wrong.values())

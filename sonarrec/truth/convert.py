@@ -1,0 +1,266 @@
+"""Annotations of any format to gt.csv: labels to IDs, images to frames, centres to fan pixels."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sonarrec.geometry import beam_bearings, bin_ranges, pixel_from_polar, polar_from_pixel
+from sonarrec.landmarks import LandmarkSet
+from sonarrec.readers.find import find_log
+from sonarrec.readers.images import is_image, natural_order
+from sonarrec.readers.log import Log
+from sonarrec.records import Fan, FloatArray, SonarrecError, UsageError
+from sonarrec.sonar import Sonar
+from sonarrec.truth.annotations import read_annotations
+from sonarrec.truth.annotations.shapes import Annotations, Shape
+from sonarrec.truth.in_view import share_in_fan
+from sonarrec.truth.table import HEADER, write_truth
+
+_PLAIN_LABEL = re.compile(r"(?:(?:id|landmark)[\s._-]*)?(\d+)", re.IGNORECASE)
+_BY_NUMBER = "frames by the number that ends every image name"
+_FEW = 5  # names told in one line
+
+FrameNumbers = dict[int | str, int]
+"""The frame, or the time in ns, that each Shape.frame stands for."""
+
+
+@dataclass(frozen=True, slots=True)
+class LogImages:
+    """What a log tells of the images that were annotated.
+
+    sonar, fan: its geometry, and that of its fan images. names: its image files in frame order;
+    empty for a log in one file, whose frames have no names.
+    """
+
+    sonar: Sonar
+    fan: Fan
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Converted:
+    """What became of the annotations.
+
+    format: which it was. counts: rows written per ID. notes: what was done on the way.
+    unused: what could not be used, one line each.
+    """
+
+    format: str
+    counts: dict[int, int]
+    notes: list[str]
+    unused: list[str]
+
+
+def look_at(log: Log) -> LogImages:
+    """Read the first frame of a log, for its geometry, and the names of its files.
+
+    Raises SonarrecError where no frame can be used.
+    """
+    fan = next(iter(log)).fan
+    files = find_log(log.path).files
+    return LogImages(log.sonar, fan, tuple(file.name for file in files if is_image(file)))
+
+
+def convert(
+    source: Path,
+    out: Path,
+    landmarks: LandmarkSet,
+    *,
+    format_name: str | None = None,
+    labels: Mapping[str, int | None] | None = None,
+    first_frame: int | None = None,
+    log: LogImages | None = None,
+) -> Converted:
+    """Write the annotations in `source` as `out`, a new gt.csv.
+
+    labels: the ID for labels that do not show it themselves; None leaves a label out. first_frame:
+    what the annotations call the first frame of the log (default 0; MOTChallenge 1). log: finds
+    frames by image name, turns polar pixels into fan pixels, and limits `visible` to the share of
+    the disc inside the fan. Raises SonarrecError where nothing can be used or `out` exists,
+    UsageError where `labels` or `first_frame` cannot be meant.
+    """
+    name, found = read_annotations(source, format_name)
+    unused = [f"{count} {what}: passed over" for what, count in found.unused.items()]
+    ids, unknown = _landmark_ids(Counter(s.label for s in found.shapes), labels or {}, landmarks)
+    unused += unknown
+    key, frames, rule = _frame_numbers(source, found, first_frame, log.names if log else ())
+    missing = Counter(str(s.frame) for s in found.shapes if s.frame not in frames)
+    if missing:
+        unused.append(
+            f"{missing.total()} shapes on images that are not in the log: {_some(missing)}"
+        )
+    used = [s for s in found.shapes if s.label in ids and s.frame in frames]
+    if unused and not used:
+        raise SonarrecError(f"{source}: nothing can be used: {'; '.join(unused)}")
+    x, y, visible = _in_fan_pixels(source, found, used, log, landmarks.radius_m)
+    # Tracks drawn in overlapping parts of one job hold a shape twice.
+    cells = (
+        (frames[s.frame], ids[s.label], f"{x[n]:.2f}", f"{y[n]:.2f}", f"{visible[n]:.3f}")
+        for n, s in enumerate(used)
+    )
+    rows = sorted(dict.fromkeys(cells), key=lambda row: row[:2])
+    write_truth(out, HEADER.replace("frame", key).split(","), rows)
+    notes = [rule]
+    if found.interpolated:
+        notes.append(f"{found.interpolated} shapes filled in between keyframes")
+    if len(rows) < len(used):
+        notes.append(f"{len(used) - len(rows)} shapes repeated another and were left out")
+    counts = Counter(row[1] for row in rows)
+    return Converted(name, {i: counts[i] for i in landmarks.ids if counts[i]}, notes, unused)
+
+
+def _landmark_ids(
+    labels: Counter[str], given: Mapping[str, int | None], landmarks: LandmarkSet
+) -> tuple[dict[str, int], list[str]]:
+    """(ID per label that has one, lines about labels that should have one)."""
+    known = ", ".join(map(str, landmarks.ids))
+    for label, landmark in given.items():
+        if label not in labels:
+            raise UsageError(f"--map {label}: no shape has this label; labels: {_some(labels)}")
+        if landmark is not None and landmark not in landmarks.ids:
+            raise UsageError(f"--map {label}: ID {landmark} is not in {landmarks.name!r} ({known})")
+    ids = {label: landmark for label, landmark in given.items() if landmark is not None}
+    unused = []
+    for label, count in labels.items():
+        if label in given:
+            continue
+        plain = _PLAIN_LABEL.fullmatch(label.strip())
+        if plain is None:
+            unused.append(
+                f"label {label!r} ({count} times) has no ID: give one by --map '{label}=ID', "
+                f"or leave it out by --map '{label}=none'"
+            )
+        elif int(plain[1]) not in landmarks.ids:
+            unused.append(
+                f"label {label!r} ({count} times) is not in the set {landmarks.name!r} ({known}): "
+                "name the right set by --landmarks"
+            )
+        else:
+            ids[label] = int(plain[1])
+    return ids, unused
+
+
+def _frame_numbers(
+    source: Path, found: Annotations, first_frame: int | None, log_names: Sequence[str]
+) -> tuple[str, FrameNumbers, str]:
+    """("frame" or "timestamp_ns", that number for each Shape.frame, how it was found)."""
+    first = found.first_frame if first_frame is None else first_frame
+    key, numbered = "frame", not found.images
+    frames: FrameNumbers
+    if numbered:
+        frames = {s.frame: int(s.frame) for s in found.shapes}
+        rule = f"frames as numbered in the annotations, from {first}"
+    else:
+        key, frames, rule = _frames_of_images(found.images, log_names)
+        numbered = rule == _BY_NUMBER
+    if numbered:
+        frames = {name: number - first for name, number in frames.items()}
+    elif first_frame is not None:
+        raise UsageError(f"--first-frame has no meaning here: {rule}")
+    seen: dict[int, int | str] = {}
+    for name, frame in frames.items():
+        if frame < 0:
+            raise SonarrecError(
+                f"{source}: {name!r} lies before the log's first frame, which is called {first} "
+                "here; lower --first-frame"
+            )
+        if seen.setdefault(frame, name) != name:
+            raise SonarrecError(
+                f"{source}: images {seen[frame]!r} and {name!r} would both be frame {frame}; "
+                "give --log, or annotations of one log only"
+            )
+    return key, frames, rule
+
+
+def _frames_of_images(
+    images: Sequence[str], log_names: Sequence[str]
+) -> tuple[str, FrameNumbers, str]:
+    """As _frame_numbers, for images by name.
+
+    An image is found by its name in the log, whatever its folder and suffix. Where none of them
+    is, names of 19 digits are times, as in a log of images; else the number at the end of every
+    name counts; else their natural order.
+    """
+    paths = {name: Path(name.replace("\\", "/")) for name in images}
+    at = {Path(name).stem: n for n, name in enumerate(log_names)}
+    in_log: FrameNumbers = {name: at[path.stem] for name, path in paths.items() if path.stem in at}
+    if in_log:
+        return "frame", in_log, "frames by image name in the log"
+    if all(re.fullmatch(r"[0-9]{19}", path.stem) for path in paths.values()):
+        times: FrameNumbers = {name: int(path.stem) for name, path in paths.items()}
+        return "timestamp_ns", times, "image names of 19 digits are times in ns"
+    ends = {name: re.search(r"[0-9]+$", path.stem) for name, path in paths.items()}
+    numbers: FrameNumbers = {name: int(end[0]) for name, end in ends.items() if end}
+    if len(numbers) == len(ends):
+        return "frame", numbers, _BY_NUMBER
+    order = sorted(paths, key=lambda name: natural_order(paths[name]))
+    rule = "frames by the natural order of the images listed; give --log where it has more"
+    return "frame", {name: n for n, name in enumerate(order)}, rule
+
+
+def _in_fan_pixels(
+    source: Path,
+    found: Annotations,
+    shapes: Sequence[Shape],
+    log: LogImages | None,
+    radius_m: float,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(column, row, visible), each (N,), of the shapes in the log's fan images."""
+    x = np.array([s.x for s in shapes], dtype=float)
+    y = np.array([s.y for s in shapes], dtype=float)
+    visible = np.array([1.0 if s.visible is None else s.visible for s in shapes], dtype=float)
+    if log is None:
+        return x, y, visible
+    fan = log.fan
+    drawn_on_fan = found.sizes <= {(fan.columns, fan.rows)}
+    if log.sonar.layout == "polar" and not (found.sizes and drawn_on_fan):
+        range_m, bearing_deg = _polar_pixels(source, found, log, x, y)
+        x, y = pixel_from_polar(fan, range_m, bearing_deg)
+    elif drawn_on_fan:
+        if log.sonar.layout != "polar" and log.sonar.flip:
+            x = fan.columns - 1 - x
+        range_m, bearing_deg = polar_from_pixel(fan, x, y)
+    else:
+        raise _wrong_size(source, found, f"{fan.columns} x {fan.rows}")
+    return x, y, np.minimum(visible, share_in_fan(fan, range_m, bearing_deg, radius_m))
+
+
+def _polar_pixels(
+    source: Path, found: Annotations, log: LogImages, x: FloatArray, y: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """(range in m, bearing in deg) of pixels of the log's own polar images."""
+    sonar, sizes = log.sonar, found.sizes
+    if not sizes:
+        raise SonarrecError(
+            f"{source}: the log is polar, and these annotations do not tell the size of the "
+            "images they were drawn on; export them in another format"
+        )
+    if sonar.beam_order == "beam-major":
+        x, y, sizes = y, x, {size[::-1] for size in sizes}
+    bins = round(log.fan.window_m / log.fan.metres_per_pixel)
+    beams = min(sizes)[0] if sonar.bearings_deg is None else len(sonar.bearings_deg)
+    if sizes != {(beams, bins)}:
+        raise _wrong_size(source, found, f"{beams} beams x {bins} ranges")
+    bearing_deg = np.interp(x, np.arange(beams), beam_bearings(sonar, beams))
+    range_m = np.interp(y, np.arange(bins), bin_ranges(sonar, bins))
+    return range_m, -bearing_deg if sonar.flip else bearing_deg
+
+
+def _wrong_size(source: Path, found: Annotations, size: str) -> SonarrecError:
+    drawn = ", ".join(f"{columns} x {rows}" for columns, rows in sorted(found.sizes)[:_FEW])
+    return SonarrecError(
+        f"{source}: drawn on images of {drawn} pixels, but those of the log have {size}; "
+        "annotate the log's own images"
+    )
+
+
+def _some(names: Mapping[str, int]) -> str:
+    """The first few of the names."""
+    more = ", ..." if len(names) > _FEW else ""
+    return ", ".join(list(names)[:_FEW]) + more

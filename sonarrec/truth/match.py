@@ -1,0 +1,129 @@
+"""Ground truth matched to the frames that were processed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from sonarrec.geometry import plane_position
+from sonarrec.landmarks import LandmarkSet
+from sonarrec.records import BoolArray, Fan, FloatArray, IntArray, SonarrecError
+from sonarrec.tables import line_number
+from sonarrec.truth.table import TruthTable
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """The landmarks in view of one log's processed frames. Arrays have one element per landmark.
+
+    row: index into LogResults.frame. landmark: index into the set's ids. visible: 0 to 1.
+    position: (T, 2) metres in the fan plane, or None where it is not known. orientation: (T,) deg,
+    as in estimates.csv, or None.
+    rows: rows of gt.csv that speak of this log. unprocessed: those of them on frames that were
+    not processed. between: those, matched by time, for which a nearer stamp has the frame.
+    """
+
+    row: IntArray
+    landmark: IntArray
+    visible: FloatArray
+    position: FloatArray | None
+    orientation: FloatArray | None
+    rows: int
+    unprocessed: int
+    between: int
+
+
+class ReadLog(Protocol):
+    """The frames of one log to which truth is matched; a LogResults is one.
+
+    frame: (F,) numbers, rising. timestamp_ns: (F,) or None. fan: for positions in pixels.
+    """
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def landmarks(self) -> LandmarkSet: ...
+    @property
+    def fan(self) -> Fan | None: ...
+    @property
+    def frame(self) -> IntArray: ...
+    @property
+    def timestamp_ns(self) -> IntArray | None: ...
+
+
+def match_truth(table: TruthTable, log: ReadLog, tolerance_s: float | None = None) -> Truth:
+    """The truth of one log, cut to the frames in its frames.csv.
+
+    By time, a row belongs to the frame nearest to it, if that is within the tolerance (default:
+    half the median time between frames), and a frame takes the rows of its nearest stamp only:
+    truth denser than the frames must not show one landmark many times.
+    Raises SonarrecError on an ID outside the landmark set, or where times cannot be compared.
+    """
+    mine = np.ones(len(table.at), bool) if table.log is None else np.asarray(table.log == log.name)
+    ids = np.asarray(log.landmarks.ids)
+    known = np.isin(table.landmark, ids) | ~mine
+    if not known.all():
+        bad = int(np.argmin(known))
+        raise SonarrecError(
+            f"{table.path} line {line_number(table.path, bad)}: landmark {table.landmark[bad]} "
+            f"is not in the set {log.landmarks.name!r} ({', '.join(map(str, ids))}) used for "
+            f"{log.name}; name the right set with --landmarks"
+        )
+    at = table.at[mine]
+    if table.key == "frame":
+        row = np.minimum(np.searchsorted(log.frame, at), len(log.frame) - 1)
+        matched = log.frame[row] == at
+        kept = matched
+    else:
+        if log.timestamp_ns is None:
+            raise SonarrecError(
+                f"{table.path} tells frames by timestamp_ns, but the frames.csv of {log.name} has "
+                "no such column; add it, or give the truth by frame"
+            )
+        row, matched, kept = match_times(log.timestamp_ns, at, tolerance_s)
+    position = None
+    if table.position is not None:
+        position = plane_position(table.position, log.fan)
+    by_id = np.argsort(ids)
+    chosen = np.flatnonzero(mine)[kept]
+    return Truth(
+        row=row[kept],
+        landmark=by_id[np.searchsorted(ids, table.landmark[chosen], sorter=by_id)],
+        visible=table.visible[chosen],
+        position=None if position is None else position[chosen],
+        orientation=None if table.orientation is None else table.orientation[chosen],
+        rows=len(at),
+        unprocessed=int(np.count_nonzero(~matched)),
+        between=int(np.count_nonzero(matched & ~kept)),
+    )
+
+
+def match_times(
+    timestamp_ns: IntArray, at: IntArray, tolerance_s: float | None = None
+) -> tuple[IntArray, BoolArray, BoolArray]:
+    """Per time in `at`: (nearest frame, as index; within the tolerance; of its nearest stamp).
+
+    timestamp_ns: (F,) of the frames. at: (R,) ns. tolerance_s: default half the median time
+    between frames.
+    """
+    order = np.argsort(timestamp_ns, kind="stable")
+    times = timestamp_ns[order]
+    if tolerance_s is not None:
+        tolerance = tolerance_s * 1e9
+    else:
+        tolerance = float(np.median(np.diff(times))) / 2 if len(times) > 1 else 0.0
+    after = np.clip(np.searchsorted(times, at), 1, max(len(times) - 1, 1))
+    if len(times) == 1:
+        near = np.zeros(len(at), dtype=np.int64)
+    else:
+        near = np.where(times[after] - at < at - times[after - 1], after, after - 1)
+    away = np.abs(times[near] - at)
+    matched = away <= tolerance
+    # Per frame the stamp that is nearest, the earlier of two equally near; all its rows stay.
+    best = np.lexsort((at, away, near))
+    firsts = best[np.unique(near[best], return_index=True)[1]] if len(at) else best
+    stamp = np.zeros(len(times), dtype=np.int64)
+    stamp[near[firsts]] = at[firsts]
+    return order[near], matched, matched & (at == stamp[near])

@@ -1,0 +1,188 @@
+"""A gt.csv from the confident tracks of results, for a person to correct."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sonarrec.geometry import ground_range, pixel_from_polar
+from sonarrec.records import Fan, FloatArray, SonarrecError, UsageError
+from sonarrec.results.read import LogResults, find_logs, read_log
+from sonarrec.tables import Kind, Table, read_table
+from sonarrec.truth.in_view import share_in_fan
+from sonarrec.truth.table import write_truth
+
+FILLED_IN = "interpolated"
+HEADER = ("frame", "landmark", "x_px", "y_px", "visible", "track", "source")
+LEAST_DECLARED = 5
+"""Frames in which a track must have declared its ID."""
+LEAST_AGREEMENT = 0.9
+"""Share of the declarations of a track that must name the same ID."""
+
+
+@dataclass(frozen=True, slots=True)
+class ProposedTrack:
+    """One track that declared an ID at all.
+
+    landmark: the ID it declared most often. frames: first and last. rows: proposed for it;
+    interpolated: of these, in gaps. best_score: along the track. left_out: why it is not proposed,
+    "" where it is.
+    """
+
+    log: str
+    track: int
+    landmark: int
+    frames: tuple[int, int]
+    rows: int
+    interpolated: int
+    best_score: float
+    left_out: str
+
+
+def propose(
+    results: Path, out: Path, *, method: str, min_score: float, max_gap: int
+) -> list[ProposedTrack]:
+    """Write `out`, a new gt.csv, from the results of one log or of several.
+
+    A track is taken, over its whole life, where it declared one ID in LEAST_DECLARED frames or
+    more and its best score reaches `min_score`. Up to `max_gap` frames that it misses are filled
+    in, linear in range and bearing. `visible` is the share of the disc inside the fan.
+    Raises SonarrecError where the results cannot be used or `out` exists, UsageError on numbers
+    that cannot be meant.
+    """
+    if method == "smi":
+        raise UsageError("--method smi: candidates of single frames are no tracks")
+    if not 0 <= min_score <= 1:
+        raise UsageError(f"--min-score {min_score:g}: a score is within 0 to 1")
+    folders = find_logs(results)
+    told: list[ProposedTrack] = []
+    rows: list[tuple[object, ...]] = []
+    for folder in folders:
+        log = read_log(folder)
+        if log.fan is None:
+            raise SonarrecError(
+                f"{folder / 'run.toml'}: does not tell the sonar's geometry, which gives pixels "
+                "and visible; run `sonarrec run` again"
+            )
+        taken: dict[tuple[int, int], list[FloatArray]] = {}
+        mine = []
+        for track in _tracks(folder, log, method, min_score):
+            found = [] if track.left_out else _rows(track, log, log.fan, max_gap, taken)
+            mine += found
+            told.append(
+                ProposedTrack(
+                    log.name,
+                    track.number,
+                    track.landmark,
+                    (int(log.frame[track.row[0]]), int(log.frame[track.row[-1]])),
+                    len(found),
+                    sum(row[-1] == FILLED_IN for row in found),
+                    track.best_score,
+                    track.left_out,
+                )
+            )
+        name = (log.name,) if len(folders) > 1 else ()
+        rows += [(*name, *row) for row in sorted(mine)]
+    write_truth(out, (("log", *HEADER) if len(folders) > 1 else HEADER), rows)
+    return told
+
+
+@dataclass(frozen=True, slots=True)
+class _Track:
+    """A track that declared an ID; arrays have one element per frame that it has an estimate in."""
+
+    number: int
+    landmark: int
+    row: np.ndarray  # index into LogResults.frame, rising
+    range_m: FloatArray
+    bearing_deg: FloatArray
+    best_score: float
+    left_out: str
+
+
+def _tracks(folder: Path, log: LogResults, method: str, min_score: float) -> list[_Track]:
+    """The tracks of a method that declared an ID, those with most declarations first."""
+    kinds: dict[str, Kind] = {
+        "frame": "whole",
+        "method": "text",
+        "object": "whole",
+        "range_m": "number",
+        "bearing_deg": "number",
+        "landmark": "whole",
+        "score": "number",
+        "declared": "flag",
+    }
+    path = folder / "estimates.csv"
+    table: Table = read_table(path, kinds, tuple(kinds), ",".join(kinds))
+    chosen = np.asarray(table["method"] == method) & np.isin(table["frame"], log.frame)
+    if not chosen.any() and method not in log.methods:
+        raise UsageError(
+            f"{path} holds no method {method}; choose one with --method: {', '.join(log.methods)}"
+        )
+    columns: dict[str, Any] = {n: table[n][chosen] for n in kinds if n != "method"}
+    order = np.lexsort((columns["frame"], columns["object"]))
+    columns = {name: column[order] for name, column in columns.items()}
+    _, starts = np.unique(columns["object"], return_index=True)
+    tracks = []
+    for start, end in pairwise([*starts, len(order)]):
+        one = {name: column[start:end] for name, column in columns.items()}
+        if not one["declared"].any():
+            continue
+        ids, counts = np.unique(one["landmark"][one["declared"]], return_counts=True)
+        best = float(one["score"].max())
+        left_out = ""
+        if counts.max() < LEAST_AGREEMENT * counts.sum():
+            left_out = "it declared several IDs: " + ", ".join(f"ID.{i}" for i in ids)
+        elif counts.max() < LEAST_DECLARED:
+            left_out = f"declared in {counts.max()} frames only"
+        elif best < min_score:
+            left_out = f"best score below {min_score:g}"
+        row, first = np.unique(np.searchsorted(log.frame, one["frame"]), return_index=True)
+        track = _Track(
+            int(one["object"][0]),
+            int(ids[counts.argmax()]),
+            row,
+            one["range_m"][first],
+            one["bearing_deg"][first],
+            best,
+            left_out,
+        )
+        tracks.append((-int(counts.max()), track))
+    return [track for _, track in sorted(tracks, key=lambda pair: pair[0])]
+
+
+def _rows(
+    track: _Track,
+    log: LogResults,
+    fan: Fan,
+    max_gap: int,
+    taken: dict[tuple[int, int], list[FloatArray]],
+) -> list[tuple[object, ...]]:
+    """The rows of gt.csv for a track.
+
+    taken: floor positions proposed so far per (frame, ID), to which these are added; where they
+    meet, a second track is on one disc and gives no row.
+    """
+    short = [np.arange(a, b) for a, b in pairwise(track.row) if b - a <= max_gap + 1]
+    at = np.unique(np.concatenate([track.row, *short]))
+    range_m = np.interp(at, track.row, track.range_m)
+    bearing_deg = np.interp(at, track.row, track.bearing_deg)
+    x, y = pixel_from_polar(fan, range_m, bearing_deg)
+    visible = share_in_fan(fan, range_m, bearing_deg, log.landmarks.radius_m)
+    floor, turn = ground_range(fan, range_m), np.radians(bearing_deg)
+    place = np.column_stack([floor * np.sin(turn), floor * np.cos(turn)])
+    source = np.where(np.isin(at, track.row), "tracked", FILLED_IN)
+    rows: list[tuple[object, ...]] = []
+    for n, frame in enumerate(log.frame[at].tolist()):
+        others = taken.setdefault((frame, track.landmark), [])
+        doubled = any(np.hypot(*(place[n] - o)) < log.landmarks.radius_m for o in others)
+        if doubled or visible[n] == 0:
+            continue
+        others.append(place[n])
+        position = (f"{x[n]:.2f}", f"{y[n]:.2f}", f"{visible[n]:.3f}")
+        rows.append((frame, track.landmark, *position, track.number, str(source[n])))
+    return rows

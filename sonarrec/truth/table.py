@@ -1,0 +1,129 @@
+"""gt.csv: read, checked for what cannot be meant, and written."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sonarrec.records import FloatArray, IntArray, SonarrecError
+from sonarrec.tables import POSITION_KINDS, Kind, line_number, position_pair, read_table
+
+HEADER = "frame,landmark,x_px,y_px,visible"
+
+
+@dataclass(frozen=True, slots=True)
+class TruthTable:
+    """gt.csv as read. Arrays have one element per row of the file.
+
+    key: "frame" or "timestamp_ns"; at: (R,) its values. landmark: (R,) IDs. visible: 0 to 1.
+    log: (R,) names, or None. position: as tables.position_pair gives it, or None.
+    orientation: (R,) deg, NaN where blank; None without the column.
+    """
+
+    path: Path
+    key: str
+    at: IntArray
+    landmark: IntArray
+    visible: FloatArray
+    log: Any
+    position: tuple[str, FloatArray, FloatArray] | None
+    orientation: FloatArray | None
+
+
+def read_truth(path: Path) -> TruthTable:
+    """Read gt.csv (see HEADER). A header alone is good: no landmark anywhere.
+
+    Raises SonarrecError on wrong columns, on a cell that cannot be meant and on a repeated row.
+    """
+    table = read_rows(path)
+    wrong = (table.visible < 0) | (table.visible > 1)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise SonarrecError(
+            f"{path} line {line_number(path, row)}: visible is the share of the disc in view, "
+            f"0 to 1, not {table.visible[row]:g}"
+        )
+    repeated = repeated_rows(table)
+    if len(repeated):
+        first, second = repeated[0]
+        raise SonarrecError(
+            f"{path} line {line_number(path, second)}: repeats line {line_number(path, first)} "
+            f"(same {table.key}, landmark and position); delete one of them"
+        )
+    return table
+
+
+def read_rows(path: Path) -> TruthTable:
+    """Read gt.csv as it is written: `visible` of any value, and rows that repeat others.
+
+    Raises SonarrecError on wrong columns and on a cell that is no number.
+    """
+    kinds: dict[str, Kind] = {
+        "frame": "whole",
+        "timestamp_ns": "whole",
+        "landmark": "whole",
+        "visible": "blank or number",
+        "orientation_deg": "blank or number",
+        "log": "text",
+    }
+    table = read_table(path, kinds | POSITION_KINDS, ("landmark",), HEADER)
+    key = "frame" if "frame" in table else "timestamp_ns"
+    if key not in table:
+        raise SonarrecError(
+            f"{path}: wrong columns, neither frame nor timestamp_ns; "
+            f"expected a header such as {HEADER}"
+        )
+    visible = table.get("visible", np.ones(len(table["landmark"])))
+    visible = np.where(np.isnan(visible), 1.0, visible)
+    position = position_pair(path, table)
+    return TruthTable(
+        path=path,
+        key=key,
+        at=table[key],
+        landmark=table["landmark"],
+        visible=visible,
+        log=table.get("log"),
+        position=position,
+        orientation=table.get("orientation_deg"),
+    )
+
+
+def repeated_rows(table: TruthTable) -> IntArray:
+    """(n, 2) pairs of rows that are the same, rising; (0, 2) where positions are not told.
+
+    One ID may be in view twice, but not twice in one place.
+    """
+    if table.position is None:
+        return np.empty((0, 2), dtype=np.int64)
+    log = np.zeros(len(table.at)) if table.log is None else table.log.codes
+    cells = (table.position[2], table.position[1], table.landmark, table.at, log)
+    order = np.lexsort(cells)
+    same = np.ones(max(len(order) - 1, 0), dtype=bool)
+    for cell in cells:
+        same &= np.diff(cell[order]) == 0
+    first = np.flatnonzero(same)
+    pairs = np.sort(np.column_stack([order[first], order[first + 1]]), axis=1)
+    return np.asarray(pairs[np.argsort(pairs[:, 1])], dtype=np.int64)
+
+
+def write_truth(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Write a new gt.csv. Raises SonarrecError where it exists or cannot be written.
+
+    A file that a person may have corrected by hand is never written over.
+    """
+    try:
+        with path.open("x", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(header)
+            writer.writerows(rows)
+    except FileExistsError:
+        raise SonarrecError(
+            f"{path}: exists already and is left as it is; choose another --out"
+        ) from None
+    except OSError as error:
+        raise SonarrecError(f"{path}: cannot be written ({error.strerror})") from None
