@@ -13,7 +13,7 @@ from sonarrec import __version__, config
 from sonarrec.geometry import fan_for_image
 from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
 from sonarrec.records import Fan, SonarrecError
-from sonarrec.sonar import Sonar, check_sonar, sonar_from_table
+from sonarrec.sonar import Sonar, sonar_from_table
 
 
 def run_table(
@@ -79,9 +79,9 @@ def fan_of_run(run: dict[str, Any], path: Path, given: Sonar | None) -> Fan | No
     sonar = sonar_from_table(table, str(path)).updated(given or Sonar())
     if sonar.metres_per_pixel is None or sonar.apex_px is None:
         return None
-    check_sonar(sonar, str(path) if run else "command line")
+    geometry = sonar.complete(str(path) if run else "command line")
     # Scale and apex are stated, so the image's size does not enter the conversion.
-    return fan_for_image(sonar, rows=1, columns=1)
+    return fan_for_image(geometry, rows=1, columns=1)
 
 
 def as_run(

@@ -16,7 +16,7 @@ import numpy as np
 from sonarrec.geometry import fan_for_image, fan_for_polar
 from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
 from sonarrec.records import Fan, FloatArray, SonarrecError, UsageError
-from sonarrec.sonar import Sonar, check_sonar
+from sonarrec.sonar import Sonar
 from sonarrec.toml import (
     Count,
     Finite,
@@ -222,7 +222,7 @@ def check_scene(scene: Scene, where: str) -> None:
 def _check_as_a_whole(scene: Scene, where: str) -> None:
     """Raise SonarrecError where the scene contradicts itself."""
     sonar, motion = scene.sonar, scene.motion
-    check_sonar(scene_sonar(scene), where)
+    scene_sonar(scene).complete(where)
     if sonar.height_m + motion.heave_m >= sonar.range_max_m or motion.heave_m >= sonar.height_m:
         raise SonarrecError(f"{where}: heave_m leaves no floor in the range window")
     if not motion.pan_min_deg <= motion.pan_start_deg <= motion.pan_max_deg:
@@ -315,7 +315,7 @@ def scene_sonar(scene: Scene) -> Sonar:
 
 def scene_fan(scene: Scene) -> Fan:
     """The fan of the scene's images: for a polar layout the one its reader resamples them into."""
-    sonar = scene_sonar(scene)
+    sonar = scene_sonar(scene).complete(scene.name)
     if scene.sonar.layout == "polar":
         return fan_for_polar(sonar, scene.sonar.range_bins)
     scale = (scene.sonar.range_max_m - scene.sonar.range_min_m) / scene.sonar.range_bins
