@@ -25,31 +25,31 @@ demo: .venv/installed  # the sample log, from images to tables
 	$(BIN)/sonarrec evaluate --ground-truth $(SAMPLE)/gt.csv build/demo/$(notdir $(SAMPLE))
 
 bench: .venv/installed  # cost per frame and memory, beside PNG decoding and a plain loop
-	$(BIN)/python -m tests.bench
+	$(BIN)/python -m tests.studies.bench
 
 memory: .venv/installed  # peak memory of reading 1 GB logs in the shapes that cost most
-	$(BIN)/python -m tests.memory
+	$(BIN)/python -m tests.studies.memory
 
 fuzz: .venv/installed  # 2,000 damaged logs through `sonarrec info` and `sonarrec run`
-	$(BIN)/python -m tests.fuzz --files 2000
+	$(BIN)/python -m tests.studies.fuzz --files 2000
 
 paper: .venv/installed  # the paper's experiment, our tables beside the published ones
-	$(BIN)/python -m tests.paper
+	$(BIN)/python -m tests.studies.paper
 
 scenes: .venv/installed  # every kind of random scene, all methods, beside the goals
-	$(BIN)/python -m tests.scenes
+	$(BIN)/python -m tests.studies.scenes
 
 ablation: .venv/installed  # the default with one idea at a time put back
-	$(BIN)/python -m tests.ablation
+	$(BIN)/python -m tests.studies.ablation
 
 study: .venv/installed  # the paper's scene thirty times over: intervals and tests
-	$(BIN)/python -m tests.study
+	$(BIN)/python -m tests.studies.study
 
 model: .venv/installed  # the built-in appearance model, from simulated recordings (minutes)
-	$(BIN)/python -m sonarrec.calibration
+	$(BIN)/python -m sonarrec.learning.built_in
 
 regression: .venv/installed  # the sample logs against their results on record
-	$(BIN)/python -m tests.regression
+	$(BIN)/python -m tests.studies.regression
 
 clean:
 	rm -rf build .venv

@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import msgspec
 import numpy as np
 
 from sonarrec.records import FloatArray, SonarrecError
-from sonarrec.toml import Positive, Share, Whole, from_table, named_file, read_toml, shown
+from sonarrec.toml import Positive, Share, Whole, from_table, length, named_file, read_toml, shown
 
 BUILT_IN = Path(__file__).parent / "landmark_sets"
 
@@ -70,7 +69,7 @@ class _Row:
     """One [[landmark]] of a file."""
 
     id: Whole
-    sectors: Annotated[tuple[Literal[0, 1], ...], msgspec.Meta(min_length=1, max_length=360)]
+    sectors: Annotated[tuple[Literal[0, 1], ...], length(1, 360)]
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,6 +32,11 @@ def bounds(least: float, most: float = _MOST) -> msgspec.Meta:
     return msgspec.Meta(ge=least, le=most)
 
 
+def length(least: int, most: int) -> msgspec.Meta:
+    """Of a list; both are allowed."""
+    return msgspec.Meta(min_length=least, max_length=most)
+
+
 Finite = Annotated[float, bounds(-_MOST)]
 Positive = Annotated[float, msgspec.Meta(gt=0, le=_MOST)]
 NotNegative = Annotated[float, bounds(0)]

@@ -1,101 +1,231 @@
-"""Imports run downward only: read off the syntax trees, so that nothing has to be run."""
+"""Who may import whom: read off the syntax trees, so that nothing has to be run."""
 
 from __future__ import annotations
 
 import ast
+import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
 
-PACKAGE = Path(__file__).parents[1] / "sonarrec"
-MODULES = {
-    ".".join(("sonarrec", *path.relative_to(PACKAGE).with_suffix("").parts)).removesuffix(
-        ".__init__"
-    ): path
-    for path in PACKAGE.rglob("*.py")
-}
-STAGES = {name for name in MODULES if name.startswith("sonarrec.recogniser.stage")}
-READERS = {name for name in MODULES if name.startswith("sonarrec.readers")}
-CLI = {name for name in MODULES if name.startswith("sonarrec.cli")}
-# What `sonarrec --help`, `run` and `simulate` load; heavy packages must not come with it.
-LIGHT = (
-    "sonarrec.cli",
-    "sonarrec.run",
-    "sonarrec.simulation.simulate",
-    "sonarrec.readers.mcap_file",
+FLOORS = (
+    {"records"},
+    {"toml"},
+    {"config", "sonar", "landmarks", "poses", "tables"},
+    {"geometry"},
+    {"recogniser", "readers", "results", "drawing"},
+    {"mcap_writer"},
+    {"run", "truth", "simulation"},
+    {"evaluation", "overlay", "learning"},
+    {"report"},
+    {"cli"},
+    {"__main__"},
 )
+"""The rooms from the ground up. A room imports from floors below its own; of its own, itself."""
+STAGES = ("stage1_candidates", "stage2_continuity", "stage3_features")
+MAY_IMPORT = {
+    "click": ("cli",),
+    "tqdm": ("cli",),
+    "mcap": ("readers.mcap", "mcap_writer", "overlay.foxglove"),
+    "lz4": ("readers.mcap",),
+    "zstandard": ("readers.mcap",),
+    "flatbuffers": ("mcap_writer",),
+    "foxglove_schemas_flatbuffer": ("mcap_writer",),
+    "msgspec": ("toml",),
+    "pandas": ("tables", "report.logs", "report.mistakes"),
+    "matplotlib": ("evaluation.plots", "report.charts", "truth.contact_sheet"),
+    "jinja2": ("report.page",),
+    "tomli_w": ("results.write", "simulation.simulate"),
+    "cv2": (
+        "geometry",
+        "drawing",
+        "recogniser",
+        "readers.fans",
+        "readers.pixels",
+        "readers.video",
+        "mcap_writer",
+        "truth.contact_sheet",
+        "simulation",
+        "overlay",
+        "report.pictures",
+    ),
+}
+"""Of each package but numpy the modules that may import it, by how their names begin."""
+# What `sonarrec --help`, `run` and `simulate` load; heavy packages must not come with it.
+LIGHT = ("cli", "run", "simulation.simulate", "readers.mcap")
 HEAVY = {"pandas", "matplotlib", "scipy"}
 
+Sources = dict[str, str]
+PACKAGE = Path(__file__).parents[1] / "sonarrec"
 
-def imports(name: str, top_level_only: bool = False) -> set[str]:
-    """Dotted names that a module imports; of `from a import b` a.b where that is our module."""
-    tree = ast.parse(MODULES[name].read_text(encoding="utf-8"))
+
+def named(path: Path) -> str:
+    """A module's name inside the package: "" for the package itself, "readers" for a room."""
+    return ".".join(path.relative_to(PACKAGE).with_suffix("").parts).removesuffix("__init__")
+
+
+SOURCES: Sources = {
+    named(path).removesuffix("."): path.read_text(encoding="utf-8")
+    for path in sorted(PACKAGE.rglob("*.py"))
+}
+
+
+@cache
+def imported(source: str, top_level_only: bool) -> frozenset[tuple[str, str]]:
+    """What a module imports: (a, "") of `import a`, (a, b) of `from a import b`."""
+    tree = ast.parse(source)
     found = set()
     for node in tree.body if top_level_only else ast.walk(tree):
         if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
+            found |= {(alias.name, "") for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{name}: relative import"
-            assert node.module is not None
-            names = {f"{node.module}.{alias.name}" for alias in node.names}
-            found |= names & set(MODULES)
-            if not names <= set(MODULES):
-                found.add(node.module)
-    return found
+            module = "." * node.level + (node.module or "")
+            found |= {(module, alias.name) for alias in node.names}
+    return frozenset(found)
 
 
-def ours(name: str, top_level_only: bool = False) -> set[str]:
-    """The modules of the package that a module imports, by default at any depth of its code."""
-    return imports(name, top_level_only) & set(MODULES) - {"sonarrec"}
+def ours(sources: Sources, name: str, top_level_only: bool = False) -> set[str]:
+    """The modules of the package that a module imports, by default at any depth of its code.
+
+    The package itself, which has the version, is not counted.
+    """
+    found = set()
+    for module, what in imported(sources[name], top_level_only):
+        inside = module.removeprefix("sonarrec").removeprefix(".")
+        if module.partition(".")[0] == "sonarrec":
+            part = f"{inside}.{what}".removeprefix(".")
+            found.add(part if part in sources else inside)
+    return found & set(sources) - {name, ""}
 
 
-def packages(names: set[str]) -> set[str]:
-    return {name.partition(".")[0] for name in names}
+def others(sources: Sources, name: str, top_level_only: bool = False) -> set[str]:
+    """The packages that a module imports, but for Python's own and numpy."""
+    first = {n.partition(".")[0] for n, _ in imported(sources[name], top_level_only)}
+    return first - set(sys.stdlib_module_names) - {"sonarrec", "numpy", "", "__future__"}
 
 
-def test_the_modules_are_found() -> None:
-    assert len(STAGES) == 11
-    assert "sonarrec.readers.mcap_file" in READERS
+def room(name: str) -> str:
+    return name.partition(".")[0]
 
 
-def test_records_import_nothing_of_ours() -> None:
-    assert not ours("sonarrec.records")
+def begins(name: str, prefixes: tuple[str, ...]) -> bool:
+    """Whether a module is one of these, in one, or named as one and more: readers.mcap_file."""
+    return any(name == p or name.startswith((f"{p}.", f"{p}_")) for p in prefixes)
 
 
-@pytest.mark.parametrize("stage", sorted(STAGES))
-def test_stages_know_neither_each_other_nor_a_reader(stage: str) -> None:
-    same = {name for name in STAGES if name.startswith(".".join(stage.split(".")[:3]))}
-    assert not ours(stage) & ((STAGES | READERS) - same)
+def stage(name: str) -> str | None:
+    return next((s for s in STAGES if begins(name, (f"recogniser.{s}",))), None)
 
 
-@pytest.mark.parametrize("name", sorted(MODULES))
-def test_layers(name: str) -> None:
-    if name not in CLI | {"sonarrec.__main__"}:
-        assert not ours(name) & CLI
-        assert not packages(imports(name)) & {"click", "tqdm"}
-    if "mcap" not in name:  # the modules that know the format say so in their name
-        assert "mcap" not in packages(imports(name))
+def faults(sources: Sources) -> list[str]:
+    """A line for every import that must not be."""
+    floor = {r: i for i, rooms in enumerate(FLOORS) for r in rooms}
+    found = []
+    for name in sources:
+        if name == "":
+            if ours(sources, name, top_level_only=True):
+                found.append("sonarrec itself must import nothing of ours as it is loaded")
+            continue
+        if any(n.startswith(".") for n, _ in imported(sources[name], False)):
+            found.append(f"{name}: relative import")
+        for other in ours(sources, name):
+            if room(other) != room(name) and floor[room(other)] >= floor[room(name)]:
+                found.append(f"{name} imports uphill from {other}")
+            if stage(name) and stage(other) and stage(name) != stage(other):
+                found.append(f"{name}: a stage imports another, {other}")
+        if room(name) == "cli":  # else `sonarrec --help` waits for what it does not need
+            found += [
+                f"{name} imports {other} before a command is run"
+                for other in ours(sources, name, top_level_only=True)
+                if room(other) not in ("cli", "records")
+            ]
+        found += [
+            f"{name} must not import {package}"
+            for package in others(sources, name)
+            if not begins(name, MAY_IMPORT.get(package, ()))
+        ]
+    for name in filter(lambda n: begins(n, LIGHT), sources):
+        for module in sorted(loaded(sources, name)):
+            found += [
+                f"{name} loads {package}, by {module}"
+                for package in others(sources, module, top_level_only=True) & HEAVY
+            ]
+    return found + circle(sources)
 
 
-@pytest.mark.parametrize("name", LIGHT)
-def test_heavy_packages_are_imported_where_used(name: str) -> None:
-    loaded, new = set(), {name}
+def loaded(sources: Sources, name: str) -> set[str]:
+    """All modules that come with one as it is imported, their packages among them."""
+    done: set[str] = set()
+    new = {name}
     while new:
-        loaded |= new
-        new = set().union(*(ours(n, top_level_only=True) for n in new)) - loaded
-    for module in sorted(loaded):
-        assert not packages(imports(module, top_level_only=True)) & HEAVY, module
+        done |= new
+        new = {n for one in new for n in ours(sources, one, top_level_only=True)}
+        new |= {n.rpartition(".")[0] for n in done | new} - {""}
+        new -= done
+    return done
 
 
-def test_cli_imports_little_at_the_top() -> None:
-    for name in CLI:
-        assert ours(name, top_level_only=True) <= CLI | {"sonarrec.records"}
-
-
-def test_no_circle() -> None:
-    """Every module can be put below all that import it."""
-    left = {name: ours(name) for name in MODULES}
+def circle(sources: Sources) -> list[str]:
+    """Every module can be put below all that import it; else a line that names those left over."""
+    left = {name: ours(sources, name) for name in sources if name}
     while left:
-        lowest = {name for name, needs in left.items() if not needs & set(left) - {name}}
-        assert lowest, f"modules that import each other: {sorted(left)}"
+        lowest = {name for name, needs in left.items() if not needs & set(left)}
+        if not lowest:
+            return [f"modules that import each other: {', '.join(sorted(left))}"]
         left = {name: needs for name, needs in left.items() if name not in lowest}
+    return []
+
+
+def test_every_room_has_a_floor() -> None:
+    assert sorted(r for rooms in FLOORS for r in rooms) == sorted({room(n) for n in SOURCES if n})
+
+
+def test_every_name_in_the_tables_is_there() -> None:
+    for prefix in {*LIGHT, *(f"recogniser.{s}" for s in STAGES)} | {
+        p for prefixes in MAY_IMPORT.values() for p in prefixes
+    }:
+        assert any(begins(name, (prefix,)) for name in SOURCES), prefix
+    for package, prefixes in MAY_IMPORT.items():
+        for prefix in prefixes:
+            users = [n for n in SOURCES if begins(n, (prefix,)) and package in others(SOURCES, n)]
+            assert users, f"{prefix} need not import {package}"
+
+
+def test_imports_run_downward_only() -> None:
+    assert faults(SOURCES) == []
+
+
+@pytest.mark.parametrize(
+    ("module", "line", "told"),
+    [
+        ("geometry", "from sonarrec.run import process", "geometry imports uphill from run"),
+        ("records", "from sonarrec import config", "records imports uphill from config"),
+        ("readers.log", "import sonarrec.results.write", "uphill from results.write"),
+        ("recogniser.plane", "def f():\n    from sonarrec.readers import open_log", "from readers"),
+        ("truth.check", "from sonarrec.run import process", "truth.check imports uphill from run"),
+        (
+            "recogniser.stage2_continuity",
+            "from sonarrec.recogniser.stage3_features.smi import identify",
+            "a stage imports another",
+        ),
+        (
+            "recogniser.stage3_features.smi",
+            "from sonarrec.recogniser.stage1_candidates import CandidateSelector",
+            "a stage imports another",
+        ),
+        ("evaluation.joined", "from . import passes", "relative import"),
+        ("evaluation.joined", "from sonarrec.evaluation import passes", "import each other"),
+        ("run", "import click", "run must not import click"),
+        ("readers.log", "from tqdm import tqdm", "readers.log must not import tqdm"),
+        ("readers.images", "import mcap.reader", "readers.images must not import mcap"),
+        ("simulation.world", "def f():\n    import pandas", "must not import pandas"),
+        ("results.read", "import requests", "results.read must not import requests"),
+        ("run", "from sonarrec.tables import read_table", "run loads pandas, by tables"),
+        ("cli.run", "from sonarrec.run import process", "before a command is run"),
+        ("", "from sonarrec.readers import open_log", "nothing of ours as it is loaded"),
+    ],
+)
+def test_a_wrong_import_is_found(module: str, line: str, told: str) -> None:
+    planted = SOURCES | {module: f"{SOURCES[module]}\n{line}\n"}
+    assert any(told in fault for fault in faults(planted))

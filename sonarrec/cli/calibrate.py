@@ -88,8 +88,8 @@ def calibrate(
     """
     from tqdm import tqdm
 
-    from sonarrec.labelled_logs import learn
     from sonarrec.landmarks import load_landmarks
+    from sonarrec.learning.calibrate import learn
 
     if not out.parent.is_dir():
         raise UsageError(f"--out {out}: there is no folder {out.parent}")

@@ -108,20 +108,22 @@ def evaluate(
         _compare(*compare, ground_truth, out or compare[1] / "evaluation", band, quiet, options)
         return
 
-    from sonarrec.evaluation import files, scoring, tabulate
+    from sonarrec.evaluation import tabulate, write
+    from sonarrec.evaluation.evaluate import evaluate as score
+    from sonarrec.evaluation.evaluate import evaluate_pairs, read_pairs
     from sonarrec.evaluation.summary import summarise
 
     if ground_truth is not None:
         results = results or Path("sonarrec_out")
-        found = scoring.evaluate(results, ground_truth, **options)
+        found = score(results, ground_truth, **options)
         folder = out or results / "evaluation"
     elif pairs is not None:
-        found = scoring.evaluate_pairs(scoring.read_pairs(pairs), **options)
+        found = evaluate_pairs(read_pairs(pairs), **options)
         folder = out or pairs.parent / "evaluation"
     else:
         raise UsageError("nothing to score against: give --ground-truth, or --pairs")
     summary = summarise(found, unit)
-    written = files.write_evaluation(folder, found, summary, det)
+    written = write.write_evaluation(folder, found, summary, det)
     for problem in found.unused:
         click.echo(f"sonarrec: {problem}", err=True)
     if not quiet:
@@ -143,10 +145,10 @@ def _compare(
     quiet: bool,
     options: dict[str, Any],
 ) -> None:
-    from sonarrec.evaluation import compare, files
+    from sonarrec.evaluation import compare, write
 
     found = compare.compare(old, new, ground_truth, **options)
-    files.write_comparison(folder, found)
+    write.write_comparison(folder, found)
     for problem in found.unused:
         click.echo(f"sonarrec: {problem}", err=True)
     if not quiet:

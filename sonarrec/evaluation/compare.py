@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from sonarrec.evaluation.evaluate import Evaluation, check_options, pool
 from sonarrec.evaluation.joined import Joined
 from sonarrec.evaluation.passes import find_passes, find_units
-from sonarrec.evaluation.scoring import Evaluation, Scored, check_options, pool
+from sonarrec.evaluation.scoring import Scored
 from sonarrec.evaluation.tallies import rate_tallies
 from sonarrec.evaluation.uncertainty import (
     Difference,
@@ -124,7 +125,7 @@ def compare(
     """Compare two results folders, each of one log or of several, on the frames both hold.
 
     Logs go together by name, or where each side has one log. The other arguments are those of
-    `scoring.evaluate`. Raises SonarrecError where files cannot be used or nothing is in common.
+    `evaluate.evaluate`. Raises SonarrecError where files cannot be used or nothing is in common.
     """
     check_options(min_visible, tolerance_s)
     table = read_truth(ground_truth)

@@ -19,9 +19,9 @@ from sonarrec.evaluation.behaviour import (
     switches,
     wait_tallies,
 )
+from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.evaluation.passes import Passes, UnitKind, Units, find_passes, find_units
 from sonarrec.evaluation.reliability import Reliability, reliability
-from sonarrec.evaluation.scoring import Evaluation
 from sonarrec.evaluation.tallies import macro, rate_tallies
 from sonarrec.evaluation.uncertainty import (
     LEVEL,

@@ -5,45 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from sonarrec.evaluation.scoring import Evaluation, Scored
+from sonarrec.evaluation.cells import number, rate, with_interval
+from sonarrec.evaluation.evaluate import Evaluation
+from sonarrec.evaluation.metrics import DIGITS, ROWS, TESTED
+from sonarrec.evaluation.scoring import Scored
 from sonarrec.evaluation.summary import KINDS, Summary
-from sonarrec.evaluation.uncertainty import LEVEL, MIN_UNITS, Difference, Figure
+from sonarrec.evaluation.uncertainty import LEVEL, MIN_UNITS, Difference
 
 WIDTH = 100
 LABEL, COLUMN = 30, 23
-ROWS = (
-    ("tpr", "TPR", 3),
-    ("fpr", "FPR", 4),
-    ("auc", "AUC", 3),
-    ("pauc_0.05", "AUC to FPR 0.05, over 0.05", 3),
-    ("tpr_at_fpr_0.01", "TPR at FPR 0.01", 3),
-    ("tpr_at_fpr_0.0276", "TPR at FPR 0.0276 (paper)", 3),
-    ("tpr_at_fpr_0.05", "TPR at FPR 0.05", 3),
-    ("frames_to_id_median", "frames to lasting ID, median", 0),
-    ("frames_to_id_90", "frames to lasting ID, 90 %", 0),
-    ("false_claims_per_min", "claims/min on no landmark", 2),
-    ("wrong_ids_per_min", "claims/min of a wrong ID", 2),
-    ("id_switches_per_pass", "ID switches per pass", 2),
-    ("track_switches_per_pass", "track switches per pass", 2),
-    ("position_error_median_m", "position error, median, m", 4),
-    ("position_error_95_m", "position error, 95 %, m", 4),
-    ("orientation_error_median_deg", "orientation off, median, deg", 1),
-    ("orientation_error_95_deg", "orientation off, 95 %, deg", 1),
-    ("brier", "Brier score, 0 to 2", 3),
-    ("ece", "calibration error (ECE)", 3),
-)
-"""Figure, how it is called on screen, and its digits."""
-TESTED = ("tpr", "fpr", "auc", "tpr_at_fpr_0.0276")
-DIGITS = {name: digits for name, _, digits in ROWS}
-
-
-def rate(part: int, whole: int) -> str:
-    """A rate to four digits, halves upward as in the paper; "0.0000*" for 0/0."""
-    if whole == 0:
-        return "0.0000*"
-    # In whole numbers: 52/640 is .08125 and printed .0813, which binary rounding makes .0812.
-    digits = (2 * 10_000 * part + whole) // (2 * whole)
-    return f"{digits // 10_000}.{digits % 10_000:04d} "
 
 
 def paper_table(scored: Scored) -> list[str]:
@@ -127,32 +97,17 @@ def _figure_table(summary: Summary, protocol: str, methods: Sequence[str]) -> li
         for name, label, digits in ROWS:
             found = [summary.figure(protocol, m, name) for m in some]
             if any(found):
-                cells = "".join(f"{_with_interval(f, digits):<{COLUMN}}" for f in found)
+                cells = "".join(f"{with_interval(f, digits):<{COLUMN}}" for f in found)
                 lines.append(f"{label:<{LABEL}}{cells}".rstrip())
     return lines
-
-
-def _number(value: float, digits: int, sign: str = "") -> str:
-    if math.isnan(value):
-        return "-"
-    return "never" if math.isinf(value) else f"{value:{sign}.{digits}f}"
-
-
-def _with_interval(figure: Figure | None, digits: int) -> str:
-    if figure is None:
-        return "-"
-    value = _number(figure.value, digits)
-    if math.isnan(figure.low):
-        return value
-    return f"{value} ({_number(figure.low, digits)}-{_number(figure.high, digits)})"
 
 
 def _difference_line(d: Difference) -> str:
     label = next(label for name, label, _ in ROWS if name == d.name)
     digits = DIGITS[d.name]
-    text = f"{d.b} less {d.a}, {label}: {_number(d.value, digits, '+')}"
+    text = f"{d.b} less {d.a}, {label}: {number(d.value, digits, '+')}"
     if not math.isnan(d.low):
-        text += f" ({_number(d.low, digits, '+')} to {_number(d.high, digits, '+')})"
+        text += f" ({number(d.low, digits, '+')} to {number(d.high, digits, '+')})"
     return text + (f", {d.note}" if math.isnan(d.p) else f", p = {d.p:.2g}")
 
 
@@ -165,7 +120,7 @@ def _per_id(summary: Summary, protocol: str, methods: Sequence[str]) -> list[str
         for landmark in landmarks:
             label = f"{method[: LABEL - 8]} {'ID.' * landmark.isdigit()}{landmark}"
             found = [summary.figure(protocol, method, name, landmark) for name in names]
-            cells = [_with_interval(f, DIGITS[n]) for f, n in zip(found, names, strict=True)]
+            cells = [with_interval(f, DIGITS[n]) for f, n in zip(found, names, strict=True)]
             lines.append(f"{label:<{LABEL}}{''.join(f'{c:<{COLUMN}}' for c in cells)}".rstrip())
     return [*lines, ""]
 
@@ -182,6 +137,6 @@ def _per_log(evaluation: Evaluation, protocol: str) -> list[str]:
     for i, log in enumerate(joined.logs):
         for method, per_log in counts.items():
             c = per_log[i][-1]
-            cells = f"{_number(c.tpr, 3):>8}{_number(c.fpr, 4):>9}{c.tp:>7}{c.fp:>6}{c.fn:>6}"
+            cells = f"{number(c.tpr, 3):>8}{number(c.fpr, 4):>9}{c.tp:>7}{c.fp:>6}{c.fn:>6}"
             lines.append(f"{log[-LABEL + 1 :]:<{LABEL}}{method[: COLUMN - 1]:<{COLUMN}}{cells}")
     return [*lines, ""]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sonarrec.evaluation.scoring import Evaluation, evaluate
+from sonarrec.evaluation.evaluate import Evaluation, evaluate
 from sonarrec.readers import open_log
 from sonarrec.records import SonarrecError, UsageError
 from sonarrec.report.logs import ReportedLog, read_logs, sightings
@@ -48,7 +48,7 @@ def write_report(
     """Write the report on a results folder (of one log or of several) to `path`.
 
     recordings: the logs that the results came from, told apart by their names; without them the
-    page has no frames. The other arguments are those of `evaluation.scoring.evaluate`; topic
+    page has no frames. The other arguments are those of `evaluation.evaluate.evaluate`; topic
     chooses the channel of an MCAP recording, where run.toml does not tell it; method
     is the one whose sightings and tracks are shown, as in `logs.read_logs`.
     Raises SonarrecError where files cannot be used, read or written.

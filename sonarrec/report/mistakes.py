@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.evaluation.joined import Joined, nearest_truth
-from sonarrec.evaluation.scoring import Evaluation, Scored
+from sonarrec.evaluation.scoring import Scored
 
 GAP = 4
 """Frames without the mistake that do not yet end an episode: neighbouring frames are alike."""

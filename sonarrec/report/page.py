@@ -13,12 +13,13 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from sonarrec import __version__
 from sonarrec.drawing import Colour, landmark_colours
+from sonarrec.evaluation import cells
 from sonarrec.evaluation.curves import Count
+from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.evaluation.plots import COLOURS
-from sonarrec.evaluation.scoring import Evaluation
 from sonarrec.evaluation.summary import KINDS, summarise
 from sonarrec.evaluation.uncertainty import LEVEL
-from sonarrec.report import charts, figures
+from sonarrec.report import charts
 from sonarrec.report.logs import ReportedLog, Sighting, Track, sightings, tracks, true_landmark
 from sonarrec.report.mistakes import Episode, episodes, protocol_of_mistakes, told
 from sonarrec.report.pictures import Picture
@@ -82,22 +83,22 @@ class Mistakes:
 class Scores:
     """What ground truth adds to the page.
 
-    rates, rates_per_log, others (figures), differences: as `figures` gives them. units: how many,
+    rates, rates_per_log, others (figures), differences: as `cells` gives them. units: how many,
     and of what, the intervals rest on. tested: the figures compared. starred: whether a table
     prints a 0/0. curves: per protocol its name, the ROC over all IDs and that of each ID.
     reliability: per method.
     """
 
     protocols: list[str]
-    rates: list[tuple[str, list[figures.Rates]]]
-    rates_per_log: list[tuple[str, list[figures.Rates]]]
+    rates: list[tuple[str, list[cells.Rates]]]
+    rates_per_log: list[tuple[str, list[cells.Rates]]]
     units: str
     level: str
-    others: list[tuple[str, list[figures.Cell]]]
+    others: list[tuple[str, list[cells.Cell]]]
     tested: list[str]
-    differences: list[tuple[str, list[figures.Cell]]]
+    differences: list[tuple[str, list[cells.Cell]]]
     notes: list[str]
-    tables: list[figures.Table]
+    tables: list[cells.Table]
     starred: bool
     curves: list[tuple[str, charts.Chart, list[tuple[int, charts.Chart]]]]
     reliability: list[tuple[str, charts.Chart]]
@@ -152,19 +153,19 @@ def render(
 
 def _scores(tracker: str, evaluation: Evaluation) -> Scores:
     summary = summarise(evaluation)
-    tables = [figures.paper_table(s) for s in evaluation.scored]
+    tables = [cells.paper_table(s) for s in evaluation.scored]
     return Scores(
-        protocols=figures.protocols(evaluation),
-        rates=figures.rates(evaluation, summary),
-        rates_per_log=figures.rates_per_log(evaluation),
+        protocols=cells.protocols(evaluation),
+        rates=cells.rates(evaluation, summary),
+        rates_per_log=cells.rates_per_log(evaluation),
         units=f"{summary.units.count} {KINDS[summary.units.kind]}",
         level=f"{LEVEL:.0%}",
-        others=figures.figures(evaluation, summary),
-        tested=figures.TESTED_LABELS,
-        differences=figures.differences(evaluation, summary),
+        others=cells.figures(evaluation, summary),
+        tested=cells.TESTED_LABELS,
+        differences=cells.differences(evaluation, summary),
         notes=[*evaluation.notes, *summary.notes],
         tables=tables,
-        starred=any("*" in cell for table in tables for _, cells in table.rows for cell in cells),
+        starred=any("*" in cell for table in tables for _, row in table.rows for cell in row),
         curves=_curves(evaluation),
         reliability=[
             (r.method, charts.reliability(r, evaluation.joined.methods.index(r.method)))
@@ -276,7 +277,7 @@ def _curves(
 ) -> list[tuple[str, charts.Chart, list[tuple[int, charts.Chart]]]]:
     """Per protocol: its name, the curve over all IDs, and (index of an ID, its curve)."""
     found = []
-    for protocol in figures.protocols(evaluation):
+    for protocol in cells.protocols(evaluation):
         scored = [s for s in evaluation.scored if s.protocol == protocol]
         each = [
             (k, charts.roc(scored, k))
@@ -290,7 +291,7 @@ def _curves(
 def _mistakes(tracker: str, evaluation: Evaluation) -> list[Mistakes]:
     found = []
     for method in sorted(evaluation.joined.methods, key=lambda m: m != tracker):
-        count = figures.of(evaluation, method, protocol_of_mistakes(evaluation)).count()
+        count = cells.of(evaluation, method, protocol_of_mistakes(evaluation)).count()
         wrong = episodes(evaluation, method)
         shown = []
         for episode in wrong[:MOST_MISTAKES]:

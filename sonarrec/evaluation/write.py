@@ -1,0 +1,226 @@
+"""The files of `evaluation/`."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Iterable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from sonarrec.evaluation.compare import Comparison
+from sonarrec.evaluation.curves import Count, macro_curve
+from sonarrec.evaluation.evaluate import Evaluation
+from sonarrec.evaluation.plots import draw_det, draw_reliability, draw_roc, draw_roc_by_id
+from sonarrec.evaluation.reliability import BINS
+from sonarrec.evaluation.scoring import Scored
+from sonarrec.evaluation.summary import Summary
+from sonarrec.records import SonarrecError
+
+COUNTS = ("tpr", "fpr", "tp", "tn", "fp", "fn", "total")
+CONFUSION = ("protocol", "method", "landmark", *COUNTS)
+ROC = ("protocol", "method", "landmark", "threshold", "tpr", "fpr", "tp", "tn", "fp", "fn")
+FIGURES = ("protocol", "method", "landmark", "figure", "value", "low", "high", "units", "note")
+TESTS = (
+    *("protocol", "a", "b", "landmark", "figure", "value_a", "value_b", "difference"),
+    *("low", "high", "p", "units", "note"),
+)
+PASSES = (
+    *("log", "landmark", "first_frame", "last_frame", "protocol", "method", "frames", "right"),
+    *("frames_to_id", "id_switches", "track_switches"),
+)
+COMPARE = ("protocol", "method", "landmark", "rate", "old", "new", "worse_by", "of")
+CHANGES = (
+    *("protocol", "method", "log", "frame", "landmark", "change"),
+    *("tp_old", "fp_old", "fn_old", "tp_new", "fp_new", "fn_new"),
+)
+RELIABILITY = ("method", "landmark", "bin_low", "bin_high", "count", "mean_probability", "right")
+
+
+def write_evaluation(
+    folder: Path, evaluation: Evaluation, summary: Summary, det: bool = False
+) -> tuple[str, ...]:
+    """Write all tables and pictures into `folder`, made if need be; returns the files' names.
+
+    evaluation.json goes last, so where it stands the others are whole.
+    Raises SonarrecError where they cannot be written.
+    """
+    text = json.dumps(as_json(evaluation, summary), indent=2, allow_nan=False)
+    tables = {
+        "confusion.csv": (CONFUSION, _confusion(evaluation)),
+        "per_log.csv": (("log", *CONFUSION), _per_log(evaluation)),
+        "roc.csv": (ROC, _roc(evaluation)),
+        "figures.csv": (FIGURES, _figures(summary)),
+        "tests.csv": (TESTS, _tests(summary)),
+        "passes.csv": (PASSES, _passes(evaluation, summary)),
+        "reliability.csv": (RELIABILITY, _reliability(summary)),
+    }
+    pictures = ["roc.png", "roc_by_id.png"]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "evaluation.json").unlink(missing_ok=True)
+        for name, (header, rows) in tables.items():
+            write_table(folder / name, header, rows)
+        draw_roc(folder / "roc.png", evaluation.scored)
+        draw_roc_by_id(folder / "roc_by_id.png", evaluation.scored)
+        if det:
+            draw_det(folder / "det.png", evaluation.scored)
+            pictures.append("det.png")
+        if summary.reliability:
+            draw_reliability(folder / "reliability.png", summary.reliability)
+            pictures.append("reliability.png")
+        (folder / "evaluation.json").write_text(text + "\n", encoding="utf-8")
+    except OSError as error:
+        raise SonarrecError(f"{folder}: cannot be written ({error})") from None
+    return (*tables, *pictures, "evaluation.json")
+
+
+def write_comparison(folder: Path, found: Comparison) -> None:
+    """Write compare.csv and changes.csv; raises SonarrecError where they cannot be written."""
+    rates = (
+        (r.protocol, r.method, r.landmark, r.rate, r.old, r.new, r.worse, r.of) for r in found.rates
+    )
+    changes = (
+        (c.protocol, c.method, c.log, c.frame, c.landmark, c.verdict, *c.old, *c.new)
+        for c in found.frames
+    )
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_table(folder / "compare.csv", COMPARE, rates)
+        write_table(folder / "changes.csv", CHANGES, changes)
+    except OSError as error:
+        raise SonarrecError(f"{folder}: cannot be written ({error})") from None
+
+
+def write_table(path: Path, header: tuple[str, ...], rows: Iterable[tuple[Any, ...]]) -> None:
+    """A CSV file; NaN is an empty cell."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(header)
+        for row in rows:
+            writer.writerow(
+                "" if isinstance(cell, float) and math.isnan(cell) else cell for cell in row
+            )
+
+
+def _cells(scored: Scored) -> list[tuple[str, Count]]:
+    named = [(str(i), scored.count(k)) for k, i in enumerate(scored.ids)]
+    return [*named, ("total", scored.count())]
+
+
+def _counts(c: Count) -> tuple[float, ...]:
+    return c.tpr, c.fpr, c.tp, c.tn, c.fp, c.fn, c.total
+
+
+def _confusion(evaluation: Evaluation) -> Iterable[tuple[Any, ...]]:
+    for s in evaluation.scored:
+        for name, count in _cells(s):
+            yield s.protocol, s.method, name, *_counts(count)
+
+
+def _per_log(evaluation: Evaluation) -> Iterable[tuple[Any, ...]]:
+    joined = evaluation.joined
+    names = [*map(str, joined.ids), "total"]
+    split = [(s, s.counts_per_log(joined)) for s in evaluation.scored]
+    for i, log in enumerate(joined.logs):
+        for s, counts in split:
+            for name, count in zip(names, counts[i], strict=True):
+                yield log, s.protocol, s.method, name, *_counts(count)
+
+
+def _roc(evaluation: Evaluation) -> Iterable[tuple[Any, ...]]:
+    """The corners of every curve, thresholds falling from inf; macro ones have no threshold."""
+    for s in evaluation.scored:
+        curves = [(str(i), s.curve(k)) for k, i in enumerate(s.ids)]
+        for name, curve in [*curves, ("total", s.curve())]:
+            at = curve.turns()
+            columns = (
+                curve.threshold,
+                curve.tpr,
+                curve.fpr,
+                curve.tp,
+                curve.tn,
+                curve.fp,
+                curve.fn,
+            )
+            for row in zip(*(column[at].tolist() for column in columns), strict=True):
+                yield s.protocol, s.method, name, *row
+        fpr, tpr = macro_curve([curve for _, curve in curves])
+        for x, y in zip(fpr.tolist(), tpr.tolist(), strict=True):
+            yield s.protocol, s.method, "macro", "", y, x, "", "", "", ""
+
+
+def _figures(summary: Summary) -> Iterable[tuple[Any, ...]]:
+    for f in summary.figures:
+        yield f.protocol, f.method, f.landmark, f.name, f.value, f.low, f.high, f.units, f.note
+
+
+def _tests(summary: Summary) -> Iterable[tuple[Any, ...]]:
+    for d in summary.differences:
+        yield (
+            *(d.protocol, d.a, d.b, d.landmark, d.name, d.value_a, d.value_b, d.value),
+            *(d.low, d.high, d.p, d.units, d.note),
+        )
+
+
+def _passes(evaluation: Evaluation, summary: Summary) -> Iterable[tuple[Any, ...]]:
+    joined, passes = evaluation.joined, summary.passes
+    changed = {s.method: s for s in summary.switches}
+    for followed in summary.followed:
+        switches = changed.get(followed.method)
+        for i in range(len(passes.first)):
+            yield (
+                joined.logs[passes.log[i]],
+                joined.ids[passes.landmark[i]],
+                int(joined.frame[passes.first[i]]),
+                int(joined.frame[passes.last[i]]),
+                followed.protocol,
+                followed.method,
+                int(followed.frames[i]),
+                int(followed.right[i]),
+                float(followed.wait[i]),
+                "" if switches is None else int(switches.ids[i]),
+                "" if switches is None or switches.tracks is None else int(switches.tracks[i]),
+            )
+
+
+def _reliability(summary: Summary) -> Iterable[tuple[Any, ...]]:
+    for r in summary.reliability:
+        for b in range(BINS):
+            yield (
+                *(r.method, r.landmark, b / BINS, (b + 1) / BINS),
+                *(int(r.count[b]), float(r.mean[b]), float(r.right[b])),
+            )
+
+
+def as_json(evaluation: Evaluation, summary: Summary) -> dict[str, Any]:
+    """evaluation.json: what was scored, how, every count and figure; 0/0 and infinite are null."""
+    joined = evaluation.joined
+    methods: dict[str, Any] = {}
+    for s in evaluation.scored:
+        methods.setdefault(s.method, {})[s.protocol] = {
+            name: {key: _known(v) for key, v in zip(COUNTS, _counts(count), strict=True)}
+            for name, count in _cells(s)
+        }
+    return {
+        "logs": list(joined.logs),
+        "frames": len(joined.frame),
+        "landmarks": list(joined.ids),
+        "positives": int(joined.truth_positive.sum()),
+        "ignored": int((~joined.truth_positive).sum()),
+        "min_visible": evaluation.min_visible,
+        "gate_m": sorted({float(gate) for gate in joined.gate}),
+        "unit": summary.units.kind,
+        "units": summary.units.count,
+        "methods": methods,
+        "figures": [{k: _known(v) for k, v in asdict(f).items()} for f in summary.figures],
+        "differences": [{k: _known(v) for k, v in asdict(d).items()} for d in summary.differences],
+        "notes": [*evaluation.notes, *summary.notes],
+        "unused": list(evaluation.unused),
+    }
+
+
+def _known(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,75 @@
+"""The built-in appearance model, learned from simulated recordings.
+
+`make model` (`python -m sonarrec.learning.built_in`) makes it anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+
+import numpy as np
+
+from sonarrec.config import preset
+from sonarrec.geometry import PolarToFan
+from sonarrec.learning.fit import fit
+from sonarrec.learning.samples import Samples, describe, label, on_fan
+from sonarrec.recogniser.stage3_features.model import BUILT_IN
+from sonarrec.records import Frame
+from sonarrec.simulation.random_scenes import ALL_KINDS, random_scene
+from sonarrec.simulation.scene import Scene, scene_sonar
+from sonarrec.simulation.simulate import LandmarkTruth, render
+
+# Seeds of the built-in model. Those from 2000 on are for choosing settings, those from 3000 on for
+# figures that are reported: no recording serves two ends.
+MODEL_SEEDS = range(1000, 1010)
+
+
+def simulated(seed: int, kind: str) -> Samples:
+    """Samples from one random simulated recording."""
+    return samples_of(random_scene(seed, kind, wide=True))
+
+
+def samples_of(scene: Scene) -> Samples:
+    """Samples from a simulated recording."""
+    truth: list[tuple[int, LandmarkTruth]] = []
+    tracks = describe(_frames(scene, truth), preset("default"), scene.landmark_set)
+    ids = scene.landmark_set.ids
+    return label(
+        tracks,
+        np.array([row for row, _ in truth], np.int64),
+        np.array([ids.index(t.landmark) for _, t in truth], np.int64),
+        on_fan(np.array([(t.range_m, t.bearing_deg) for _, t in truth]).reshape(-1, 2)),
+    )
+
+
+def _frames(scene: Scene, truth: list[tuple[int, LandmarkTruth]]) -> Iterator[Frame]:
+    """A scene's frames as a reader would give them; their truth is added to `truth`."""
+    to_fan = None
+    for frame in render(scene):
+        truth += [(frame.index, landmark) for landmark in frame.truth]
+        image = frame.image
+        if scene.sonar.layout == "polar":
+            to_fan = to_fan or PolarToFan(scene_sonar(scene).complete(scene.name), *image.shape)
+            image = to_fan(image)
+        yield Frame(frame.index, frame.timestamp_ns, image, frame.fan)
+
+
+def make_model() -> None:
+    """Write the built-in model anew: every kind of scene, MODEL_SEEDS of each."""
+    drawn = [(seed, kind) for seed in MODEL_SEEDS for kind in ALL_KINDS]
+    with ProcessPoolExecutor() as workers:
+        parts = list(workers.map(simulated, *zip(*drawn, strict=True)))
+    count = sum(len(p.label) for p in parts)
+    head = (
+        "# Log odds of an ID against 'none of these' = bias + the curves of all features, which\n"
+        "# description.py names.\n"
+        f"# Made by `make model`: {len(drawn)} simulated recordings (seeds\n"
+        f"# {MODEL_SEEDS.start} to {MODEL_SEEDS.stop - 1} of every kind of scene), "
+        f"{count} tracks in frames.\n"
+    )
+    BUILT_IN.write_text(head + fit(parts).as_toml(), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    make_model()

@@ -1,0 +1,218 @@
+"""Learns the appearance model from a user's own labelled recordings: `sonarrec calibrate`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sonarrec.config import Config
+from sonarrec.landmarks import LandmarkSet
+from sonarrec.learning.fit import fit
+from sonarrec.learning.samples import Samples, Tracks, describe, label
+from sonarrec.readers import open_log
+from sonarrec.recogniser.stage3_features.model import AppearanceModel, load_model
+from sonarrec.records import Clock, FloatArray, Frame, SonarrecError, UsageError
+from sonarrec.sonar import Sonar
+from sonarrec.truth.match import Truth, match_truth
+from sonarrec.truth.table import read_truth
+
+# Parts of the tracks, each left out once; with fewer tracks of landmarks, or of others, that
+# would measure nothing.
+FOLDS = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Lesson:
+    """What a model was learned from, and how good it is.
+
+    seen: per ID of the set, then for 'none of these', the frames in which a track showed it and
+    the number of such tracks. before, after: mean log likelihood of the truth, in nats per track
+    and frame, by the built-in model and by one learned without the track; None where there are
+    fewer than FOLDS tracks of either kind. problems: what could not be used. notes: what the
+    recordings do not teach.
+    """
+
+    model: AppearanceModel
+    landmarks: LandmarkSet
+    logs: tuple[str, ...]
+    frames: int
+    seen: tuple[tuple[int, int], ...]
+    before: float | None
+    after: float | None
+    problems: list[str]
+    notes: list[str]
+
+    def told(self) -> list[str]:
+        """What was learned from and how well: lines to print."""
+        names = [f"ID.{i}" for i in self.landmarks.ids] + ["none of these"]
+        lines = [f"learned from {self.frames} frames of {', '.join(self.logs)}"]
+        lines += [
+            f"  {name:<13} {frames:>6} frames {tracks:>4} track{'s' * (tracks != 1)}"
+            for name, (frames, tracks) in zip(names, self.seen, strict=True)
+        ]
+        if self.before is None or self.after is None:
+            lines.append(
+                f"with fewer than {FOLDS} tracks of landmarks, or of others, the gain over the "
+                "built-in model is not measured"
+            )
+        else:
+            lines.append(
+                "log likelihood per track and frame, on tracks left out: "
+                f"built-in model {self.before:.3f}, learned {self.after:.3f}"
+            )
+        return lines
+
+    def as_toml(self) -> str:
+        """The model as a file, with what it was learned from as comments."""
+        head = [
+            "Log odds of an ID against 'none of these' = bias + the curves of all features.",
+            "Made by `sonarrec calibrate`:",
+            *self.told(),
+        ]
+        return "".join(f"# {line}\n" for line in head) + self.model.as_toml()
+
+
+def learn(
+    paths: Sequence[str | Path],
+    ground_truth: Path,
+    config: Config,
+    landmarks: LandmarkSet,
+    *,
+    sonar: Sonar | None = None,
+    sonar_file: Path | None = None,
+    topic: str | None = None,
+    time: Clock | None = None,
+    from_scratch: bool = False,
+    observe: Callable[[], object] | None = None,
+) -> Lesson:
+    """Learn an appearance model from logs and their gt.csv.
+
+    from_scratch: forget the built-in model, in place of starting from it. observe: called at
+    every frame. The rest is as in `run.process`.
+    Raises SonarrecError where logs or truth cannot be used or hold too little.
+    """
+    if config.features.measurement != "track":
+        raise UsageError(
+            "the appearance model serves features.measurement = track; this preset measures "
+            "single frames by the published model and learns nothing"
+        )
+    table = read_truth(ground_truth)
+    if table.position is None:
+        raise SonarrecError(
+            f"{ground_truth}: learning needs positions; add x_px,y_px or range_m,bearing_deg"
+        )
+    if len(paths) > 1 and table.log is None:
+        raise UsageError(
+            f"{ground_truth}: of {len(paths)} logs, the truth needs a log column that names them"
+        )
+    parts: list[Samples] = []
+    names: list[str] = []
+    problems: list[str] = []
+    notes: list[str] = []
+    frames = 0
+    for path in paths:
+        with open_log(
+            path, sonar=sonar, sonar_file=sonar_file, topic=topic, time=time or "log"
+        ) as log:
+            if log.name in names:
+                raise UsageError(f"{path}: a second log {log.name!r}; the truth tells logs by name")
+            names.append(log.name)
+            tracks = describe(_counted(log, observe), config, landmarks, name=log.name)
+            problems += log.problems
+        truth = match_truth(table, tracks)
+        frames += len(tracks.frame)
+        if not truth.rows:
+            notes.append(f"{log.name}: no row in the ground truth, so taken to hold no landmark")
+        if truth.unprocessed:
+            problems.append(
+                f"{ground_truth}: {truth.unprocessed} of {truth.rows} rows lie on no frame that "
+                f"was read of {log.name}; they teach nothing"
+            )
+        parts.append(_labelled(tracks, truth))
+    prior = None if from_scratch else load_model()
+    model = fit(parts, prior)
+    seen = _seen(parts, landmarks)
+    before, after = _left_out(parts, prior)
+    unseen = [f"ID.{i}" for i, (n, _) in zip(landmarks.ids, seen[:-1], strict=True) if not n]
+    if unseen:
+        notes.append(
+            f"{', '.join(unseen)} never seen: the curves are common to all IDs, but that they "
+            "serve here as well is not shown"
+        )
+    if before is not None and after is not None and after < before:
+        notes.append(
+            "the built-in model judges the tracks left out better than what is learned without "
+            "them; label more passes, or keep to the built-in model"
+        )
+    return Lesson(model, landmarks, tuple(names), frames, seen, before, after, problems, notes)
+
+
+def _counted(frames: Iterable[Frame], observe: Callable[[], object] | None) -> Iterator[Frame]:
+    """The frames, each told to `observe`."""
+    for frame in frames:
+        if observe is not None:
+            observe()
+        yield frame
+
+
+def _labelled(tracks: Tracks, truth: Truth) -> Samples:
+    """What one log teaches.
+
+    People label the frames they care for: what lies on a landmark in one frame is nowhere "none of
+    these".
+    """
+    assert truth.position is not None
+    samples = label(tracks, truth.row, truth.landmark, truth.position)
+    other = samples.label == len(tracks.landmarks.ids)
+    return _part(samples, ~(other & np.isin(samples.track, samples.track[~other])))
+
+
+def _seen(parts: Sequence[Samples], landmarks: LandmarkSet) -> tuple[tuple[int, int], ...]:
+    counts = []
+    for what in range(len(landmarks.ids) + 1):
+        tracks = [p.track[p.label == what] for p in parts]
+        counts.append((sum(map(len, tracks)), sum(len(np.unique(t)) for t in tracks)))
+    return tuple(counts)
+
+
+def _left_out(
+    parts: Sequence[Samples], prior: AppearanceModel | None
+) -> tuple[float | None, float | None]:
+    """Mean log likelihood by the built-in model and by models learned from the other tracks.
+
+    The tracks fall into FOLDS parts, landmarks and others apart, so that each part has of both.
+    """
+    folds = []
+    count = np.zeros(2, np.int64)  # of other tracks, of landmarks' tracks
+    for part in parts:
+        fold = np.empty(len(part.label), np.int64)
+        for track in np.unique(part.track):
+            mine = part.track == track
+            kind = int((part.label[mine] < part.features.shape[1]).any())
+            fold[mine] = count[kind] % FOLDS
+            count[kind] += 1
+        folds.append(fold)
+    if count.min() < FOLDS:
+        return None, None
+    built_in = load_model()
+    before, after = [], []
+    for k in range(FOLDS):
+        taught = [_part(p, fold != k) for p, fold in zip(parts, folds, strict=True)]
+        held = [_part(p, fold == k) for p, fold in zip(parts, folds, strict=True)]
+        learned = fit(taught, prior)
+        before += [_log_likelihood(built_in, p) for p in held]
+        after += [_log_likelihood(learned, p) for p in held]
+    return float(np.concatenate(before).mean()), float(np.concatenate(after).mean())
+
+
+def _part(samples: Samples, chosen: np.ndarray) -> Samples:
+    return Samples(samples.features[chosen], samples.label[chosen], samples.track[chosen])
+
+
+def _log_likelihood(model: AppearanceModel, samples: Samples) -> FloatArray:
+    """(n,) log probability of what each truly is."""
+    likely = model.probabilities(samples.features)[np.arange(len(samples.label)), samples.label]
+    return np.asarray(np.log(np.maximum(likely, 1e-12)))

@@ -1,0 +1,128 @@
+"""Recordings with truth to samples: every track in every frame described, and what it truly is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sonarrec.config import Config
+from sonarrec.landmarks import LandmarkSet
+from sonarrec.recogniser.recogniser import FRAMEWORK, Recogniser
+from sonarrec.recogniser.stage3_features.description import FEATURES
+from sonarrec.records import Fan, FloatArray, Frame
+
+# A track this near a true centre, in disc diameters, is on it; one farther than OFF is not. Those
+# between are neither and teach nothing.
+ON, OFF = 0.25, 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Tracks:
+    """One recording's frames, and every track in every frame, described.
+
+    frame, timestamp_ns: (F,) of the frames. row: (n,) index into frame. number: (n,) of the track.
+    position: (n, 2) metres in the fan plane, right and ahead of the sonar. features: (n, K, F).
+    """
+
+    name: str
+    landmarks: LandmarkSet
+    fan: Fan | None
+    frame: npt.NDArray[np.int64]
+    timestamp_ns: npt.NDArray[np.int64]
+    row: npt.NDArray[np.int64]
+    number: npt.NDArray[np.int64]
+    position: FloatArray
+    features: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """Described tracks with what they truly are.
+
+    features: (n, K, F). label: (n,) 0 to K - 1, the ID's place in the set; K, 'none of these'.
+    track: (n,) the same for what is one track.
+    """
+
+    features: FloatArray
+    label: npt.NDArray[np.int64]
+    track: npt.NDArray[np.int64]
+
+
+class _Recorder:
+    """Stands in for the model while samples are gathered: keeps what it was asked about last."""
+
+    def __init__(self) -> None:
+        self.features: FloatArray = np.empty((0, 0, len(FEATURES)))
+
+    def probabilities(self, features: FloatArray) -> FloatArray:
+        self.features = features
+        n, ids, _ = features.shape
+        return np.full((n, ids + 1), 1 / (ids + 1))
+
+
+def describe(
+    frames: Iterable[Frame],
+    config: Config,
+    landmarks: LandmarkSet,
+    *,
+    name: str = "",
+) -> Tracks:
+    """Run stages 1 and 2 over a recording and describe every track in every frame."""
+    recorder = _Recorder()
+    recogniser = fan = None
+    index, stamp, number, polar = [], [], [], []
+    features: list[FloatArray] = [np.empty((0, len(landmarks.ids), len(FEATURES)))]
+    rows: list[int] = []
+    for row, frame in enumerate(frames):
+        fan = fan or frame.fan
+        recogniser = recogniser or Recogniser(config, fan, landmarks, recorder)
+        result = recogniser.step(frame)
+        tracks = [e for e in result.estimates if e.method == FRAMEWORK]
+        index.append(frame.index)
+        stamp.append(frame.timestamp_ns)
+        rows += [row] * len(tracks)
+        number += [e.object for e in tracks]
+        polar += [(e.range_m, e.bearing_deg) for e in tracks]
+        features.append(recorder.features[: len(tracks)])
+    return Tracks(
+        name,
+        landmarks,
+        fan,
+        np.array(index, np.int64),
+        np.array(stamp, np.int64),
+        np.array(rows, np.int64),
+        np.array(number, np.int64),
+        on_fan(np.array(polar).reshape(-1, 2)),
+        np.concatenate(features),
+    )
+
+
+def label(
+    tracks: Tracks, row: npt.NDArray[np.int64], landmark: npt.NDArray[np.int64], place: FloatArray
+) -> Samples:
+    """What the tracks of a recording truly are.
+
+    row: (T,) frame, as index into tracks.frame, of each landmark of which anything shows.
+    landmark: (T,) its place in the set. place: (T, 2) as Tracks.position.
+    """
+    ids = len(tracks.landmarks.ids)
+    found = np.full(len(tracks.row), ids)
+    nearest = np.full(len(tracks.row), np.inf)
+    for at, what, where in zip(row, landmark, place, strict=True):
+        here = np.flatnonzero(tracks.row == at)
+        distance = np.linalg.norm(tracks.position[here] - where, axis=1)
+        closer = here[distance < nearest[here]]
+        found[closer], nearest[closer] = what, distance[distance < nearest[here]]
+    distance = nearest / (2 * tracks.landmarks.radius_m)
+    found[distance > ON] = ids
+    taught = (distance <= ON) | (distance > OFF)
+    return Samples(tracks.features[taught], found[taught], tracks.number[taught])
+
+
+def on_fan(polar: FloatArray) -> FloatArray:
+    """(n, 2) metres right and ahead of the sonar, of (n, 2) slant range (m) and bearing (deg)."""
+    bearing = np.radians(polar[:, 1])
+    return np.asarray(polar[:, :1] * np.column_stack([np.sin(bearing), np.cos(bearing)]))

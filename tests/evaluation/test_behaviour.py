@@ -1,0 +1,260 @@
+"""Beyond rates: waits, false claims, switches, position errors and calibration, counted by hand."""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from sonarrec.cli import main
+from sonarrec.evaluation.evaluate import evaluate
+from sonarrec.evaluation.summary import Summary, summarise
+from tests.support.claims import evaluated, joined
+
+
+def summary_of(frames: int, truth: list, claims: list, **options) -> Summary:
+    return summarise(evaluated(joined(frames, truth, claims, **options)))
+
+
+def value(summary: Summary, name: str, method: str = "a", landmark: str = "total") -> float:
+    figure = summary.figure("strict", method, name, landmark)
+    assert figure is not None
+    return figure.value
+
+
+def claim(frame: int, landmark: int = 1, x: float = 0.0, **more) -> tuple:
+    told = {"method": 0, "score": 0.9, "declared": True, "object": 1, **more}
+    return (
+        *(told["method"], frame, landmark, x, 0, told["score"], told["declared"], told["object"]),
+        *told.get("p", ()),
+    )
+
+
+# --- Frames to a lasting right ID ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("right", "wait"),
+    [
+        ("1111111111", 0),
+        ("0011111111", 2),
+        ("1101111111", 3),  # right at first, but not for good
+        ("0000000001", 9),
+        ("1111111110", math.inf),
+        ("0000000000", math.inf),
+    ],
+)
+def test_wait_for_a_lasting_id(right: str, wait: float) -> None:
+    """Counted from the first frame whole in view; what is seen of it before does not count."""
+    truth = [(f, 1, 0, 0, f >= 5) for f in range(15)]
+    claims = [claim(f) for f in range(5)] + [
+        claim(5 + i, declared=r == "1") for i, r in enumerate(right)
+    ]
+    summary = summary_of(40, truth, claims)
+    assert [f.wait.tolist() for f in summary.followed if f.method == "a"] == [[wait], [wait]]
+    assert [f.wait.tolist() for f in summary.followed if f.method == "b"] == [[math.inf]] * 2
+
+
+def test_wait_passes_over_frames_not_whole_in_view() -> None:
+    truth = [(f, 1, 0, 0, f not in (4, 5)) for f in range(10)]
+    summary = summary_of(10, truth, [claim(f) for f in range(2, 10) if f != 4])
+    assert summary.followed[0].wait.tolist() == [2]
+
+
+def test_median_and_90_percent_over_passes() -> None:
+    waits = [0, 1, 2, 3, 4, 5, 6, 7, 8, 10]  # the last pass never settles
+    truth, claims = [], []
+    for i, wait in enumerate(waits):
+        truth += [(40 * i + f, 1, 0, 0, True) for f in range(10)]
+        claims += [claim(40 * i + f) for f in range(wait, 10)]
+    summary = summary_of(400, truth, claims)
+    assert value(summary, "frames_to_id_median") == 4
+    assert value(summary, "frames_to_id_90") == 8
+    figure = summary.figure("strict", "a", "frames_to_id_90")
+    assert figure is not None
+    assert figure.high == math.inf
+
+
+# --- False claims, switches, errors --------------------------------------------------------------
+
+
+def test_claims_on_nothing_and_of_another_id() -> None:
+    truth = [(f, 1, 0, 0, f < 10) for f in range(20)]
+    claims = [
+        *(claim(f, 3, x=1.0) for f in range(5)),  # on no landmark
+        *(claim(f, 2) for f in (0, 15)),  # on ID.1, whole in view or not
+        claim(7),  # right
+        claim(8),
+        claim(8, x=0.01),  # the second of one landmark is neither
+        claim(6, 4, x=1.0, declared=False),
+    ]
+    summary = summary_of(240, truth, claims)  # a minute
+    assert value(summary, "false_claims_per_min") == 5
+    assert value(summary, "false_claims_per_min", landmark="3") == 5
+    assert value(summary, "wrong_ids_per_min") == 2
+    assert value(summary, "wrong_ids_per_min", landmark="2") == 2
+    silent = summary_of(240, truth, claims, seconds=math.nan)
+    assert math.isnan(value(silent, "false_claims_per_min"))
+
+
+def test_switches_of_id_and_track() -> None:
+    truth = [(f, 1, 0, 0, True) for f in range(10)] + [(f, 1, 0, 0, True) for f in range(40, 50)]
+    ids = [1, 1, 2, 2, 1, 1, 1, 1, 1, 1]
+    objects = [7, 7, 7, 8, 8, 8, 9, 9, 9, 9]
+    claims = [
+        *(claim(f, ids[f], object=objects[f], declared=f != 3) for f in range(10)),
+        *(claim(f, 3, x=0.1, object=2) for f in range(3)),  # farther off, so it does not speak
+        *(claim(f, object=11) for f in range(40, 50)),  # another pass may have another number
+    ]
+    summary = summary_of(60, truth, claims, methods=("a", "smi"))
+    assert value(summary, "id_switches_per_pass") == 2 / 2
+    assert value(summary, "track_switches_per_pass") == 2 / 2
+    assert summary.figure("strict", "smi", "track_switches_per_pass") is None
+
+
+def test_position_errors() -> None:
+    truth = [(f, 1, 0, 0, True) for f in range(100)]
+    away = np.linspace(0.001, 0.1, 100)
+    claims = [claim(f, x=d) for f, d in enumerate(away.tolist())] + [claim(5, x=0.16)]
+    summary = summary_of(100, truth, claims)
+    assert value(summary, "position_error_median_m") == pytest.approx(0.05)
+    assert value(summary, "position_error_95_m") == pytest.approx(0.095)
+
+
+def test_orientation_errors() -> None:
+    """Angles wrap round, and ID.2 (1010) looks the same after half a turn."""
+    ones = [(f, 1, 0, 0, True, a) for f, a in enumerate((359, 182, 3))]
+    twos = [(f, 2, 1, 0, True, a) for f, a in enumerate((359, 182, math.nan))]
+    claims = [claim(f, k + 1, x=k) for f in range(3) for k in (0, 1)]
+    summary = summary_of(3, ones + twos, claims)
+    assert value(summary, "orientation_error_median_deg", landmark="1") == 3
+    assert value(summary, "orientation_error_95_deg", landmark="1") == 178
+    assert value(summary, "orientation_error_95_deg", landmark="2") == 2
+    untold = summary_of(3, [row[:5] for row in ones], claims)
+    assert untold.figure("strict", "a", "orientation_error_median_deg") is None
+
+
+def test_orientation_from_files(tmp_path: Path) -> None:
+    (tmp_path / "frames.csv").write_text("frame\n0\n")
+    (tmp_path / "estimates.csv").write_text(
+        "frame,method,range_m,bearing_deg,orientation_deg,landmark,score,declared\n"
+        "0,m,2,0,350,1,0.9,1\n0,m,2,9,100,2,0.9,1\n0,m,3,9,,3,0.9,1\n"
+    )
+    (tmp_path / "gt.csv").write_text(
+        "frame,landmark,range_m,bearing_deg,orientation_deg\n0,1,2,0,10\n0,2,2,9,275\n0,3,3,9,7\n"
+    )
+    found = evaluate(tmp_path, tmp_path / "gt.csv")
+    assert found.joined.turn_deg.tolist() == [360, 180, 360, 360]  # 1000, 1010, 1100, 1110
+    summary = summarise(found)
+    for landmark, error in (("1", 20), ("2", 5)):
+        assert value(summary, "orientation_error_median_deg", "m", landmark) == error
+    assert math.isnan(value(summary, "orientation_error_median_deg", "m", "3"))
+
+
+# --- Calibration ---------------------------------------------------------------------------------
+
+
+def test_brier_and_reliability_by_hand() -> None:
+    truth = [(0, 1, 0, 0, True), (1, 2, 0, 0, True), (2, 1, 0, 0, False)]
+    claims = [
+        claim(0, p=(0.8, 0.1, 0, 0, 0.1)),  # on ID.1
+        claim(1, p=(0.8, 0.2, 0, 0, 0)),  # on ID.2
+        claim(2, p=(0, 0, 0, 0, 1)),  # partly in view: left out
+        claim(3, 3, x=1.0, p=(0, 0, 0.25, 0, 0.75)),  # on nothing
+        claim(4, p=()),  # says no probabilities
+    ]
+    summary = summary_of(10, truth, claims)
+    assert value(summary, "brier", landmark="1") == pytest.approx((0.2**2 + 0.8**2) / 3)
+    assert value(summary, "brier", landmark="none") == pytest.approx((0.1**2 + 0.25**2) / 3)
+    per_class = [value(summary, "brier", landmark=name) for name in ("1", "2", "3", "4", "none")]
+    assert value(summary, "brier") == pytest.approx(sum(per_class))
+    # Most probable: .8 right, .8 wrong, .75 right.
+    assert value(summary, "ece") == pytest.approx((abs(1.6 - 1) + abs(0.75 - 1)) / 3)
+    (top,) = [r for r in summary.reliability if r.landmark == "top"]
+    assert top.count.tolist() == [0, 0, 0, 0, 0, 0, 0, 1, 2, 0]
+    assert top.right[8] == 0.5
+    assert top.mean[8] == pytest.approx(0.8)
+
+
+def test_brier_equals_scikit_learns_and_honest_probabilities_are_calibrated() -> None:
+    metrics = pytest.importorskip("sklearn.metrics")
+    rng = np.random.default_rng(0)
+    n = 4000
+    p = rng.dirichlet([0.6] * 5, n).astype(np.float32)
+    outcome = (rng.random((n, 1)) > np.cumsum(p, axis=1)).sum(axis=1).clip(0, 4)
+    truth = [(f, k + 1, 0, 0, True) for f, k in enumerate(outcome.tolist()) if k < 4]
+    summary = summary_of(n, truth, [claim(f, p=tuple(row)) for f, row in enumerate(p.tolist())])
+    for k in range(4):
+        expected = metrics.brier_score_loss(outcome == k, p[:, k])
+        assert value(summary, "brier", landmark=str(k + 1)) == pytest.approx(expected, abs=1e-6)
+    # Ten bins of some 400: a mean deviation of .8 * sqrt(.25 / 400) = .02 is chance.
+    assert value(summary, "ece") < 0.03
+
+
+def test_a_probability_beyond_1_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "frames.csv").write_text("frame\n0\n")
+    (tmp_path / "estimates.csv").write_text(
+        "frame,method,range_m,bearing_deg,landmark,score,declared,p_1\n0,m,2,0,1,0.9,1,1.2\n"
+    )
+    (tmp_path / "gt.csv").write_text("frame,landmark,range_m,bearing_deg\n0,1,2,0\n")
+    done = CliRunner().invoke(
+        main, ["evaluate", "--ground-truth", str(tmp_path / "gt.csv"), str(tmp_path)]
+    )
+    assert done.exit_code == 1
+    assert "line 2: p_1 must be 0 to 1, not '1.2'" in done.stderr
+
+
+# --- Files ---------------------------------------------------------------------------------------
+
+
+def test_files_tell_what_the_summary_holds(tmp_path: Path) -> None:
+    """Eight passes, one frame in ten missed by a, none by b; objects have names here."""
+    (tmp_path / "frames.csv").write_text(
+        "frame,timestamp_ns\n" + "".join(f"{f},{f * 250_000_000}\n" for f in range(240))
+    )
+    view = [f for f in range(240) if f % 30 < 10]
+    (tmp_path / "gt.csv").write_text(
+        "frame,landmark,range_m,bearing_deg\n" + "".join(f"{f},1,2,0\n" for f in view)
+    )
+    rows = [
+        f"{f},{m},T{f // 30},2.01,0,1,0.9,{int(m == 'b' or f % 30 != f // 30 % 2)},.9,0,0,0,.1"
+        for f in view
+        for m in "ab"
+    ]
+    (tmp_path / "estimates.csv").write_text(
+        "frame,method,object,range_m,bearing_deg,landmark,score,declared,p_1,p_2,p_3,p_4,p_none\n"
+        + "\n".join(rows)
+    )
+    done = CliRunner().invoke(
+        main, ["evaluate", "--ground-truth", str(tmp_path / "gt.csv"), str(tmp_path), "--details"]
+    )
+    assert done.exit_code == 0, done.output
+    assert "95% intervals over 8 passes" in done.output
+    assert "b less a, TPR: +0.100, p = 0.0078" in done.output
+    assert (
+        "no false claim in 8 passes, so with 95% confidence fewer than 31% of them" in done.output
+    )
+    assert max(len(line) for line in done.output.splitlines()[:-1]) <= 100
+
+    def table(name: str) -> list[dict[str, str]]:
+        with (tmp_path / "evaluation" / name).open() as file:
+            return list(csv.DictReader(file))
+
+    passes = [r for r in table("passes.csv") if (r["method"], r["protocol"]) == ("a", "strict")]
+    assert [r["frames_to_id"] for r in passes] == ["1.0", "2.0"] * 4
+    assert {(r["frames"], r["right"], r["track_switches"]) for r in passes} == {("10", "9", "0")}
+    (tested,) = [r for r in table("tests.csv") if (r["protocol"], r["figure"]) == ("strict", "tpr")]
+    assert float(tested["difference"]) == pytest.approx(0.1)
+    assert float(tested["p"]) == 2 / 2**8
+    totals = {
+        (r["method"], r["protocol"]): r for r in table("per_log.csv") if r["landmark"] == "total"
+    }
+    assert (totals["a", "strict"]["tp"], totals["a", "strict"]["fn"]) == ("72", "8")
+    top = [r for r in table("reliability.csv") if (r["method"], r["landmark"]) == ("a", "top")]
+    assert sum(int(r["count"]) for r in top) == 80
+    assert {r["right"] for r in top if r["count"] != "0"} == {"1.0"}
+    assert (tmp_path / "evaluation" / "reliability.png").is_file()

@@ -1,0 +1,211 @@
+"""Several logs at once, and two sets of results on one truth."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from sonarrec.cli import main
+from sonarrec.evaluation.compare import compare
+from sonarrec.evaluation.evaluate import Pair, evaluate, evaluate_pairs, read_pairs
+from sonarrec.records import SonarrecError
+from tests.evaluation.test_evaluation import (
+    TRUTH_HEADER,
+    random_case,
+    scored,
+    write_case,
+    write_csv,
+)
+
+FRAMES = range(40)
+TRUTH = [(f, 1, 2.0, 0.0, 1.0) for f in range(5, 25)]
+
+
+def claims(right: set[int], wrong: set[int] = frozenset(), method: str = "m") -> list[tuple]:
+    """Claims of ID.1 in place, and of ID.2 far off."""
+    return [(f, method, 2.0, 0.0, 1, 0.9, 1) for f in sorted(right)] + [
+        (f, method, 3.0, 0.0, 2, 0.8, 1) for f in sorted(wrong)
+    ]
+
+
+def command(*arguments: str | Path, code: int = 0) -> Result:
+    done = CliRunner().invoke(main, ["evaluate", *map(str, arguments)])
+    assert done.exit_code == code, done.output
+    return done
+
+
+@pytest.fixture
+def sides(tmp_path: Path) -> tuple[Path, Path, Path]:
+    """Old results, new ones and truth: the new miss ID.1 in 10 frames and invent ID.2 no more."""
+    old, truth = write_case(tmp_path / "old", FRAMES, claims(set(range(5, 25)), {30, 31}), TRUTH)
+    new, _ = write_case(tmp_path / "new", FRAMES, claims(set(range(5, 15))), TRUTH)
+    return old, new, truth
+
+
+def test_what_got_better_and_worse(sides: tuple[Path, Path, Path]) -> None:
+    old, new, truth = sides
+    done = command("--ground-truth", truth, "--compare", old, new)
+    assert "m, strict: TPR 1.0000 -> 0.5000, FPR 0.0143 -> 0.0000, AUC" in done.output
+    assert "no p-values: cases in 1 of the 6 units needed" in done.output
+    assert "4 better, 20 worse, 0 otherwise" in done.output  # two protocols
+    assert "worse: out frames 15-24, m, strict, ID.1: TP -> FN" in done.output
+    assert "better: out frames 30-31, m, strict, ID.2: FP -> TN" in done.output
+    with (new / "evaluation" / "changes.csv").open() as file:
+        rows = [r for r in csv.DictReader(file) if r["protocol"] == "strict"]
+    assert {int(r["frame"]) for r in rows if r["change"] == "worse"} == set(range(15, 25))
+    assert {int(r["frame"]) for r in rows if r["change"] == "better"} == {30, 31}
+    with (new / "evaluation" / "compare.csv").open() as file:
+        rates = {
+            (r["landmark"], r["rate"]): r for r in csv.DictReader(file) if r["protocol"] == "paper"
+        }
+    assert float(rates["1", "tpr"]["worse_by"]) == 0.5
+    assert float(rates["2", "fpr"]["worse_by"]) == pytest.approx(-2 / 40)
+    assert not (new / "evaluation" / "confusion.csv").exists()
+
+
+def test_fails_on_regression_only(sides: tuple[Path, Path, Path]) -> None:
+    old, new, truth = sides
+    arguments = ["--ground-truth", truth, "--fail-on-regression", "0.02", "-q", "--compare"]
+    done = command(*arguments, old, new, code=1)
+    lines = done.stderr.splitlines()
+    assert "sonarrec: worse: m, strict, ID.1: TPR was 1.0000, is 0.5000" in lines
+    assert not any("ID.2" in line for line in lines)
+    assert done.stdout == ""
+    # The other way round ID.2 is claimed in two frames more, which are free.
+    assert command(*arguments, new, old).stderr == ""
+    assert command(*arguments, old, old).stderr == ""
+
+
+def test_one_frame_is_no_regression_of_a_short_log(tmp_path: Path) -> None:
+    """Two frames of ten are .2, which a band of .02 would not let pass by itself."""
+    truth = [(f, 1, 2.0, 0.0, 1.0) for f in range(10)]
+    sides = [
+        write_case(tmp_path / str(n), range(20), claims(set(range(n))), truth)[0]
+        for n in (10, 8, 7)
+    ]
+    gt = tmp_path / "10" / "gt.csv"
+    assert compare(sides[0], sides[1], gt).regressions(0.02) == []
+    lines = compare(sides[0], sides[2], gt).regressions(0.02)
+    assert "m, paper, ID.1: TPR was 1.0000, is 0.7000" in lines
+
+
+def test_a_method_that_is_gone_is_a_regression(tmp_path: Path) -> None:
+    both = claims({5, 6}) + claims({5}, method="n")
+    old, truth = write_case(tmp_path / "old", FRAMES, both, TRUTH)
+    new, _ = write_case(tmp_path / "new", FRAMES, claims({5, 6}), TRUTH)
+    done = command(
+        "--ground-truth", truth, "--compare", old, new, "--fail-on-regression", 0.5, code=1
+    )
+    assert "worse: n: no longer in the results" in done.stderr
+    assert "n: only in the old results" in done.stdout
+
+
+def test_only_common_frames_are_compared(tmp_path: Path) -> None:
+    """Leaving out the frames that were hard makes nothing better."""
+    old, truth = write_case(tmp_path / "old", FRAMES, claims(set(range(5, 15))), TRUTH)
+    new, _ = write_case(tmp_path / "new", range(15), claims(set(range(5, 15))), TRUTH)
+    done = command("--ground-truth", truth, "--compare", old, new, code=3)
+    assert "25 frames are in" in done.stderr
+    assert "0 better, 0 worse" in done.stdout
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_changes_add_up_to_the_counts(tmp_path: Path, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    frames, old_claims, truth = random_case(rng)
+    _, more, _ = random_case(rng)
+    new_claims = [c for c in more if c[0] in frames] or old_claims
+    old, gt = write_case(tmp_path / "old", frames, old_claims, truth)
+    new, _ = write_case(tmp_path / "new", frames, new_claims, truth)
+    found = compare(old, new, gt)
+    for protocol in ("paper", "strict"):
+        a, b = (scored(evaluate(side, gt), protocol).count() for side in (old, new))
+        for i, name in enumerate(("tp", "fp", "fn")):
+            moved = sum(c.new[i] - c.old[i] for c in found.frames if c.protocol == protocol)
+            assert moved == getattr(b, name) - getattr(a, name)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ([], "--ground-truth, or --pairs"),
+        (["--pairs", "p.csv", "--ground-truth", "p.csv"], "--pairs"),
+        (["--ground-truth", "p.csv", "--fail-on-regression", "0.1"], "--compare"),
+        (["--ground-truth", "p.csv", "out", "--compare", "a", "b"], "no RESULTS"),
+    ],
+)
+def test_options_that_do_not_go_together(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], says: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "p.csv").write_text("results,ground_truth\n")
+    assert says in command(*arguments, code=2).stderr
+
+
+# --- Pairs of results and truth ------------------------------------------------------------------
+
+
+def test_pairs_are_pooled(tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    alone = []
+    for name in ("one", "two"):
+        frames, estimates, truth = random_case(rng)
+        alone.append(evaluate(*write_case(tmp_path / name, frames, estimates, truth)))
+    write_csv(
+        tmp_path / "pairs.csv",
+        ("results", "ground_truth", "log"),
+        [(f"{n}/out", f"{n}/gt.csv", n) for n in ("one", "two")],
+    )
+    pairs = read_pairs(tmp_path / "pairs.csv")
+    pooled = evaluate_pairs(pairs)
+    assert pooled.joined.logs == ("one", "two")
+    for protocol in ("paper", "strict"):
+        parts = [scored(one, protocol) for one in alone]
+        whole = scored(pooled, protocol)
+        np.testing.assert_array_equal(whole.declared, sum(p.declared for p in parts))
+        for i, log in enumerate(whole.counts_per_log(pooled.joined)):
+            assert log == [parts[i].count(k) for k in (0, 1, 2, 3, None)]
+    # The same from the command line; results lie beside the table.
+    done = command("--pairs", tmp_path / "pairs.csv", "--details")
+    assert "per log" in done.output
+    with (tmp_path / "evaluation" / "per_log.csv").open() as file:
+        assert {r["log"] for r in csv.DictReader(file)} == {"one", "two"}
+    # Without names both are called "out", and told apart by their folders.
+    unnamed = evaluate_pairs([Pair(p.results, p.ground_truth) for p in pairs])
+    assert unnamed.joined.logs == tuple(str(p.results) for p in pairs)
+
+
+def test_pairs_take_the_rows_of_their_log(tmp_path: Path) -> None:
+    results, _ = write_case(tmp_path, FRAMES, claims({5, 6}), [])
+    rows = [("x", *row) for row in TRUTH] + [("y", 0, 2, 2.0, 0.0, 1.0)]
+    write_csv(tmp_path / "both.csv", ("log", *TRUTH_HEADER), rows)
+    found = evaluate_pairs([Pair(results, tmp_path / "both.csv", "x")])
+    assert scored(found, "strict").count().fn == 18
+    assert found.unused == ()
+    with pytest.raises(SonarrecError, match="its log column names none of out"):
+        evaluate_pairs([Pair(results, tmp_path / "both.csv")])
+
+
+def test_a_pair_is_one_log(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        write_case(tmp_path / name, FRAMES, claims({5}), TRUTH)
+        (tmp_path / name / "out").rename(tmp_path / f"root_{name}")
+    root = tmp_path / "root"
+    root.mkdir()
+    for name in ("a", "b"):
+        (tmp_path / f"root_{name}").rename(root / name)
+    with pytest.raises(SonarrecError, match="holds 2 logs; give each a row of its own"):
+        evaluate_pairs([Pair(root, tmp_path / "a" / "gt.csv")])
+    with pytest.raises(SonarrecError, match="no pair"):
+        evaluate_pairs([])
+
+
+def test_a_method_missing_from_one_log_is_said(tmp_path: Path) -> None:
+    one, gt = write_case(tmp_path / "a", FRAMES, claims({5}) + claims({6}, method="n"), TRUTH)
+    two, _ = write_case(tmp_path / "b", FRAMES, claims({5}), TRUTH)
+    found = evaluate_pairs([Pair(one, gt, "a"), Pair(two, gt, "b")])
+    assert "b: holds nothing of n, which counts as no claim" in found.notes

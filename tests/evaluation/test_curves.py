@@ -1,0 +1,137 @@
+"""Areas and points read off ROC curves, against scikit-learn and plain searches."""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sonarrec.cli import main
+from sonarrec.evaluation.curves import Curve, macro_curve
+from sonarrec.evaluation.scoring import score
+from tests.evaluation.test_evaluation import paper_case
+from tests.support.claims import IDS, joined
+
+metrics = pytest.importorskip("sklearn.metrics")
+FRAMES = 250
+
+
+def one_vs_rest(seed: int, claimed: float = 0.8):
+    """A case with one claim at most per frame and ID, (F, K) truth, and the scores as
+    scikit-learn takes them: what was not claimed comes last."""
+    rng = np.random.default_rng(seed)
+    positive = rng.random((FRAMES, len(IDS))) < (0.4, 0.1, 0.7, 0.3)
+    # Two digits, so that many are equal.
+    points = np.round(rng.random(positive.shape) * 0.6 + positive * 0.3, 2)
+    made = rng.random(positive.shape) < claimed
+    case = joined(
+        FRAMES,
+        [(f, k + 1, k, 0, True) for f, k in np.argwhere(positive)],
+        [(0, f, k + 1, k, 0, points[f, k], False) for f, k in np.argwhere(made)],
+        methods=("a",),
+    )
+    return case, positive, np.where(made, points, -1.0)
+
+
+@pytest.mark.parametrize("protocol", ["paper", "strict"])
+@pytest.mark.parametrize("claimed", [1.0, 0.8])
+@pytest.mark.parametrize("seed", range(5))
+def test_areas_equal_scikit_learns(seed: int, claimed: float, protocol: str) -> None:
+    case, positive, points = one_vs_rest(seed, claimed)
+    scored = score(case, 0, protocol)
+    cells = [(k, positive[:, k], points[:, k]) for k in range(len(IDS))]
+    for k, truth, value in [*cells, (None, positive.ravel(), points.ravel())]:
+        curve = scored.curve(k)
+        auc = metrics.roc_auc_score(truth, value)
+        assert curve.area() == pytest.approx(auc, abs=1e-12)
+        assert curve.threshold[0] == math.inf
+        # McClish: rescaled so that chance is .5, between the areas of chance and of perfection.
+        rescaled = metrics.roc_auc_score(truth, value, max_fpr=0.05)
+        least, most = 0.05**2 / 2, 0.05
+        plain = least + (2 * rescaled - 1) * (most - least)
+        assert curve.area(0.05) == pytest.approx(plain / 0.05, abs=1e-12)
+    macro = metrics.roc_auc_score(positive, points, average="macro")
+    fpr, tpr = macro_curve([scored.curve(k) for k in range(len(IDS))])
+    assert metrics.auc(fpr, tpr) == pytest.approx(macro, abs=1e-12)
+    assert (np.diff(tpr) >= -1e-12).all()
+
+
+@settings(max_examples=50, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), most=st.floats(0, 1))
+def test_tpr_at_an_fpr_is_the_best_that_a_threshold_gives(seed: int, most: float) -> None:
+    case, positive, points = one_vs_rest(seed)
+    curve = score(case, 0, "strict").curve(2)
+    truth, value = positive[:, 2], points[:, 2]
+    reached = [
+        np.mean(value[truth] >= t)
+        for t in [*np.unique(value[value >= 0]), math.inf]
+        if np.mean(value[~truth] >= t) <= most
+    ]
+    assert curve.tpr_at(most) == pytest.approx(max(reached), abs=1e-12)
+
+
+def curve_of(tp: list[int], fp: list[int], positives: int, negatives: int) -> Curve:
+    counts = [np.array(x) for x in (tp, [negatives - n for n in fp], fp)]
+    return Curve(np.linspace(1, 0, len(tp)), *counts, np.array([positives - n for n in tp]))
+
+
+def test_areas_by_hand() -> None:
+    perfect = curve_of([0, 10, 10], [0, 0, 50], 10, 50)
+    assert perfect.area() == perfect.area(0.05) == perfect.tpr_at(0) == 1
+    # Nothing is ever claimed: a guess.
+    silent = curve_of([0], [0], 10, 50)
+    assert silent.area() == 0.5
+    assert silent.area(0.05) == pytest.approx(0.025)
+    assert silent.tpr_at(0.05) == 0
+    # Half of the positives for nothing, then no more: a straight line from (0, .5) to (1, 1).
+    half = curve_of([0, 5], [0, 0], 10, 50)
+    assert half.area() == 0.75
+    assert half.area(0.05) == pytest.approx((0.5 + 0.525) / 2)
+    assert half.tpr_at(0.05) == 0.5
+
+
+def test_macro_curve_at_equal_fpr() -> None:
+    """Steps at one FPR are kept as steps; an ID without positives is left out."""
+    a = curve_of([0, 2, 2, 4], [0, 0, 1, 1], 4, 2)
+    b = curve_of([0, 0, 4], [0, 2, 2], 4, 2)
+    none = curve_of([0, 0], [0, 1], 0, 5)
+    fpr, tpr = macro_curve([a, b, none])
+    assert fpr.tolist() == [0, 0, 0.5, 0.5, 1, 1]
+    assert tpr.tolist() == [0, 0.25, 0.25, 0.5, 0.5, 1]
+    assert [len(part) for part in macro_curve([none])] == [0, 0]
+
+
+def test_no_positives_give_empty_cells_and_never_a_zero(tmp_path: Path) -> None:
+    results, truth = paper_case(tmp_path)
+    done = CliRunner().invoke(
+        main, ["evaluate", "--ground-truth", str(truth), str(results), "--det", "--details"]
+    )
+    assert done.exit_code == 0, done.output
+    folder = results / "evaluation"
+    with (folder / "figures.csv").open() as file:
+        figures = {
+            (r["method"], r["landmark"], r["figure"]): r
+            for r in csv.DictReader(file)
+            if r["protocol"] == "paper"
+        }
+    for name in ("tpr", "auc", "pauc_0.05", "tpr_at_fpr_0.01", "frames_to_id_median"):
+        assert figures["smi", "2", name]["value"] == ""
+        assert figures["smi", "2", name]["note"] == "0/0: nothing to measure"
+    assert figures["smi", "2", "fpr"]["value"] == str(3 / 992)
+    assert figures["smi", "total", "tpr"]["value"] == str(858 / 1043)
+    # The mean of ID.1, ID.3 and ID.4.
+    mean = (353 / 362 + 266 / 347 + 239 / 334) / 3
+    assert float(figures["smi", "macro", "tpr"]["value"]) == pytest.approx(mean, abs=1e-12)
+    with (folder / "roc.csv").open() as file:
+        assert {r["tpr"] for r in csv.DictReader(file) if r["landmark"] == "2"} == {""}
+    for name in ("roc.png", "roc_by_id.png", "det.png"):
+        picture = cv2.imread(str(folder / name))
+        for bgr in ((0xB2, 0x72, 0x00), (0x00, 0x5E, 0xD5)):  # the colours of both methods
+            assert np.count_nonzero((picture == bgr).all(axis=2)) > 100, name

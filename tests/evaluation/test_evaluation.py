@@ -1,0 +1,470 @@
+"""Scoring: the paper's own numbers, and two independent counts of random cases."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sonarrec.cli import main
+from sonarrec.evaluation.cells import rate
+from sonarrec.evaluation.evaluate import Evaluation, evaluate
+from sonarrec.evaluation.scoring import Scored
+from sonarrec.evaluation.tabulate import screen
+from sonarrec.landmarks import load_landmarks
+
+IDS = (1, 2, 3, 4)
+ESTIMATE_HEADER = ("frame", "method", "range_m", "bearing_deg", "landmark", "score", "declared")
+TRUTH_HEADER = ("frame", "landmark", "range_m", "bearing_deg", "visible")
+
+
+def write_csv(path: Path, header, rows) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(header)
+        writer.writerows(rows)
+
+
+def write_case(folder: Path, frames, estimates, truth) -> tuple[Path, Path]:
+    """frames: numbers. estimates, truth: rows of the headers above. Returns (results, gt.csv)."""
+    write_csv(folder / "out" / "frames.csv", ["frame"], [[f] for f in frames])
+    write_csv(folder / "out" / "estimates.csv", ESTIMATE_HEADER, estimates)
+    write_csv(folder / "gt.csv", TRUTH_HEADER, truth)
+    return folder / "out", folder / "gt.csv"
+
+
+def scored(evaluation: Evaluation, protocol: str, method: str = "m") -> Scored:
+    (one,) = [s for s in evaluation.scored if (s.protocol, s.method) == (protocol, method)]
+    return one
+
+
+def counts(one: Scored, k: int | None = None) -> tuple[int, int, int, int]:
+    c = one.count(k)
+    return c.tp, c.tn, c.fp, c.fn
+
+
+# --- The paper's tables -------------------------------------------------------------------------
+
+PAPER_FRAMES = 992
+# Per ID: frames in view, those of them claimed, further claims of it there, claimed while absent.
+PUBLISHED_COUNTS = {
+    "smi": {1: (352, 343, 10, 52), 2: (0, 0, 0, 3), 3: (346, 265, 1, 20), 4: (330, 235, 4, 37)},
+    "framework": {
+        1: (352, 350, 0, 29),
+        2: (0, 0, 0, 0),
+        3: (346, 300, 0, 21),
+        4: (330, 239, 0, 31),
+    },
+}
+# Tables 4 and 5, columns ID.1 to ID.4 and Total, as printed.
+PUBLISHED = {
+    "smi": """
+        TPR 0.9751 0.0000 0.7666 0.7156 0.8226
+        FPR 0.0813 0.0030 0.0310 0.0559 0.0381
+        TP 353 0 266 239 858
+        TN 588 989 626 625 2828
+        FP 52 3 20 37 112
+        FN 9 0 81 95 185
+        Total 1002 992 993 996 3983""",
+    "framework": """
+        TPR 0.9943 0.0000 0.8671 0.7242 0.8648
+        FPR 0.0453 0.0000 0.0325 0.0468 0.0276
+        TP 350 0 300 239 889
+        TN 611 992 625 631 2859
+        FP 29 0 21 31 81
+        FN 2 0 46 91 139
+        Total 992 992 992 992 3968""",
+}
+
+
+def paper_case(folder: Path) -> tuple[Path, Path]:
+    """Frames, estimates and truth that carry the paper's counts."""
+    estimates, truth = [], []
+    for method, per_id in PUBLISHED_COUNTS.items():
+        for landmark, (in_view, claimed, further, absent) in per_id.items():
+            first = 97 * landmark  # the IDs come into view at different times, as in the basin
+            view = [(first + i) % PAPER_FRAMES for i in range(in_view)]
+            rest = [(first + i) % PAPER_FRAMES for i in range(in_view, PAPER_FRAMES)]
+            frames = view[:claimed] + view[:further] + rest[:absent]
+            estimates += [(f, method, 2.0, 0.0, landmark, 0.9, 1) for f in frames]
+            estimates += [(f, method, 2.0, 0.0, landmark, 0.2, 0) for f in view[claimed:]]
+            if method == "smi":
+                truth += [(f, landmark, 2.0, 0.0, 1.0) for f in view]
+    return write_case(folder, range(PAPER_FRAMES), estimates, truth)
+
+
+def test_tables_4_and_5_to_the_last_digit(tmp_path: Path) -> None:
+    results, truth = paper_case(tmp_path)
+    done = CliRunner().invoke(main, ["evaluate", "--ground-truth", str(truth), str(results)])
+    assert done.exit_code == 0, done.output
+    lines = done.output.splitlines()
+    for method, table in PUBLISHED.items():
+        start = lines.index(method) + 3
+        for line, printed in zip(lines[start:], table.split("\n")[1:], strict=False):
+            left = line.split("|")[0].replace("0.0000*", "0.0000").split()
+            assert left == printed.split()
+    assert "ID.2 is never in view" in done.output
+    assert max(len(line) for line in lines if "|" in line) <= 100
+
+    with (results / "evaluation" / "confusion.csv").open() as file:
+        rows = {
+            (r["method"], r["landmark"]): r
+            for r in csv.DictReader(file)
+            if r["protocol"] == "paper"
+        }
+    assert [rows["smi", i]["total"] for i in ("1", "2", "3", "4", "total")] == [
+        "1002", "992", "993", "996", "3983",
+    ]  # fmt: skip
+    assert rows["smi", "2"]["tpr"] == ""  # 0/0 is no result
+    assert float(rows["framework", "total"]["tpr"]) == pytest.approx(889 / 1028, abs=1e-15)
+
+    told = json.loads((results / "evaluation" / "evaluation.json").read_text())
+    assert told["methods"]["smi"]["paper"]["2"]["tpr"] is None
+    assert told["methods"]["framework"]["paper"]["total"]["fp"] == 81
+    assert (results / "evaluation" / "roc.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("part", "whole", "printed"),
+    [(52, 640, "0.0813 "), (1, 1, "1.0000 "), (0, 7, "0.0000 "), (0, 0, "0.0000*")],
+)
+def test_rates_round_half_up_as_printed(part: int, whole: int, printed: str) -> None:
+    assert rate(part, whole) == printed
+
+
+# --- Small cases, each stating one rule --------------------------------------------------------
+
+NEAR, FAR = (2.0, 0.0), (3.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("what", "truth", "claims", "paper", "strict"),
+    [
+        # truth: (place, visible) of ID.1; claims of ID.1; TP, TN, FP, FN of ID.1
+        ("right", [(NEAR, 1)], [NEAR], (1, 0, 0, 0), (1, 0, 0, 0)),
+        ("missed", [(NEAR, 1)], [], (0, 0, 0, 1), (0, 0, 0, 1)),
+        ("absent, not claimed", [], [], (0, 1, 0, 0), (0, 1, 0, 0)),
+        ("absent, claimed", [], [NEAR], (0, 0, 1, 0), (0, 0, 1, 0)),
+        ("absent, claimed twice", [], [NEAR, FAR], (0, 0, 1, 0), (0, 0, 2, 0)),
+        ("wrong place", [(NEAR, 1)], [FAR], (1, 0, 0, 0), (0, 0, 1, 1)),
+        ("right and elsewhere", [(NEAR, 1)], [FAR, NEAR], (2, 0, 0, 0), (1, 0, 1, 0)),
+        ("one truth claimed twice", [(NEAR, 1)], [NEAR, NEAR], (2, 0, 0, 0), (1, 0, 1, 0)),
+        ("partly in view", [(NEAR, 0.5)], [], (0, 0, 0, 0), (0, 0, 0, 0)),
+        ("partly in view, right", [(NEAR, 0.5)], [NEAR, NEAR], (0, 0, 0, 0), (0, 0, 0, 0)),
+        ("partly in view, elsewhere", [(NEAR, 0.5)], [FAR], (0, 0, 0, 0), (0, 0, 1, 0)),
+        ("just enough in view", [(NEAR, 0.9)], [NEAR], (1, 0, 0, 0), (1, 0, 0, 0)),
+        ("two of one ID", [(NEAR, 1), (FAR, 1)], [NEAR], (1, 0, 0, 0), (1, 0, 0, 1)),
+        ("two, both claimed", [(NEAR, 1), (FAR, 1)], [NEAR, FAR], (2, 0, 0, 0), (2, 0, 0, 0)),
+        ("whole and part", [(NEAR, 1), (FAR, 0.5)], [FAR], (1, 0, 0, 0), (0, 0, 0, 1)),
+        ("on the gate", [(NEAR, 1)], [(2.15, 0.0)], (1, 0, 0, 0), (1, 0, 0, 0)),
+        ("beyond the gate", [(NEAR, 1)], [(2.151, 0.0)], (1, 0, 0, 0), (0, 0, 1, 1)),
+    ],
+)
+def test_rules(tmp_path: Path, what, truth, claims, paper, strict) -> None:
+    results, gt = write_case(
+        tmp_path,
+        [7],
+        # Another ID's estimate makes sure that the method is there, and counts for that ID alone.
+        [(7, "m", 2.5, 9.0, 2, 0.5, 0)] + [(7, "m", *c, 1, 0.9, 1) for c in claims],
+        [(7, 1, *place, visible) for place, visible in truth],
+    )
+    found = evaluate(results, gt)
+    assert counts(scored(found, "paper"), 0) == paper, what
+    assert counts(scored(found, "strict"), 0) == strict, what
+    assert counts(scored(found, "strict"), 1) == (0, 1, 0, 0), what
+
+
+def test_dropping_frames_from_the_estimates_does_not_raise_tpr(tmp_path: Path) -> None:
+    frames = range(20)
+    truth = [(f, 1, 2.0, 0.0, 1.0) for f in frames]
+    estimates = [(f, "m", 2.0, 0.0, 1, 0.9, 1) for f in frames if f % 2]
+    full = scored(evaluate(*write_case(tmp_path / "a", frames, estimates, truth)), "strict")
+    assert counts(full, 0) == (10, 0, 0, 10)
+    # Frames that were never processed leave with their truth, and their estimates do not count.
+    cut = evaluate(*write_case(tmp_path / "b", frames[:10], estimates, truth))
+    assert counts(scored(cut, "strict"), 0) == (5, 0, 0, 5)
+    assert len(cut.unused) == 2
+    assert "10 of 20 rows" in cut.unused[0]
+    assert "5 estimates" in cut.unused[1]
+
+
+# --- Random cases against a count frame by frame -------------------------------------------------
+
+
+def random_case(rng: np.random.Generator) -> tuple[list, list, list]:
+    """Frames, estimates and truth with duplicates, wrong places, part views and tied scores."""
+    frames = sorted(rng.choice(12, size=rng.integers(1, 9), replace=False).tolist())
+
+    def place() -> tuple[float, float]:
+        return float(rng.uniform(1.9, 2.2)), float(rng.uniform(-4, 4))
+
+    truth, estimates = [], []
+    for frame in frames:
+        for landmark in IDS:
+            for _ in range(rng.choice([0, 1, 2], p=[0.5, 0.4, 0.1])):
+                truth.append((frame, landmark, *place(), rng.choice([1.0, 0.95, 0.9, 0.4])))
+        for _ in range(rng.integers(0, 6)):
+            score = round(float(rng.random()), 1)
+            landmark = int(rng.choice(IDS))
+            estimates.append((frame, "m", *place(), landmark, score, int(rng.random() < 0.6)))
+    estimates.append((frames[0], "m", *place(), 1, 0.5, 1))
+    truth.append((frames[0], 4, *place(), 1.0))
+    return frames, estimates, truth
+
+
+def count_frame_by_frame(frames, claims, truth, protocol: str, landmark: int) -> list[int]:
+    """[TP, TN, FP, FN] of one ID: the rules of the contract, said once more without arrays."""
+    gate = load_landmarks("basin").radius_m
+    tp = tn = fp = fn = 0
+
+    def away(a, b) -> float:
+        """By the law of cosines, from (range, bearing)."""
+        turn = math.cos(math.radians(a[1] - b[1]))
+        return math.sqrt(a[0] ** 2 + b[0] ** 2 - 2 * a[0] * b[0] * turn)
+
+    for frame in frames:
+        here = [t for t in truth if t[0] == frame and t[1] == landmark]
+        made = [c for c in claims if c[0] == frame and c[4] == landmark]
+        whole = [t for t in here if t[4] >= 0.9]
+        if protocol == "paper":
+            if whole:
+                tp += len(made)
+                fn += not made
+            elif not here:
+                fp += bool(made)
+                tn += not made
+            continue
+        taken: set = set()
+        for c in made:
+            near = min(here, key=lambda t: away(c[2:4], t[2:4]), default=None)
+            if near is None or away(c[2:4], near[2:4]) > gate:
+                fp += 1
+            elif near in whole:
+                fp += near in taken
+                taken.add(near)
+        tp += len(taken)
+        fn += len(whole) - len(taken)
+        tn += not here and not made
+    return [tp, tn, fp, fn]
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_counts_and_curves_equal_a_count_frame_by_frame(tmp_path_factory, seed: int) -> None:
+    frames, estimates, truth = random_case(np.random.default_rng(seed))
+    found = evaluate(*write_case(tmp_path_factory.mktemp("case"), frames, estimates, truth))
+    for protocol in ("paper", "strict"):
+        one = scored(found, protocol)
+
+        def brute(claims, protocol=protocol) -> np.ndarray:
+            return np.array([count_frame_by_frame(frames, claims, truth, protocol, i) for i in IDS])
+
+        expected = brute([c for c in estimates if c[6]])
+        assert [list(counts(one, k)) for k in range(4)] == expected.tolist()
+        assert list(counts(one)) == expected.sum(axis=0).tolist()
+        for k in (0, 1, 2, 3, None):
+            curve = one.curve(k)
+            assert curve.threshold[0] == math.inf
+            assert (np.diff(curve.threshold) < 0).all()  # ties are one point
+            for j, threshold in enumerate(curve.threshold):
+                at = brute([c for c in estimates if c[5] >= threshold])
+                at = at.sum(axis=0) if k is None else at[k]
+                point = [curve.tp[j], curve.tn[j], curve.fp[j], curve.fn[j]]
+                assert point == at.tolist()
+            # Rates never fall as the threshold does.
+            assert not (np.diff(curve.tpr) < 0).any()
+            assert not (np.diff(curve.fpr) < 0).any()
+
+
+def test_curve_equals_scikit_learn(tmp_path: Path) -> None:
+    metrics = pytest.importorskip("sklearn.metrics")
+    rng = np.random.default_rng(3)
+    frames = np.arange(400)
+    positive = rng.random(400) < 0.4
+    score = np.round(rng.random(400) * 0.6 + positive * 0.3, 2)  # many ties
+    found = evaluate(
+        *write_case(
+            tmp_path,
+            frames,
+            [(f, "m", 2.0, 0.0, 1, s, 0) for f, s in zip(frames, score, strict=True)],
+            [(f, 1, 2.0, 0.0, 1.0) for f in frames[positive]],
+        )
+    )
+    for protocol in ("paper", "strict"):
+        curve = scored(found, protocol).curve(0)
+        fpr, tpr, thresholds = metrics.roc_curve(positive, score, drop_intermediate=False)
+        np.testing.assert_array_equal(curve.threshold, thresholds)
+        np.testing.assert_allclose(curve.tpr, tpr, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(curve.fpr, fpr, rtol=0, atol=1e-12)
+        # What roc.csv keeps draws the same curve.
+        at = curve.turns()
+        assert len(at) < len(fpr)
+        assert metrics.auc(curve.fpr[at], curve.tpr[at]) == pytest.approx(
+            metrics.roc_auc_score(positive, score), abs=1e-12
+        )
+        few = curve.turns(most=40)
+        assert len(few) <= 42
+        assert metrics.auc(curve.fpr[few], curve.tpr[few]) == pytest.approx(
+            metrics.roc_auc_score(positive, score), abs=0.03
+        )
+
+
+def test_id_without_positives_has_no_rate(tmp_path: Path) -> None:
+    found = evaluate(
+        *write_case(tmp_path, [0, 1], [(0, "m", 2.0, 0.0, 2, 0.9, 1)], [(0, 1, 2.0, 0.0, 1.0)])
+    )
+    one = scored(found, "strict")
+    assert math.isnan(one.count(1).tpr)
+    assert np.isnan(one.curve(1).tpr).all()
+    assert one.count(1).fpr == 0.5
+    assert any("ID.2 is never in view" in note for note in found.notes)
+    assert "0.0000*" in screen(found)
+
+
+# --- Several logs --------------------------------------------------------------------------------
+
+
+def test_logs_are_pooled(tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    cases = {name: random_case(rng) for name in ("a", "b")}
+    alone, rows = [], []
+    for name, (frames, estimates, truth) in cases.items():
+        results, gt = write_case(tmp_path / name, frames, estimates, truth)
+        alone.append(evaluate(results, gt))
+        shutil.copytree(results, tmp_path / "root" / name)
+        rows += [(name, *row) for row in truth]
+    write_csv(tmp_path / "gt.csv", ("log", *TRUTH_HEADER), rows)
+    pooled = evaluate(tmp_path / "root", tmp_path / "gt.csv")
+    assert pooled.joined.logs == ("a", "b")
+    for protocol in ("paper", "strict"):
+        parts = [scored(one, protocol).declared for one in alone]
+        np.testing.assert_array_equal(scored(pooled, protocol).declared, sum(parts))
+    # One log's folder takes its own rows of the same file, without complaint.
+    one = evaluate(tmp_path / "root" / "b", tmp_path / "gt.csv")
+    np.testing.assert_array_equal(
+        scored(one, "strict").declared, scored(alone[1], "strict").declared
+    )
+    assert one.unused == ()
+
+
+# --- Other programs' tables ----------------------------------------------------------------------
+
+RUN_TOML = """
+[sonar]
+layout = "fan"
+range_min_m = 1.25
+range_max_m = 3.75
+field_of_view_deg = 28.8
+tilt_deg = 20.0
+metres_per_pixel = 0.01
+apex_px = [100.0, 400.0]
+"""
+
+
+def pixel_case(folder: Path) -> tuple[Path, Path]:
+    write_csv(folder / "out" / "frames.csv", ["frame"], [[0], [1]])
+    header = ("frame", "method", "x_px", "y_px", "landmark", "score", "declared")
+    rows = [(0, "other", 100, 200, 1, 0.9, 1), (1, "other", 120, 200, 1, 0.8, 1)]
+    write_csv(folder / "out" / "estimates.csv", header, rows)
+    # 0.14 m off the claim in frame 0, 0.16 m in frame 1.
+    write_csv(
+        folder / "gt.csv",
+        ("frame", "landmark", "x_px", "y_px"),
+        [(0, 1, 100, 214), (1, 1, 104, 200)],
+    )
+    return folder / "out", folder / "gt.csv"
+
+
+def test_pixels_become_metres_by_run_toml_or_flags(tmp_path: Path) -> None:
+    results, truth = pixel_case(tmp_path)
+    bare = evaluate(results, truth)
+    assert {s.protocol for s in bare.scored} == {"paper"}
+    assert any("strict protocol is not scored" in note for note in bare.notes)
+
+    (tmp_path / "my.sonar.toml").write_text(RUN_TOML)
+    flags = ["--sonar", str(tmp_path / "my.sonar.toml")]
+    done = CliRunner().invoke(
+        main, ["evaluate", "--ground-truth", str(truth), str(results), *flags]
+    )
+    assert done.exit_code == 0, done.output
+    told = json.loads((results / "evaluation" / "evaluation.json").read_text())
+    assert told["methods"]["other"]["strict"]["1"] == {
+        "tpr": 0.5, "fpr": 1.0, "tp": 1, "tn": 0, "fp": 1, "fn": 1, "total": 3,
+    }  # fmt: skip
+
+    # A polar recording has no pixels of its own; run.toml states those of the fan it became.
+    stated = RUN_TOML.replace('"fan"', '"polar"').replace("metres_per", "\n[fan]\nmetres_per")
+    (results / "run.toml").write_text(stated)
+    ours = evaluate(results, truth)
+    assert counts(scored(ours, "strict", "other"), 0) == (1, 0, 1, 1)
+
+    (results / "run.toml").write_text(RUN_TOML)
+    ours = evaluate(results, truth)
+    assert counts(scored(ours, "strict", "other"), 0) == (1, 0, 1, 1)
+    # A run of ours always holds both methods: seeing nothing is a result, too.
+    assert counts(scored(ours, "strict", "framework"), 0) == (0, 0, 0, 2)
+    assert any("framework: no estimate at all" in note for note in ours.notes)
+
+
+def test_run_toml_landmarks_set_ids_and_gate(tmp_path: Path) -> None:
+    results, truth = write_case(
+        tmp_path, [0], [(0, "m", 2.0, 0.0, 8, 0.9, 1)], [(0, 8, 2.25, 0.0, 1.0)]
+    )
+    with pytest.raises(Exception, match=r"landmark 8 is not in the set 'basin'"):
+        evaluate(results, truth)
+    (results / "run.toml").write_text(
+        '[landmarks]\nname = "big"\nradius_m = 0.3\nring = [0.8, 1.0]\nsymbol = [0.0, 0.6]\n'
+        "[[landmarks.landmark]]\nid = 9\nsectors = [1, 0, 0]\n"
+        "[[landmarks.landmark]]\nid = 8\nsectors = [1, 1, 0]\n"
+    )
+    found = evaluate(results, truth)
+    assert found.joined.ids == (9, 8)
+    assert counts(scored(found, "strict"), 1) == (1, 0, 0, 0)
+    assert counts(scored(found, "strict"), 0) == (0, 1, 0, 0)
+
+
+def test_many_ids_are_still_readable(tmp_path: Path) -> None:
+    """Tables too wide for 100 columns go one below the other; ours come before other methods."""
+    patterns = ["100000", "110000", "101000", "100100", "111000", "111100"]
+    (tmp_path / "six.toml").write_text(
+        'name = "six"\nradius_m = 0.1\nring = [0.8, 1.0]\nsymbol = [0.0, 0.6]\n'
+        + "".join(f"[[landmark]]\nid = {i}\nsectors = {list(map(int, p))}\n"
+                  for i, p in enumerate(patterns, 1))
+    )  # fmt: skip
+    claims = [(0, m, 2.0, 0.0, 6, 0.9, 1) for m in ("another", "framework", "smi")]
+    results, truth = write_case(tmp_path, [0], claims, [(0, 6, 2.0, 0.0, 1.0)])
+    found = evaluate(results, truth, landmarks=str(tmp_path / "six.toml"))
+    assert found.joined.methods == ("smi", "framework", "another")
+    lines = screen(found).splitlines()
+    assert max(map(len, lines)) <= 100
+    assert sum("centre within 0.1 m" in line for line in lines) == 3
+    assert sum("ID.6" in line for line in lines) == 6
+
+
+def test_roc_file_and_picture_agree_with_the_counts(tmp_path: Path) -> None:
+    frames, estimates, truth = random_case(np.random.default_rng(11))
+    results, gt = write_case(tmp_path, frames, estimates, truth)
+    done = CliRunner().invoke(main, ["evaluate", "--ground-truth", str(gt), str(results), "-q"])
+    assert done.exit_code == 0, done.output
+    with (results / "evaluation" / "roc.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    curve = scored(evaluate(results, gt), "strict").curve()
+    mine = [r for r in rows if (r["protocol"], r["landmark"]) == ("strict", "total")]
+    at = curve.turns()
+    assert [float(r["threshold"]) for r in mine] == curve.threshold[at].tolist()
+    assert [int(r["fp"]) for r in mine] == curve.fp[at].tolist()
+    assert [float(r["tpr"]) for r in mine] == curve.tpr[at].tolist()
+    assert mine[0]["threshold"] == "inf"
+    picture = cv2.imread(str(results / "evaluation" / "roc.png"))
+    # The claimed method's colour, #0072B2, is on the paper: there is a curve to see.
+    assert np.count_nonzero((picture == (0xB2, 0x72, 0x00)).all(axis=2)) > 200

@@ -1,0 +1,313 @@
+"""Units, intervals and the sign-flip test: what they count, cover and reject."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+
+from sonarrec.evaluation.passes import MOST_UNITS, find_passes, find_units
+from sonarrec.evaluation.scoring import score
+from sonarrec.evaluation.summary import summarise
+from sonarrec.evaluation.tallies import CURVES, RATES, rate_tallies, ratio_tally
+from sonarrec.evaluation.uncertainty import (
+    bootstrap_weights,
+    coin_tosses,
+    differences,
+    interval,
+    intervals,
+    replicates,
+)
+from tests.support.claims import evaluated, joined
+
+LABELS = ("strict", "m", "total")
+
+# --- Passes and units ----------------------------------------------------------------------------
+
+
+def seen(landmark: int, first: int, last: int) -> list[tuple]:
+    return [(f, landmark, 0, 0, True) for f in range(first, last + 1)]
+
+
+def spans(case) -> list[tuple[int, int, int]]:
+    p = find_passes(case)
+    return [
+        (case.ids[k], int(a), int(b)) for k, a, b in zip(p.landmark, p.first, p.last, strict=True)
+    ]
+
+
+def test_passes_end_where_a_landmark_stays_away() -> None:
+    truth = seen(1, 5, 20) + seen(1, 31, 40) + seen(1, 60, 70) + seen(2, 10, 12)
+    truth += [(f, 3, 0, 0, False) for f in range(80)]  # partly in view only
+    case = joined(100, truth, [])
+    assert spans(case) == [(1, 5, 40), (2, 10, 12), (1, 60, 70)]
+    # The end of a log ends every pass.
+    assert spans(joined(100, seen(1, 40, 60), [], logs=[0] * 50 + [1] * 50)) == [
+        (1, 40, 49),
+        (1, 50, 60),
+    ]
+
+
+def test_units_are_passes_and_what_is_nearest() -> None:
+    # ID.1 and ID.2 are seen together, ID.3 after them with little in common, ID.4 long after.
+    truth = seen(1, 10, 29) + seen(2, 15, 34) + seen(3, 31, 50) + seen(4, 71, 90)
+    case = joined(100, truth, [])
+    units = find_units(case, find_passes(case))
+    assert (units.kind, units.count) == ("pass", 3)
+    landmark = case.truth_landmark
+    assert set(units.of_truth[landmark < 2]) == {0}
+    assert set(units.of_truth[landmark == 2]) == {1}  # also in the frames that ID.2 shares
+    assert set(units.of_truth[landmark == 3]) == {2}
+    # Borders: the middle of frames 31 to 34, then of the gap from 50 to 71.
+    assert units.of_frame.tolist() == [0] * 33 + [1] * 28 + [2] * 39
+
+
+def test_a_log_without_landmarks_is_a_unit_and_many_logs_are_units() -> None:
+    logs = np.repeat([0, 1, 2], 30)
+    case = joined(90, seen(1, 0, 9) + seen(1, 25, 29) + seen(2, 60, 80), [], logs=logs)
+    units = find_units(case, find_passes(case))
+    assert units.count == 4
+    assert set(units.of_frame[logs == 1]) == {2}
+    assert find_units(case, find_passes(case), "log").of_frame.tolist() == logs.tolist()
+    many = joined(100, seen(1, 0, 99), [], logs=np.arange(100) // 10)
+    assert find_units(many, find_passes(many)).kind == "log"
+
+
+def test_very_many_units_are_put_together_in_order() -> None:
+    truth = [row for start in range(0, 30_000, 30) for row in seen(1, start, start + 9)]
+    case = joined(30_000, truth, [])
+    units = find_units(case, find_passes(case))
+    assert units.count == MOST_UNITS
+    assert (np.diff(units.of_frame) >= 0).all()
+    assert np.ptp(np.bincount(units.of_frame)) <= 30  # a pass more or less
+
+
+def random_case(rng: np.random.Generator, passes: int, length: int = 20, gap: int = 15):
+    """Two methods with right, wrong and misplaced claims and scores of many values."""
+    truth, claims = [], []
+    for i in range(passes):
+        first, landmark = i * (length + gap), int(rng.integers(1, 5))
+        truth += seen(landmark, first, first + length - 1)
+        for method, frame in product((0, 1), range(first, first + length + gap)):
+            for _ in range(rng.integers(0, 3)):
+                claim = landmark if rng.random() < 0.7 else int(rng.integers(1, 5))
+                place = 0 if rng.random() < 0.7 else 1
+                points = float(rng.random())
+                claims.append((method, frame, claim, place, 0, points, points > 0.4))
+    return joined(passes * (length + gap), truth, claims)
+
+
+def test_units_add_up_to_the_whole() -> None:
+    case = random_case(np.random.default_rng(1), 8)
+    units = find_units(case, find_passes(case))
+    for protocol in ("paper", "strict"):
+        scored = score(case, 0, protocol)
+        split = scored.declared_by(units.of_frame, units.of_truth, units.count)
+        np.testing.assert_array_equal(split.sum(axis=0), scored.declared)
+        assert (split >= 0).all()  # what a claim takes away, its own unit has
+        for k, tally in enumerate(rate_tallies(scored, units)):
+            found = dict(
+                zip(tally.names, tally.figures(tally.sums.sum(axis=0)[None])[0], strict=True)
+            )
+            exact = dict(zip(tally.names, tally.values, strict=True))
+            assert found["tpr"] == pytest.approx(exact["tpr"], abs=1e-6)
+            assert found["fpr"] == pytest.approx(exact["fpr"], abs=1e-6)
+            # Curves are held in steps of .001 to .02 of FPR, over each of which the TPR rises.
+            assert found["auc"] == pytest.approx(exact["auc"], abs=0.01), k
+            for name in CURVES[2:]:
+                assert found[name] == pytest.approx(exact[name], abs=1e-6), name
+
+
+def test_counts_per_log_add_up() -> None:
+    case = random_case(np.random.default_rng(2), 6)
+    second = case.frame >= 3 * 35  # three of the six passes
+    case = replace(case, logs=("x", "y"), log=second.astype(int))
+    scored = score(case, 0, "strict")
+    per_log = scored.counts_per_log(case)
+    in_second = second[case.truth_frame]
+    assert [log[-1].tp + log[-1].fn for log in per_log] == [(~in_second).sum(), in_second.sum()]
+    for k, total in enumerate([*scored.declared.tolist(), scored.declared.sum(axis=0).tolist()]):
+        split = [(log[k].tp, log[k].tn, log[k].fp, log[k].fn) for log in per_log]
+        assert np.sum(split, axis=0).tolist() == total
+
+
+# --- Intervals -----------------------------------------------------------------------------------
+
+
+def test_bootstrap_of_a_mean_has_the_known_spread() -> None:
+    """The variance of a resampled mean is that of the units over their number."""
+    rng = np.random.default_rng(0)
+    values = rng.normal(size=40)
+    tally = ratio_tally(LABELS, ("mean",), [values], [np.ones(40)])
+    drawn = replicates(tally, bootstrap_weights(40, rng, 20_000))[:, 0]
+    assert drawn.mean() == pytest.approx(values.mean(), abs=0.005)  # 4 standard errors: .0045
+    assert drawn.std() == pytest.approx(values.std() / math.sqrt(40), rel=0.03)
+
+
+def test_interval_is_widened_as_student() -> None:
+    """Of normal replicates it is the t interval: 2.365 sqrt(8 / 7) standard deviations for 8."""
+    drawn = np.random.default_rng(0).normal(size=400_000)
+    low, high = interval(drawn, 8)
+    assert (low, high) == pytest.approx((-2.528, 2.528), abs=0.03)
+
+
+@pytest.mark.parametrize("units", [8, 20])
+def test_intervals_cover(units: int) -> None:
+    """Clusters of correlated frames: 95 % intervals hold the truth in 92 to 98 % of 600 cases.
+
+    Frame-level ones do in fewer than 70 %.
+    """
+    rng = np.random.default_rng(units)
+    held = held_by_frames = 0
+    for _ in range(600):
+        rates = rng.beta(4, 2, units)
+        part = rng.binomial(30, rates).astype(float)
+        tally = ratio_tally(LABELS, ("rate",), [part], [np.full(units, 30.0)])
+        drawn = replicates(tally, bootstrap_weights(units, rng, 500))
+        (figure,) = intervals(tally, drawn)
+        held += figure.low <= 4 / 6 <= figure.high
+        error = math.sqrt(figure.value * (1 - figure.value) / (30 * units))
+        held_by_frames += abs(figure.value - 4 / 6) <= 1.96 * error
+    assert 0.92 <= held / 600 <= 0.98
+    assert held_by_frames / 600 < 0.70
+
+
+def test_few_or_equal_units_are_said_to_say_nothing() -> None:
+    few = ratio_tally(LABELS, ("rate",), [np.arange(5.0)], [np.full(5, 9.0)])
+    rng = np.random.default_rng(0)
+    (figure,) = intervals(few, replicates(few, bootstrap_weights(5, rng)))
+    assert math.isnan(figure.low)
+    assert figure.note == "cases in 5 of the 6 units needed: no interval"
+    (difference,) = differences(few, few, bootstrap_weights(5, rng), coin_tosses(5, rng))
+    assert math.isnan(difference.p)
+    equal = ratio_tally(LABELS, ("rate",), [np.zeros(9)], [np.full(9, 9.0)])
+    (figure,) = intervals(equal, replicates(equal, bootstrap_weights(9, rng)))
+    assert (figure.value, figure.note) == (0.0, "alike in all 9 units: no interval")
+    assert math.isnan(figure.high)
+
+    summary = summarise(evaluated(joined(40, seen(1, 0, 9) + seen(2, 20, 29), [])))
+    assert "only 2 independent units" in summary.notes[0]
+    assert all(math.isnan(f.low) for f in summary.figures)
+    assert all(math.isnan(d.p) for d in summary.differences)
+
+
+# --- The test ------------------------------------------------------------------------------------
+
+
+def test_p_value_by_enumeration() -> None:
+    """All 2^7 ways to swap two methods, one by one."""
+    rng = np.random.default_rng(4)
+    part = rng.integers(0, 20, (2, 7)).astype(float)
+    whole = rng.integers(20, 30, (2, 7)).astype(float)
+    a, b = (ratio_tally(LABELS, ("rate",), [p], [w]) for p, w in zip(part, whole, strict=True))
+    tosses = coin_tosses(7, rng)
+    assert len(np.unique(tosses, axis=0)) == 2**7
+    (found,) = differences(a, b, bootstrap_weights(7, rng), tosses)
+
+    def difference(swap: tuple[int, ...]) -> float:
+        rows = np.arange(7)
+        s = np.array(swap)
+        rate = [part[s ^ i, rows].sum() / whole[s ^ i, rows].sum() for i in (0, 1)]
+        return rate[1] - rate[0]
+
+    seen_one = difference((0,) * 7)
+    all_ways = [abs(difference(s)) >= abs(seen_one) - 1e-12 for s in product((0, 1), repeat=7)]
+    assert found.value == pytest.approx(seen_one)
+    assert found.p == pytest.approx(np.mean(all_ways))
+
+
+def correlated(rng: np.random.Generator, rate: float, frames: int) -> np.ndarray:
+    """(frames,) right or wrong along a pass, changing its mind once in ten frames or so."""
+    keep = rng.random(frames) < 0.9
+    fresh = rng.random(frames) < rate
+    last = np.maximum.accumulate(np.where(keep, -1, np.arange(frames)))
+    return fresh[np.maximum(last, 0)]
+
+
+def mcnemar_rejects(a: np.ndarray, b: np.ndarray) -> bool:
+    """The frame-level test that must not be used, at .05."""
+    only_a, only_b = np.sum(a & ~b), np.sum(b & ~a)
+    return bool((only_a - only_b) ** 2 > 3.841 * max(only_a + only_b, 1))
+
+
+@pytest.mark.parametrize("units", [8, 18])
+def test_null_simulation(units: int) -> None:
+    """Two equal methods, neighbouring frames alike: at .05 the test rejects at most .05.
+
+    1,000 cases have a standard error of .007; three of them are granted. A frame-level test
+    rejects true nulls far more often, so the simulation would show it.
+    """
+    rng = np.random.default_rng(units)
+    weights = bootstrap_weights(units, rng, 10)
+    tosses = coin_tosses(units, rng, 999)
+    rejected = by_frames = 0
+    for _ in range(1000):
+        right = np.empty((2, units, 30), dtype=bool)
+        for u in range(units):
+            common = rng.beta(3, 1)  # a hard pass is hard for both
+            for m in (0, 1):
+                right[m, u] = correlated(rng, common, 30)
+        a, b = (
+            ratio_tally(LABELS, ("tpr",), [r.sum(axis=1)], [np.full(units, 30.0)]) for r in right
+        )
+        (found,) = differences(a, b, weights, tosses)
+        rejected += found.p <= 0.05
+        by_frames += mcnemar_rejects(right[0].ravel(), right[1].ravel())
+    assert rejected / 1000 <= 0.05 + 3 * 0.007
+    assert by_frames / 1000 > 0.3
+
+
+def test_null_simulation_of_every_figure() -> None:
+    """The whole way from claims to p: rates and points of curves of two equal methods.
+
+    Scores wander slowly along a pass, false claims come in bursts. In 120 cases more than
+    .05 + 3 standard errors (.02 each) would be 13.
+    """
+    rng = np.random.default_rng(9)
+    cases, passes, length, gap = 120, 10, 20, 15
+    rejected = dict.fromkeys(RATES + CURVES, 0)
+    for _ in range(cases):
+        truth, claims = [], []
+        for i in range(passes):
+            first = i * (length + gap)
+            truth += seen(1, first, first + length - 1)
+            for m in (0, 1):
+                level = np.repeat(rng.normal(0.65, 0.15, 7), 5)  # of a fifth of a pass each
+                points = np.clip(level + rng.normal(0, 0.02, 35), 0, 1)
+                points[length:] -= 0.3
+                claims += [
+                    (m, first + f, 1, 0, 0, s, s > 0.6)
+                    for f, s in enumerate(points.tolist())
+                    if s > 0
+                ]
+        case = joined(passes * (length + gap), truth, claims)
+        units = find_units(case, find_passes(case))
+        a, b = (rate_tallies(score(case, m, "strict"), units)[-1] for m in (0, 1))
+        weights, tosses = bootstrap_weights(passes, rng, 10), coin_tosses(passes, rng)
+        for found in differences(a, b, weights, tosses):
+            rejected[found.name] += found.p <= 0.05
+    assert max(rejected.values()) <= 13, rejected
+
+
+def test_a_true_difference_is_found() -> None:
+    rng = np.random.default_rng(3)
+    units = 14
+    a = ratio_tally(LABELS, ("tpr",), [rng.binomial(30, 0.7, units) * 1.0], [np.full(units, 30.0)])
+    b = ratio_tally(LABELS, ("tpr",), [rng.binomial(30, 0.9, units) * 1.0], [np.full(units, 30.0)])
+    (found,) = differences(a, b, bootstrap_weights(units, rng), coin_tosses(units, rng))
+    assert found.p < 0.01
+    assert 0 < found.low < 0.2 < found.high
+    # The other way round it is the same test.
+    (back,) = differences(b, a, bootstrap_weights(units, rng), coin_tosses(units, rng))
+    assert back.value == -found.value
+    assert back.p < 0.01
+
+
+def test_a_tally_is_told_over_the_same_numbers_again() -> None:
+    """The same input gives the same intervals and p-values."""
+    case = evaluated(random_case(np.random.default_rng(7), 8))
+    assert summarise(case).figures == summarise(case).figures
+    assert summarise(case).differences == summarise(case).differences

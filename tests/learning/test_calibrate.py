@@ -1,0 +1,263 @@
+"""`sonarrec calibrate`: curves that are known, and recordings whose truth is known."""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from sonarrec.cli import main
+from sonarrec.config import preset
+from sonarrec.landmarks import load_landmarks
+from sonarrec.learning.calibrate import FOLDS, learn
+from sonarrec.learning.fit import PRIOR_WEIGHT, fit
+from sonarrec.learning.samples import Samples, Tracks, label
+from sonarrec.recogniser.stage3_features.description import FEATURES
+from sonarrec.recogniser.stage3_features.model import AppearanceModel, load_model
+from sonarrec.simulation.random_scenes import random_scene
+from sonarrec.simulation.simulate import write_recording
+
+BASIN = load_landmarks("basin")
+SAMPLES = Path(__file__).resolve().parents[2] / "sample_data"
+
+
+def sonarrec(*arguments: str | Path, code: int = 0) -> Result:
+    result = CliRunner().invoke(main, [str(a) for a in arguments])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    assert result.exit_code == code, result.output
+    return result
+
+
+# Curves
+
+
+def known_model() -> AppearanceModel:
+    """Two features that tell, one of them bent; the others are worth nothing."""
+    knots = np.linspace(-2, 2, 8)
+    values = [np.zeros(8) for _ in FEATURES]
+    values[0] = 1.5 * knots
+    values[1] = -2 * np.abs(knots) + 2 * np.abs(knots).mean()
+    return AppearanceModel(-1.0, (knots,) * len(FEATURES), tuple(values))
+
+
+def drawn(model: AppearanceModel, count: int, seed: int, ids: int = 4) -> Samples:
+    """Features drawn at random, and labels drawn from the model's probabilities."""
+    rng = np.random.default_rng(seed)
+    features = rng.uniform(-2, 2, (count, ids, len(FEATURES)))
+    edges = model.probabilities(features).cumsum(axis=1)
+    labels = (rng.random((count, 1)) > edges[:, :-1]).sum(axis=1)
+    return Samples(features, labels, np.arange(count))
+
+
+def apart(one: AppearanceModel, other: AppearanceModel, feature: int) -> float:
+    """Root mean square between two curves of mean 0 over their range."""
+    at = np.linspace(-1.9, 1.9, 50)
+    curves = [np.interp(at, m.knots[feature], m.values[feature]) for m in (one, other)]
+    curves = [c - c.mean() for c in curves]
+    return float(np.sqrt(np.mean((curves[0] - curves[1]) ** 2)))
+
+
+def log_likelihood(model: AppearanceModel, samples: Samples) -> float:
+    p = model.probabilities(samples.features)
+    return float(np.log(p[np.arange(len(samples.label)), samples.label]).mean())
+
+
+def test_known_curves_are_recovered():
+    truth = known_model()
+    learned = fit([drawn(truth, 3000, 1), drawn(truth, 1000, 2, ids=6)])
+    # A knot sees some 4000 / 8 samples: its log odds are good to 1 / sqrt(500 p (1 - p)) = .1.
+    for feature in range(len(FEATURES)):
+        assert apart(learned, truth, feature) < 0.25
+    held_out = drawn(truth, 4000, 3)
+    assert log_likelihood(learned, held_out) > log_likelihood(truth, held_out) - 0.02
+
+
+def test_a_prior_is_left_as_far_as_the_samples_ask():
+    """Few samples that fit it leave it alone, many that do not make it give way.
+
+    Many: in proportion to how strongly curves are drawn to it.
+    """
+    truth = known_model()
+    other = replace(truth, values=(-truth.values[0], *truth.values[1:]))
+    few = fit([drawn(truth, 30, 4)], truth)
+    assert max(apart(few, truth, feature) for feature in range(len(FEATURES))) < 0.2
+    many = [drawn(other, int(PRIOR_WEIGHT), seed) for seed in range(10, 60)]
+    steps = [
+        apart(fit(samples, truth), other, 0)
+        for samples in ([drawn(other, 30, 5)], [drawn(other, 300, 5)], many)
+    ]
+    assert steps[0] > steps[1] > steps[2]
+    assert steps[2] < 0.25 * apart(truth, other, 0)
+    # The more it weighs, the nearer one stays to it.
+    samples = [drawn(other, 300, 6)]
+    kept = [apart(fit(samples, truth, weight), truth, 0) for weight in (1.0, 10.0, 1e6)]
+    assert kept[0] > kept[1] > kept[2]
+    assert kept[2] < 0.01
+
+
+def test_tracks_are_labelled_by_where_they_lie():
+    """On a landmark to a quarter of a disc's diameter, off it from half of one, taught between."""
+    diameter = 2 * BASIN.radius_m
+    away = np.array([0.0, 0.2, 0.3, 0.6, 0.0])
+    tracks = Tracks(
+        name="log",
+        landmarks=BASIN,
+        fan=None,
+        frame=np.arange(2),
+        timestamp_ns=np.arange(2),
+        row=np.array([0, 0, 0, 0, 1]),
+        number=np.array([7, 8, 9, 10, 7]),
+        position=np.column_stack([away * diameter, np.full(5, 2.0)]),
+        features=np.arange(5 * 4 * len(FEATURES), dtype=float).reshape(5, 4, -1),
+    )
+    # Two landmarks in frame 0, the nearer counts; none in frame 1.
+    place = np.array([[0.0, 2.0], [-0.2 * diameter, 2.0]])
+    samples = label(tracks, np.array([0, 0]), np.array([2, 1]), place)
+    assert samples.track.tolist() == [7, 8, 10, 7]
+    assert samples.label.tolist() == [2, 2, 4, 4]
+    np.testing.assert_array_equal(samples.features, tracks.features[[0, 1, 3, 4]])
+
+
+# Recordings
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three logs of one sonar whose landmarks are unlike the simulator's: faint symbols."""
+    folder = tmp_path_factory.mktemp("site")
+    first = random_scene(2501, "near_miss")
+    first = replace(first, sonar=replace(first.sonar, range_bins=256))  # half the pixels a side
+    for name, seed in (("one", 2501), ("two", 2502), ("three", 2503)):
+        scene = random_scene(seed, "near_miss", sonar=first.sonar, noise=first.noise)
+        faint = tuple(replace(x, symbol_db=x.symbol_db - 7) for x in scene.landmarks)
+        motion = replace(first.motion, pan_min_deg=-20, pan_max_deg=20, pan_deg_s=2.5)
+        motion = replace(motion, pan_start_deg=-20.0)
+        write_recording(
+            replace(scene, name=name, frames=70, landmarks=faint, motion=motion), folder / name
+        )
+    with (folder / "gt.csv").open("w", newline="") as file:
+        table = csv.writer(file)
+        for number, name in enumerate(("one", "two")):
+            with (folder / name / "gt.csv").open(newline="") as part:
+                head, *lines = csv.reader(part)
+            table.writerows(([["log", *head]] if not number else []) + [[name, *r] for r in lines])
+    return folder
+
+
+def strict(results: Path, truth: Path) -> tuple[float, float]:
+    """TPR and FPR of the framework in total."""
+    sonarrec("evaluate", "--ground-truth", truth, results, "-q")
+    with (results / "evaluation" / "confusion.csv").open(newline="") as file:
+        (row,) = (
+            r
+            for r in csv.DictReader(file)
+            if (r["protocol"], r["method"], r["landmark"]) == ("strict", "framework", "total")
+        )
+    return float(row["tpr"]), float(row["fpr"])
+
+
+def test_a_model_of_ones_own_serves_logs_it_has_not_seen(site, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    told = sonarrec(
+        "calibrate", site / "one", site / "two", "--ground-truth", site / "gt.csv", "-o", "my.toml"
+    )
+    assert "learned from 140 frames of one, two" in told.stdout
+    assert "none of these" in told.stdout
+    sonarrec("run", site / "three", "--out", "built_in")
+    sonarrec("run", site / "three", "--out", "learned", "--model", "my.toml")
+    truth = site / "three" / "gt.csv"
+    tpr, fpr = strict(Path("built_in/three"), truth)
+    learned_tpr, learned_fpr = strict(Path("learned/three"), truth)
+    # Faint symbols cost the built-in model a third of the frames (.68 / .000 against .99 / .006).
+    assert learned_tpr > max(tpr - 0.02, 0.9)
+    assert learned_fpr < fpr + 0.01
+    # The model went into run.toml: the file itself is not needed again.
+    Path("my.toml").unlink()
+    sonarrec("run", site / "three", "--config", "learned/three/run.toml", "--out", "again")
+    for file in ("estimates.csv", "run.toml"):
+        again = Path("again/three") / file
+        assert again.read_bytes() == (Path("learned/three") / file).read_bytes()
+
+
+def test_what_was_learned_from_is_told(site):
+    logs = [site / "one", site / "two"]
+    lesson = learn(logs, site / "gt.csv", preset("default"), BASIN)
+    assert lesson.frames == 140
+    assert not lesson.problems
+    on = sum(frames for frames, _ in lesson.seen[:-1])
+    with (site / "gt.csv").open(newline="") as file:
+        truth = list(csv.DictReader(file))
+    whole = sum(float(r["visible"]) >= 0.9 for r in truth)
+    assert 0.8 * whole < on <= len(truth)
+    seen = {i for i, (frames, _) in zip(BASIN.ids, lesson.seen, strict=False) if frames}
+    assert seen == {int(r["landmark"]) for r in truth}
+    for i in set(BASIN.ids) - seen:
+        assert any(f"ID.{i}" in note for note in lesson.notes)
+    tracks = sum(count for _, count in lesson.seen[:-1])
+    assert (lesson.before is None) == (tracks < FOLDS)
+    # With the built-in model as the start nothing moves far; without it everything does.
+    built_in = load_model()
+    scratch = learn(logs[:1], site / "gt.csv", preset("default"), BASIN, from_scratch=True)
+    assert lesson.model.knots is not scratch.model.knots
+    moved = [np.abs(a - b).max() for a, b in zip(lesson.model.values, built_in.values, strict=True)]
+    assert 0 < max(moved) < 3
+
+
+def labelled(path: Path, text: str) -> Path:
+    path.write_text(text)
+    return path
+
+
+HEAD = "frame,landmark,range_m,bearing_deg"
+
+
+@pytest.mark.parametrize(
+    ("text", "arguments", "code", "told"),
+    [
+        (f"{HEAD}\n", (), 1, "no landmark"),
+        ("frame,landmark\n1,1\n", (), 1, "needs positions"),
+        (f"{HEAD}\n1,9,2,0\n", (), 1, "landmark 9 is not in the set"),
+        (f"{HEAD}\n1,1,2,0\n", ("--set", "features.measurement=single"), 2, "learns nothing"),
+        (f"{HEAD}\n1,1,2,0\n", ("--preset", "default,offline"), 2, "one"),
+        (f"{HEAD}\n1,1,2,0\n", ("TWO",), 2, "log column"),
+        (f"log,{HEAD}\npan,1,1,2,0\n", ("SAME",), 2, "second log 'pan'"),
+    ],
+)
+def test_what_cannot_teach_is_told_in_one_line(tmp_path, text, arguments, code, told):
+    log = tmp_path / "pan"
+    log.mkdir()
+    for name in ("000000.png", "000001.png", "sonar.toml"):
+        (log / name).write_bytes((SAMPLES / "pan" / name).read_bytes())
+    more = {"TWO": SAMPLES / "polar", "SAME": log}
+    arguments = tuple(more.get(a, a) for a in arguments)
+    truth = labelled(tmp_path / "gt.csv", text)
+    out = tmp_path / "model.toml"
+    result = sonarrec("calibrate", log, "--ground-truth", truth, "-o", out, *arguments, code=code)
+    assert told in result.stderr
+    assert result.stderr.count("\n") == 1
+    assert not out.exists()
+
+
+def test_truth_on_frames_that_are_not_there_is_told(tmp_path):
+    with (SAMPLES / "pan.gt.csv").open() as file:
+        text = file.read()
+    truth = labelled(tmp_path / "gt.csv", text + "9000,1,0,0,2.0,0,1,0\n")
+    out = tmp_path / "model.toml"
+    result = sonarrec("calibrate", SAMPLES / "pan.mcap", "--ground-truth", truth, "-o", out, code=3)
+    assert "1 of" in result.stderr
+    assert "teach nothing" in result.stderr
+    assert math.isfinite(load_model(out).bias)
+
+
+def test_a_model_without_use_is_refused(tmp_path):
+    model = labelled(tmp_path / "model.toml", load_model().as_toml())
+    arguments = ("run", SAMPLES / "pan", "--out", tmp_path / "out", "--preset", "paper")
+    fault = sonarrec(*arguments, "--model", model, code=2).stderr
+    assert "--model" in fault
+    assert fault.count("\n") == 1

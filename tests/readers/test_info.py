@@ -1,0 +1,253 @@
+"""`sonarrec info`: what it says of logs whose contents are known."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+from mcap.reader import make_reader
+
+from sonarrec.cli import main
+from sonarrec.cli.info import lines
+from sonarrec.mcap_writer import McapImageWriter
+from sonarrec.readers import open_log
+from sonarrec.readers.info import describe
+from sonarrec.sonar import Sonar
+from tests.support.hard_logs import HardLog
+from tests.support.logs import PERIOD_NS, cdr_image, frames, image_folder, mcap_file
+
+IMAGES = frames(20, 30, 24)
+START_NS = 1_700_000_000 * 10**9
+MESSAGES = [("/a", START_NS + k * PERIOD_NS, cdr_image(image)) for k, image in enumerate(IMAGES)]
+
+
+def info(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(main, ["info", *map(str, arguments)], catch_exceptions=False)
+
+
+def table(path: Path, *arguments: str, code: int = 0) -> dict[str, Any]:
+    result = info(path, "--json", *arguments)
+    assert result.exit_code == code, result.output
+    tables: list[dict[str, Any]] = json.loads(result.stdout)["logs"]
+    return tables[0]
+
+
+def without_geometry(path: Path) -> Path:
+    (path.parent / "sonar.toml").unlink()
+    return path
+
+
+def test_a_whole_mcap_against_the_package_s_own_account(tmp_path: Path) -> None:
+    path = mcap_file(tmp_path / "log.mcap", MESSAGES)
+    found = table(path)
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    container = found["container"]
+    assert container["footer"]
+    assert container["chunks"] == {"zstd": summary.statistics.chunk_count}
+    assert container["start_ns"] == summary.statistics.message_start_time
+    assert container["end_ns"] == summary.statistics.message_end_time
+    (channel,) = container["channels"]
+    assert (channel["topic"], channel["schema"]) == ("/a", "sensor_msgs/msg/Image")
+    assert (channel["schema_encoding"], channel["message_encoding"]) == ("ros2msg", "cdr")
+    assert channel["messages"] == 20
+    assert channel["images"]
+    (images,) = found["images"]
+    assert (images["frames"], images["usable"]) == (20, 20)
+    assert (images["rows"], images["columns"], images["pixels"]) == (30, 24, "uint8")
+    assert images["rate_hz"] == pytest.approx(4)
+    assert (images["layout"], images["lacks"]) == ("fan", [])
+    assert images["geometry"]["tilt_deg"] == 20
+    assert images["geometry_from"] == str(tmp_path / "sonar.toml")
+    assert not found["faults"] + images["problems"] + images["notes"]
+    assert found["size_bytes"] == path.stat().st_size
+
+
+def test_the_screen_says_the_same(tmp_path: Path) -> None:
+    path = mcap_file(tmp_path / "log.mcap", MESSAGES)
+    text = info(path).output
+    assert f"{datetime.fromtimestamp(START_NS // 10**9, UTC):%Y-%m-%d %H:%M:%S} UTC, 4.8 s" in text
+    assert "20 of 20 can be used" in text
+    assert "24 x 30, uint8, fan, 4 Hz" in text
+    assert "1.25 to 3.75 m, 28.8 deg, tilt 20 deg, height 0.68 m" in text
+    assert "yes: footer and checksums" in text
+    assert max(map(len, text.splitlines())) < 120 + len(str(tmp_path))
+
+
+@pytest.mark.parametrize("indexed", [True, False])
+def test_quick_reads_one_frame(indexed: bool, tmp_path: Path) -> None:
+    path = mcap_file(tmp_path / "log.mcap", MESSAGES, indexed=indexed)
+    found = table(path, "--quick")
+    (images,) = found["images"]
+    assert not found["checked"]
+    assert (images["frames"], images["usable"], images["rate_hz"]) == (20, None, None)
+    assert (images["rows"], images["columns"]) == (30, 24)
+    assert "20, not checked" in info(path, "--quick").output
+
+
+def test_quick_does_not_see_what_only_reading_shows(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    with HardLog(path) as log:
+        for first in range(0, 20, 5):
+            log.chunk([(t, m) for _, t, m in MESSAGES[first : first + 5]], "zstd")
+    data = bytearray(path.read_bytes())
+    data[log.positions[2] + 200] ^= 1
+    path.write_bytes(data)
+    assert not table(path, "--quick")["faults"]
+    found = table(path, code=3)
+    assert found["images"][0]["usable"] == 15
+    assert found["images"][0]["frames"] == 20
+    (fault,) = found["faults"]
+    assert f"the chunk at byte {log.positions[2]} " in fault
+    assert fault.endswith("; its 5 frames are lost")
+    assert "whole     no: damaged" in info(path).output
+
+
+def test_what_info_counts_is_what_run_uses(tmp_path: Path) -> None:
+    """Cut, with an odd frame and a broken one."""
+    messages = list(MESSAGES)
+    messages[3] = ("/a", messages[3][1], cdr_image(IMAGES[3][:-2]))
+    messages[5] = ("/a", messages[5][1], b"\0\1\0\0")
+    path = mcap_file(tmp_path / "log.mcap", messages)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size * 2 // 3])
+    with open_log(path) as log:
+        used = len(list(log))
+    found = table(path, code=3)
+    assert found["images"][0]["usable"] == used
+    assert found["faults"] + found["images"][0]["problems"] == [
+        *[p for p in log.problems if p.startswith("log.mcap")],
+        *[p for p in log.problems if p.startswith("message")],
+    ]
+    assert not found["container"]["footer"]
+    assert "no: cut short or damaged" in info(path).output
+
+
+def test_a_geometry_that_is_missing_is_told_and_costs_no_frame(tmp_path: Path) -> None:
+    path = without_geometry(mcap_file(tmp_path / "log.mcap", MESSAGES))
+    found = table(path, "--range-max-m", "9", "--height-m", "0.5")
+    (images,) = found["images"]
+    assert images["usable"] == 20
+    assert images["lacks"] == ["range_min_m", "tilt_deg", "field_of_view_deg"]
+    assert images["geometry"] == {"range_max_m": 9, "height_m": 0.5}
+    assert images["geometry_from"] is None
+    text = info(path, "--range-max-m", "9").output
+    assert "20 of 20 can be used, once the geometry is complete" in text
+    assert "give --range-min-m --tilt-deg --field-of-view-deg, or put a sonar.toml" in text
+
+
+def test_a_geometry_that_contradicts_itself(tmp_path: Path) -> None:
+    path = mcap_file(tmp_path / "log.mcap", MESSAGES)
+    found = table(path, "--range-max-m", "1", code=1)
+    assert found["images"][0]["usable"] == 0
+    (problem,) = found["images"][0]["problems"]
+    assert "range_min_m = 1.25 must be >= 0 and below range_max_m = 1" in problem
+    assert (
+        "a window of 1e-05 m is shorter than 0.01 m"
+        in info(path, "--range-max-m", "1.25001").output
+    )
+
+
+def test_polar_messages_tell_their_own_geometry(tmp_path: Path) -> None:
+    bearings = tuple(np.linspace(-30, 30, 24).tolist())
+    sonar = Sonar(range_min_m=1, range_max_m=4, tilt_deg=20, bearings_deg=bearings).complete("test")
+    path = tmp_path / "log.mcap"
+    schema = "marine_acoustic_msgs/msg/ProjectedSonarImage"
+    with McapImageWriter(path, schema=schema, sonar=sonar) as writer:
+        for k, image in enumerate(IMAGES):
+            writer.write(k * PERIOD_NS, image)
+    (images,) = table(path)["images"]
+    assert images["polar_messages"]
+    assert (images["layout"], images["lacks"], images["usable"]) == ("polar", ["tilt_deg"], 20)
+    assert images["geometry"]["range_max_m"] == pytest.approx(4)
+    np.testing.assert_allclose(images["geometry"]["bearings_deg"], bearings, atol=1e-4)
+    text = info(path).output
+    assert "1 to 4 m, 24 beams from -30 to 30 deg (from the messages)" in text
+    assert "lacks tilt_deg" in text
+    assert "stated against the messages" in info(path, "--layout", "fan").output
+    assert "clock at 0.000 s, 4.8 s long" in text
+
+
+def test_several_image_channels_and_one_that_is_none(tmp_path: Path) -> None:
+    messages = [(f"/{'ab'[k % 2]}", time, data) for k, (_, time, data) in enumerate(MESSAGES)]
+    path = mcap_file(tmp_path / "log.mcap", messages)
+    found = table(path)
+    assert [(i["topic"], i["usable"]) for i in found["images"]] == [("/a", 10), ("/b", 10)]
+    assert [i["topic"] for i in table(path, "--topic", "/b")["images"]] == ["/b"]
+    result = info(path, "--topic", "/c")
+    assert result.exit_code == 2
+    assert "there is /a, /b" in result.output
+
+
+def test_an_mcap_without_images_is_shown_all_the_same(tmp_path: Path) -> None:
+    path = mcap_file(tmp_path / "log.mcap", [("/imu", 0, b"x")], schema="sensor_msgs/msg/Imu")
+    found = table(path, code=1)
+    assert found["images"] == []
+    assert found["container"]["channels"][0]["schema"] == "sensor_msgs/msg/Imu"
+    assert "none: no channel holds messages that are read" in info(path).output
+
+
+def test_folder_glob_and_video(tmp_path: Path) -> None:
+    folder = image_folder(tmp_path / "log", IMAGES)
+    for path in (folder, folder / "*.png"):
+        found = table(path)
+        assert (found["kind"], found["files"], found["container"]) == ("images", 20, None)
+        assert found["images"][0]["usable"] == 20
+        assert found["images"][0]["rate_hz"] is None
+    assert "24 x 30, uint8, fan, 4 Hz as stated" in info(folder).output
+    (folder / "frame7.png").write_bytes(b"broken")
+    found = table(folder, code=3)
+    assert found["images"][0]["usable"] == 19
+    assert found["images"][0]["problems"] == ["frame7.png: unreadable image, skipped"]
+    video = folder / "log.avi"
+    writer = cv2.VideoWriter(str(video), cv2.VideoWriter.fourcc(*"MJPG"), 10, (24, 30))
+    for image in IMAGES:
+        writer.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
+    writer.release()
+    found = table(video)
+    assert (found["kind"], found["images"][0]["usable"]) == ("video", 20)
+    assert found["images"][0]["rate_hz"] == pytest.approx(10, rel=0.01)
+    assert found["images"][0]["pixels"] == "3 x uint8"
+
+
+def test_exit_codes_of_several_logs(tmp_path: Path) -> None:
+    good = mcap_file(tmp_path / "log.mcap", MESSAGES)
+    nothing = tmp_path / "nothing.mcap"
+    nothing.write_bytes(b"no MCAP at all")
+    assert info(good, good).exit_code == 0
+    result = info(good, nothing, "--json")
+    assert result.exit_code == 3
+    assert [("error" in each) for each in json.loads(result.stdout)["logs"]] == [False, True]
+    assert "not an MCAP file" in result.stderr
+    assert info(nothing).exit_code == 1
+    assert info(nothing, tmp_path / "missing").exit_code == 1
+    assert info(good, "--nonsense").exit_code == 2
+
+
+def test_a_cut_video(tmp_path: Path) -> None:
+    video = tmp_path / "log.avi"
+    writer = cv2.VideoWriter(str(video), cv2.VideoWriter.fourcc(*"MJPG"), 10, (24, 30))
+    for image in IMAGES:
+        writer.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
+    writer.release()
+    video.write_bytes(video.read_bytes()[: video.stat().st_size // 2])
+    found = table(video, code=3)
+    assert 0 < found["images"][0]["usable"] < 20
+    assert "ended after" in found["faults"][0]
+
+
+def test_for_programs(tmp_path: Path) -> None:
+    seen: list[int | None] = []
+    found = describe(mcap_file(tmp_path / "log.mcap", MESSAGES), observe=seen.append)
+    assert seen == [20] * 20
+    assert not found.partly
+    assert not found.nothing
+    assert all(line == line.rstrip() for line in lines(found))
+    assert json.loads(json.dumps(found.as_table()))["images"][0]["usable"] == 20

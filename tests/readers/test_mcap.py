@@ -1,0 +1,601 @@
+"""MCAP files as the field sends them: odd, cut, damaged, hostile; and what the writer writes."""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import json
+import random
+import struct
+import tracemalloc
+from pathlib import Path
+from typing import Any
+
+import cv2
+import flatbuffers
+import jsonschema
+import numpy as np
+import pytest
+import zstandard
+from flatbuffers import number_types
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.data_stream import RecordBuilder
+from mcap.reader import make_reader
+from mcap.records import Channel, Chunk, Header, Schema
+from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoders
+from mcap_ros2.decoder import DecoderFactory as Ros2Decoders
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from sonarrec.mcap_writer import _ROS_TYPES, SCHEMAS, McapImageWriter
+from sonarrec.readers import open_log
+from sonarrec.readers.mcap_records import MAGIC
+from sonarrec.readers.messages import decoder_for, message_type
+from sonarrec.readers.raw import UnusableError
+from sonarrec.records import Frame, SonarrecError, UsageError
+from sonarrec.sonar import Sonar
+from tests.support.logs import (
+    PERIOD_NS,
+    SONAR_TOML,
+    cdr_compressed_image,
+    cdr_image,
+    frames,
+    image_folder,
+    mcap_file,
+)
+
+IMAGE = frames(1)[0]
+
+
+def read(path: Path, topic: str | None = None) -> tuple[list[Frame], list[str]]:
+    with open_log(path, topic=topic) as log:
+        return list(log), log.problems
+
+
+def one(tmp_path: Path, message: bytes, **options: str) -> np.ndarray:
+    found, problems = read(mcap_file(tmp_path / "log.mcap", [("/a", 0, message)], **options))
+    assert not problems
+    return found[0].image
+
+
+# Messages
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("length", range(1, 9))
+def test_alignment_and_byte_order(order: str, length: int, tmp_path: Path) -> None:
+    frame_id = b"f" * (length - 1) + b"\0"
+    message = cdr_image(IMAGE, order=order, frame_id=frame_id)
+    np.testing.assert_array_equal(one(tmp_path, message), IMAGE)
+
+
+@pytest.mark.parametrize("encoding", ["mono16", "16UC1"])
+@pytest.mark.parametrize("big", [0, 1])
+def test_16_bit(encoding: str, big: int, tmp_path: Path) -> None:
+    values = (IMAGE.astype(np.uint16) * 257).astype(">u2" if big else "<u2")
+    message = cdr_image(values, encoding, is_bigendian=big, padding=6)
+    np.testing.assert_array_equal(one(tmp_path, message), IMAGE)
+
+
+@pytest.mark.parametrize("bits", [32, 64])
+@pytest.mark.parametrize("big", [0, 1])
+def test_float(bits: int, big: int, tmp_path: Path) -> None:
+    values = (IMAGE / 255).astype(f"{'>' if big else '<'}f{bits // 8}")
+    message = cdr_image(values, f"{bits}FC1", is_bigendian=big)
+    np.testing.assert_array_equal(one(tmp_path, message), IMAGE)
+
+
+@pytest.mark.parametrize("encoding", ["bgr8", "rgb8", "bgra8", "rgba8", "8UC3", "8UC4"])
+def test_colour(encoding: str, tmp_path: Path) -> None:
+    bgr = np.random.default_rng(2).integers(0, 256, (*IMAGE.shape, 3), dtype=np.uint8)
+    stored = bgr[:, :, ::-1] if encoding.startswith("r") else bgr
+    if "a" in encoding or "4" in encoding:
+        stored = np.dstack([stored, np.full(IMAGE.shape, 7, np.uint8)])
+    message = cdr_image(np.ascontiguousarray(stored), encoding, padding=5)
+    expected = cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY)
+    np.testing.assert_array_equal(one(tmp_path, message), expected)
+
+
+@pytest.mark.parametrize("padding", [0, 1, 26])
+def test_rows_with_padding(padding: int, tmp_path: Path) -> None:
+    np.testing.assert_array_equal(one(tmp_path, cdr_image(IMAGE, padding=padding)), IMAGE)
+
+
+def test_last_row_without_padding(tmp_path: Path) -> None:
+    message = cdr_image(IMAGE, padding=3)[:-3]
+    at = len(message) - (IMAGE.size + 3 * (len(IMAGE) - 1)) - 4
+    message = message[:at] + struct.pack("<I", len(message) - at - 4) + message[at + 4 :]
+    np.testing.assert_array_equal(one(tmp_path, message), IMAGE)
+
+
+@pytest.mark.parametrize("step", [0, 1, 37, 39, 76, 2**32 - 1])
+def test_a_wrong_step_is_not_believed(step: int, tmp_path: Path) -> None:
+    np.testing.assert_array_equal(one(tmp_path, cdr_image(IMAGE, step=step)), IMAGE)
+
+
+@pytest.mark.parametrize("text", ["png", "mono8; png compressed mono8", "", "jpeg", "webp"])
+def test_compressed_formats(text: str, tmp_path: Path) -> None:
+    data = cv2.imencode(".png", IMAGE)[1].tobytes()  # the text may lie, the data do not
+    message = cdr_compressed_image(data, text)
+    image = one(tmp_path, message, schema="sensor_msgs/msg/CompressedImage")
+    np.testing.assert_array_equal(image, IMAGE)
+
+
+def test_unusable_messages_are_skipped(tmp_path: Path) -> None:
+    good = cdr_image(IMAGE)
+    bad = {
+        "unknown encoding": cdr_image(IMAGE, "yuv422"),
+        "too short": good[:-1],
+        "no header": good[:3],
+        "wrong header": b"\x07" + good[1:],
+        "nothing": b"",
+        "other size": cdr_image(IMAGE[:-2]),
+        "too few data": cdr_image(IMAGE, "bgr8"),
+        "no rows": good.replace(struct.pack("<I", 48), bytes(4), 1),
+        "huge": good[:24] + b"\xff" * 8 + good[32:],
+    }
+    messages = [good, *bad.values(), good]
+    path = mcap_file(
+        tmp_path / "log.mcap", [("/a", k * PERIOD_NS, m) for k, m in enumerate(messages)]
+    )
+    found, problems = read(path)
+    assert [f.index for f in found] == [0, len(messages) - 1]
+    assert len(problems) == len(bad)
+    for k, line in enumerate(problems):
+        assert line.startswith(f"message {k + 1} of /a: ")
+        assert line.endswith(", skipped")
+        assert "\n" not in line
+
+
+def protobuf(number: int, value: bytes | int) -> bytes:
+    if isinstance(value, int):
+        return bytes([number << 3 | 5]) + struct.pack("<I", value)
+    size, rest = len(value) & 0x7F, len(value) >> 7
+    length = bytes([size]) if not rest else bytes([size | 0x80])
+    while rest:
+        length += bytes([rest & 0x7F | (0x80 if rest >> 7 else 0)])
+        rest >>= 7
+    return bytes([number << 3 | 2]) + length + value
+
+
+def test_protobuf_fields_in_any_order_and_unknown_ones(tmp_path: Path) -> None:
+    message = (
+        protobuf(6, IMAGE.tobytes())
+        + protobuf(15, b"of a later version")
+        + b"\x70\xff\xff\x03"  # field 14, a varint
+        + b"\x69" + bytes(8)  # field 13, 8 bytes
+        + protobuf(4, b"8UC1")
+        + protobuf(3, IMAGE.shape[0])
+        + protobuf(2, IMAGE.shape[1])  # no step: proto3 leaves zeros out
+    )  # fmt: skip
+    image = one(tmp_path, message, schema="foxglove.RawImage", encoding="protobuf")
+    np.testing.assert_array_equal(image, IMAGE)
+
+
+def test_json_with_fields_missing(tmp_path: Path) -> None:
+    table = {"height": IMAGE.shape[0], "width": IMAGE.shape[1], "encoding": "mono8"}
+    good = json.dumps(table | {"data": base64.b64encode(IMAGE.tobytes()).decode()}).encode()
+    image = one(tmp_path, good, schema="foxglove.RawImage", encoding="json")
+    np.testing.assert_array_equal(image, IMAGE)
+
+
+MESSAGES = {
+    "sensor_msgs/Image": cdr_image(IMAGE, padding=1),
+    "sensor_msgs/CompressedImage": cdr_compressed_image(
+        cv2.imencode(".png", IMAGE)[1].tobytes(), "png"
+    ),
+    "foxglove/RawImage": protobuf(2, 38) + protobuf(3, 48) + protobuf(4, b"mono8")
+    + protobuf(6, IMAGE.tobytes()),
+    "foxglove/CompressedImage": protobuf(2, cv2.imencode(".png", IMAGE)[1].tobytes()),
+}  # fmt: skip
+
+
+DAMAGED = [(name, "cdr" if name.startswith("sensor") else "protobuf") for name in MESSAGES]
+DAMAGED += [("foxglove/RawImage", "json"), ("foxglove/CompressedImage", "json")]
+
+
+@pytest.mark.parametrize("kind", DAMAGED, ids=" ".join)
+@settings(max_examples=80, deadline=None, derandomize=True)
+@given(data=st.data())
+def test_damaged_messages_never_escape(kind: tuple[str, str], data: st.DataObject) -> None:
+    """Whatever the bytes, a decoder gives pixels or says that the frame cannot be used."""
+    message = bytearray(MESSAGES[kind[0]])
+    if kind[1] == "json":
+        message = bytearray(
+            b'{"width": 3, "height": 2, "step": 3, "encoding": "mono8", "data": "AAAAAAAA"}'
+        )
+    for _ in range(data.draw(st.integers(0, 4))):
+        place = data.draw(st.integers(0, min(len(message) - 1, 80)))
+        message[place] = data.draw(st.integers(0, 255))
+    message = message[: data.draw(st.integers(0, len(message)) | st.just(len(message)))]
+    try:
+        decode = decoder_for(kind[0], "", b"", kind[1])
+        assert decode is not None
+        pixels = decode(memoryview(bytes(message))).pixels
+    except UnusableError:
+        return
+    assert pixels.ndim in (2, 3)
+    assert pixels.size
+
+
+@pytest.mark.parametrize(
+    "message",
+    [b"", b"[]", b"{}", b"null", b"[" * 100_000, b'{"data": 5}', b'{"data": "?"}', b"\xff",
+     b'{"data": "AAAA", "width": -1, "height": 2, "encoding": "mono8"}',
+     b'{"data": "AAAA", "width": 1e99, "height": 2, "encoding": "mono8"}',
+     b'{"data": "AAAA", "width": 2, "height": 2, "encoding": ["mono8"]}'],
+)  # fmt: skip
+def test_json_that_is_no_image(message: bytes) -> None:
+    decode = decoder_for("foxglove.RawImage", "", b"", "json")
+    assert decode is not None
+    with pytest.raises(UnusableError):
+        decode(memoryview(message))
+
+
+# Channels
+
+
+def test_topics(tmp_path: Path) -> None:
+    first, second = frames(2)
+    messages = [("/a", 0, cdr_image(first)), ("/b", 1, cdr_image(second)), ("/a", 2, b"x")]
+    path = mcap_file(tmp_path / "log.mcap", messages)
+    with pytest.raises(UsageError, match="--topic: /a, /b"):
+        read(path)
+    with pytest.raises(UsageError, match="'/c'; there is /a, /b"):
+        read(path, "/c")
+    found, problems = read(path, "/b")
+    assert not problems
+    np.testing.assert_array_equal(found[0].image, second)
+    with open_log(path, topic="/a") as log:
+        assert log.frame_count == 2
+
+
+def test_no_image_channel_lists_what_there_is(tmp_path: Path) -> None:
+    path = mcap_file(tmp_path / "log.mcap", [("/imu", 0, b"x")], schema="sensor_msgs/msg/Imu")
+    with pytest.raises(SonarrecError, match=r"no image channel; .* /imu \(sensor_msgs/msg/Imu"):
+        read(path)
+    empty = mcap_file(tmp_path / "empty.mcap", [])
+    with pytest.raises(SonarrecError, match="holds no channel"):
+        read(empty)
+
+
+# Order
+
+
+@pytest.mark.parametrize("options", [{}, {"chunked": False}, {"indexed": False}], ids=str)
+def test_log_time_order(options: dict[str, bool], tmp_path: Path) -> None:
+    images = frames(40, 12, 12)
+    order = list(range(40))
+    random.Random(3).shuffle(order)
+    times = [k // 2 * PERIOD_NS for k in range(40)]  # pairs at one time keep the file's order
+    messages = [("/a", times[k], cdr_image(images[k])) for k in order]
+    path = mcap_file(tmp_path / "log.mcap", messages, chunk_size=600, **options)  # type: ignore[arg-type]
+    found, problems = read(path)
+    assert not problems
+    expected = sorted(order, key=lambda k: (times[k], order.index(k)))
+    assert [f.timestamp_ns for f in found] == [times[k] for k in expected]
+    for frame, k in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(frame.image, images[k])
+
+
+# Cut and damaged files
+
+
+@pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
+@pytest.mark.parametrize("chunked", [True, False])
+def test_cut_anywhere(compression: str, chunked: bool, tmp_path: Path) -> None:
+    """What is whole before the cut is read, whatever the place; it is never more than there is."""
+    images = frames(12, 20, 20)
+    messages = [("/a", k * PERIOD_NS, cdr_image(i)) for k, i in enumerate(images)]
+    path = mcap_file(
+        tmp_path / "log.mcap",
+        messages,
+        compression=compression,
+        chunked=chunked,
+        chunk_size=1500,
+    )
+    whole = path.read_bytes()
+    ends = []  # of each message's bytes, where they lie open in the file
+    if compression == "none" or not chunked:
+        ends = [whole.index(m) + len(m) for _, _, m in messages]
+    cut = tmp_path / "cut.mcap"
+    places = sorted(random.Random(4).sample(range(len(whole)), 60))
+    last = 0
+    for place in places:
+        cut.write_bytes(whole[:place])
+        try:
+            found, problems = read(cut)
+        except SonarrecError:  # before the first whole frame
+            assert not last
+            assert not any(end <= place for end in ends)
+            continue
+        assert len(found) >= last
+        last = len(found)
+        if ends:
+            assert len(found) == sum(end <= place for end in ends)
+        for frame, image in zip(found, images, strict=False):
+            np.testing.assert_array_equal(frame.image, image)
+        assert "cut short" in problems[0]
+        assert [p for p in problems[1:] if "the chunk that is cut held" not in p] == []
+    assert last == len(images)
+
+
+def test_cut_inside_one_big_chunk(tmp_path: Path) -> None:
+    """The chunk that is cut still gives what its compressed half holds."""
+    images = frames(40, 100, 100)
+    messages = [("/a", k * PERIOD_NS, cdr_image(i)) for k, i in enumerate(images)]
+    for compression in ("none", "lz4", "zstd"):
+        path = mcap_file(tmp_path / "log.mcap", messages, compression=compression, chunk_size=10**7)
+        data = path.read_bytes()
+        path.write_bytes(data[: len(data) * 3 // 4])
+        with open_log(path) as log:
+            found = list(log)
+            assert log.frame_count == len(found)
+        assert 10 <= len(found) < 40
+
+
+def test_a_damaged_chunk_costs_only_itself(tmp_path: Path) -> None:
+    images = frames(12, 20, 20)
+    messages = [("/a", k * PERIOD_NS, cdr_image(i)) for k, i in enumerate(images)]
+    for compression in ("none", "lz4", "zstd"):
+        path = mcap_file(tmp_path / "log.mcap", messages, compression=compression, chunk_size=1500)
+        with path.open("rb") as file:
+            chunks = make_reader(file).get_summary().chunk_indexes  # type: ignore[union-attr]
+        data = bytearray(path.read_bytes())
+        middle = chunks[1].chunk_start_offset + chunks[1].chunk_length // 2
+        data[middle : middle + 30] = bytes(30)
+        path.write_bytes(data)
+        found, problems = read(path)
+        assert 0 < len(found) < 12
+        assert len(problems) == 1
+        assert f"the chunk at byte {chunks[1].chunk_start_offset} " in problems[0]
+
+
+@pytest.mark.parametrize("declared", [1000, 2**40])
+def test_an_inflating_bomb_is_not_inflated(declared: int, tmp_path: Path) -> None:
+    good = mcap_file(tmp_path / "log.mcap", [("/a", 0, cdr_image(IMAGE))], indexed=False)
+    bomb = zstandard.compress(bytes(2**28))
+    builder = RecordBuilder()
+    Chunk(
+        compression="zstd",
+        data=bomb,
+        message_start_time=5,
+        message_end_time=5,
+        uncompressed_crc=0,
+        uncompressed_size=declared,
+    ).write(builder)
+    data = good.read_bytes()
+    path = tmp_path / "bomb.mcap"
+    at = data.index(b"\x0f" + struct.pack("<Q", 4))  # DataEnd
+    path.write_bytes(data[:at] + builder.end() + data[at:])
+    tracemalloc.start()
+    found, problems = read(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert len(found) == 1
+    assert len(problems) == 1
+    assert "chunk at byte" in problems[0]
+    assert peak < 20 * 2**20
+
+
+@settings(max_examples=150, deadline=None, derandomize=True)
+@given(data=st.data())
+def test_damaged_files_never_escape(data: st.DataObject, tmp_path_factory: object) -> None:
+    """Bytes changed anywhere: frames, problem lines or one SonarrecError, never anything else."""
+    folder = tmp_path_factory.mktemp("damaged", numbered=True)  # type: ignore[attr-defined]
+    path = mcap_file(
+        folder / "log.mcap",
+        [("/a", k, cdr_image(i)) for k, i in enumerate(frames(4, 8, 8))],
+        compression=data.draw(st.sampled_from(["none", "lz4", "zstd"])),
+        chunk_size=300,
+    )
+    contents = bytearray(path.read_bytes())
+    for _ in range(data.draw(st.integers(1, 6))):
+        place = data.draw(st.integers(8, len(contents) - 1))
+        contents[place] = data.draw(st.integers(0, 255))
+    path.write_bytes(contents)
+    try:
+        found, _ = read(path)
+    except SonarrecError:
+        return
+    assert len(found) <= 4
+
+
+def test_a_file_that_ends_in_zeros(tmp_path: Path) -> None:
+    """As a crashed recorder leaves it on a disk that was reserved ahead."""
+    path = mcap_file(tmp_path / "log.mcap", [("/a", 0, cdr_image(IMAGE))], chunked=False)
+    data = path.read_bytes()
+    end = data.index(cdr_image(IMAGE)) + len(cdr_image(IMAGE))
+    path.write_bytes(data[:end] + bytes(5000))
+    found, problems = read(path)
+    assert len(found) == 1
+    assert f"at byte {end} " in problems[0]
+
+
+def test_magic_alone(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    (tmp_path / "sonar.toml").write_text(SONAR_TOML)
+    builder = RecordBuilder()
+    Header("", "").write(builder)
+    for data in (MAGIC, MAGIC + builder.end()):
+        path.write_bytes(data)
+        with pytest.raises(SonarrecError, match="no image channel"):
+            read(path)
+
+
+# The writer
+
+
+POLAR = Sonar(range_min_m=1.0, range_max_m=1.9, field_of_view_deg=28.0, tilt_deg=20.0).complete(
+    "test"
+)
+
+
+def read_by_others(schema: Schema, channel: Channel, data: bytes) -> dict[str, Any]:
+    """By rosbags and by mcap-ros2-support from the definition in the file, by protobuf from the
+    descriptor in the file, by json and flatbuffers from its schema. Times are called sec and
+    nanosec."""
+    if channel.message_encoding == "protobuf":
+        message = ProtobufDecoders().decoder_for("protobuf", schema)(data)  # type: ignore[misc]
+        fields = {d.name: value for d, value in message.ListFields()}
+        clock = fields["timestamp"]
+        return fields | {"timestamp": {"sec": clock.seconds, "nanosec": clock.nanos}}
+    if channel.message_encoding == "json":
+        table = json.loads(data)
+        jsonschema.validate(table, json.loads(schema.data))
+        return json.loads(data.replace(b'"nsec"', b'"nanosec"'))  # type: ignore[no-any-return]
+    if channel.message_encoding == "flatbuffer":
+        return by_binary_schema(schema.data, schema.name, data)
+    ros1 = channel.message_encoding == "ros1"
+    store = get_typestore(Stores.EMPTY)
+    name = schema.name if "/msg/" in schema.name else schema.name.replace("/", "/msg/")
+    store.register(get_types_from_msg(schema.data.decode(), name))
+    read = store.deserialize_ros1 if ros1 else store.deserialize_cdr
+    found = dataclasses.asdict(read(data, name))
+    if not ros1:
+        decode = Ros2Decoders().decoder_for("cdr", schema)
+        assert decode is not None
+        same(found, decode(data))
+    return found
+
+
+U8, U16, U32 = number_types.Uint8Flags, number_types.Uint16Flags, number_types.Uint32Flags
+
+
+class Table(flatbuffers.table.Table):  # type: ignore[misc]
+    """A flatbuffers table whose fields go by number; one that is left out is 0 or empty."""
+
+    @classmethod
+    def root(cls, data: bytes) -> Table:
+        return cls(data, flatbuffers.encode.Get(flatbuffers.packer.uoffset, data, 0))
+
+    def offset(self, field: int) -> int:
+        return int(self.Offset(4 + 2 * field))
+
+    def number(self, field: int, kind: type) -> int:
+        return int(self.GetSlot(4 + 2 * field, 0, kind))
+
+    def text(self, field: int) -> str:
+        return bytes(self.String(self.Pos + self.offset(field))).decode()
+
+    def table(self, field: int) -> Table:
+        return Table(self.Bytes, self.Indirect(self.Pos + self.offset(field)))
+
+    def tables(self, field: int) -> list[Table]:
+        start, count = self.Vector(self.offset(field)), self.VectorLen(self.offset(field))
+        return [Table(self.Bytes, self.Indirect(start + 4 * n)) for n in range(count)]
+
+
+def by_binary_schema(schema: bytes, name: str, data: bytes) -> dict[str, Any]:
+    """The fields of a flatbuffers message, found by its .bfbs alone, whose own layout is
+    flatbuffers' reflection.fbs."""
+    assert flatbuffers.util.BufferHasIdentifier(schema, 0, b"BFBS")
+    types = {table.text(0): table for table in Table.root(schema).tables(0)}
+    assert Table.root(schema).table(4).text(0) == name
+    message = Table.root(data)
+    found: dict[str, Any] = {}
+    for field in types[name].tables(1):
+        number = field.number(2, U16)
+        kind = field.table(1).number(0, U8)
+        if kind == 8:  # uint
+            value: Any = message.number(number, U32)
+        elif kind == 13:  # string
+            value = message.text(number)
+        elif kind == 14:  # a vector, here always of ubyte
+            assert field.table(1).number(1, U8) == 4
+            value = message.GetVectorAsNumpy(U8, message.offset(number)).tobytes()
+        else:  # the one struct
+            at = message.Pos + message.offset(number)
+            parts = types["foxglove.Time"].tables(1)
+            clock = {part.text(0): message.Get(U32, at + part.number(3, U16)) for part in parts}
+            value = {"sec": clock["sec"], "nanosec": clock["nsec"]}
+        found[field.text(0)] = value
+    return found
+
+
+def same(fields: dict[str, Any], message: Any) -> None:
+    """What rosbags read is what mcap-ros2-support read."""
+    for name, value in fields.items():
+        if name == "__msgtype__":
+            continue
+        other = getattr(message, name)
+        if isinstance(value, dict):
+            same(value, other)
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
+            for mine, theirs in zip(value, other, strict=True):
+                same(mine, theirs)
+        else:
+            assert (
+                bytes(value) == bytes(other)
+                if name.endswith("data")
+                else list(np.ravel(value)) == list(np.ravel(other))
+            )
+
+
+def agrees(written: Any, read: Any) -> bool:
+    """What was to be written is what was read: numbers of 32 bits to their precision."""
+    if isinstance(written, dict):
+        return all(agrees(value, read[key]) for key, value in written.items() if key in read)
+    if isinstance(written, bytes):
+        return written == (base64.b64decode(read) if isinstance(read, str) else bytes(read))
+    if isinstance(written, list):
+        pairs = zip(written, read, strict=True)
+        return all(agrees(mine, theirs) for mine, theirs in pairs)
+    return written == read or (isinstance(written, float) and written == pytest.approx(read))
+
+
+@pytest.mark.parametrize("schema", SCHEMAS)
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_others_read_what_the_writer_writes(schema: str, dtype: type, tmp_path: Path) -> None:
+    image = np.random.default_rng(5).integers(0, np.iinfo(dtype).max, (9, 7)).astype(dtype)
+    path = tmp_path / "log.mcap"
+    stamp = 1_700_000_000_123_456_789
+    with McapImageWriter(path, topic="/x", schema=schema, sonar=POLAR) as writer:
+        for k in range(3):
+            writer.write(stamp + k, image)
+    with path.open("rb") as file:
+        found = list(make_reader(file, validate_crcs=True).iter_messages())
+    assert [m.log_time for _, _, m in found] == [stamp, stamp + 1, stamp + 2]
+    record, channel, message = found[1]
+    assert record is not None
+    assert channel.topic == "/x"
+    key = message_type(schema.partition("+")[0])
+    assert message_type(record.name) == key
+    make = _ROS_TYPES[key.replace("foxglove/", "foxglove_msgs/")].fields
+    assert agrees(make(stamp + 1, image, POLAR), read_by_others(record, channel, message.data))
+
+
+def test_writer_refuses(tmp_path: Path) -> None:
+    with pytest.raises(SonarrecError, match=r"sensor_msgs/msg/Image"):
+        McapImageWriter(tmp_path / "a.mcap", schema="sensor_msgs/msg/Imu")
+    with pytest.raises(SonarrecError, match="none, lz4, zstd"):
+        McapImageWriter(tmp_path / "a.mcap", compression="bz2")
+    with pytest.raises(SonarrecError, match="cannot be written"):
+        McapImageWriter(tmp_path / "nowhere" / "a.mcap")
+    with (
+        pytest.raises(ValueError, match="2-D uint8"),
+        McapImageWriter(tmp_path / "a.mcap") as writer,
+    ):
+        writer.write(0, np.zeros((3, 3), np.float32))
+
+
+def test_writer_left_by_an_error_leaves_a_file_that_says_so(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    (tmp_path / "sonar.toml").write_text(SONAR_TOML)
+    with pytest.raises(AttributeError), McapImageWriter(path) as writer:  # noqa: PT012
+        for image in (IMAGE, None):
+            writer.write(0, image)  # type: ignore[arg-type]
+    found, problems = read(path)
+    np.testing.assert_array_equal(found[0].image, IMAGE)
+    assert "cut short" in problems[0]
+
+
+def test_folder_and_mcap_agree(tmp_path: Path) -> None:
+    images = frames(5)
+    folder = image_folder(tmp_path / "log", images)
+    with open_log(folder) as log, McapImageWriter(tmp_path / "log" / "same.mcap") as writer:
+        for frame in log:
+            writer.write(frame.timestamp_ns, frame.image)
+    for a, b in zip(read(folder)[0], read(tmp_path / "log" / "same.mcap")[0], strict=True):
+        assert (a.index, a.timestamp_ns, a.fan) == (b.index, b.timestamp_ns, b.fan)
+        np.testing.assert_array_equal(a.image, b.image)

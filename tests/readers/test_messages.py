@@ -1,0 +1,250 @@
+"""Every sonar message type, encoding and compression, as other packages write it, gives the frames
+and estimates of the image folder; damaged messages never escape."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sonarrec import config
+from sonarrec.readers.messages import decoder_for
+from sonarrec.readers.raw import UnusableError
+from sonarrec.run import process
+from sonarrec.simulation.simulate import load_scene, render
+from tests.support import messages
+from tests.support.logs import PERIOD_NS, SONAR_TOML, image_folder
+from tests.support.messages import (
+    BEAMS,
+    BEARINGS_DEG,
+    BIN_M,
+    BINS,
+    FIRST_BIN,
+    OCULUS,
+    PROJECTED,
+    RAW,
+    SOUND_SPEED,
+    WRITERS,
+    bearings_deg,
+    directions,
+    ping_of,
+    polar_frames,
+    polar_toml,
+    read,
+    serialised,
+    sidecars,
+    stamp_ns,
+)
+
+# The matrix
+
+
+@pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
+@pytest.mark.parametrize("writer", WRITERS)
+def test_every_message_gives_the_frames_of_the_folder(
+    writer: str, compression: str, tmp_path: Path
+) -> None:
+    images = polar_frames()
+    log = tmp_path / "log.mcap"
+    WRITERS[writer](log, images, compression)
+    mine, theirs = sidecars(writer, BINS, BEAMS)
+    (tmp_path / "sonar.toml").write_text(mine or SONAR_TOML)
+    folder = image_folder(tmp_path / "folder", images)
+    (folder / "sonar.toml").write_text(theirs or SONAR_TOML)
+    found, problems, notes = read(log)
+    expected, _, _ = read(folder)
+    assert not problems
+    assert not notes
+    for k, (frame, same) in enumerate(zip(found, expected, strict=True)):
+        assert (frame.index, frame.timestamp_ns) == (k, k * PERIOD_NS)
+        assert frame.stamps.log == k * PERIOD_NS
+        assert frame.stamps.publish in (k * PERIOD_NS, k * PERIOD_NS + 1)  # the SDK keeps one
+        assert frame.stamps.header == stamp_ns(k)
+        np.testing.assert_array_equal(frame.image, same.image)
+        assert dataclasses.astuple(frame.fan) == pytest.approx(dataclasses.astuple(same.fan))
+
+
+@pytest.fixture(scope="module")
+def recording() -> list[np.ndarray]:
+    """Simulated pings with landmarks, in the messages' window."""
+    scene = load_scene("sample_polar")
+    sonar = replace(
+        scene.sonar,
+        range_min_m=FIRST_BIN * BIN_M,
+        range_max_m=(FIRST_BIN + 128) * BIN_M,
+        range_bins=128,
+        beams=48,
+    )
+    return [frame.image for frame in render(replace(scene, sonar=sonar, frames=4))]
+
+
+Estimates = Callable[[str, list[np.ndarray]], bytes]
+
+
+@pytest.fixture(scope="module")
+def estimates_of_folder(tmp_path_factory: pytest.TempPathFactory) -> Estimates:
+    """estimates.csv of an image folder, worked out once for each sonar.toml."""
+    done: dict[str, bytes] = {}
+
+    def estimates(toml: str, images: list[np.ndarray]) -> bytes:
+        if toml not in done:
+            path = tmp_path_factory.mktemp("folder")
+            folder = image_folder(path / "log", images)
+            (folder / "sonar.toml").write_text(toml)
+            process(folder, path, config.preset("default"))
+            done[toml] = (path / "log" / "estimates.csv").read_bytes()
+        return done[toml]
+
+    return estimates
+
+
+@pytest.mark.parametrize("writer", WRITERS)
+def test_every_message_gives_the_estimates_of_the_folder(
+    writer: str,
+    recording: list[np.ndarray],
+    estimates_of_folder: Estimates,
+    tmp_path: Path,
+) -> None:
+    """A log with landmarks through the whole program: the same bytes."""
+    images = recording
+    if "culus" in writer:  # which records from the sonar on
+        images = [np.pad(image, ((FIRST_BIN, 0), (0, 0))) for image in images]
+    log = tmp_path / "log.mcap"
+    WRITERS[writer](log, images, "zstd")
+    bins, beams = images[0].shape
+    mine, theirs = sidecars(writer, bins, beams)
+    if not theirs:
+        mine = theirs = polar_toml(bins, FIRST_BIN, bearings_deg(beams))
+    (tmp_path / "sonar.toml").write_text(mine)
+    summary = process(log, tmp_path / "out", config.preset("default"))
+    assert not summary.problems
+    assert not summary.notes
+    found = (tmp_path / "out" / "log" / "estimates.csv").read_bytes()
+    assert found.count(b"\n") > 8
+    assert found == estimates_of_folder(theirs, images)
+
+
+# One message
+
+
+@pytest.mark.parametrize("forward", ["x", "y", "z"])
+@pytest.mark.parametrize("backwards", [False, True])
+@pytest.mark.parametrize("side", [1, -1])
+def test_the_forward_axis_is_found(forward: str, backwards: bool, side: int) -> None:
+    image = polar_frames(1)[0]
+    for across in set("xyz") - {forward}:
+        vectors = directions(BEARINGS_DEG + 3.0, across, forward)
+        for vector in vectors:
+            vector[forward] *= -1 if backwards else 1
+            vector[across] *= side  # drivers disagree; beams always run from left to right
+        fields = messages.projected_fields(0, image) | {"beam_directions": vectors}
+        told = ping_of(PROJECTED, fields).sonar
+        assert told is not None
+        expected = (BEARINGS_DEG + 3.0) * (1 if side > 0 else -1)
+        expected = expected if expected[0] < expected[-1] else -expected
+        np.testing.assert_allclose(told.bearings_deg, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("number", range(10))
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_every_sample_type(number: int, order: str) -> None:
+    dtype = np.dtype(order + ["u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f4", "f8"][number])
+    values = (polar_frames(1)[0] // 3).astype(dtype)
+    fields = messages.projected_fields(0, values)
+    fields["image"] = messages.samples(values, number) | {"is_bigendian": order == ">"}
+    np.testing.assert_array_equal(ping_of(PROJECTED, fields).pixels, values)
+
+
+def test_gains_are_taken_out() -> None:
+    image = polar_frames(1)[0]
+    gains = np.linspace(1, 4000, BINS).astype(np.uint32)
+    for size in (1, 2, 4):
+        values = image.astype(f"<u{size}")
+        rows = [gain.tobytes() + row.tobytes() for gain, row in zip(gains, values, strict=True)]
+        step = 4 + BEAMS * size
+        for stated in (step, BEAMS):  # the second is wrong, as a driver may be
+            fields = messages.oculus_interfaces_fields(0, image) | {
+                "has_gains": True, "sample_size": size, "step": stated,
+                "ping_data": np.frombuffer(b"".join(rows), np.uint8),
+            }  # fmt: skip
+            np.testing.assert_allclose(
+                ping_of(OCULUS, fields).pixels, image / np.sqrt(gains)[:, None], rtol=1e-6
+            )
+
+
+def test_raw_sonar_image_ranges() -> None:
+    """Range is (sample0 + i) c / (2 rate), told about the middle of each sample."""
+    fields = messages.raw_fields(0, polar_frames(1)[0]) | {"sample0": 3, "sample_rate": 2000.0}
+    told = ping_of(RAW, fields).sonar
+    assert told is not None
+    metres = SOUND_SPEED / 4000.0
+    assert told.range_min_m == pytest.approx(2.5 * metres)
+    assert told.range_max_m == pytest.approx((2.5 + BINS) * metres)
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "says"),
+    [
+        (PROJECTED, {"ranges": np.zeros(BINS, np.float32)}, "ranges do not rise"),
+        (PROJECTED, {"ranges": np.full(BINS, np.nan, np.float32)}, "'ranges' is no list"),
+        (PROJECTED, {"ranges": np.arange(3, dtype=np.float32)}, "do not fit 1440 bytes"),
+        (PROJECTED, {"beam_directions": []}, "fewer than two beams"),
+        (PROJECTED, {"beam_directions": directions(np.zeros(BEAMS))}, "do not run one way"),
+        (PROJECTED, {"beam_directions": directions(np.zeros(5))}, "24 beams with 5 directions"),
+        (PROJECTED, {"beam_directions": directions(np.linspace(-91, 91, BEAMS))}, "90 deg"),
+        (RAW, {"sample_rate": 0.0}, "0 samples a second"),
+        (RAW, {"rx_angles": np.zeros(0, np.float32)}, "24 beams with 0 directions"),
+        (
+            RAW,
+            {
+                "samples_per_beam": 2**32 - 1,
+                "rx_angles": np.zeros(0, np.float32),
+                "image": messages.samples(np.zeros((0, 0), np.uint8)),
+            },
+            "0 beams of 4294967295 samples are no image",
+        ),
+        (OCULUS, {"range_resolution": -1.0}, "range resolution -1 m"),
+        (OCULUS, {"range_resolution": 1e308}, "'range_resolution' is no number"),
+        (OCULUS, {"sample_size": 3}, "samples of 3 bytes"),
+        (OCULUS, {"n_beams": 0}, "do not fit"),
+        (OCULUS, {"bearings": np.arange(5, dtype=np.int16)}, "24 beams with 5 bearings"),
+        (OCULUS, {"bearings": np.zeros(BEAMS, np.int16)}, "do not run one way"),
+    ],
+)  # fmt: skip
+def test_pings_that_cannot_be_used(name: str, change: dict[str, Any], says: str) -> None:
+    fields = messages.FIELDS[name](0, polar_frames(1)[0])
+    with pytest.raises(UnusableError, match=says):
+        ping_of(name, fields | change)
+
+
+@pytest.mark.parametrize("name", messages.FIELDS)
+@pytest.mark.parametrize("wire", ["cdr", "ros1", "json"])
+@settings(max_examples=25, deadline=None, derandomize=True)
+@given(data=st.data())
+def test_damaged_messages_never_escape(name: str, wire: str, data: st.DataObject) -> None:
+    """Whatever the bytes, a decoder gives a ping or says that it cannot be used."""
+    fields = messages.FIELDS[name](0, polar_frames(1)[0][:8, :8])
+    decode = decoder_for(name, "", b"", wire)
+    if decode is None:  # no definition of ours
+        return
+    if wire == "json":
+        message = bytearray(json.dumps(messages.plain(fields)).encode())
+    else:
+        message = bytearray(serialised(name, fields, ros1=wire == "ros1"))
+    for _ in range(data.draw(st.integers(0, 5))):
+        place = data.draw(st.integers(0, len(message) - 1))
+        message[place] = data.draw(st.integers(0, 255))
+    message = message[: data.draw(st.integers(0, len(message)) | st.just(len(message)))]
+    try:
+        ping = decode(memoryview(bytes(message)))
+    except UnusableError:
+        return
+    assert ping.pixels.size

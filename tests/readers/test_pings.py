@@ -1,0 +1,403 @@
+"""Logs of polar pings: their windows, sides and orders, what the user states, and every time."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from sonarrec import config
+from sonarrec.cli import main
+from sonarrec.geometry import PolarToFan, polar_from_pixel
+from sonarrec.mcap_writer import SCHEMAS, is_polar
+from sonarrec.readers import open_log
+from sonarrec.readers.fans import FanImages, looks_beam_major
+from sonarrec.readers.raw import RawFrame, UnusableError
+from sonarrec.records import SonarrecError, UsageError
+from sonarrec.run import process
+from sonarrec.sonar import Sonar
+from tests.support import messages
+from tests.support.logs import PERIOD_NS, frames, image_folder, mcap_file
+from tests.support.messages import (
+    BEAMS,
+    BEARINGS_DEG,
+    BIN_M,
+    BINS,
+    FIRST_BIN,
+    PROJECTED,
+    TILT,
+    directions,
+    log_of,
+    ping_of,
+    polar_frames,
+    read,
+    serialised,
+    stamp_ns,
+)
+
+
+def test_uneven_ranges(tmp_path: Path) -> None:
+    """Bins that grow with range: each pixel of the fan shows the bin at its own range."""
+    middles = 1 + 0.9 * np.linspace(0, 1, BINS) ** 1.5
+    image = np.repeat(np.arange(10, 10 + BINS, dtype=np.uint8)[:, None], BEAMS, axis=1)
+    fields = messages.projected_fields(0, image) | {"ranges": middles.astype(np.float32)}
+    frame = read(log_of(tmp_path / "log.mcap", [fields]), sonar=TILT)[0][0]
+    row, column = np.mgrid[0 : frame.fan.rows, 0 : frame.fan.columns]
+    range_m, _ = polar_from_pixel(frame.fan, column, row)
+    expected = np.interp(range_m, middles, np.arange(10, 10 + BINS))
+    seen = frame.image > 0
+    assert seen.mean() > 0.3
+    # cv2.remap places to a 32nd of a bin, and pixels are whole numbers.
+    assert np.abs(frame.image[seen] - expected[seen]).max() <= 0.5 + 1 / 32 + 0.01
+
+
+def test_the_tilt_is_the_users(tmp_path: Path) -> None:
+    path = log_of(tmp_path / "log.mcap", [messages.projected_fields(0, polar_frames(1)[0])])
+    with pytest.raises(SonarrecError, match="all but its tilt; give --tilt-deg"):
+        read(path)
+    (frame,), problems, notes = read(path, sonar=Sonar(tilt_deg=12.0, height_m=0.3))
+    assert (frame.fan.tilt_deg, frame.fan.height_m) == (12.0, 0.3)
+    assert not problems
+    assert not notes
+
+
+def test_a_window_that_changes(tmp_path: Path) -> None:
+    """A ping of another window is put where it belongs in the fan of the first; one that shows
+    too little of it is told of."""
+    image = polar_frames(1)[0]
+    pings = []
+    for first, length, bins in ((1.0, 1.0, 60), (0.5, 2.0, 90), (1.25, 1.0, 60), (1.6, 1.0, 60)):
+        grey = np.full((bins, BEAMS), 200, np.uint8) if pings else image
+        middles = first + (np.arange(bins) + 0.5) * length / bins
+        fields = messages.projected_fields(len(pings), grey)
+        pings.append(fields | {"ranges": middles.astype(np.float32)})
+    found, problems, _ = read(log_of(tmp_path / "log.mcap", pings), sonar=TILT)
+    assert [f.index for f in found] == [0, 1, 2]
+    assert problems == [
+        "message 3 of /a: its window, 1.6 to 2.6 m, shows less than half of the log's, "
+        "1 to 2 m, skipped"
+    ]
+    fan = found[0].fan
+    assert all(f.fan == fan for f in found)
+    assert fan.range_min_m == pytest.approx(1.0)
+    row, column = np.mgrid[0 : fan.rows, 0 : fan.columns]
+    range_m, bearing = polar_from_pixel(fan, column, row)
+    inside = (np.abs(range_m - 1.5) < 0.49) & (np.abs(bearing) < 15)
+    assert (found[1].image[inside] == 200).all()
+    assert (found[2].image[inside & (range_m > 1.26)] == 200).all()
+    assert (found[2].image[range_m < 1.24] == 0).all()
+
+
+def test_an_odd_first_ping_does_not_settle_the_window(tmp_path: Path) -> None:
+    """Sent before the driver had its settings: ten times as far, or nowhere near."""
+    for far, used in ((10.0, [0, 1, 2, 3]), (0.1, [1, 2, 3])):
+        pings = [messages.projected_fields(k, image) for k, image in enumerate(polar_frames(4))]
+        pings[0]["ranges"] = (pings[0]["ranges"] * far).astype(np.float32)
+        if used[0] == 0:  # from the sonar on, so that it shows what the others do
+            pings[0]["ranges"] = (np.arange(BINS) + 0.5).astype(np.float32) / 4
+        found, problems, _ = read(log_of(tmp_path / "log.mcap", pings), sonar=TILT)
+        assert [f.index for f in found] == used
+        assert len(problems) == 4 - len(used)
+        assert found[0].fan.range_max_m == pytest.approx((FIRST_BIN + BINS) * BIN_M)
+
+
+def test_a_topic_of_pings_and_images() -> None:
+    """An image that tells nothing has no place in the fan that pings made."""
+    image = polar_frames(1)[0]
+    told = ping_of(PROJECTED, messages.projected_fields(0, image)).sonar
+    make = FanImages(Sonar(layout="polar", tilt_deg=20.0), "log")
+    for _ in range(2):
+        with pytest.raises(UnusableError, match="does not tell its geometry"):
+            make(RawFrame("image", 0, image))
+        assert make(RawFrame("ping", 0, image, None, told))[0].any()
+
+
+def test_a_first_ping_with_a_window_too_far_to_draw(tmp_path: Path) -> None:
+    """Sixty bins at a thousand kilometres would be a fan of 10^14 pixels."""
+    pings = [messages.projected_fields(k, image) for k, image in enumerate(polar_frames())]
+    far = 1e6 + np.arange(BINS) * 0.25
+    pings[0]["ranges"] = far.astype(np.float32)
+    found, problems, _ = read(log_of(tmp_path / "log.mcap", pings), sonar=TILT)
+    assert [f.index for f in found] == [1, 2]
+    assert len(problems) == 1
+    assert "m in 60 bins, makes a fan of" in problems[0]
+
+
+def test_what_is_stated_does_not_fit_the_log(tmp_path: Path) -> None:
+    pings = [messages.projected_fields(0, polar_frames(1)[0])]
+    path = log_of(tmp_path / "log.mcap", pings)
+    with pytest.raises(SonarrecError, match="2 bearings but the images have 24 beams"):
+        read(path, sonar=TILT.updated(Sonar(bearings_deg=(-1.0, 1.0))))
+    with pytest.raises(SonarrecError, match="height_m = 3 must be above 0 and below"):
+        read(path, sonar=TILT.updated(Sonar(height_m=3.0)))
+
+
+def test_the_number_of_beams_and_bins_may_change(tmp_path: Path) -> None:
+    few = messages.projected_fields(1, np.full((30, 12), 50, np.uint8))
+    few |= {
+        "beam_directions": directions(np.linspace(-14, 14, 12)),
+        "ranges": ((FIRST_BIN + (np.arange(30) + 0.5) * 2) * BIN_M).astype(np.float32),
+    }
+    pings = [messages.projected_fields(0, polar_frames(1)[0]), few]
+    found, problems, _ = read(log_of(tmp_path / "log.mcap", pings), sonar=TILT)
+    assert not problems
+    assert found[1].image.shape == found[0].image.shape
+    assert found[1].image.max() == 50
+
+
+@pytest.mark.parametrize(
+    ("stated", "says"),
+    [
+        (Sonar(range_min_m=0.9), "range_min_m = 0.9 (not 1)"),
+        (Sonar(range_max_m=2.5), "range_max_m = 2.5 (not 1.938)"),
+        (Sonar(field_of_view_deg=60.0), "field_of_view_deg = 60 (not 33.39)"),
+        (Sonar(layout="fan"), 'layout = "fan" (they are polar, and read so)'),
+        (Sonar(bearings_deg=tuple(range(-12, 12))), "bearings_deg"),
+        (Sonar(range_min_m=1.001, field_of_view_deg=33.0), None),
+        (Sonar(layout="polar", bearings_deg=None), None),
+    ],
+)
+def test_what_is_stated_wins_and_is_told(stated: Sonar, says: str | None, tmp_path: Path) -> None:
+    image = polar_frames(1)[0]
+    path = log_of(tmp_path / "log.mcap", [messages.projected_fields(k, image) for k in range(3)])
+    found, problems, notes = read(path, sonar=stated.updated(TILT))
+    assert not problems
+    assert notes == ([] if says is None else [f"{path}: stated against the messages: {says}"])
+    fan = found[0].fan
+    if stated.range_min_m is not None:
+        assert fan.range_min_m == stated.range_min_m
+    if stated.range_max_m is not None:
+        assert fan.range_max_m == stated.range_max_m
+    if stated.field_of_view_deg == 60:
+        assert fan.bearing_max_deg == 30
+    if stated.bearings_deg is not None:
+        assert fan.bearing_min_deg == -12.5
+
+
+def beam_major(fields: dict[str, Any]) -> dict[str, Any]:
+    image = fields["image"]
+    data = np.ascontiguousarray(image["data"].reshape(BINS, BEAMS).T).ravel()
+    return fields | {"image": image | {"data": data}}
+
+
+def test_beam_order(tmp_path: Path) -> None:
+    """Found from the first ping, or stated."""
+    pings = [messages.projected_fields(k, image) for k, image in enumerate(polar_frames())]
+    turned = [beam_major(fields) for fields in pings]
+    usual = log_of(tmp_path / "usual.mcap", pings)
+    other = log_of(tmp_path / "other.mcap", turned)
+    expected, _, _ = read(usual, sonar=TILT)
+    wrong, _, _ = read(other, sonar=Sonar(tilt_deg=20.0, beam_order="range-major"))
+    stated, _, _ = read(other, sonar=Sonar(tilt_deg=20.0, beam_order="beam-major"))
+    with open_log(other, sonar=TILT) as log:
+        found = list(log)
+        assert log.reading()["beam_order"] == "beam-major"
+        assert log.notes == [f"{other}: read as beam-major, found from its first ping"]
+    for frame, same, also, odd in zip(expected, found, stated, wrong, strict=True):
+        np.testing.assert_array_equal(frame.image, same.image)
+        np.testing.assert_array_equal(frame.image, also.image)
+        assert not np.array_equal(frame.image, odd.image)
+
+
+def test_beam_order_of_images_with_rings() -> None:
+    """Every range has its own brightness: far beams resemble each other, yet nothing is turned."""
+    rng = np.random.default_rng(0)
+    for bins, beams in ((200, 512), (512, 200)):
+        rings = rng.integers(30, 220, (bins, 1)) + rng.normal(0, 3, (bins, beams))
+        assert not looks_beam_major(np.clip(rings, 0, 255).astype(np.uint8))
+
+
+def test_beam_order_of_noise_and_ramps() -> None:
+    """Nothing is turned by chance."""
+    rng = np.random.default_rng(1)
+    for _ in range(200):
+        bins, beams = rng.integers(8, 100, 2)
+        assert not looks_beam_major(rng.integers(0, 256, (bins, beams), dtype=np.uint8))
+        for image in frames(2, bins, beams):
+            assert not looks_beam_major(image)
+
+
+def test_beam_order_of_tiny_images() -> None:
+    for bins in range(2, 7):
+        for beams in range(2, 7):
+            assert looks_beam_major(np.full((bins, beams), 7, np.uint8)) is False
+
+
+def test_beam_order_of_images_that_decide_nothing(tmp_path: Path) -> None:
+    blank = [messages.projected_fields(0, np.full((BINS, BEAMS), 9, np.uint8))]
+    with open_log(log_of(tmp_path / "log.mcap", blank), sonar=TILT) as log:
+        list(log)
+        assert log.reading()["beam_order"] == "range-major"
+
+
+def test_beam_order_of_a_shared_recording() -> None:
+    folder = Path(__file__).parents[3] / "shared" / "data" / "basin_b"
+    files = sorted(folder.glob("*.png"))[::25]
+    if not files:
+        pytest.skip(f"no recording {folder}")
+    for file in files:
+        image = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
+        bins, beams = image.shape
+        assert not looks_beam_major(image)
+        assert looks_beam_major(np.ascontiguousarray(image.T).reshape(bins, beams))
+
+
+def test_polar_images_with_a_row_per_beam(tmp_path: Path) -> None:
+    images = frames(3, BINS, BEAMS)
+    folder = image_folder(tmp_path / "usual", images)
+    turned = image_folder(tmp_path / "turned", [np.ascontiguousarray(i.T) for i in images])
+    polar = Sonar(layout="polar")
+    expected, _, _ = read(folder, sonar=polar)
+    found, _, _ = read(turned, sonar=Sonar(layout="polar", beam_order="beam-major"))
+    for frame, same in zip(expected, found, strict=True):
+        np.testing.assert_array_equal(frame.image, same.image)
+
+
+@pytest.mark.parametrize("uneven", [False, True])
+def test_flip_mirrors_the_bearings(uneven: bool, tmp_path: Path) -> None:
+    """What lay at bearing b lies at -b, also where bearings are neither even nor symmetric."""
+    sonar = Sonar(range_min_m=1.0, range_max_m=1.9, field_of_view_deg=28.0, tilt_deg=20.0)
+    if uneven:
+        sonar = sonar.updated(Sonar(bearings_deg=tuple((BEARINGS_DEG + 2).tolist())))
+    spot = np.zeros((BINS, BEAMS), np.uint8)
+    spot[28:33, 17:21] = 255
+    centres = []
+    for flip in (False, True):
+        to_fan = PolarToFan(sonar.updated(Sonar(flip=flip)).complete("test"), BINS, BEAMS)
+        image = to_fan(spot).astype(float)
+        row, column = np.mgrid[0 : image.shape[0], 0 : image.shape[1]]
+        centre = (image * column).sum() / image.sum(), (image * row).sum() / image.sum()
+        centres.append([float(v) for v in polar_from_pixel(to_fan.fan, *centre)])
+        assert to_fan.fan.bearing_min_deg < to_fan.fan.bearing_max_deg
+    assert abs(centres[0][1]) > 3
+    np.testing.assert_allclose(centres[1], [centres[0][0], -centres[0][1]], atol=1e-6)
+    images = frames(2)
+    folder = image_folder(tmp_path / "fan", images)
+    for frame, image in zip(read(folder, sonar=Sonar(flip=True))[0], images, strict=True):
+        np.testing.assert_array_equal(frame.image, image[:, ::-1])
+
+
+# Times
+
+
+def test_the_time_that_names_a_frame(tmp_path: Path) -> None:
+    """Header stamps that go back: they name the frames, log time orders them."""
+    path = tmp_path / "log.mcap"
+    images = polar_frames(4)
+    pings = [
+        ("/a", k * PERIOD_NS, serialised("sensor_msgs/msg/Image", messages.image_fields(3 - k, i)))
+        for k, i in enumerate(images)
+    ]
+    mcap_file(path, pings)
+    expected = {
+        "log": [k * PERIOD_NS for k in range(4)],
+        "publish": [k * PERIOD_NS + 1 for k in range(4)],
+        "header": [stamp_ns(3 - k) for k in range(4)],
+    }
+    for clock, times in expected.items():
+        found, problems, _ = read(path, time=clock)
+        assert not problems
+        assert [f.timestamp_ns for f in found] == times
+        for frame, image in zip(found, images, strict=True):
+            np.testing.assert_array_equal(frame.image, image)
+    process(path, tmp_path, config.preset("default"), time="header")
+    lines = (tmp_path / "log" / "frames.csv").read_text().splitlines()
+    assert lines[0].endswith("log_time_ns,publish_time_ns,header_stamp_ns")
+    assert lines[2].split(",")[1] == str(stamp_ns(2))
+    assert lines[2].split(",")[4:] == [str(PERIOD_NS), str(PERIOD_NS + 1), str(stamp_ns(2))]
+    before = (tmp_path / "log" / "estimates.csv").read_bytes()
+    again = tmp_path / "again"
+    process(path, again, config.preset("default"), earlier_run=tmp_path / "log" / "run.toml")
+    assert (again / "log" / "estimates.csv").read_bytes() == before
+
+
+def test_a_message_without_a_stamp(tmp_path: Path) -> None:
+    message = b'{"height": 2, "width": 3, "encoding": "mono8", "data": "AAAAAAAA"}'
+    path = mcap_file(tmp_path / "log.mcap", [("/a", 0, message)], schema="foxglove.RawImage",
+                     encoding="json")  # fmt: skip
+    assert read(path)[0][0].stamps.header is None
+    with pytest.raises(SonarrecError, match="without a header time; --time log needs none"):
+        read(path, time="header")
+    with pytest.raises(UsageError, match="time is 'sonar', not one of log, publish, header"):
+        read(path, time="sonar")
+    with pytest.raises(UsageError, match="--time chooses a clock of an MCAP"):
+        open_log(image_folder(tmp_path / "images", frames(1)), time="header")
+
+
+# What a user types
+
+
+def sonarrec(*arguments: str | Path, code: int = 0) -> Result:
+    result = CliRunner().invoke(main, [str(a) for a in arguments])
+    assert result.exit_code == code, result.output
+    return result
+
+
+@pytest.mark.parametrize("schema", [s for s in SCHEMAS if is_polar(s)])
+def test_simulated_pings_are_read_again(schema: str, tmp_path: Path) -> None:
+    """Nothing but tilt and height is written beside them; each window is the scene's to a bin."""
+    log = tmp_path / "pings.mcap"
+    scene = ("--scene", "sample_polar", "--frames", "2", "--format", "mcap")
+    sonarrec("simulate", *scene, "--out", log, "--schema", schema, "--compression", "lz4")
+    stated = tomllib.loads((tmp_path / "pings.sonar.toml").read_text())["sonar"]
+    assert set(stated) == {"tilt_deg", "height_m", "frame_rate_hz"}
+    found, problems, notes = read(log)
+    assert len(found) == 2
+    assert not problems
+    assert not notes
+    fan = found[0].fan
+    bin_m = fan.metres_per_pixel
+    assert fan.range_max_m == pytest.approx(2.65, abs=bin_m)
+    begins = 0.0 if "culus" in schema else 1.4  # an Oculus records from the sonar on
+    assert fan.range_min_m == pytest.approx(begins, abs=bin_m)
+    assert fan.bearing_max_deg == pytest.approx(14.4, abs=0.02)
+
+
+def test_simulate_refuses(tmp_path: Path) -> None:
+    polar = ("--schema", "oculus_interfaces/msg/Ping")
+    to = ("--out", tmp_path / "x.mcap")
+    assert (
+        "needs a polar scene"
+        in sonarrec("simulate", "--format", "mcap", *polar, *to, code=2).stderr
+    )
+    assert (
+        "one of sensor_msgs/msg/Image, "
+        in sonarrec("simulate", "--format", "mcap", "--schema", "x", *to, code=2).stderr
+    )
+    assert "--format mcap" in sonarrec("simulate", *polar, "--out", tmp_path / "y", code=2).stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_run_with_the_flags(tmp_path: Path) -> None:
+    """A contradiction is one line and no fault; a ping that cannot be used is exit code 3."""
+    pings = [messages.projected_fields(k, image) for k, image in enumerate(polar_frames())]
+    pings.append(pings[0] | {"ranges": (pings[0]["ranges"] + 5).astype(np.float32)})
+    log = log_of(tmp_path / "log.mcap", pings)
+    out = ("--out", tmp_path / "out")
+    fault = sonarrec("run", log, *out, code=1).stderr
+    assert fault.startswith(f"sonarrec: {log}: the messages tell")
+    assert fault.count("\n") == 1
+    told = sonarrec("run", log, *out, "--tilt-deg", "20", "--time", "header", code=3).stderr
+    assert told.splitlines() == [
+        "sonarrec: message 3 of /a: its window, 6 to 6.94 m, shows less than half of the "
+        "log's, 1 to 1.94 m, skipped"
+    ]
+    flags = ("--flip", "--beam-order", "range-major", "--pixel-scale", "log", "--full-scale", "255")
+    stated = ("--tilt-deg", "20", "--range-min-m", "0.9", "--range-max-m", "1.9375")
+    told = sonarrec("run", log, *out, *flags, "--dynamic-range-db", "40", *stated).stderr
+    assert told.splitlines() == [
+        f"sonarrec: note: {log}: stated against the messages: range_min_m = 0.9 (not 1)"
+    ]
+    run = tomllib.loads((tmp_path / "out" / "log" / "run.toml").read_text())
+    assert run["sonar"] == {
+        "layout": "polar", "range_min_m": 0.9, "range_max_m": 1.9375, "tilt_deg": 20.0,
+        "beam_order": "range-major", "flip": True, "pixel_scale": "log", "full_scale": 255.0,
+        "dynamic_range_db": 40.0,
+    }  # fmt: skip
+    assert run["input"]["topic"] == "/a"
+    assert run["fan"]["range_min_m"] == 0.9

@@ -1,0 +1,158 @@
+"""Pixels of any depth become 8-bit grey by a scale that the first frame settles."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sonarrec.geometry import PolarToFan
+from sonarrec.readers import open_log
+from sonarrec.readers.pixels import grey_scale, single_channel, to_grey8
+from sonarrec.readers.raw import UnusableError
+from sonarrec.records import SonarrecError
+from sonarrec.sonar import Sonar, sonar_from_table
+from tests.support import messages
+from tests.support.messages import (
+    BEAMS,
+    BEARINGS_DEG,
+    BIN_M,
+    BINS,
+    FIRST_BIN,
+    TILT,
+    log_of,
+    polar_frames,
+)
+
+
+def floats_log(path: Path, images: list[np.ndarray], number: int) -> Path:
+    pings = []
+    for k, image in enumerate(images):
+        fields = messages.projected_fields(k, image)
+        pings.append(fields | {"image": messages.samples(image, number)})
+    return log_of(path, pings)
+
+
+AMPLITUDES = [
+    (np.random.default_rng(k).rayleigh(40.0, (BINS, BEAMS)) + 1).astype(np.float32)
+    for k in range(3)
+]
+
+
+def greys(path: Path, **keys: Any) -> list[np.ndarray]:
+    with open_log(path, sonar=Sonar(tilt_deg=20.0, **keys)) as log:
+        found = [frame.image for frame in log]
+        assert log.problems == []
+    return found
+
+
+def in_the_fan(images: list[np.ndarray]) -> list[np.ndarray]:
+    sonar = Sonar(
+        layout="polar",
+        range_min_m=FIRST_BIN * BIN_M,
+        range_max_m=(FIRST_BIN + BINS) * BIN_M,
+        bearings_deg=tuple(BEARINGS_DEG.tolist()),
+        tilt_deg=20.0,
+    )
+    to_fan = PolarToFan(sonar.complete("test"), BINS, BEAMS)
+    return [to_fan(image) for image in images]
+
+
+@pytest.mark.parametrize("number", [4, 8, 9], ids=["u4", "f4", "f8"])
+def test_amplitudes_become_logarithmic(number: int, tmp_path: Path) -> None:
+    """By the closed form, from the median of the first ping; the ping ten times as bright that
+    follows is 20 dB brighter."""
+    dtype = {4: "<u4", 8: "<f4", 9: "<f8"}[number]
+    images = [AMPLITUDES[0].astype(dtype), (AMPLITUDES[1] * 10).astype(dtype)]
+    full_db = 20 * math.log10(float(np.median(images[0]))) + 50 * 2 / 3
+    expected = [
+        np.clip(255 * (1 + (20 * np.log10(i.astype(float)) - full_db) / 50), 0, 255) for i in images
+    ]
+    found = greys(floats_log(tmp_path / "log.mcap", images, number))
+    for image, exact in zip(found, in_the_fan([np.rint(e).astype(np.uint8) for e in expected]),
+                            strict=True):  # fmt: skip
+        assert np.abs(image.astype(int) - exact).max() <= 1  # a value on the edge of rounding
+    alone = greys(floats_log(tmp_path / "one.mcap", images[:1], number))
+    np.testing.assert_array_equal(alone[0], found[0])
+
+
+def test_16_bits_that_were_never_compressed(tmp_path: Path) -> None:
+    """Dim amplitudes become logarithmic as those of 32 bits do; a compressed image stays linear."""
+    for values, scale in ((AMPLITUDES[0], "log"), (polar_frames(1)[0] * 257.0, "linear")):
+        narrow = floats_log(tmp_path / f"{scale}2.mcap", [values.astype("<u2")], 2)
+        with open_log(narrow, sonar=TILT) as log:
+            (frame,) = log
+            assert log.reading()["pixel_scale"] == scale
+        if scale == "log":
+            wide = greys(floats_log(tmp_path / "wide.mcap", [values.astype("<u4")], 4))
+        else:
+            wide = in_the_fan([polar_frames(1)[0]])
+        np.testing.assert_array_equal(frame.image, wide[0])
+    flat = floats_log(tmp_path / "stated.mcap", [AMPLITUDES[0].astype("<u2")], 2)
+    assert greys(flat, pixel_scale="linear")[0].max() <= 1
+
+
+def test_the_scale_can_be_stated(tmp_path: Path) -> None:
+    path = floats_log(tmp_path / "log.mcap", AMPLITUDES, 8)
+    keys = {"pixel_scale": "linear", "full_scale": 200.0}
+    expected = [np.rint(np.minimum(i * 255 / 200, 255)).astype(np.uint8) for i in AMPLITUDES]
+    for image, exact in zip(greys(path, **keys), in_the_fan(expected), strict=True):
+        assert np.abs(image.astype(int) - exact).max() <= 1
+    decibels = floats_log(tmp_path / "db.mcap", [20 * np.log10(i) - 60 for i in AMPLITUDES], 8)
+    keys = {"full_scale": 1000.0, "dynamic_range_db": 60.0}
+    by_log = greys(path, **keys)
+    by_db = greys(decibels, full_scale=0.0, dynamic_range_db=60.0)  # db: some are negative
+    for mine, theirs in zip(by_log, by_db, strict=True):
+        assert np.abs(mine.astype(int) - theirs).max() <= 1
+    with pytest.raises(SonarrecError, match='pixel_scale must be "linear", "log" or "db"'):
+        sonar_from_table({"pixel_scale": "sqrt"}, "x")
+
+
+def test_a_blank_first_ping_is_black_and_settles_nothing(tmp_path: Path) -> None:
+    for blank in (0.0, np.nan, -np.inf):
+        images = [np.full((BINS, BEAMS), blank, np.float32), *AMPLITUDES]
+        log = floats_log(tmp_path / "log.mcap", images, 8)
+        first, *rest = greys(log)
+        assert not first.any()
+        whole = greys(floats_log(tmp_path / "whole.mcap", AMPLITUDES, 8))
+        for image, same in zip(rest, whole, strict=True):
+            np.testing.assert_array_equal(image, same)
+
+
+def test_a_full_scale_that_cannot_be_meant(tmp_path: Path) -> None:
+    path = floats_log(tmp_path / "log.mcap", AMPLITUDES, 8)
+    with pytest.raises(SonarrecError, match="full_scale = 0 must be above 0"):
+        greys(path, full_scale=0.0)
+    with pytest.raises(SonarrecError, match="dynamic_range_db = -1 must be above 0"):
+        greys(path, dynamic_range_db=-1.0)
+
+
+def grey8(pixels: np.ndarray, sonar: Sonar = Sonar(), amplitudes: bool = False) -> np.ndarray:  # noqa: B008
+    """One frame by the scale that it would settle as the first of a log."""
+    channel = single_channel(pixels)
+    scale = grey_scale(sonar, channel, amplitudes)
+    assert scale is not None
+    return to_grey8(channel, scale)
+
+
+def test_grey8() -> None:
+    every = np.arange(65536, dtype=np.uint16).reshape(256, 256)
+    expected = np.round(every / 257).astype(np.uint8)
+    np.testing.assert_array_equal(grey8(every), expected)
+    np.testing.assert_array_equal(grey8(every.astype(">u2")), expected)
+    colour = np.random.default_rng(1).integers(0, 256, (30, 40, 3), dtype=np.uint8)
+    weighted = colour @ np.array([0.114, 0.587, 0.299])
+    assert np.abs(grey8(colour) - weighted).max() <= 0.51
+    floats = np.array([[0.0, 0.5, 1.0, np.nan]])
+    np.testing.assert_array_equal(grey8(floats), [[0, 128, 255, 0]])
+    for wrong in (
+        np.zeros((3, 3, 2), np.uint8),
+        np.zeros((0, 3), np.uint8),
+        np.zeros(3, np.uint8),
+        np.zeros((3, 3), np.complex64),
+    ):
+        with pytest.raises(UnusableError):
+            grey8(wrong, amplitudes=True)

@@ -1,0 +1,392 @@
+"""The sonar's motion told by a table: trigonometry written out, and the simulator's poses."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections import defaultdict
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.writer import Writer
+from rosbags.typesys import Stores, get_typestore
+
+from sonarrec.cli import main
+from sonarrec.config import Config, preset
+from sonarrec.poses import PoseTable, pose_table
+from sonarrec.readers.mcap_poses import read_topic
+from sonarrec.readers.poses_csv import read_poses
+from sonarrec.recogniser.plane import Plane
+from sonarrec.recogniser.recogniser import FRAMEWORK, Recogniser
+from sonarrec.records import Frame, Motion, SonarrecError
+from sonarrec.simulation.motion import poses
+from sonarrec.simulation.scene import Scene, load_scene
+from sonarrec.simulation.simulate import SimulatedFrame, render
+from tests.support.drawn import make_fan
+from tests.support.logs import cdr_compressed_image
+
+SAMPLE = Path(__file__).resolve().parents[2] / "sample_data" / "pan"
+HEIGHT = 0.68
+
+
+def rows(path: Path, text: str) -> Path:
+    path.write_text(text)
+    return path
+
+
+def seen_by(x: float, y: float, pose: tuple[float, float, float]) -> tuple[float, float]:
+    """(slant range m, bearing deg) of a floor point for a sonar at (yaw deg, x, y)."""
+    yaw, at_x, at_y = pose
+    range_m = math.sqrt((x - at_x) ** 2 + (y - at_y) ** 2 + HEIGHT**2)
+    return range_m, math.degrees(math.atan2(x - at_x, y - at_y)) - yaw
+
+
+def table_of(scene: Scene, path: Path) -> Path:
+    """The simulator's true poses, as a user's table would have them."""
+    lines = [
+        f"{i / scene.rate_hz:.4f},{p.pan_deg:.4f},{p.x_m:.5f},{p.y_m:.5f}"
+        for i, p in enumerate(poses(scene))
+    ]
+    return rows(path, "\n".join(["timestamp,yaw,x,y", *lines]) + "\n")
+
+
+# Poses and motions
+
+
+pose = st.tuples(st.floats(-170, 170), st.floats(-0.6, 0.6), st.floats(-0.6, 0.6))
+
+
+@settings(max_examples=80, deadline=None)
+@given(
+    kind=st.sampled_from(["fan", "floor"]),
+    before=pose,
+    turn=st.floats(-25, 25),
+    carried=st.tuples(st.floats(-0.4, 0.4), st.floats(-0.4, 0.4)),
+    range_m=st.floats(1.6, 3.4),
+    bearing_deg=st.floats(-12, 12),
+)
+def test_a_still_object_appears_where_trigonometry_says(
+    kind, before, turn, carried, range_m, bearing_deg
+):
+    after = (before[0] + turn, before[1] + carried[0], before[2] + carried[1])
+    heading = math.radians(before[0] + bearing_deg)
+    ground = math.sqrt(range_m**2 - HEIGHT**2)
+    x, y = before[1] + ground * math.sin(heading), before[2] + ground * math.cos(heading)
+    columns = np.array([before, after]).T
+    table = pose_table("", {}, np.array([0, 10**9]), *columns)
+    motion = table.motion(0, 10**9)
+    assert motion is not None
+    plane = Plane(make_fan(120, height_m=HEIGHT), 0.15, kind, 10.0)
+    first, second = (
+        np.stack(plane.from_polar(*(np.array([v]) for v in seen_by(x, y, p))), axis=-1)
+        for p in (before, after)
+    )
+    np.testing.assert_allclose(plane.moved(first, motion), second, atol=1e-6)
+    many = np.broadcast_to(first, (3, 4, 1, 2))
+    assert plane.moved(many, motion).shape == many.shape
+
+
+def test_a_pose_between_two_rows_lies_on_the_line_between_them(tmp_path):
+    table = read_poses(
+        rows(tmp_path / "o.csv", "timestamp,yaw,x,y\n10,350,0,0\n11,4,0,2\n12,4,1,2\n")
+    )
+    # 350 to 4 deg is a turn of 14 to the right, through 357 at half time.
+    half = table.motion(10_000_000_000, 10_500_000_000)
+    assert half is not None
+    assert half.pan_deg == pytest.approx(7)
+    # Headed to 350 deg, a metre towards y is ahead and a little to the right.
+    assert half.ahead_m == pytest.approx(math.cos(math.radians(10)))
+    assert half.right_m == pytest.approx(math.sin(math.radians(10)))
+    assert table.motion(11_000_000_000, 11_000_000_000) == Motion(0.0, 0.0, 0.0)
+
+
+def test_without_x_and_y_the_sonar_only_turns(tmp_path):
+    table = read_poses(rows(tmp_path / "o.csv", "timestamp_ns, yaw\n0, 1\n1000000000, -2\n"))
+    assert table.motion(0, 1_000_000_000) == Motion(-3.0, 0.0, 0.0)
+
+
+EPOCH = 1_763_700_000
+
+
+@pytest.mark.parametrize("start", [0, EPOCH])
+@pytest.mark.parametrize(
+    ("column", "unit"), [("timestamp", 1), ("timestamp", 10**9), ("timestamp_ns", 10**9)]
+)
+def test_seconds_and_nanoseconds_are_told_by_the_time_between_rows(tmp_path, start, column, unit):
+    """At 20 rows a second, from 0 or since 1970; the frames lie between the rows."""
+    lines = [f"{(start * 20 + i) * unit / 20:.0{2 if unit == 1 else 0}f},{i}" for i in range(40)]
+    table = read_poses(rows(tmp_path / "o.csv", "\n".join([f"{column},yaw", *lines])))
+    first = start * 10**9 + 125_000_000
+    motion = table.motion(first, first + 500_000_000)
+    assert motion is not None
+    assert motion.pan_deg == pytest.approx(10, abs=1e-4)  # 10 rows; 1970's seconds are rounded
+
+
+def test_rows_may_come_in_any_order_and_twice(tmp_path):
+    text = "timestamp,yaw\n2,20\n0,0\n1,10\n1,10\n3,30\n"
+    table = read_poses(rows(tmp_path / "o.csv", text))
+    motion = table.motion(500_000_000, 2_500_000_000)
+    assert motion is not None
+    assert motion.pan_deg == pytest.approx(20)
+
+
+def test_what_was_not_measured_is_not_told(tmp_path):
+    times = [*np.arange(0, 5, 0.1), *np.arange(7, 9, 0.1)]  # nothing between 4.9 and 7 s
+    text = "timestamp,yaw\n" + "".join(f"{t:.1f},{t:.1f}\n" for t in times)
+    table = read_poses(rows(tmp_path / "o.csv", text))
+    covered = {t: table.covers(round(t * 1e9)) for t in (-0.1, 0, 4.9, 5.0, 6.9, 7, 8.9, 8.91)}
+    assert [t for t, told in covered.items() if told] == [0, 4.9, 7, 8.9]
+    assert table.motion(4_000_000_000, 6_000_000_000) is None
+    # What happened in between does not matter where both ends are told.
+    across = table.motion(4_000_000_000, 8_000_000_000)
+    assert across is not None
+    assert across.pan_deg == pytest.approx(4)
+
+
+# What it does for recognition
+
+
+def tracks_on_landmarks(
+    frames: list[SimulatedFrame], scene: Scene, config: Config, table: PoseTable | None
+) -> tuple[dict[int, set[int]], int, int]:
+    """Track numbers on each landmark (by its place in the scene); right claims, whole landmarks."""
+    recogniser = Recogniser(config, frames[0].fan, scene.landmark_set, poses=table)
+    numbers: dict[int, set[int]] = defaultdict(set)
+    right = whole = 0
+    for frame in frames:
+        result = recogniser.step(Frame(frame.index, frame.timestamp_ns, frame.image, frame.fan))
+        tracks = [e for e in result.estimates if e.method == FRAMEWORK]
+        for truth in frame.truth:
+            if truth.visible < 0.9:
+                continue
+            whole += 1
+            for e in tracks:
+                if math.hypot(e.x_px - truth.x_px, e.y_px - truth.y_px) < 15:
+                    numbers[truth.landmark].add(e.object)
+                    right += e.declared and e.landmark == truth.landmark
+    return numbers, right, whole
+
+
+def moving(**motion: float) -> Scene:
+    """The basin with four landmarks, each once, and another motion."""
+    scene = load_scene("basin")
+    still = replace(scene.motion, yaw_jitter_deg=0.0, sway_x_m=0.0, sway_y_m=0.0)
+    return replace(scene, frames=40, motion=replace(still, **motion))
+
+
+@pytest.mark.parametrize(
+    "motion",
+    [
+        # 19 of 28.8 deg from frame to frame: a third of the picture is common to both.
+        pytest.param({"pan_deg_s": 76.0, "yaw_jitter_deg": 0.3}, id="fast pan"),
+        # Up to 6 cm from frame to frame, and back: no turn explains that.
+        pytest.param(
+            {"pan_deg_s": 8.0, "sway_x_m": 0.3, "sway_y_m": 0.3, "sway_period_s": 8.0}, id="sway"
+        ),
+    ],
+)
+def test_tracks_follow_a_motion_that_the_images_do_not_show(tmp_path, motion):
+    scene = moving(**motion)
+    frames = list(render(scene))
+    table = read_poses(table_of(scene, tmp_path / "odometry.csv"))
+    config = preset("default")
+    told, right, whole = tracks_on_landmarks(frames, scene, config, table)
+    seen, right_seen, _ = tracks_on_landmarks(frames, scene, config, None)
+    assert whole > 40
+    # A landmark keeps its number while it leaves the view and returns.
+    assert {len(numbers) for numbers in told.values()} == {1}
+    assert sum(map(len, seen.values())) > len(seen)
+    assert right >= right_seen
+    assert right > 0.95 * whole
+
+
+# The command
+
+
+@pytest.fixture
+def pings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Sixteen frames of the sample log, 4 a second, panning by 0.5 deg a frame."""
+    monkeypatch.chdir(tmp_path)
+    folder = tmp_path / "pings"
+    folder.mkdir()
+    for name in (*(f"{n:06d}.png" for n in range(16)), "sonar.toml"):
+        (folder / name).write_bytes((SAMPLE / name).read_bytes())
+    return folder
+
+
+def sonarrec(*arguments: str | Path, code: int = 0) -> Result:
+    result = CliRunner().invoke(main, [str(a) for a in arguments])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    assert result.exit_code == code, result.output
+    return result
+
+
+def pan_table(path: Path, count: int = 16, per_second: float = 1.0) -> Path:
+    """The poses of the sample log's sonar: 4 frames a second, 2 deg a second to the right."""
+    scene = replace(load_scene("sample_pan"), frames=count)
+    lines = [f"{i / scene.rate_hz},{p.pan_deg * per_second}" for i, p in enumerate(poses(scene))]
+    return rows(path, "\n".join(["timestamp,yaw", *lines]) + "\n")
+
+
+@pytest.mark.parametrize("name", ["default", "paper"])
+def test_the_same_table_gives_the_same_bytes_again(pings, name):
+    table = pan_table(Path("odometry.csv"))
+    told = sonarrec("run", pings, "--odometry", table, "--preset", name)
+    assert told.stderr == ""
+    out = Path("sonarrec_out/pings")
+    run = tomllib.loads((out / "run.toml").read_text())
+    assert run["odometry"]["name"] == "odometry.csv"
+    assert len(run["odometry"]["sha256"]) == 64
+    again = ("run", pings, "--config", out / "run.toml", "--out", "again")
+    fault = sonarrec(*again, code=2).stderr
+    assert "--odometry" in fault
+    assert fault.count("\n") == 1
+    other = sonarrec(*again, "--odometry", pan_table(Path("other.csv"), per_second=1.01))
+    assert "another odometry than other.csv" in other.stderr
+    assert sonarrec(*again, "--odometry", table).stderr == ""
+    for file in ("estimates.csv", "frames.csv", "run.toml"):
+        assert (Path("again/pings") / file).read_bytes() == (out / file).read_bytes()
+    sonarrec("run", pings, "--preset", name, "--out", "without")
+    estimates = Path("without/pings/estimates.csv").read_bytes()
+    assert estimates != (out / "estimates.csv").read_bytes()
+
+
+def test_frames_without_a_pose_are_told_once(pings):
+    told = sonarrec("run", pings, "--odometry", pan_table(Path("short.csv"), 11), code=3)
+    problems = [line for line in told.stderr.splitlines() if "short.csv" in line]
+    assert problems == [
+        "sonarrec: short.csv: no pose for 5 of 16 frames; it tells 0.000 to 2.500 s, and the "
+        "frames are from 0.000 to 3.750 s"
+    ]
+    run = tomllib.loads(Path("sonarrec_out/pings/run.toml").read_text())
+    assert run["input"]["problems"] == [problems[0].removeprefix("sonarrec: ")]
+
+
+@pytest.mark.parametrize(
+    "factor", [pytest.param(-1.0, id="to the left"), pytest.param(math.pi / 180, id="radians")]
+)
+def test_a_table_that_the_images_contradict_is_noted(pings, factor):
+    told = sonarrec("run", pings, "--odometry", pan_table(Path("odd.csv"), per_second=factor))
+    assert "note: odd.csv: the turns it tells are not those of the images" in told.stderr
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("", "empty"),
+        ("timestamp,heading\n0,1\n1,2\n", "no yaw"),
+        ("time,yaw\n0,1\n1,2\n", "neither timestamp nor timestamp_ns"),
+        ("timestamp,yaw,x\n0,1,2\n1,2,3\n", "x and y go together"),
+        ("timestamp,yaw\n0,1\n", "two times"),
+        ("timestamp,yaw\n0,1\n0,2\n", "two times"),
+        ("timestamp,yaw\n0,1\n1,north\n", "line 3: yaw must be a finite number, not 'north'"),
+        ("timestamp,yaw\n0,1\n1,\n", "line 3: yaw must be a finite number"),
+        ("timestamp,yaw,x,y\n0,1,2,3\n1,1,inf,3\n", "line 3: x must be a finite number"),
+        ("timestamp_ns,yaw\n0.5,1\n1,1\n", "line 2: timestamp_ns must be a whole number"),
+    ],
+)
+def test_a_table_that_cannot_be_used_is_told_in_one_line(tmp_path, text, fault):
+    path = rows(tmp_path / "odometry.csv", text)
+    with pytest.raises(SonarrecError, match=r"odometry\.csv") as told:
+        read_poses(path)
+    assert fault in str(told.value)
+    assert "\n" not in str(told.value)
+
+
+# The pose topic
+
+
+def pose_log(path: Path, images: Path, schema: str, told: bool, yaw_of: list[float]) -> Path:
+    """An MCAP of the images, and of poses as rosbags writes them: ROS turns to the left."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    types = store.types
+    stamp = types["builtin_interfaces/msg/Time"]
+    header = types["std_msgs/msg/Header"]
+    point, quaternion = types["geometry_msgs/msg/Point"], types["geometry_msgs/msg/Quaternion"]
+    vector = types["geometry_msgs/msg/Vector3"]
+    text = store.generate_msgdef(schema, ros_version=2)[0].encode() if told else b""
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        image_schema = writer.register_schema("sensor_msgs/msg/CompressedImage", "ros2msg", b"")
+        channel = writer.register_channel("/sonar", "cdr", image_schema)
+        pose_channel = writer.register_channel(
+            "/odom", "cdr", writer.register_schema(schema, "ros2msg", text)
+        )
+        for number, image in enumerate(sorted(images.glob("*.png"))):
+            at = number * 250_000_000
+            writer.add_message(channel, at, cdr_compressed_image(image.read_bytes(), "png"), at)
+            left = math.radians(-yaw_of[number])
+            pose = types["geometry_msgs/msg/Pose"](
+                position=point(x=1.0, y=2.0, z=0.5),
+                orientation=quaternion(x=0.0, y=0.0, z=math.sin(left / 2), w=math.cos(left / 2)),
+            )
+            head = header(stamp=stamp(sec=number, nanosec=7), frame_id="odom")
+            if schema.endswith("Odometry"):
+                still = types["geometry_msgs/msg/Twist"](
+                    linear=vector(x=0.0, y=0.0, z=0.0), angular=vector(x=0.0, y=0.0, z=0.0)
+                )
+                message = types[schema](
+                    header=head,
+                    child_frame_id="sonar",
+                    pose=types["geometry_msgs/msg/PoseWithCovariance"](
+                        pose=pose, covariance=np.zeros(36)
+                    ),
+                    twist=types["geometry_msgs/msg/TwistWithCovariance"](
+                        twist=still, covariance=np.zeros(36)
+                    ),
+                )
+            else:
+                message = types[schema](header=head, pose=pose)
+            data = bytes(store.serialize_cdr(message, schema))
+            writer.add_message(pose_channel, at, data, at)
+        writer.finish()
+    path.with_suffix(".sonar.toml").write_bytes((images / "sonar.toml").read_bytes())
+    return path
+
+
+@pytest.mark.parametrize("schema", ["nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"])
+@pytest.mark.parametrize("told", [True, False], ids=["defined in the file", "known"])
+def test_a_topic_is_as_good_as_a_table(pings, schema, told):
+    yaw = [p.pan_deg for p in poses(replace(load_scene("sample_pan"), frames=16))]
+    log = pose_log(Path("dive.mcap"), pings, schema, told, yaw)
+    by_topic = sonarrec("run", log, "--topic", "/sonar", "--odometry-topic", "/odom")
+    assert by_topic.stderr == ""
+    table = read_topic(log, "/odom", "log")
+    np.testing.assert_allclose(np.diff(table.pose[:, 0]), np.diff(yaw), atol=1e-9)
+    assert table.pose[0, 1:].tolist() == [-2.0, 1.0]
+    assert read_topic(log, "/odom", "header").at.tolist() == [n * 10**9 + 7 for n in range(16)]
+    by_table = ("--odometry", pan_table(Path("odometry.csv")), "--out", "by_table")
+    sonarrec("run", log, "--topic", "/sonar", *by_table)
+    places = [
+        np.loadtxt(
+            Path(out) / "dive" / "estimates.csv",
+            delimiter=",",
+            skiprows=1,
+            usecols=(0, 3, 4, 5),
+        )
+        for out in ("sonarrec_out", "by_table")
+    ]
+    np.testing.assert_allclose(*places, atol=0.02)  # the table is rounded
+    # The topic is in run.toml: nothing has to be given again.
+    sonarrec("run", log, "--config", "sonarrec_out/dive/run.toml", "--out", "again")
+    again = Path("again/dive/estimates.csv").read_bytes()
+    assert again == Path("sonarrec_out/dive/estimates.csv").read_bytes()
+
+
+def test_a_topic_that_is_not_there_is_told_in_one_line(pings):
+    log = pose_log(Path("dive.mcap"), pings, "geometry_msgs/msg/PoseStamped", True, [0.0] * 16)
+    for arguments, told in [
+        ((log, "--odometry-topic", "/pose"), "there is /odom"),
+        ((pings, "--odometry-topic", "/odom"), "this is none"),
+        ((log, "--odometry-topic", "/odom", "--odometry", pan_table(Path("o.csv"))), "one of the"),
+    ]:
+        fault = sonarrec("run", *arguments, code=2).stderr
+        assert told in fault
+        assert fault.count("\n") == 1

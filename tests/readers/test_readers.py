@@ -1,0 +1,387 @@
+"""Every reader gives the same frames; input that cannot be used is one clear line."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import subprocess
+import sys
+import tracemalloc
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from sonarrec.geometry import PolarToFan
+from sonarrec.mcap_writer import SCHEMAS, McapImageWriter, is_polar
+from sonarrec.readers import open_log
+from sonarrec.readers.log import MAX_PROBLEM_LINES
+from sonarrec.records import Frame, SonarrecError, UsageError
+from sonarrec.sonar import Sonar, load_sonar
+from tests.support.logs import PERIOD_NS, SONAR_TOML, cdr_image, frames, image_folder, mcap_file
+
+DATA = Path(__file__).parents[3] / "shared" / "data"
+Maker = Callable[[Path, list[np.ndarray]], Path]
+
+
+def read(path: str | Path, **options: object) -> tuple[list[Frame], list[str]]:
+    with open_log(path, **options) as log:  # type: ignore[arg-type]
+        return list(log), log.problems
+
+
+def folder(suffix: str, change: Callable[[np.ndarray], np.ndarray] = lambda image: image) -> Maker:
+    return lambda path, images: image_folder(path / "log", [change(i) for i in images], suffix)
+
+
+def ours(schema: str, compression: str, scale: int = 1) -> Maker:
+    def make(path: Path, images: list[np.ndarray]) -> Path:
+        (path / "sonar.toml").write_text(SONAR_TOML)
+        with McapImageWriter(path / "log.mcap", schema=schema, compression=compression) as writer:
+            for k, image in enumerate(images):
+                pixels = image if scale == 1 else image.astype(np.uint16) * scale
+                writer.write(k * PERIOD_NS, pixels)
+        return path / "log.mcap"
+
+    return make
+
+
+def theirs(**options: object) -> Maker:
+    return lambda path, images: mcap_file(
+        path / "log.mcap",
+        [("/a", k * PERIOD_NS, cdr_image(i)) for k, i in enumerate(images)],
+        **options,  # type: ignore[arg-type]
+    )
+
+
+def rosbags_message(path: Path, images: list[np.ndarray]) -> Path:
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    types = store.types
+    messages = []
+    for k, image in enumerate(images):
+        message = types["sensor_msgs/msg/Image"](
+            header=types["std_msgs/msg/Header"](
+                stamp=types["builtin_interfaces/msg/Time"](sec=k, nanosec=3), frame_id="x" * k
+            ),
+            height=image.shape[0],
+            width=image.shape[1],
+            encoding="mono8",
+            is_bigendian=0,
+            step=image.shape[1],
+            data=image.ravel(),
+        )
+        data = bytes(store.serialize_cdr(message, "sensor_msgs/msg/Image", little_endian=k % 2 > 0))
+        messages.append(("/a", k * PERIOD_NS, data))
+    return mcap_file(path / "log.mcap", messages)
+
+
+def lossless_video(suffix: str) -> Maker:
+    """Huffman-coded RGB, which holds the pixels as they are."""
+
+    def make(path: Path, images: list[np.ndarray]) -> Path:
+        file = path / f"log{suffix}"
+        size = images[0].shape[1], images[0].shape[0]
+        writer = cv2.VideoWriter(str(file), cv2.VideoWriter.fourcc(*"HFYU"), 4.0, size)
+        assert writer.isOpened()
+        for image in images:
+            writer.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
+        writer.release()
+        (path / "log.sonar.toml").write_text(SONAR_TOML)
+        return file
+
+    return make
+
+
+# A new format is one row here.
+SAME_FRAMES: dict[str, Maker] = {
+    "png": folder(".png"),
+    "tiff": folder(".tiff"),
+    "bmp": folder(".bmp"),
+    "pgm": folder(".PGM"),
+    "png, 16 bit": folder(".png", lambda i: i.astype(np.uint16) * 257),
+    "tiff, 16 bit": folder(".tif", lambda i: i.astype(np.uint16) * 257),
+    "tiff, float": folder(".tif", lambda i: (i / 255).astype(np.float32)),
+    "png, colour": folder(".png", lambda i: cv2.cvtColor(i, cv2.COLOR_GRAY2BGR)),
+    "png, alpha": folder(".png", lambda i: cv2.cvtColor(i, cv2.COLOR_GRAY2BGRA)),
+    "avi": lossless_video(".avi"),
+    "mkv": lossless_video(".mkv"),
+    "mcap, no chunks": theirs(chunked=False),
+    "mcap, no chunks, no index": theirs(chunked=False, indexed=False),
+    "mcap, no index": theirs(indexed=False),
+    "mcap, dotted schema": theirs(schema="sensor_msgs.msg.Image"),
+    "mcap, short schema": theirs(schema="sensor_msgs/Image"),
+    "mcap, rosbags, both byte orders": rosbags_message,
+    "mcap, mono16": ours("sensor_msgs/msg/Image", "zstd", scale=257),
+    **{
+        f"mcap, {schema}, {compression}": ours(schema, compression)
+        for schema in SCHEMAS
+        if not is_polar(schema)
+        for compression in ("none", "lz4", "zstd")
+    },
+}
+
+
+@pytest.mark.parametrize("make", SAME_FRAMES.values(), ids=SAME_FRAMES)
+def test_same_frames_from_every_reader(make: Maker, tmp_path: Path) -> None:
+    images = frames()
+    with open_log(make(tmp_path, images)) as log:
+        assert log.frame_count == len(images)
+        assert log.name == "log"
+        assert log.fan is None
+        found = list(log)
+        assert log.problems == []
+        assert log.fan == found[0].fan
+    assert [f.index for f in found] == list(range(len(images)))
+    assert [f.timestamp_ns for f in found] == [k * PERIOD_NS for k in range(len(images))]
+    for frame, image in zip(found, images, strict=True):
+        assert frame.image.dtype == np.uint8
+        np.testing.assert_array_equal(frame.image, image)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "codec"), [(".avi", "MJPG"), (".mp4", "mp4v"), (".mkv", "mp4v")]
+)
+def test_lossy_video(suffix: str, codec: str, tmp_path: Path) -> None:
+    images = [cv2.GaussianBlur(i, (0, 0), 5) for i in frames(5, 64, 80)]
+    file = tmp_path / f"log{suffix}"
+    writer = cv2.VideoWriter(str(file), cv2.VideoWriter.fourcc(*codec), 4.0, (80, 64))
+    for image in images:
+        writer.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
+    writer.release()
+    (tmp_path / "sonar.toml").write_text(SONAR_TOML)
+    found, problems = read(file)
+    assert not problems
+    assert [f.timestamp_ns for f in found] == [k * PERIOD_NS for k in range(5)]
+    for frame, image in zip(found, images, strict=True):
+        assert np.abs(frame.image.astype(int) - image).mean() < 3
+
+
+def test_jpeg(tmp_path: Path) -> None:
+    images = [cv2.GaussianBlur(i, (0, 0), 5) for i in frames(3)]
+    found, problems = read(image_folder(tmp_path / "log", images, ".jpeg"))
+    assert not problems
+    for frame, image in zip(found, images, strict=True):
+        assert np.abs(frame.image.astype(int) - image).max() < 12
+
+
+def test_polar_becomes_a_fan(tmp_path: Path) -> None:
+    images = frames(3, 60, 24)
+    log = image_folder(tmp_path / "log", images)
+    (log / "sonar.toml").write_text(SONAR_TOML.replace('"fan"', '"polar"'))
+    to_fan = PolarToFan(load_sonar(log / "sonar.toml").complete("test"), 60, 24)
+    found, problems = read(log)
+    assert not problems
+    for frame, image in zip(found, images, strict=True):
+        assert frame.fan == to_fan.fan
+        np.testing.assert_array_equal(frame.image, to_fan(image))
+    with pytest.raises(SonarrecError, match="3 bearings but the images have 24"):
+        read(log, sonar=Sonar(bearings_deg=(-1.0, 0.0, 1.0)))
+
+
+def test_natural_order_glob_and_digest(tmp_path: Path) -> None:
+    images = frames(12, 20, 20)
+    log = image_folder(tmp_path / "log", images)
+    (log / "notes.txt").write_text("no image")
+    (log / "._frame0.png").write_bytes(b"a file some copiers leave behind")
+    found, problems = read(log)
+    assert not problems
+    for frame, image in zip(found, images, strict=True):
+        np.testing.assert_array_equal(frame.image, image)
+    some, _ = read(f"{log}/frame1*.png")
+    assert len(some) == 3  # 1, 10, 11
+    np.testing.assert_array_equal(some[1].image, images[10])
+    with open_log(f"{log}/frame1*.png") as by_glob:
+        assert by_glob.name == "log"
+    digest, size = hashlib.sha256(), 0
+    for k in range(12):
+        data = (log / f"frame{k}.png").read_bytes()
+        digest.update(f"frame{k}.png".encode() + b"\0" + data)
+        size += len(data)
+    with open_log(log) as opened:
+        assert opened.digest_source() == (size, digest.hexdigest())
+    one = log / "frame3.png"
+    with open_log(one) as opened:
+        assert opened.digest_source()[1] == hashlib.sha256(one.read_bytes()).hexdigest()
+        assert [f.index for f in opened] == [0]
+
+
+def test_a_folder_whose_name_looks_like_a_glob(tmp_path: Path) -> None:
+    found, _ = read(image_folder(tmp_path / "log[1]", frames(2)))
+    assert len(found) == 2
+
+
+def test_times(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    log.mkdir()
+    stamps = [1_700_000_000_000_000_000, 1_700_000_000_300_000_000]
+    for stamp, image in zip(stamps, frames(2), strict=True):
+        cv2.imwrite(str(log / f"{stamp}.png"), image)
+    (log / "sonar.toml").write_text(SONAR_TOML)
+    assert [f.timestamp_ns for f in read(log)[0]] == stamps
+    cv2.imwrite(str(log / "last.png"), frames(1)[0])  # now the names are no stamps
+    assert [f.timestamp_ns for f in read(log)[0]] == [0, 250_000_000, 500_000_000]
+    (log / "sonar.toml").write_text(SONAR_TOML.replace("frame_rate_hz = 4.0", ""))
+    assert [f.timestamp_ns for f in read(log)[0]] == [0, 10**9, 2 * 10**9]
+
+
+def test_which_geometry_counts(tmp_path: Path) -> None:
+    log = image_folder(tmp_path / "log", frames(1))
+
+    def tilt(path: Path, **options: object) -> float:
+        with open_log(path, **options) as opened:  # type: ignore[arg-type]
+            assert opened.sonar.layout == "fan"
+            assert opened.sonar.tilt_deg is not None
+            return opened.sonar.tilt_deg
+
+    assert tilt(log) == 20
+    other = tmp_path / "other.toml"
+    other.write_text(SONAR_TOML.replace("tilt_deg = 20.0", "tilt_deg = 21.0"))
+    assert tilt(log, sonar_file=other) == 21
+    assert tilt(log, sonar_file=other, sonar=Sonar(tilt_deg=22.0)) == 22
+    (log / "frame0.sonar.toml").write_text(other.read_text())
+    assert tilt(log) == 20
+    assert tilt(log / "frame0.png") == 21
+    (log / "sonar.toml").unlink()
+    with pytest.raises(SonarrecError, match=r"lacks range_min_m(.|\n)*\[sonar\]\nlayout"):
+        open_log(log)
+    flags = Sonar(range_min_m=1.0, range_max_m=2.0, tilt_deg=5.0, field_of_view_deg=30.0)
+    assert tilt(log, sonar=flags) == 5
+    with pytest.raises(SonarrecError, match=r"contradicts itself(.|\n)*\[sonar\]\nlayout"):
+        open_log(log, sonar=Sonar(range_min_m=3.0, range_max_m=2.0, tilt_deg=5.0,
+                                  field_of_view_deg=30.0))  # fmt: skip
+
+
+def test_unusable_frames_keep_their_number(tmp_path: Path) -> None:
+    images = frames(8)
+    log = image_folder(tmp_path / "log", images)
+    (log / "frame2.png").write_bytes((log / "frame2.png").read_bytes()[:-300])
+    (log / "frame4.png").write_bytes(b"")
+    cv2.imwrite(str(log / "frame5.png"), images[5][:-1])
+    cv2.imwrite(str(log / "frame6.png"), np.dstack([images[6]] * 3)[:, :20])
+    found, problems = read(log)
+    assert [f.index for f in found] == [0, 1, 3, 7]
+    assert [f.timestamp_ns // PERIOD_NS for f in found] == [0, 1, 3, 7]
+    assert problems == [
+        "frame2.png: unreadable image, skipped",
+        "frame4.png: empty image, skipped",
+        "frame5.png: 38 x 47 pixels in a log of 38 x 48, skipped",
+        "frame6.png: 20 x 48 pixels in a log of 38 x 48, skipped",
+    ]
+
+
+def test_frames_of_other_depth(tmp_path: Path) -> None:
+    """Each type of pixel has its own scale: one log may hold 8 bits, 16 and floating point."""
+    images = frames(4)
+    log = image_folder(tmp_path / "log", images)
+    cv2.imwrite(str(log / "frame1.png"), images[1].astype(np.uint16) * 257)
+    (log / "frame2.png").unlink()
+    cv2.imwrite(str(log / "frame2.tiff"), (images[2] / 255).astype(np.float32))
+    found, problems = read(log)
+    assert not problems
+    for frame, image in zip(found, images, strict=True):
+        np.testing.assert_array_equal(frame.image, image)
+
+
+def test_problem_lines_are_few(tmp_path: Path) -> None:
+    log = image_folder(tmp_path / "log", frames(1))
+    for k in range(100):
+        (log / f"frame{k + 1}.png").write_bytes(b"x")
+    found, problems = read(log)
+    assert len(found) == 1
+    assert len(problems) == MAX_PROBLEM_LINES + 1
+    assert problems[-1] == "80 more frames skipped"
+
+
+def test_decoders_are_silent(tmp_path: Path) -> None:
+    """libpng, libtiff and FFmpeg write their complaints straight to file descriptor 2."""
+    images = frames(4, 64, 64)
+    for suffix in (".png", ".tiff", ".bmp"):
+        log = image_folder(tmp_path / suffix[1:], images, suffix)
+        data = (log / f"frame2{suffix}").read_bytes()
+        (log / f"frame2{suffix}").write_bytes(data[: len(data) // 2])
+    (tmp_path / "junk.avi").write_bytes(b"junk" * 1000)
+    (tmp_path / "sonar.toml").write_text(SONAR_TOML)
+    video = SAME_FRAMES["avi"](tmp_path, images)
+    video.write_bytes(video.read_bytes()[:-9000])
+    script = f"""
+from sonarrec.readers import open_log
+from sonarrec.records import SonarrecError
+for name in ("png", "tiff", "bmp", "log.avi", "junk.avi"):
+    try:
+        with open_log({str(tmp_path)!r} + "/" + name) as log:
+            print(name, len(list(log)), len(log.problems))
+    except SonarrecError as error:
+        print(name, "error")
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.returncode == 0
+    assert done.stderr == ""
+    lines = done.stdout.splitlines()
+    assert lines[:3] == ["png 3 1", "tiff 3 1", "bmp 3 1"]
+    assert re.fullmatch(r"log.avi [123] 1", lines[3])
+    assert lines[4] == "junk.avi error"
+
+
+@pytest.mark.parametrize(
+    ("name", "contents", "says"),
+    [
+        ("nowhere", None, "no such file or folder"),
+        ("nothing*.png", None, "no file matches"),
+        ("*.txt", {"a.txt": b"x"}, "matches no image"),
+        ("empty", {}, "the folder is empty"),
+        ("words", {"words/a.txt": b"x"}, "no image in this folder"),
+        ("log.xyz", {"log.xyz": b"x"}, "not a kind of log"),
+        ("log.mcap", {"log.mcap": b""}, "zero bytes"),
+        ("log.avi", {"log.avi": b""}, "zero bytes"),
+        ("log.mp4", {"log.mp4": b"junk" * 99}, "does not open as a video"),
+        ("log.mcap", {"log.mcap": b"junk" * 99}, "not an MCAP file"),
+        ("log.png", {"log.png": b""}, r"not one frame could be used \(log.png: empty image"),
+        ("bad", {"bad/a.png": b"x", "bad/b.png": b"y"}, "not one frame could be used"),
+    ],
+)
+def test_what_cannot_be_opened(
+    name: str, contents: dict[str, bytes] | None, says: str, tmp_path: Path
+) -> None:
+    (tmp_path / "empty").mkdir()
+    for file, data in (contents or {}).items():
+        (tmp_path / file).parent.mkdir(exist_ok=True)
+        (tmp_path / file).write_bytes(data)
+    flags = Sonar(range_min_m=1.0, range_max_m=2.0, tilt_deg=5.0, field_of_view_deg=30.0)
+    with pytest.raises(SonarrecError, match=says) as caught:
+        read(tmp_path / name, sonar=flags)
+    assert "\n" not in str(caught.value)
+    assert str(tmp_path / name) in str(caught.value)
+
+
+def test_a_topic_is_for_mcap(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="--topic"):
+        open_log(image_folder(tmp_path / "log", frames(1)), topic="/a")
+
+
+@pytest.mark.parametrize("name", ["png", "mcap, sensor_msgs/msg/Image, zstd"])
+def test_memory_is_flat(name: str, tmp_path: Path) -> None:
+    """Four times the frames take no more memory: within two chunks of 1 MiB, a few frames."""
+    peaks = []
+    for count in (60, 240):
+        path = tmp_path / str(count)
+        path.mkdir()
+        log = SAME_FRAMES[name](path, frames(4, 200, 200) * (count // 4))
+        tracemalloc.start()
+        with open_log(log) as opened:
+            assert sum(1 for _ in opened) == count
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < peaks[0] + 200_000
+
+
+@pytest.mark.parametrize("name", ["basin_a", "basin_b", "river/pike1.avi"])
+def test_shared_recordings(name: str) -> None:
+    if not (DATA / name).exists():
+        pytest.skip(f"no recording {DATA / name}")
+    with open_log(DATA / name) as log:
+        first = next(iter(log))
+        assert first.image.shape == (first.fan.rows, first.fan.columns)
+        assert log.problems == []

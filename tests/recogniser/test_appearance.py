@@ -1,0 +1,401 @@
+"""The averaged shape matrix and its judgement, by properties and drawn discs.
+
+What the features are may change; how they must behave may not.
+"""
+
+import math
+import warnings
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sonarrec.config import Features
+from sonarrec.landmarks import load_landmarks
+from sonarrec.recogniser.plane import Plane
+from sonarrec.recogniser.stage3_features.appearance import AppearanceMeasurement
+from sonarrec.recogniser.stage3_features.description import FEATURES, LIMIT, Describer
+from sonarrec.recogniser.stage3_features.model import AppearanceModel, load_model
+from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES, STEP, ShapeSampler
+from sonarrec.recogniser.stage3_features.track_matrix import TrackMatrix
+from sonarrec.records import Groups, UsageError
+from tests.support.drawn import (
+    SECTORS,
+    cross_pattern,
+    disc_pattern,
+    draw_on_floor,
+    make_fan,
+    smeared_matrix,
+    speckled,
+    surroundings,
+)
+
+BASIN = load_landmarks("basin")
+FAN = make_fan(512)
+PLANE = Plane(FAN, BASIN.radius_m, "floor", 15.0)
+SAMPLER = ShapeSampler(BASIN, PLANE.axes)
+LINES = len(SAMPLER.radii)
+DESCRIBE = Describer(SAMPLER.bands, SAMPLER.radii, BASIN, alike=0.45)
+SURE = np.full(3, 0.9)  # that the objects exist
+SHARP = np.zeros(3)  # beams that smear nothing
+
+
+def groups(*in_view, remembered=()) -> Groups:
+    n = len(in_view)
+    return Groups(
+        np.array(in_view, np.int64),
+        np.zeros((n, 2)),
+        np.zeros((n, 2)),
+        np.full(n, 0.9),
+        np.array(remembered, np.int64),
+    )
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), memory=st.sampled_from([1.0, 5.0, 20.0]))
+def test_the_average_is_the_fading_sum_over_what_was_seen(seed, memory):
+    rng = np.random.default_rng(seed)
+    matrix = TrackMatrix(memory, 2)
+    frames = 6
+    grey = rng.normal(size=(frames, 1, 2, ANGLES))
+    seen = rng.random(grey.shape) < 0.7
+    for g, s in zip(grey, seen, strict=True):
+        average, count = matrix.step(groups(4), g, s)
+    keep = 1 - 1 / memory
+    for line in range(2):
+        for a in range(0, ANGLES, 7):
+            weights = [keep ** (frames - 1 - t) * seen[t, 0, line, a] for t in range(frames)]
+            assert count[0, line, a] == pytest.approx(sum(weights))
+            if sum(weights) > 1e-6:
+                mean = sum(w * grey[t, 0, line, a] for t, w in enumerate(weights)) / sum(weights)
+                assert average[0, line, a] == pytest.approx(mean)
+
+
+def test_tracks_keep_their_own_average_and_lost_ones_are_forgotten():
+    matrix = TrackMatrix(10.0, 1)
+    all_seen = np.ones((1, 1, ANGLES), bool)
+
+    def level(value):
+        return np.full((1, 1, ANGLES), float(value))
+
+    def stacked(*values):
+        return np.concatenate([level(v) for v in values]), np.repeat(all_seen, len(values), 0)
+
+    matrix.step(groups(1, 2, 5), *stacked(10, 20, 50))
+    average, _ = matrix.step(groups(2, 5, 6), *stacked(20, 50, 60))
+    np.testing.assert_allclose(average[:, 0, 0], [20, 50, 60])
+    average, count = matrix.step(groups(1, 5), *stacked(-10, 50))
+    np.testing.assert_allclose(average[:, 0, 0], [-10, 50])  # nothing of the first 1 is left
+    np.testing.assert_allclose(count[:, 0, 0], [1, 1 + 0.9 + 0.81])
+
+
+def test_a_track_out_of_view_keeps_its_average_as_it_was():
+    matrix = TrackMatrix(10.0, 1)
+    seen = np.ones((1, 1, ANGLES), bool)
+    matrix.step(groups(3), 30.0 * seen, seen)
+    for _ in range(50):
+        matrix.step(groups(remembered=[3]), np.empty((0, 1, ANGLES)), np.empty((0, 1, ANGLES)))
+    average, count = matrix.step(groups(3), 30.0 * seen, seen)
+    np.testing.assert_allclose(average, 30)
+    np.testing.assert_allclose(count, 1.9)
+
+
+def random_matrices(seed: int, n: int = 3) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    average = rng.normal(size=(n, LINES, ANGLES))
+    count = rng.uniform(0.5, 20, average.shape)
+    hidden = rng.random(average.shape) < 0.2
+    return average, np.where(hidden, 0.0, count)
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), turn=st.integers(0, ANGLES - 1))
+def test_turning_a_disc_turns_the_answer_and_leaves_the_features(seed, turn):
+    average, count = random_matrices(seed)
+    still = DESCRIBE(average, count, SURE, SHARP)
+    turned = DESCRIBE(np.roll(average, turn, axis=2), np.roll(count, turn, axis=2), SURE, SHARP)
+    # ID.2 is the same after half a turn, where the two turns tie.
+    np.testing.assert_allclose(turned.features, still.features, atol=1e-6)
+    period = np.array([ANGLES, ANGLES // 2, ANGLES, ANGLES])
+    off = (turned.turn - still.turn - turn + period / 2) % period - period / 2
+    np.testing.assert_allclose(off, 0, atol=1e-6)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_what_was_never_seen_does_not_matter_and_order_does_not(seed):
+    average, count = random_matrices(seed)
+    known = DESCRIBE(average, count, SURE, SHARP)
+    other = np.where(count == 0, 77.0, average)
+    np.testing.assert_allclose(
+        DESCRIBE(other, count, SURE, SHARP).features, known.features, atol=1e-9
+    )
+    order = np.array([2, 0, 1])
+    again = DESCRIBE(average[order], count[order], SURE, SHARP)
+    np.testing.assert_allclose(again.features, known.features[order], atol=1e-12)
+    np.testing.assert_allclose(again.turn, known.turn[order])
+
+
+def test_nothing_seen_at_all_and_no_objects_give_numbers_and_no_warning():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for shape in [(1, LINES, ANGLES), (0, LINES, ANGLES)]:
+            found = DESCRIBE(np.zeros(shape), np.zeros(shape), SURE[: shape[0]], SHARP[: shape[0]])
+            assert found.features.shape == (shape[0], 4, len(FEATURES))
+            assert np.isfinite(found.features).all()
+
+
+def drawn_matrix(landmark: int, turn: int, bright=2.0, dark=-1.0, floor=0.0) -> np.ndarray:
+    """(1, LINES, ANGLES) of a perfect landmark: ring and bright sectors, plate, floor outside."""
+    matrix = np.full((1, LINES, ANGLES), floor)
+    on = np.array([SECTORS[landmark][a // 9] for a in range(ANGLES)], bool)
+    matrix[:, SAMPLER.bands.symbol] = np.roll(np.where(on, bright, dark), turn)
+    matrix[:, SAMPLER.bands.gap] = dark
+    matrix[:, SAMPLER.bands.ring] = bright
+    return matrix
+
+
+@pytest.mark.parametrize("landmark", sorted(SECTORS))
+def test_the_features_of_a_perfect_landmark_by_hand(landmark):
+    found = DESCRIBE(
+        drawn_matrix(landmark, 7), np.full((1, LINES, ANGLES), 8.0), SURE[:1], SHARP[:1]
+    )
+    named = dict(zip(FEATURES, found.features[0, landmark - 1], strict=True))
+    expected = {
+        "ring_over_floor": 2,
+        "strongest_dark": 0,
+        # The gap is dark all round: counted from what lies beside it the symbol is the same.
+        "local_weakest_bright": 3,
+        "local_strongest_dark": 0,
+        # The edges are sharp, and two steps to either side of them the sectors are themselves.
+        "edge": 3,
+        "weakest_edge": 3,
+        "weakest_ring": 2 - 0.5 * (-1 + 0),
+        "ring_texture_share": 0,
+        "strongest_dark_over_floor": -1,
+        # These lie in how far the beam smears them: not at all.
+        "smeared_correlation": 0,
+        "smeared_weakest_bright": 0,
+        "log_frames": math.log(8),
+        "existence": math.log(9),
+    }
+    for name, value in expected.items():
+        assert named[name] == pytest.approx(value, abs=1e-6), name
+    # A picture's pixels smear the edges; what is expected has that in it.
+    symbol = disc_pattern(SECTORS[landmark], 7 * STEP + math.pi / 2)
+    seen = smeared_matrix(symbol, SAMPLER.radii, ANGLES, 0.05)
+    count = np.full((1, LINES, ANGLES), 8.0)
+    smeared = DESCRIBE(seen[None] / 9, count, SURE[:1], SHARP[:1]).features[0, landmark - 1]
+    assert smeared[FEATURES.index("correlation")] > 0.95
+    assert named["step"] == pytest.approx(3, abs=0.3)
+    assert named["dark_over_gap"] == pytest.approx(0, abs=0.2)
+    assert named["bright_over_ring"] == pytest.approx(0, abs=0.2)
+    best = found.features[0, :, FEATURES.index("correlation")].argmax()
+    assert best == landmark - 1
+    turn = found.turn[0, landmark - 1] % (18 if landmark == 2 else 36)
+    assert turn == pytest.approx(7, abs=1e-6)
+
+
+@pytest.mark.parametrize("landmark", sorted(SECTORS))
+def test_light_that_lies_over_symbol_and_gap_alike_leaves_the_local_features(landmark):
+    """A late echo fills a dark sector by as much as a bright one exceeds it, and fades round it."""
+    clear = drawn_matrix(landmark, 0)
+    dark = (31.5 - np.arange(ANGLES)) * STEP  # from the middle of the last sector, dark in all IDs
+    hazy = clear + 1.5 * (1 + np.cos(dark))
+    count = np.full(clear.shape, 8.0)
+    before, after = (
+        dict(
+            zip(
+                FEATURES,
+                DESCRIBE(m, count, SURE[:1], SHARP[:1]).features[0, landmark - 1],
+                strict=True,
+            )
+        )
+        for m in (clear, hazy)
+    )
+    for name in ("local_weakest_bright", "local_strongest_dark"):
+        assert after[name] == pytest.approx(before[name], abs=1e-9), name
+    assert after["strongest_dark"] > before["strongest_dark"] + 1  # nearly 1.5 over the mean gap
+
+
+@pytest.mark.parametrize(("smear", "counts"), [(0.05, 0.5), (0.2, 2.0), (0.5, 3.0)])
+def test_the_smeared_features_are_the_others_in_tenths_of_a_radius_three_at_most(smear, counts):
+    rng = np.random.default_rng(3)
+    matrix = drawn_matrix(3, 4) + 0.5 * rng.normal(size=(1, LINES, ANGLES))
+    found = DESCRIBE(matrix, np.full(matrix.shape, 5.0), SURE[:1], np.array([smear]))
+    for k in range(4):
+        named = dict(zip(FEATURES, found.features[0, k], strict=True))
+        for name, plain in (
+            ("smeared_correlation", named["correlation"] - 0.7),
+            ("smeared_weakest_bright", named["local_weakest_bright"]),
+        ):
+            assert named[name] == pytest.approx(counts * plain)
+
+
+def test_a_cross_is_told_by_its_own_feature():
+    """Landmarks correlate with themselves by more than with a cross, a cross by less."""
+    count = np.full((1, LINES, ANGLES), 8.0)
+    for turn in np.arange(0, 0.5, 0.1) * np.pi:
+        for smear in (0.05, 0.2):
+            over = {}
+            for name, pattern in {
+                "cross": cross_pattern(turn),
+                **{k: disc_pattern(s, turn) for k, s in SECTORS.items()},
+            }.items():
+                seen = smeared_matrix(pattern, SAMPLER.radii, ANGLES, smear)[None] / 9
+                found = DESCRIBE(seen, count, SURE[:1], np.array([smear])).features[0]
+                over[name] = found[:, FEATURES.index("over_cross")]
+            assert over.pop("cross").max() < -0.1
+            for landmark, of in over.items():
+                assert of[landmark - 1] > 0.2
+
+
+def test_edges_that_were_not_seen_do_not_count():
+    matrix = drawn_matrix(1, 0)  # bright from step 0 to 8: a rise before 0, a fall after 8
+    count = np.full(matrix.shape, 8.0)
+    matrix[:, SAMPLER.bands.symbol, 9:18] = 1.0  # beyond the fall it is half dark only
+    named = dict(
+        zip(FEATURES, DESCRIBE(matrix, count, SURE[:1], SHARP[:1]).features[0, 0], strict=True)
+    )
+    assert named["weakest_edge"] == pytest.approx(1)
+    assert named["edge"] == pytest.approx((3 + 1) / 2)
+    count[:, :, 9:18] = 0
+    named = dict(
+        zip(FEATURES, DESCRIBE(matrix, count, SURE[:1], SHARP[:1]).features[0, 0], strict=True)
+    )
+    assert named["weakest_edge"] == named["edge"] == pytest.approx(3)
+
+
+def test_one_missing_ring_quarter_shows_in_the_weakest():
+    matrix = drawn_matrix(1, 0)
+    matrix[:, SAMPLER.bands.ring, 20:29] = 0.0  # as dark as the floor
+    found = DESCRIBE(matrix, np.full(matrix.shape, 5.0), SURE[:1], SHARP[:1])
+    named = dict(zip(FEATURES, found.features[0, 0], strict=True))
+    assert named["weakest_ring"] == pytest.approx(0 - 0.5 * (-1 + 0))
+
+
+def curves(rng: np.random.Generator, scale: float = 1.0) -> AppearanceModel:
+    # As `fit` places them: a file tells knots apart that differ by 0.01.
+    knots = tuple(np.unique(rng.normal(size=rng.integers(1, 6)).round(2)) for _ in FEATURES)
+    return AppearanceModel(
+        float(rng.normal()), knots, tuple(scale * rng.normal(size=len(k)) for k in knots)
+    )
+
+
+def by_hand(x: float, at, values) -> float:
+    """The curve at x, one straight piece at a time."""
+    if x <= at[0]:
+        return values[0]
+    for left, right, a, b in zip(at, at[1:], values, values[1:], strict=False):
+        if x <= right:
+            return a + (b - a) * (x - left) / (right - left)
+    return values[-1]
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), scale=st.sampled_from([0.1, 1.0, 5.0]))
+def test_probabilities_are_the_softmax_of_the_curves_written_out(seed, scale):
+    rng = np.random.default_rng(seed)
+    model = curves(rng, scale)
+    features = rng.normal(size=(2, 4, len(FEATURES)))
+    p = model.probabilities(features)
+    np.testing.assert_allclose(p.sum(axis=1), 1)
+    for n in range(2):
+        odds = [1.0]
+        for k in range(4):
+            parts = [
+                by_hand(x, at, values)
+                for x, at, values in zip(features[n, k], model.knots, model.values, strict=True)
+            ]
+            odds.insert(-1, math.exp(model.bias + sum(parts)))
+        np.testing.assert_allclose(p[n], np.array(odds) / sum(odds), rtol=1e-9)
+
+
+def test_huge_log_odds_do_not_overflow():
+    ends = np.array([-LIMIT, LIMIT])
+    still = [np.zeros(2)] * (len(FEATURES) - 1)
+    model = AppearanceModel(0.0, (ends,) * len(FEATURES), (np.array([-5e3, 5e3]), *still))
+    features = np.zeros((2, 4, len(FEATURES)))
+    features[0, 2, 0], features[1, :, 0] = LIMIT, -LIMIT
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        p = model.probabilities(features)
+    np.testing.assert_allclose(p, [[0, 0, 1, 0, 0], [0, 0, 0, 0, 1]], atol=1e-12)
+
+
+def test_a_model_survives_its_file(tmp_path):
+    model = curves(np.random.default_rng(3))
+    path = tmp_path / "model.toml"
+    path.write_text(model.as_toml())
+    again = load_model(path)
+    features = np.random.default_rng(4).normal(size=(5, 4, len(FEATURES)))
+    np.testing.assert_allclose(
+        again.log_odds(features), model.log_odds(features), atol=0.02 * len(FEATURES)
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("bias = 1.0", "correlation"),
+        ("not toml", "not an appearance model"),
+        (None, "No such file"),
+    ],
+)
+def test_a_file_that_is_no_model_is_told_in_one_line(tmp_path, text, told):
+    path = tmp_path / "model.toml"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(UsageError, match=told) as fault:
+        load_model(path)
+    assert "\n" not in str(fault.value)
+
+
+def test_knots_that_do_not_rise_are_refused(tmp_path):
+    text = load_model().as_toml()
+    path = tmp_path / "model.toml"
+    path.write_text(text.replace("[step]\nat = [", "[step]\nat = [99.0, "))
+    with pytest.raises(UsageError, match=r"\[step\]"):
+        load_model(path)
+
+
+def averaged(pattern, seed: int, frames: int = 16, range_m: float = 2.1, bearing_deg: float = 3.0):
+    """Probabilities and turn after some frames of one speckled disc on its dark plate."""
+    rng = np.random.default_rng(seed)
+    matrix = TrackMatrix(20.0, LINES)
+    measure = AppearanceMeasurement(Features(), SAMPLER, BASIN, load_model())
+    disc, seen = draw_on_floor(FAN, range_m, bearing_deg, BASIN.radius_m, pattern)
+    plate, _ = draw_on_floor(
+        FAN, range_m, bearing_deg, BASIN.radius_m, lambda x, y: (np.hypot(x, y) <= 1) * 1.0
+    )
+    centre = np.stack(PLANE.from_polar(np.array([range_m]), np.array([bearing_deg])), axis=-1)
+    sight = PLANE.line_of_sight(centre)
+    for _ in range(frames):
+        image = PLANE.warp(speckled(disc, seen, rng, dark=plate))
+        grey, visible = SAMPLER(image, PLANE.inside, centre, sight, *surroundings(image))
+        average, count = matrix.step(groups(1), grey, visible)
+    p, turn, _ = measure(average, count, SURE[:1], SHARP[:1])
+    return p[0], float(sight[0] + turn[0] * STEP)
+
+
+@pytest.mark.parametrize("landmark", sorted(SECTORS))
+@pytest.mark.parametrize("turn_deg", [20, 137, 291])
+def test_a_landmark_is_known_by_its_id_and_orientation(landmark, turn_deg):
+    p, orientation = averaged(disc_pattern(SECTORS[landmark], math.radians(turn_deg)), turn_deg)
+    assert p.argmax() == landmark - 1
+    assert p[landmark - 1] > 0.5
+    symmetry = 180 if landmark == 2 else 360
+    off = (math.degrees(orientation) - turn_deg + symmetry / 2) % symmetry - symmetry / 2
+    assert abs(off) < 6
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_blank_and_a_filled_disc_are_none_of_these(seed):
+    """PAPER's trap: to the single frame they are more ID.1 and more ID.4 than those themselves."""
+    blank, _ = averaged(disc_pattern((0, 0, 0, 0)), seed)
+    filled, _ = averaged(lambda x, y: (np.hypot(x, y) <= 1) * 1.0, seed)
+    floor, _ = averaged(lambda x, _: 0 * x, seed)
+    for p in (blank, filled, floor):
+        assert p.argmax() == 4
+        assert p[4] > 0.5

@@ -1,0 +1,185 @@
+"""The working plane against flat-floor trigonometry written out."""
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sonarrec.geometry import floor_depth
+from sonarrec.recogniser.plane import Plane
+from sonarrec.records import Motion
+from tests.support.drawn import draw_on_floor, make_fan
+
+WINDOWS = [  # range_min_m, range_max_m, height_m
+    (1.25, 3.75, 0.68),
+    (1.40, 2.65, 0.55),
+    (0.80, 5.80, 0.60),
+    (2.00, 12.0, 1.60),
+]
+
+
+def still_circle(range_m, bearing_deg, height_m, radius_m=0.15):
+    """Slant ranges and bearings of a circle on the floor, counter-clockwise from the right."""
+    ground = math.sqrt(range_m**2 - height_m**2)
+    angle = np.linspace(0, 2 * np.pi, 72, endpoint=False)
+    x = ground * math.sin(math.radians(bearing_deg)) + radius_m * np.cos(angle)
+    y = ground * math.cos(math.radians(bearing_deg)) + radius_m * np.sin(angle)
+    return np.sqrt(x**2 + y**2 + height_m**2), np.degrees(np.arctan2(x, y)), angle
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    kind=st.sampled_from(["fan", "floor"]),
+    window=st.sampled_from(WINDOWS),
+    height_known=st.booleans(),
+    share=st.floats(0.05, 1),
+    bearing_deg=st.floats(-14, 14),
+)
+def test_round_trips(kind, window, height_known, share, bearing_deg):
+    near, far, height = window
+    fan = make_fan(120, near, far, height_m=height if height_known else None)
+    plane = Plane(fan, 0.15, kind, 10.0)
+    near = max(near, floor_depth(fan)) if kind == "floor" else near  # nearer there is no floor
+    range_m = near + share * (far - near)
+    column, row = plane.from_polar(np.array([range_m]), np.array([bearing_deg]))
+    back = plane.to_polar(column, row)
+    assert back[0][0] == pytest.approx(range_m, rel=1e-9)
+    assert back[1][0] == pytest.approx(bearing_deg, abs=1e-7)
+    # The contract: column = apex_col + R sin b / mpp, row = apex_row - R cos b / mpp.
+    fan_column, fan_row = plane.to_fan(column, row)
+    b = math.radians(bearing_deg)
+    distance = range_m / fan.metres_per_pixel
+    assert fan_column[0] == pytest.approx(fan.apex_column + distance * math.sin(b), abs=1e-6)
+    assert fan_row[0] == pytest.approx(fan.apex_row - distance * math.cos(b), abs=1e-6)
+
+
+@pytest.mark.parametrize("window", WINDOWS)
+@pytest.mark.parametrize("bearing_deg", [-12.0, 0.0, 7.5])
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.95])
+@pytest.mark.parametrize("disc_radius_px", [6.0, 15.0])
+def test_a_floor_circle_is_a_circle_of_one_size(window, bearing_deg, share, disc_radius_px):
+    near, far, height = window
+    fan = make_fan(512, near, far, height_m=height)
+    plane = Plane(fan, 0.15, "floor", disc_radius_px)
+    assert plane.axes[0] == plane.axes[1] <= disc_radius_px + 1e-9  # never finer than the fan
+    assert plane.scale <= 1
+    range_m = near + share * (far - near)
+    ranges, bearings, angle = still_circle(range_m, bearing_deg, height)
+    column, row = plane.from_polar(ranges, bearings)
+    centre = plane.from_polar(np.array([range_m]), np.array([bearing_deg]))
+    np.testing.assert_allclose(column - centre[0], plane.axes[0] * np.cos(angle), atol=1e-6)
+    np.testing.assert_allclose(row - centre[1], -plane.axes[0] * np.sin(angle), atol=1e-6)
+
+
+@pytest.mark.parametrize("rows", [200, 331, 512])
+@pytest.mark.parametrize(("range_m", "bearing_deg"), [(1.9, -6.0), (2.6, 8.0), (3.3, 1.5)])
+def test_a_drawn_disc_comes_out_round_and_where_it_is(rows, range_m, bearing_deg):
+    fan = make_fan(rows)
+    disc, _ = draw_on_floor(fan, range_m, bearing_deg, 0.15, lambda x, y: np.hypot(x, y) <= 1)
+    plane = Plane(fan, 0.15, "floor", 12.0)
+    image = plane.warp((disc * 255).astype(np.uint8)).astype(float) / 255
+    assert image.shape == plane.shape == plane.inside.shape
+    row, column = np.mgrid[0 : image.shape[0], 0 : image.shape[1]]
+    area = image.sum()
+    centre = np.array([(column * image).sum(), (row * image).sum()]) / area
+    expected = plane.from_polar(np.array([range_m]), np.array([bearing_deg]))
+    np.testing.assert_allclose(centre, np.ravel(expected), atol=0.15)
+    assert area == pytest.approx(math.pi * plane.axes[0] ** 2, rel=0.03)
+    across = ((column - centre[0]) ** 2 * image).sum() / area
+    along = ((row - centre[1]) ** 2 * image).sum() / area
+    assert across == pytest.approx(along, rel=0.05)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    kind=st.sampled_from(["fan", "floor"]),
+    range_m=st.floats(1.3, 3.7),
+    bearing_deg=st.floats(-14, 14),
+    pan_deg=st.floats(-20, 20),
+)
+def test_a_turn_to_the_right_lowers_every_bearing(kind, range_m, bearing_deg, pan_deg):
+    plane = Plane(make_fan(100), 0.15, kind, 10.0)
+    before = np.stack(plane.from_polar(np.array([range_m]), np.array([bearing_deg])), axis=-1)
+    after = np.stack(plane.from_polar(np.array([range_m]), np.array([bearing_deg - pan_deg])), -1)
+    np.testing.assert_allclose(plane.moved(before, Motion(pan_deg)), after, atol=1e-7)
+    many = np.broadcast_to(before, (3, 4, 1, 2))
+    assert plane.moved(many, Motion(pan_deg)).shape == (3, 4, 1, 2)
+
+
+def test_the_fan_plane_is_the_image_itself():
+    fan = make_fan(90)
+    plane = Plane(fan, 0.15, "fan", 15.0)
+    image = np.random.default_rng(0).integers(0, 256, (fan.rows, fan.columns), np.uint8)
+    np.testing.assert_array_equal(plane.warp(image), image)
+    assert plane.scale == 1
+    assert plane.shape == image.shape
+    column, row = plane.to_fan(3.25, 71.5)
+    assert (float(column), float(row)) == (3.25, 71.5)
+
+
+@pytest.mark.parametrize("window_m", [1.25, 2.5, 5.0, 10.0])
+@pytest.mark.parametrize("tilt_deg", [0.0, 20.0, 35.0])
+def test_the_fan_plane_s_axes_are_equations_1_and_2(window_m, tilt_deg):
+    fan = make_fan(512, 1.25, 1.25 + window_m, tilt_deg=tilt_deg)
+    across, along = Plane(fan, 0.15, "fan", 15.0).axes
+    assert across == pytest.approx(0.15 / (window_m / 512))
+    assert along == pytest.approx(0.15 * math.cos(math.radians(tilt_deg)) / (window_m / 512))
+
+
+@pytest.mark.parametrize("kind", ["fan", "floor"])
+def test_inside_is_where_the_sonar_looks(kind):
+    fan = make_fan(200)
+    plane = Plane(fan, 0.15, kind, 15.0)
+    row, column = np.mgrid[0 : plane.shape[0], 0 : plane.shape[1]]
+    range_m, bearing_deg = plane.to_polar(column, row)
+    assert set(np.unique(plane.inside)) == {0, 1}
+    inside = plane.inside == 1
+    assert range_m[inside].min() >= fan.range_min_m
+    assert range_m[inside].max() <= fan.range_max_m
+    assert np.abs(bearing_deg[inside]).max() <= fan.bearing_max_deg
+    pixel = 3 * fan.metres_per_pixel / plane.scale
+    well = (range_m > fan.range_min_m + pixel) & (range_m < fan.range_max_m - pixel)
+    well &= np.abs(bearing_deg) < fan.bearing_max_deg - math.degrees(pixel / fan.range_min_m)
+    fan_row = plane.to_fan(column, row)[1]
+    well &= (fan_row > 2) & (fan_row < fan.rows - 3)  # the window's near corners are cut off
+    assert inside[well].all()
+    # A white frame stays white wherever the plane says there is data.
+    assert plane.warp(np.full((fan.rows, fan.columns), 255, np.uint8))[inside].min() == 255
+
+
+@pytest.mark.parametrize("rows", [63, 64, 65, 200])  # about one band, and several
+@pytest.mark.parametrize("disc_radius_px", [5.0, 15.0])
+def test_made_in_bands_it_is_what_all_rows_at_once_give(rows, disc_radius_px):
+    fan = make_fan(rows)
+    plane = Plane(fan, 0.15, "floor", disc_radius_px)
+    row, column = np.mgrid[0 : plane.shape[0], 0 : plane.shape[1]].astype(float)
+    range_m, bearing_deg = plane.to_polar(column, row)
+    fan_column, fan_row = plane.to_fan(column, row)
+    inside = (range_m >= fan.range_min_m) & (range_m <= fan.range_max_m)
+    inside &= np.abs(bearing_deg) <= fan.bearing_max_deg
+    inside &= (fan_column >= 0) & (fan_column <= fan.columns - 1)
+    inside &= (fan_row >= 0) & (fan_row <= fan.rows - 1)
+    eroded = cv2.erode(inside.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=0)
+    np.testing.assert_array_equal(plane.inside, eroded)
+    image = np.random.default_rng(0).integers(0, 256, (fan.rows, fan.columns), np.uint8)
+    shrink = max(1, round(1 / plane.scale))
+    whole = np.pad(image, [(0, -side % shrink) for side in image.shape], mode="edge")
+    small = cv2.resize(whole, None, fx=1 / shrink, fy=1 / shrink, interpolation=cv2.INTER_AREA)
+    maps = [((side + 0.5) / shrink - 0.5).astype(np.float32) for side in (fan_column, fan_row)]
+    expected = cv2.remap(small, *cv2.convertMaps(*maps, cv2.CV_16SC2), cv2.INTER_LINEAR)
+    np.testing.assert_array_equal(plane.warp(image), expected)
+
+
+@pytest.mark.parametrize("kind", ["fan", "floor"])
+def test_line_of_sight_points_straight_away_from_the_sonar(kind):
+    plane = Plane(make_fan(200), 0.15, kind, 15.0)
+    bearing = np.array([-13.0, -4.0, 0.0, 9.0])
+    near = np.stack(plane.from_polar(np.full(4, 2.0), bearing), axis=-1)
+    far = np.stack(plane.from_polar(np.full(4, 2.001), bearing), axis=-1)
+    step = far - near
+    np.testing.assert_allclose(
+        plane.line_of_sight(near), np.arctan2(-step[:, 1], step[:, 0]), atol=1e-6
+    )

@@ -1,0 +1,352 @@
+"""The three stages together, on drawn logs and on frames of a recording."""
+
+import csv
+import dataclasses
+import warnings
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from sonarrec import config
+from sonarrec.geometry import fan_for_image
+from sonarrec.landmarks import LandmarkSet, load_landmarks
+from sonarrec.recogniser.recogniser import FRAMEWORK, SMI, Recogniser
+from sonarrec.recogniser.side_by_side import FRAMES_AT_ONCE, SideBySide
+from sonarrec.records import Frame, FrameResult, SonarrecError, UsageError
+from sonarrec.results.write import ResultsWriter
+from sonarrec.sonar import Sonar, load_sonar
+from tests.support.drawn import SECTORS, disc_pattern, draw_on_floor, make_fan, speckled
+
+BASIN = load_landmarks("basin")
+BASIN_A = Path(__file__).parents[3] / "shared" / "data" / "basin_a"
+needs_recording = pytest.mark.skipif(not BASIN_A.is_dir(), reason=f"no recording in {BASIN_A}")
+PRESETS = list(config.PRESETS)
+
+
+def recording(frames: range) -> list[Frame]:
+    sonar = load_sonar(BASIN_A / "sonar.toml")
+    log = []
+    for i in frames:
+        image = cv2.imread(str(BASIN_A / f"{i:06}.png"), cv2.IMREAD_GRAYSCALE)
+        log.append(
+            Frame(i, i * 250_000_000, image, fan_for_image(sonar.complete("test"), *image.shape))
+        )
+    return log
+
+
+def truth(frame: int, least_visible: float = 0.9) -> dict[int, tuple[float, float]]:
+    with (BASIN_A / "gt.csv").open(newline="") as file:
+        return {
+            int(row["landmark"]): (float(row["x_px"]), float(row["y_px"]))
+            for row in csv.DictReader(file)
+            if int(row["frame"]) == frame and float(row["visible"]) >= least_visible
+        }
+
+
+def run(log: list[Frame], settings: config.Config, landmarks=BASIN) -> list[FrameResult]:
+    recogniser = Recogniser(settings, log[0].fan, landmarks)
+    return [recogniser.step(frame) for frame in log]
+
+
+def check(result: FrameResult, landmarks=BASIN) -> None:
+    """What holds of every estimate of every frame."""
+    methods = [e.method for e in result.estimates]
+    assert methods.count(SMI) == result.candidates
+    assert methods.count(FRAMEWORK) == result.tracks
+    for e in result.estimates:
+        assert e.probabilities.shape == (len(landmarks.ids) + 1,)
+        assert e.probabilities.sum() == pytest.approx(1, abs=1e-9)
+        assert (e.probabilities >= 0).all()
+        assert e.landmark == landmarks.ids[e.probabilities[:-1].argmax()]
+        assert 0 <= e.score <= 1
+        assert 0 <= e.existence <= 1
+        assert 0 <= e.orientation_deg < 360
+        assert np.isfinite([e.x_px, e.y_px, e.range_m, e.bearing_deg]).all()
+
+
+@needs_recording
+@pytest.mark.parametrize("name", PRESETS)
+def test_two_runs_of_a_recording_give_the_same_bytes(name, tmp_path):
+    log = recording(range(20, 40))
+    for folder in ("one", "two"):
+        with ResultsWriter(tmp_path / folder, BASIN, {"input": {}}) as writer:
+            for result in run(log, config.preset(name)):
+                check(result)
+                writer.write(result)
+    for table in ("estimates.csv", "frames.csv"):
+        one = (tmp_path / "one" / table).read_bytes()
+        assert one == (tmp_path / "two" / table).read_bytes()
+        assert one.count(b"\n") > 20
+
+
+@needs_recording
+def test_the_seed_is_all_that_is_random():
+    log = recording(range(20, 28))
+    runs = [
+        run(log, dataclasses.replace(config.preset("default"), seed=seed)) for seed in (0, 0, 1)
+    ]
+    places = [[(e.x_px, e.y_px) for r in one for e in r.estimates] for one in runs]
+    assert places[0] == places[1] != places[2]
+
+
+@needs_recording
+def test_landmarks_of_a_recording_are_declared_where_they_are():
+    frames = range(15, 60)
+    positives = found = 0
+    for result in run(recording(frames), config.preset("default"))[12:]:
+        claims = {e.landmark: e for e in result.estimates if e.method == FRAMEWORK and e.declared}
+        for landmark, place in truth(result.index).items():
+            positives += 1
+            claim = claims.get(landmark)
+            if claim is not None:
+                found += np.hypot(claim.x_px - place[0], claim.y_px - place[1]) < 10
+    assert positives > 20
+    assert found > 0.8 * positives
+
+
+@needs_recording
+@pytest.mark.parametrize("name", PRESETS)
+def test_odd_frames_in_the_middle_of_a_log_are_no_trouble(name):
+    log = recording(range(20, 38))
+    rng = np.random.default_rng(0)
+    odd = [
+        lambda image: np.zeros_like(image),
+        lambda image: np.full_like(image, 255),
+        lambda image: rng.integers(0, 256, image.shape, np.uint8),
+        lambda image: (
+            np.where(np.arange(image.shape[1]) % 2, 255, 0).astype(np.uint8) + np.zeros_like(image)
+        ),
+        lambda image: np.flip(image).copy(),
+        lambda image: np.asfortranarray(image),
+    ]
+    for i, change in enumerate(odd):
+        place = 3 + 2 * i
+        log[place] = dataclasses.replace(log[place], image=change(log[place].image))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for result in run(log, config.preset(name)):
+            check(result)
+
+
+def drawn_log(
+    landmark_sectors, frames: int = 24, radius_m: float = 0.15, bearing_step: float = -0.5, fan=None
+) -> list[Frame]:
+    """One disc at 2.2 m while the sonar turns to the right; new speckle in every frame."""
+    fan = fan or make_fan(400)
+    rng = np.random.default_rng(7)
+    log = []
+    for i in range(frames):
+        bearing = 5.0 + bearing_step * i
+        pattern = disc_pattern(landmark_sectors, 0.4)
+        disc, seen = draw_on_floor(fan, 2.2, bearing, radius_m, pattern)
+        plate, _ = draw_on_floor(
+            fan, 2.2, bearing, radius_m, lambda x, y: (np.hypot(x, y) <= 1) * 1.0
+        )
+        log.append(Frame(i, i * 250_000_000, speckled(disc, seen, rng, dark=plate), fan))
+    return log
+
+
+@pytest.mark.parametrize("landmark", sorted(SECTORS))
+def test_a_drawn_landmark_is_declared_and_followed_as_one_object(landmark):
+    log = drawn_log(SECTORS[landmark])
+    results = run(log, config.preset("default"))
+    tracks = set()
+    for result in results[12:]:
+        check(result)
+        claims = [e for e in result.estimates if e.method == FRAMEWORK and e.declared]
+        assert [e.landmark for e in claims] == [landmark]
+        tracks.add(claims[0].object)
+        assert claims[0].range_m == pytest.approx(2.2, abs=0.03)
+        assert claims[0].bearing_deg == pytest.approx(5.0 - 0.5 * result.index, abs=0.7)
+    assert len(tracks) == 1
+
+
+@pytest.mark.parametrize("fake", [(0, 0, 0, 0), (1, 1, 1, 1)])
+def test_a_drawn_fake_is_never_declared(fake):
+    for result in run(drawn_log(fake), config.preset("default")):
+        assert not any(e.declared for e in result.estimates if e.method == FRAMEWORK)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("landmark", [0, 1, 2])
+def test_a_set_of_other_landmarks_is_data_only(name, landmark):
+    sectors = ((1, 0, 0, 0, 0, 0), (1, 1, 0, 1, 0, 0), (1, 1, 1, 0, 0, 0))
+    other = LandmarkSet("six", 0.2, (0.8, 1.0), (0.0, 0.62), (7, 9, 12), sectors)
+    results = run(drawn_log(sectors[landmark], 16, radius_m=0.2), config.preset(name), other)
+    for result in results:
+        check(result, other)
+    claims = {e.landmark for e in results[-1].estimates if e.method == FRAMEWORK and e.declared}
+    if name == "default":
+        assert claims == {other.ids[landmark]}
+
+
+NUMBERS = [
+    (section, field.name)
+    for section, kind in config.SECTIONS.items()
+    for field in dataclasses.fields(kind)
+    if not isinstance(field.default, str)
+]
+
+
+@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("value", [0, 1, 2])
+def test_extreme_settings_are_refused_or_run(name, value):
+    log = drawn_log(SECTORS[1], 3, fan=make_fan(160))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for section, key in NUMBERS:
+            try:
+                settings = config.with_assignments(
+                    config.preset(name), ["continuity.particles=50", f"{section}.{key}={value}"]
+                )
+            except UsageError:
+                continue
+            for result in run(log, settings):
+                check(result)
+
+
+def tiny_sonar(**changed) -> Sonar:
+    values = {"range_min_m": 1.25, "range_max_m": 3.75, "field_of_view_deg": 28.8, "tilt_deg": 20.0}
+    return Sonar(layout="fan", **(values | {"height_m": 0.68} | changed))
+
+
+@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize(
+    ("sonar", "shape"),
+    [
+        (tiny_sonar(), (1, 1)),
+        (tiny_sonar(), (1, 40)),
+        (tiny_sonar(), (40, 1)),
+        (tiny_sonar(), (3, 3)),
+        (tiny_sonar(height_m=None), (8, 8)),
+        (tiny_sonar(range_min_m=1.0, range_max_m=1.1, height_m=0.5), (128, 60)),  # large disc
+        (tiny_sonar(range_min_m=0.01, range_max_m=0.1, height_m=None), (256, 40)),  # far larger
+        (tiny_sonar(range_min_m=1.0, range_max_m=100.0, height_m=5.0), (150, 80)),  # under a pixel
+        (tiny_sonar(range_min_m=0.5, range_max_m=0.7, height_m=0.69), (200, 110)),  # no floor
+        (tiny_sonar(range_min_m=0.0, range_max_m=4.0, height_m=None), (200, 110)),
+        (tiny_sonar(range_min_m=0.5, field_of_view_deg=130.0), (100, 200)),
+    ],
+)
+def test_odd_geometry_is_told_in_one_line_or_recognises_nothing(name, sonar, shape):
+    fan = fan_for_image(sonar.complete("test"), *shape)
+    rng = np.random.default_rng(0)
+    noise = [rng.integers(0, 256, shape, np.uint8) for _ in range(4)]
+    log = [Frame(i, i, image, fan) for i, image in enumerate([*noise, np.zeros(shape, np.uint8)])]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            results = run(log, config.preset(name))
+        except SonarrecError as error:
+            assert "\n" not in str(error)  # noqa: PT017
+            return
+    for result in results:
+        check(result)
+        assert not any(e.declared for e in result.estimates if e.method == FRAMEWORK)
+
+
+# --- Side by side, and in hindsight ---------------------------------------------------------------
+
+
+def still_log(landmark: int, frames: int, hidden=()) -> list[Frame]:
+    """A still sonar and one speckled disc; where hidden, its symbol is covered by a blank one."""
+    fan = make_fan(512)
+    rng = np.random.default_rng(landmark)
+    log = []
+    for i in range(frames):
+        sectors = (0, 0, 0, 0) if i in hidden else SECTORS[landmark]
+        disc, seen = draw_on_floor(fan, 2.2, -4.0, BASIN.radius_m, disc_pattern(sectors))
+        plate, _ = draw_on_floor(
+            fan, 2.2, -4.0, BASIN.radius_m, lambda x, y: (np.hypot(x, y) <= 1) * 1.0
+        )
+        log.append(Frame(i, i * 250_000_000, speckled(disc, seen, rng, dark=plate), fan))
+    return log
+
+
+def side_by_side(log: list[Frame], *presets: str) -> list[FrameResult]:
+    together = SideBySide([config.preset(name) for name in presets], log[0].fan, BASIN)
+    results = [result for frame in log for result in together.step(frame)]
+    return [*results, *together.finish()]
+
+
+def rows(result: FrameResult, method: str, renamed: str = "") -> list[tuple]:
+    """The estimates of one method, comparable."""
+    return [
+        (renamed or e.method, e.object, e.x_px, e.y_px, *e.probabilities, e.score, e.declared)
+        for e in result.estimates
+        if e.method == method
+    ]
+
+
+def test_each_preset_gives_side_by_side_what_it_gives_alone():
+    log = still_log(3, 10)
+    together = side_by_side(log, "default", "paper", "offline")
+    assert [r.index for r in together] == list(range(10))
+    for name in ("default", "paper", "offline"):
+        alone = side_by_side(log, name)
+        for one, all_of_them in zip(alone, together, strict=True):
+            assert rows(one, FRAMEWORK, "x") == rows(all_of_them, f"{FRAMEWORK}:{name}", "x")
+            if name == "default":
+                assert rows(one, SMI) == rows(all_of_them, SMI)
+
+
+def alike(one: FrameResult, other: FrameResult, method: str = FRAMEWORK) -> None:
+    """The same estimates to the rounding of sums, which depends on how many are taken at once."""
+    assert (one.index, one.candidates, one.tracks) == (other.index, other.candidates, other.tracks)
+    for a, b in zip(rows(one, method), rows(other, method), strict=True):
+        assert a[:4] == b[:4]
+        np.testing.assert_allclose(np.array(a[4:], float), np.array(b[4:], float), atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["default", "paper"])
+def test_a_single_preset_is_the_recogniser_itself(name):
+    log = still_log(1, 2 * FRAMES_AT_ONCE + 3)
+    together = side_by_side(log, name)
+    for one, other in zip(run(log, config.preset(name)), together, strict=True):
+        check(other)
+        alike(one, other)
+        alike(one, other, SMI)
+
+
+def test_hindsight_tells_from_the_start_what_the_log_shows_later():
+    log = still_log(3, 24, hidden=range(8))
+    at_once = side_by_side(log, "default")
+    later = side_by_side(log, "offline")
+
+    def named(result: FrameResult) -> set[int]:
+        return {e.landmark for e in result.estimates if e.method == FRAMEWORK and e.declared}
+
+    assert not any(named(result) for result in at_once[:8])  # a blank disc so far
+    assert all(named(result) == {3} for result in later[1:])
+    for one, other in zip(at_once, later, strict=True):
+        assert (one.index, one.timestamp_ns) == (other.index, other.timestamp_ns)
+        check(other)
+
+
+def test_a_lag_shorter_than_the_log_uses_so_many_frames_and_no_more():
+    log = still_log(3, 24, hidden=range(12))
+    settings = config.with_assignments(config.preset("offline"), ["features.lag_frames=4"])
+    together = SideBySide([settings], log[0].fan, BASIN)
+    results = []
+    for done, frame in enumerate(log, 1):
+        results += together.step(frame)
+        # Frames are judged so many at once, and then wait for four more.
+        assert len(results) == max(done // FRAMES_AT_ONCE * FRAMES_AT_ONCE - 4, 0)
+    results += together.finish()
+    assert [r.index for r in results] == list(range(24))
+    for seen in (5, 14, 20):  # what comes later than four frames on changes nothing
+        shorter = SideBySide([settings], log[0].fan, BASIN)
+        so_far = [result for frame in log[:seen] for result in shorter.step(frame)]
+        so_far += shorter.finish()
+        alike(so_far[seen - 5], results[seen - 5])
+
+
+def test_orientation_and_place_are_known_as_well_as_they_say():
+    result = side_by_side(still_log(3, 12), "default")[-1]
+    (found,) = [e for e in result.estimates if e.method == FRAMEWORK and e.landmark == 3]
+    off = (found.orientation_deg + 180) % 360 - 180  # drawn at 0
+    assert abs(off) < 4 * found.orientation_sigma_deg
+    assert abs(off) < 6
+    assert abs(found.range_m - 2.2) < max(4 * found.range_sigma_m, 0.01)
+    assert abs(found.bearing_deg + 4.0) < max(4 * found.bearing_sigma_deg, 0.2)

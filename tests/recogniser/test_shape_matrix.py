@@ -1,0 +1,212 @@
+"""Shape matrices of drawn discs against the ideal rows, and Otsu against OpenCV."""
+
+import itertools
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sonarrec.landmarks import load_landmarks
+from sonarrec.recogniser.stage3_features.shape_matrix import (
+    ANGLES,
+    STEP,
+    ShapeSampler,
+    turned_codes,
+)
+from sonarrec.recogniser.stage3_features.smi import Identification, identify, otsu_levels
+from tests.support.drawn import SECTORS, disc_pattern, draw_ellipse_disc, surroundings
+
+BASIN = load_landmarks("basin")
+TURNED = turned_codes(BASIN)
+CENTRE = (101.3, 98.6)
+RADIUS = 80.0
+
+
+def agreement(landmark: int) -> list[float]:
+    """Share of sectors that agree with each ID: PAPER's ideal rows before normalising."""
+    truth = SECTORS[landmark]
+    return [sum(a == b for a, b in zip(truth, SECTORS[k], strict=True)) / 4 for k in SECTORS]
+
+
+def picture(pattern, axes=(RADIUS, RADIUS), centre=CENTRE) -> np.ndarray:
+    return (40 + 180 * draw_ellipse_disc((200, 204), centre, axes, pattern)).astype(np.uint8)
+
+
+def identified(
+    image, axes=(RADIUS, RADIUS), inside=None, start_rad=0.0, centre=CENTRE
+) -> Identification:
+    sampler = ShapeSampler(BASIN, axes)
+    inside = np.ones_like(image) if inside is None else inside
+    grey, seen = sampler(
+        image, inside, np.array([centre]), np.array([start_rad]), *surroundings(image)
+    )
+    return identify(grey, seen, sampler.bands, TURNED)
+
+
+@settings(max_examples=40, deadline=None)
+@given(landmark=st.sampled_from(sorted(SECTORS)), turn=st.floats(0, 2 * np.pi))
+def test_an_ideal_disc_gives_the_ideal_row_at_any_rotation(landmark, turn):
+    found = identified(picture(disc_pattern(SECTORS[landmark], turn)))
+    # Half a step off, the cells on a sector's edge may fall to either side: one column in four
+    # edges of 36, and the innermost line is a few pixels across.
+    np.testing.assert_allclose(found.similarity[0], agreement(landmark), atol=2 / 36)
+    assert found.similarity[0].argmax() == landmark - 1
+    assert found.ring[0] > 0.98
+    symmetry = np.pi if landmark == 2 else 2 * np.pi
+    off = (found.turn[0] * STEP - turn + symmetry / 2) % symmetry - symmetry / 2
+    assert abs(off) < 0.75 * STEP
+
+
+@pytest.mark.parametrize("landmark", sorted(SECTORS))
+@pytest.mark.parametrize("start_deg", [0, 35, 200])
+def test_on_the_grid_of_angles_the_row_is_exact(landmark, start_deg):
+    start = np.radians(start_deg)
+    image = picture(disc_pattern(SECTORS[landmark], start + 7 * STEP))
+    found = identified(image, start_rad=start)
+    np.testing.assert_allclose(found.similarity[0], agreement(landmark), atol=1e-9)
+    np.testing.assert_allclose(
+        found.measurement[0], np.array(agreement(landmark)) / sum(agreement(landmark))
+    )
+    assert found.turn[0] in ((7, 25) if landmark == 2 else (7,))
+
+
+def test_the_trap_a_blank_disc_is_more_id_1_than_id_1():
+    q = identified(picture(disc_pattern((0, 0, 0, 0)))).measurement[0]
+    np.testing.assert_allclose(q, (0.375, 0.25, 0.25, 0.125))
+    assert q[0] > 1 / 3  # what an ideal ID.1 gives
+
+
+def test_the_trap_a_filled_disc_is_more_id_4_than_id_4():
+    whole = disc_pattern((1, 1, 1, 1))
+
+    def pattern(x, y):  # a shadow over part of the ring gives Otsu's rule something to part
+        return whole(x, y) * ~((np.hypot(x, y) > 0.7) & (y > 0.5))
+
+    q = identified(picture(pattern)).measurement[0]
+    np.testing.assert_allclose(q, (0.125, 0.25, 0.25, 0.375))
+    assert q[3] > 1 / 3
+
+
+def test_a_disc_without_any_contrast_gives_numbers_all_the_same():
+    found = identified(np.full((200, 204), 70, np.uint8))
+    assert np.isfinite(found.similarity).all()
+    assert found.measurement.sum() == pytest.approx(1)
+
+
+def test_a_squeezed_disc_needs_its_own_axes():
+    axes = (80.0, 55.0)
+    image = picture(disc_pattern(SECTORS[3], 4 * STEP), axes)
+    right, wrong = identified(image, axes), identified(image, (80.0, 80.0))
+    np.testing.assert_allclose(right.similarity[0], agreement(3), atol=0.02)
+    assert right.ring[0] == 1
+    assert wrong.ring[0] < 0.6
+
+
+@settings(max_examples=30, deadline=None)
+@given(landmark=st.sampled_from(sorted(SECTORS)), column=st.integers(40, 140), fill=st.booleans())
+def test_what_lies_outside_the_fan_counts_for_nothing(landmark, column, fill):
+    image = picture(disc_pattern(SECTORS[landmark], 3 * STEP))
+    inside = np.ones_like(image)
+    inside[:, :column] = 0
+    hidden = np.where(inside == 1, image, 255 if fill else 0).astype(np.uint8)
+    sampler = ShapeSampler(BASIN, (RADIUS, RADIUS))
+    start = np.zeros(1)
+    _, seen = sampler(hidden, inside, np.array([CENTRE]), start, *surroundings(image))
+    assert not seen.all()
+    # The same picture with nothing hidden, its hidden cells replaced by anything else at all.
+    whole, _ = sampler(image, np.ones_like(image), np.array([CENTRE]), start, *surroundings(image))
+    edge = (
+        np.abs(
+            CENTRE[0]
+            + RADIUS * sampler.radii[:, None] * np.cos((np.arange(ANGLES) + 0.5) * STEP)
+            - column
+        )
+        > 2
+    )
+    seen &= edge  # bilinear samples beside the cut mix both sides
+    a = identify(np.where(seen, whole, 99.0), seen, sampler.bands, TURNED)
+    b = identify(np.where(seen, whole, -99.0), seen, sampler.bands, TURNED)
+    np.testing.assert_array_equal(a.similarity, b.similarity)
+    np.testing.assert_array_equal(a.turn, b.turn)
+    assert a.similarity.max() == pytest.approx(1, abs=0.03)
+
+
+def best_split(values):
+    """Otsu's between-class variance at its best, over every value as the threshold."""
+    best = (-1.0, values[0])
+    for level in sorted(set(values))[:-1]:
+        low = [v for v in values if v <= level]
+        high = [v for v in values if v > level]
+        between = len(low) * len(high) * (np.mean(low) - np.mean(high)) ** 2
+        if between > best[0] * (1 + 1e-12):
+            best = (between, level)
+    return best
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_identify_is_the_counting_of_cells_written_out(seed):
+    rng = np.random.default_rng(seed)
+    bands = ShapeSampler(BASIN, (9.0, 9.0)).bands
+    grey = rng.normal(size=(2, bands.outer.stop, ANGLES))
+    seen = rng.random(grey.shape) < rng.uniform(0.3, 1)
+    found = identify(grey, seen, bands, TURNED)
+    for n in range(2):
+        rows = [*range(bands.symbol.start, bands.symbol.stop)]
+        ring = [*range(bands.ring.start, bands.ring.stop)]
+        disc = [grey[n, r, a] for r in rows + ring for a in range(ANGLES) if seen[n, r, a]]
+        _, level = best_split(disc)
+        fit = np.zeros((ANGLES, 4))
+        cells = [(r, a) for r in rows for a in range(ANGLES) if seen[n, r, a]]
+        for turn, k in itertools.product(range(ANGLES), range(4)):
+            code = [SECTORS[k + 1][(a - turn) % ANGLES // 9] for a in range(ANGLES)]
+            fit[turn, k] = np.mean([(grey[n, r, a] > level) == code[a] for r, a in cells])
+        assert fit[found.turn[n]].max() == pytest.approx(fit.max())
+        np.testing.assert_allclose(found.similarity[n], fit[found.turn[n]])
+        bright = [grey[n, r, a] > level for r in ring for a in range(ANGLES) if seen[n, r, a]]
+        assert found.ring[n] == pytest.approx(np.mean(bright))
+
+
+@settings(max_examples=100, deadline=None)
+@given(data=st.data())
+def test_otsu_parts_8_bit_values_as_opencv_does(data):
+    size = data.draw(st.integers(2, 60))
+    values = np.array(data.draw(st.lists(st.integers(0, 255), min_size=size, max_size=size)))
+    padded = np.concatenate([values, [17, 250, 3]]).astype(float)  # and cells that are not seen
+    seen = np.arange(size + 3) < size
+    ours = padded[:size] > otsu_levels(padded[None], seen[None])[0]
+    theirs_level, _ = cv2.threshold(values.astype(np.uint8)[None], 0, 255, cv2.THRESH_OTSU)
+    theirs = values > theirs_level
+
+    def between(high):
+        if high.all() or not high.any():
+            return 0.0
+        return high.sum() * (~high).sum() * (values[high].mean() - values[~high].mean()) ** 2
+
+    # Two levels can be equally good; then either will do.
+    assert (ours == theirs).all() or between(ours) == pytest.approx(between(theirs), rel=1e-6)
+
+
+def test_brightness_is_free_of_gain_and_offset():
+    image = picture(disc_pattern(SECTORS[1]))
+    sampler = ShapeSampler(BASIN, (RADIUS, RADIUS))
+    inside, centre, start = np.ones_like(image), np.array([CENTRE]), np.zeros(1)
+    grey, seen = sampler(image, inside, centre, start, *surroundings(image))
+    halved = (image // 2 + 30).astype(np.uint8)
+    dim, _ = sampler(halved, inside, centre, start, *surroundings(halved))
+    np.testing.assert_allclose(dim[seen], grey[seen], atol=0.03)
+    assert grey.max() == pytest.approx((image.max() - image.mean()) / image.std(), abs=0.01)
+
+
+def test_no_objects_and_objects_outside_the_image_are_no_trouble():
+    image = picture(disc_pattern(SECTORS[1]))
+    sampler = ShapeSampler(BASIN, (RADIUS, RADIUS))
+    for centres in (np.empty((0, 2)), np.array([[-500.0, 900.0]])):
+        start = np.zeros(len(centres))
+        grey, seen = sampler(image, np.ones_like(image), centres, start, *surroundings(image))
+        found = identify(grey, seen, sampler.bands, TURNED)
+        assert not seen.any()
+        assert found.measurement.shape == (len(centres), 4)
+        np.testing.assert_allclose(found.measurement.sum(axis=1), 1)

@@ -1,0 +1,194 @@
+"""Stage 1 against drawn discs and a correlation written out."""
+
+import dataclasses
+import math
+import warnings
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sonarrec import config
+from sonarrec.landmarks import load_landmarks
+from sonarrec.recogniser.plane import Plane
+from sonarrec.recogniser.stage1_candidates import CandidateSelector
+from sonarrec.records import Fan, Selection
+from tests.support.drawn import SECTORS, disc_pattern, draw_on_floor, make_fan, speckled
+
+BASIN = load_landmarks("basin")
+FAN = make_fan(512)
+# The thresholds of this file, so that tuning the defaults does not touch it.
+RING = dataclasses.replace(
+    config.preset("default").candidates, threshold=0.4, ring_full_contrast=1.6, min_visible=0.35
+)
+EDGE = dataclasses.replace(config.preset("paper").candidates, threshold=0.35, min_visible=0.35)
+DETECTORS = {"ring": RING, "edge": EDGE}
+
+
+def selector(kind: str, fan: Fan = FAN) -> tuple[Plane, CandidateSelector]:
+    settings = DETECTORS[kind]
+    plane = Plane(fan, BASIN.radius_m, settings.plane, settings.disc_radius_px)
+    return plane, CandidateSelector(settings, plane, BASIN)
+
+
+SELECTORS = {kind: selector(kind) for kind in DETECTORS}
+
+
+def picture(rng, places, sectors=SECTORS[1], fan=FAN) -> np.ndarray:
+    """Speckled fan image of discs at (range_m, bearing_deg) with a dark plate under each."""
+    bright, dark = np.zeros((fan.rows, fan.columns)), np.zeros((fan.rows, fan.columns))
+    seen = np.ones(bright.shape, bool)
+    for range_m, bearing_deg in places:
+        pattern = disc_pattern(sectors, rng.uniform(0, 2 * np.pi))
+        disc, seen = draw_on_floor(fan, range_m, bearing_deg, BASIN.radius_m, pattern)
+        plate, _ = draw_on_floor(
+            fan, range_m, bearing_deg, BASIN.radius_m, lambda x, y: (np.hypot(x, y) <= 1) * 1.0
+        )
+        bright, dark = bright + disc, dark + plate
+    if not places:
+        seen = draw_on_floor(fan, 2.0, 0.0, 0.01, np.multiply)[1]
+    return speckled(bright, seen, rng, dark=dark)
+
+
+def miss(plane: Plane, selection: Selection, range_m: float, bearing_deg: float) -> float:
+    """Distance from a true centre to the nearest candidate, in working pixels."""
+    truth = np.ravel(plane.from_polar(np.array([range_m]), np.array([bearing_deg])))
+    return float(np.hypot(*(selection.positions - truth).T).min(initial=math.inf))
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1), range_m=st.floats(1.7, 3.2), bearing_deg=st.floats(-9.5, 9.5)
+)
+def test_the_ring_filter_finds_a_centre_to_a_part_of_a_pixel(seed, range_m, bearing_deg):
+    plane, select = SELECTORS["ring"]
+    rng = np.random.default_rng(seed)
+    sectors = SECTORS[int(rng.integers(1, 5))]
+    found = select(plane.warp(picture(rng, [(range_m, bearing_deg)], sectors)))
+    assert miss(plane, found, range_m, bearing_deg) < 0.4
+    assert found.scores[0] == found.scores.max() > 0.9
+
+
+def test_the_outline_finds_centres_to_within_its_tolerance():
+    """The paper's detector is as coarse as the band in which an edge counts as on the outline."""
+    plane, select = SELECTORS["edge"]
+    rng = np.random.default_rng(0)
+    misses = []
+    for _ in range(12):
+        place = (rng.uniform(1.7, 3.2), rng.uniform(-9, 9))
+        misses.append(miss(plane, select(picture(rng, [place])), *place))
+    assert np.median(misses) < 1
+    assert max(misses) < 0.2 * plane.axes[0]
+
+
+@pytest.mark.parametrize("kind", DETECTORS)
+def test_of_several_discs_all_are_found_best_first_and_apart(kind):
+    plane, select = SELECTORS[kind]
+    places = [(1.8, -6.0), (2.1, 7.0), (2.7, -2.0), (3.2, 6.0)]
+    found = select(plane.warp(picture(np.random.default_rng(3), places)))
+    for place in places:
+        assert miss(plane, found, *place) < 0.2 * plane.axes[0]
+    assert (np.diff(found.scores) <= 0).all()
+    assert found.scores.max() <= 1
+    offset = (found.positions[:, None] - found.positions[None]) / (2 * np.array(plane.axes))
+    distance = np.hypot(offset[..., 0], offset[..., 1]) + 9 * np.eye(len(offset))
+    assert distance.min() >= DETECTORS[kind].separation - 1e-6
+
+
+@pytest.mark.parametrize("kind", DETECTORS)
+@pytest.mark.parametrize("bearing_deg", [-14.0, 13.0, 15.0])
+def test_a_part_of_a_ring_at_the_fan_s_edge_is_found(kind, bearing_deg):
+    # At 2.4 m a disc spans 7.5 degrees: from 45 to 62 % of its ring lies within 14.4 degrees.
+    plane, select = SELECTORS[kind]
+    found = select(plane.warp(picture(np.random.default_rng(1), [(2.4, bearing_deg)])))
+    assert miss(plane, found, 2.4, bearing_deg) < (0.5 if kind == "ring" else 0.2 * plane.axes[0])
+
+
+@pytest.mark.parametrize("kind", DETECTORS)
+def test_less_of_a_ring_than_asked_for_is_no_candidate(kind):
+    plane, select = SELECTORS[kind]
+    bearing = FAN.bearing_max_deg + 2.6  # a quarter of the ring still shows
+    found = select(plane.warp(picture(np.random.default_rng(2), [(2.4, bearing)])))
+    assert miss(plane, found, 2.4, bearing) > 0.4 * plane.axes[0]
+
+
+@pytest.mark.parametrize("kind", DETECTORS)
+def test_plain_speckle_and_the_fan_s_own_border_are_hardly_ever_candidates(kind):
+    plane, select = SELECTORS[kind]
+    frames = 24
+    found = [select(plane.warp(picture(np.random.default_rng(seed), []))) for seed in range(frames)]
+    # The threshold lies at about the most that speckle alone makes in a frame of some hundred
+    # places of a disc: one candidate in ten frames is chance, and what stage 2 is for.
+    assert sum(len(f.scores) for f in found) <= frames / 10
+    assert max(f.score_map.max() for f in found) < 0.45
+
+
+@pytest.mark.parametrize("kind", DETECTORS)
+@pytest.mark.parametrize("level", [0, 1, 128, 255])
+def test_black_and_even_frames_give_none_and_no_warning(kind, level):
+    plane, select = SELECTORS[kind]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        image = np.full((FAN.rows, FAN.columns), level, np.uint8)
+        found = select(plane.warp(image))
+    assert found.positions.shape == (0, 2)
+    assert found.scores.shape == (0,)
+    assert np.isfinite(found.score_map).all()
+
+
+@pytest.mark.parametrize("gain", [0.5, 0.8])
+@pytest.mark.parametrize("kind", DETECTORS)
+def test_gain_does_not_change_the_score(kind, gain):
+    plane, select = SELECTORS[kind]
+    image = picture(np.random.default_rng(4), [(2.2, 1.0)])
+    dim = np.where(image > 0, 30 + gain * image, 0).astype(np.uint8)
+    loud, quiet = select(plane.warp(image)), select(plane.warp(dim))
+    assert quiet.scores[0] == pytest.approx(loud.scores[0], abs=0.05)
+    assert miss(plane, quiet, 2.2, 1.0) < 0.2 * plane.axes[0]
+
+
+def test_the_outline_s_score_is_the_count_of_edge_pixels_written_out():
+    fan = make_fan(64)
+    settings = dataclasses.replace(EDGE, blur_px=3, edge_tolerance_px=1, min_visible=0.361)
+    plane = Plane(fan, BASIN.radius_m, "fan", 15.0)
+    select = CandidateSelector(settings, plane, BASIN)
+    rng = np.random.default_rng(6)
+    image = picture(rng, [(2.4, 2.0)], fan=fan)
+    score = select(image).score_map
+
+    # Canny's edges as OpenCV finds them, without those that the fan's own border makes.
+    sigma = image[plane.inside == 1].std()
+    edges = cv2.Canny(
+        cv2.GaussianBlur(image, (3, 3), 0), settings.canny_low * sigma, settings.canny_high * sigma
+    )
+    rows, columns = image.shape
+    inside = np.pad(plane.inside, 2, constant_values=1)
+    edge_rows, edge_columns = np.nonzero(edges)
+    on_edge = np.zeros((rows, columns), bool)
+    for r, c in zip(edge_rows, edge_columns, strict=True):
+        if inside[r : r + 5, c : c + 5].all():
+            on_edge[max(r - 1, 0) : r + 2, max(c - 1, 0) : c + 2] = True
+    # Eq. 1 and 2: the outline's pixels round a candidate.
+    across = BASIN.radius_m / fan.metres_per_pixel
+    along = across * math.cos(math.radians(fan.tilt_deg))
+    reach = math.ceil(across) + 1
+    outline = [
+        (y, x)
+        for y in range(-reach, reach + 1)
+        for x in range(-reach, reach + 1)
+        if abs(math.hypot(x / across, y / along) - 1) < 0.5 / along
+    ]
+    assert on_edge.any()
+    expected = np.zeros((rows, columns))
+    for r in range(rows):
+        for c in range(columns):
+            there = [
+                (r + y, c + x) for y, x in outline if 0 <= r + y < rows and 0 <= c + x < columns
+            ]
+            share = sum(plane.inside[p] for p in there) / len(outline)
+            if share >= settings.min_visible:
+                hits = sum(on_edge[p] for p in there)
+                expected[r, c] = min(hits / len(outline) / math.sqrt(share), 1)
+    np.testing.assert_allclose(score, expected, atol=1e-5)

@@ -1,0 +1,412 @@
+"""Stage 2: particle groups on score maps with known peaks."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from sonarrec import config
+from sonarrec.landmarks import load_landmarks
+from sonarrec.recogniser.plane import Plane
+from sonarrec.recogniser.stage1_candidates import CandidateSelector
+from sonarrec.recogniser.stage2_continuity import ContinuityFilter
+from sonarrec.records import Motion, Selection
+from tests.support.drawn import SECTORS, disc_pattern, draw_on_floor, make_fan, speckled
+
+BASIN = load_landmarks("basin")
+FAN = make_fan(512)
+PLANE = Plane(FAN, BASIN.radius_m, "fan", 15.0)
+DIAMETER = 2 * PLANE.axes[0]
+# The paper's rules with nothing added: only the strikes delete.
+PAPER = dataclasses.replace(
+    config.preset("paper").continuity, particles=1500, hit_power=4.0, motion="random_walk"
+)
+START = (190.0, 250.0)
+
+
+def peaks(*places, width: float = 6.0, height: float = 1.0, base: float = 0.0) -> np.ndarray:
+    """A score map with bumps at (column, row)."""
+    row, column = np.mgrid[0 : PLANE.shape[0], 0 : PLANE.shape[1]]
+    score = np.full(PLANE.shape, base)
+    for x, y in places:
+        bump = height * np.exp(-((column - x) ** 2 + (row - y) ** 2) / (2 * width**2))
+        score = np.maximum(score, bump)
+    return score.astype(np.float32)
+
+
+def selection(score: np.ndarray, *candidates) -> Selection:
+    return Selection(
+        score,
+        np.array(candidates, float).reshape(-1, 2),
+        np.full(len(candidates), 0.9),
+        np.zeros_like(score),
+        1.0,
+    )
+
+
+def new_filter(settings=PAPER, seed: int = 0, plane: Plane = PLANE) -> ContinuityFilter:
+    return ContinuityFilter(settings, plane, np.random.default_rng(seed))
+
+
+@pytest.mark.parametrize("off", [(0, 0), (8, -5), (-12, 6)])
+def test_a_group_gathers_on_the_peak(off):
+    true = (201.4, 243.8)
+    follow = new_filter()
+    start = (true[0] + off[0], true[1] + off[1])
+    follow.step(selection(peaks(true), start))
+    for _ in range(6):
+        groups = follow.step(selection(peaks(true), true))
+        assert groups.positions.shape == (1, 2)
+        np.testing.assert_allclose(groups.positions[0], true, atol=1.0)
+        assert (groups.spread < PAPER.spread_limit).all()
+
+
+def test_a_group_follows_a_peak_that_moves():
+    follow = new_filter()
+    for t in range(20):
+        true = (150 + 4.0 * t, 250 + 1.5 * t)
+        groups = follow.step(selection(peaks(true), true))
+    assert list(groups.numbers) == [1]
+    np.testing.assert_allclose(groups.positions[0], true, atol=2.5)
+
+
+def resampled(weight_map: np.ndarray, places: np.ndarray, settings, seed: int) -> np.ndarray:
+    """How often each particle at a whole-number place survives one step without any walk."""
+    follow = new_filter(settings, seed)
+    follow.step(selection(weight_map, tuple(places[0])))
+    # No other way in: the particles are put where their weights are known.
+    follow._particles = places[None].astype(np.float32)
+    follow.step(selection(weight_map))
+    kept, counts = np.unique(follow._particles[0], axis=0, return_counts=True)
+    table = {tuple(p): int(c) for p, c in zip(kept, counts, strict=True)}
+    return np.array([table.get(tuple(p), 0) for p in places.astype(np.float32)])
+
+
+def test_resampling_is_systematic_and_unbiased():
+    still = dataclasses.replace(
+        PAPER, sigma_px=0.0, sigma_known_px=0.0, particles=300, z_hit=0.8, z_rand=0.2, hit_power=2.0
+    )
+    rng = np.random.default_rng(1)
+    score = rng.random(PLANE.shape).astype(np.float32)
+    flat = rng.permutation(200 * 200)[:300]
+    places = np.column_stack([flat % 200 + 90, flat // 200 + 150])
+    hit = score[places[:, 1], places[:, 0]].astype(float)
+    weight = 0.8 * hit**2 + 0.2 / 300  # Eq. 4
+    expected = 300 * weight / weight.sum()
+    total = np.zeros(300)
+    runs = 200
+    for seed in range(runs):
+        counts = resampled(score, places, still, seed)
+        assert counts.sum() == 300
+        # Only systematic (not multinomial) resampling keeps every count this near.
+        assert (np.abs(counts - expected) < 1 + 1e-6).all()
+        total += counts
+    np.testing.assert_allclose(total / runs, expected, atol=5 * 0.5 / math.sqrt(runs))
+
+
+def test_groups_do_not_exchange_particles():
+    settings = dataclasses.replace(PAPER, merge=0.1, new_group=0.1, particles=1000)
+    follow = new_filter(settings)
+    places = [(100.0, 200.0), (180.0, 200.0), (260.0, 200.0)]
+    score = peaks(*places, base=0.05)
+    follow.step(selection(score, *places))
+    for _ in range(5):
+        groups = follow.step(selection(score, *places))
+        np.testing.assert_allclose(groups.positions, places, atol=3)
+        for particles, place in zip(follow._particles, places, strict=True):
+            assert np.median(np.abs(particles - place)) < 15
+
+
+def test_a_particle_walks_randn_sigma_in_each_frame():
+    """Eq. 3. On an even map resampling keeps every particle, so each step can be seen."""
+    follow = new_filter()
+    even = np.ones(PLANE.shape, np.float32)
+    follow.step(selection(even, START))
+    before = follow._particles.copy()
+    follow.step(selection(even))
+    np.testing.assert_allclose((follow._particles - before).std(axis=1), PAPER.sigma_px, rtol=0.1)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_noise_dies_by_the_rule_of_25_percent_five_times(seed):
+    follow = new_filter(seed=seed)
+    rng = np.random.default_rng(seed)
+    follow.step(selection(rng.random(PLANE.shape, np.float32) * 0.4, START))
+    lives, wide = 0, 0
+    while True:
+        groups = follow.step(selection(rng.random(PLANE.shape, np.float32) * 0.4))
+        if not len(groups.numbers):
+            break
+        lives += 1
+        wide = wide + 1 if (groups.spread > 0.25).any() else 0
+        assert wide < 5
+        assert lives < 15
+    assert lives >= 4  # five strikes take five frames
+    assert wide == 4
+
+
+def test_a_narrow_frame_in_between_starts_the_count_again():
+    follow = new_filter()
+    noise = np.full(PLANE.shape, 0.3, np.float32)
+    follow.step(selection(peaks(START), START))
+    for _ in range(4):
+        for _ in range(4):  # lost for less than five frames
+            groups = follow.step(selection(noise))
+        groups = follow.step(selection(peaks(START)))
+        assert list(groups.numbers) == [1]
+        assert (groups.spread <= 0.25).all()
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_group_on_a_landmark_lives_with_a_spread_of_some_pixels(seed):
+    """The trap: 4 to 8 px per axis after weighting, with the paper's edge map."""
+    preset = config.preset("paper")
+    select = CandidateSelector(preset.candidates, PLANE, BASIN)
+    follow = new_filter(seed=seed)
+    rng = np.random.default_rng(seed)
+    pattern = disc_pattern(SECTORS[1 + seed], 0.7)
+    disc, seen = draw_on_floor(FAN, 2.2, 2.0, BASIN.radius_m, pattern)
+    plate, _ = draw_on_floor(
+        FAN, 2.2, 2.0, BASIN.radius_m, lambda x, y: (np.hypot(x, y) <= 1) * 1.0
+    )
+    spreads = []
+    for _ in range(25):
+        groups = follow.step(select(speckled(disc, seen, rng, dark=plate)))
+        assert 1 in groups.numbers
+        spreads.append(groups.spread[0] * 2 * np.array(PLANE.axes))
+    typical = np.median(spreads[1:], axis=0)
+    assert (typical > 2).all()
+    assert (typical < 10).all()
+    truth = np.ravel(PLANE.from_polar(np.array([2.2]), np.array([2.0])))
+    np.testing.assert_allclose(groups.positions[0], truth, atol=4)
+
+
+@pytest.mark.parametrize("pan_deg", [-3.0, 0.8, 4.0])
+def test_a_known_pan_moves_the_groups(pan_deg):
+    settings = dataclasses.replace(
+        PAPER, motion="image", sigma_px=0.05, sigma_known_px=0.05, spread_limit=9.0
+    )
+    follow = new_filter(settings)
+    even = np.ones(PLANE.shape, np.float32)
+    starts = [(2.2, 2.0), (2.9, -5.0)]
+    places = [tuple(np.ravel(PLANE.from_polar(np.array([r]), np.array([b])))) for r, b in starts]
+    follow.step(selection(even, *places))
+    groups = follow.step(selection(even), Motion(pan_deg))
+    turned = [np.ravel(PLANE.from_polar(np.array([r]), np.array([b - pan_deg]))) for r, b in starts]
+    np.testing.assert_allclose(groups.positions, turned, atol=0.05)
+
+
+def test_a_group_pulled_off_what_the_pan_says_is_deleted():
+    settings = dataclasses.replace(PAPER, motion="image", jump=0.25, sigma_known_px=10.0)
+    follow = new_filter(settings)
+    follow.step(selection(peaks(START), START))
+    assert list(follow.step(selection(peaks(START)), Motion(0.0)).numbers) == [1]
+    elsewhere = (START[0] + 0.45 * DIAMETER, START[1])
+    groups = follow.step(selection(peaks(elsewhere), elsewhere), Motion(0.0))
+    assert list(groups.numbers) == [2]  # what pulled it is a new object
+
+
+def test_of_two_groups_on_one_object_the_older_stays():
+    follow = new_filter()
+    a, b = START, (START[0] + 0.8 * DIAMETER, START[1])
+    groups = follow.step(selection(peaks(a), a))
+    groups = follow.step(selection(peaks(a, b), a, b))
+    assert list(groups.numbers) == [1, 2]
+    for t in range(12):  # the second object runs into the first
+        b = (START[0] + max(0.8 - 0.08 * t, 0) * DIAMETER, START[1])
+        groups = follow.step(selection(peaks(a, b), a, b))
+    assert list(groups.numbers) == [1]
+    np.testing.assert_allclose(groups.positions[0], a, atol=2)
+
+
+def test_numbers_are_never_used_again():
+    follow = new_filter(dataclasses.replace(PAPER, particles=1000))
+    rng = np.random.default_rng(2)
+    ever: set[int] = set()
+    alive: set[int] = set()
+    for _ in range(40):
+        places = rng.uniform((90, 120), (290, 400), (rng.integers(0, 3), 2))
+        groups = follow.step(selection(peaks(*places, base=0.2), *map(tuple, places)))
+        now = {int(n) for n in groups.numbers}
+        assert list(groups.numbers) == sorted(now)
+        assert not (now - alive) & ever
+        ever |= now
+        alive = now
+    assert len(ever) > 8
+    assert ever == set(range(1, max(ever) + 1))
+
+
+def test_the_same_seed_gives_the_same_groups():
+    def track(seed: int) -> np.ndarray:
+        follow = new_filter(seed=seed)
+        return np.stack(
+            [follow.step(selection(peaks(START), START)).positions[0] for _ in range(8)]
+        )
+
+    np.testing.assert_array_equal(track(5), track(5))
+    assert (track(5) != track(6)).any()
+
+
+def test_existence_is_bayes_rule_on_hits_and_misses():
+    settings = dataclasses.replace(PAPER, p_hit_object=0.9, p_hit_clutter=0.4)
+    follow = new_filter(settings)
+    existence = 0.5
+    score = peaks(START)
+    follow.step(selection(score, START))
+    for hit in [True, True, False, True, True, True, False, False]:
+        groups = follow.step(selection(score, *([START] if hit else [])))
+        odds = existence / (1 - existence) * (0.9 / 0.4 if hit else 0.1 / 0.6)
+        existence = min(max(odds / (1 + odds), 0.01), 0.99)
+        assert groups.existence[0] == pytest.approx(existence)
+
+
+def test_an_object_that_is_no_longer_a_candidate_is_given_up():
+    settings = dataclasses.replace(
+        PAPER, p_hit_object=0.9, p_hit_clutter=0.4, min_existence=0.05, strikes=99
+    )
+    follow = new_filter(settings)
+    follow.step(selection(peaks(START), START))
+    lives = 0
+    while len(follow.step(selection(peaks(START))).numbers):
+        lives += 1
+    # Odds of 1 fall by 6 with each miss: 1/6 and 1/36 are left, which is below .05 at the second.
+    assert lives == 1
+
+
+def test_a_group_that_leaves_the_image_ends():
+    settings = dataclasses.replace(PAPER, motion="image", sigma_px=1.0, sigma_known_px=1.0)
+    follow = new_filter(settings)
+    even = np.ones(PLANE.shape, np.float32)
+    place = tuple(np.ravel(PLANE.from_polar(np.array([3.5]), np.array([13.0]))))
+    assert len(follow.step(selection(even, place)).numbers) == 1
+    assert len(follow.step(selection(even), Motion(-4.0)).numbers) == 0
+
+
+def test_nothing_in_nothing_out():
+    groups = new_filter().step(selection(np.zeros(PLANE.shape, np.float32)))
+    assert groups.positions.shape == (0, 2)
+    assert groups.spread.shape == (0, 2)
+    assert groups.existence.shape == groups.numbers.shape == (0,)
+
+
+def test_a_black_score_map_leaves_weights_that_can_be_used():
+    follow = new_filter()
+    follow.step(selection(peaks(START), START))
+    for _ in range(8):
+        groups = follow.step(selection(np.zeros(PLANE.shape, np.float32)))
+        assert np.isfinite(groups.positions).all()
+    assert len(groups.numbers) == 0  # spread out, five times
+
+
+# --- Groups that leave the view and return --------------------------------------------------------
+
+REMEMBER = dataclasses.replace(
+    config.preset("default").continuity, particles=500, sigma_px=3.0, sigma_known_px=1.0
+)
+
+
+def seen_at(pan_deg: float, range_m: float = 2.6, azimuth_deg: float = 10.0) -> tuple[float, float]:
+    """Where a still object shows once the sonar looks `pan_deg` to the right."""
+    column, row = PLANE.from_polar(np.array([range_m]), np.array([azimuth_deg - pan_deg]))
+    return float(column[0]), float(row[0])
+
+
+def swept(follow: ContinuityFilter, pans, hidden=(), move=lambda pan: pan) -> list[list[int]]:
+    """Numbers in view at each pan, of one still object that is a candidate where half of it shows.
+
+    move: what the filter is told of the pan since the last frame.
+    """
+    numbers, before = [], pans[0]
+    for i, pan in enumerate(pans):
+        place = seen_at(pan)
+        shows = abs(10.0 - pan) < 14 and i not in hidden
+        score = peaks(place) if shows else peaks()
+        motion = Motion(move(pan - before)) if i else None
+        groups = follow.step(selection(score, *([place] if shows else [])), motion)
+        numbers.append([int(n) for n in groups.numbers])
+        before = pan
+    return numbers
+
+
+AWAY_AND_BACK = [*np.arange(4, -14, -1.5), *np.arange(-14, 12, 1.5)]
+
+
+def test_an_object_that_returns_keeps_its_number():
+    numbers = swept(new_filter(REMEMBER), AWAY_AND_BACK)
+    assert numbers[0] == numbers[-1] == [1]
+    assert [] in numbers  # it was out of view
+    assert {n for frame in numbers for n in frame} == {1}
+
+
+def test_what_is_out_of_view_is_no_estimate_but_is_named_as_remembered():
+    follow = new_filter(REMEMBER)
+    swept(follow, AWAY_AND_BACK[:12])
+    groups = follow.step(selection(peaks()), Motion(-1.0))
+    assert list(groups.numbers) == []
+    assert list(groups.remembered) == [1]
+
+
+def test_after_too_long_an_absence_it_is_another_object():
+    brief = dataclasses.replace(REMEMBER, remember_frames=5)
+    numbers = swept(new_filter(brief), AWAY_AND_BACK)
+    assert numbers[-1] == [2]
+
+
+def test_without_a_known_pan_nobody_is_remembered():
+    numbers = swept(new_filter(REMEMBER), AWAY_AND_BACK[:12])
+    assert numbers[-1] == []
+    follow = new_filter(REMEMBER)
+    swept(follow, AWAY_AND_BACK[:12])
+    follow.step(selection(peaks()), None)
+    groups = follow.step(selection(peaks(seen_at(4.0)), seen_at(4.0)), Motion(0.0))
+    assert list(groups.numbers) == [2]
+
+
+def test_what_does_not_show_where_it_should_is_forgotten():
+    # All of it is in view again a little inside the fan's edge, which is at 14.4 deg.
+    whole = [i for i, pan in enumerate(AWAY_AND_BACK) if i > 12 and abs(10 - pan) < 11]
+    few = range(12, whole[REMEMBER.strikes - 2])
+    many = range(12, whole[REMEMBER.strikes + 2])
+    assert swept(new_filter(REMEMBER), AWAY_AND_BACK, hidden=few)[-1] == [1]
+    assert swept(new_filter(REMEMBER), AWAY_AND_BACK, hidden=many)[-1] == [2]
+
+
+@pytest.mark.parametrize("width", [12.0, 18.0])
+def test_a_group_held_back_at_the_edge_is_remembered_where_its_object_went(width):
+    """What scores at the fan's edge, though no candidate, draws particles back there."""
+    pans = [*np.arange(0, -14, -0.4), *np.arange(-14, 6, 0.4)]
+    edge = seen_at(-2.0)  # where the object was at 12 deg
+    follow, before, numbers = new_filter(REMEMBER), pans[0], []
+    for pan in pans:
+        place = seen_at(pan)
+        shows = abs(10.0 - pan) < 14
+        score = peaks(place if shows else edge, width=width)
+        groups = follow.step(selection(score, *([place] if shows else [])), Motion(pan - before))
+        numbers.append(list(groups.numbers))
+        before = pan
+    assert numbers[0] == numbers[-1] == [1]
+    assert [] in numbers
+    assert {n for frame in numbers for n in frame} == {1}
+
+
+def test_a_newcomer_elsewhere_is_not_taken_for_the_lost_one():
+    follow = new_filter(REMEMBER)
+    swept(follow, AWAY_AND_BACK[:12])
+    far = seen_at(0.0, range_m=1.9, azimuth_deg=-3.0)
+    groups = follow.step(selection(peaks(far), far), Motion(0.0))
+    assert list(groups.numbers) == [2]
+    assert list(groups.remembered) == [1]
+
+
+def test_what_is_out_of_view_is_not_missed():
+    """A turn that takes an object from the view and back leaves its existence as it was."""
+    settings = dataclasses.replace(PAPER, motion="image", least_in_view=0.35)
+    follow = new_filter(settings)
+    score = peaks(START)
+    follow.step(selection(score, START))
+    existence = follow.step(selection(score, START), Motion(0.0)).existence[0]
+    assert len(follow.step(selection(0 * score), Motion(30.0)).numbers) == 0
+    back = follow.step(selection(score, START), Motion(-30.0))
+    assert list(back.numbers) == [1]
+    assert back.existence[0] == pytest.approx(existence)

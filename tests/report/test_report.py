@@ -1,0 +1,826 @@
+"""The report: its numbers against the evaluation's, its drawing against brute force, its page in
+a real browser."""
+
+from __future__ import annotations
+
+import csv
+import re
+import shutil
+import tomllib
+from collections.abc import Iterator
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sonarrec.cli import main
+from sonarrec.drawing import landmark_colours
+from sonarrec.evaluation.evaluate import evaluate
+from sonarrec.evaluation.scoring import PROTOCOLS, score
+from sonarrec.evaluation.summary import summarise
+from sonarrec.landmarks import load_landmarks
+from sonarrec.report import charts
+from sonarrec.report.logs import ReportedLog, alongside, read_logs, sightings, tracks
+from sonarrec.report.mistakes import episodes, told
+from sonarrec.report.page import darkened, settings_tables
+from sonarrec.sonar import Sonar
+from sonarrec.truth.table import read_truth
+
+ROOT = Path(__file__).resolve().parents[2]
+SAMPLE = ROOT / "sample_data" / "pan"
+IDS = (1, 2, 3, 4)
+
+
+def sonarrec(*arguments: str | Path, code: int = 0) -> Result:
+    """One command; a traceback or another exit code than `code` fails the test."""
+    result = CliRunner().invoke(main, [str(a) for a in arguments])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    assert result.exit_code == code, result.output
+    return result
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The sample log, run."""
+    out = tmp_path_factory.mktemp("results")
+    sonarrec("run", SAMPLE, "--out", out, "-q")
+    return out / "pan"
+
+
+@pytest.fixture(scope="module")
+def pages(results: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """The sample log's report with everything, and with nothing but the results."""
+    folder = tmp_path_factory.mktemp("pages")
+    scored = ("--ground-truth", SAMPLE / "gt.csv", "--log", SAMPLE)
+    sonarrec("report", results, *scored, "-o", folder / "full.html")
+    sonarrec("report", results, "-o", folder / "bare.html")
+    return {name: folder / f"{name}.html" for name in ("full", "bare")}
+
+
+class Page(HTMLParser):
+    """Every element of a page with its attributes, and every table as rows of cells."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.tables: dict[str, list[list[str]]] = {}
+        self.text = ""
+        self._rows: list[list[str]] = []
+        self._caption: str | None = None
+        self.feed(path.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+        if tag == "table":
+            self._rows = []
+        elif tag == "caption":
+            self._caption = ""
+        elif tag == "tr":
+            self._rows.append([])
+        elif tag in ("td", "th"):
+            self._rows[-1].append("")
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag == "caption" and self._caption is not None:
+            self.tables[self._caption] = self._rows
+            self._caption = None
+        elif tag == "table":
+            self._rows = []
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+        if self._caption is not None:
+            self._caption += data
+        elif self._rows and self._rows[-1]:
+            self._rows[-1][-1] += data.strip()
+
+
+# The page
+
+
+def test_tables_are_the_evaluations(pages: dict[str, Path], results: Path) -> None:
+    sonarrec("evaluate", results, "--ground-truth", SAMPLE / "gt.csv", "-q")
+    with (results / "evaluation" / "confusion.csv").open(newline="") as file:
+        confusion = list(csv.DictReader(file))
+    page = Page(pages["full"])
+    for method in ("smi", "framework"):
+        for protocol in PROTOCOLS:
+            rows = {r[0]: r[1:] for r in page.tables[f"{method}, protocol {protocol}"]}
+            expected = [r for r in confusion if (r["method"], r["protocol"]) == (method, protocol)]
+            for label in ("TP", "TN", "FP", "FN", "Total"):
+                assert rows[label] == [r[label.lower()] for r in expected]
+            for label in ("TPR", "FPR"):
+                for cell, r in zip(rows[label], expected, strict=True):
+                    if r[label.lower()]:
+                        assert float(cell) == pytest.approx(float(r[label.lower()]), abs=5.1e-5)
+                    else:
+                        assert cell == "0.0000*"
+
+
+def test_figures_are_the_summarys(pages: dict[str, Path], results: Path) -> None:
+    found = summarise(evaluate(results, SAMPLE / "gt.csv"))
+    page = Page(pages["full"])
+    text = re.sub(r"\s+", "", page.text)
+    for method in ("smi", "framework"):
+        for name, digits in (("auc", 3), ("brier", 3), ("ece", 3), ("position_error_95_m", 4)):
+            figure = found.figure("strict", method, name)
+            assert figure is not None
+            told = f"{figure.value:.{digits}f}"
+            if not np.isnan(figure.low):
+                told += f"{figure.low:.{digits}f}to{figure.high:.{digits}f}"
+            assert told in text
+    for note in found.notes:
+        assert note in page.text
+
+
+def test_nothing_is_fetched_and_nothing_runs(pages: dict[str, Path]) -> None:
+    for path in pages.values():
+        page = Page(path)
+        names = {name for name, _ in page.elements}
+        assert not names & {"script", "link", "iframe", "object", "embed", "base"}
+        for _, attributes in page.elements:
+            for key, value in attributes.items():
+                assert not key.startswith("on")
+                if key in ("src", "href", "srcset", "data", "poster"):
+                    assert value is not None
+                    assert value.startswith(("#", "data:image/"))
+        text = path.read_text(encoding="utf-8")
+        assert "http://" not in text
+        assert "https://" not in text
+        assert "url(" not in text
+        assert "@import" not in text
+
+
+def test_links_within_the_page_arrive(pages: dict[str, Path]) -> None:
+    for path in pages.values():
+        elements = Page(path).elements
+        there = [a["id"] for _, a in elements if "id" in a]
+        assert len(there) == len(set(there))
+        links = {str(a["href"])[1:] for _, a in elements if "href" in a}
+        assert links <= set(there)
+        assert len(links) >= 4
+
+
+def test_pictures_have_words_and_sizes(pages: dict[str, Path]) -> None:
+    pictures = [a for name, a in Page(pages["full"]).elements if name == "img"]
+    assert len(pictures) > 6
+    for picture in pictures:
+        assert re.match(r"Sonar image, frame \d+: ", str(picture["alt"]))
+        assert int(str(picture["width"])) > 100
+    drawings = [a for name, a in Page(pages["full"]).elements if name == "svg"]
+    assert all(a.get("aria-label") or a.get("aria-hidden") for a in drawings)
+
+
+def test_without_truth_and_log_the_page_says_so(pages: dict[str, Path]) -> None:
+    page = Page(pages["bare"])
+    assert "no ground truth was given" in page.text
+    assert "the log itself was not given (--log)" in page.text
+    assert "TPR" not in page.text
+    assert not [name for name, _ in page.elements if name == "img"]
+    seen = page.tables["Declared by framework, in order of first sight"]
+    assert {row[0] for row in seen[1:]} == {"ID.1", "ID.3"}
+
+
+def test_size_and_sameness(pages: dict[str, Path], results: Path, tmp_path: Path) -> None:
+    assert pages["full"].stat().st_size < 1.5e6
+    again = tmp_path / "again.html"
+    sonarrec(
+        "report", results, "--ground-truth", SAMPLE / "gt.csv", "--log", SAMPLE, "-o", again, "-q"
+    )
+    assert again.read_bytes() == pages["full"].read_bytes()
+
+
+def test_names_are_text_not_html(tmp_path: Path) -> None:
+    folder = tmp_path / "<img src=x onerror=alert(1)>"
+    folder.mkdir()
+    (folder / "frames.csv").write_text("frame\n0\n1\n")
+    (folder / "estimates.csv").write_text(
+        "frame,method,object,landmark,score,declared\n0,<script>bad()</script>,1,1,0.9,1\n"
+    )
+    sonarrec("report", folder, "-o", tmp_path / "out.html")
+    page = Page(tmp_path / "out.html")
+    assert not [n for n, a in page.elements if n in ("script", "img") or "onerror" in a]
+    assert "<script>bad()</script>" in page.text
+
+
+def test_results_of_another_program(tmp_path: Path) -> None:
+    """Frames without times, no objects, no probabilities, no run.toml, truth without places."""
+    (tmp_path / "frames.csv").write_text("frame\n" + "".join(f"{n}\n" for n in range(10)))
+    (tmp_path / "estimates.csv").write_text(
+        "frame,method,landmark,score,declared\n2,mine,1,0.9,1\n3,mine,1,0.8,1\n7,mine,3,0.7,1\n"
+    )
+    (tmp_path / "gt.csv").write_text("frame,landmark\n3,1\n4,1\n")
+    sonarrec("report", tmp_path, "--ground-truth", tmp_path / "gt.csv")
+    page = Page(tmp_path / "report.html")
+    assert "ID.1 declared (0.90) while it is not in view" in page.text
+    assert "ID.1 in view and not declared" in page.text
+    assert "no tracks with probabilities" in page.text
+    assert "there is no run.toml" in page.text
+
+
+ODD_RESULTS = {
+    "no estimate": ("0,5\n1,9\n", ""),
+    "one frame": ("7,5\n", "7,framework,1,2.0,0.0,.9,.05,.05,0,0,1,.9,1\n"),
+    "single-frame method only": ("0,5\n1,9\n", "1,smi,0,2.0,0.0,.9,.05,.05,0,0,1,.9,1\n"),
+    "times that fall": ("0,9\n1,5\n", "1,framework,1,2.0,0.0,.9,.05,.05,0,0,1,.9,1\n"),
+    "one estimate in a gap": (
+        "".join(f"{n},{n}\n" for n in (0, 1, 50)),
+        "".join(f"{n},framework,1,2.0,0.0,.9,.05,.05,0,0,1,.9,1\n" for n in (0, 50)),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", ODD_RESULTS)
+@pytest.mark.parametrize("truth", [None, "", "7,1,2.0,0.0\n0,2,2.0,0.0\n"])
+def test_odd_results(tmp_path: Path, name: str, truth: str | None) -> None:
+    frames, estimates = ODD_RESULTS[name]
+    (tmp_path / "frames.csv").write_text(f"frame,timestamp_ns\n{frames}")
+    header = (
+        "frame,method,object,range_m,bearing_deg,p_1,p_2,p_3,p_4,p_none,landmark,score,declared"
+    )
+    (tmp_path / "estimates.csv").write_text(f"{header}\n{estimates}")
+    options: tuple[str | Path, ...] = ()
+    if truth is not None:
+        (tmp_path / "gt.csv").write_text(f"frame,landmark,range_m,bearing_deg\n{truth}")
+        options = ("--ground-truth", tmp_path / "gt.csv")
+    result = CliRunner().invoke(main, ["report", str(tmp_path), *map(str, options)])
+    if result.exit_code == 1:  # told in one line, as by evaluate
+        assert isinstance(result.exception, SystemExit)
+        assert result.stderr.startswith("sonarrec: ")
+        assert (truth is not None and name == "no estimate") or name == "one frame"
+        return
+    assert isinstance(result.exception, SystemExit | None), result.exception
+    page = Page(tmp_path / "report.html")
+    for _, attributes in page.elements:
+        assert "nan" not in str(attributes.get("d")) + str(attributes.get("style"))
+
+
+def test_a_landmark_set_of_nine_ids(tmp_path: Path) -> None:
+    sets = "".join(
+        f"[[landmark]]\nid = {n + 10}\nsectors = [{','.join('1' * (n + 1) + '0' * (9 - n))}]\n"
+        for n in range(9)
+    )
+    landmarks = tmp_path / "nine.toml"
+    landmarks.write_text(
+        f'name = "nine"\nradius_m = 0.2\nring = [0.8, 1.0]\nsymbol = [0.1, 0.6]\n{sets}'
+    )
+    (tmp_path / "frames.csv").write_text("frame\n0\n1\n")
+    (tmp_path / "estimates.csv").write_text(
+        "frame,method,object,landmark,score,declared\n"
+        + "".join(f"0,framework,{n},{n + 10},0.9,1\n" for n in range(9))
+    )
+    sonarrec("report", tmp_path, "--landmarks", landmarks)
+    page = Page(tmp_path / "report.html")
+    assert len(page.tables["Declared by framework, in order of first sight"]) == 10
+    assert "Never" not in page.text
+
+
+def test_several_logs(results: Path, tmp_path: Path) -> None:
+    root = tmp_path / "out"
+    for name in ("first", "pan"):
+        shutil.copytree(results, root / name)
+    rows = (SAMPLE / "gt.csv").read_text().splitlines()
+    with (tmp_path / "gt.csv").open("w") as file:
+        file.write(f"log,{rows[0]}\n")
+        file.writelines(f"{name},{row}\n" for name in ("first", "pan") for row in rows[1:])
+    sonarrec("report", root, "--ground-truth", tmp_path / "gt.csv", "--log", SAMPLE)
+    page = Page(root / "report.html")
+    assert "2 recorded sonar logs" in page.text
+    first, second = page.tables["Per log, protocol strict"][2:]
+    assert (first[0], second[0]) == ("first", "pan")
+    assert first[1:] == second[1:]
+    found = evaluate(results, SAMPLE / "gt.csv").scored
+    counts = [s.count() for s in found if s.protocol == "strict"]
+    missed_and_false = [str(n) for c in counts for n in (c.fn, c.fp)]
+    assert [cell for n in range(len(counts)) for cell in first[4 * n + 3 : 4 * n + 5]] == (
+        missed_and_false
+    )
+    assert len([n for n, _ in page.elements if n == "img"]) > 6
+    other = sonarrec("report", root, "--log", tmp_path, code=2)
+    assert "there are first, pan" in other.stderr
+
+
+def test_logs_of_different_landmark_sets_are_refused(results: Path, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        shutil.copytree(results, tmp_path / name)
+    run = tmp_path / "b" / "run.toml"
+    run.write_text(run.read_text().replace("id = 2\n", "id = 7\n"))
+    estimates = tmp_path / "b" / "estimates.csv"
+    estimates.write_text(estimates.read_text().splitlines()[0] + "\n")
+    fault = sonarrec("report", tmp_path, code=1).stderr
+    assert fault.startswith("sonarrec: ")
+    assert "logs a and b were run with different landmark IDs" in fault
+
+
+def test_another_log_is_refused(results: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "pan"
+    shutil.copytree(SAMPLE, folder)
+    (folder / "000127.png").unlink()
+    fault = sonarrec("report", results, "--log", folder, "-o", tmp_path / "x.html", code=1).stderr
+    assert fault.startswith("sonarrec: ")
+    assert "not the log that" in fault
+    assert not (tmp_path / "x.html").exists()
+
+
+def test_several_presets(tmp_path: Path) -> None:
+    sonarrec("run", SAMPLE, "--preset", "paper,default", "--out", tmp_path, "-q")
+    scored = ("--ground-truth", SAMPLE / "gt.csv")
+    sonarrec("report", tmp_path / "pan", *scored, "--method", "framework:default")
+    text = Page(tmp_path / "pan" / "report.html").text
+    assert "Declared by framework:default" in text
+    assert re.search("framework:(default|paper) less framework:(default|paper)", text)
+    assert "framework:paper: " in text
+    fault = sonarrec("report", tmp_path / "pan", "--method", "best", code=2).stderr
+    assert "no method 'best'; there is smi, framework:paper, framework:default" in fault
+
+
+def test_every_setting_is_shown(pages: dict[str, Path], results: Path) -> None:
+    def leaves(value: Any) -> Iterator[tuple[str, Any]]:
+        for key, inner in value.items():
+            if isinstance(inner, dict):
+                yield from leaves(inner)
+            elif not isinstance(inner, list):
+                yield key, inner
+
+    text = Page(pages["bare"]).text
+    run = tomllib.loads((results / "run.toml").read_text())
+    found = list(leaves(run))
+    assert len(found) > 40
+    for key, value in found:
+        assert f"{key}{str(value).lower() if isinstance(value, bool) else value}" in text
+
+
+def test_settings_of_several_presets_and_odd_values() -> None:
+    run = {
+        "finished": True,
+        "config": [
+            {"preset": "paper", "smi": {"declare": 0.6}},
+            {"preset": "default", "smi": {"declare": 0.5}},
+        ],
+        "landmarks": {"ring": [0.8, 1.0], "landmark": [{"id": 1, "sectors": [1, 0]}, {"id": 2}]},
+    }
+    assert list(settings_tables(run)) == [
+        ("run", [("finished", "true")]),
+        ("config[0]", [("preset", "paper")]),
+        ("config[0].smi", [("declare", "0.6")]),
+        ("config[1]", [("preset", "default")]),
+        ("config[1].smi", [("declare", "0.5")]),
+        ("landmarks", [("ring", "0.8, 1.0"), ("landmark", "id 1, sectors 1, 0; id 2")]),
+    ]
+
+
+def test_what_could_not_be_used_is_told(results: Path, tmp_path: Path) -> None:
+    shutil.copytree(results, tmp_path / "pan")
+    run = (results / "run.toml").read_text()
+    run = run.replace("finished = true", "finished = false")
+    run = run.replace("problems = []", 'problems = ["000007.png: unreadable, skipped"]')
+    (tmp_path / "pan" / "run.toml").write_text(run)
+    told_twice = sonarrec("report", tmp_path / "pan", code=3)
+    assert "the run was cut short" in told_twice.stderr
+    text = Page(tmp_path / "pan" / "report.html").text
+    assert "the run was cut short" in text
+    assert "000007.png: unreadable, skipped" in text
+
+
+def test_a_log_without_sightings(results: Path, tmp_path: Path) -> None:
+    """Nothing declared: the page says so and shows what came nearest to it."""
+    shutil.copytree(results, tmp_path / "pan")
+    with (results / "estimates.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    with (tmp_path / "pan" / "estimates.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(row | {"declared": 0} for row in rows)
+    sonarrec("report", tmp_path / "pan", "--log", SAMPLE)
+    page = Page(tmp_path / "pan" / "report.html")
+    assert "No landmark was declared." in page.text
+    assert "nothing declared; nearest to it ID." in page.text
+    assert len([name for name, _ in page.elements if name == "img"]) == 1
+
+
+def test_no_results_is_one_line(tmp_path: Path) -> None:
+    fault = sonarrec("report", tmp_path, code=1).stderr
+    assert fault.startswith("sonarrec: ")
+    assert "no results here" in fault
+
+
+def test_a_long_log_stays_a_small_page(tmp_path: Path) -> None:
+    """20,000 frames, 300 tracks: what is drawn is bounded, and what is left out is told."""
+    frames, objects = 20_000, 300
+    stamps = "".join(f"{n},{n * 10**8}\n" for n in range(frames))
+    (tmp_path / "frames.csv").write_text(f"frame,timestamp_ns\n{stamps}")
+    noise = np.random.default_rng(0).random((frames, 2)).round(3)
+    rows = "".join(
+        f"{n},{m},{n * objects // frames},2,0,{a},0,{1 - a},0,0,"
+        f"{3 - 2 * (a > 0.5)},{b},{+(b > 0.5)}\n"
+        for n, (a, b) in enumerate(noise.tolist())
+        for m in ("smi", "framework")
+    )
+    header = (
+        "frame,method,object,range_m,bearing_deg,p_1,p_2,p_3,p_4,p_none,landmark,score,declared"
+    )
+    (tmp_path / "estimates.csv").write_text(f"{header}\n{rows}")
+    (tmp_path / "gt.csv").write_text(
+        "frame,landmark,range_m,bearing_deg\n" + "".join(f"{n},1,2,0\n" for n in range(frames))
+    )
+    sonarrec("report", tmp_path, "--ground-truth", tmp_path / "gt.csv")
+    assert (tmp_path / "report.html").stat().st_size < 1e6
+    text = Page(tmp_path / "report.html").text
+    assert "12 of 300 tracks" in text
+    assert "later sightings left out" in text
+    assert "lesser groups of mistakes left out" in text
+
+
+# The mistakes
+
+
+def write_log(folder: Path, rng: np.random.Generator, frames: int = 120) -> None:
+    """Random results of two methods and random truth, with positions."""
+    folder.mkdir()
+    header = (
+        "frame,method,object,range_m,bearing_deg,p_1,p_2,p_3,p_4,p_none,landmark,score,declared"
+    )
+    places = rng.uniform((1.5, -10), (3.5, 10), (5, 2))
+    rows, truth = [], []
+    for n in range(frames):
+        for range_m, bearing in places[rng.random(5) < 0.5]:
+            near = (range_m + rng.normal(0, 0.05), bearing + rng.normal(0, 1))
+            truth.append(f"{n},{rng.integers(1, 5)},{range_m},{bearing},{rng.choice([0.5, 1])}")
+            for method in ("smi", "framework"):
+                s = round(rng.random(), 2)
+                rows.append(
+                    f"{n},{method},{rng.integers(100, 104)},{near[0]},{near[1]},.1,.2,.3,.2,.2,"
+                    f"{rng.integers(1, 5)},{s},{int(s > 0.4)}"
+                )
+    stamps = "".join(f"{n},{n * 250_000_000}\n" for n in range(frames))
+    (folder / "frames.csv").write_text(f"frame,timestamp_ns\n{stamps}")
+    (folder / "estimates.csv").write_text("\n".join([header, *rows]) + "\n")
+    (folder / "gt.csv").write_text(
+        "\n".join(["frame,landmark,range_m,bearing_deg,visible", *dict.fromkeys(truth)]) + "\n"
+    )
+
+
+@pytest.fixture(scope="module")
+def random_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("random") / "log"
+    write_log(folder, np.random.default_rng(5))
+    return folder
+
+
+def reported(folder: Path, truth: Path | None = None) -> ReportedLog:
+    return read_logs(
+        folder,
+        read_truth(truth or folder / "gt.csv"),
+        min_visible=0.9,
+        tolerance_s=None,
+        landmarks=None,
+        sonar=Sonar(),
+        method=None,
+    )[0]
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_mistakes_add_up_to_the_table(random_log: Path, tmp_path: Path, protocol: str) -> None:
+    truth = random_log / "gt.csv"
+    if protocol == "paper":  # without positions in the truth only this one is scored
+        rows = [line.split(",") for line in truth.read_text().splitlines()]
+        truth = tmp_path / "gt.csv"
+        truth.write_text("".join(f"{r[0]},{r[1]},{r[4]}\n" for r in rows))
+    found = evaluate(random_log, truth)
+    for method in found.joined.methods:
+        count = score(found.joined, found.joined.methods.index(method), protocol).count()
+        wrong = episodes(found, method)
+        assert sum(e.count for e in wrong if e.kind == "claim") == count.fp > 50
+        assert sum(e.count for e in wrong if e.kind == "miss") == count.fn > 50
+        for e in wrong:
+            assert e.first <= e.worst <= e.last
+            assert 0 <= e.wrongness <= 1
+
+
+def test_episodes_and_their_order(tmp_path: Path) -> None:
+    """By hand: a long mistake before a short one; a gap of five frames makes two of one."""
+    log = tmp_path / "log"
+    log.mkdir()
+    (log / "frames.csv").write_text("frame\n" + "".join(f"{n}\n" for n in range(40)))
+    # ID.2 claimed at 20 deg, where nothing lies: frames 0 to 3, 8 and 14 (gaps of 4 and 5).
+    claims = [f"{n},mine,2,2.0,20,{0.5 + n / 100},1" for n in (0, 1, 2, 3, 8, 14)]
+    # ID.1 lies at 0 deg in frames 20 and 21; called ID.3 there, then scored too low.
+    claims += ["20,mine,3,2.0,0,0.8,1", "21,mine,1,2.0,0,0.3,0"]
+    header = "frame,method,landmark,range_m,bearing_deg,score,declared"
+    (log / "estimates.csv").write_text("\n".join([header, *claims]) + "\n")
+    (log / "gt.csv").write_text(
+        "frame,landmark,range_m,bearing_deg\n20,1,2.0,0\n21,1,2.0,0\n30,4,2.0,0\n"
+    )
+    scored = evaluate(log, log / "gt.csv")
+    found = episodes(scored, "mine")
+    shown = [(e.kind, e.landmark, e.first, e.last, e.worst, e.count) for e in found]
+    assert shown == [
+        ("claim", 2, 0, 8, 8, 5),
+        ("miss", 1, 20, 21, 20, 2),
+        ("miss", 4, 30, 30, 30, 1),
+        ("claim", 3, 20, 20, 20, 1),
+        ("claim", 2, 14, 14, 14, 1),
+    ]
+    assert [told(e, scored.joined) for e in found] == [
+        "ID.2 declared (0.58) where no landmark lies",
+        "ID.1 in view and not declared: called ID.3 (0.80)",
+        "ID.4 in view and not declared: nothing found there",
+        "ID.3 declared (0.80) on what is ID.1",
+        "ID.2 declared (0.64) where no landmark lies",
+    ]
+
+
+# What is gathered of a log
+
+
+def test_truth_beneath_and_estimates_alongside(random_log: Path) -> None:
+    """Against loops over every pair."""
+    log = reported(random_log)
+    found, truth = log.results, log.truth
+    assert truth is not None
+    assert log.truth_near is not None
+    assert found.position is not None
+    assert truth.position is not None
+    for n in range(0, len(found.row), 7):
+        best, beneath = found.landmarks.radius_m, -1
+        for t in np.flatnonzero(truth.row == found.row[n]):
+            away = np.linalg.norm(found.position[n] - truth.position[t])
+            if away <= best:
+                best, beneath = away, truth.landmark[t]
+        assert log.truth_near[n] == beneath
+    shown, in_all = tracks(log, most=3)
+    assert (len(shown), in_all) == (3, 4)
+    assert {track.number for track in shown} < {100, 101, 102, 103}
+    smi = np.flatnonzero(log.of_method("smi"))
+    for track in shown:
+        assert (np.diff(track.row) > 0).all()
+        assert (found.object[track.at] == track.number).all()
+        for at, row, matched in zip(track.at, track.row, alongside(log, track, "smi"), strict=True):
+            here = smi[found.row[smi] == row]
+            away = np.linalg.norm(found.position[here] - found.position[at], axis=1)
+            if len(here) and away.min() <= found.landmarks.radius_m:
+                assert matched == here[away.argmin()]
+            else:
+                assert matched == -1
+
+
+def test_sightings_of_the_sample(results: Path) -> None:
+    """Against a loop over estimates.csv."""
+    claims: dict[tuple[int, int], list[tuple[int, float]]] = {}
+    with (results / "estimates.csv").open(newline="") as file:
+        for row in csv.DictReader(file):
+            if row["method"] == "framework" and row["declared"] == "1":
+                key = (int(row["landmark"]), int(row["object"]))
+                claims.setdefault(key, []).append((int(row["frame"]), float(row["score"])))
+    found = sightings(reported(results, SAMPLE / "gt.csv"))
+    assert {(s.landmark, s.track) for s in found} == set(claims)
+    assert {s.landmark for s in found} == {1, 3}
+    for s in found:
+        assert s.track is not None
+        frames, scores = zip(*claims[s.landmark, s.track], strict=True)
+        assert (s.first, s.last, s.claims) == (min(frames), max(frames), len(frames))
+        assert s.best == max(scores)
+        assert s.mean == pytest.approx(np.mean(scores))
+        assert scores[frames.index(s.surest)] == s.best
+        assert s.right is not None
+        assert 0 <= s.right <= s.claims
+
+
+# The drawing
+
+
+@given(st.lists(st.floats(0, 1) | st.just(np.nan), min_size=1, max_size=3000), st.integers(2, 400))
+@settings(max_examples=60, deadline=None)
+def test_thinning_keeps_peaks_and_dips(values: list[float], most: int) -> None:
+    y = np.array(values)
+    kept = charts.thinned(y, most)
+    assert len(kept) <= max(most, 1)
+    assert (np.diff(kept) > 0).all()
+    if np.isfinite(y).any():
+        assert np.nanmax(y[kept]) == np.nanmax(y)
+        assert np.nanmin(y[kept]) == np.nanmin(y)
+
+
+def drawn_points(path: str) -> list[list[tuple[int, int]]]:
+    """The subpaths of a polyline."""
+    return [
+        [tuple(map(int, p.split())) for p in part.split("L")]  # type: ignore[misc]
+        for part in path.split("M")[1:]
+    ]
+
+
+def test_lines_break_where_nothing_was_seen() -> None:
+    x = np.array([0, 0.25, 0.5, 0.75, 1.0])
+    y = np.array([0, 1, np.nan, 0.5, np.nan])
+    assert drawn_points(charts.polyline(x, y)) == [
+        [(0, 1000), (500, 0)],
+        [(1500, 500), (1500, 500)],
+    ]
+    assert charts.polyline(x, np.full(5, np.nan)) == ""
+
+
+def painted(path: str) -> np.ndarray:
+    """(WIDTH,) height of the bars at every column of the sheet, by filling each rectangle."""
+    height = np.zeros(charts.WIDTH)
+    for left, up, wide in re.findall(r"M(\d+) 1000v-(\d+)h(\d+)v\d+z", path):
+        columns = slice(int(left), int(left) + int(wide))
+        height[columns] = np.maximum(height[columns], int(up))
+    return height
+
+
+@pytest.mark.parametrize("count", [1, 40, 397, 5000])
+def test_bars_cover_their_frames(count: int) -> None:
+    rng = np.random.default_rng(count)
+    start = np.cumsum(rng.choice([1.0, 30.0], count, p=[0.95, 0.05])) - 1
+    height = np.where(rng.random(count) < 0.6, rng.random(count).round(1), 0)
+    axis = charts.Axis(0.0, float(start[-1]) + 1)
+    path = charts.bars(axis, start, 1.0, height)
+    columns = painted(path)
+    centre = np.floor(axis.share(start + 0.5) * charts.WIDTH).astype(int)
+    at = columns[np.minimum(centre, charts.WIDTH - 1)]
+    if count < charts.MOST_POINTS:
+        assert at == pytest.approx(1000 * height)
+        between = np.diff(start) > 2  # nothing is drawn over time without frames
+        gaps = np.floor(axis.share(start[:-1][between] + 15) * charts.WIDTH).astype(int)
+        assert not columns[gaps].any()
+    else:
+        assert path.count("M") <= charts.MOST_POINTS
+        assert columns.max() == 1000 * height.max()
+
+
+def test_ticks_are_round_and_in_place() -> None:
+    for high in (0.3, 1.0, 61.75, 25_000.0):
+        ticks = charts.Axis(0.0, high).ticks()
+        assert 3 <= len(ticks) <= 7
+        for tick in ticks:
+            assert tick.at == pytest.approx(100 * float(tick.text) / high, abs=0.01)
+    assert charts.Axis(0.0, 0.3).ticks()[-1].text == "0.3"
+
+
+def test_the_landmark_drawn_is_the_landmark() -> None:
+    """Each glyph's path, filled by the even-odd rule, against the set's own pattern."""
+    landmarks = load_landmarks("basin")
+    x, y = (
+        v.ravel() for v in np.meshgrid(np.linspace(-0.97, 0.97, 60), np.linspace(-0.97, 0.97, 60))
+    )
+    from matplotlib.path import Path as Outline
+
+    for k in range(len(landmarks.ids)):
+        inside = np.zeros(len(x), dtype=bool)
+        for part in charts.glyph(landmarks, k).split("M")[1:]:
+            inside ^= Outline(traced(part)).contains_points(
+                np.column_stack([50 + 49 * x, 50 - 49 * y])
+            )
+        expected = landmarks.pattern(k, x, y) > 0.5
+        # Grid points on an edge may fall either way.
+        assert np.mean(inside != expected) < 0.02
+
+
+def traced(part: str) -> np.ndarray:
+    """(n, 2) points along a circle "cx cy a..." or a wedge "A, outer arc, L, inner arc"."""
+    numbers = [float(v) for v in re.findall(r"-?\d+\.?\d*", part)]
+    turn = np.linspace(0, 2 * np.pi, 200)
+    if "a" in part:
+        radius = numbers[2]
+        return np.column_stack([50 + radius * np.cos(turn), 50 + radius * np.sin(turn)])
+    (ax, ay, outer, _, _, _, _, bx, by, dx, dy, *_), (cx, cy) = numbers, numbers[-2:]
+
+    def arc(x0: float, y0: float, x1: float, y1: float) -> np.ndarray:
+        radius = np.hypot(x0 - 50, y0 - 50)
+        begin, end = np.arctan2(50 - y0, x0 - 50), np.arctan2(50 - y1, x1 - 50)
+        way = np.linspace(0, (end - begin + np.pi) % (2 * np.pi) - np.pi, 30) + begin
+        return np.column_stack([50 + radius * np.cos(way), 50 - radius * np.sin(way)])
+
+    assert outer == pytest.approx(np.hypot(ax - 50, ay - 50), abs=0.1)
+    return np.vstack([arc(ax, ay, bx, by), arc(dx, dy, cx, cy)])
+
+
+def test_colours_stand_out_on_white() -> None:
+    """Those of a set of 20 IDs as well: 3 to 1, as WCAG 2 asks of what is drawn."""
+    white = [255, 255, 255]
+    for colour in (*landmark_colours(range(20)).values(), (0, 0, 0), (255, 255, 255)):
+        dark = darkened(colour)
+        assert contrast([int(dark[n : n + 2], 16) for n in (1, 3, 5)], white) >= 3
+        if contrast(list(colour), white) > 3.2:
+            assert dark == "#{:02x}{:02x}{:02x}".format(*colour)
+
+
+# In a browser
+
+SCREENS = [(width, scheme) for width in (1280, 400) for scheme in ("light", "dark")]
+FAULTS = """
+const shown = e => e.checkVisibility() && !e.closest('.scroll');
+return {
+  broken: [...document.images].filter(i => !(i.complete && i.naturalWidth)).length,
+  pictures: document.images.length,
+  wide: document.documentElement.scrollWidth - window.innerWidth,
+  outside: [...document.body.querySelectorAll('*')]
+    .filter(e => shown(e) && !e.closest('svg'))
+    .filter(e => e.getBoundingClientRect().right > window.innerWidth + 1)
+    .map(e => e.outerHTML.slice(0, 80)),
+};"""
+# Of every element that holds text itself: its colour and that of the page behind it, as sRGB.
+COLOURS = """
+const canvas = document.createElement('canvas').getContext('2d', {willReadFrequently: true});
+const rgb = c => { canvas.fillStyle = c; canvas.fillRect(0, 0, 1, 1);
+                   return [...canvas.getImageData(0, 0, 1, 1).data]; };
+const page = rgb(getComputedStyle(document.body).backgroundColor);
+const text = new Set([...document.body.querySelectorAll('*')]
+  .filter(e => e.checkVisibility())
+  .filter(e => [...e.childNodes].some(n => n.nodeType === 3 && n.data.trim()))
+  .map(e => getComputedStyle(e).color));
+const drawn = new Set([...document.querySelectorAll('.sheet path, .disc path')].map(e => {
+  const style = getComputedStyle(e); return style.fill === 'none' ? style.stroke : style.fill; }));
+return [page, [...text].map(rgb), [...drawn].map(rgb)];"""
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """Headless Chromium, driven by its own driver; nothing is downloaded to have them."""
+    chromium = shutil.which("chromium") or shutil.which("google-chrome")
+    driver = shutil.which("chromedriver")
+    if chromium is None or driver is None:
+        pytest.skip("no chromium and chromedriver on the PATH")
+    from selenium import webdriver
+    from selenium.webdriver.chrome.service import Service
+
+    options = webdriver.ChromeOptions()
+    options.binary_location = chromium
+    profile = tmp_path_factory.mktemp("profile")
+    for flag in (
+        "headless",
+        "no-sandbox",
+        "disable-gpu",
+        "disable-quic",
+        "no-first-run",
+        "disable-background-networking",
+        "disable-component-update",
+        "disable-sync",
+        "hide-scrollbars",
+        f"user-data-dir={profile}",
+    ):
+        options.add_argument(f"--{flag}")
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    with webdriver.Chrome(options=options, service=Service(driver)) as chrome:
+        yield chrome
+
+
+def look(browser: Any, page: Path, width: int, scheme: str) -> dict[str, Any]:
+    """What is wrong with a page on a screen; `console` is what the browser complains of."""
+    screen = {"width": width, "height": 800, "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", screen)
+    media = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", media)
+    browser.get_log("browser")
+    browser.get(page.as_uri())
+    # What is folded away has to fit as well.
+    browser.execute_script("document.querySelectorAll('details').forEach(d => d.open = true)")
+    return {**browser.execute_script(FAULTS), "console": browser.get_log("browser")}
+
+
+def contrast(a: list[int], b: list[int]) -> float:
+    """WCAG 2 contrast ratio of two sRGB colours, 1 to 21."""
+    linear = [
+        np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
+        for c in (np.array(a[:3]) / 255, np.array(b[:3]) / 255)
+    ]
+    high, low = sorted((float(c @ (0.2126, 0.7152, 0.0722)) for c in linear), reverse=True)
+    return (high + 0.05) / (low + 0.05)
+
+
+@pytest.mark.parametrize(("width", "scheme"), SCREENS)
+@pytest.mark.parametrize("name", ["full", "bare"])
+def test_in_a_browser(
+    browser: Any, pages: dict[str, Path], name: str, width: int, scheme: str
+) -> None:
+    found = look(browser, pages[name], width, scheme)
+    assert found["console"] == []
+    assert found["broken"] == 0
+    assert (found["pictures"] > 6) == (name == "full")
+    assert found["wide"] <= 0
+    assert found["outside"] == []
+    page, text, drawn = browser.execute_script(COLOURS)
+    assert (sum(page[:3]) > 600) == (scheme == "light")
+    # WCAG 2 AA: 4.5 for text, 3 for what is drawn.
+    assert min(contrast(colour, page) for colour in text) >= 4.5
+    assert min(contrast(colour, page) for colour in drawn) >= 3
+
+
+def test_the_browser_would_tell(browser: Any, tmp_path: Path) -> None:
+    """The check itself: a page with every fault is found out."""
+    bad = tmp_path / "bad.html"
+    bad.write_text(
+        "<!doctype html><html><body><script>nothing.here()</script>"
+        "<img src='data:image/png;base64,AAAA'><p style='width: 900px'>wide</p></body></html>"
+    )
+    found = look(browser, bad, 400, "light")
+    assert any("nothing is not defined" in line["message"] for line in found["console"])
+    assert found["broken"] == 1
+    assert found["wide"] > 0
+    assert len(found["outside"]) == 1

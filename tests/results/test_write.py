@@ -1,0 +1,217 @@
+"""Results on disk against the contract of the README."""
+
+import csv
+import dataclasses
+import os
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sonarrec import config
+from sonarrec.landmarks import landmarks_from_table, load_landmarks
+from sonarrec.records import Estimate, FrameResult, SonarrecError, Stamps
+from sonarrec.results.columns import estimate_columns
+from sonarrec.results.run_file import run_table
+from sonarrec.results.sightings import Sightings
+from sonarrec.results.write import ResultsWriter
+from sonarrec.sonar import Sonar, load_sonar, sonar_from_table
+from tests.support.drawn import make_fan
+
+BASIN = load_landmarks("basin")
+CONTRACT = (
+    "frame,timestamp_ns,method,object,x_px,y_px,range_m,bearing_deg,orientation_deg,existence,"
+    "p_1,p_2,p_3,p_4,p_none,landmark,score,declared"
+)
+SONAR = Sonar(
+    layout="fan", range_min_m=1.25, range_max_m=3.75, field_of_view_deg=28.8, tilt_deg=20.0
+)
+
+
+def estimate(**changed) -> Estimate:
+    values = {
+        "method": "framework",
+        "object": 3,
+        "x_px": 101.256,
+        "y_px": 55.5,
+        "range_m": 2.03694,
+        "bearing_deg": -7.12345,
+        "orientation_deg": 95.25,
+        "existence": 0.98765,
+        "probabilities": np.array([0.7, 0.1, 0.05, 0.05, 0.1]),
+        "landmark": 1,
+        "score": 0.6913,
+        "declared": True,
+    }
+    return Estimate(**(values | changed))
+
+
+def result(index: int = 0, *estimates: Estimate) -> FrameResult:
+    return FrameResult(index, index * 250_000_000, 4, 2, estimates)
+
+
+def tables() -> dict:
+    source = ("log_a", 12345, "0" * 64)
+    return run_table([config.preset("default")], SONAR, make_fan(), BASIN, source)
+
+
+def rows(path) -> list[list[str]]:
+    with path.open(newline="") as file:
+        return list(csv.reader(file))
+
+
+def test_headers_are_the_contract_s(tmp_path):
+    with ResultsWriter(tmp_path / "log_a", BASIN, tables()) as writer:
+        writer.finish([])
+    header = (tmp_path / "log_a/estimates.csv").read_text().splitlines()
+    assert header == [CONTRACT + ",range_sigma_m,bearing_sigma_deg,orientation_sigma_deg"]
+    assert (tmp_path / "log_a/frames.csv").read_bytes() == (
+        b"frame,timestamp_ns,candidates,tracks,log_time_ns,publish_time_ns,header_stamp_ns\n"
+    )
+    assert estimate_columns((7, 12))[10:13] == ["p_7", "p_12", "p_none"]
+
+
+def test_what_is_written_is_what_was_estimated(tmp_path):
+    rng = np.random.default_rng(0)
+    given = []
+    for i in range(40):
+        p = rng.dirichlet(np.full(5, 0.3))
+        best = int(p[:4].argmax()) + 1
+        given.append(estimate(object=i, probabilities=p, landmark=best, declared=i % 2 == 0))
+    with ResultsWriter(tmp_path, BASIN, tables()) as writer:
+        writer.write(result(5, *given[:30]))
+        writer.write(result(6), Stamps(log=1500000001, header=-7))
+        writer.write(result(7, *given[30:]))
+        writer.finish([])
+    assert rows(tmp_path / "frames.csv")[1:] == [
+        ["5", "1250000000", "4", "2", "", "", ""],
+        ["6", "1500000000", "4", "2", "1500000001", "", "-7"],
+        ["7", "1750000000", "4", "2", "", "", ""],
+    ]
+    header, *body = rows(tmp_path / "estimates.csv")
+    assert len(body) == 40
+    for line, e in zip(body, given, strict=True):
+        row = dict(zip(header, line, strict=True))
+        p = np.array([float(row[f"p_{name}"]) for name in (1, 2, 3, 4, "none")])
+        assert p.sum() == pytest.approx(1, abs=3e-6)  # five values rounded to 1e-6
+        np.testing.assert_allclose(p, e.probabilities, atol=5.1e-7)
+        assert int(row["landmark"]) == e.landmark
+        assert row["declared"] == str(int(e.declared))
+        assert float(row["x_px"]) == pytest.approx(e.x_px, abs=0.0051)
+        assert float(row["range_m"]) == pytest.approx(e.range_m, abs=5.1e-5)
+        assert float(row["bearing_deg"]) == pytest.approx(e.bearing_deg, abs=5.1e-4)
+        assert float(row["score"]) == pytest.approx(e.score, abs=5.1e-7)
+        assert row["method"] == "framework"
+    assert {line[0] for line in body[:30]} == {"5"}
+
+
+def test_run_toml_says_finished_only_at_the_end(tmp_path):
+    def run() -> dict:
+        return tomllib.loads((tmp_path / "run.toml").read_text())
+
+    with ResultsWriter(tmp_path, BASIN, tables()) as writer:
+        assert run()["finished"] is False
+        writer.write(result(0, estimate()))
+        assert run()["finished"] is False
+        writer.finish(["000007.png: cannot be read"])
+    assert run()["finished"] is True
+    assert run()["input"]["frames_processed"] == 1
+    assert run()["input"]["problems"] == ["000007.png: cannot be read"]
+    assert [p.name for p in tmp_path.glob("*.part")] == []
+
+
+def broken_off(folder) -> None:
+    with ResultsWriter(folder, BASIN, tables()) as writer:
+        writer.write(result(0, estimate()))
+        raise KeyboardInterrupt
+
+
+def test_a_run_that_broke_off_is_not_passed_off_as_whole(tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        broken_off(tmp_path)
+    assert tomllib.loads((tmp_path / "run.toml").read_text())["finished"] is False
+    assert len(rows(tmp_path / "estimates.csv")) == 2  # what was done is on disk
+
+
+def test_a_second_run_does_not_leave_rows_of_the_first(tmp_path):
+    for frames in (5, 2):
+        with ResultsWriter(tmp_path, BASIN, tables()) as writer:
+            for i in range(frames):
+                writer.write(result(i, estimate()))
+            writer.finish([])
+    assert len(rows(tmp_path / "frames.csv")) == 3
+    assert len(rows(tmp_path / "estimates.csv")) == 3
+
+
+def test_run_toml_holds_all_that_the_run_needs_again(tmp_path):
+    with ResultsWriter(tmp_path, BASIN, tables()) as writer:
+        writer.finish([])
+    file = tmp_path / "run.toml"
+    table = tomllib.loads(file.read_text())
+    assert table["input"]["name"] == "log_a"
+    assert table["input"]["bytes"] == 12345
+    assert len(table["input"]["sha256"]) == 64
+    assert table["program"]["version"]
+    assert config.configs(path=file) == [config.preset("default")]
+    assert landmarks_from_table(table["landmarks"], "run.toml") == BASIN
+    fan = make_fan()
+    sonar = sonar_from_table(table["sonar"], "run.toml")
+    assert sonar.metres_per_pixel == fan.metres_per_pixel
+    assert sonar.apex_px == (fan.apex_column, fan.apex_row)
+    assert dataclasses.replace(sonar, metres_per_pixel=None, apex_px=None) == SONAR
+
+
+def test_the_sonar_of_a_run_reads_as_a_sonar_toml(tmp_path):
+    import tomli_w
+
+    file = tmp_path / "sonar.toml"
+    file.write_text(tomli_w.dumps({"sonar": tables()["sonar"]}))
+    assert load_sonar(file).range_max_m == 3.75
+
+
+@pytest.mark.parametrize("taken", ["file in the way", "no permission"])
+def test_a_folder_that_cannot_be_written_is_one_line(tmp_path, taken):
+    folder = tmp_path / "out"
+    if taken == "file in the way":
+        folder.write_text("")
+    else:
+        folder.mkdir(mode=0o500)
+        if os.access(folder, os.W_OK):
+            pytest.skip("this user may write everywhere")
+    with pytest.raises(SonarrecError) as caught:
+        ResultsWriter(folder / "log_a", BASIN, tables())
+    assert "\n" not in str(caught.value)
+    assert str(folder) in str(caught.value)
+    assert "--out" in str(caught.value)
+
+
+def written(folder, frames: int) -> None:
+    with ResultsWriter(folder, BASIN, tables()) as writer:
+        for i in range(frames):
+            writer.write(result(i, estimate()))
+        writer.finish([])
+
+
+# Few rows wait in the buffer until the end, many do not.
+@pytest.mark.parametrize("frames", [3, 2000])
+@pytest.mark.parametrize("table", ["frames.csv", "estimates.csv"])
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_disk_is_one_line_and_never_a_finished_run(tmp_path, frames, table):
+    (tmp_path / table).symlink_to("/dev/full")
+    with pytest.raises(SonarrecError) as caught:
+        written(tmp_path, frames)
+    assert "\n" not in str(caught.value)
+    assert tomllib.loads((tmp_path / "run.toml").read_text())["finished"] is False
+
+
+def test_sightings_tell_what_was_declared_when_and_how_surely():
+    seen = Sightings("framework")
+    seen.add(result(3, estimate(score=0.6), estimate(method="smi", landmark=4)))
+    seen.add(result(4, estimate(score=0.9), estimate(object=8, landmark=2, declared=False)))
+    seen.add(result(9, estimate(score=0.7), estimate(object=5, landmark=3, score=0.8)))
+    head, first, second = seen.table()
+    assert head.split()[:2] == ["landmark", "track"]
+    assert first.split() == ["1", "3", "3-9", "0.75", "2.25", "3", "0.900"]
+    assert second.split() == ["3", "5", "9-9", "2.25", "2.25", "1", "0.800"]
+    assert Sightings("framework").table() == ["no landmark declared"]

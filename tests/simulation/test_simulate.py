@@ -1,0 +1,471 @@
+"""The simulator against closed forms, brute force and textbook statistics."""
+
+from __future__ import annotations
+
+import csv
+import math
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from mcap.reader import make_reader
+
+from sonarrec.cli import main
+from sonarrec.records import SonarrecError
+from sonarrec.simulation.motion import sweep_deg
+from sonarrec.simulation.scene import (
+    BUILT_IN,
+    FadingSection,
+    FloorSection,
+    MotionSection,
+    NoiseSection,
+    PictureSection,
+    PlacedLandmark,
+    PlacedObject,
+    Scene,
+    SonarSection,
+    scene_bearings,
+    scene_from_table,
+    scene_sonar,
+    scene_table,
+)
+from sonarrec.simulation.simulate import (
+    KINDS_OF_SCENE,
+    load_scene,
+    random_scene,
+    render,
+    write_recording,
+)
+from sonarrec.simulation.world import object_radius
+from sonarrec.sonar import load_sonar
+
+# A still sonar over an even floor, without faults. speckle_s far below the frame time gives every
+# frame speckle of its own, so that a mean over frames tends to the expected power.
+BARE = Scene(
+    frames=1,
+    sonar=SonarSection(
+        side_lobe_db=-200,
+        stray_db=-200,
+        cross_talk_db=-200,
+        vertical_beam_deg=1000,
+        beam_width_deg=0.3,
+    ),
+    motion=MotionSection(pan_min_deg=0, pan_max_deg=0, pan_start_deg=0, pan_deg_s=0),
+    floor=FloorSection(texture_db=0, angle_exponent=0, speckle_s=1e9),
+    fading=FadingSection(
+        object_db=0, patch_db=0, specular_db=0, frame_probability=0, ghost_db=-200
+    ),
+    noise=NoiseSection(snr_db=80, smear=0, group_gain_db=0, beam_gain_db=0, hot_beams=0),
+    picture=PictureSection(black_db=-50, dynamic_range_db=80),
+)
+POLAR = replace(BARE, sonar=replace(BARE.sonar, layout="polar"))
+
+
+def power(image: np.ndarray, scene: Scene) -> np.ndarray:
+    """Undo the log compression."""
+    decibel = image / 255 * scene.picture.dynamic_range_db + scene.picture.black_db
+    return np.asarray(10 ** (decibel / 10))
+
+
+def mean_power(scene: Scene, frames: int) -> np.ndarray:
+    scene = replace(scene, frames=frames, floor=replace(scene.floor, speckle_s=1e-3))
+    return np.asarray(np.mean([power(f.image, scene) for f in render(scene)], axis=0))
+
+
+def test_truth_pixel_is_the_contract_formula() -> None:
+    scene = replace(BARE, landmarks=(PlacedLandmark(3, 1.9, 6.0, 30.0),))
+    scene = replace(
+        scene, motion=MotionSection(pan_min_deg=2, pan_max_deg=2, pan_start_deg=2, pan_deg_s=0)
+    )
+    (row,) = next(render(scene)).truth
+    slant = math.hypot(1.9, 0.68)
+    scale = 2.5 / 512
+    assert row.range_m == pytest.approx(slant, abs=1e-5)
+    assert row.bearing_deg == pytest.approx(4.0, abs=1e-4)
+    assert row.x_px == pytest.approx(190 + slant * math.sin(math.radians(4)) / scale, abs=2e-3)
+    assert row.y_px == pytest.approx(
+        511.5 + 1.25 / scale - slant * math.cos(math.radians(4)) / scale, abs=2e-3
+    )
+    assert row.orientation_deg == pytest.approx(32.0)
+    assert row.visible == 1.0
+
+
+@pytest.mark.parametrize("ground", [1.5, 2.6])
+def test_disc_extents_follow_the_grazing_angle(ground: float) -> None:
+    scene = replace(
+        POLAR, objects=(PlacedObject("filled", ground, 0.0, size_m=0.15, bright_db=20),)
+    )
+    seen = mean_power(scene, 30)
+    inside = seen > 50  # half of the disc's 20 dB
+    rows, columns = np.flatnonzero(inside[:, 46:50].any(axis=1)), None
+    low = math.hypot(ground - 0.15, 0.68)
+    high = math.hypot(ground + 0.15, 0.68)
+    bin_m = 2.5 / 512
+    assert 1.25 + rows[0] * bin_m == pytest.approx(low, abs=2 * bin_m)
+    assert 1.25 + (rows[-1] + 1) * bin_m == pytest.approx(high, abs=2 * bin_m)
+    # Radially the disc shrinks by about cos(grazing angle).
+    grazing = math.asin(0.68 / math.hypot(ground, 0.68))
+    assert len(rows) * bin_m == pytest.approx(0.3 * math.cos(grazing), rel=0.06)
+    columns = np.flatnonzero(inside.any(axis=0))
+    half = math.degrees(math.asin(0.15 / ground))
+    assert len(columns) * 0.3 == pytest.approx(2 * half, abs=0.6)
+
+
+def test_sectors_lie_where_the_truth_says() -> None:
+    scene = replace(
+        BARE,
+        landmarks=(PlacedLandmark(1, 1.8, 3.0, 75.0, bright_db=15, symbol_db=15, plate_db=-10),),
+    )
+    scene = replace(
+        scene, motion=MotionSection(pan_min_deg=-5, pan_max_deg=-5, pan_start_deg=-5, pan_deg_s=0)
+    )
+    (row,) = next(render(scene)).truth
+    seen = mean_power(scene, 12)
+    angle = np.arange(0, 360, 5.0)
+    # Where that place of the disc lands in the image: through ground range, not through Eq. 1.
+    ground = math.sqrt(row.range_m**2 - 0.68**2)
+    turn = np.radians(row.orientation_deg + angle)
+    bearing = math.radians(row.bearing_deg)
+    x = ground * math.sin(bearing) + 0.4 * 0.15 * np.cos(turn)
+    y = ground * math.cos(bearing) + 0.4 * 0.15 * np.sin(turn)
+    slant = np.sqrt(x**2 + y**2 + 0.68**2)
+    column = np.rint(190 + slant * np.sin(np.arctan2(x, y)) / (2.5 / 512)).astype(int)
+    line = np.rint(767.5 - slant * np.cos(np.arctan2(x, y)) / (2.5 / 512)).astype(int)
+    bright = cv2.blur(seen, (3, 3))[line, column] > 3
+    np.testing.assert_array_equal(bright[(angle > 15) & (angle < 75)], True)
+    np.testing.assert_array_equal(bright[(angle > 105) & (angle < 345)], False)
+
+
+def test_image_follows_the_truth_through_heave_and_sway() -> None:
+    scene = replace(
+        BARE,
+        rate_hz=1.0,
+        motion=replace(
+            MotionSection(pan_min_deg=-4, pan_max_deg=4, pan_start_deg=-4, pan_deg_s=1.0),
+            heave_m=0.08,
+            sway_x_m=0.1,
+            sway_y_m=0.1,
+            sway_period_s=9.0,
+            yaw_jitter_deg=0.5,
+        ),
+        frames=8,
+        objects=(PlacedObject("filled", 1.9, 1.0, size_m=0.12, bright_db=25),),
+    )
+    ranges = []
+    for frame in render(scene):
+        (row,) = frame.distractors
+        inside = cv2.blur(power(frame.image, scene), (5, 5)) > 60
+        line, column = np.nonzero(inside)
+        assert column.mean() == pytest.approx(row.x_px, abs=2)
+        assert line.mean() == pytest.approx(row.y_px, abs=2)
+        ranges.append(row.range_m)
+    assert np.ptp(ranges) > 0.05
+
+
+def test_visible_share_against_monte_carlo() -> None:
+    scene = replace(
+        BARE,
+        landmarks=tuple(
+            PlacedLandmark(i, g, a)
+            for i, g, a in [(1, 1.9, 13.0), (2, 3.65, 0.0), (3, 1.1, -5.0), (4, 2.2, -16.0)]
+        ),
+    )
+    rng = np.random.default_rng(0)
+    radius, angle = 0.15 * np.sqrt(rng.random(200_000)), 2 * np.pi * rng.random(200_000)
+    rows = {row.landmark: row.visible for row in next(render(scene)).truth}
+    assert len(rows) == 4
+    for item in scene.landmarks:
+        place = math.radians(item.azimuth_deg)
+        x = item.ground_m * math.sin(place) + radius * np.cos(angle)
+        y = item.ground_m * math.cos(place) + radius * np.sin(angle)
+        slant = np.sqrt(x**2 + y**2 + 0.68**2)
+        bearing = np.degrees(np.arctan2(x, y))
+        seen = (slant > 1.25) & (slant < 3.75) & (np.abs(bearing) < 14.4)
+        assert rows[item.id] == pytest.approx(seen.mean(), abs=0.005)
+        assert 0 < rows[item.id] < 1
+
+
+def test_speckle_is_rayleigh_and_of_unit_power() -> None:
+    (frame,) = render(POLAR)
+    seen = power(frame.image, POLAR)
+    assert seen.mean() == pytest.approx(1.0, rel=0.05)
+    assert np.mean(seen**2) / seen.mean() ** 2 == pytest.approx(2.0, rel=0.05)
+    assert np.sqrt(seen).mean() ** 2 / seen.mean() == pytest.approx(math.pi / 4, rel=0.02)
+
+
+def pan_pair(scene: Scene) -> float:
+    """Correlation of two images seven beams (2.1 deg) and one second apart, once compensated."""
+    scene = replace(
+        scene,
+        frames=8,
+        rate_hz=7.0,
+        motion=replace(
+            scene.motion, pan_min_deg=-10, pan_max_deg=10, pan_start_deg=0, pan_deg_s=2.1
+        ),
+    )
+    frames = [frame.image.astype(float) for frame in render(scene)]
+    return float(np.corrcoef(frames[0][:, 7:].ravel(), frames[7][:, :-7].ravel())[0, 1])
+
+
+def test_speckle_is_frozen_under_pan() -> None:
+    assert pan_pair(POLAR) > 0.99
+    usual = Scene(sonar=replace(SonarSection(), layout="polar"))
+    assert pan_pair(usual) > 0.9
+
+
+def test_speckle_decorrelates_with_time_as_stated() -> None:
+    scene = replace(POLAR, frames=5, rate_hz=0.1, floor=replace(POLAR.floor, speckle_s=40.0))
+    seen = [power(frame.image, scene) for frame in render(scene)]
+    for lag in (1, 2, 4):
+        correlation = np.corrcoef(seen[0].ravel(), seen[lag].ravel())[0, 1]
+        # Power correlates as the square of the amplitude's exp(-time / 40 s); up to a tenth more,
+        # since the scatterers of a beam are few and keep their strengths.
+        expected = math.exp(-2 * 10 * lag / 40)
+        assert expected - 0.02 < correlation < expected + 0.1
+
+
+def test_speckle_decorrelates_with_heave() -> None:
+    def scene(heave: float) -> Scene:
+        floor = replace(POLAR.floor, speckle_m=0.05)
+        motion = replace(POLAR.motion, heave_m=heave, heave_period_s=2.0)
+        return replace(POLAR, frames=2, rate_hz=1.0, floor=floor, motion=motion)
+
+    def correlation(heave: float) -> float:
+        first, second = (power(f.image, scene(heave))[200:] for f in render(scene(heave)))
+        return float(np.corrcoef(first.ravel(), second.ravel())[0, 1])
+
+    assert correlation(0.0) > 0.99
+    assert correlation(0.004) > correlation(0.02) > correlation(0.06)
+    assert correlation(0.06) < 0.2
+
+
+def test_leaks_between_beams() -> None:
+    target = PlacedObject("filled", 1.9, 0.0, size_m=0.02, bright_db=28)
+    scene = replace(POLAR, objects=(target,))
+    row = round((math.hypot(1.9, 0.68) - 1.25) / 2.5 * 512)
+    stray = mean_power(replace(scene, sonar=replace(scene.sonar, stray_db=-20.0)), 10)
+    line = stray[row - 3 : row + 4].mean(axis=0)
+    for away in (-8, 8):
+        assert line[47 + away] > 2 * line[47 + away // 2 * 3]
+    arc = mean_power(replace(scene, sonar=replace(scene.sonar, cross_talk_db=-25.0)), 10)
+    assert np.median(arc[row]) > 3 * np.median(arc[row + 60])
+
+
+def test_tall_things_cast_shadows() -> None:
+    wall = PlacedObject("wall", 2.5, 0.0)
+    seen = mean_power(replace(POLAR, objects=(wall,)), 10)
+    edge = round((math.hypot(2.5, 0.68) - 1.25) / 2.5 * 512)
+    shadow_db = 10 * math.log10(seen[edge + 40 :].mean() / seen[: edge - 40].mean())
+    assert shadow_db == pytest.approx(POLAR.noise.shadow_db, abs=1)
+    # A low beam hides ground * height / (sonar height - height) of floor.
+    beam = PlacedObject("beam", 2.0, 0.0, width_m=0.06)
+    seen = mean_power(replace(POLAR, objects=(beam,)), 10)[:, 40:56].mean(axis=1)
+    dark = np.flatnonzero(seen < 0.3)
+    hidden_to = math.hypot(2.03 * 0.68 / (0.68 - 0.03), 0.68)
+    assert 1.25 + (dark[-1] + 1) * 2.5 / 512 == pytest.approx(hidden_to, abs=0.02)
+
+
+def test_noise_level_is_the_stated_snr() -> None:
+    above_floor = replace(POLAR, sonar=replace(POLAR.sonar, range_min_m=0.3, range_max_m=2.8))
+    noisy = replace(above_floor, noise=replace(POLAR.noise, snr_db=12.0))
+    seen = mean_power(noisy, 4)
+    rows = int((0.6 - 0.3) / 2.5 * 512)  # nearer than the height there is only water
+    assert 10 * math.log10(seen[:rows].mean()) == pytest.approx(-12.0, abs=0.3)
+
+
+def test_sweep_is_triangular() -> None:
+    travelled = np.array([0, 10, 20, 30, 60, 80, 100.0])
+    np.testing.assert_allclose(sweep_deg(-20, 20, 0, travelled), [0, 10, 20, 10, -20, 0, 20])
+    np.testing.assert_allclose(sweep_deg(5, 5, 5, travelled), 5)
+
+
+def test_same_scene_same_bytes() -> None:
+    first, again, other = (
+        [frame.image.tobytes() for frame in render(random_scene(seed, "jitter", frames=3))]
+        for seed in (5, 5, 6)
+    )
+    assert first == again
+    assert first != other
+    assert len(set(first)) == 3
+
+
+def test_fewer_frames_are_the_first_of_the_same_log() -> None:
+    scene = random_scene(2, "fading", frames=12)
+    few = [frame.image.tobytes() for frame in render(replace(scene, frames=4))]
+    assert few == [frame.image.tobytes() for frame in render(scene)][:4]
+
+
+def test_written_recordings_read_back(tmp_path) -> None:
+    scene = replace(load_scene("basin"), frames=3, rate_hz=3.0)
+    done: list[int] = []
+    write_recording(scene, tmp_path / "log", progress=done.append)
+    write_recording(scene, tmp_path / "log.mcap", "mcap")
+    assert done == [1, 2, 3]
+    frames = list(render(scene))
+    for frame in frames:
+        image = cv2.imread(str(tmp_path / "log" / f"{frame.index:06d}.png"), cv2.IMREAD_UNCHANGED)
+        np.testing.assert_array_equal(image, frame.image)
+    with (tmp_path / "log" / "gt.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    expected = [(f.index, row) for f in frames for row in f.truth]
+    assert len(rows) == len(expected) > 0
+    for read, (index, row) in zip(rows, expected, strict=True):
+        assert int(read["frame"]) == index
+        assert int(read["landmark"]) == row.landmark
+        for key in ("x_px", "y_px", "range_m", "bearing_deg", "visible", "orientation_deg"):
+            assert float(read[key]) == getattr(row, key)
+    assert load_sonar(tmp_path / "log" / "sonar.toml") == scene_sonar(scene)
+    assert load_scene(tmp_path / "log" / "scene.toml") == scene
+    for name in ("sonar.toml", "gt.csv", "scene.toml"):
+        assert (tmp_path / f"log.{name}").read_bytes() == (tmp_path / "log" / name).read_bytes()
+    with (tmp_path / "log.mcap").open("rb") as file:
+        times = [message.log_time for _, _, message in make_reader(file).iter_messages()]
+    assert times == [frame.timestamp_ns for frame in frames] == [0, 333333333, 666666667]
+    with pytest.raises(SonarrecError, match="already exists"):
+        write_recording(scene, tmp_path / "log")
+
+
+def test_polar_recording_states_uneven_bearings() -> None:
+    scene = replace(POLAR, sonar=replace(POLAR.sonar, bearings="didson"))
+    bearings = scene_bearings(scene)
+    steps = np.diff(bearings)
+    assert steps.min() > 0.21
+    assert steps.max() < 0.39
+    assert bearings[-1] + steps[-1] / 2 == pytest.approx(14.4, abs=0.02)
+    assert scene_sonar(scene).bearings_deg == pytest.approx(tuple(bearings), abs=1e-4)
+    (frame,) = render(scene)
+    assert frame.image.shape == (512, 96)
+    scene = replace(scene, objects=(PlacedObject("filled", 1.9, 9.0, size_m=0.05, bright_db=25),))
+    seen = power(next(render(scene)).image, scene)
+    centre = np.average(bearings, weights=np.maximum(seen - 20, 0).sum(axis=0))
+    assert centre == pytest.approx(9.0, abs=0.2)
+
+
+def test_errors_of_geometry_are_in_the_sidecar_only() -> None:
+    scene = replace(BARE, sonar=replace(BARE.sonar, tilt_error_deg=2.0, height_error_m=0.05))
+    stated = scene_sonar(scene)
+    assert stated.tilt_deg == pytest.approx(22.0)
+    assert stated.height_m == pytest.approx(0.73)
+    assert next(render(scene)).image.tobytes() == next(render(BARE)).image.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("nmae = 'x'", "unknown key nmae; known keys: name, seed"),
+        ("[sonar]\nrange_mim_m = 1", r"unknown key sonar.range_mim_m; known in \[sonar\]: layout"),
+        ("[motion]\npan_deg_s = 'fast'", "motion.pan_deg_s must be a number, 0 or more"),
+        ("[noise]\nhot_beams = 1.5", "must be a whole number"),
+        ("[noise]\nsnr_db = nan", "must be a finite number"),
+        ("frames = 0", "frames must be a whole number, 1 or more"),
+        ("frames = true", "must be a whole number"),
+        ("sonar = 3", r"\[sonar\] must be a table of keys, not 3"),
+        ("landmark = 3", "its own \\[\\[landmark\\]\\]"),
+        ("[[landmark]]\nid = 9\nground_m = 2\nazimuth_deg = 0", "id 9 is not in the set"),
+        ("[[landmark]]\nid = 1", r"\[\[landmark\]\] 1 lacks ground_m, azimuth_deg"),
+        ("[[object]]\nkind = 'ufo'\nground_m = 2\nazimuth_deg = 0", "unknown kind of object"),
+        ("[sonar]\nrange_min_m = 4.0", "contradicts itself"),
+        ("[sonar]\nlayout = 'square'", "layout must be"),
+        ("[sonar]\nbearings = 'odd'", "bearings must be"),
+        ("[motion]\npan_start_deg = 60", "pan_start_deg must lie"),
+        ("[noise]\nsmear = 1.5", "noise.smear must be a number from 0 to 1, not 1.5"),
+        ("[motion]\nheave_m = 0.7", "heave_m leaves no floor"),
+        ("landmark_set = 'nowhere'", "no landmark set"),
+        ("= 3", "not a readable TOML"),
+    ],
+)
+def test_faults_in_a_scene_file_are_one_clear_line(tmp_path, text: str, message: str) -> None:
+    path = tmp_path / "scene.toml"
+    path.write_text(text)
+    with pytest.raises(SonarrecError, match=message):
+        load_scene(path)
+
+
+def test_unknown_names() -> None:
+    with pytest.raises(SonarrecError, match=r"no scene 'nowhere'.*basin, paper"):
+        load_scene("nowhere")
+    with pytest.raises(SonarrecError, match="unknown kind of scene"):
+        random_scene(1, "sunny")
+
+
+@pytest.mark.parametrize("path", sorted(BUILT_IN.glob("*.toml")), ids=lambda path: path.stem)
+def test_built_in_scenes_load_and_survive_a_round_trip(path) -> None:
+    scene = load_scene(path.stem)
+    assert scene == load_scene(path)
+    assert scene_from_table(scene_table(scene), "again") == scene
+    # Sections the file does not mention keep their defaults.
+    assert set(tomllib.loads(path.read_text())) <= set(scene_table(scene))
+
+
+@pytest.mark.parametrize("kind", KINDS_OF_SCENE)
+def test_every_kind_of_random_scene_renders(kind: str) -> None:
+    scene = random_scene(3, kind, frames=2)
+    assert scene == random_scene(3, kind, frames=2)
+    assert scene_from_table(scene_table(scene), kind) == scene
+    assert bool(scene.landmarks) == (kind != "no_landmark")
+    frames = list(render(scene))
+    assert [frame.index for frame in frames] == [0, 1]
+    inside = frames[0].image[frames[0].image > 0]
+    assert 20 < inside.mean() < 200
+    assert inside.std() > 8
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_random_layouts_do_not_overlap(seed: int) -> None:
+    scene = random_scene(seed, "near_miss")
+    radius = scene.landmark_set.radius_m
+    circles = [(p.ground_m, p.azimuth_deg, radius) for p in scene.landmarks]
+    circles += [
+        (p.ground_m, p.azimuth_deg, object_radius(scene, p))
+        for p in scene.objects
+        if p.kind != "wall"
+    ]
+    for i, (ground, azimuth, size) in enumerate(circles):
+        for other_ground, other_azimuth, other_size in circles[:i]:
+            # Law of cosines between the two places.
+            turn = math.cos(math.radians(azimuth - other_azimuth))
+            square = ground**2 + other_ground**2 - 2 * ground * other_ground * turn
+            assert math.sqrt(square) > size + other_size
+
+
+def test_paper_scene_is_the_papers_experiment() -> None:
+    scene = load_scene("paper")
+    assert (scene.frames, scene.rate_hz, scene.motion.pan_deg_s) == (992, 4.0, 2.0)
+    assert {item.id for item in scene.landmarks} == {1, 3, 4}
+    for item in scene.landmarks:
+        assert 1.7 <= math.hypot(item.ground_m, scene.sonar.height_m) <= 2.3
+    assert {item.kind for item in scene.objects} >= {"mesh", "beam", "blank"}
+
+
+def test_simulate_command(tmp_path) -> None:
+    runner = CliRunner()
+    out = tmp_path / "log"
+    done = runner.invoke(
+        main, ["simulate", "--scene", "basin", "--frames", "2", "--seed", "9", "--out", str(out)]
+    )
+    assert done.exit_code == 0, done.output
+    assert len(list(out.glob("*.png"))) == 2
+    assert load_scene(out / "scene.toml").seed == 9
+    again = runner.invoke(main, ["simulate", "--scene", "basin", "--out", str(out)])
+    assert again.exit_code == 1
+    assert "already exists" in again.output
+    wrong = runner.invoke(main, ["simulate", "--scene", "x", "--out", str(tmp_path / "new")])
+    assert wrong.exit_code == 2
+    assert not (tmp_path / "new").exists()
+
+
+SAMPLES = Path(__file__).parents[2] / "sample_data"
+
+
+@pytest.mark.parametrize("name", ["pan", "polar"])
+def test_sample_logs_are_what_their_scenes_render(name: str) -> None:
+    scene = load_scene(SAMPLES / name / "scene.toml")
+    assert scene == load_scene(f"sample_{name}")
+    for frame in render(replace(scene, frames=2)):
+        stored = cv2.imread(str(SAMPLES / name / f"{frame.index:06d}.png"), cv2.IMREAD_UNCHANGED)
+        # Other processors round differently in the last bit.
+        assert np.mean(np.abs(stored.astype(int) - frame.image) > 1) < 0.001

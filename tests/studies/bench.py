@@ -1,0 +1,283 @@
+"""`make bench`: what a frame costs, on one core, beside what it could cost.
+
+All figures come from one run, measured in turn and reported as medians, so that ratios hold on a
+busy machine too. Nothing is asserted: time is not a test.
+"""
+
+from __future__ import annotations
+
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterable
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from unittest.mock import patch
+
+import cv2
+import numpy as np
+
+from sonarrec.config import Config, preset
+from sonarrec.evaluation.evaluate import evaluate
+from sonarrec.landmarks import load_landmarks
+from sonarrec.mcap_writer import McapImageWriter
+from sonarrec.recogniser.odometry import Odometry
+from sonarrec.recogniser.plane import Plane
+from sonarrec.recogniser.recogniser import Recogniser
+from sonarrec.recogniser.stage1_candidates import CandidateSelector
+from sonarrec.recogniser.stage2_continuity import ContinuityFilter
+from sonarrec.recogniser.stage3_features.shape_matrix import ShapeSampler
+from sonarrec.results.write import ResultsWriter
+from sonarrec.run import process
+from sonarrec.simulation.scene import MotionSection, PlacedLandmark, Scene
+from sonarrec.simulation.simulate import load_scene, random_scene, write_recording
+from tests.studies.baseline import METHOD, HoughSmi, fan_of, read_grey, write_estimates
+
+FRAMES = 144
+REPEATS = 7
+LONG = (500, 5000)
+# Scenes the baseline's accuracy is reported on: not those that baseline.py tunes it on.
+REPORTED = ("basin", (501, "plain"), (502, "near_miss"), (503, "fading"))
+# What a frame goes through, and where.
+PARTS = {
+    "fan to floor": (Plane, "warp"),
+    "stage 1": (CandidateSelector, "__call__"),
+    "pan from the images": (Odometry, "step"),
+    "stage 2": (ContinuityFilter, "step"),
+    "shape matrices": (ShapeSampler, "__call__"),
+    "stage 3 and smi": (Recogniser, "judge"),
+    "writing": (ResultsWriter, "write"),
+}
+REST = "decoding, set-up and the rest"
+
+
+def three_in_view() -> Scene:
+    """Three landmarks, all in view in every frame of a pan of 6 degrees to and fro."""
+    return Scene(
+        name="three",
+        frames=FRAMES,
+        motion=MotionSection(pan_min_deg=-3, pan_max_deg=3, pan_start_deg=-3, pan_deg_s=2),
+        landmarks=(
+            PlacedLandmark(1, ground_m=1.6, azimuth_deg=-5.0, orientation_deg=30.0),
+            PlacedLandmark(3, ground_m=2.2, azimuth_deg=0.0, orientation_deg=110.0),
+            PlacedLandmark(4, ground_m=1.7, azimuth_deg=6.0, orientation_deg=250.0),
+        ),
+    )
+
+
+def far() -> Scene:
+    """The same in a window of 5 m, half as far out again."""
+    near = three_in_view()
+    sonar = replace(near.sonar, range_min_m=1.25, range_max_m=6.25, height_m=1.0, tilt_deg=18.0)
+    placed = tuple(replace(x, ground_m=1.5 * x.ground_m) for x in near.landmarks)
+    return replace(near, name="far", sonar=sonar, landmarks=placed)
+
+
+def interleaved(tasks: dict[str, Callable[[], object]]) -> dict[str, float]:
+    """Median ms per frame of each task, over REPEATS rounds in which every task has its turn."""
+    taken: dict[str, list[float]] = {name: [] for name in tasks}
+    for task in tasks.values():
+        task()  # files into the cache, imports done
+    for _ in range(REPEATS):
+        for name, task in tasks.items():
+            start = time.perf_counter()
+            task()
+            taken[name].append((time.perf_counter() - start) / FRAMES * 1e3)
+    return {name: statistics.median(values) for name, values in taken.items()}
+
+
+def write_mcap(path: Path, images: Iterable[np.ndarray], compression: str, sonar: Path) -> None:
+    """One image channel at 4 Hz, with its sonar.toml beside it."""
+    with McapImageWriter(path, compression=compression) as writer:
+        for number, image in enumerate(images):
+            writer.write(number * 250_000_000, image)
+    path.with_suffix(".sonar.toml").write_bytes(sonar.read_bytes())
+
+
+def cost(work: Path) -> None:
+    """Print the cost per frame and its ratios."""
+    scene = three_in_view()
+    write_recording(scene, work / "fan")
+    polar = replace(scene, sonar=replace(scene.sonar, layout="polar"))
+    write_recording(polar, work / "polar")
+    write_recording(far(), work / "far")
+    paths = sorted((work / "fan").glob("*.png"))
+    far_paths = sorted((work / "far").glob("*.png"))
+    images = [read_grey(p) for p in paths]
+    for compression in ("none", "zstd"):
+        write_mcap(work / f"{compression}.mcap", images, compression, work / "fan" / "sonar.toml")
+    landmarks, settings = load_landmarks("basin"), preset("default")
+    rival = HoughSmi(fan_of(work / "fan", images[0]), landmarks)
+
+    def decode(paths: list[Path]) -> Callable[[], object]:
+        return lambda: [read_grey(path) for path in paths]
+
+    def hough() -> None:
+        for path in paths:
+            rival(read_grey(path))
+
+    def ours(log: str, settings: Config = settings) -> Callable[[], object]:
+        return lambda: process(work / log, work / "out", settings)
+
+    ms = interleaved(
+        {
+            "a  decode the PNGs": decode(paths),
+            "b  decode + HoughCircles + SMI": hough,
+            "c  sonarrec from PNG": ours("fan"),
+            "d  sonarrec from raw MCAP": ours("none.mcap"),
+            "d' sonarrec from zstd MCAP": ours("zstd.mcap"),
+            "e  sonarrec from polar PNG": ours("polar"),
+            "f  sonarrec --preset offline": ours("fan", preset("offline")),
+            "g  decode the PNGs, 5 m window": decode(far_paths),
+            "h  sonarrec from PNG, 5 m window": ours("far"),
+        }
+    )
+    rows, columns = images[0].shape
+    print(f"Cost per frame, {rows} x {columns} fan, three landmarks in view, {FRAMES} frames,")
+    print(f"one core, median of {REPEATS} interleaved rounds; sonarrec: all that `run` does")
+    print("(hashing the input, set-up, decoding, three stages, both CSV files)\n")
+    for name, value in ms.items():
+        print(f"  {name:<32} {value:7.2f} ms  {1e3 / value:7.0f} frames/s")
+    a, b, c, d, zstd, _, offline, g, h = ms.values()
+    print()
+    judge("c/a  from PNG / decoding", c / a, 4.0)
+    judge("c/b  from PNG / Hough loop", c / b, 1.5)
+    judge("d/c  from raw MCAP / from PNG", d / c, 1.0)
+    judge("d'/c from zstd MCAP / from PNG", zstd / c, 1.0)
+    judge("f/c  offline / default", offline / c, 2.0)
+    judge("h/g  5 m window / decoding", h / g, 6.0)
+    where(ours("fan"))
+    memory(work, images)
+
+
+def where(task: Callable[[], object]) -> None:
+    """Print the ms per frame that each of PARTS takes of a task, median of REPEATS."""
+    taken: dict[str, list[float]] = {name: [] for name in (*PARTS, REST)}
+
+    def timed(name: str, work: Callable[..., object]) -> Callable[..., object]:
+        def wrapped(*arguments: object, **named: object) -> object:
+            start = time.perf_counter()
+            try:
+                return work(*arguments, **named)
+            finally:
+                taken[name][-1] += time.perf_counter() - start
+
+        return wrapped
+
+    with ExitStack() as patched:
+        for name, (owner, method) in PARTS.items():
+            patched.enter_context(patch.object(owner, method, timed(name, getattr(owner, method))))
+        for _ in range(REPEATS):
+            for times in taken.values():
+                times.append(0.0)
+            start = time.perf_counter()
+            task()
+            rest = time.perf_counter() - start - sum(times[-1] for times in taken.values())
+            taken[REST][-1] = rest
+    print("\nWhere the time of c goes, ms per frame\n")
+    for name, times in taken.items():
+        print(f"  {name:<32} {statistics.median(times) / FRAMES * 1e3:7.2f}")
+
+
+def judge(what: str, value: float, most: float, unit: str = "") -> None:
+    """One figure beside its goal."""
+    word = "met" if value <= most else "NOT met"
+    print(f"  {what:<32} {value:7.2f}{unit:<4}  goal <= {most:g}{unit}: {word}")
+
+
+# On Linux a new process is charged with the peak of the one it was forked from, until it runs
+# its own program: so it is forked from a small one.
+_LAUNCHER = """
+import resource, subprocess, sys
+subprocess.run(sys.argv[1:], check=True)
+print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
+"""
+
+
+def peak_mb(command: list[str]) -> float:
+    """Peak resident memory of a command, MB. Raises CalledProcessError where it fails."""
+    told = subprocess.run(
+        [sys.executable, "-c", _LAUNCHER, *command], check=True, capture_output=True, text=True
+    )
+    return int(told.stdout) / (1024**2 if sys.platform == "darwin" else 1024)
+
+
+def memory(work: Path, images: list[np.ndarray]) -> None:
+    """Print the peak memory of `sonarrec run` on a short and on a long log."""
+    print("\nPeak memory of `sonarrec run` on a raw MCAP (the scene's frames over and over)\n")
+    peaks = []
+    for frames in LONG:
+        log = work / f"long_{frames}.mcap"
+        repeated = (images[n % len(images)] for n in range(frames))
+        write_mcap(log, repeated, "none", work / "fan" / "sonar.toml")
+        command = [sys.executable, "-m", "sonarrec", "run", str(log), "-q"]
+        peaks.append(peak_mb([*command, "--out", str(work / "long")]))
+        log.unlink()
+        judge(f"{frames} frames", peaks[-1], 150, " MB")
+    judge(f"{LONG[1]} / {LONG[0]} frames", peaks[1] / peaks[0], 1.05)
+
+
+def start() -> None:
+    """Print how long `sonarrec --help` takes."""
+    command = [sys.executable, "-m", "sonarrec", "--help"]
+    taken = []
+    for _ in range(REPEATS + 1):
+        begun = time.perf_counter()
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        taken.append(time.perf_counter() - begun)
+    print(f"\nStart, median of {REPEATS}\n")
+    judge("python -m sonarrec --help", statistics.median(taken[1:]), 0.3, " s")
+
+
+def accuracy(work: Path) -> None:
+    """Print the Hough loop with a majority vote beside smi and framework, both protocols."""
+    print("\nAccuracy on simulated logs, TPR / FPR at the operating point (the project's own")
+    print(f"evaluation; {METHOD}: HoughCircles + SMI + nearest-neighbour track + majority vote,")
+    print("tuned by `python -m tests.studies.baseline` on other seeds)\n")
+    methods = ("smi", "framework", METHOD)
+    print(f"  {'log':<16} {'protocol':<9}" + "".join(f"{m:>20}" for m in methods))
+    for which in REPORTED:
+        scene = load_scene(which) if isinstance(which, str) else random_scene(*which, frames=248)
+        log = work / scene.name
+        write_recording(scene, log)
+        results = process(log, work / "accuracy", preset("default")).folder
+        rival = work / "rival" / scene.name
+        rival.mkdir(parents=True)
+        for name in ("frames.csv", "run.toml"):
+            (rival / name).write_bytes((results / name).read_bytes())
+        images = [read_grey(p) for p in sorted(log.glob("*.png"))]
+        fan = fan_of(log, images[0])
+        loop = HoughSmi(fan, scene.landmark_set)
+        sights = enumerate(map(loop, images))
+        write_estimates(rival / "estimates.csv", sights, loop, fan, scene.landmark_set)
+        found = {
+            (s.method, s.protocol): s.count()
+            for folder in (results, rival)
+            for s in evaluate(folder, log / "gt.csv").scored
+            if folder == results or s.method == METHOD
+        }
+        for protocol in ("paper", "strict"):
+            counts = [found[m, protocol] for m in methods]
+            cells = "".join(f"{c.tpr:>12.3f} /{c.fpr:6.4f}" for c in counts)
+            print(f"  {scene.name:<16} {protocol:<9}{cells}")
+
+
+def main() -> None:
+    """All of it, on one core."""
+    cv2.setNumThreads(1)
+    if hasattr(os, "sched_setaffinity") and len(os.sched_getaffinity(0)) > 1:
+        # Begun anew, for numpy has threads for as many cores as there were when it was imported.
+        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+        os.execv(sys.executable, [sys.executable, "-m", "tests.studies.bench"])
+    with tempfile.TemporaryDirectory(prefix="sonarrec_bench_") as name:
+        cost(Path(name))
+        start()
+        accuracy(Path(name))
+
+
+if __name__ == "__main__":
+    main()

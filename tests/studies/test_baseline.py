@@ -1,0 +1,84 @@
+"""The benchmark's rival must be an honest one: it works where it should."""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sonarrec.geometry import pixel_from_polar
+from sonarrec.landmarks import load_landmarks
+from tests.studies.baseline import (
+    METHOD,
+    HoughSmi,
+    MajorityTracks,
+    Settings,
+    Sight,
+    write_estimates,
+)
+from tests.support.drawn import SECTORS, disc_pattern, draw_on_floor, make_fan, speckled
+
+FAN = make_fan(rows=256)
+RANGE_M, BEARING_DEG = 2.1, 2.0
+
+
+def drawn_landmark(landmark: int, turn_deg: float, rng: np.random.Generator) -> np.ndarray:
+    pattern = disc_pattern(SECTORS[landmark], math.radians(turn_deg))
+    brightness, seen = draw_on_floor(FAN, RANGE_M, BEARING_DEG, 0.15, pattern)
+    plate, _ = draw_on_floor(
+        FAN, RANGE_M, BEARING_DEG, 0.15, lambda x, y: (np.hypot(x, y) < 1).astype(float)
+    )
+    return speckled(brightness, seen, rng, dark=plate)
+
+
+@pytest.mark.parametrize("landmark", [1, 2, 3, 4])
+def test_finds_and_names_a_drawn_landmark(landmark: int) -> None:
+    rng = np.random.default_rng(landmark)
+    loop = HoughSmi(FAN, load_landmarks("basin"))
+    x, y = (float(v) for v in pixel_from_polar(FAN, RANGE_M, BEARING_DEG))
+    right = 0
+    for turn in (0, 100, 215, 320):
+        sights = loop(drawn_landmark(landmark, turn, rng))
+        near = [s for s in sights if math.hypot(s.x - x, s.y - y) < 0.5 * loop.radius]
+        right += any(load_landmarks("basin").ids[s.best] == landmark for s in near)
+    assert right >= 3
+
+
+def test_majority_outvotes_single_frames() -> None:
+    settings = Settings(similarity=0.5, ring=0.5, least=3, share=0.5, most=20)
+    tracks = MajorityTracks(settings, radius_px=30)
+    votes = [0, 0, 2, 0, 1, 0]
+    told = [tracks.step([Sight(100.0 + n, 50.0, v, 0.9, 0.9)])[0] for n, v in enumerate(votes)]
+    assert {number for number, *_ in told} == {0}
+    assert [claim for *_, claim in told] == [False, False, False, True, True, True]
+    assert told[-1][2] == 0
+    assert told[-1][3] == pytest.approx(4 / 6 * 0.81)
+
+
+def test_tracks_end_and_begin() -> None:
+    tracks = MajorityTracks(Settings(), radius_px=30)
+    near, far = Sight(100.0, 50.0, 0, 0.9, 0.9), Sight(300.0, 50.0, 1, 0.9, 0.9)
+    assert [t[0] for t in tracks.step([near, far])] == [0, 1]
+    assert [t[0] for t in tracks.step([far])] == [1]
+    for _ in range(MajorityTracks.PATIENCE):
+        tracks.step([])
+    assert [t[0] for t in tracks.step([near])] == [2]
+
+
+def test_estimates_carry_the_contract(tmp_path: Path) -> None:
+    rng = np.random.default_rng(7)
+    frames = [(n, drawn_landmark(1, 30, rng)) for n in range(8)]
+    path = tmp_path / "estimates.csv"
+    loop = HoughSmi(FAN, load_landmarks("basin"))
+    sights = [(n, loop(image)) for n, image in frames]
+    rows = write_estimates(path, sights, loop, FAN, load_landmarks("basin"))
+    with path.open(newline="") as file:
+        table = list(csv.DictReader(file))
+    assert len(table) == rows > 0
+    assert {row["method"] for row in table} == {METHOD}
+    near = [r for r in table if abs(float(r["range_m"]) - RANGE_M) < 0.08]
+    assert near
+    assert abs(float(near[-1]["bearing_deg"]) - BEARING_DEG) < 2

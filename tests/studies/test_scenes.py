@@ -1,0 +1,240 @@
+"""What `make scenes` and `make study` tell is what the commands would, on seeds kept apart."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from sklearn.metrics import brier_score_loss
+
+from sonarrec.cli import main as sonarrec
+from sonarrec.config import preset
+from sonarrec.evaluation.evaluate import Evaluation
+from sonarrec.evaluation.scoring import Scored
+from sonarrec.landmarks import load_landmarks
+from sonarrec.learning.built_in import MODEL_SEEDS
+from sonarrec.records import SonarrecError
+from sonarrec.simulation.scene import (
+    MotionSection,
+    PlacedLandmark,
+    PlacedObject,
+    Scene,
+    load_scene,
+)
+from sonarrec.simulation.simulate import write_recording
+from tests.studies import ablation, baseline, bench, scenes, study
+from tests.studies.measured import BINS, errors, honesty, reliability
+from tests.support.simulated import METHODS, PRESETS, Job, recognise, score
+
+# Another radius than the built-in set's, so that the set has to be handed on.
+SCENE = Scene(
+    name="small",
+    frames=24,
+    landmark_set=replace(load_landmarks("basin"), name="small", radius_m=0.12),
+    motion=MotionSection(pan_min_deg=-3, pan_max_deg=3, pan_start_deg=-3, pan_deg_s=2),
+    landmarks=(
+        PlacedLandmark(1, ground_m=1.6, azimuth_deg=-5.0, orientation_deg=30.0),
+        PlacedLandmark(2, ground_m=2.1, azimuth_deg=0.0, orientation_deg=350.0),
+        PlacedLandmark(4, ground_m=1.7, azimuth_deg=6.0, orientation_deg=250.0),
+    ),
+    objects=(PlacedObject("blank", ground_m=2.2, azimuth_deg=8.0),),
+)
+
+
+def table(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.fixture(scope="module")
+def in_memory(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The results of SCENE as the harness makes them."""
+    folder = tmp_path_factory.mktemp("in_memory") / SCENE.name
+    recognise(Job(SCENE, folder, [preset(name) for name in PRESETS]))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def found(in_memory: Path) -> Evaluation:
+    return score([in_memory])
+
+
+def strict(found: Evaluation, name: str) -> Scored:
+    return next(s for s in found.scored if (s.protocol, s.method) == ("strict", METHODS[name]))
+
+
+def test_harness_is_what_the_commands_do(in_memory: Path, tmp_path: Path) -> None:
+    log = tmp_path / SCENE.name
+    write_recording(SCENE, log)
+    results = tmp_path / "out" / log.name
+    run = ["run", log, "--preset", ",".join(PRESETS), "--landmarks", log / "landmarks.toml"]
+    for command in (
+        [*run, "--out", results.parent, "-q"],
+        ["evaluate", "--ground-truth", log / "gt.csv", results, "-q"],
+    ):
+        done = CliRunner().invoke(sonarrec, list(map(str, command)), catch_exceptions=False)
+        assert done.exit_code == 0, done.output
+
+    assert (in_memory / "gt.csv").read_bytes() == (log / "gt.csv").read_bytes()
+    ours = [r for r in table(in_memory / "estimates.csv") if r["method"] != baseline.METHOD]
+    assert ours == table(results / "estimates.csv")
+    expected = {
+        (r["protocol"], r["method"]): tuple(int(r[c]) for c in ("tp", "tn", "fp", "fn"))
+        for r in table(results / "evaluation" / "confusion.csv")
+        if r["landmark"] == "total"
+    }
+    [row] = scenes.scored_rows([scenes.Recording(SCENE.name, SCENE.seed, in_memory)])
+    counted = {
+        (protocol, METHODS[name]): (c.tp, c.tn, c.fp, c.fn)
+        for (protocol, name), c in row.counts.items()
+    }
+    assert {key: counted[key] for key in expected} == expected
+    assert len(counted) == len(expected) + 2  # the rival, under both protocols
+    assert expected["strict", "framework:default"][0] > 20
+
+
+def test_errors_are_of_the_right_claims(in_memory: Path, found: Evaluation) -> None:
+    truths = [t for t in table(in_memory / "gt.csv") if float(t["visible"]) >= 0.9]
+    expected = []
+    for claim in table(in_memory / "estimates.csv"):
+        if claim["method"] != METHODS["default"] or claim["declared"] != "1":
+            continue
+        for truth in truths:
+            same = (truth["frame"], truth["landmark"]) == (claim["frame"], claim["landmark"])
+            place, true = (
+                float(r["range_m"]) * np.exp(1j * np.radians(float(r["bearing_deg"])))
+                for r in (claim, truth)
+            )
+            if same and abs(place - true) <= SCENE.landmark_set.radius_m:
+                turn = 180 if claim["landmark"] == "2" else 360
+                off = float(claim["orientation_deg"]) - float(truth["orientation_deg"])
+                expected.append(
+                    (
+                        float(claim["range_m"]) - float(truth["range_m"]),
+                        float(claim["bearing_deg"]) - float(truth["bearing_deg"]),
+                        min((off + k * turn for k in range(-3, 4)), key=abs),
+                        float(claim["bearing_sigma_deg"]),
+                    )
+                )
+    e = errors(found, strict(found, "default"), [in_memory])
+    told = np.column_stack([e.range_m, e.bearing_deg, e.orientation_deg, e.bearing_sigma_deg])
+    assert len(told) > 20
+    # Claims come by falling score, rows of the file by frame.
+    order = np.lexsort(told.T), np.lexsort(np.array(expected).T)
+    np.testing.assert_allclose(told[order[0]], np.array(expected)[order[1]], atol=1e-9)
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.0, 2.0])
+def test_honesty_of_normal_errors(factor: float) -> None:
+    rng = np.random.default_rng(1)
+    sigma = rng.uniform(0.1, 3, 20_000)
+    error = rng.normal(0, factor * sigma)
+    error[:50] = 1e6  # a few that went astray
+    ratio, within = honesty(error, sigma)
+    # The median of |x| of n normals scatters by 1.17 / sqrt(n) of itself: five times that.
+    assert ratio == pytest.approx(factor, rel=5 * 1.17 / math.sqrt(20_000))
+    assert within == pytest.approx(math.erf(math.sqrt(2) / factor), abs=0.015)
+
+
+def test_honesty_needs_a_sigma() -> None:
+    assert np.isnan(honesty(np.ones(3), np.full(3, np.nan))).all()
+
+
+def test_reliability_by_hand(found: Evaluation) -> None:
+    one = strict(found, "default")
+    r = reliability(one)
+    right = one.truth >= 0
+    assert r.brier == pytest.approx(brier_score_loss(right, one.score))
+    gap = 0.0
+    for i in range(BINS):
+        inside = (one.score >= i / BINS) & ((one.score < (i + 1) / BINS) | (i == BINS - 1))
+        assert r.count[i] == inside.sum()
+        if inside.any():
+            gap += abs(one.score[inside].mean() - right[inside].mean()) * inside.mean()
+    assert r.ece == pytest.approx(gap)
+
+
+def test_no_recording_serves_two_ends() -> None:
+    seeds = {
+        "model": set(MODEL_SEEDS),
+        "tuning": set(scenes.TUNING),
+        "reported": set(scenes.REPORTED),
+        "study": set(study.STUDIED),
+        "rival's tuning": {seed for seed, _ in baseline.TUNING_SCENES},
+        "bench": {which[0] for which in bench.REPORTED if not isinstance(which, str)},
+    }
+    for (a, first), (b, second) in combinations(seeds.items(), 2):
+        assert not first & second, f"{a} and {b} share seeds"
+    assert len(seeds["study"]) >= 30
+
+
+def test_varied_scenes_lie_apart_and_in_the_window() -> None:
+    scene = load_scene("paper")
+    drawn = [study.varied(scene, seed) for seed in range(2000, 2100)]
+    for new in drawn:
+        assert [t.id for t in new.landmarks] == [t.id for t in scene.landmarks]
+        assert sorted(t.kind for t in new.objects) == sorted(t.kind for t in scene.objects)
+        assert [t for t in new.objects if t.kind == "wall"] == [scene.objects[-1]]
+        circles = [(t, 0.15) for t in new.landmarks]
+        # Half the diagonal of the mesh, half the beam's length and width, the blank disc.
+        sizes = {"mesh": math.hypot(0.40, 0.45) / 2, "beam": math.hypot(0.6, 0.06) / 2}
+        circles += [(t, sizes.get(t.kind, 0.15)) for t in new.objects if t.kind != "wall"]
+        spots = []
+        for thing, radius in circles:
+            angle = math.radians(thing.azimuth_deg)
+            spots.append((thing.ground_m * math.sin(angle), thing.ground_m * math.cos(angle)))
+            near, far = (
+                math.hypot(thing.ground_m + sign * radius, new.sonar.height_m) for sign in (-1, 1)
+            )
+            assert new.sonar.range_min_m < near < far < new.sonar.range_max_m
+            assert abs(thing.azimuth_deg) <= 40
+        for i, j in combinations(range(len(circles)), 2):
+            assert math.dist(spots[i], spots[j]) > circles[i][1] + circles[j][1]
+        for landmark in new.landmarks:  # the paper: at 1.7 to 2.3 m
+            assert 1.7 < math.hypot(landmark.ground_m, new.sonar.height_m) < 2.3
+    assert len({t.orientation_deg for new in drawn for t in new.landmarks}) > 250
+    assert study.varied(scene, 2000) == drawn[0]
+    assert drawn[0].seed == 2000
+
+
+def test_varied_scene_without_room() -> None:
+    full = (PlacedObject("filled", 2.0, 0.0, size_m=0.3),) * 40
+    with pytest.raises(SonarrecError, match="no room"):
+        study.varied(replace(load_scene("paper"), objects=full), 2000)
+
+
+def test_each_ablation_changes_the_default() -> None:
+    tables = [(c.candidates, c.continuity, c.features) for c in ablation.variants()]
+    default = preset("default")
+    assert tables[0] == (default.candidates, default.continuity, default.features)
+    assert len(set(tables)) == len(tables)
+
+
+@pytest.mark.parametrize(
+    ("command", "arguments", "told"),
+    [
+        (scenes.main, ["--kinds", "plain", "no_landmark", "tiny_discs"], "default, pooled: TPR"),
+        (ablation.main, ["--kinds", "plain"], "no memory of lost objects"),
+        (study.main, [], "default less paper"),
+    ],
+)
+def test_commands_tell_their_tables(
+    command: Callable[[list[str]], None],
+    arguments: list[str],
+    told: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """In one process; so few frames that much is 0/0."""
+    for module in (scenes, ablation, study):
+        monkeypatch.setattr(module, "recognise_all", lambda jobs: [recognise(j) for j in jobs])
+    command([*arguments, "--seeds", "2000", "--frames", "4", "--out", str(tmp_path / "out")])
+    assert told in capsys.readouterr().out

@@ -1,0 +1,188 @@
+"""Writes MCAP files record by record, in the shapes that the `mcap` package's writer never makes.
+
+Streamed, so that a file of any size takes little memory to make.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterable
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import lz4.frame
+import numpy as np
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.records import (
+    Channel,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    MessageIndex,
+    Schema,
+    Statistics,
+)
+
+from tests.support.logs import SONAR_TOML, cdr_image
+
+MAGIC = b"\x89MCAP0\r\n"
+Timed = Iterable[tuple[int, bytes]]
+"""(log time in ns, message), in the order of the file."""
+
+
+def record(opcode: int, body: bytes) -> bytes:
+    return struct.pack("<BQ", opcode, len(body)) + body
+
+
+def message(time: int, data: bytes, channel: int = 1) -> bytes:
+    return record(0x05, struct.pack("<HIQQ", channel, 0, time, time) + data)
+
+
+def built(*records: McapRecord) -> bytes:
+    builder = RecordBuilder()
+    for each in records:
+        each.write(builder)
+    return builder.end()
+
+
+def noise_images(rows: int = 300, columns: int = 512, count: int = 32) -> list[bytes]:
+    """mono8 messages that compress next to not at all, too many for a window to find again."""
+    rng = np.random.default_rng(0)
+    return [cdr_image(rng.integers(0, 256, (rows, columns), dtype=np.uint8)) for _ in range(count)]
+
+
+def _compressor(compression: str) -> tuple[bytes, Any]:
+    """What a compressed stream begins with, and an object with compress and flush."""
+    if compression == "lz4":
+        lz4_frame = lz4.frame.LZ4FrameCompressor()
+        return lz4_frame.begin(), lz4_frame
+    return b"", zstandard.ZstdCompressor(level=1).compressobj()
+
+
+class HardLog:
+    """An MCAP file with one image channel, in the making; a context manager that ends it.
+
+    finished: with DataEnd, summary and footer; without, the file ends after its last record.
+    positions: where the chunks begin.
+    """
+
+    def __init__(self, path: Path, *, finished: bool = True, data_crc: bool = False) -> None:
+        self._file = path.open("w+b")
+        self._finished = finished
+        self._data_crc = data_crc
+        self._definitions = [
+            Schema(id=1, name="sensor_msgs/msg/Image", encoding="ros2msg", data=b""),
+            Channel(id=1, topic="/a", message_encoding="cdr", metadata={}, schema_id=1),
+        ]
+        self._indexes: list[ChunkIndex] = []
+        self._count = 0
+        self._file.write(MAGIC + built(Header("", "hard"), *self._definitions))
+        (path.parent / "sonar.toml").write_text(SONAR_TOML)
+
+    @property
+    def positions(self) -> list[int]:
+        return [index.chunk_start_offset for index in self._indexes]
+
+    def loose(self, messages: Timed) -> None:
+        """Messages outside of any chunk."""
+        for time, data in messages:
+            self._file.write(message(time, data))
+            self._count += 1
+
+    def chunk(
+        self,
+        messages: Timed,
+        compression: str = "",
+        *,
+        crc: bool = True,
+        indexed: bool = True,
+        start: int | None = None,
+        size: int | None = None,
+    ) -> None:
+        """One chunk. start, size: in place of the true first time and inflated size."""
+        position = self._file.tell()
+        name = compression.encode()
+        head_size = 9 + 32 + len(name) + 8
+        self._file.write(bytes(head_size))
+        first, compressor = _compressor(compression) if compression else (b"", None)
+        self._file.write(first)
+        times: list[tuple[int, int]] = []
+        written = checksum = 0
+        for time, data in messages:
+            times.append((time, written))
+            plain = message(time, data)
+            written += len(plain)
+            checksum = zlib.crc32(plain, checksum)
+            self._file.write(compressor.compress(plain) if compressor else plain)
+        if compressor:
+            self._file.write(compressor.flush())
+        end = self._file.tell()
+        low = min((t for t, _ in times), default=0)
+        high = max((t for t, _ in times), default=0)
+        self._file.seek(position)
+        stored = end - position - head_size
+        self._file.write(struct.pack("<BQ", 0x06, end - position - 9))
+        self._file.write(struct.pack("<QQ", low if start is None else start, high))
+        self._file.write(struct.pack("<Q", written if size is None else size))
+        self._file.write(struct.pack("<II", checksum if crc else 0, len(name)) + name)
+        self._file.write(struct.pack("<Q", stored))
+        self._file.seek(end)
+        index = b""
+        if indexed:
+            index = built(MessageIndex(channel_id=1, records=times))
+            self._file.write(index)
+        self._count += len(times)
+        self._indexes.append(
+            ChunkIndex(
+                chunk_length=end - position,
+                chunk_start_offset=position,
+                compression=compression,
+                compressed_size=stored,
+                message_end_time=high,
+                message_index_length=len(index),
+                message_index_offsets={1: end} if indexed else {},
+                message_start_time=low,
+                uncompressed_size=written,
+            )
+        )
+
+    def __enter__(self) -> HardLog:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if kind is None and self._finished:
+            self._finish()
+        self._file.close()
+
+    def _finish(self) -> None:
+        crc = 0
+        if self._data_crc:
+            self._file.seek(0)
+            crc = zlib.crc32(self._file.read())
+        self._file.write(built(DataEnd(crc)))
+        summary_start = self._file.tell()
+        statistics = Statistics(
+            attachment_count=0,
+            channel_count=1,
+            channel_message_counts={1: self._count},
+            chunk_count=len(self._indexes),
+            message_count=self._count,
+            message_end_time=max((i.message_end_time for i in self._indexes), default=0),
+            message_start_time=min((i.message_start_time for i in self._indexes), default=0),
+            metadata_count=0,
+            schema_count=1,
+        )
+        summary = built(*self._definitions, statistics, *self._indexes)
+        footer = struct.pack("<BQQQ", 0x02, 20, summary_start, 0)
+        self._file.write(summary + built(Footer(summary_start, 0, zlib.crc32(summary + footer))))
+        self._file.write(MAGIC)

@@ -1,0 +1,131 @@
+"""Simulated scenes through every method in memory: what `make scenes` and `make study` rest on.
+
+The results are the tables that `sonarrec run` writes, so that the project's own evaluation reads
+them; only the images never touch the disk.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import shutil
+from collections import deque
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+from tqdm import tqdm
+
+from sonarrec.config import Config
+from sonarrec.evaluation.evaluate import Evaluation, Pair, evaluate_pairs
+from sonarrec.geometry import polar_from_pixel
+from sonarrec.landmarks import LandmarkSet
+from sonarrec.recogniser.recogniser import FRAMEWORK, SMI
+from sonarrec.recogniser.side_by_side import SideBySide
+from sonarrec.records import Estimate, Fan, Frame, FrameResult
+from sonarrec.results.run_file import run_table
+from sonarrec.results.write import ResultsWriter
+from sonarrec.simulation.scene import Scene, scene_fan, scene_sonar
+from sonarrec.simulation.simulate import LandmarkTruth, render
+from sonarrec.truth.table import write_truth
+from tests.studies.baseline import METHOD, HoughSmi, MajorityTracks
+
+PROCESSES = 2
+PRESETS = ("default", "paper", "offline")
+"""As they are run: smi judges the first one's candidates."""
+METHODS = {
+    "smi": SMI,
+    "hough": METHOD,
+    "paper": f"{FRAMEWORK}:paper",
+    "default": f"{FRAMEWORK}:default",
+    "offline": f"{FRAMEWORK}:offline",
+}
+"""As they are told: short name, and the one in estimates.csv."""
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One scene to render, and what is to recognise it. folder: emptied, then written.
+
+    rival: whether the plain Hough loop of baseline.py is run as well.
+    """
+
+    scene: Scene
+    folder: Path
+    configs: Sequence[Config]
+    rival: bool = True
+
+
+def recognise(job: Job) -> None:
+    """Write frames.csv, estimates.csv, run.toml and gt.csv of one fan scene."""
+    scene, landmarks, fan = job.scene, job.scene.landmark_set, scene_fan(job.scene)
+    assert scene.sonar.layout == "fan"
+    shutil.rmtree(job.folder, ignore_errors=True)
+    recogniser = SideBySide(job.configs, fan, landmarks)
+    rival = _Rival(fan, landmarks) if job.rival else None
+    run = run_table(job.configs, scene_sonar(scene), fan, landmarks, (scene.name, 0, ""))
+    truth: list[list[object]] = []
+    waiting = deque[list[Estimate]]()
+    with ResultsWriter(job.folder, landmarks, run) as writer:
+
+        def take(results: Iterable[FrameResult]) -> None:
+            for result in results:
+                writer.write(replace(result, estimates=(*result.estimates, *waiting.popleft())))
+
+        for frame in render(scene):
+            truth += ([frame.index, *asdict(row).values()] for row in frame.truth)
+            waiting.append(rival.step(frame.image) if rival else [])
+            take(recogniser.step(Frame(frame.index, frame.timestamp_ns, frame.image, fan)))
+        take(recogniser.finish())
+        writer.finish([])
+    write_truth(job.folder / "gt.csv", ["frame", *(f.name for f in fields(LandmarkTruth))], truth)
+
+
+def recognise_all(jobs: Sequence[Job]) -> None:
+    """`recognise` each, PROCESSES at a time, on a core each."""
+    with ProcessPoolExecutor(
+        PROCESSES, multiprocessing.get_context("spawn"), cv2.setNumThreads, (1,)
+    ) as workers:
+        done = workers.map(recognise, jobs)
+        for _ in tqdm(done, total=len(jobs), unit="recording", leave=False, disable=None):
+            pass
+
+
+def score(folders: Sequence[Path]) -> Evaluation:
+    """What `recognise` wrote, pooled, by the project's own evaluation; all of the same IDs."""
+    return evaluate_pairs([Pair(folder, folder / "gt.csv") for folder in folders])
+
+
+class _Rival:
+    """The plain Hough loop with its votes, one frame at a time."""
+
+    def __init__(self, fan: Fan, landmarks: LandmarkSet) -> None:
+        self._fan = fan
+        self._ids = landmarks.ids
+        self._loop = HoughSmi(fan, landmarks)
+        self._tracks = MajorityTracks(self._loop.settings, self._loop.radius)
+
+    def step(self, image: np.ndarray) -> list[Estimate]:
+        """It has no probabilities, and tells no orientation."""
+        found = []
+        for track, sight, winner, score, claim in self._tracks.step(self._loop(image)):
+            range_m, bearing_deg = polar_from_pixel(self._fan, sight.x, sight.y)
+            found.append(
+                Estimate(
+                    method=METHOD,
+                    object=track,
+                    x_px=sight.x,
+                    y_px=sight.y,
+                    range_m=float(range_m),
+                    bearing_deg=float(bearing_deg),
+                    orientation_deg=np.nan,
+                    existence=np.nan,
+                    probabilities=np.full(len(self._ids) + 1, np.nan),
+                    landmark=self._ids[winner],
+                    score=score,
+                    declared=claim,
+                )
+            )
+        return found

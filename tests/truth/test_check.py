@@ -1,0 +1,323 @@
+"""Truth that cannot be is found, truth that can be is not, and both are drawn."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sonarrec.cli import main
+from sonarrec.cli.truth import truth as truth_group
+from sonarrec.geometry import fan_for_image, polar_from_pixel
+from sonarrec.landmarks import load_landmarks
+from sonarrec.readers import open_log
+from sonarrec.simulation.simulate import Pose, visible_share
+from sonarrec.sonar import load_sonar
+from sonarrec.truth.check import CheckedTruth, Fault, check_truth
+from sonarrec.truth.contact_sheet import MOST_STRIPS, SIDE, draw_contact_sheet
+from tests.support.logs import image_folder
+
+SAMPLES = Path(__file__).parents[2] / "sample_data"
+SHARED = Path(__file__).parents[3] / "shared" / "data"
+BASIN = load_landmarks("basin")
+FRAMES = 12
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    """Twelve black frames, wide enough for the whole fan."""
+    images = [np.zeros((300, 560), np.uint8) for _ in range(FRAMES)]
+    return image_folder(tmp_path / "pings", images)
+
+
+def truth(
+    tmp_path: Path, rows: Sequence[str], header: str = "frame,landmark,range_m,bearing_deg"
+) -> Path:
+    path = tmp_path / "gt.csv"
+    path.write_text("\n".join([header, *rows]) + "\n")
+    return path
+
+
+def faults(path: Path, log: Path, max_pan_deg: float = 5.0) -> list[Fault]:
+    return checked(path, log, max_pan_deg).faults
+
+
+def checked(path: Path, log: Path, max_pan_deg: float = 5.0) -> CheckedTruth:
+    with open_log(log) as opened:
+        return check_truth(path, opened, BASIN, max_pan_deg=max_pan_deg)
+
+
+def kinds(path: Path, log: Path, max_pan_deg: float = 5.0) -> list[tuple[int, str]]:
+    return [(fault.line, fault.kind) for fault in faults(path, log, max_pan_deg)]
+
+
+def run(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(main, ["truth", "check", *map(str, arguments)])
+
+
+def test_every_subcommand_has_an_example() -> None:
+    for name in truth_group.commands:
+        done = CliRunner().invoke(main, ["truth", name, "--help"])
+        assert f"Examples:\n    sonarrec truth {name} " in done.stdout
+
+
+# --- No false alarm ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["pan", "polar"])
+def test_the_samples_are_sound(name: str) -> None:
+    assert faults(SAMPLES / name / "gt.csv", SAMPLES / name) == []
+
+
+@pytest.mark.parametrize("name", ["basin_a", "basin_b", "basin_c"])
+def test_recordings_of_another_simulator_are_sound(name: str) -> None:
+    if not (SHARED / name).is_dir():
+        pytest.skip("the shared recordings are not here")
+    assert faults(SHARED / name / "gt.csv", SHARED / name) == []
+
+
+def test_a_steady_pan_is_sound_up_to_its_limit(tmp_path: Path, log: Path) -> None:
+    path = truth(tmp_path, [f"{k},1,2.0,{-10 + 4.9 * k:.2f}" for k in range(5)])
+    assert kinds(path, log) == []
+    assert kinds(path, log, max_pan_deg=4.8) == [(n, "jump") for n in (3, 4, 5, 6)]
+
+
+def test_frames_left_out_give_time_to_move(tmp_path: Path, log: Path) -> None:
+    assert kinds(truth(tmp_path, ["0,1,2.0,-9", "4,1,2.5,9"]), log) == []
+    assert kinds(truth(tmp_path, ["0,1,2.0,-9", "3,1,2.5,9"]), log) == [(3, "jump")]
+
+
+def test_one_id_may_be_in_view_twice(tmp_path: Path, log: Path) -> None:
+    rows = [f"{k},1,{r},{b}" for k in range(6) for r, b in ((2.0, -8 + k), (2.6, 6 + k))]
+    assert kinds(truth(tmp_path, rows), log) == []
+
+
+def test_truth_by_time_denser_than_the_frames(tmp_path: Path, log: Path) -> None:
+    """Frames are 250 ms apart; of stamps in between only the nearest belongs to a frame."""
+    rows = [f"{n * 50_000_000},1,2.0,{-5 + n / 5:.2f}" for n in range(40)]
+    path = truth(tmp_path, rows, "timestamp_ns,landmark,range_m,bearing_deg")
+    assert kinds(path, log) == []
+    path = truth(
+        tmp_path, [*rows, "9000000000,1,2.0,0"], "timestamp_ns,landmark,range_m,bearing_deg"
+    )
+    assert kinds(path, log) == [(42, "frame")]
+
+
+def test_other_logs_rows_are_not_looked_at(tmp_path: Path, log: Path) -> None:
+    rows = ["pings,0,1,2.0,0", "elsewhere,900,9,9.0,80"]
+    path = truth(tmp_path, rows, "log,frame,landmark,range_m,bearing_deg")
+    assert kinds(path, log) == []
+    assert "1 rows of other logs" in run(path, log, "--sheet", tmp_path / "s.png").stdout
+
+
+def test_truth_of_other_logs_alone_is_a_failure_and_an_empty_one_is_sound(
+    tmp_path: Path, log: Path
+) -> None:
+    path = truth(tmp_path, ["a,0,1,2.0,0"], "log,frame,landmark,range_m,bearing_deg")
+    done = run(path, log, "--sheet", tmp_path / "s.png")
+    assert done.exit_code == 1
+    assert "its log column does not name pings; it has a" in done.stderr
+    for header in ("frame,landmark,x_px,y_px", "timestamp_ns,landmark,range_m,bearing_deg"):
+        done = run(truth(tmp_path, [], header), log, "--sheet", tmp_path / "s.png")
+        assert (done.exit_code, "0 rows, no fault" in done.stdout) == (0, True), done.output
+
+
+# --- What is found -------------------------------------------------------------------------------
+
+HEADER = "frame,landmark,range_m,bearing_deg,visible"
+
+
+@pytest.mark.parametrize(
+    ("rows", "expected"),
+    [
+        (["0,7,2.0,0,1"], [(2, "landmark")]),
+        (["12,1,2.0,0,1"], [(2, "frame")]),
+        (["-1,1,2.0,0,1"], [(2, "frame")]),
+        (["0,1,2.0,0,1.2"], [(2, "visible")]),
+        (["0,1,2.0,0,-0.1"], [(2, "visible")]),
+        (["0,1,2.0,30,0.5"], [(2, "outside")]),
+        (["0,1,4.2,0,0.5"], [(2, "outside")]),
+        (["0,1,0.3,0,0.5"], [(2, "outside")]),
+        (["0,1,2.0,14.4,1"], [(2, "visible")]),
+        (["0,1,2.0,14.4,0.5"], []),
+        (["0,1,2.0,0,0.2"], []),  # hidden by something else
+        (["0,1,2.0,0,1", "", "0,1,2.0,0,1"], [(4, "repeated")]),
+        (["0,1,2.0,0,1", "0,1,2.01,0,1"], [(3, "overlap")]),
+        (["0,1,2.0,0,1", "0,2,2.0,0,1"], [(3, "overlap")]),
+        (["0,1,2.0,0,1", "0,2,2.0,9,1", "0,3,2.02,9.1,1"], [(4, "overlap")]),
+        (["0,1,2.0,0,1", "0,2,2.0,9,1"], []),
+        (["0,1,2.0,0,1", "1,1,2.2,0,1"], [(3, "jump")]),
+        (["0,1,2.0,0,1", "1,1,2.0,6,1"], [(3, "jump")]),
+        # One wrong row is one fault: the way back is none.
+        (["0,1,2,0,1", "1,1,2,9,1", "2,1,2,1,1", "3,1,2,1,1"], [(3, "jump")]),
+        (["0,1,2,0,1", "1,1,2,9,1", "2,1,2,0,1", "3,1,2,9,1"], [(3, "jump"), (5, "jump")]),
+        # A mistyped ID, and one that changes for good.
+        ([f"{k},{1 + 3 * (k == 2)},2,{k},1" for k in range(5)], [(4, "changed")]),
+        ([f"{k},{1 + 3 * (k > 1)},2,{k},1" for k in range(5)], [(4, "changed")]),
+        # One leaves while another enters elsewhere.
+        (["0,1,2,-14,0.5", "1,2,2,14,0.5"], []),
+        # Two landmarks named the other way round from frame 2 on.
+        (
+            [f"{k},{1 + (k > 1)},2,{k},1" for k in range(4)]
+            + [f"{k},{2 - (k > 1)},2,{k + 8},1" for k in range(4)],
+            [(4, "jump"), (8, "jump")],
+        ),
+    ],
+)
+def test_found(tmp_path: Path, log: Path, rows: list[str], expected: list[tuple[int, str]]) -> None:
+    assert kinds(truth(tmp_path, rows, HEADER), log) == expected
+
+
+def test_several_faults_of_one_row_are_all_told(tmp_path: Path, log: Path) -> None:
+    path = truth(tmp_path, ["0,9,2.0,40,7"], HEADER)
+    assert Counter(fault.kind for fault in faults(path, log)) == {
+        "landmark": 1,
+        "visible": 1,
+        "outside": 1,
+    }
+
+
+def test_pixels_edited_beside_range_and_bearing(tmp_path: Path, log: Path) -> None:
+    """Scoring reads range and bearing: a correction of the pixels alone would have no effect."""
+    fan = fan_for_image(load_sonar(log / "sonar.toml").complete("test"), 300, 560)
+    range_m, bearing_deg = polar_from_pixel(fan, 280.0, 150.0)
+    header = "frame,landmark,x_px,y_px,range_m,bearing_deg"
+    polar = f"{float(range_m):.4f},{float(bearing_deg):.3f}"
+    rows = [f"0,1,280,150,{polar}", f"1,1,280,140,{polar}"]
+    assert kinds(truth(tmp_path, rows, header), log) == [(3, "position")]
+
+
+def test_a_frame_that_cannot_be_read(tmp_path: Path, log: Path) -> None:
+    (log / "frame5.png").write_bytes(b"broken")
+    path = truth(tmp_path, ["5,1,2.0,0", "6,1,2.0,0"])
+    (fault,) = faults(path, log)
+    assert (fault.line, fault.text) == (2, "frame 5 of the log cannot be read")
+    done = run(path, log, "--sheet", tmp_path / "s.png")
+    assert done.exit_code == 3
+    assert "frame5.png" in done.stderr
+
+
+def test_truth_without_positions(tmp_path: Path, log: Path) -> None:
+    path = truth(tmp_path, ["0,1", "40,1", "1,8"], "frame,landmark")
+    assert kinds(path, log) == [(3, "frame"), (4, "landmark")]
+    done = run(path, log, "--sheet", tmp_path / "sheet.png")
+    assert "so there is no sheet" in done.stdout
+    assert not (tmp_path / "sheet.png").exists()
+
+
+@settings(max_examples=40, deadline=None)
+@given(range_m=st.floats(1.3, 3.7), bearing_deg=st.floats(-20, 20), margin=st.floats(-0.08, 0.08))
+def test_visible_of_the_simulator_is_always_sound(
+    tmp_path_factory: pytest.TempPathFactory, range_m: float, bearing_deg: float, margin: float
+) -> None:
+    """Whatever share the simulator works out, and a person's estimate that is near to it."""
+    folder = tmp_path_factory.mktemp("check")
+    log = image_folder(folder / "pings", [np.zeros((60, 112), np.uint8)])
+    fan = fan_for_image(load_sonar(log / "sonar.toml").complete("test"), 60, 112)
+    ground = math.sqrt(range_m**2 - 0.68**2)
+    turn = math.radians(bearing_deg)
+    pose = Pose(0.0, 0.68, 0.0, 0.0)
+    share = visible_share(fan, pose, ground * math.sin(turn), ground * math.cos(turn), 0.15)
+    if share > 0:
+        visible = min(max(share + margin, 0), 1)
+        row = f"0,1,{range_m:.5f},{bearing_deg:.4f},{visible:.4f}"
+        assert kinds(truth(folder, [row], HEADER), log) == []
+
+
+# --- The command and its sheet -------------------------------------------------------------------
+
+
+def test_the_command_tells_lines_and_draws(tmp_path: Path) -> None:
+    sheet = tmp_path / "sheet.png"
+    shutil.copy(SAMPLES / "pan" / "gt.csv", tmp_path / "gt.csv")
+    done = run(tmp_path / "gt.csv", SAMPLES / "pan", "--sheet", sheet)
+    assert done.exit_code == 0, done.output
+    assert "199 rows, no fault" in done.stdout
+    with (tmp_path / "gt.csv").open("a") as file:
+        file.write("500,1,100,100,2.0,0,1,0\n")
+    done = run(tmp_path / "gt.csv", SAMPLES / "pan", "--sheet", sheet)
+    assert done.exit_code == 3
+    assert "gt.csv line 201: frame 500 is not in the log, which has 0 to 127" in done.stdout
+    picture = cv2.imread(str(sheet))
+    assert picture is not None
+    assert picture.shape[0] > 3 * SIDE  # three passes
+
+
+def test_many_faults_of_a_kind_are_counted(tmp_path: Path, log: Path) -> None:
+    path = truth(tmp_path, [f"{k % 12},{k + 5},2.0,0" for k in range(50)], "frame,landmark,a,b")
+    done = run(path, log, "--sheet", tmp_path / "s.png")
+    assert done.stdout.count("is not in the set") == 20
+    assert "... and 30 more of the kind: landmark" in done.stdout
+
+
+def test_tiles_are_centred_on_what_the_truth_says(tmp_path: Path) -> None:
+    """A white spot at the stated position is at the middle of its tile, and nowhere else."""
+    images = [np.zeros((300, 560), np.uint8) for _ in range(3)]
+    x, y = 300, 140
+    images[1][y - 1 : y + 2, x - 1 : x + 2] = 255
+    spots = image_folder(tmp_path / "spots", images)
+    path = truth(tmp_path, [f"1,1,{x},{y}"], "frame,landmark,x_px,y_px")
+    found = checked(path, spots)
+    with open_log(spots) as opened:
+        assert draw_contact_sheet(found, opened, tmp_path / "s.png") == 1
+    picture = cv2.imread(str(tmp_path / "s.png"))
+    assert picture is not None
+    tile = picture[64 : 64 + SIDE, 150 : 150 + SIDE]
+    grey = (tile.min(axis=2) > 200).astype(float)  # the outline has a colour, the spot none
+    rows, columns = np.nonzero(grey)
+    assert len(rows) > 4
+    assert (columns.mean(), rows.mean()) == pytest.approx((59.5, 59.5), abs=1)
+    # The outline is the disc: 0.15 m in a view of 3.2 radii, a little wider than it is high.
+    blue = (tile[..., 0].astype(int) - tile[..., 2]) > 60
+    across = np.flatnonzero(blue.any(axis=0))
+    assert across[-1] - across[0] == pytest.approx(2 * SIDE / 3.2, rel=0.1)
+
+
+def test_passes_are_parted_and_limited(tmp_path: Path) -> None:
+    """Every twentieth frame only, as a person may annotate, is one pass; long gaps part passes."""
+    images = [np.zeros((30, 56), np.uint8) for _ in range(200)]
+    log = image_folder(tmp_path / "pings", images)
+    path = truth(tmp_path, [f"{k},1,2.0,0" for k in range(0, 200, 20)])
+
+    def strips() -> int:
+        found = checked(path, log)
+        with open_log(log) as opened:
+            return draw_contact_sheet(found, opened, tmp_path / "s.png")
+
+    assert strips() == 1
+    path = truth(tmp_path, [f"{k},1,2.0,0" for k in (*range(5), *range(50, 55), 90, 91)])
+    assert strips() == 3
+    rows = [f"{k},{i},{1.6 + i / 2},0" for i in (1, 2, 3, 4) for k in range(200) if k % 14 < 3]
+    path = truth(tmp_path, rows)
+    assert strips() == MOST_STRIPS
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said", "code"),
+    [
+        (("--max-pan", "0"), "--max-pan", 2),
+        (("--landmarks", "nowhere"), "no landmark set 'nowhere'", 1),
+        (("--sheet", "no/such/folder.png"), "cannot be written", 1),
+    ],
+)
+def test_bad_usage(
+    tmp_path: Path, log: Path, arguments: tuple[str, ...], said: str, code: int
+) -> None:
+    done = run(truth(tmp_path, ["0,1,2.0,0"]), log, *arguments)
+    assert done.exit_code == code
+    assert said in done.stderr
+
+
+def test_cells_that_are_no_numbers_end_the_check(tmp_path: Path, log: Path) -> None:
+    done = run(truth(tmp_path, ["0,one,2.0,0"]), log)
+    assert done.exit_code == 1
+    assert "gt.csv line 2: landmark must be a whole number" in done.stderr

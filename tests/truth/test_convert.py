@@ -1,0 +1,678 @@
+"""Annotations of every format, written out by hand as the formats are described, to gt.csv."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sonarrec.cli import main
+from sonarrec.geometry import floor_depth
+from sonarrec.landmarks import load_landmarks
+from sonarrec.readers import open_log
+from sonarrec.sonar import Sonar
+from sonarrec.truth.annotations.shapes import centre_of_area
+from sonarrec.truth.convert import convert
+from sonarrec.truth.in_view import share_in_fan
+from tests.support.drawn import make_fan
+from tests.support.logs import frames, image_folder
+
+BASIN = load_landmarks("basin")
+Row = tuple[int, int, float, float, float]
+
+
+def run(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(main, ["truth", "convert", *map(str, arguments)])
+
+
+def rows_of(path: Path) -> list[Row]:
+    with path.open(newline="") as file:
+        return [
+            (
+                int(r["frame"]),
+                int(r["landmark"]),
+                *(float(r[c]) for c in ("x_px", "y_px", "visible")),
+            )
+            for r in csv.DictReader(file)
+        ]
+
+
+def converted(tmp_path: Path, source: Path, *more: str | Path, code: int = 0) -> list[Row]:
+    done = run(source, "--out", tmp_path / "gt.csv", *more)
+    assert done.exit_code == code, done.output
+    return rows_of(tmp_path / "gt.csv")
+
+
+def failure(source: Path, *more: str | Path, code: int = 1) -> str:
+    """The one line said of a fault; no gt.csv may have been written."""
+    out = source.parent / "nothing.csv"
+    done = run(source, "--out", out, *more)
+    assert done.exit_code == code, done.output
+    assert not out.exists()
+    (line,) = done.stderr.splitlines()
+    return line
+
+
+# --- CVAT ----------------------------------------------------------------------------------------
+
+CVAT = """<?xml version="1.0" encoding="utf-8"?>
+<annotations>
+  <version>1.1</version>
+  <meta><task><size>9</size><mode>{mode}</mode><labels><label><name>ID.1</name></label></labels>
+    <original_size><width>100</width><height>80</height></original_size></task></meta>
+{body}
+</annotations>
+"""
+BOX = (
+    '<box frame="{0}" keyframe="1" outside="{1}" occluded="{2}" '
+    'xtl="{3}" ytl="10" xbr="{4}" ybr="20"/>'
+)
+
+
+def cvat(tmp_path: Path, body: str, mode: str = "interpolation") -> Path:
+    path = tmp_path / "annotations.xml"
+    path.write_text(CVAT.format(mode=mode, body=body))
+    return path
+
+
+def track(*shapes: str, label: str = "ID.1", more: str = "") -> str:
+    return f'<track id="0" label="{label}" source="manual"{more}>{"".join(shapes)}</track>'
+
+
+def test_cvat_video(tmp_path: Path) -> None:
+    """Corners are edges between pixels, so a box from 10 to 20 is centred on pixel 14.5."""
+    body = track(
+        BOX.format(0, 0, 0, 10, 20), BOX.format(1, 0, 1, 12, 22), BOX.format(2, 1, 0, 12, 22)
+    )
+    assert converted(tmp_path, cvat(tmp_path, body)) == [
+        (0, 1, 14.5, 14.5, 1.0),
+        (1, 1, 16.5, 14.5, 0.5),
+    ]
+
+
+def test_cvat_fills_in_between_keyframes_as_cvat_does(tmp_path: Path) -> None:
+    """Linearly, towards a keyframe that is outside as well, but never from one."""
+    body = track(
+        BOX.format(4, 0, 0, 18, 28),
+        BOX.format(0, 0, 0, 10, 20),
+        BOX.format(6, 1, 0, 18, 28),
+        BOX.format(8, 0, 0, 40, 50),
+    )
+    rows = converted(tmp_path, cvat(tmp_path, body))
+    assert [row[0] for row in rows] == [0, 1, 2, 3, 4, 5, 8]
+    assert [row[2] for row in rows] == [14.5, 16.5, 18.5, 20.5, 22.5, 22.5, 44.5]
+
+
+def test_cvat_shapes(tmp_path: Path) -> None:
+    common = 'frame="{}" outside="0" occluded="0" keyframe="1"'
+    shapes = [
+        f'<ellipse {common} cx="30.50" cy="20.50" rx="4.00" ry="3.00" rotation="20"/>',
+        f'<polygon {common} points="10.00,10.00;20.00,10.00;20.00,20.00;10.00,20.00;10.00,11.00"/>',
+        f'<points {common} points="7.50,8.50"/>',
+        f'<mask {common} rle="0, 16" left="10" top="20" width="4" height="4"/>',
+    ]
+    body = "".join(
+        track(shape.format(n), label=f"landmark_{n + 1}") for n, shape in enumerate(shapes)
+    )
+    rows = converted(tmp_path, cvat(tmp_path, body))
+    assert [row[:2] for row in rows] == [(0, 1), (1, 2), (2, 3), (3, 4)]
+    assert [row[2:4] for row in rows] == [(30, 20), (14.5, 14.5), (7, 8), (11.5, 21.5)]
+
+
+def test_cvat_images_with_attributes(tmp_path: Path) -> None:
+    body = """
+    <image id="0" name="pings/frame_000002.png" width="100" height="80">
+      <box label="3" source="manual" occluded="1" xtl="0" ytl="0" xbr="1" ybr="1" z_order="0">
+        <attribute name="visible">0.25</attribute></box>
+      <polyline label="3" occluded="0" points="1.00,2.00;3.00,4.00" z_order="0"/>
+    </image>
+    <image id="1" name="pings/frame_000010.png" width="100" height="80"/>"""
+    source = cvat(tmp_path, body, "annotation")
+    assert converted(tmp_path, source, code=3) == [(2, 3, 0.0, 0.0, 0.25)]
+
+
+def test_a_skeleton_and_its_points_are_no_landmark(tmp_path: Path) -> None:
+    body = track(BOX.format(0, 0, 0, 10, 20)) + (
+        '<track id="1" label="2"><skeleton frame="0" keyframe="1" outside="0" occluded="0">'
+        '<points label="1" outside="0" occluded="0" points="3,4"/></skeleton></track>'
+    )
+    assert converted(tmp_path, cvat(tmp_path, body), code=3) == [(0, 1, 14.5, 14.5, 1.0)]
+
+
+BOMB = """<?xml version="1.0"?>
+<!DOCTYPE annotations [<!ENTITY a "{}">{}]>
+<annotations><track label="&j;"/></annotations>
+"""
+
+
+def test_entity_bombs_are_refused_before_they_go_off(tmp_path: Path) -> None:
+    """Ten levels of ten: 10 GB if expanded."""
+    levels = "".join(
+        f'<!ENTITY {b} "{f"&{a};" * 10}">' for a, b in zip("abcdefghi", "bcdefghij", strict=True)
+    )
+    path = tmp_path / "annotations.xml"
+    path.write_text(BOMB.format("x" * 10, levels))
+    assert "document type declaration" in failure(path)
+    secret = tmp_path / "secret"
+    secret.write_text("7")
+    path.write_text(
+        f'<!DOCTYPE annotations [<!ENTITY a SYSTEM "{secret.as_uri()}">]>'
+        '<annotations><track label="&a;"/></annotations>'
+    )
+    assert "document type declaration" in failure(path)
+
+
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [
+        ("<track id='0'></track>", "lacks the attribute 'label'"),
+        (track('<box frame="0" xtl="1" ytl="2" xbr="3"/>'), "lacks the attribute 'ybr'"),
+        (track('<box frame="0" xtl="a" ytl="2" xbr="3" ybr="4"/>'), "line 6: could not convert"),
+        (track('<box frame="0" xtl="nan" ytl="2" xbr="3" ybr="4"/>'), "'nan' is no coordinate"),
+        (track('<points frame="0" points="1,2;3,4"/>'), "marked by one point, not 2"),
+        (track('<polygon frame="0" points="1,2;3"/>'), "line 6"),
+        (track(BOX.format(0, 0, 0, 1, 2), BOX.format(10**9, 0, 0, 1, 2)), "between two keyframes"),
+        (track(more=' task_id="1"') + track(more=' task_id="2"'), "several tasks in one file"),
+        ("<track", "not well-formed XML"),
+        (
+            track(
+                BOX.format(0, 0, 0, 1, 2)[:-2] + '><attribute name="visible">95</attribute></box>'
+            ),
+            "visible must be a share",
+        ),
+    ],
+)
+def test_bad_cvat_is_one_line(tmp_path: Path, body: str, said: str) -> None:
+    assert said in failure(cvat(tmp_path, body))
+
+
+# --- COCO ----------------------------------------------------------------------------------------
+
+
+def coco(tmp_path: Path, annotations: list[dict[str, object]], names: list[str]) -> Path:
+    images = [
+        {"id": 7 + n, "file_name": name, "width": 100, "height": 80} for n, name in enumerate(names)
+    ]
+    categories = [
+        {"id": 1, "name": "ID.1"},
+        {"id": 2, "name": "disc north", "keypoints": ["centre", "rim"]},
+    ]
+    path = tmp_path / "coco.json"
+    document = {"annotations": annotations, "images": images, "categories": categories}
+    path.write_text(json.dumps(document))
+    return path
+
+
+def test_coco(tmp_path: Path) -> None:
+    square = [10, 10, 20, 10, 20, 20, 10, 20]
+    annotations = [
+        {"image_id": 7, "category_id": 1, "bbox": [10, 20, 4, 6], "iscrowd": 0},
+        {"image_id": 8, "category_id": 1, "bbox": [0, 0, 1, 1], "segmentation": [square]},
+        {"image_id": 8, "category_id": 2, "bbox": [0, 0, 9, 9], "keypoints": [5, 6, 1, 0, 0, 0]},
+        {"image_id": 8, "category_id": 2, "bbox": [0, 0, 9, 9], "attributes": {"occluded": True}},
+        {"image_id": 7, "category_id": 1, "bbox": [0, 0, 9, 9], "iscrowd": 1},
+    ]
+    source = coco(tmp_path, annotations, ["a_0.png", "a_5.png"])
+    assert converted(tmp_path, source, "--map", "disc north=4", code=3) == [
+        (0, 1, 11.5, 22.5, 1.0),
+        (5, 1, 14.5, 14.5, 1.0),
+        (5, 4, 5.0, 6.0, 0.5),
+        (5, 4, 4.0, 4.0, 0.5),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("annotation", "said"),
+    [
+        ({"image_id": 99, "category_id": 1, "bbox": [0, 0, 1, 1]}, "annotation 0 of the list"),
+        ({"image_id": 7, "category_id": 1}, "KeyError('bbox')"),
+        ({"image_id": 7, "category_id": 1, "bbox": [0, 0, 1]}, "annotation 0 of the list"),
+        ({"image_id": 7, "category_id": 1, "bbox": [0, 0, 1, None]}, "annotation 0 of the list"),
+        ({"image_id": 7, "category_id": 1, "bbox": [0, 0, 1, math.inf]}, "no coordinate"),
+        ([], "annotation 0 of the list"),
+    ],
+)
+def test_bad_coco_is_one_line(tmp_path: Path, annotation: dict[str, object], said: str) -> None:
+    assert said in failure(coco(tmp_path, [annotation], ["a_0.png"]))
+
+
+# --- MOTChallenge --------------------------------------------------------------------------------
+
+
+def mot(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "gt.txt"
+    path.write_text(text)
+    return path
+
+
+def test_mot_counts_from_one(tmp_path: Path) -> None:
+    """A box of 5 x 3 pixels whose first pixel is (1, 1) is centred on pixel (2, 1) counted from 0.
+
+    Class 3 is a label; a row not to be considered is neither positive nor negative: `visible` 0.
+    """
+    text = "1,9,1,1,5,3,1,3,0.86014\n2, 9, 2, 1, 5, 3, 0, 3, 1\n\n"
+    assert converted(tmp_path, mot(tmp_path, text)) == [(0, 3, 2, 1, 0.86), (1, 3, 3, 1, 0.0)]
+
+
+def test_mot15_has_no_class_so_the_track_is_the_label(tmp_path: Path) -> None:
+    text = "1, 2, 794.27, 247.59, 71.245, 174.88, 1, -1, -1, -1\n"
+    ((frame, landmark, x, y, visible),) = converted(tmp_path, mot(tmp_path, text))
+    assert (frame, landmark, visible) == (0, 2, 1.0)
+    assert x == pytest.approx(793.27 + (71.245 - 1) / 2, abs=0.01)
+    assert y == pytest.approx(246.59 + (174.88 - 1) / 2, abs=0.01)
+
+
+def test_mot_of_cvat_names_classes_and_counts_boxes_from_zero(tmp_path: Path) -> None:
+    (tmp_path / "labels.txt").write_text("tyre\nlandmark 4\n")
+    text = "1,1,0,0,5,3,1,2,1.0\n1,2,9,9,5,3,1,1,1.0\n"
+    source = mot(tmp_path, text)
+    assert converted(tmp_path, source, "--map", "tyre=none") == [(0, 4, 2, 1, 1.0)]
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("1,1,0,0,5,x,1,2,1.0", "line 2: could not convert"),
+        ("1,1,0,0,5", "line 2: not enough values"),
+        ("1.5,1,0,0,5,5,1", "frames are whole numbers"),
+        ("1,1,0,0,5,5,1,1,86", "visibility is a share"),
+        ("1,1,0,0,5,inf,1", "no coordinate"),
+        ("0,1,0,0,5,5,1", "lies before the log's first frame, which is called 1 here"),
+    ],
+)
+def test_bad_mot_is_one_line(tmp_path: Path, line: str, said: str) -> None:
+    assert said in failure(mot(tmp_path, f"1,1,1,1,5,3,1\n{line}\n"))
+
+
+# --- LabelMe -------------------------------------------------------------------------------------
+
+
+def labelme(path: Path, shapes: list[dict[str, object]], image: str) -> None:
+    path.parent.mkdir(exist_ok=True)
+    document = {"version": "5.5.0", "flags": {}, "shapes": shapes, "imagePath": image}
+    path.write_text(
+        json.dumps(document | {"imageData": None, "imageHeight": 80, "imageWidth": 100})
+    )
+
+
+def test_labelme_folder(tmp_path: Path) -> None:
+    folder = tmp_path / "labels"
+    shapes: list[dict[str, object]] = [
+        {"label": "1", "points": [[10, 10], [14, 13]], "shape_type": "circle", "flags": {}},
+        {"label": "2", "points": [[30, 20], [20, 10]], "shape_type": "rectangle", "group_id": None},
+        {"label": "3", "points": [[5.5, 6.5]], "shape_type": "point", "flags": {"Occluded": True}},
+        {"label": "4", "points": [[0, 0], [4, 0], [4, 4], [0, 4]], "shape_type": "polygon"},
+        {"label": "4", "points": [[0, 0], [4, 0]], "shape_type": "line"},
+    ]
+    labelme(folder / "b.json", shapes, "..\\images\\ping12.png")
+    labelme(folder / "a.json", [], "../images/ping3.png")
+    assert converted(tmp_path, folder, code=3) == [
+        (12, 1, 9.5, 9.5, 1.0),
+        (12, 2, 24.5, 14.5, 1.0),
+        (12, 3, 5.0, 6.0, 0.5),
+        (12, 4, 1.5, 1.5, 1.0),
+    ]
+    assert converted(tmp_path / "labels", folder / "a.json") == []
+
+
+@pytest.mark.parametrize(
+    ("shape", "said"),
+    [
+        ({"label": "1", "points": [[1, 2]], "shape_type": "circle"}, ""),
+        ({"points": [[1, 2]], "shape_type": "point"}, "KeyError('label')"),
+        ({"label": "1", "points": [], "shape_type": "point"}, "IndexError"),
+        ({"label": "1", "points": [[1]], "shape_type": "point"}, "not as LabelMe writes it"),
+        ("shape", "not as LabelMe writes it"),
+    ],
+)
+def test_bad_labelme_is_one_line(tmp_path: Path, shape: dict[str, object], said: str) -> None:
+    labelme(tmp_path / "a.json", [shape], "a0.png")
+    if said:
+        assert said in failure(tmp_path / "a.json")
+    else:
+        assert len(converted(tmp_path, tmp_path / "a.json")) == 1
+
+
+# --- What is no annotation file ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("a.xml", b"<svg></svg>", "not an annotation file this program reads"),
+        ("a.json", b'{"type": "FeatureCollection"}', "not an annotation file this program reads"),
+        ("a.json", b'{"shapes": [', "not valid JSON"),
+        ("a.json", b'{"a": ' + b"[" * 200_000, "not valid JSON"),
+        ("a.json", b'{"\xff": 1}', "unpack an archive first"),
+        ("a.zip", b"PK\x03\x04\x00\x00", "unpack an archive first"),
+        ("gt.csv", b"frame,landmark,x_px,y_px,visible\n0,1,2,3,1\n", "not an annotation file"),
+        ("empty", b"", "not an annotation file"),
+    ],
+)
+def test_other_files_are_told_in_one_line(
+    tmp_path: Path, name: str, content: bytes, said: str
+) -> None:
+    (tmp_path / name).write_bytes(content)
+    assert said in failure(tmp_path / name)
+
+
+def test_format_can_be_named(tmp_path: Path) -> None:
+    source = mot(tmp_path, "1,1,1,1,5,3,1\n")
+    assert "not valid JSON" in failure(source, "--format", "coco")
+    assert len(converted(tmp_path, source, "--format", "mot")) == 1
+
+
+def test_an_existing_truth_is_never_written_over(tmp_path: Path) -> None:
+    source = mot(tmp_path, "1,1,1,1,5,3,1\n")
+    (tmp_path / "gt.csv").write_text("corrected by hand")
+    done = run(source, "--out", tmp_path / "gt.csv")
+    assert done.exit_code == 1
+    assert "exists already and is left as it is" in done.stderr
+    assert (tmp_path / "gt.csv").read_text() == "corrected by hand"
+    assert "cannot be written" in run(source, "--out", tmp_path / "no" / "gt.csv").stderr
+
+
+# --- Labels --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("label", "landmark"),
+    [("1", 1), ("ID.1", 1), ("id 2", 2), ("landmark_3", 3), ("Landmark-04", 4), (" id3 ", 3)],
+)
+def test_labels_that_show_their_id(tmp_path: Path, label: str, landmark: int) -> None:
+    body = track(BOX.format(0, 0, 0, 10, 20), label=label)
+    assert converted(tmp_path, cvat(tmp_path, body))[0][1] == landmark
+
+
+@pytest.mark.parametrize("label", ["tyre 1", "1b", "ID.1 fake", "ID.7", "disc", "-1"])
+def test_other_labels_are_told_of(tmp_path: Path, label: str) -> None:
+    """A fake called `tyre 1` must not become ID.1."""
+    body = track(BOX.format(0, 0, 0, 10, 20)) + track(BOX.format(0, 0, 0, 40, 50), label=label)
+    source = cvat(tmp_path, body)
+    done = run(source, "--out", tmp_path / "gt.csv")
+    assert done.exit_code == 3
+    assert f"label {label!r} (1 times)" in done.stderr
+    assert len(rows_of(tmp_path / "gt.csv")) == 1
+    (tmp_path / "gt.csv").unlink()
+    assert len(converted(tmp_path, source, "--map", f"{label}=none")) == 1
+    (tmp_path / "gt.csv").unlink()
+    assert [row[1] for row in converted(tmp_path, source, "--map", f"{label}=2")] == [1, 2]
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ("disc", "expected LABEL=ID"),
+        ("disc=one", "expected LABEL=ID"),
+        ("=1", "expected LABEL=ID"),
+        ("other=1", "no shape has this label; labels: disc"),
+        ("disc=9", "ID 9 is not in 'basin' (1, 2, 3, 4)"),
+    ],
+)
+def test_maps_that_cannot_be_meant(tmp_path: Path, given: str, said: str) -> None:
+    source = cvat(tmp_path, track(BOX.format(0, 0, 0, 10, 20), label="disc"))
+    assert said in failure(source, "--map", given, code=2)
+
+
+def test_nothing_usable_is_a_failure_and_nothing_drawn_is_not(tmp_path: Path) -> None:
+    source = cvat(tmp_path, track(BOX.format(0, 0, 0, 10, 20), label="disc"))
+    assert "nothing can be used: label 'disc'" in failure(source)
+    assert converted(tmp_path, cvat(tmp_path, "")) == []
+
+
+# --- Frames --------------------------------------------------------------------------------------
+
+BBOX = {"category_id": 1, "bbox": [0, 0, 1, 1]}
+
+
+def frames_of(tmp_path: Path, names: list[str], *more: str | Path) -> list[int]:
+    annotations = [BBOX | {"image_id": 7 + n} for n in range(len(names))]
+    return [row[0] for row in converted(tmp_path, coco(tmp_path, annotations, names), *more)]
+
+
+def test_frames_by_the_number_that_ends_the_name(tmp_path: Path) -> None:
+    assert frames_of(tmp_path, ["x1_0012.png", "x1_0003.jpg"]) == [3, 12]
+
+
+def test_first_frame_shifts_numbers(tmp_path: Path) -> None:
+    assert frames_of(tmp_path, ["img1.png", "img3.png"], "--first-frame", "1") == [0, 2]
+
+
+def test_frames_by_natural_order_of_all_images(tmp_path: Path) -> None:
+    names = ["ping10left.png", "ping2left.png", "ping1left.png"]
+    annotations = [BBOX | {"image_id": 7, "bbox": [4, 0, 1, 1]}]
+    assert converted(tmp_path, coco(tmp_path, annotations, names)) == [(2, 1, 4, 0, 1.0)]
+
+
+def test_names_that_are_times_give_times(tmp_path: Path) -> None:
+    name = "1700000000123456789"
+    source = coco(tmp_path, [BBOX | {"image_id": 7}], [f"{name}.png"])
+    done = run(source, "--out", tmp_path / "gt.csv")
+    assert done.exit_code == 0
+    assert (tmp_path / "gt.csv").read_text().splitlines() == [
+        "timestamp_ns,landmark,x_px,y_px,visible",
+        f"{name},1,0.00,0.00,1.000",
+    ]
+
+
+def test_two_images_of_one_number_are_a_fault(tmp_path: Path) -> None:
+    annotations = [BBOX | {"image_id": 7}]
+    source = coco(tmp_path, annotations, ["left/1.png", "right/1.png"])
+    assert "would both be frame 1" in failure(source)
+
+
+def test_frames_by_name_in_the_log(tmp_path: Path) -> None:
+    """Whatever the numbers in the names say, and with another suffix and folder."""
+    log = image_folder(tmp_path / "log", frames(4, 80, 100))
+    for n, name in enumerate(["b30", "b4", "a99", "c1"]):
+        (log / f"frame{n}.png").rename(log / f"{name}.png")
+    names = ["task/c1.jpg", "task/b4.jpg", "task/elsewhere9.jpg"]
+    annotations = [BBOX | {"image_id": 7 + n} for n in range(3)]
+    source = coco(tmp_path, annotations, names)
+    done = run(source, "--log", log, "--out", tmp_path / "gt.csv")
+    assert done.exit_code == 3
+    assert "not in the log: task/elsewhere9.jpg" in done.stderr
+    assert [row[0] for row in rows_of(tmp_path / "gt.csv")] == [1, 3]
+    assert "--first-frame has no meaning" in failure(
+        source, "--log", log, "--first-frame", "1", code=2
+    )
+    by_glob = run(source, "--log", log / "*.png", "--out", tmp_path / "glob.csv")
+    assert by_glob.exit_code == 3
+    assert rows_of(tmp_path / "glob.csv") == rows_of(tmp_path / "gt.csv")
+
+
+# --- Positions and visibility --------------------------------------------------------------------
+
+
+def test_annotations_of_resized_images_are_refused(tmp_path: Path) -> None:
+    log = image_folder(tmp_path / "log", frames(2, 40, 50))
+    source = cvat(tmp_path, track(BOX.format(0, 0, 0, 10, 20)))
+    assert "drawn on images of 100 x 80 pixels, but those of the log have 50 x 40" in failure(
+        source, "--log", log
+    )
+
+
+def test_visible_is_limited_by_the_fan(tmp_path: Path) -> None:
+    """On the fan's right edge, half of the disc; well outside, nothing; in the middle, all."""
+    log = image_folder(tmp_path / "log", frames(2, 300, 560))
+    fan = make_fan()  # the same geometry on 300 rows
+    edge = math.radians(fan.bearing_max_deg)
+    pixels_away = 2.4 / fan.metres_per_pixel
+    x = 279.5 + pixels_away * math.sin(edge)
+    y = fan.apex_row - pixels_away * math.cos(edge)
+    shapes = [(279.5, 150.0), (x, y), (x + 60, y)]
+    text = "".join(f"1,{n},{a - 1},{b - 1},5,5,1,{n}\n" for n, (a, b) in enumerate(shapes, 1))
+    rows = converted(tmp_path, mot(tmp_path, text), "--log", log)
+    assert [row[4] for row in rows] == pytest.approx([1.0, 0.5, 0.0], abs=0.01)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.floats(1.6, 3.4), st.floats(-16, 16), st.floats(0.05, 0.2))
+def test_share_inside_a_bearing_edge_is_a_circular_segment(
+    range_m: float, bearing_deg: float, radius_m: float
+) -> None:
+    """Seen from above the fan's sides are straight lines through the sonar."""
+    fan = make_fan(range_min_m=0.8, range_max_m=4.5)
+    ground = math.sqrt(range_m**2 - floor_depth(fan) ** 2)
+    expected = -1.0
+    for edge in (fan.bearing_max_deg - bearing_deg, bearing_deg - fan.bearing_min_deg):
+        d = np.clip(ground * math.sin(math.radians(edge)) / radius_m, -1, 1)
+        expected += 1 - (math.acos(d) - d * math.sqrt(1 - d * d)) / math.pi
+    share = share_in_fan(fan, np.array([range_m]), np.array([bearing_deg]), radius_m)
+    assert share[0] == pytest.approx(max(expected, 0), abs=0.01)  # 500 points
+
+
+UNEVEN = (-13.0, -8, -5, -3, -1, 0, 1, 2, 4, 7, 10, 14)
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {},
+        {"flip": True},
+        {"bearings_deg": UNEVEN},
+        {"bearings_deg": UNEVEN[::-1]},
+        {"ranges_m": tuple(1.25 + 2.5 * ((n + 0.5) / 200) ** 1.3 for n in range(200))},
+        {"beam_order": "beam-major"},
+    ],
+)
+def test_shapes_on_polar_images_are_moved_to_the_fan(tmp_path: Path, keys: dict[str, Any]) -> None:
+    """A bright sample of the polar image lies in the fan where its annotation says."""
+    beams = len(keys.get("bearings_deg", range(96)))
+    sonar = Sonar("polar", 1.25, 3.75, 28.8, 20.0, 0.68, **keys)
+    text = "\n".join(f"{k} = {json.dumps(v)}" for k, v in sonar.as_table().items())
+    log = tmp_path / "log"
+    log.mkdir()
+    (log / "sonar.toml").write_text(f"[sonar]\n{text}\n")
+    turned = "beam_order" in keys
+    size = (beams, 200) if turned else (200, beams)
+    for column, row in ((beams // 3, 120), (beams // 2, 50)):
+        point = [row + 0.5, column + 0.5] if turned else [column + 0.5, row + 0.5]
+        source = tmp_path / "0.json"
+        labelme(source, [{"label": "1", "points": [point], "shape_type": "point"}], "0.png")
+        told = {"imageHeight": size[0], "imageWidth": size[1]}
+        source.write_text(json.dumps(json.loads(source.read_text()) | told))
+        polar = np.zeros((200, beams), np.uint8)
+        polar[row, column] = 255
+        cv2.imwrite(str(log / "0.png"), polar.T if turned else polar)
+        (tmp_path / "gt.csv").unlink(missing_ok=True)
+        ((_, _, x, y, _),) = converted(tmp_path, source, "--log", log)
+        with open_log(log) as opened:
+            fan = next(iter(opened)).image.astype(float)
+        # The brightest fan pixels: between uneven beams the spot is not symmetric about its peak.
+        rows, columns = np.nonzero(fan > 0.9 * fan.max())
+        assert (columns.mean(), rows.mean()) == pytest.approx((x, y), abs=1.0)
+
+
+def test_shapes_on_mirrored_fan_images(tmp_path: Path) -> None:
+    log = image_folder(tmp_path / "log", frames(1, 80, 100))
+    with (log / "sonar.toml").open("a") as file:
+        file.write("flip = true\n")
+    source = cvat(tmp_path, track(BOX.format(0, 0, 0, 10, 20)))
+    assert converted(tmp_path, source, "--log", log)[0][2] == 99 - 14.5
+
+
+def test_polar_log_needs_the_size_of_the_images(tmp_path: Path) -> None:
+    log = image_folder(tmp_path / "log", frames(1, 40, 30))
+    text = (log / "sonar.toml").read_text().replace('"fan"', '"polar"')
+    (log / "sonar.toml").write_text(text)
+    source = mot(tmp_path, "1,1,1,1,5,3,1\n")
+    assert "do not tell the size" in failure(source, "--log", log)
+    drawn = cvat(tmp_path, track(BOX.format(0, 0, 0, 10, 20)))
+    assert "those of the log have 100 beams x 40 ranges" in failure(drawn, "--log", log)
+
+
+@given(st.integers(3, 8), st.floats(2, 50), st.floats(-200, 200), st.integers(0, 7))
+def test_centre_of_an_outline_does_not_follow_where_its_points_crowd(
+    corners: int, radius: float, shift: float, crowded: int
+) -> None:
+    turn = 2 * np.pi * np.arange(corners) / corners
+    polygon = [(shift + radius * math.cos(t), 2 * shift + radius * math.sin(t)) for t in turn]
+    a, b = polygon[crowded % corners], polygon[(crowded + 1) % corners]
+    extra = [(a[0] + k / 9 * (b[0] - a[0]), a[1] + k / 9 * (b[1] - a[1])) for k in range(1, 9)]
+    at = crowded % corners + 1
+    centre = centre_of_area(polygon[:at] + extra + polygon[at:])
+    assert centre == pytest.approx((shift, 2 * shift), abs=1e-6)
+
+
+# --- The same truth in every format --------------------------------------------------------------
+
+places = st.tuples(
+    st.integers(0, 30), st.integers(1, 4), st.integers(0, 8000), st.integers(0, 6000)
+)
+
+
+def as_cvat_video(rows: list[Row], folder: Path) -> Path:
+    body = ""
+    for frame, landmark, x, y, _ in rows:
+        box = f'xtl="{x - 4:.2f}" ytl="{y - 3:.2f}" xbr="{x + 5:.2f}" ybr="{y + 4:.2f}"'
+        body += track(
+            f'<box frame="{frame}" outside="0" occluded="0" keyframe="1" {box}/>'
+            f'<box frame="{frame + 1}" outside="1" occluded="0" keyframe="1" {box}/>',
+            label=str(landmark),
+        )
+    return cvat(folder, body)
+
+
+def as_cvat_images(rows: list[Row], folder: Path) -> Path:
+    body = ""
+    for frame in range(31):
+        body += f'<image id="{frame}" name="{frame:06d}.png" width="100" height="80">'
+        for at, landmark, x, y, _ in rows:
+            if at == frame:
+                body += f'<points label="ID.{landmark}" points="{x + 0.5:.2f},{y + 0.5:.2f}"/>'
+        body += "</image>"
+    return cvat(folder, body, "annotation")
+
+
+def as_coco(rows: list[Row], folder: Path) -> Path:
+    path = folder / "coco.json"
+    document = {
+        "images": [{"id": n, "file_name": f"{n}.png"} for n in range(31)],
+        "categories": [{"id": n, "name": f"landmark {n}"} for n in (1, 2, 3, 4)],
+        "annotations": [
+            {"image_id": frame, "category_id": i, "bbox": [x - 4, y - 3, 9, 7]}
+            for frame, i, x, y, _ in rows
+        ],
+    }
+    path.write_text(json.dumps(document))
+    return path
+
+
+def as_mot(rows: list[Row], folder: Path) -> Path:
+    lines = [f"{f + 1},1,{x - 3:.2f},{y - 2:.2f},9,7,1,{i},1" for f, i, x, y, _ in rows]
+    return mot(folder, "\n".join(lines) + "\n")
+
+
+def as_labelme(rows: list[Row], folder: Path) -> Path:
+    for frame in {row[0] for row in rows}:
+        shapes: list[dict[str, object]] = [
+            {"label": str(i), "points": [[x + 0.5, y + 0.5], [x + 9, y]], "shape_type": "circle"}
+            for f, i, x, y, _ in rows
+            if f == frame
+        ]
+        labelme(folder / "labels" / f"{frame}.json", shapes, f"{frame}.png")
+    return folder / "labels"
+
+
+@pytest.mark.parametrize("write", [as_cvat_video, as_cvat_images, as_coco, as_mot, as_labelme])
+@settings(max_examples=25, deadline=None)
+@given(drawn=st.sets(places, min_size=1, max_size=12))
+def test_the_same_truth_in_every_format(
+    tmp_path_factory: pytest.TempPathFactory, write, drawn: set[tuple[int, int, int, int]]
+) -> None:
+    folder = tmp_path_factory.mktemp("truth")
+    rows = sorted((f, i, x / 100, y / 100, 1.0) for f, i, x, y in drawn)
+    convert(write(rows, folder), folder / "gt.csv", BASIN)
+    found = sorted(rows_of(folder / "gt.csv"))
+    assert [row[:2] for row in found] == [row[:2] for row in rows]
+    np.testing.assert_allclose([row[2:] for row in found], [row[2:] for row in rows], atol=0.011)

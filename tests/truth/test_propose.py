@@ -1,0 +1,201 @@
+"""Truth proposed from results: which tracks are taken, what is filled in, how near it comes."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+from sonarrec.cli import main
+from sonarrec.config import preset
+from sonarrec.run import process
+from sonarrec.truth.table import read_truth
+
+SAMPLES = Path(__file__).parents[2] / "sample_data"
+RUN = """\
+finished = true
+[sonar]
+layout = "fan"
+range_min_m = 1.25
+range_max_m = 3.75
+field_of_view_deg = 28.8
+tilt_deg = 20.0
+height_m = 0.68
+[fan]
+rows = 300
+columns = 320
+metres_per_pixel = 0.01
+apex_px = [160.0, 400.0]
+"""
+COLUMNS = "frame,method,object,range_m,bearing_deg,landmark,score,declared"
+
+
+def results(
+    folder: Path, estimates: Sequence[tuple[object, ...]], frames: Sequence[int] = range(60)
+) -> Path:
+    """A results folder; an estimate is (frame, object, range, bearing, ID, score, declared)."""
+    folder.mkdir(parents=True)
+    (folder / "run.toml").write_text(RUN)
+    (folder / "frames.csv").write_text("frame\n" + "".join(f"{n}\n" for n in frames))
+    lines = [",".join(map(str, (e[0], "framework", *e[1:]))) for e in estimates]
+    (folder / "estimates.csv").write_text("\n".join([COLUMNS, *lines]) + "\n")
+    return folder
+
+
+def track(
+    number: int, frames: Sequence[int], landmark: int = 1, score: float = 0.95, declared: int = 1
+) -> list[tuple[object, ...]]:
+    """A track that turns half a degree a frame and draws nearer by a millimetre."""
+    return [(n, number, 2 - n / 1000, n / 2 - 7, landmark, score, declared) for n in frames]
+
+
+def run(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(main, ["truth", "propose", *map(str, arguments)])
+
+
+def proposed(folder: Path, *more: str | Path) -> list[dict[str, str]]:
+    out = folder.parent / "proposed.csv"
+    out.unlink(missing_ok=True)
+    done = run(folder, "--out", out, *more)
+    assert done.exit_code == 0, done.output
+    read_truth(out)
+    with out.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_a_confident_track_is_taken_over_its_whole_life(tmp_path: Path) -> None:
+    """Also before it first declared its ID: looking back, one knows what it was."""
+    undecided = track(3, range(5), landmark=2, score=0.2, declared=0)
+    rows = proposed(results(tmp_path / "log", undecided + track(3, range(5, 20))))
+    assert [int(row["frame"]) for row in rows] == list(range(20))
+    assert {(row["landmark"], row["track"], row["source"]) for row in rows} == {
+        ("1", "3", "tracked")
+    }
+    for row in rows:
+        n = int(row["frame"])
+        range_m, bearing = 2 - n / 1000, math.radians(n / 2 - 7)
+        assert float(row["x_px"]) == pytest.approx(
+            160 + 100 * range_m * math.sin(bearing), abs=0.01
+        )
+        assert float(row["y_px"]) == pytest.approx(
+            400 - 100 * range_m * math.cos(bearing), abs=0.01
+        )
+        assert 0 < float(row["visible"]) <= 1
+
+
+@pytest.mark.parametrize(
+    ("estimates", "said"),
+    [
+        (track(1, range(20), score=0.89), "best score below 0.9"),
+        (track(1, range(4)), "declared in 4 frames only"),
+        (track(1, range(10)) + track(1, range(10, 13), landmark=2), "several IDs: ID.1, ID.2"),
+    ],
+)
+def test_tracks_left_out_are_told(
+    tmp_path: Path, estimates: list[tuple[object, ...]], said: str
+) -> None:
+    folder = results(tmp_path / "log", estimates)
+    assert proposed(folder) == []
+    done = run(folder, "--out", tmp_path / "again.csv")
+    assert f"left out: {said}" in done.stdout.replace("it declared ", "")
+
+
+def test_tracks_that_declared_nothing_are_not_told(tmp_path: Path) -> None:
+    folder = results(tmp_path / "log", track(1, range(20), declared=0))
+    done = run(folder, "--out", tmp_path / "gt.csv")
+    assert done.stdout.splitlines() == [f"{tmp_path / 'gt.csv'}: 0 rows from 0 tracks"]
+
+
+def test_short_gaps_are_filled_in_and_long_ones_are_not(tmp_path: Path) -> None:
+    seen = [*range(6), *range(9, 15), *range(30, 36)]
+    rows = proposed(results(tmp_path / "log", track(1, seen)), "--max-gap", "3")
+    assert [int(row["frame"]) for row in rows] == [*range(15), *range(30, 36)]
+    filled = [row for row in rows if row["source"] == "interpolated"]
+    assert [int(row["frame"]) for row in filled] == [6, 7, 8]
+    # The track moves evenly, so what is filled in is what would have been seen.
+    whole = proposed(results(tmp_path / "whole", track(1, range(36))))
+    by_frame = {row["frame"]: (row["x_px"], row["y_px"], row["visible"]) for row in whole}
+    assert all((row["x_px"], row["y_px"], row["visible"]) == by_frame[row["frame"]] for row in rows)
+    none = proposed(tmp_path / "log", "--max-gap", "2")
+    assert all(row["source"] == "tracked" for row in none)
+
+
+def test_frames_that_were_not_processed_are_not_filled_in(tmp_path: Path) -> None:
+    """A broken image: truth on it could not be scored."""
+    frames = [n for n in range(20) if n != 7]
+    seen = [n for n in frames if n != 8]
+    rows = proposed(results(tmp_path / "log", track(1, seen), frames))
+    assert [int(row["frame"]) for row in rows] == frames
+
+
+def test_discs_out_of_view_are_no_rows(tmp_path: Path) -> None:
+    rows = proposed(results(tmp_path / "log", track(1, range(60))))
+    assert all(float(row["visible"]) > 0 for row in rows)
+    # 0.15 m at 1.88 m on the floor is 4.6 deg beyond the edge at 14.4 deg.
+    assert max(int(row["frame"]) for row in rows) / 2 - 7 == pytest.approx(19, abs=1)
+
+
+def test_a_second_track_on_one_disc_is_passed_over(tmp_path: Path) -> None:
+    twice = track(1, range(10)) + track(2, range(30))
+    rows = proposed(results(tmp_path / "log", twice))
+    assert [int(row["frame"]) for row in rows] == list(range(30))
+    assert {row["track"] for row in rows} == {"2"}
+
+
+def test_several_logs_have_a_log_column(tmp_path: Path) -> None:
+    results(tmp_path / "out" / "a", track(1, range(10)))
+    results(tmp_path / "out" / "b", track(1, range(5)))
+    rows = proposed(tmp_path / "out")
+    assert [row["log"] for row in rows] == ["a"] * 10 + ["b"] * 5
+
+
+def test_faults(tmp_path: Path) -> None:
+    folder = results(tmp_path / "log", track(1, range(10)))
+    out = tmp_path / "gt.csv"
+    out.write_text("corrected by hand")
+    done = run(folder, "--out", out)
+    assert (done.exit_code, out.read_text()) == (1, "corrected by hand")
+    assert "exists already" in done.stderr
+    out.unlink()
+    done = run(folder, "--out", out, "--method", "other")
+    assert done.exit_code == 2
+    assert "no method other" in done.stderr
+    assert run(folder, "--out", out, "--min-score", "2").exit_code == 2
+    assert "are no tracks" in run(folder, "--out", out, "--method", "smi").stderr
+    assert "no such results folder" in run(tmp_path / "gone", "--out", out).stderr
+    (folder / "run.toml").unlink()
+    assert "does not tell the sonar's geometry" in run(folder, "--out", out).stderr
+    assert not out.exists()
+
+
+def test_proposal_of_the_sample_comes_near_its_truth(tmp_path: Path) -> None:
+    """Every landmark in view for at least 0.9 is proposed, none that is not there, and in place.
+
+    Half a disc radius is what a person would not have to correct to score under either protocol.
+    """
+    summary = process(SAMPLES / "pan", tmp_path / "out", preset("default"))
+    found = {
+        (int(r["frame"]), int(r["landmark"])): (float(r["x_px"]), float(r["y_px"]))
+        for r in proposed(summary.folder)
+    }
+    with (SAMPLES / "pan" / "gt.csv").open(newline="") as file:
+        true = {(int(r["frame"]), int(r["landmark"])): r for r in csv.DictReader(file)}
+    whole = [key for key, row in true.items() if float(row["visible"]) >= 0.9]
+    assert sum(key in found for key in whole) >= 0.98 * len(whole)
+    assert found.keys() <= true.keys()
+    metres_per_pixel = 2.5 / 256
+    for key, (x, y) in found.items():
+        apart = math.hypot(x - float(true[key]["x_px"]), y - float(true[key]["y_px"]))
+        assert apart * metres_per_pixel < 0.075
+    checked = CliRunner().invoke(
+        main,
+        [
+            *("truth", "check", str(summary.folder.parent / "proposed.csv")),
+            *(str(SAMPLES / "pan"), "--sheet", str(tmp_path / "sheet.png")),
+        ],
+    )
+    assert checked.exit_code == 0, checked.output
