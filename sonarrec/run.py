@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ from sonarrec.readers.poses_csv import read_poses
 from sonarrec.recogniser.side_by_side import SideBySide
 from sonarrec.recogniser.stage3_features.model import model_from_table, read_model
 from sonarrec.records import Clock, FrameResult, SonarrecError, Stamps, UsageError
-from sonarrec.results.run_file import run_table
+from sonarrec.results.run_file import read_run, run_table
 from sonarrec.results.sightings import Sightings
 from sonarrec.results.write import ResultsWriter
 from sonarrec.sonar import Sonar, sonar_from_table
@@ -68,7 +67,7 @@ def process(
     used: dict[str, Any] = {}  # the odometry of the earlier run
     learned = None if model is None else read_model(model)
     if earlier_run is not None:
-        table = tomllib.loads(earlier_run.read_text(encoding="utf-8"))
+        table = read_run(earlier_run)
         if "sonar" in table and sonar_file is None:
             sonar = sonar_from_table(table["sonar"], str(earlier_run)).updated(sonar)
         earlier = table.get("input", {})
@@ -85,7 +84,7 @@ def process(
         if learned is None and "model" in table:
             learned = model_from_table(table["model"], str(earlier_run))
     if earlier_run is not None and landmarks is None and "landmarks" in table:
-        landmark_set = landmarks_from_table(table["landmarks"], str(earlier_run))
+        landmark_set = landmarks_from_table(table["landmarks"], f"{earlier_run}: [landmarks]")
     else:
         landmark_set = load_landmarks(landmarks or "basin")
     poses = None if odometry is None else read_poses(odometry)

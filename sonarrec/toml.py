@@ -14,15 +14,17 @@ import sys
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from types import NoneType
+from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
 
 from sonarrec.records import SonarrecError
 
-MAX_BYTES = 2**24
-"""A larger file is no file of settings."""
+MAX_LENGTH = 2**24
+"""In characters: a longer file is no file of settings."""
+MAX_DEPTH = 32
+"""Of tables and lists in each other."""
 
 _MOST = sys.float_info.max
 
@@ -47,21 +49,25 @@ Count = Annotated[int, bounds(0, 2**63 - 1)]
 
 def read_toml(path: Path, error: type[SonarrecError] = SonarrecError) -> dict[str, Any]:
     """The tables of a file. Raises `error` where it cannot be read or is no TOML."""
+    return parse_toml(read_text(path, error), str(path), error)
+
+
+def read_text(path: Path, error: type[SonarrecError] = SonarrecError) -> str:
+    """The text of a TOML file. Raises `error` where it cannot be read."""
     try:
-        with path.open("rb") as file:
-            data = file.read(MAX_BYTES + 1)
-        text = data.decode("utf-8")
+        with path.open(encoding="utf-8") as file:
+            text = file.read(MAX_LENGTH + 1)
     except (OSError, UnicodeDecodeError) as fault:
         raise error(f"{path}: not a readable TOML file, it cannot be read ({fault})") from None
-    if len(data) > MAX_BYTES:
-        raise error(f"{path}: not a readable TOML file, it is larger than {MAX_BYTES >> 20} MiB")
-    return parse_toml(text, str(path), error)
+    if len(text) > MAX_LENGTH:
+        raise error(f"{path}: not a readable TOML file, it is larger than {MAX_LENGTH >> 20} MiB")
+    return text
 
 
 def parse_toml(text: str, where: str, error: type[SonarrecError] = SonarrecError) -> dict[str, Any]:
     """The tables of a TOML text; `where` names it in errors. Raises `error` where it is none."""
     try:
-        return tomllib.loads(text)
+        table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as fault:
         raise error(f"{where}: not a readable TOML file ({fault})") from None
     except RecursionError:
@@ -70,6 +76,28 @@ def parse_toml(text: str, where: str, error: type[SonarrecError] = SonarrecError
         ) from None
     except ValueError:  # Python's own limit on the digits of a whole number
         raise error(f"{where}: not a readable TOML file (a number of too many digits)") from None
+    if found := _beyond_toml(table):
+        *keys, what = found
+        named = ".".join(_key(k) for k in keys[:3])
+        raise error(f"{where}: not a readable TOML file ({named}: {what})")
+    return table
+
+
+def _beyond_toml(value: Any, depth: int = 0) -> list[str]:
+    """The keys that lead to what no reader of TOML need take, and what it is; [] without such.
+
+    What is left is safe to print, to turn into a float and to walk through.
+    """
+    if isinstance(value, int) and not -(2**63) <= value < 2**63:
+        return ["a whole number of more than 64 bits"]
+    if depth == MAX_DEPTH and isinstance(value, dict | list):
+        return ["nested too deep"]
+    if isinstance(value, list):
+        return next(filter(None, (_beyond_toml(v, depth + 1) for v in value)), [])
+    if isinstance(value, dict):
+        found = ((k, _beyond_toml(v, depth + 1)) for k, v in value.items())
+        return next(([k, *fault] for k, fault in found if fault), [])
+    return []
 
 
 def named_file(source: str | Path, built_in: Path) -> Path | None:
@@ -184,16 +212,24 @@ def choices(wanted: Any) -> tuple[Any, ...]:
 def described(wanted: Any) -> str:
     """What a value of the type is, in words: "a number from 0 to 1"."""
     bare = _bare(wanted)
-    if words := [f'"{c}"' if isinstance(c, str) else str(c) for c in choices(wanted)]:
-        return " or ".join(filter(None, (", ".join(words[:-1]), words[-1])))
+    if few := [f'"{c}"' if isinstance(c, str) else str(c) for c in choices(wanted)]:
+        return " or ".join(filter(None, (", ".join(few[:-1]), few[-1])))
     if get_origin(bare) is tuple:
         each, *more = get_args(bare)
         count = f" of {1 + len(more)}" if Ellipsis not in more else ""
         for meta in metas(wanted):
             count = f" of {meta.min_length} to {meta.max_length}"
         return f"a list{count}, each {described(each)}"
-    if bare in (str, bool):
-        return "a text" if bare is str else "true or false"
+    if isinstance(bare, UnionType):
+        return " or ".join(described(each) for each in get_args(bare))
+    words = {
+        str: "a text",
+        bool: "true or false",
+        dict: "a table of keys",
+        list: "a list of tables",
+    }
+    if (kind := get_origin(bare) or bare) in words:
+        return words[kind]
     noun = "a whole number" if bare is int else "a number"
     least = most = beyond = ""
     for meta in metas(wanted):
@@ -210,21 +246,13 @@ def described(wanted: Any) -> str:
     return noun + beyond if beyond or bare is int else "a finite number"
 
 
-class _Short(reprlib.Repr):
-    """Values as they stand in a message: on one line, of some 60 characters."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.maxlevel, self.maxdict, self.maxstring, self.maxother = 2, 3, 60, 60
-
-    def repr_int(self, x: int, level: int) -> str:
-        try:
-            return super().repr_int(x, level)
-        except ValueError:  # Python's own limit on digits
-            return "a whole number of thousands of digits"
+_short = reprlib.Repr()
+_short.maxlevel, _short.maxdict, _short.maxstring, _short.maxother = 2, 3, 60, 60
 
 
-shown = _Short().repr
+def shown(value: object) -> str:
+    """A value as it stands in a message: on one line, of some 60 characters."""
+    return _short.repr(value)
 
 
 def _key(key: str) -> str:

@@ -9,17 +9,26 @@ from pathlib import Path
 from typing import Any, Literal
 
 import pytest
+from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
 
 from sonarrec import toml
+from sonarrec.cli import main
 from sonarrec.config import Config, configs, with_assignments
 from sonarrec.landmarks import load_landmarks
+from sonarrec.recogniser.stage3_features.description import FEATURES
+from sonarrec.recogniser.stage3_features.model import read_model
 from sonarrec.records import SonarrecError, UsageError
+from sonarrec.results.run_file import read_run
 from sonarrec.simulation.scene import load_scene
 from sonarrec.sonar import load_sonar
 
+LINES = [f"{name} = {{ at = [0, 1], log_odds = [0, 1] }}\n" for name in FEATURES]
 SET = 'name = "x"\nradius_m = 1\nring = [0.5, 1]\nsymbol = [0, 0.5]\n'
+
+TABLES = ("input", "sonar", "fan", "landmarks", "odometry", "model")
+SAMPLE = Path(__file__).parents[1] / "sample_data" / "pan"
 
 # reader, what of its file is sound, a number in it
 READERS: dict[str, tuple[Callable[[Path], object], str, str]] = {
@@ -28,6 +37,12 @@ READERS: dict[str, tuple[Callable[[Path], object], str, str]] = {
     "seed": (lambda path: configs(path=path), "", "seed"),
     "sonar": (load_sonar, "[sonar]\n", "sonar.tilt_deg"),
     "sonar's list": (load_sonar, "[sonar]\n", "sonar.bearings_deg"),
+    "model": (read_model, "".join(LINES), "bias"),
+    "model's curve": (
+        read_model,
+        "bias = 0\n" + "".join(LINES[:-1]) + f"[{FEATURES[-1]}]\nlog_odds = [0, 1]\n",
+        "at",
+    ),
     "landmarks": (load_landmarks, SET.replace("radius_m = 1\n", ""), "radius_m"),
     "landmark": (load_landmarks, SET + "[[landmark]]\nsectors = [1, 0]\n", "id"),
     "scene": (load_scene, "", "frames"),
@@ -80,7 +95,7 @@ def test_a_key_that_cannot_be_meant(reader: str, key: str, tmp_path: Path) -> No
     path = tmp_path / "x.toml"
     path.write_text(f"{sound}{key} = 1\n")
     text = one_line(lambda: read(path), path)
-    assert "unknown key" in text
+    assert "unknown key" in text or "nested too deep" in text
 
 
 @pytest.mark.parametrize("reader", READERS)
@@ -94,6 +109,51 @@ def test_a_file_that_cannot_be_read(reader: str, tmp_path: Path) -> None:
     with path.open("wb") as file:
         file.truncate(2**25)  # sparse: 32 MiB that are not on the disk
     assert "larger than 16 MiB" in one_line(lambda: read(path), path)
+
+
+@pytest.mark.parametrize(
+    ("stated", "says"),
+    [
+        *((f"{name} = 3", f"{name} must be a table of keys, not 3") for name in TABLES),
+        ("config = 3", "config must be a table of keys or a list of tables, not 3"),
+        ("config = [3]", "config must be a table of keys or a list of tables, not [3]"),
+        ("[input]\nsha256 = 3", "input.sha256 must be a text, not 3"),
+        ("[input]\nproblems = 3", "input.problems must be a list, each a text, not 3"),
+        ("[input]\ntime = 'noon'", 'input.time must be "log", "publish" or "header", not \'noon\''),
+        ("[sonar]\nrange_min_m = 'near'", "sonar.range_min_m must be a finite number, not 'near'"),
+        ("[fan]\napex_px = [1]", "fan.apex_px must be a list of 2, each a finite number, not [1]"),
+        ("[odometry]\nname = 3", "odometry.name must be a text, not 3"),
+        (f"x = {'9' * 400}", "(x: a whole number of more than 64 bits)"),
+        (f"x.{'y.' * 5000}z = 1", "(x.y.y: nested too deep)"),
+        ("x = 1\0", "(at line 1, column 6)"),
+    ],
+)
+def test_a_run_toml_that_cannot_be_meant(stated: str, says: str, tmp_path: Path) -> None:
+    path = tmp_path / "run.toml"
+    path.write_text(stated)
+    assert says in one_line(lambda: read_run(path), path)
+
+
+@pytest.mark.parametrize("stated", [*(f"{name} = 3\n" for name in TABLES), "[input]\nsha256 = 3\n"])
+def test_no_command_breaks_on_it(stated: str, tmp_path: Path) -> None:
+    """run, evaluate, report, overlay and truth propose: one line, exit code 1 or 2."""
+    log, results = SAMPLE, tmp_path / "pan"
+    results.mkdir()
+    (results / "frames.csv").write_text("frame,timestamp_ns,candidates,tracks\n0,0,0,0\n")
+    (results / "estimates.csv").write_text("frame,method,object,landmark,score,declared\n")
+    run = results / "run.toml"
+    run.write_text(stated)
+    for arguments in (
+        ["run", str(log), "--config", str(run), "--out", str(tmp_path / "out")],
+        ["evaluate", str(results), "--ground-truth", str(log / "gt.csv")],
+        ["report", str(results)],
+        ["overlay", str(log), str(results), "--mcap", str(tmp_path / "o.mcap")],
+        ["truth", "propose", str(results), "--out", str(tmp_path / "gt.csv")],
+    ):
+        told = CliRunner().invoke(main, arguments)
+        assert told.exit_code in (1, 2), (arguments, told.output)
+        assert isinstance(told.exception, SystemExit), (arguments, told.exception)
+        assert "run.toml" in told.output, (arguments, told.output)
 
 
 def test_names_no_file_can_have() -> None:

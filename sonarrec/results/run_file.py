@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -12,8 +11,9 @@ from typing import Any, Protocol
 from sonarrec import __version__, config
 from sonarrec.geometry import fan_for_image
 from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
-from sonarrec.records import Fan, SonarrecError
+from sonarrec.records import Clock, Fan, SonarrecError
 from sonarrec.sonar import Sonar, sonar_from_table
+from sonarrec.toml import Count, checked, read_toml, types_of
 
 
 def run_table(
@@ -59,14 +59,40 @@ def run_table(
     }
 
 
+_SHAPES: dict[str, Any] = {
+    **dict.fromkeys(("program", "input", "sonar", "fan", "landmarks", "odometry", "model"), dict),
+    "config": dict | list[dict[str, Any]],
+}
+_INPUT: dict[str, Any] = {
+    **dict.fromkeys(("name", "sha256", "topic"), str),
+    "bytes": Count,
+    "time": Clock,
+    "problems": tuple[str, ...],
+}
+
+
 def read_run(path: Path) -> dict[str, Any]:
-    """run.toml as a table, {} where it is missing or empty."""
+    """run.toml as a table, {} where it is missing or empty.
+
+    Raises SonarrecError where it cannot be read, or what sonarrec uses of it cannot be meant; of
+    a later version's keys nothing is said.
+    """
     if not path.is_file():
         return {}
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise SonarrecError(f"{path}: not a readable TOML file ({error})") from None
+    run = read_toml(path)
+    for name, wanted in _SHAPES.items():
+        if name in run:
+            checked(run[name], wanted, f"{path}: {name}")
+    geometry = types_of(Sonar)
+    for name, known in (
+        ("input", _INPUT),
+        ("odometry", _INPUT),
+        ("sonar", geometry),
+        ("fan", geometry),
+    ):
+        for key in known.keys() & run.get(name, {}).keys():
+            checked(run[name][key], known[key], f"{path}: {name}.{key}")
+    return run
 
 
 def fan_of_run(run: dict[str, Any], path: Path, given: Sonar | None) -> Fan | None:
@@ -95,7 +121,7 @@ def as_run(
     if "sonar" in run and sonar_file is None:
         sonar = sonar_from_table(run["sonar"], str(folder / "run.toml")).updated(sonar)
     if landmarks is None and "landmarks" in run:
-        return landmarks_from_table(run["landmarks"], str(folder / "run.toml")), sonar
+        return landmarks_from_table(run["landmarks"], f"{folder / 'run.toml'}: [landmarks]"), sonar
     return load_landmarks(landmarks or "basin"), sonar
 
 
