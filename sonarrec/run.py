@@ -7,19 +7,18 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from typing import Any
 
 from sonarrec.config import Config
-from sonarrec.landmarks import landmarks_from_table, load_landmarks
+from sonarrec.poses import PoseTable
 from sonarrec.readers import open_log
 from sonarrec.readers.poses_csv import read_poses
 from sonarrec.recogniser.side_by_side import SideBySide
-from sonarrec.recogniser.stage3_features.model import model_from_table, read_model
-from sonarrec.records import Clock, FrameResult, SonarrecError, Stamps, UsageError
-from sonarrec.results.run_file import read_run, run_table
+from sonarrec.recogniser.stage3_features.model import ModelFile, model_from_table, read_model
+from sonarrec.records import Clock, FrameResult, Stamps, UsageError
+from sonarrec.results.run_file import Stated, lay_under, run_table
 from sonarrec.results.sightings import Sightings
 from sonarrec.results.write import ResultsWriter
-from sonarrec.sonar import Sonar, sonar_from_table
+from sonarrec.sonar import Sonar
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,62 +62,44 @@ def process(
     observe: told each result and the number of frames, where that is known. Raises SonarrecError
     for input or settings that cannot be used.
     """
-    sonar = sonar or Sonar()
-    used: dict[str, Any] = {}  # the odometry of the earlier run
-    learned = None if model is None else read_model(model)
-    if earlier_run is not None:
-        table = read_run(earlier_run)
-        if "sonar" in table and sonar_file is None:
-            sonar = sonar_from_table(table["sonar"], str(earlier_run)).updated(sonar)
-        earlier = table.get("input", {})
-        if earlier.get("name") == Path(path).stem:
-            topic, time = topic or earlier.get("topic"), time or earlier.get("time")
-            used = table.get("odometry", {})
-            if odometry is None:
-                odometry_topic = odometry_topic or used.get("topic")
-            if used and odometry is None and odometry_topic is None:
-                raise UsageError(
-                    f"{earlier_run}: that run used the odometry {used.get('name')}; "
-                    "give it again with --odometry"
-                )
-        if learned is None and "model" in table:
-            learned = model_from_table(table["model"], str(earlier_run))
-    if earlier_run is not None and landmarks is None and "landmarks" in table:
-        landmark_set = landmarks_from_table(table["landmarks"], f"{earlier_run}: [landmarks]")
-    else:
-        landmark_set = load_landmarks(landmarks or "basin")
-    poses = None if odometry is None else read_poses(odometry)
-    if odometry_topic is not None:
-        from sonarrec.readers.mcap_poses import read_topic  # with its decompressors, where needed
-
-        poses = read_topic(Path(path), odometry_topic, time or "log")
+    stated = lay_under(
+        earlier_run,
+        Path(path).stem,
+        landmarks=landmarks,
+        sonar=sonar or Sonar(),
+        sonar_file=sonar_file,
+        topic=topic,
+        time=time,
+        odometry=odometry,
+        odometry_topic=odometry_topic,
+    )
+    configs = [settings] if isinstance(settings, Config) else list(settings)
+    learned = _model(model, configs, stated, earlier_run)
+    clock = stated.time or "log"
+    poses = _poses(Path(path), odometry, stated.odometry_topic, clock)
     notes = []
-    if poses is not None and used and used != poses.source:
+    if poses is not None and stated.odometry and stated.odometry != poses.source:
         notes.append(f"{earlier_run}: that run used another odometry than {poses.name}")
-    with open_log(path, sonar=sonar, sonar_file=sonar_file, topic=topic, time=time or "log") as log:
+    with open_log(
+        path, sonar=stated.sonar, sonar_file=sonar_file, topic=stated.topic, time=clock
+    ) as log:
         frames = iter(log)
-        first = next(frames, None)
-        if first is None:
-            told = f" ({'; '.join(log.problems[:3])})" if log.problems else ""
-            raise SonarrecError(f"{path}: no usable frame{told}")
-        configs = [settings] if isinstance(settings, Config) else list(settings)
-        if model is not None and all(c.features.measurement == "single" for c in configs):
-            raise UsageError(
-                f"--model {model}: only features.measurement = track uses a model, and this preset "
-                "measures single frames by the published one"
-            )
+        first = next(frames)  # raises where there is no usable frame
         recogniser = SideBySide(
-            configs, first.fan, landmark_set, learned.model if learned else None, poses
+            configs, first.fan, stated.landmarks, learned.model if learned else None, poses
         )
         source = (log.name, *log.digest_source())
-        run = run_table(configs, log.stated, first.fan, landmark_set, source, log.reading())
+        methods = recogniser.methods
+        run = run_table(
+            configs, methods, log.stated, first.fan, stated.landmarks, source, log.reading()
+        )
         if poses is not None:
             run["odometry"] = dict(poses.source)
         if learned is not None:
             run["model"] = learned.as_table()
-        sightings = [Sightings(method) for method in recogniser.methods]
+        sightings = [Sightings(method) for method in recogniser.tracking]
         stamps = deque[Stamps]()
-        with ResultsWriter(out / log.name, landmark_set, run) as writer:
+        with ResultsWriter(out / log.name, stated.landmarks, run) as writer:
 
             def take(results: Iterable[FrameResult]) -> None:
                 for result in results:
@@ -137,9 +118,38 @@ def process(
             take(recogniser.finish())
             problems = [*log.problems, *recogniser.problems()]
             writer.finish(problems)
-        lines: list[str] = []
-        for sighting in sightings:
-            lines += [f"{sighting.method}:"] if len(sightings) > 1 else []
-            lines += sighting.table()
         notes += [*log.notes, *recogniser.notes()]
-        return Summary(out / log.name, writer.frames, problems, notes, lines)
+        return Summary(out / log.name, writer.frames, problems, notes, _lines(sightings))
+
+
+def _model(
+    path: Path | None, configs: Sequence[Config], stated: Stated, earlier_run: Path | None
+) -> ModelFile | None:
+    """The appearance model of the file, else of the earlier run; None for the built-in one."""
+    if path is None:
+        return None if stated.model is None else model_from_table(stated.model, str(earlier_run))
+    learned = read_model(path)
+    if all(c.features.measurement == "single" for c in configs):
+        raise UsageError(
+            f"--model {path}: only features.measurement = track uses a model, and this preset "
+            "measures single frames by the published one"
+        )
+    return learned
+
+
+def _poses(log: Path, table: Path | None, topic: str | None, time: Clock) -> PoseTable | None:
+    """The poses of a topic of the log, else of a table; None without either."""
+    if topic is not None:
+        from sonarrec.readers.mcap_poses import read_topic  # with its decompressors, where needed
+
+        return read_topic(log, topic, time)
+    return None if table is None else read_poses(table)
+
+
+def _lines(sightings: Sequence[Sightings]) -> list[str]:
+    """What each method declared, the methods by their names where there are several."""
+    lines: list[str] = []
+    for sighting in sightings:
+        lines += [f"{sighting.method}:"] if len(sightings) > 1 else []
+        lines += sighting.table()
+    return lines

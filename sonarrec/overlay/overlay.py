@@ -81,7 +81,9 @@ def write_overlay(
     _spare_the_log(path, targets)
     folder = _results_folder(path, results)
     run = read_run(folder / "run.toml")
-    landmark_set, sonar = as_run(run, folder, landmarks, sonar or Sonar(), sonar_file)
+    landmark_set, sonar = as_run(
+        run, str(folder / "run.toml"), landmarks, sonar or Sonar(), sonar_file
+    )
     table = folder / "estimates.csv"
     method = choose_method(table, method)
     read_as = run.get("input", {})

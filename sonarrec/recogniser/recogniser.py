@@ -70,13 +70,13 @@ class Recogniser:
         landmarks: LandmarkSet,
         model: Judge | None = None,
         method: str = FRAMEWORK,
-        with_smi: bool = True,
+        smi: str | None = SMI,
         poses: PoseTable | None = None,
     ) -> None:
         """fan: the geometry that all frames of the log share. model: default, the built-in one.
 
-        method: the name under which the framework's estimates go. with_smi: whether those of the
-        single-frame method are made as well. poses: what they tell of the sonar's motion stands in
+        method: the name under which the framework's estimates go. smi: the same of the single-frame
+        method; None: it makes none. poses: what they tell of the sonar's motion stands in
         place of what the images show.
         """
         rng = np.random.default_rng(config.seed)
@@ -103,7 +103,7 @@ class Recogniser:
             confusion = measurement_model(landmarks, fan.window_m)
         self._features = FeatureEstimator(config.features, confusion)
         self._method = method
-        self._with_smi = with_smi
+        self._smi = smi
 
     def step(self, frame: Frame) -> FrameResult:
         """The estimates of one frame."""
@@ -141,8 +141,8 @@ class Recogniser:
         The estimates of each frame, by the single-frame method and by the framework.
         """
         singles: list[list[Estimate]] = [[] for _ in frames]
-        if self._with_smi:
-            singles = self._single(frames)
+        if self._smi is not None:
+            singles = self._single(frames, self._smi)
         return [
             FrameResult(
                 frame.index,
@@ -154,14 +154,14 @@ class Recogniser:
             for frame, single, tracked in zip(frames, singles, self._tracked(frames), strict=True)
         ]
 
-    def _single(self, frames: Sequence[Followed]) -> list[list[Estimate]]:
+    def _single(self, frames: Sequence[Followed], method: str) -> list[list[Estimate]]:
         """Of each frame, what shape-matrix identification alone says of its candidates."""
         single = self._identify(
             np.concatenate([f.grey for f in frames]), np.concatenate([f.seen for f in frames])
         )
         counts = [len(f.candidates) for f in frames]
         return self._estimates(
-            SMI,
+            method,
             counts,
             np.concatenate([np.arange(n) for n in counts]),
             np.concatenate([f.candidates for f in frames]),

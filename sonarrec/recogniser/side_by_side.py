@@ -10,7 +10,7 @@ from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.poses import PoseTable
 from sonarrec.recogniser.hindsight import Hindsight
-from sonarrec.recogniser.recogniser import FRAMEWORK, Followed, Recogniser
+from sonarrec.recogniser.recogniser import FRAMEWORK, SMI, Followed, Recogniser
 from sonarrec.recogniser.stage3_features.appearance import Judge
 from sonarrec.records import Fan, Frame, FrameResult
 
@@ -21,9 +21,12 @@ FRAMES_AT_ONCE = 8
 class SideBySide:
     """Several configurations over the same frames, their results put together.
 
-    Of one configuration the framework's method is plain `framework`; of several each has its
-    preset's name behind it. `smi` is that of the first. Results wait for the longest lag, and for
-    the frames that stage 3 takes at once.
+    Of one configuration the methods are plain `smi` and `framework`; of several each has its
+    preset's name behind it. Presets that judge the same candidates by the same rule have one
+    `smi`, named for the first of them. Results wait for the longest lag, and for the frames that
+    stage 3 takes at once.
+
+    tracking: the names of the framework's methods. methods: all names.
     """
 
     def __init__(
@@ -34,16 +37,22 @@ class SideBySide:
         model: Judge | None = None,
         poses: PoseTable | None = None,
     ) -> None:
-        several = len(configs) > 1
-        self.methods = [f"{FRAMEWORK}:{c.preset}" if several else FRAMEWORK for c in configs]
-        named = list(zip(configs, self.methods, strict=True))
+        behind = [f":{c.preset}" if len(configs) > 1 else "" for c in configs]
+        self.tracking = [FRAMEWORK + name for name in behind]
+        judged = [(c.candidates, c.smi) for c in configs]
+        single = [
+            SMI + name if same not in judged[:i] else None
+            for i, (same, name) in enumerate(zip(judged, behind, strict=True))
+        ]
+        both = zip(single, self.tracking, strict=True)
+        self.methods = [name for pair in both for name in pair if name is not None]
         self._recognisers = [
-            Recogniser(config, fan, landmarks, model, method, with_smi=i == 0, poses=poses)
-            for i, (config, method) in enumerate(named)
+            Recogniser(config, fan, landmarks, model, method, smi=smi, poses=poses)
+            for config, method, smi in zip(configs, self.tracking, single, strict=True)
         ]
         self._hindsight = [
             Hindsight(method, config, landmarks) if config.features.lag_frames else None
-            for config, method in named
+            for config, method in zip(configs, self.tracking, strict=True)
         ]
         self._lag = max(config.features.lag_frames for config in configs)
         self._followed: list[list[Followed]] = []  # frame by frame

@@ -127,9 +127,7 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
     listed = np.isin(table["frame"], frame)
     names = [str(name) for name in table["method"].categories]
     # A method of a run of ours that found nothing at all is scored as well.
-    expected: tuple[str, ...] = METHODS
-    if isinstance(run.get("config"), list):  # of several presets
-        expected = ("smi", *(f"framework:{preset.get('preset')}" for preset in run["config"]))
+    expected = run.get("program", {}).get("methods", METHODS)
     methods = [m for m in expected if m in names or run]
     methods += [m for m in names if m not in methods]
     renumber = np.array([methods.index(m) for m in names], dtype=np.int64)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Protocol
@@ -11,13 +11,14 @@ from typing import Any, Protocol
 from sonarrec import __version__, config
 from sonarrec.geometry import fan_for_image
 from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
-from sonarrec.records import Clock, Fan, SonarrecError
+from sonarrec.records import Clock, Fan, SonarrecError, UsageError
 from sonarrec.sonar import Sonar, sonar_from_table
 from sonarrec.toml import Count, checked, read_toml, types_of
 
 
 def run_table(
     settings: Sequence[config.Config],
+    methods: Sequence[str],
     sonar: Sonar,
     fan: Fan,
     landmarks: LandmarkSet,
@@ -26,9 +27,10 @@ def run_table(
 ) -> dict[str, Any]:
     """The tables of run.toml: all that is needed to get the same results again.
 
-    sonar: as stated, which serves a run again. source: the input's name, size in bytes and SHA-256.
-    reading: how it was read (`Log.reading`). The fan is written out also where the geometry leaves
-    it to defaults or to the log's messages, so that fan pixels can be read later.
+    methods: names in estimates.csv. sonar: as stated, which serves a run again. source: the
+    input's name, size in bytes and SHA-256. reading: how it was read (`Log.reading`). The fan is
+    written out also where the geometry leaves it to defaults or to the log's messages, so that fan
+    pixels can be read later.
     """
     resolved = Sonar(metres_per_pixel=fan.metres_per_pixel, apex_px=(fan.apex_column, fan.apex_row))
     table = sonar.as_table() | {
@@ -40,7 +42,7 @@ def run_table(
     name, size, digest = source
     tables = [config.as_table(c) for c in settings]
     return {
-        "program": {"name": "sonarrec", "version": __version__},
+        "program": {"name": "sonarrec", "version": __version__, "methods": list(methods)},
         "input": {"name": name, "bytes": size, "sha256": digest, **reading},
         "config": tables if len(tables) > 1 else tables[0],
         "sonar": table,
@@ -69,6 +71,7 @@ _INPUT: dict[str, Any] = {
     "time": Clock,
     "problems": tuple[str, ...],
 }
+_PROGRAM: dict[str, Any] = {"methods": tuple[str, ...]}
 
 
 def read_run(path: Path) -> dict[str, Any]:
@@ -85,6 +88,7 @@ def read_run(path: Path) -> dict[str, Any]:
             checked(run[name], wanted, f"{path}: {name}")
     geometry = types_of(Sonar)
     for name, known in (
+        ("program", _PROGRAM),
         ("input", _INPUT),
         ("odometry", _INPUT),
         ("sonar", geometry),
@@ -110,18 +114,80 @@ def fan_of_run(run: dict[str, Any], path: Path, given: Sonar | None) -> Fan | No
     return fan_for_image(geometry, rows=1, columns=1)
 
 
+@dataclass(frozen=True, slots=True)
+class Stated:
+    """What a run is told beside its settings: by the user, and under that by an earlier run.
+
+    topic, time, odometry_topic: None where neither names one. odometry: what the earlier run used,
+    empty where that was none or the log another. model: its appearance model, None for the
+    built-in one.
+    """
+
+    landmarks: LandmarkSet
+    sonar: Sonar
+    topic: str | None
+    time: Clock | None
+    odometry_topic: str | None
+    odometry: Mapping[str, Any]
+    model: Mapping[str, Any] | None
+
+
+def lay_under(
+    earlier_run: Path | None,
+    log: str,
+    *,
+    landmarks: str | None,
+    sonar: Sonar,
+    sonar_file: Path | None,
+    topic: str | None,
+    time: Clock | None,
+    odometry: Path | None,
+    odometry_topic: str | None,
+) -> Stated:
+    """What the user states of a log, with what an earlier run.toml states laid under it.
+
+    Topic, time and odometry serve only where that run was of the log of this name. A plain
+    settings file has none of the tables and changes nothing. Raises SonarrecError for tables that
+    cannot be used, UsageError where the earlier run had a table of poses that is not given again.
+    """
+    run = {} if earlier_run is None else read_run(earlier_run)
+    landmark_set, sonar = as_run(run, str(earlier_run), landmarks, sonar, sonar_file)
+    same_log = run.get("input", {}).get("name") == log
+    read_as = run["input"] if same_log else {}
+    used = run.get("odometry", {}) if same_log else {}
+    if used and odometry is None:
+        odometry_topic = odometry_topic or used.get("topic")
+        if odometry_topic is None:
+            raise UsageError(
+                f"{earlier_run}: that run used the odometry {used.get('name')}; "
+                "give it again with --odometry"
+            )
+    return Stated(
+        landmark_set,
+        sonar,
+        topic or read_as.get("topic"),
+        time or read_as.get("time"),
+        odometry_topic,
+        used,
+        run.get("model"),
+    )
+
+
 def as_run(
-    run: dict[str, Any],
-    folder: Path,
+    run: Mapping[str, Any],
+    where: str,
     landmarks: str | None,
     sonar: Sonar,
     sonar_file: Path | None,
 ) -> tuple[LandmarkSet, Sonar]:
-    """The landmark set and geometry of the run, under what the user states."""
+    """The landmark set and geometry of a run, under what the user states.
+
+    where: names run.toml in errors (SonarrecError).
+    """
     if "sonar" in run and sonar_file is None:
-        sonar = sonar_from_table(run["sonar"], str(folder / "run.toml")).updated(sonar)
+        sonar = sonar_from_table(run["sonar"], where).updated(sonar)
     if landmarks is None and "landmarks" in run:
-        return landmarks_from_table(run["landmarks"], f"{folder / 'run.toml'}: [landmarks]"), sonar
+        return landmarks_from_table(run["landmarks"], f"{where}: [landmarks]"), sonar
     return load_landmarks(landmarks or "basin"), sonar
 
 

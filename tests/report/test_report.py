@@ -337,7 +337,8 @@ def test_several_presets(tmp_path: Path) -> None:
     assert re.search("framework:(default|paper) less framework:(default|paper)", text)
     assert "framework:paper: " in text
     fault = sonarrec("report", tmp_path / "pan", "--method", "best", code=2).stderr
-    assert "no method 'best'; there is smi, framework:paper, framework:default" in fault
+    there = "smi:paper, framework:paper, smi:default, framework:default"
+    assert f"no method 'best'; there is {there}" in fault
 
 
 def test_every_setting_is_shown(pages: dict[str, Path], results: Path) -> None:

@@ -42,8 +42,8 @@ FIGURES = {
 TESTED = ("tpr", "fpr", "tpr_at_fpr_0.0276")
 # The paper's own question first; then ours against what there is.
 PAIRS = (
-    ("smi", "paper"),
-    ("smi", "default"),
+    ("smi:paper", "paper"),
+    ("smi:default", "default"),
     ("hough", "default"),
     ("paper", "default"),
     ("default", "offline"),

@@ -34,15 +34,15 @@ from tests.studies.baseline import METHOD, HoughSmi, MajorityTracks
 
 PROCESSES = 2
 PRESETS = ("default", "paper", "offline")
-"""As they are run: smi judges the first one's candidates."""
 METHODS = {
-    "smi": SMI,
-    "hough": METHOD,
+    "smi:paper": f"{SMI}:paper",
     "paper": f"{FRAMEWORK}:paper",
+    "smi:default": f"{SMI}:default",
+    "hough": METHOD,
     "default": f"{FRAMEWORK}:default",
     "offline": f"{FRAMEWORK}:offline",
 }
-"""As they are told: short name, and the one in estimates.csv."""
+"""As they are told: short name, and the one in estimates.csv. SMI is named for its candidates."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +65,9 @@ def recognise(job: Job) -> None:
     shutil.rmtree(job.folder, ignore_errors=True)
     recogniser = SideBySide(job.configs, fan, landmarks)
     rival = _Rival(fan, landmarks) if job.rival else None
-    run = run_table(job.configs, scene_sonar(scene), fan, landmarks, (scene.name, 0, ""))
+    source = (scene.name, 0, "")
+    methods = recogniser.methods
+    run = run_table(job.configs, methods, scene_sonar(scene), fan, landmarks, source)
     truth: list[list[object]] = []
     waiting = deque[list[Estimate]]()
     with ResultsWriter(job.folder, landmarks, run) as writer:
