@@ -247,8 +247,9 @@ def _polar_pixels(
     beams = min(sizes)[0] if sonar.bearings_deg is None else len(sonar.bearings_deg)
     if sizes != {(beams, bins)}:
         raise _wrong_size(source, found, f"{beams} beams x {bins} ranges")
-    bearing_deg = np.interp(x, np.arange(beams), beam_bearings(sonar, beams))
-    range_m = np.interp(y, np.arange(bins), bin_ranges(sonar, bins))
+    geometry = sonar.complete(str(source))
+    bearing_deg = np.interp(x, np.arange(beams), beam_bearings(geometry, beams))
+    range_m = np.interp(y, np.arange(bins), bin_ranges(geometry, bins))
     return range_m, -bearing_deg if sonar.flip else bearing_deg
 
 

@@ -339,7 +339,7 @@ def test_a_model_survives_its_file(tmp_path):
     ("text", "told"),
     [
         ("bias = 1.0", "correlation"),
-        ("not toml", "not an appearance model"),
+        ("not toml", "not a readable TOML file"),
         (None, "No such file"),
     ],
 )

@@ -30,7 +30,9 @@ def recording(frames: range) -> list[Frame]:
     log = []
     for i in frames:
         image = cv2.imread(str(BASIN_A / f"{i:06}.png"), cv2.IMREAD_GRAYSCALE)
-        log.append(Frame(i, i * 250_000_000, image, fan_for_image(sonar, *image.shape)))
+        log.append(
+            Frame(i, i * 250_000_000, image, fan_for_image(sonar.complete("test"), *image.shape))
+        )
     return log
 
 
@@ -228,7 +230,7 @@ def tiny_sonar(**changed) -> Sonar:
     ],
 )
 def test_odd_geometry_is_told_in_one_line_or_recognises_nothing(name, sonar, shape):
-    fan = fan_for_image(sonar, *shape)
+    fan = fan_for_image(sonar.complete("test"), *shape)
     rng = np.random.default_rng(0)
     noise = [rng.integers(0, 256, shape, np.uint8) for _ in range(4)]
     log = [Frame(i, i, image, fan) for i, image in enumerate([*noise, np.zeros(shape, np.uint8)])]

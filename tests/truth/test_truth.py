@@ -240,7 +240,11 @@ def test_truth_beyond_the_processed_frames_is_counted_and_said(case: Path) -> No
         ("estimates.csv", ESTIMATES + "0,m,2,0,9,0.5,1\n", "line 4: landmark 9 is not in the set"),
         ("estimates.csv", ESTIMATES.splitlines()[0] + "\n", "names no method to score"),
         ("run.toml", "[sonar\n", "run.toml: not a readable TOML file"),
-        ("run.toml", "[landmarks]\nname = 'x'\n", "run.toml: a landmark set has exactly"),
+        (
+            "run.toml",
+            "[landmarks]\nname = 'x'\n",
+            "run.toml: [landmarks] lacks radius_m, ring, symbol, landmark",
+        ),
     ],
 )
 def test_bad_results(case: Path, name: str, text: str, said: str) -> None:
