@@ -12,7 +12,7 @@ from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.poses import PoseTable
 from sonarrec.recogniser.odometry import Odometry
-from sonarrec.recogniser.plane import Plane
+from sonarrec.recogniser.plane import working_plane
 from sonarrec.recogniser.stage1_candidates import CandidateSelector
 from sonarrec.recogniser.stage2_continuity import ContinuityFilter
 from sonarrec.recogniser.stage3_features.appearance import AppearanceMeasurement, Judge
@@ -82,8 +82,8 @@ class Recogniser:
         rng = np.random.default_rng(config.seed)
         self._config = config
         self._landmarks = landmarks
-        self._plane = plane = Plane(
-            fan, landmarks.radius_m, config.candidates.plane, config.candidates.disc_radius_px
+        self._plane = plane = working_plane(
+            config.candidates.plane, fan, landmarks.radius_m, config.candidates.disc_radius_px
         )
         self._sampler = ShapeSampler(landmarks, plane.axes)
         self._turned = turned_codes(landmarks)

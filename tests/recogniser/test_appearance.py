@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from sonarrec.config import Features
 from sonarrec.landmarks import load_landmarks
-from sonarrec.recogniser.plane import Plane
+from sonarrec.recogniser.plane import FloorPlane
 from sonarrec.recogniser.stage3_features.appearance import AppearanceMeasurement
 from sonarrec.recogniser.stage3_features.description import FEATURES, LIMIT, Describer
 from sonarrec.recogniser.stage3_features.model import AppearanceModel, load_model
@@ -33,7 +33,7 @@ from tests.support.drawn import (
 
 BASIN = load_landmarks("basin")
 FAN = make_fan(512)
-PLANE = Plane(FAN, BASIN.radius_m, "floor", 15.0)
+PLANE = FloorPlane(FAN, BASIN.radius_m, 15.0)
 SAMPLER = ShapeSampler(BASIN, PLANE.axes)
 LINES = len(SAMPLER.radii)
 DESCRIBE = Describer(SAMPLER.bands, SAMPLER.radii, BASIN, alike=0.45)

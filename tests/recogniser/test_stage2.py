@@ -8,7 +8,7 @@ import pytest
 
 from sonarrec import config
 from sonarrec.landmarks import load_landmarks
-from sonarrec.recogniser.plane import Plane
+from sonarrec.recogniser.plane import FanPlane, Plane
 from sonarrec.recogniser.stage1_candidates import CandidateSelector
 from sonarrec.recogniser.stage2_continuity import ContinuityFilter
 from sonarrec.records import Motion, Selection
@@ -16,7 +16,7 @@ from tests.support.drawn import SECTORS, disc_pattern, draw_on_floor, make_fan, 
 
 BASIN = load_landmarks("basin")
 FAN = make_fan(512)
-PLANE = Plane(FAN, BASIN.radius_m, "fan", 15.0)
+PLANE = FanPlane(FAN, BASIN.radius_m)
 DIAMETER = 2 * PLANE.axes[0]
 # The paper's rules with nothing added: only the strikes delete.
 PAPER = dataclasses.replace(
