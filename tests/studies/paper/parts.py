@@ -60,7 +60,7 @@ class Parts:
             groups.numbers,
             groups.positions,
             found.measurement(),
-            found.similarity.max(axis=1) * found.ring,
+            found.score,
             self._config.smi.declare,
         )
         measured = found.measurement(self._config.features.least_ring)
