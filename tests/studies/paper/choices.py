@@ -38,10 +38,11 @@ Table = Mapping[str, Mapping[str, Any]]
 
 LITERAL: Table = {
     "continuity": {"hit_power": 1.0, "least_in_view": 0.0, "z_hit": 0.95, "z_rand": 0.05},
-    "features": {"distance_power": 1.0, "least_ring": 0.0},
+    "features": {"distance_power": 1.0, "least_ring": 0.0, "declare": 0.28},
 }
 """Each formula as it is printed: P_hit the map itself, the inverse of the distance itself, a
-group deleted for its spread alone, and every measurement taken for one."""
+group deleted for its spread alone, and every measurement taken for one. The threshold is the best
+one for this reading, by the rule."""
 MAJORITY = 0.5
 """The outer lines show a circle where more of them is bright than is not: the reading of "three
 outer lines evaluate a circle" that needs no number."""
