@@ -137,7 +137,7 @@ def test_nearest_frame_within_half_an_interval(case: Path) -> None:
         2,
     ]  # 1562 and 1600 both belong to 1750; 1600 is nearer
     assert (truth.between, truth.unprocessed) == (0, 2)
-    assert matched(case, 0.05).row.tolist() == [1]
+    assert matched(case, 0.05).frame_index.tolist() == [1]
     assert matched(case, 0.2).between == 2
 
 
@@ -150,7 +150,7 @@ def test_denser_truth_shows_a_landmark_once_per_frame(case: Path) -> None:
 
 def test_equally_near_stamps_take_the_earlier_with_all_its_rows(case: Path) -> None:
     (case / "gt.csv").write_text("timestamp_ns,landmark\n1010000000,1\n990000000,2\n990000000,3\n")
-    assert sorted(matched(case).landmark.tolist()) == [1, 2]
+    assert sorted(matched(case).landmark_index.tolist()) == [1, 2]
 
 
 def test_time_matching_against_brute_force(case: Path) -> None:
@@ -173,7 +173,7 @@ def test_time_matching_against_brute_force(case: Path) -> None:
 
 def test_frame_numbers_go_before_times(case: Path) -> None:
     (case / "gt.csv").write_text("frame,timestamp_ns,landmark\n3,1000000000,1\n")
-    assert matched(case).row.tolist() == [2]
+    assert matched(case).frame_index.tolist() == [2]
 
 
 # --- Faults of the truth -------------------------------------------------------------------------
