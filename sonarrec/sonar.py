@@ -93,6 +93,11 @@ def load_sonar(path: Path) -> Sonar:
     return sonar_from_table(document["sonar"], str(path))
 
 
+def sonar_from(given: Sonar | Mapping[str, Any] | None) -> Sonar:
+    """The geometry that a program gives: a Sonar, keys of sonar.toml, or nothing."""
+    return given if isinstance(given, Sonar) else sonar_from_table(given or {}, "sonar")
+
+
 def sonar_from_table(table: Mapping[str, Any], where: str) -> Sonar:
     """A Sonar from the keys of a [sonar] table; `where` names it in errors (SonarrecError)."""
     known = {field.name for field in fields(Sonar)}

@@ -95,29 +95,17 @@ def run(
       sonarrec run dive.mcap --odometry-topic /odom
       sonarrec run 'dump/*.png' --preset paper --out results
     """
-    from sonarrec.run import process
+    from sonarrec.pipeline import Used, process
+    from sonarrec.results.run_file import Given
 
     if odometry is not None and odometry_topic is not None:
         raise UsageError("--odometry and --odometry-topic: choose one of the two")
     settings = chosen_settings(preset, config_file, assignments, seed)
-    sonar = sonar_from_flags(flags)
+    given = Given(sonar_from_flags(flags), sonar_file, topic, clock, odometry, odometry_topic)
+    used = Used(settings, landmarks, model, config_file)
     partly = False
     for path in log:
-        summary = process(
-            path,
-            out,
-            settings,
-            landmarks=landmarks,
-            sonar=sonar,
-            sonar_file=sonar_file,
-            earlier_run=config_file,
-            topic=topic,
-            time=clock,
-            odometry=odometry,
-            odometry_topic=odometry_topic,
-            model=model,
-            observe=_progress_bar(quiet),
-        )
+        summary = process(path, out, given, used, _progress_bar(quiet))
         for note in summary.notes:
             click.echo(f"sonarrec: note: {note}", err=True)
         for problem in summary.problems:

@@ -22,14 +22,16 @@ from sonarrec.drawing import (
     draw_strip,
     trails,
 )
+from sonarrec.geometry import pixel_from_plane
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.overlay.foxglove_mcap import FoxgloveFile
 from sonarrec.overlay.video import ImageFolder, VideoFile
 from sonarrec.readers import open_log
 from sonarrec.readers.log import Log
 from sonarrec.records import ByteImage, Estimate, Fan, Frame, SonarrecError, UsageError
-from sonarrec.results.read import read_log
-from sonarrec.results.run_file import as_run, check_same, frames_table, read_run
+from sonarrec.results.read import read_frames, read_log
+from sonarrec.results.run_file import Given, read_run
+from sonarrec.results.same_log import check_same_log, last_frame
 from sonarrec.results.stream import choose_method, read_estimates
 from sonarrec.sonar import Sonar
 from sonarrec.truth.match import match_truth
@@ -81,15 +83,22 @@ def write_overlay(
     _spare_the_log(path, targets)
     folder = _results_folder(path, results)
     run = read_run(folder / "run.toml")
-    landmark_set, sonar = as_run(
-        run, str(folder / "run.toml"), landmarks, sonar or Sonar(), sonar_file
-    )
+    landmark_set = run.landmark_set(landmarks)
+    given = run.lay_under(Given(sonar or Sonar(), sonar_file, topic), same_log=True)
     table = folder / "estimates.csv"
     method = choose_method(table, method)
-    read_as = run.get("input", {})
-    topic, time = topic or read_as.get("topic"), read_as.get("time", "log")
-    with open_log(path, sonar=sonar, sonar_file=sonar_file, topic=topic, time=time) as log:
-        problems = check_same(log, folder, run)
+    with open_log(
+        path,
+        sonar=given.sonar,
+        sonar_file=given.sonar_file,
+        topic=given.topic,
+        time=given.time or "log",
+    ) as log:
+        check_same_log(log, folder, run)
+        problems = []
+        if not run.finished:
+            last = last_frame(folder)
+            problems.append(f"{folder}: the run was cut short; frames after {last} have no results")
         frames = iter(log)
         first = next(frames)  # raises where there is no usable frame
         truth: dict[int, list[Mark]] = {}
@@ -184,7 +193,7 @@ def _results_folder(path: Path, results: Path) -> Path:
 
 def _frame_rate(folder: Path, sonar: Sonar) -> float:
     """Frames per second: of the results' times, else of the sonar, else 10."""
-    times = frames_table(folder).get("timestamp_ns", ())
+    times = read_frames(folder).get("timestamp_ns", ())
     between = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
     return 1e9 / between if between > 0 else sonar.frame_rate_hz or 10.0
 
@@ -210,7 +219,7 @@ def _truth_marks(
     if truth.position is None:
         raise SonarrecError(f"{path}: no positions (x_px,y_px or range_m,bearing_deg) to draw")
     marks: dict[int, list[Mark]] = {}
-    place = truth.position / fan.metres_per_pixel * (1, -1) + (fan.apex_column, fan.apex_row)
-    for row, k, (x, y) in zip(truth.row, truth.landmark, place.tolist(), strict=True):
+    place = pixel_from_plane(fan, truth.position).tolist()
+    for row, k, (x, y) in zip(truth.row, truth.landmark, place, strict=True):
         marks.setdefault(int(log.frame[row]), []).append(Mark(log.landmarks.ids[k], x, y))
     return marks

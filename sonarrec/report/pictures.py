@@ -10,9 +10,11 @@ import cv2
 import numpy as np
 
 from sonarrec.drawing import Mark, draw_frame
+from sonarrec.geometry import pixel_from_plane
 from sonarrec.readers.log import Log
 from sonarrec.records import Estimate, Fan, Frame, SonarrecError
 from sonarrec.report.logs import ReportedLog
+from sonarrec.results.same_log import check_same_log
 from sonarrec.results.stream import read_estimates
 
 LARGEST = 640  # pixels of the longer side; draw_frame lays its text out for this
@@ -51,7 +53,7 @@ def draw(log: Log, reported: ReportedLog, wanted: Sequence[Wanted]) -> dict[Want
     Raises SonarrecError where this is not the log that the results came from, or where it does
     not hold a wanted frame.
     """
-    _check_source(log, reported)
+    check_same_log(log, reported.folder, reported.run)
     numbers = {w.frame for w in wanted}
     pictures: dict[Wanted, Picture] = {}
     said: dict[str, dict[int, tuple[Estimate, ...]]] = {}
@@ -78,16 +80,6 @@ def draw(log: Log, reported: ReportedLog, wanted: Sequence[Wanted]) -> dict[Want
     return pictures
 
 
-def _check_source(log: Log, reported: ReportedLog) -> None:
-    """Frames of another log would be pictures of something else."""
-    stated = reported.run.get("input", {}).get("sha256")
-    if stated is not None and log.digest_source()[1] != stated:
-        raise SonarrecError(
-            f"{log.path}: not the log that {reported.folder} came from (its SHA-256 is not that "
-            "of run.toml); give that one, or none for a report without frames"
-        )
-
-
 def _estimates(
     reported: ReportedLog, method: str, numbers: set[int], fan: Fan
 ) -> dict[int, tuple[Estimate, ...]]:
@@ -102,15 +94,10 @@ def _marks(reported: ReportedLog, frame: Frame) -> list[Mark]:
     if truth is None or truth.position is None:
         return []
     here = found.frame[truth.row] == frame.index
+    place = pixel_from_plane(fan, truth.position[here]).tolist()
     return [
-        Mark(
-            found.landmarks.ids[k],
-            fan.apex_column + right / fan.metres_per_pixel,
-            fan.apex_row - ahead / fan.metres_per_pixel,
-        )
-        for k, (right, ahead) in zip(
-            truth.landmark[here].tolist(), truth.position[here].tolist(), strict=True
-        )
+        Mark(found.landmarks.ids[k], x, y)
+        for k, (x, y) in zip(truth.landmark[here].tolist(), place, strict=True)
     ]
 
 

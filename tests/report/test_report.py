@@ -324,7 +324,7 @@ def test_another_log_is_refused(results: Path, tmp_path: Path) -> None:
     (folder / "000127.png").unlink()
     fault = sonarrec("report", results, "--log", folder, "-o", tmp_path / "x.html", code=1).stderr
     assert fault.startswith("sonarrec: ")
-    assert "not the log that" in fault
+    assert "results of another log" in fault
     assert not (tmp_path / "x.html").exists()
 
 
@@ -585,12 +585,16 @@ def test_sightings_of_the_sample(results: Path) -> None:
     for s in found:
         assert s.track is not None
         frames, scores = zip(*claims[s.landmark, s.track], strict=True)
-        assert (s.first, s.last, s.claims) == (min(frames), max(frames), len(frames))
-        assert s.best == max(scores)
-        assert s.mean == pytest.approx(np.mean(scores))
-        assert scores[frames.index(s.surest)] == s.best
+        assert (s.first_frame, s.last_frame, s.frames_declared) == (
+            min(frames),
+            max(frames),
+            len(frames),
+        )
+        assert s.best_score == max(scores)
+        assert s.mean_score == pytest.approx(np.mean(scores))
+        assert scores[frames.index(s.surest)] == s.best_score
         assert s.right is not None
-        assert 0 <= s.right <= s.claims
+        assert 0 <= s.right <= s.declarations
 
 
 # The drawing

@@ -12,7 +12,7 @@ import numpy as np
 
 from sonarrec.config import preset
 from sonarrec.overlay.overlay import Targets, write_overlay
-from sonarrec.run import process
+from sonarrec.pipeline import run as run_log
 
 SAMPLES = Path(__file__).resolve().parents[2] / "sample_data"
 BUILD = SAMPLES.parent / "build" / "picture"
@@ -22,7 +22,7 @@ SHOWN = (34, 100)
 
 def main() -> None:
     """Run the sample log and draw."""
-    results = process(LOG, BUILD, preset("default"))
+    results = run_log(LOG, BUILD, preset=preset("default"))
     images = BUILD / "frames"
     write_overlay(LOG, Targets(images=images), results=results.folder)
     pictures = [cv2.imread(str(images / f"{number:06d}.png")) for number in SHOWN]
