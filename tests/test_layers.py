@@ -31,7 +31,7 @@ MAY_IMPORT = {
     "zstandard": ("readers.mcap",),
     "flatbuffers": ("mcap_writer",),
     "foxglove_schemas_flatbuffer": ("mcap_writer",),
-    "pandas": ("tables", "report.mistakes"),
+    "pandas": ("tables", "results.frames", "report.mistakes"),
     "matplotlib": ("evaluation.plots", "report.charts", "truth.contact_sheet"),
     "jinja2": ("report.page",),
     "tomli_w": ("results.write", "simulation.simulate"),
