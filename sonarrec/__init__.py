@@ -1,7 +1,22 @@
-"""sonarrec: recognise landmarks in recorded imaging-sonar logs."""
+"""sonarrec: recognise landmarks in recorded imaging-sonar logs.
+
+What a program or a notebook uses is here; each name is loaded when it is first asked for. Paths
+may be texts or Path objects. `sonarrec help python` is a page of examples.
+"""
 
 import os
+from importlib import import_module
 from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sonarrec.config import preset
+    from sonarrec.evaluation.evaluate import evaluate
+    from sonarrec.landmarks import load_landmarks
+    from sonarrec.pipeline import Recogniser, run
+    from sonarrec.readers import open_log
+    from sonarrec.results.frames import read_results
+    from sonarrec.simulation.simulate import simulate
 
 # OpenCV reads it when it is loaded: an image file whose header states more than 4096 x 4096 pixels
 # is refused, before room is made for it.
@@ -11,3 +26,37 @@ os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(2**24))
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 __version__ = version("sonarrec")
+
+_HOMES = {
+    "Recogniser": "pipeline",
+    "evaluate": "evaluation.evaluate",
+    "load_landmarks": "landmarks",
+    "open_log": "readers",
+    "preset": "config",
+    "read_results": "results.frames",
+    "run": "pipeline",
+    "simulate": "simulation.simulate",
+}
+__all__ = [
+    "Recogniser",
+    "__version__",
+    "evaluate",
+    "load_landmarks",
+    "open_log",
+    "preset",
+    "read_results",
+    "run",
+    "simulate",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    found = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

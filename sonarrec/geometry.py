@@ -100,6 +100,18 @@ def plane_position(pair: tuple[str, FloatArray, FloatArray], fan: Fan | None) ->
     return np.column_stack([first * np.sin(bearing), first * np.cos(bearing)])
 
 
+def pixel_from_plane(fan: Fan, position: FloatArray) -> FloatArray:
+    """(rows, 2) column and row in fan pixels of places in the fan plane, as plane_position's."""
+    apex = (fan.apex_column, fan.apex_row)
+    return np.asarray(position / fan.metres_per_pixel * (1, -1) + apex)
+
+
+def polar_from_plane(position: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(slant range in m, bearing in deg) of places in the fan plane, as plane_position's."""
+    right, ahead = position.T
+    return np.hypot(right, ahead), np.degrees(np.arctan2(right, ahead))
+
+
 def in_fan(fan: Fan, range_m: FloatArray, bearing_deg: FloatArray) -> np.ndarray:
     """Which slant ranges and bearings the sonar sees: bool, shapes broadcast."""
     return np.asarray(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -204,6 +204,11 @@ def load_sonar(path: Path) -> Sonar:
     if set(document) != {"sonar"}:
         raise SonarrecError(f"{path}: expected one table [sonar]; like this:\n{EXAMPLE_SONAR_TOML}")
     return sonar_from_table(document["sonar"], str(path))
+
+
+def sonar_from(given: Sonar | Mapping[str, Any] | None) -> Sonar:
+    """The geometry that a program gives: a Sonar, keys of sonar.toml, or nothing."""
+    return given if isinstance(given, Sonar) else sonar_from_table(given or {}, "sonar")
 
 
 def sonar_from_table(table: object, where: str) -> Sonar:

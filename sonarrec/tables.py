@@ -1,17 +1,17 @@
-"""CSV tables, read whole and checked column by column; a fault names file, line and column."""
+"""CSV tables, read whole or in parts and checked; a fault names file, line and column."""
 
 from __future__ import annotations
 
 import itertools
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
 
-from sonarrec.records import FloatArray, SonarrecError
+from sonarrec.records import BoolArray, FloatArray, IntArray, SonarrecError
 
 Kind = Literal["whole", "number", "blank or number", "share", "flag", "text", "label"]
 Table = dict[str, Any]
@@ -29,6 +29,14 @@ POSITION_KINDS: dict[str, Kind] = {
 }
 MOST_COLUMNS = 1_000
 LONGEST_LINE = 64_000
+_OPTIONS: dict[str, Any] = {
+    "encoding": "utf-8-sig",
+    "skipinitialspace": True,
+    "index_col": False,
+    "keep_default_na": False,
+    "na_values": ["", "nan"],
+    "low_memory": False,
+}
 _WORDS = {
     "whole": "a whole number",
     "number": "a finite number",
@@ -47,29 +55,54 @@ def read_table(
     `expected` is the header shown where one of the `required` columns is missing.
     Raises SonarrecError where the file, its header or a cell cannot be used.
     """
+    [(_, table)] = read_tables(path, kinds, required, expected)
+    return table
+
+
+def read_tables(
+    path: Path,
+    kinds: Mapping[str, Kind],
+    required: tuple[str, ...],
+    expected: str,
+    rows: int | None = None,
+) -> Iterator[tuple[int, Table]]:
+    """As `read_table`, at most `rows` rows at a time: (the first one's number from 0, the table).
+
+    Rows before a cell that cannot be used are given before SonarrecError is raised.
+    """
     _check_shape(path)
-    options: dict[str, Any] = {
-        "encoding": "utf-8-sig",
-        "skipinitialspace": True,
-        "index_col": False,
-        "keep_default_na": False,
-        "na_values": ["", "nan"],
-        "low_memory": False,
-    }
+
+    def read(**options: Any) -> Any:
+        return _parsed(path, expected, lambda: pd.read_csv(path, **_OPTIONS, **options))
+
+    header = {str(c).strip(): c for c in read(nrows=0).columns}
+    missing = [name for name in required if name not in header]
+    if missing:
+        raise SonarrecError(
+            f"{path}: wrong columns, no {', '.join(missing)}; found "
+            f"{','.join(header)}; expected a header such as {expected}"
+        )
+    used = {name: header[name] for name in kinds if name in header}
+    text = {c: "category" for n, c in used.items() if kinds[n] == "text"}
+    # Not with `usecols`, which passes over rows that are longer than the header.
+    parts = iter([read(dtype=text)]) if rows is None else read(dtype=text, chunksize=rows)
+    labels: dict[Any, int] = {}
+    first = 0
+    while (part := _parsed(path, expected, lambda: next(parts, None))) is not None:
+        columns = {name: part[column] for name, column in used.items()}
+        table, fault = _table(path, first, columns, kinds, labels)
+        yield first, table
+        if fault is not None:
+            raise fault
+        first += len(part)
+
+
+def _parsed(path: Path, expected: str, read: Callable[[], Any]) -> Any:
+    """What `read` gives. Raises SonarrecError where the file is no table."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", pd.errors.ParserWarning)
-            header = {str(c).strip(): c for c in pd.read_csv(path, nrows=0, **options).columns}
-            missing = [name for name in required if name not in header]
-            if missing:
-                raise SonarrecError(
-                    f"{path}: wrong columns, no {', '.join(missing)}; found "
-                    f"{','.join(header)}; expected a header such as {expected}"
-                )
-            used = {name: header[name] for name in kinds if name in header}
-            text = {c: "category" for n, c in used.items() if kinds[n] == "text"}
-            # Not with `usecols`, which passes over rows that are longer than the header.
-            frame = pd.read_csv(path, dtype=text, **options)
+            return read()
     except FileNotFoundError:
         raise SonarrecError(f"{path}: no such file") from None
     except pd.errors.EmptyDataError:
@@ -79,7 +112,46 @@ def read_table(
             f"{path}: not a readable CSV table ({str(error).strip()}); "
             f"expected a header such as {expected}"
         ) from None
-    return {name: _column(path, name, frame[column], kinds[name]) for name, column in used.items()}
+
+
+def _table(
+    path: Path,
+    first: int,
+    columns: Mapping[str, Any],
+    kinds: Mapping[str, Kind],
+    labels: dict[Any, int],
+) -> tuple[Table, SonarrecError | None]:
+    """The rows up to the first cell that is not of its column's kind, and what is wrong with it.
+
+    first: the file's row that is the first here. labels: those met so far, added to.
+    """
+    values = {name: _values(column, kinds[name], labels) for name, column in columns.items()}
+    end, fault = None, None
+    for name, (array, bad) in values.items():
+        row = int(np.argmax(bad)) if bad.any() else None
+        if row is not None and (end is None or row < end):
+            cell = columns[name].iloc[row]
+            found = "an empty cell or nan" if pd.isna(cell) else repr(str(cell)[:40])
+            wide = kinds[name] == "whole" and np.abs(array[row]) >= 2.0**63
+            line = line_number(path, first + row)
+            fault = SonarrecError(
+                f"{path} line {line}: {name} must be {_WORDS[kinds[name]]}"
+                f"{' below 2^63' if wide else ''}, not {found}"
+            )
+            end = row
+    types = {"whole": np.int64, "flag": np.bool_, "label": np.int64}
+    table = {
+        name: array[:end]
+        if kinds[name] == "text"
+        else np.asarray(array[:end], dtype=types.get(kinds[name], np.float64))
+        for name, (array, _) in values.items()
+    }
+    return table, fault
+
+
+def cut(table: Table, rows: int) -> Table:
+    """The first `rows` rows of a table."""
+    return {name: column[:rows] for name, column in table.items()}
 
 
 def _check_shape(path: Path) -> None:
@@ -117,48 +189,46 @@ def line_number(path: Path, row: int) -> int:
         return next(itertools.islice(filled, row + 1, None), row + 2)
 
 
-def _column(path: Path, name: str, column: Any, kind: Kind) -> Any:
-    """The column as an array of its kind; SonarrecError at the first cell that is not."""
+def _values(column: Any, kind: Kind, labels: dict[Any, int]) -> tuple[Any, BoolArray]:
+    """(the column's values, which of its cells are not of its kind)."""
+    blank = column.isna().to_numpy()
+    if kind == "text":
+        return column.array, blank
     if kind == "label":
-        if column.dtype.kind == "i":
-            return column.to_numpy(dtype=np.int64)
-        return pd.factorize(column)[0]
-    if kind == "text":
-        bad = column.isna().to_numpy()
-        values = column.cat
+        return _numbered(column, blank, labels), np.zeros(len(column), dtype=bool)
+    if column.dtype.kind == "b" and kind == "flag":
+        return column.to_numpy(), np.zeros(len(column), dtype=bool)
+    if column.dtype.kind in "iu" and column.dtype != np.uint64:
+        values = column.to_numpy(dtype=np.int64)
     else:
-        if column.dtype.kind == "b" and kind == "flag":
-            return column.to_numpy()
-        if column.dtype.kind in "iu" and column.dtype != np.uint64:
-            values = column.to_numpy(dtype=np.int64)
-        else:
-            try:
-                values = pd.to_numeric(column, errors="coerce").to_numpy(dtype=float)
-            except OverflowError:  # of hundreds of digits
-                values = pd.to_numeric(column.astype(str), errors="coerce").to_numpy(dtype=float)
-        bad = ~np.isfinite(values)
-        if kind in ("blank or number", "share"):
-            bad &= ~column.isna().to_numpy()
-            if kind == "share":
-                bad |= (values < 0) | (values > 1)
-        elif kind == "whole":
-            # Beyond 2**63 a float would wrap round in silence.
-            bad |= (values != np.floor(values)) | (np.abs(values) >= 2.0**63)
-        elif kind == "flag":
-            bad |= (values != 0) & (values != 1)
-    if bad.any():
-        row = int(np.argmax(bad))
-        cell = column.iloc[row]
-        found = "an empty cell or nan" if pd.isna(cell) else repr(str(cell)[:40])
-        bound = " below 2^63" if kind == "whole" and np.abs(values[row]) >= 2.0**63 else ""
-        raise SonarrecError(
-            f"{path} line {line_number(path, row)}: {name} must be {_WORDS[kind]}{bound}, "
-            f"not {found}"
-        )
-    if kind == "text":
-        return column.array
-    types = {"whole": np.int64, "flag": np.bool_}
-    return np.asarray(values, dtype=types.get(kind, np.float64))
+        try:
+            values = pd.to_numeric(column, errors="coerce").to_numpy(dtype=float)
+        except OverflowError:  # of hundreds of digits
+            values = pd.to_numeric(column.astype(str), errors="coerce").to_numpy(dtype=float)
+    bad = ~np.isfinite(values)
+    if kind in ("blank or number", "share"):
+        bad &= ~blank
+        if kind == "share":
+            bad |= (values < 0) | (values > 1)
+    elif kind == "whole":
+        # Beyond 2**63 a float would wrap round in silence.
+        bad |= (values != np.floor(values)) | (np.abs(values) >= 2.0**63)
+    elif kind == "flag":
+        bad |= (values != 0) & (values != 1)
+    return values, bad
+
+
+def _numbered(column: Any, blank: BoolArray, labels: dict[Any, int]) -> IntArray:
+    """Labels as numbers: see Table."""
+    if column.dtype.kind == "i":
+        return np.asarray(column.to_numpy(dtype=np.int64))
+    if column.dtype.kind == "f":
+        values = np.where(blank, -1.0, column.to_numpy(dtype=float))
+        if ((values == np.floor(values)) & (np.abs(values) < 2.0**63)).all():
+            return values.astype(np.int64)
+    codes, names = pd.factorize(column)
+    numbers = [labels.setdefault(name, len(labels)) for name in names]
+    return np.asarray(np.array([*numbers, -1], dtype=np.int64)[codes])
 
 
 def position_pair(path: Path, table: Table) -> tuple[str, FloatArray, FloatArray] | None:

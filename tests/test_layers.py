@@ -15,7 +15,7 @@ FLOORS = (
     {"config", "sonar", "landmarks", "poses", "tables"},
     {"geometry"},
     {"recogniser", "readers", "results", "drawing"},
-    {"run", "truth", "simulation"},
+    {"pipeline", "truth", "simulation"},
     {"evaluation", "overlay", "learning"},
     {"report"},
     {"cli"},
@@ -33,7 +33,7 @@ MAY_IMPORT = {
     "google": ("readers.mcap.foxglove",),  # protobuf
     "msgspec": ("toml",),
     "tomllib": ("toml",),
-    "pandas": ("tables", "report.logs", "report.mistakes"),
+    "pandas": ("tables", "results.frames", "report.mistakes"),
     "matplotlib": ("evaluation.plots", "report.charts", "truth.contact_sheet"),
     "jinja2": ("report.page",),
     "tomli_w": ("results.write", "simulation.simulate"),
@@ -52,7 +52,7 @@ MAY_IMPORT = {
 }
 """Of each package but numpy the modules that may import it, by how their names begin."""
 # What `sonarrec --help`, `run` and `simulate` load; heavy packages must not come with it.
-LIGHT = ("cli", "run", "simulation.simulate", "readers.mcap.images", "readers.mcap.poses")
+LIGHT = ("cli", "pipeline", "simulation.simulate", "readers.mcap.images", "readers.mcap.poses")
 HEAVY = {"pandas", "matplotlib", "scipy", "rosbags", "google"}
 
 Sources = dict[str, str]
@@ -202,11 +202,19 @@ def test_imports_run_downward_only() -> None:
 @pytest.mark.parametrize(
     ("module", "line", "told"),
     [
-        ("geometry", "from sonarrec.run import process", "geometry imports uphill from run"),
+        (
+            "geometry",
+            "from sonarrec.pipeline import process",
+            "geometry imports uphill from pipeline",
+        ),
         ("records", "from sonarrec import config", "records imports uphill from config"),
         ("readers.log", "import sonarrec.results.write", "uphill from results.write"),
         ("recogniser.plane", "def f():\n    from sonarrec.readers import open_log", "from readers"),
-        ("truth.check", "from sonarrec.run import process", "truth.check imports uphill from run"),
+        (
+            "truth.check",
+            "from sonarrec.pipeline import process",
+            "truth.check imports uphill from pipeline",
+        ),
         (
             "recogniser.stage2_continuity",
             "from sonarrec.recogniser.stage3_features.smi import identify",
@@ -219,13 +227,13 @@ def test_imports_run_downward_only() -> None:
         ),
         ("evaluation.joined", "from . import passes", "relative import"),
         ("evaluation.joined", "from sonarrec.evaluation import passes", "import each other"),
-        ("run", "import click", "run must not import click"),
+        ("pipeline", "import click", "pipeline must not import click"),
         ("readers.log", "from tqdm import tqdm", "readers.log must not import tqdm"),
         ("readers.images", "import mcap.reader", "readers.images must not import mcap"),
         ("simulation.world", "def f():\n    import pandas", "must not import pandas"),
         ("results.read", "import requests", "results.read must not import requests"),
-        ("run", "from sonarrec.tables import read_table", "run loads pandas, by tables"),
-        ("cli.run", "from sonarrec.run import process", "before a command is run"),
+        ("pipeline", "from sonarrec.tables import read_table", "pipeline loads pandas, by tables"),
+        ("cli.run", "from sonarrec.pipeline import process", "before a command is run"),
         ("", "from sonarrec.readers import open_log", "nothing of ours as it is loaded"),
     ],
 )

@@ -81,11 +81,13 @@ def run(
       sonarrec run pings/ --odometry poses.csv --model my.toml
       sonarrec run 'dump/*.png' --preset paper -o results
     """
-    from sonarrec.run import process
+    from sonarrec.pipeline import Used, process
+    from sonarrec.results.run_file import Given
 
     if odometry is not None and odometry_topic is not None:
         raise UsageError("--odometry and --odometry-topic: choose one of the two")
-    configs, reading = settings.configs(), log_choice.arguments()
+    given = Given(**log_choice.arguments(), odometry=odometry, odometry_topic=odometry_topic)
+    used = Used(settings.configs(), landmarks, model, settings.file)
     partly = False
     for path in log:
         with progress(quiet) as step:
@@ -93,18 +95,7 @@ def run(
             def observe(result: FrameResult, total: int | None) -> None:
                 step(total, f"{result.tracks} tracks in view")
 
-            summary = process(
-                path,
-                out,
-                configs,
-                **reading,
-                landmarks=landmarks,
-                earlier_run=settings.file,
-                odometry=odometry,
-                odometry_topic=odometry_topic,
-                model=model,
-                observe=observe,
-            )
+            summary = process(path, out, given, used, observe)
         tell(summary.problems, summary.notes)
         partly |= bool(summary.problems)
         if not quiet:

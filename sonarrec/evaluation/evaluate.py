@@ -46,8 +46,8 @@ class Pair:
 
 
 def evaluate(
-    results: Path,
-    ground_truth: Path,
+    results: str | Path,
+    ground_truth: str | Path,
     *,
     min_visible: float = 0.9,
     tolerance_s: float | None = None,
@@ -74,6 +74,7 @@ def evaluate(
 
     Raises SonarrecError where files cannot be used or have no frame in common.
     """
+    results, ground_truth = Path(results), Path(ground_truth)
     check_options(min_visible, tolerance_s)
     table = read_truth(ground_truth)
     folders = find_logs(results)

@@ -27,9 +27,10 @@ from sonarrec.overlay.foxglove_mcap import FoxgloveFile
 from sonarrec.overlay.video import ImageFolder, VideoFile
 from sonarrec.readers import open_log
 from sonarrec.readers.log import Log
-from sonarrec.records import ByteImage, Estimate, Fan, Frame, SonarrecError, UsageError
-from sonarrec.results.read import read_log
-from sonarrec.results.run_file import as_run, check_same, frames_table, read_run
+from sonarrec.records import Estimate, Fan, Frame, SonarrecError, UsageError
+from sonarrec.results.read import read_frames, read_log
+from sonarrec.results.run_file import Given, read_run
+from sonarrec.results.same_log import check_same_log, last_frame
 from sonarrec.results.stream import choose_method, read_estimates
 from sonarrec.sonar import Sonar
 from sonarrec.truth.match import match_truth
@@ -81,28 +82,25 @@ def write_overlay(
     _spare_the_log(path, targets)
     folder = _results_folder(path, results)
     run = read_run(folder / "run.toml")
-    landmark_set, sonar = as_run(
-        run, str(folder / "run.toml"), landmarks, sonar or Sonar(), sonar_file
-    )
+    landmark_set = run.landmark_set(landmarks)
+    given = run.lay_under(Given(sonar or Sonar(), sonar_file, topic), same_log=True)
     table = folder / "estimates.csv"
     method = choose_method(table, method)
-    read_as = run.get("input", {})
-    topic, time = topic or read_as.get("topic"), read_as.get("time", "log")
-    with open_log(path, sonar=sonar, sonar_file=sonar_file, topic=topic, time=time) as log:
-        problems = check_same(log, folder, run)
+    time = given.time or "log"
+    with open_log(
+        path, sonar=given.sonar, sonar_file=given.sonar_file, topic=given.topic, time=time
+    ) as log:
+        check_same_log(log, folder, run)
+        problems = [] if run.finished else [_cut_short(folder)]
         frames = iter(log)
         first = next(frames)  # raises where there is no usable frame
-        truth: dict[int, list[Mark]] = {}
-        if ground_truth is not None:
-            truth = _truth_marks(ground_truth, folder, landmarks, log.sonar, first.fan)
+        truth = _truth_marks(ground_truth, folder, landmarks, log.sonar, first.fan)
         rows = read_estimates(table, method, landmark_set, first.fan)
         history: deque[Moment] = deque(maxlen=STRIP_FRAMES)
         written = 0
         with ExitStack() as stack:
             annotations, pictures = _open_targets(targets, stack, log, first, landmark_set, folder)
-            for frame, estimates in _with_estimates(chain([first], frames), rows):
-                if span[1] is not None and frame.index >= span[1]:
-                    break
+            for frame, estimates in _with_estimates(chain([first], frames), rows, span[1]):
                 history.append(Moment(frame.index, frame.timestamp_ns, estimates))
                 if observe is not None:
                     observe(log.frame_count)
@@ -112,23 +110,32 @@ def write_overlay(
                 marks = truth.get(frame.index, [])
                 if annotations is not None:
                     annotations.write(frame, estimates, trails(history), marks)
-                if pictures:
-                    picture = _picture(frame, history, landmark_set, marks)
-                    for target in pictures:
-                        target.write(frame.index, picture)
+                _write_pictures(pictures, frame, history, landmark_set, marks)
         problems += log.problems
     if not written:
         raise UsageError(f"{path}: no frame lies in --frames {span[0]}:{span[1] or ''}")
     return Overlaid(method, written, problems)
 
 
-def _picture(
-    frame: Frame, history: Sequence[Moment], landmarks: LandmarkSet, marks: Sequence[Mark]
-) -> ByteImage:
-    """The frame drawn, above its strip; history: up to this frame."""
+def _cut_short(folder: Path) -> str:
+    return f"{folder}: the run was cut short; frames after {last_frame(folder)} have no results"
+
+
+def _write_pictures(
+    targets: Sequence[VideoFile | ImageFolder],
+    frame: Frame,
+    history: Sequence[Moment],
+    landmarks: LandmarkSet,
+    marks: Sequence[Mark],
+) -> None:
+    """Write the frame drawn, above its strip; history: up to this frame."""
+    if not targets:
+        return
     estimates, paths = history[-1].estimates, trails(history)
     drawn = draw_frame(frame.image, frame.fan, landmarks, estimates, paths=paths, truth=marks)
-    return draw_picture(drawn, draw_strip(history, landmarks, max(drawn.shape[1], 512)))
+    picture = draw_picture(drawn, draw_strip(history, landmarks, max(drawn.shape[1], 512)))
+    for target in targets:
+        target.write(frame.index, picture)
 
 
 def _open_targets(
@@ -184,26 +191,30 @@ def _results_folder(path: Path, results: Path) -> Path:
 
 def _frame_rate(folder: Path, sonar: Sonar) -> float:
     """Frames per second: of the results' times, else of the sonar, else 10."""
-    times = frames_table(folder).get("timestamp_ns", ())
+    times = read_frames(folder).get("timestamp_ns", ())
     between = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
     return 1e9 / between if between > 0 else sonar.frame_rate_hz or 10.0
 
 
 def _with_estimates(
-    frames: Iterable[Frame], rows: Iterator[tuple[int, tuple[Estimate, ...]]]
+    frames: Iterable[Frame], rows: Iterator[tuple[int, tuple[Estimate, ...]]], end: int | None
 ) -> Iterator[tuple[Frame, tuple[Estimate, ...]]]:
-    """Every frame with its estimates; both come in rising order."""
+    """Every frame before `end` with its estimates; both come in rising order."""
     at, estimates = -1, tuple[Estimate, ...]()
     for frame in frames:
+        if end is not None and frame.index >= end:
+            break
         while at < frame.index:
             at, estimates = next(rows, (sys.maxsize, ()))
         yield frame, estimates if at == frame.index else ()
 
 
 def _truth_marks(
-    path: Path, folder: Path, landmarks: str | None, sonar: Sonar, fan: Fan
+    path: Path | None, folder: Path, landmarks: str | None, sonar: Sonar, fan: Fan
 ) -> dict[int, list[Mark]]:
     """The landmarks in view by frame. Raises SonarrecError where gt.csv has no positions."""
+    if path is None:
+        return {}
     pixels = Sonar(metres_per_pixel=fan.metres_per_pixel, apex_px=(fan.apex_column, fan.apex_row))
     log = read_log(folder, landmarks, sonar.updated(pixels))
     truth = match_truth(read_truth(path), log)

@@ -2,30 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 from sonarrec.readers.find import find_log
 from sonarrec.readers.log import Log
 from sonarrec.records import Clock, SonarrecError, UsageError
-from sonarrec.sonar import Sonar
+from sonarrec.sonar import Sonar, sonar_from
 
 
 def open_log(
     path: str | Path,
     *,
-    sonar: Sonar | None = None,
-    sonar_file: Path | None = None,
+    sonar: Sonar | Mapping[str, Any] | None = None,
+    sonar_file: str | Path | None = None,
     topic: str | None = None,
     time: Clock = "log",
 ) -> Log:
     """Open a folder of images, a glob of images, a video or an MCAP file.
 
-    sonar: keys that win over those in files. sonar_file: in place of the sonar.toml beside the
-    log (for a folder or glob `sonar.toml` beside the images; for one file `NAME.sonar.toml`, else
-    `sonar.toml` in its folder). topic: the image channel of an MCAP file. time: which of the times
-    in it names a frame; frames come in the order of log time whatever it is.
+    sonar: keys that win over those in files, such as {"tilt_deg": 20.0}. sonar_file: in place of
+    the sonar.toml beside the log (for a folder or glob `sonar.toml` beside the images; for one file
+    `NAME.sonar.toml`, else `sonar.toml` in its folder). topic: the image channel of an MCAP file.
+    time: which of the times in it names a frame; frames come in the order of log time whatever it
+    is.
     Raises SonarrecError where the log or its geometry cannot be used, UsageError where the topic
     or time cannot be meant.
     """
@@ -36,7 +38,8 @@ def open_log(
         raise UsageError(f"{path}: time is {time!r}, not one of {', '.join(get_args(Clock))}")
     if time != "log" and not source.reader.has_topics:
         raise UsageError(f"{path}: --time chooses a clock of an MCAP file; this is none")
-    resolved, where = source.stated_sonar(sonar or Sonar(), sonar_file)
+    file = None if sonar_file is None else Path(sonar_file)
+    resolved, where = source.stated_sonar(sonar_from(sonar), file)
     raw = source.open(topic)
     if resolved.layout is None:
         resolved = replace(resolved, layout="polar" if raw.polar else "fan")

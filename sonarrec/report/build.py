@@ -15,7 +15,8 @@ from sonarrec.report.logs import ReportedLog, read_logs, sightings
 from sonarrec.report.mistakes import episodes, told
 from sonarrec.report.page import render
 from sonarrec.report.pictures import Picture, Wanted, draw
-from sonarrec.sonar import Sonar, sonar_from_table
+from sonarrec.results.run_file import Given
+from sonarrec.sonar import Sonar
 from sonarrec.truth.table import read_truth
 
 MOST_SEEN = 3
@@ -114,10 +115,9 @@ def _draw_all(
     for log in logs:
         mine = [w for w in wanted if w.log == log.results.name]
         if mine:
-            geometry = sonar_from_table(log.run.get("sonar", {}), str(log.folder / "run.toml"))
-            source = sources[log.results.name]
-            channel = topic or log.run.get("input", {}).get("topic")
-            with open_log(source, sonar=geometry.updated(sonar), topic=channel) as recording:
+            given = log.run.lay_under(Given(sonar, topic=topic), same_log=True)
+            source, time = sources[log.results.name], given.time or "log"
+            with open_log(source, sonar=given.sonar, topic=given.topic, time=time) as recording:
                 drawn |= draw(recording, log, mine)
     return [drawn[w] for w in wanted]
 
@@ -161,7 +161,7 @@ def _wanted(logs: Sequence[ReportedLog], evaluation: Evaluation | None) -> list[
 
 def _surest(log: ReportedLog) -> list[tuple[int, str]]:
     """(frame, what is seen there) of each sighting; without any, of what came nearest to one."""
-    found = [(s.surest, f"ID.{s.landmark}, score {s.best:.2f}") for s in sightings(log)]
+    found = [(s.surest, f"ID.{s.landmark}, score {s.best_score:.2f}") for s in sightings(log)]
     mine = np.flatnonzero(log.of_method(log.tracker))
     if found or not len(mine):
         return found

@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from sonarrec.evaluation.joined import join, nearest_truth
 from sonarrec.records import BoolArray, FloatArray, IntArray, SonarrecError, UsageError
 from sonarrec.results.read import LogResults, find_logs, read_log
-from sonarrec.results.run_file import read_run
+from sonarrec.results.run_file import RunFile, read_run
+from sonarrec.results.sightings import Sighting, Sightings
 from sonarrec.sonar import Sonar
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import TruthTable
@@ -29,8 +28,7 @@ class ReportedLog:
     tracker: str
     """The method that the page follows."""
     truth: Truth | None
-    run: dict[str, Any]
-    """run.toml as tables, {} without."""
+    run: RunFile
     time: FloatArray
     """(F,) seconds since the first frame, or frame numbers where no times are given."""
     clock: str
@@ -41,33 +39,16 @@ class ReportedLog:
     in_view: BoolArray | None
     """(F, K) which landmarks count as in view; None without truth."""
 
+    def seconds(self, timestamp_ns: int) -> float:
+        """Since the first frame, of a log that tells times."""
+        assert self.results.timestamp_ns is not None
+        return (timestamp_ns - int(self.results.timestamp_ns[0])) / 1e9
+
     def of_method(self, name: str) -> BoolArray:
         """(N,) which estimates are the method's."""
         if name not in self.results.methods:
             return np.zeros(len(self.results.row), dtype=bool)
         return np.asarray(self.results.method == self.results.methods.index(name))
-
-
-@dataclass(frozen=True, slots=True)
-class Sighting:
-    """One landmark as one track declared it."""
-
-    landmark: int
-    """ID."""
-    track: int | None
-    """Number, None for a method without tracks."""
-    first_frame_index: int
-    last_frame_index: int
-    """Into the log's frames."""
-    claims: int
-    """Frames in which it was declared."""
-    best: float
-    mean: float
-    """Score of those."""
-    surest: int
-    """Frame number of the best."""
-    right: int | None
-    """How many of the claims have that ID's truth beneath them; None where unknown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,39 +148,20 @@ def sightings(log: ReportedLog) -> list[Sighting]:
     """What the tracker declared, in order of first sight: one entry per ID and track."""
     found = log.results
     mine = np.flatnonzero(log.of_method(log.tracker) & found.declared)
+    mine = mine[np.argsort(found.row[mine], kind="stable")]
     tracked = follows(log.tracker) and bool((found.object[mine] >= 0).all())
-    claims = pd.DataFrame(
-        {
-            "landmark": found.landmark[mine],
-            "track": found.object[mine] if tracked else 0,
-            "row": found.row[mine],
-            "score": found.score[mine],
-            "right": 0 if log.truth_near is None else log.truth_near[mine] == found.landmark[mine],
-        }
-    )
-    told = claims.groupby(["landmark", "track"], as_index=False).agg(
-        first=("row", "min"),
-        last=("row", "max"),
-        claims=("row", "nunique"),
-        best=("score", "max"),
-        mean=("score", "mean"),
-        surest=("score", "idxmax"),
-        right=("right", "sum"),
-    )
-    return [
-        Sighting(
-            landmark=found.landmarks.ids[row.landmark],
-            track=int(row.track) if tracked else None,
-            first_frame_index=int(row.first),
-            last_frame_index=int(row.last),
-            claims=int(row.claims),
-            best=float(row.best),
-            mean=float(row.mean),
-            surest=int(found.frame[claims["row"][row.surest]]),
-            right=None if log.truth_near is None else int(row.right),
+    gathered = Sightings(log.tracker)
+    for n in mine.tolist():
+        row, landmark_index = found.row[n], found.landmark[n]
+        gathered.declared(
+            int(found.frame[row]),
+            0 if found.timestamp_ns is None else int(found.timestamp_ns[row]),
+            found.landmarks.ids[landmark_index],
+            int(found.object[n]) if tracked else None,
+            float(found.score[n]),
+            None if log.truth_near is None else bool(log.truth_near[n] == landmark_index),
         )
-        for row in told.sort_values(["first", "track"]).itertuples()
-    ]
+    return gathered.found()
 
 
 def tracks(log: ReportedLog, most: int) -> tuple[list[Track], int]:

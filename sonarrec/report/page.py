@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -20,9 +20,10 @@ from sonarrec.evaluation.plots import COLOURS
 from sonarrec.evaluation.summary import UNITS, summarise
 from sonarrec.evaluation.uncertainty import LEVEL
 from sonarrec.report import charts
-from sonarrec.report.logs import ReportedLog, Sighting, Track, sightings, tracks, true_landmark
+from sonarrec.report.logs import ReportedLog, Track, sightings, tracks, true_landmark
 from sonarrec.report.mistakes import Episode, episodes, protocol_of_mistakes, told
 from sonarrec.report.pictures import Picture
+from sonarrec.results.sightings import Sighting
 
 MOST_TRACKS = 12
 MOST_SIGHTINGS = 40
@@ -185,7 +186,7 @@ def _log_view(log: ReportedLog, most_tracks: int) -> LogView:
     return LogView(
         log=log,
         facts=list(_facts(log)),
-        problems=[str(p) for p in log.run.get("input", {}).get("problems", [])],
+        problems=list(log.run.input.problems),
         timeline=rows,
         time_ticks=charts.time_axis(log)[0].ticks(),
         unseen=[i for k, i in enumerate(log.results.landmarks.ids) if k not in seen],
@@ -193,7 +194,7 @@ def _log_view(log: ReportedLog, most_tracks: int) -> LogView:
         sightings_left=len(found[MOST_SIGHTINGS:]),
         tracks=[_track_view(log, track) for track in shown],
         tracks_in_all=in_all,
-        settings=list(settings_tables(log.run)),
+        settings=list(settings_tables(log.run.table)),
     )
 
 
@@ -207,15 +208,11 @@ def _facts(log: ReportedLog) -> Iterator[tuple[str, str]]:
     if found.timestamp_ns is not None and found.timestamp_ns[0] > 10**17:  # years after 1970
         start = datetime.fromtimestamp(int(found.timestamp_ns[0]) // 10**9, UTC)
         yield "start", f"{start:%Y-%m-%d %H:%M:%S} UTC"
-    sonar = run.get("sonar", {})
-    if {"range_min_m", "range_max_m"} <= set(sonar):
-        yield "range window", f"{sonar['range_min_m']:g} to {sonar['range_max_m']:g} m"
-    if "tilt_deg" in sonar:
-        yield "tilt", f"{sonar['tilt_deg']:g} deg"
+    if found.fan is not None:
+        yield "range window", f"{found.fan.range_min_m:g} to {found.fan.range_max_m:g} m"
+        yield "tilt", f"{found.fan.tilt_deg:g} deg"
     yield "landmark set", f"{found.landmarks.name}, radius {found.landmarks.radius_m:g} m"
-    configs = run.get("config", {})
-    configs = configs if isinstance(configs, list) else [configs]
-    presets = [str(config["preset"]) for config in configs if "preset" in config]
+    presets = [str(config["preset"]) for config in run.configs if "preset" in config]
     if presets:
         yield "preset" + "s" * (len(presets) > 1), ", ".join(presets)
 
@@ -242,7 +239,7 @@ def _track_view(log: ReportedLog, track: Track) -> TrackView:
 
 
 def settings_tables(
-    table: dict[str, Any], name: str = "run"
+    table: Mapping[str, Any], name: str = "run"
 ) -> Iterator[tuple[str, list[tuple[str, str]]]]:
     """run.toml as (table name, its plain keys and values), tables within tables after it."""
     plain = {key: value for key, value in table.items() if not _is_nested(value)}

@@ -13,7 +13,7 @@ from sonarrec.drawing import Mark, draw_frame
 from sonarrec.readers.log import Log
 from sonarrec.records import Estimate, Fan, Frame, SonarrecError
 from sonarrec.report.logs import ReportedLog
-from sonarrec.results.run_file import check_same
+from sonarrec.results.same_log import check_same_log
 from sonarrec.results.stream import read_estimates
 
 LARGEST = 640  # pixels of the longer side; draw_frame lays its text out for this
@@ -52,7 +52,7 @@ def draw(log: Log, reported: ReportedLog, wanted: Sequence[Wanted]) -> dict[Want
     Raises SonarrecError where this is not the log that the results came from, or where it does
     not hold a wanted frame.
     """
-    check_same(log, reported.folder, reported.run)
+    check_same_log(log, reported.folder, reported.run)
     numbers = {w.frame for w in wanted}
     pictures: dict[Wanted, Picture] = {}
     said: dict[str, dict[int, tuple[Estimate, ...]]] = {}

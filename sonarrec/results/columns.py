@@ -1,35 +1,85 @@
-"""The columns of frames.csv and estimates.csv."""
+"""The columns of frames.csv and estimates.csv, each once: its name, how it is written and read."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Generic, TypeVar
 
-FRAME_COLUMNS = (
-    "frame",
-    "timestamp_ns",
-    "candidates",
-    "tracks",
-    "log_time_ns",
-    "publish_time_ns",
-    "header_stamp_ns",
+from sonarrec.records import Estimate, FrameResult, Stamps
+
+if TYPE_CHECKING:
+    from sonarrec.tables import Kind  # with pandas, which a run does not need
+
+Part = TypeVar("Part")
+
+
+@dataclass(frozen=True, slots=True)
+class Column(Generic[Part]):
+    """One column.
+
+    written: the cell, of a frame's result and of the part of it that has a row of its own.
+    kind: what a cell must be when it is read back; None: it is left alone. needed: another
+    program's table must have it too.
+    """
+
+    name: str
+    written: Callable[[FrameResult, Part], object]
+    kind: Kind | None = None
+    needed: bool = False
+
+
+FRAME_COLUMNS: tuple[Column[Stamps], ...] = (
+    Column("frame", lambda r, _: r.index, "whole", needed=True),
+    Column("timestamp_ns", lambda r, _: r.timestamp_ns, "whole"),
+    Column("candidates", lambda r, _: r.candidates),
+    Column("tracks", lambda r, _: r.tracks),
+    Column("log_time_ns", lambda _, s: s.log),
+    Column("publish_time_ns", lambda _, s: s.publish),
+    Column("header_stamp_ns", lambda _, s: s.header),
 )
+FRAMES_HEADER = "frame,timestamp_ns"
+ESTIMATES_HEADER = "frame,method,range_m,bearing_deg,landmark,score,declared"
+"""The headers shown to who has others: the least that can be scored."""
 
 
-def estimate_columns(ids: Sequence[int]) -> list[str]:
-    """The header of estimates.csv for a landmark set's IDs."""
-    place = ["x_px", "y_px", "range_m", "bearing_deg", "orientation_deg", "existence"]
-    beliefs = [f"p_{i}" for i in ids] + ["p_none"]
-    return [
-        "frame",
-        "timestamp_ns",
-        "method",
-        "object",
-        *place,
-        *beliefs,
-        "landmark",
-        "score",
-        "declared",
-        "range_sigma_m",
-        "bearing_sigma_deg",
-        "orientation_sigma_deg",
-    ]
+def estimate_columns(ids: Sequence[int]) -> tuple[Column[Estimate], ...]:
+    """The columns of estimates.csv for a landmark set's IDs, in order."""
+    return (
+        Column("frame", lambda r, _: r.index, "whole", needed=True),
+        Column("timestamp_ns", lambda r, _: r.timestamp_ns),
+        Column("method", lambda _, e: e.method, "text", needed=True),
+        Column("object", lambda _, e: e.object, "label"),
+        Column("x_px", lambda _, e: f"{e.x_px:.2f}", "blank or number"),
+        Column("y_px", lambda _, e: f"{e.y_px:.2f}", "blank or number"),
+        Column("range_m", lambda _, e: f"{e.range_m:.4f}", "blank or number"),
+        Column("bearing_deg", lambda _, e: f"{e.bearing_deg:.3f}", "blank or number"),
+        Column("orientation_deg", lambda _, e: f"{e.orientation_deg:.1f}", "blank or number"),
+        Column("existence", lambda _, e: f"{e.existence:.4f}", "blank or number"),
+        *(_belief(name, k) for k, name in enumerate(belief_names(ids))),
+        Column("landmark", lambda _, e: e.landmark, "whole", needed=True),
+        Column("score", lambda _, e: f"{e.score:.6f}", "number", needed=True),
+        Column("declared", lambda _, e: int(e.declared), "flag", needed=True),
+        Column("range_sigma_m", lambda _, e: f"{e.range_sigma_m:.4f}"),
+        Column("bearing_sigma_deg", lambda _, e: f"{e.bearing_sigma_deg:.3f}"),
+        Column("orientation_sigma_deg", lambda _, e: f"{e.orientation_sigma_deg:.1f}"),
+    )
+
+
+def belief_names(ids: Sequence[int]) -> list[str]:
+    """The columns of Estimate.probabilities, in its order."""
+    return [f"p_{i}" for i in ids] + ["p_none"]
+
+
+def _belief(name: str, k: int) -> Column[Estimate]:
+    return Column(name, lambda _, e: f"{e.probabilities[k]:.6f}", "share")
+
+
+def kinds(columns: Iterable[Column[Part]]) -> dict[str, Kind]:
+    """The columns that are read back, with what their cells must be."""
+    return {c.name: c.kind for c in columns if c.kind is not None}
+
+
+def needed(columns: Iterable[Column[Part]]) -> tuple[str, ...]:
+    """The columns without which a table cannot be used."""
+    return tuple(c.name for c in columns if c.needed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,11 +10,20 @@ import numpy as np
 import numpy.typing as npt
 
 from sonarrec.geometry import plane_position
-from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
+from sonarrec.landmarks import LandmarkSet
 from sonarrec.records import BoolArray, Fan, FloatArray, IntArray, SonarrecError
-from sonarrec.results.run_file import fan_of_run, read_run
+from sonarrec.results.columns import (
+    ESTIMATES_HEADER,
+    FRAME_COLUMNS,
+    FRAMES_HEADER,
+    belief_names,
+    estimate_columns,
+    kinds,
+    needed,
+)
+from sonarrec.results.run_file import read_run
 from sonarrec.sonar import Sonar
-from sonarrec.tables import POSITION_KINDS, Kind, Table, line_number, position_pair, read_table
+from sonarrec.tables import Table, cut, line_number, position_pair, read_table, read_tables
 
 METHODS = ("smi", "framework")
 """The methods that every run of ours holds, also where one of them saw nothing."""
@@ -76,16 +86,11 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
     Raises SonarrecError on any fault.
     """
     run = read_run(folder / "run.toml")
-    if landmarks is not None or "landmarks" not in run:
-        landmark_set = load_landmarks(landmarks or "basin")
-    else:
-        landmark_set = landmarks_from_table(run["landmarks"], f"{folder / 'run.toml'}: [landmarks]")
-    fan = fan_of_run(run, folder / "run.toml", sonar)
+    landmark_set = run.landmark_set(landmarks)
+    fan = run.fan(sonar)
 
     path = folder / "frames.csv"
-    frames = read_table(
-        path, {"frame": "whole", "timestamp_ns": "whole"}, ("frame",), "frame,timestamp_ns"
-    )
+    frames = read_frames(folder)
     order = np.argsort(frames["frame"], kind="stable")
     frame = frames["frame"][order]
     repeated = np.flatnonzero(np.diff(frame) == 0)
@@ -96,41 +101,17 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
         raise SonarrecError(f"{path}: no frame was processed, so there is nothing to score")
 
     path = folder / "estimates.csv"
-    kinds: dict[str, Kind] = {
-        "frame": "whole",
-        "method": "text",
-        "landmark": "whole",
-        "score": "number",
-        "declared": "flag",
-    }
-    belief = [*(f"p_{i}" for i in landmark_set.ids), "p_none"]
-    table = read_table(
-        path,
-        kinds
-        | POSITION_KINDS
-        | {"object": "label", "orientation_deg": "blank or number"}
-        | dict.fromkeys(belief, "share"),
-        tuple(kinds),
-        "frame,method,range_m,bearing_deg,landmark,score,declared",
-    )
-    ids = np.asarray(landmark_set.ids)
-    known = np.isin(table["landmark"], ids)
-    if not known.all():
-        row = int(np.argmin(known))
-        raise SonarrecError(
-            f"{path} line {line_number(path, row)}: landmark {table['landmark'][row]} is not in "
-            f"the set {landmark_set.name!r} ({', '.join(map(str, ids))}); "
-            "name the set used with --landmarks"
-        )
+    [(_, table)] = estimate_tables(path, landmark_set)
     pair = position_pair(path, table)
     position = None if pair is None else plane_position(pair, fan)
     listed = np.isin(table["frame"], frame)
     names = [str(name) for name in table["method"].categories]
     # A method of a run of ours that found nothing at all is scored as well.
-    expected = run.get("program", {}).get("methods", METHODS)
-    methods = [m for m in expected if m in names or run]
+    expected = METHODS if run.methods is None else run.methods
+    methods = [m for m in expected if m in names or run.table]
     methods += [m for m in names if m not in methods]
     renumber = np.array([methods.index(m) for m in names], dtype=np.int64)
+    ids = np.asarray(landmark_set.ids)
     by_id = np.argsort(ids)
     return LogResults(
         name=folder.resolve().name,
@@ -147,10 +128,39 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
         position=None if position is None else position[listed],
         orientation=table.get("orientation_deg", np.full(len(listed), np.nan))[listed],
         object=table["object"][listed] if "object" in table else np.full(listed.sum(), -1),
-        probability=_probability(table, belief, listed),
+        probability=_probability(table, belief_names(landmark_set.ids), listed),
         strays=int(np.count_nonzero(~listed)),
-        finished=run.get("finished", True) is not False,
+        finished=run.finished,
     )
+
+
+def read_frames(folder: Path) -> Table:
+    """The columns of frames.csv that are read back, in the file's order."""
+    path = folder / "frames.csv"
+    return read_table(path, kinds(FRAME_COLUMNS), needed(FRAME_COLUMNS), FRAMES_HEADER)
+
+
+def estimate_tables(
+    path: Path, landmarks: LandmarkSet, rows: int | None = None
+) -> Iterator[tuple[int, Table]]:
+    """estimates.csv, whole or at most `rows` rows at a time: (the first row, 0-based; columns).
+
+    Raises SonarrecError, with the line, on a cell that cannot be meant; the rows before it are
+    given first.
+    """
+    columns = estimate_columns(landmarks.ids)
+    ids = np.asarray(landmarks.ids)
+    for first, table in read_tables(path, kinds(columns), needed(columns), ESTIMATES_HEADER, rows):
+        known = np.isin(table["landmark"], ids)
+        if not known.all():
+            row = int(np.argmin(known))
+            yield first, cut(table, row)
+            raise SonarrecError(
+                f"{path} line {line_number(path, first + row)}: "
+                f"landmark {table['landmark'][row]} is not in the set {landmarks.name!r} "
+                f"({', '.join(map(str, ids))}); name the set used with --landmarks"
+            )
+        yield first, table
 
 
 def _probability(

@@ -1,17 +1,17 @@
-"""run.toml: what a run was made of, written, read back, and held against a log."""
+"""run.toml: what a run was made of, as it is written and as it is read."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Protocol
+from typing import Any
 
 from sonarrec import __version__, config
 from sonarrec.geometry import fan_for_image
 from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
-from sonarrec.records import Clock, Fan, SonarrecError, UsageError
+from sonarrec.records import Clock, Fan
 from sonarrec.sonar import Sonar, sonar_from_table
 from sonarrec.toml import Count, checked, read_toml, types_of
 
@@ -61,172 +61,116 @@ def run_table(
     }
 
 
+@dataclass(frozen=True, slots=True)
+class Given:
+    """What is given of a log beside the log itself; None: nothing is said."""
+
+    sonar: Sonar = field(default_factory=Sonar)  # keys that win over every file
+    sonar_file: Path | None = None  # in place of the sonar.toml beside the log
+    topic: str | None = None  # the image channel of an MCAP
+    time: Clock | None = None  # which of the log's times names a frame; default, its log time
+    odometry: Path | None = None  # a table of the sonar's poses, see readers/poses_csv.py
+    odometry_topic: str | None = None  # the topic of the log that has them, in place of a table
+
+
+@dataclass(frozen=True, slots=True)
+class Input:
+    """[input] of run.toml: the log, and how it was read; None where it does not say."""
+
+    name: str | None = None
+    bytes: Count | None = None
+    sha256: str | None = None
+    topic: str | None = None
+    time: Clock | None = None
+    problems: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class RunFile:
+    """run.toml as it was read; of a missing or empty file nothing is known."""
+
+    path: Path
+    table: Mapping[str, Any]  # all of it, of which the fields below are parts
+    finished: bool  # False: the run was cut short
+    methods: tuple[str, ...] | None  # of estimates.csv
+    input: Input
+    configs: tuple[Mapping[str, Any], ...]  # the settings, of each preset
+    odometry: Mapping[str, Any]  # empty: none was used
+    model: Mapping[str, Any] | None  # of appearance; None: the built-in one
+
+    def landmark_set(self, given: str | Path | None = None) -> LandmarkSet:
+        """The set given by name or file, else the run's, else `basin`."""
+        if given is None and "landmarks" in self.table:
+            return landmarks_from_table(self.table["landmarks"], f"{self.path}: [landmarks]")
+        return load_landmarks(given or "basin")
+
+    def sonar(self) -> Sonar:
+        """The geometry as it was stated for the run, which serves a run again."""
+        return sonar_from_table(self.table.get("sonar", {}), str(self.path))
+
+    def lay_under(self, given: Given, *, same_log: bool) -> Given:
+        """What is given, and where it says nothing the run's geometry.
+
+        same_log: the run's topic and time serve as well.
+        """
+        return replace(
+            given,
+            sonar=given.sonar if given.sonar_file else self.sonar().updated(given.sonar),
+            topic=given.topic or (self.input.topic if same_log else None),
+            time=given.time or (self.input.time if same_log else None),
+        )
+
+    def fan(self, given: Sonar | None = None) -> Fan | None:
+        """The fan that pixel positions refer to; None where its scale and apex are not stated."""
+        known = {f.name for f in fields(Sonar)}
+        # [fan] describes the images that pixels refer to, also where the recording was polar.
+        table = {**self.table.get("sonar", {}), **self.table.get("fan", {})}
+        table = {key: value for key, value in table.items() if key in known}
+        sonar = sonar_from_table(table, str(self.path)).updated(given or Sonar())
+        if sonar.metres_per_pixel is None or sonar.apex_px is None:
+            return None
+        geometry = sonar.complete(str(self.path) if self.table else "command line")
+        # Scale and apex are stated, so the image's size does not enter the conversion.
+        return fan_for_image(geometry, rows=1, columns=1)
+
+
 _SHAPES: dict[str, Any] = {
     **dict.fromkeys(("program", "input", "sonar", "fan", "landmarks", "odometry", "model"), dict),
     "config": dict | list[dict[str, Any]],
+    "finished": bool,
 }
-_INPUT: dict[str, Any] = {
-    **dict.fromkeys(("name", "sha256", "topic"), str),
-    "bytes": Count,
-    "time": Clock,
-    "problems": tuple[str, ...],
-}
-_PROGRAM: dict[str, Any] = {"methods": tuple[str, ...]}
 
 
-def read_run(path: Path) -> dict[str, Any]:
-    """run.toml as a table, {} where it is missing or empty.
+def read_run(path: Path | None) -> RunFile:
+    """A run.toml; None, a missing and an empty file tell nothing.
 
     Raises SonarrecError where it cannot be read, or what sonarrec uses of it cannot be meant; of
     a later version's keys nothing is said.
     """
-    if not path.is_file():
-        return {}
-    run = read_toml(path)
-    for name, wanted in _SHAPES.items():
-        if name in run:
-            checked(run[name], wanted, f"{path}: {name}")
-    geometry = types_of(Sonar)
-    for name, known in (
-        ("program", _PROGRAM),
-        ("input", _INPUT),
-        ("odometry", _INPUT),
-        ("sonar", geometry),
-        ("fan", geometry),
-    ):
-        for key in known.keys() & run.get(name, {}).keys():
-            checked(run[name][key], known[key], f"{path}: {name}.{key}")
-    return run
+    table = read_toml(path) if path is not None and path.is_file() else {}
+    path = path or Path("run.toml")
+    for name in _SHAPES.keys() & table.keys():
+        checked(table[name], _SHAPES[name], f"{path}: {name}")
 
+    def stated(name: str, known: Mapping[str, Any]) -> dict[str, Any]:
+        found = table.get(name, {})
+        return {
+            key: checked(found[key], known[key], f"{path}: {name}.{key}")
+            for key in known
+            if key in found
+        }
 
-def fan_of_run(run: dict[str, Any], path: Path, given: Sonar | None) -> Fan | None:
-    """The fan that pixel positions refer to; None where its scale and apex are not stated."""
-    known = {field.name for field in fields(Sonar)}
-    table = {key: value for key, value in run.get("sonar", {}).items() if key in known}
-    # [fan] describes the images that pixels refer to, also where the recording was polar.
-    fan = run.get("fan", {})
-    table |= {key: value for key, value in fan.items() if key in known}
-    sonar = sonar_from_table(table, str(path)).updated(given or Sonar())
-    if sonar.metres_per_pixel is None or sonar.apex_px is None:
-        return None
-    geometry = sonar.complete(str(path) if run else "command line")
-    # Scale and apex are stated, so the image's size does not enter the conversion.
-    return fan_for_image(geometry, rows=1, columns=1)
-
-
-@dataclass(frozen=True, slots=True)
-class Stated:
-    """What a run is told beside its settings: by the user, and under that by an earlier run.
-
-    topic, time, odometry_topic: None where neither names one. odometry: what the earlier run used,
-    empty where that was none or the log another. model: its appearance model, None for the
-    built-in one.
-    """
-
-    landmarks: LandmarkSet
-    sonar: Sonar
-    topic: str | None
-    time: Clock | None
-    odometry_topic: str | None
-    odometry: Mapping[str, Any]
-    model: Mapping[str, Any] | None
-
-
-def lay_under(
-    earlier_run: Path | None,
-    log: str,
-    *,
-    landmarks: str | None,
-    sonar: Sonar,
-    sonar_file: Path | None,
-    topic: str | None,
-    time: Clock | None,
-    odometry: Path | None,
-    odometry_topic: str | None,
-) -> Stated:
-    """What the user states of a log, with what an earlier run.toml states laid under it.
-
-    Topic, time and odometry serve only where that run was of the log of this name. A plain
-    settings file has none of the tables and changes nothing. Raises SonarrecError for tables that
-    cannot be used, UsageError where the earlier run had a table of poses that is not given again.
-    """
-    run = {} if earlier_run is None else read_run(earlier_run)
-    landmark_set, sonar = as_run(run, str(earlier_run), landmarks, sonar, sonar_file)
-    same_log = run.get("input", {}).get("name") == log
-    read_as = run["input"] if same_log else {}
-    used = run.get("odometry", {}) if same_log else {}
-    if used and odometry is None:
-        odometry_topic = odometry_topic or used.get("topic")
-        if odometry_topic is None:
-            raise UsageError(
-                f"{earlier_run}: that run used the odometry {used.get('name')}; "
-                "give it again with --odometry"
-            )
-    return Stated(
-        landmark_set,
-        sonar,
-        topic or read_as.get("topic"),
-        time or read_as.get("time"),
-        odometry_topic,
-        used,
-        run.get("model"),
+    for name in ("sonar", "fan"):
+        stated(name, types_of(Sonar))
+    stated("odometry", types_of(Input))
+    configs = table.get("config", [])
+    return RunFile(
+        path=path,
+        table=table,
+        finished=table.get("finished", True),
+        methods=stated("program", {"methods": tuple[str, ...]}).get("methods"),
+        input=Input(**stated("input", types_of(Input))),
+        configs=tuple(configs) if isinstance(configs, list) else (configs,),
+        odometry=table.get("odometry", {}),
+        model=table.get("model"),
     )
-
-
-def as_run(
-    run: Mapping[str, Any],
-    where: str,
-    landmarks: str | None,
-    sonar: Sonar,
-    sonar_file: Path | None,
-) -> tuple[LandmarkSet, Sonar]:
-    """The landmark set and geometry of a run, under what the user states.
-
-    where: names run.toml in errors (SonarrecError).
-    """
-    if "sonar" in run and sonar_file is None:
-        sonar = sonar_from_table(run["sonar"], where).updated(sonar)
-    if landmarks is None and "landmarks" in run:
-        return landmarks_from_table(run["landmarks"], f"{where}: [landmarks]"), sonar
-    return load_landmarks(landmarks or "basin"), sonar
-
-
-class RecordedLog(Protocol):
-    """What tells one log from another; a `readers.log.Log` is one."""
-
-    @property
-    def path(self) -> Path: ...
-    @property
-    def frame_count(self) -> int | None: ...
-    def digest_source(self) -> tuple[int, str]: ...
-
-
-def check_same(log: RecordedLog, folder: Path, run: dict[str, Any]) -> list[str]:
-    """What is amiss, in lines; SonarrecError where the results are of another log."""
-    made_from = run.get("input", {})
-    if "sha256" in made_from:
-        size, digest = log.digest_source()
-        if (size, digest) != (made_from.get("bytes"), made_from["sha256"]):
-            raise SonarrecError(
-                f"{folder}: results of another log, {made_from.get('name')} with "
-                f"{made_from.get('bytes')} bytes and SHA-256 {made_from['sha256'][:12]}..., not of "
-                f"{log.path} with {size} and {digest[:12]}...; give the log they were made from, "
-                f"or `sonarrec run {log.path}`"
-            )
-    last = int(frames_table(folder)["frame"].max(initial=-1))
-    if "sha256" not in made_from and log.frame_count is not None and last >= log.frame_count:
-        raise SonarrecError(
-            f"{folder / 'frames.csv'}: results of another log: frame {last} is listed, but "
-            f"{log.path} has only {log.frame_count} frames"
-        )
-    if run.get("finished", True) is False:
-        return [f"{folder}: the run was cut short; frames after {last} have no results"]
-    return []
-
-
-def frames_table(folder: Path) -> dict[str, Any]:
-    """The frame and, where there is one, timestamp_ns column of frames.csv: name to array."""
-    from sonarrec.tables import read_table  # with pandas, which `sonarrec run` does not need
-
-    kinds: dict[str, Any] = {"frame": "whole", "timestamp_ns": "whole"}
-    return read_table(folder / "frames.csv", kinds, ("frame",), "frame,timestamp_ns")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Iterator
 from itertools import groupby
@@ -12,12 +11,13 @@ import numpy as np
 
 from sonarrec.geometry import pixel_from_polar, polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import Estimate, Fan, SonarrecError, UsageError
+from sonarrec.records import Estimate, Fan, FloatArray, SonarrecError, UsageError
+from sonarrec.results.columns import ESTIMATES_HEADER, belief_names, estimate_columns, needed
+from sonarrec.results.read import estimate_tables
+from sonarrec.tables import POSITION_KINDS, Table, line_number, read_tables
 
-NEEDED = ("frame", "method", "landmark", "score", "declared")
-_HEADER = "frame,method,object,x_px,y_px,landmark,score,declared"
-_FLAGS = {"0": False, "1": True, "false": False, "true": True}
-_Row = dict[str, str]
+ROWS = 500
+"""Read at a time."""
 
 
 def choose_method(path: Path, wanted: str | None) -> str:
@@ -26,7 +26,10 @@ def choose_method(path: Path, wanted: str | None) -> str:
     Raises UsageError where that leaves a choice open or the method is not there, SonarrecError
     where the table cannot be read. A table without rows has every method.
     """
-    there = sorted({row["method"] for _, row in _rows(path)})
+    tables = read_tables(
+        path, {"method": "text"}, needed(estimate_columns(())), ESTIMATES_HEADER, ROWS
+    )
+    there = sorted({str(name) for _, table in tables for name in table["method"].unique()})
     if wanted is not None:
         if there and wanted not in there:
             raise UsageError(f"{path}: no method {wanted!r}; there is {', '.join(there)}")
@@ -48,102 +51,89 @@ def read_estimates(
     other way round), missing probabilities from the score, a missing object by -1.
     Raises SonarrecError, with the line, on a cell that cannot be meant and on frames that fall.
     """
-    mine = ((number, row) for number, row in _rows(path) if row["method"] == method)
-    parsed = (_parsed(path, number, row, landmarks, fan) for number, row in mine)
+    rows = (
+        item
+        for first, table in estimate_tables(path, landmarks, ROWS)
+        for item in _estimates(path, first, table, method, landmarks, fan)
+    )
     last = -1
-    for frame, group in groupby(parsed, key=lambda item: item[1]):
-        rows = list(group)
+    for frame, group in groupby(rows, key=lambda item: item[1]):
+        found = list(group)
         if frame <= last:
             raise SonarrecError(
-                f"{path} line {rows[0][0]}: frame {frame} after frame {last}; "
+                f"{path} line {line_number(path, found[0][0])}: frame {frame} after frame {last}; "
                 "sort the table by frame"
             )
         last = frame
-        yield frame, tuple(estimate for _, _, estimate in rows)
+        yield frame, tuple(estimate for _, _, estimate in found)
 
 
-def _rows(path: Path) -> Iterator[tuple[int, _Row]]:
-    """(line number, row) of the table."""
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            table = csv.DictReader(file, skipinitialspace=True, restval="")
-            missing = [name for name in NEEDED if name not in (table.fieldnames or ())]
-            if missing:
-                raise SonarrecError(
-                    f"{path}: wrong columns, no {', '.join(missing)}; "
-                    f"expected a header such as {_HEADER}"
-                )
-            for row in table:
-                yield table.line_num, row
-    except OSError as error:
-        raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise SonarrecError(f"{path}: not a readable CSV table ({error})") from None
+def _estimates(
+    path: Path, first: int, table: Table, method: str, landmarks: LandmarkSet, fan: Fan
+) -> Iterator[tuple[int, int, Estimate]]:
+    """(row of the file, frame, estimate) of each row of the method; `first`: of the table's first.
 
-
-def _parsed(
-    path: Path, number: int, row: _Row, landmarks: LandmarkSet, fan: Fan
-) -> tuple[int, int, Estimate]:
-    """(line number, frame, estimate)."""
-    try:
-        return number, _whole(row, "frame"), _estimate(row, landmarks, fan)
-    except ValueError as error:
-        raise SonarrecError(f"{path} line {number}: {error}") from None
-
-
-def _estimate(row: _Row, landmarks: LandmarkSet, fan: Fan) -> Estimate:
-    """Raises ValueError that says what is wrong with the row."""
-    landmark, score = _whole(row, "landmark"), _number(row, "score")
-    if landmark not in landmarks.ids:
-        raise ValueError(
-            f"landmark {landmark} is not in the set {landmarks.name!r} "
-            f"({', '.join(map(str, landmarks.ids))}); name the set used with --landmarks"
+    Raises SonarrecError at a row without a place.
+    """
+    mine = np.flatnonzero(np.asarray(table["method"] == method))
+    x_px, y_px, range_m, bearing_deg = (place[mine] for place in _places(table, fan))
+    objects = table["object"][mine] if "object" in table else np.full(len(mine), -1)
+    existence = table["existence"][mine] if "existence" in table else np.ones(len(mine))
+    beliefs = _beliefs(table, landmarks)[mine]
+    for n, row in enumerate(mine.tolist()):
+        if math.isnan(x_px[n]):
+            raise SonarrecError(
+                f"{path} line {line_number(path, first + row)}: no place: neither x_px,y_px nor "
+                "range_m,bearing_deg"
+            )
+        yield (
+            first + row,
+            int(table["frame"][row]),
+            Estimate(
+                method=method,
+                object=int(objects[n]),
+                x_px=float(x_px[n]),
+                y_px=float(y_px[n]),
+                range_m=float(range_m[n]),
+                bearing_deg=float(bearing_deg[n]),
+                orientation_deg=math.nan,
+                existence=1.0 if math.isnan(existence[n]) else float(existence[n]),
+                probabilities=beliefs[n],
+                landmark=int(table["landmark"][row]),
+                score=float(table["score"][row]),
+                declared=bool(table["declared"][row]),
+            ),
         )
-    if (declared := _FLAGS.get(row["declared"].strip().lower())) is None:
-        raise ValueError(f"declared must be 0 or 1, not {row['declared']!r}")
-    if row.get("x_px") and row.get("y_px"):
-        x_px, y_px = _number(row, "x_px"), _number(row, "y_px")
-        range_m, bearing_deg = (float(v) for v in polar_from_pixel(fan, x_px, y_px))
-    elif row.get("range_m") and row.get("bearing_deg"):
-        range_m, bearing_deg = _number(row, "range_m"), _number(row, "bearing_deg")
-        x_px, y_px = (float(v) for v in pixel_from_polar(fan, range_m, bearing_deg))
-    else:
-        raise ValueError("no place: neither x_px,y_px nor range_m,bearing_deg")
-    beliefs = [f"p_{i}" for i in landmarks.ids] + ["p_none"]
-    if all(row.get(name) for name in beliefs):
-        probabilities = np.array([_number(row, name) for name in beliefs])
-    else:
-        probabilities = np.zeros(len(beliefs))
-        probabilities[landmarks.ids.index(landmark)] = score
-        probabilities[-1] = 1 - score
-    return Estimate(
-        method=row["method"],
-        object=_whole(row, "object") if row.get("object") else -1,
-        x_px=x_px,
-        y_px=y_px,
-        range_m=range_m,
-        bearing_deg=bearing_deg,
-        orientation_deg=math.nan,
-        existence=_number(row, "existence") if row.get("existence") else 1.0,
-        probabilities=probabilities,
-        landmark=landmark,
-        score=score,
-        declared=declared,
+
+
+def _places(table: Table, fan: Fan) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """x_px, y_px, range_m and bearing_deg, (rows,) each, NaN where neither pair is told.
+
+    Pixels go first: what is drawn lies where the table has it.
+    """
+    blank = np.full(len(table["frame"]), np.nan)
+    x_px, y_px, range_m, bearing_deg = (table.get(name, blank) for name in POSITION_KINDS)
+    in_pixels = np.isfinite(x_px) & np.isfinite(y_px)
+    drawn = pixel_from_polar(fan, range_m, bearing_deg)
+    measured = polar_from_pixel(fan, x_px, y_px)
+    return (
+        np.where(in_pixels, x_px, drawn[0]),
+        np.where(in_pixels, y_px, drawn[1]),
+        np.where(in_pixels, measured[0], range_m),
+        np.where(in_pixels, measured[1], bearing_deg),
     )
 
 
-def _whole(row: _Row, name: str) -> int:
-    try:
-        return int(row[name])
-    except ValueError:
-        raise ValueError(f"{name} must be a whole number, not {row[name]!r}") from None
-
-
-def _number(row: _Row, name: str) -> float:
-    try:
-        value = float(row[name])
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise ValueError(f"{name} must be a number, not {row[name]!r}")
-    return value
+def _beliefs(table: Table, landmarks: LandmarkSet) -> FloatArray:
+    """(rows, K + 1) probabilities as told, else what is certain from the score."""
+    score, names = table["score"], belief_names(landmarks.ids)
+    found = np.zeros((len(score), len(names)))
+    by_id = np.argsort(landmarks.ids)
+    ranked = np.searchsorted(landmarks.ids, table["landmark"], sorter=by_id)
+    found[np.arange(len(score)), by_id[ranked]] = score
+    found[:, -1] = 1 - score
+    if all(name in table for name in names):
+        told = np.column_stack([table[name] for name in names])
+        whole = np.isfinite(told).all(axis=1)
+        found[whole] = told[whole]
+    return found

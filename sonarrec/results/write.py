@@ -38,8 +38,9 @@ class ResultsWriter:
             ) from None
         self._frames = csv.writer(self._frames_file, lineterminator="\n")
         self._estimates = csv.writer(self._estimates_file, lineterminator="\n")
-        self._frames.writerow(FRAME_COLUMNS)
-        self._estimates.writerow(estimate_columns(landmarks.ids))
+        self._columns = estimate_columns(landmarks.ids)
+        self._frames.writerow([c.name for c in FRAME_COLUMNS])
+        self._estimates.writerow([c.name for c in self._columns])
 
     def write(self, result: FrameResult, stamps: Stamps = NO_STAMPS) -> None:
         """Append one frame and the times that its log keeps of it.
@@ -48,38 +49,9 @@ class ResultsWriter:
         """
         self.frames += 1
         try:
-            self._frames.writerow(
-                (
-                    result.index,
-                    result.timestamp_ns,
-                    result.candidates,
-                    result.tracks,
-                    stamps.log,
-                    stamps.publish,
-                    stamps.header,
-                )
-            )
+            self._frames.writerow([c.written(result, stamps) for c in FRAME_COLUMNS])
             self._estimates.writerows(
-                (
-                    result.index,
-                    result.timestamp_ns,
-                    e.method,
-                    e.object,
-                    f"{e.x_px:.2f}",
-                    f"{e.y_px:.2f}",
-                    f"{e.range_m:.4f}",
-                    f"{e.bearing_deg:.3f}",
-                    f"{e.orientation_deg:.1f}",
-                    f"{e.existence:.4f}",
-                    *(f"{p:.6f}" for p in e.probabilities.tolist()),
-                    e.landmark,
-                    f"{e.score:.6f}",
-                    int(e.declared),
-                    f"{e.range_sigma_m:.4f}",
-                    f"{e.bearing_sigma_deg:.3f}",
-                    f"{e.orientation_sigma_deg:.1f}",
-                )
-                for e in result.estimates
+                [c.written(result, e) for c in self._columns] for e in result.estimates
             )
         except OSError as error:
             raise self._fault(error) from None

@@ -10,7 +10,7 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
 import cv2
@@ -43,6 +43,7 @@ __all__ = [
     "load_scene",
     "random_scene",
     "render",
+    "simulate",
     "write_recording",
 ]
 
@@ -336,6 +337,30 @@ def render(scene: Scene) -> Iterator[SimulatedFrame]:
             truth=truth,
             distractors=distractors,
         )
+
+
+def simulate(
+    scene: str | Path | Scene = "paper",
+    out: str | Path = "simulated",
+    *,
+    seed: int | None = None,
+    frames: int | None = None,
+    image_format: str = "png",
+) -> Path:
+    """Render a recording with known truth into `out`, and return it.
+
+    scene: the name of a built-in one, a TOML file or a Scene. out: a new folder, or NAME.mcap.
+    seed, frames: in place of the scene's own. image_format: "png" or "mcap". Raises SonarrecError
+    where the scene cannot be used or `out` cannot be written or is in use.
+    """
+    chosen = scene if isinstance(scene, Scene) else load_scene(str(scene))
+    chosen = replace(
+        chosen,
+        seed=chosen.seed if seed is None else seed,
+        frames=chosen.frames if frames is None else frames,
+    )
+    write_recording(chosen, Path(out), image_format)
+    return Path(out)
 
 
 def write_recording(

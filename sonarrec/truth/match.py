@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from sonarrec.geometry import plane_position
+from sonarrec.geometry import pixel_from_plane, plane_position
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.records import BoolArray, Fan, FloatArray, IntArray, SonarrecError
 from sonarrec.tables import line_number
@@ -37,10 +37,7 @@ class Truth:
 
     def pixels(self, fan: Fan) -> FloatArray | None:
         """(T, 2) column and row in the fan image; None where positions are not known."""
-        if self.position is None:
-            return None
-        apex = (fan.apex_column, fan.apex_row)
-        return np.asarray(self.position / fan.metres_per_pixel * (1, -1) + apex)
+        return None if self.position is None else pixel_from_plane(fan, self.position)
 
 
 class ReadLog(Protocol):

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from sonarrec.geometry import ground_range, pixel_from_polar
+from sonarrec.geometry import ground_range, pixel_from_polar, polar_from_plane
 from sonarrec.records import Fan, FloatArray, SonarrecError, UsageError
 from sonarrec.results.read import LogResults, find_logs, read_log
-from sonarrec.tables import Kind, Table, read_table
 from sonarrec.truth.in_view import share_in_fan
 from sonarrec.truth.table import write_truth
 
@@ -106,51 +104,38 @@ class _Track:
 
 def _tracks(folder: Path, log: LogResults, method: str, min_score: float) -> list[_Track]:
     """The tracks of a method that declared an ID, those with most declarations first."""
-    kinds: dict[str, Kind] = {
-        "frame": "whole",
-        "method": "text",
-        "object": "whole",
-        "range_m": "number",
-        "bearing_deg": "number",
-        "landmark": "whole",
-        "score": "number",
-        "declared": "flag",
-    }
     path = folder / "estimates.csv"
-    table: Table = read_table(path, kinds, tuple(kinds), ",".join(kinds))
-    chosen = np.asarray(table["method"] == method) & np.isin(table["frame"], log.frame)
-    if not chosen.any() and method not in log.methods:
+    if method not in log.methods:
         raise UsageError(
             f"{path} holds no method {method}; choose one with --method: {', '.join(log.methods)}"
         )
-    columns: dict[str, Any] = {n: table[n][chosen] for n in kinds if n != "method"}
-    order = np.lexsort((columns["frame"], columns["object"]))
-    columns = {name: column[order] for name, column in columns.items()}
-    _, starts = np.unique(columns["object"], return_index=True)
+    mine = np.flatnonzero(log.method == log.methods.index(method))
+    if log.position is None or (log.object[mine] < 0).any():
+        raise SonarrecError(
+            f"{path}: a track is told by object, range_m and bearing_deg (or x_px, y_px); "
+            "not every row has them"
+        )
+    mine = mine[np.lexsort((log.row[mine], log.object[mine]))]
+    _, starts = np.unique(log.object[mine], return_index=True)
     tracks = []
-    for start, end in pairwise([*starts, len(order)]):
-        one = {name: column[start:end] for name, column in columns.items()}
-        if not one["declared"].any():
+    for one in np.split(mine, starts[1:]):
+        declared = one[log.declared[one]]
+        if not len(declared):
             continue
-        ids, counts = np.unique(one["landmark"][one["declared"]], return_counts=True)
-        best = float(one["score"].max())
+        landmarks, counts = np.unique(log.landmark[declared], return_counts=True)
+        ids = [log.landmarks.ids[k] for k in landmarks]
+        best = float(log.score[one].max())
         left_out = ""
         if counts.max() < LEAST_AGREEMENT * counts.sum():
-            left_out = "it declared several IDs: " + ", ".join(f"ID.{i}" for i in ids)
+            left_out = "it declared several IDs: " + ", ".join(f"ID.{i}" for i in sorted(ids))
         elif counts.max() < LEAST_DECLARED:
             left_out = f"declared in {counts.max()} frames only"
         elif best < min_score:
             left_out = f"best score below {min_score:g}"
-        row, first = np.unique(np.searchsorted(log.frame, one["frame"]), return_index=True)
-        track = _Track(
-            int(one["object"][0]),
-            int(ids[counts.argmax()]),
-            row,
-            one["range_m"][first],
-            one["bearing_deg"][first],
-            best,
-            left_out,
-        )
+        row, first = np.unique(log.row[one], return_index=True)
+        range_m, bearing_deg = polar_from_plane(log.position[one[first]])
+        number, landmark = int(log.object[one[0]]), ids[int(counts.argmax())]
+        track = _Track(number, landmark, row, range_m, bearing_deg, best, left_out)
         tracks.append((-int(counts.max()), track))
     return [track for _, track in sorted(tracks, key=lambda pair: pair[0])]
 

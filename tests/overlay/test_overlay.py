@@ -356,11 +356,11 @@ def test_choice_of_method(tmp_path: Path) -> None:
         ("0,m,1,1,9,0.5,0", "line 3: landmark 9 is not in the set 'basin'"),
         ("0,m,1,1,x,0.5,0", "line 3: landmark must be a whole number, not 'x'"),
         ("1.5,m,1,1,1,0.5,0", "line 3: frame must be a whole number"),
-        ("0,m,nan,1,1,0.5,0", "line 3: x_px must be a number, not 'nan'"),
+        ("0,m,nan,1,1,0.5,0", "line 3: no place"),
         ("0,m,,1,1,0.5,0", "line 3: no place"),
-        ("0,m,1,1,1,high,0", "line 3: score must be a number"),
+        ("0,m,1,1,1,high,0", "line 3: score must be a finite number"),
         ("0,m,1,1,1,0.5,yes", "line 3: declared must be 0 or 1"),
-        ("0,m", "line 3: landmark must be a whole number, not ''"),
+        ("0,m", "line 3: landmark must be a whole number, not an empty cell"),
         ("-1,m,1,1,1,0.5,0", "line 3: frame -1 after frame 0"),
     ],
 )
@@ -370,10 +370,13 @@ def test_bad_rows_are_told_by_line(row: str, fault: str, tmp_path: Path) -> None
         list(read_estimates(path, "m", BASIN, FAN))
 
 
-@pytest.mark.parametrize("text", ["", "frame,method\n", "\0\0"])
-def test_tables_of_another_kind(text: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [("", "empty; expected"), ("frame,method\n", "wrong columns"), ("\0\0", "wrong columns")],
+)
+def test_tables_of_another_kind(text: str, fault: str, tmp_path: Path) -> None:
     (tmp_path / "e.csv").write_text(text)
-    with pytest.raises(SonarrecError, match="wrong columns"):
+    with pytest.raises(SonarrecError, match=fault):
         choose_method(tmp_path / "e.csv", None)
 
 

@@ -16,9 +16,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sonarrec import config
+from sonarrec.pipeline import run as run_log
 from sonarrec.readers.mcap.messages import decoder_for
 from sonarrec.readers.raw import UnusableError
-from sonarrec.run import process
 from sonarrec.simulation.simulate import load_scene, render
 from tests.support import messages
 from tests.support.logs import PERIOD_NS, SONAR_TOML, image_folder, mcap_file
@@ -99,7 +99,7 @@ def estimates_of_folder(tmp_path_factory: pytest.TempPathFactory) -> Estimates:
             path = tmp_path_factory.mktemp("folder")
             folder = image_folder(path / "log", images)
             (folder / "sonar.toml").write_text(toml)
-            process(folder, path, config.preset("default"))
+            run_log(folder, path, preset=config.preset("default"))
             done[toml] = (path / "log" / "estimates.csv").read_bytes()
         return done[toml]
 
@@ -124,7 +124,7 @@ def test_every_message_gives_the_estimates_of_the_folder(
     if not theirs:
         mine = theirs = polar_toml(bins, FIRST_BIN, bearings_deg(beams))
     (tmp_path / "sonar.toml").write_text(mine)
-    summary = process(log, tmp_path / "out", config.preset("default"))
+    summary = run_log(log, tmp_path / "out", preset=config.preset("default"))
     assert not summary.problems
     assert not summary.notes
     found = (tmp_path / "out" / "log" / "estimates.csv").read_bytes()

@@ -14,11 +14,12 @@ from click.testing import CliRunner, Result
 from sonarrec import config
 from sonarrec.cli import main
 from sonarrec.geometry import PolarToFan, polar_from_pixel
+from sonarrec.pipeline import Used, process
 from sonarrec.readers import open_log
 from sonarrec.readers.fans import FanImages, looks_beam_major
 from sonarrec.readers.raw import RawFrame, UnusableError
 from sonarrec.records import SonarrecError, UsageError
-from sonarrec.run import process
+from sonarrec.results.run_file import Given
 from sonarrec.simulation.mcap_writer import SCHEMAS, is_polar
 from sonarrec.sonar import Sonar
 from tests.support import messages
@@ -305,14 +306,16 @@ def test_the_time_that_names_a_frame(tmp_path: Path) -> None:
         assert [f.timestamp_ns for f in found] == times
         for frame, image in zip(found, images, strict=True):
             np.testing.assert_array_equal(frame.image, image)
-    process(path, tmp_path, config.preset("default"), time="header")
+    settings = [config.preset("default")]
+    process(path, tmp_path, Given(time="header"), Used(settings))
     lines = (tmp_path / "log" / "frames.csv").read_text().splitlines()
     assert lines[0].endswith("log_time_ns,publish_time_ns,header_stamp_ns")
     assert lines[2].split(",")[1] == str(stamp_ns(2))
     assert lines[2].split(",")[4:] == [str(PERIOD_NS), str(PERIOD_NS + 1), str(stamp_ns(2))]
     before = (tmp_path / "log" / "estimates.csv").read_bytes()
     again = tmp_path / "again"
-    process(path, again, config.preset("default"), earlier_run=tmp_path / "log" / "run.toml")
+    used = Used(settings, earlier_run=tmp_path / "log" / "run.toml")
+    process(path, again, Given(), used)
     assert (again / "log" / "estimates.csv").read_bytes() == before
 
 

@@ -587,16 +587,16 @@ def test_sightings_of_the_sample(results: Path) -> None:
     for s in found:
         assert s.track is not None
         frames, scores = zip(*claims[s.landmark, s.track], strict=True)
-        assert (s.first_frame_index, s.last_frame_index, s.claims) == (
+        assert (s.first_frame, s.last_frame, s.frames_declared) == (
             min(frames),
             max(frames),
             len(frames),
         )
-        assert s.best == max(scores)
-        assert s.mean == pytest.approx(np.mean(scores))
-        assert scores[frames.index(s.surest)] == s.best
+        assert s.best_score == max(scores)
+        assert s.mean_score == pytest.approx(np.mean(scores))
+        assert scores[frames.index(s.surest)] == s.best_score
         assert s.right is not None
-        assert 0 <= s.right <= s.claims
+        assert 0 <= s.right <= s.declarations
 
 
 # The drawing

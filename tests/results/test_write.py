@@ -70,7 +70,7 @@ def test_headers_are_the_contract_s(tmp_path):
     assert (tmp_path / "log_a/frames.csv").read_bytes() == (
         b"frame,timestamp_ns,candidates,tracks,log_time_ns,publish_time_ns,header_stamp_ns\n"
     )
-    assert estimate_columns((7, 12))[10:13] == ["p_7", "p_12", "p_none"]
+    assert [c.name for c in estimate_columns((7, 12))][10:13] == ["p_7", "p_12", "p_none"]
 
 
 def test_what_is_written_is_what_was_estimated(tmp_path):

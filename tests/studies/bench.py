@@ -24,6 +24,7 @@ import numpy as np
 from sonarrec.config import Config, preset
 from sonarrec.evaluation.evaluate import evaluate
 from sonarrec.landmarks import load_landmarks
+from sonarrec.pipeline import run as run_log
 from sonarrec.recogniser.odometry import Odometry
 from sonarrec.recogniser.plane import FloorPlane
 from sonarrec.recogniser.recogniser import Recogniser
@@ -31,7 +32,6 @@ from sonarrec.recogniser.stage1_candidates import CandidateSelector
 from sonarrec.recogniser.stage2_continuity import ContinuityFilter
 from sonarrec.recogniser.stage3_features.shape_matrix import ShapeSampler
 from sonarrec.results.write import ResultsWriter
-from sonarrec.run import process
 from sonarrec.simulation.mcap_writer import McapImageWriter
 from sonarrec.simulation.scene import MotionSection, PlacedLandmark, Scene
 from sonarrec.simulation.simulate import load_scene, random_scene, write_recording
@@ -121,7 +121,7 @@ def cost(work: Path) -> None:
             rival(read_grey(path))
 
     def ours(log: str, settings: Config = settings) -> Callable[[], object]:
-        return lambda: process(work / log, work / "out", settings)
+        return lambda: run_log(work / log, work / "out", preset=settings)
 
     ms = interleaved(
         {
@@ -244,7 +244,7 @@ def accuracy(work: Path) -> None:
         scene = load_scene(which) if isinstance(which, str) else random_scene(*which, frames=248)
         log = work / scene.name
         write_recording(scene, log)
-        results = process(log, work / "accuracy", preset("default")).folder
+        results = run_log(log, work / "accuracy", preset=preset("default")).folder
         rival = work / "rival" / scene.name
         rival.mkdir(parents=True)
         for name in ("frames.csv", "run.toml"):

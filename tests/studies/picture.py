@@ -15,8 +15,8 @@ import numpy as np
 from sonarrec.config import preset
 from sonarrec.landmarks import load_landmarks
 from sonarrec.overlay.overlay import Targets, write_overlay
+from sonarrec.pipeline import run as run_log
 from sonarrec.readers import open_log
-from sonarrec.run import process
 
 SAMPLES = Path(__file__).resolve().parents[2] / "sample_data"
 BUILD = SAMPLES.parent / "build" / "picture"
@@ -64,7 +64,7 @@ def draw_landmarks() -> np.ndarray:
 def main() -> None:
     """Draw the landmarks; run the sample log and draw its results."""
     assert cv2.imwrite(str(SAMPLES / "landmarks.png"), draw_landmarks())
-    results = process(LOG, BUILD, preset("default"))
+    results = run_log(LOG, BUILD, preset=preset("default"))
     images = BUILD / "frames"
     write_overlay(LOG, Targets(images=images), results=results.folder)
     pictures = [cv2.imread(str(images / f"{number:06d}.png")) for number in SHOWN]

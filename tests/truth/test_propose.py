@@ -12,7 +12,7 @@ from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
 from sonarrec.config import preset
-from sonarrec.run import process
+from sonarrec.pipeline import run as run_log
 from sonarrec.truth.table import read_truth
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
@@ -177,7 +177,7 @@ def test_proposal_of_the_sample_comes_near_its_truth(tmp_path: Path) -> None:
 
     Half a disc radius is what a person would not have to correct to score under either protocol.
     """
-    summary = process(SAMPLES / "pan", tmp_path / "out", preset("default"))
+    summary = run_log(SAMPLES / "pan", tmp_path / "out", preset=preset("default"))
     found = {
         (int(r["frame"]), int(r["landmark"])): (float(r["x_px"]), float(r["y_px"]))
         for r in proposed(summary.folder)

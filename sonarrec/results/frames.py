@@ -1,0 +1,50 @@
+"""The tables of one log's results as pandas data frames, for notebooks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import pandas as pd
+
+from sonarrec.records import SonarrecError
+from sonarrec.results.columns import ESTIMATES_HEADER, FRAMES_HEADER
+
+
+@dataclass(frozen=True, slots=True)
+class Tables:
+    """What `read_results` read, a row and a column as in the files.
+
+    frames: frames.csv, a row per frame. estimates: estimates.csv, a row per frame, method and
+    object; positions in pixels, m and deg. sightings: sightings.csv, None where there is none.
+    """
+
+    frames: pd.DataFrame
+    estimates: pd.DataFrame
+    sightings: pd.DataFrame | None
+
+
+def read_results(folder: str | Path) -> Tables:
+    """The tables of one log's results; folder: that `sonarrec run` wrote for the log.
+
+    Raises SonarrecError where frames.csv or estimates.csv cannot be read.
+    """
+    folder = Path(folder)
+    sightings = folder / "sightings.csv"
+    return Tables(
+        frames=_table(folder / "frames.csv", FRAMES_HEADER),
+        estimates=_table(folder / "estimates.csv", ESTIMATES_HEADER),
+        sightings=_table(sightings, "method,landmark,track") if sightings.is_file() else None,
+    )
+
+
+def _table(path: Path, expected: str) -> pd.DataFrame:
+    try:
+        return pd.read_csv(path, encoding="utf-8-sig", skipinitialspace=True)
+    except FileNotFoundError:
+        raise SonarrecError(f"{path}: no such file; give the folder of one log's results") from None
+    except (OSError, UnicodeDecodeError, ValueError) as error:
+        raise SonarrecError(
+            f"{path}: not a readable CSV table ({str(error).strip()}); "
+            f"expected a header such as {expected}"
+        ) from None

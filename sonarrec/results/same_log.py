@@ -1,0 +1,49 @@
+"""Whether a log is the one that results were made from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Protocol
+
+from sonarrec.records import SonarrecError
+from sonarrec.results.read import read_frames
+from sonarrec.results.run_file import RunFile
+
+
+class RecordedLog(Protocol):
+    """What tells one log from another; a `readers.log.Log` is one."""
+
+    @property
+    def path(self) -> Path: ...
+    @property
+    def frame_count(self) -> int | None: ...
+    def digest_source(self) -> tuple[int, str]: ...
+
+
+def check_same_log(log: RecordedLog, folder: Path, run: RunFile) -> None:
+    """Raise SonarrecError where the results in `folder` are of another log.
+
+    By size and SHA-256; where run.toml does not tell them, by the number of frames.
+    """
+    made_from = run.input
+    if made_from.sha256 is not None:
+        size, digest = log.digest_source()
+        if (size, digest) != (made_from.bytes, made_from.sha256):
+            raise SonarrecError(
+                f"{folder}: results of another log, {made_from.name} with "
+                f"{made_from.bytes} bytes and SHA-256 {made_from.sha256[:12]}..., not of "
+                f"{log.path} with {size} and {digest[:12]}...; give the log they were made from, "
+                f"or `sonarrec run {log.path}`"
+            )
+        return
+    last = last_frame(folder)
+    if log.frame_count is not None and last >= log.frame_count:
+        raise SonarrecError(
+            f"{folder / 'frames.csv'}: results of another log: frame {last} is listed, but "
+            f"{log.path} has only {log.frame_count} frames"
+        )
+
+
+def last_frame(folder: Path) -> int:
+    """The number of the last frame that was processed, -1 without any."""
+    return int(read_frames(folder)["frame"].max(initial=-1))

@@ -1,0 +1,97 @@
+"""run.toml read back: what it tells, what is refused, and how it lies under what is given."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from sonarrec.records import SonarrecError
+from sonarrec.results.run_file import Given, read_run
+from sonarrec.results.same_log import check_same_log
+from sonarrec.sonar import Sonar
+
+RUN = """\
+finished = false
+[program]
+methods = ["smi", "framework"]
+[input]
+name = "dive"
+bytes = 7
+sha256 = "abc"
+topic = "/sonar"
+time = "header"
+problems = ["frame 3: damaged, skipped"]
+[sonar]
+layout = "fan"
+range_min_m = 1.0
+range_max_m = 4.0
+field_of_view_deg = 30.0
+tilt_deg = 20.0
+[fan]
+rows = 300
+columns = 200
+metres_per_pixel = 0.01
+apex_px = [99.5, 400.0]
+later_key = 1
+"""
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "run.toml"
+    path.write_text(text)
+    return path
+
+
+def test_what_it_tells(tmp_path: Path) -> None:
+    run = read_run(written(tmp_path, RUN))
+    assert not run.finished
+    assert run.methods == ("smi", "framework")
+    assert (run.input.name, run.input.bytes, run.input.sha256) == ("dive", 7, "abc")
+    assert run.input.problems == ("frame 3: damaged, skipped",)
+    fan = run.fan()
+    assert fan is not None
+    assert (fan.metres_per_pixel, fan.apex_column, fan.apex_row) == (0.01, 99.5, 400.0)
+    assert run.landmark_set().name == "basin"
+
+
+@pytest.mark.parametrize("text", [None, ""])
+def test_a_missing_and_an_empty_one_tell_nothing(tmp_path: Path, text: str | None) -> None:
+    path = tmp_path / "run.toml" if text is None else written(tmp_path, text)
+    run = read_run(path)
+    assert run.finished
+    assert run.methods is None
+    assert run.fan() is None
+    given = Given(Sonar(tilt_deg=5.0), topic="/a", time="log")
+    assert run.lay_under(given, same_log=True) == given
+
+
+def test_it_lies_under_what_is_given(tmp_path: Path) -> None:
+    run = read_run(written(tmp_path, RUN))
+    laid = run.lay_under(Given(Sonar(tilt_deg=5.0), time="log"), same_log=True)
+    assert (laid.sonar.tilt_deg, laid.sonar.range_max_m) == (5.0, 4.0)
+    assert (laid.topic, laid.time) == ("/sonar", "log")
+    other = run.lay_under(Given(), same_log=False)
+    assert (other.sonar.tilt_deg, other.topic, other.time) == (20.0, None, None)
+    file = tmp_path / "sonar.toml"
+    assert run.lay_under(Given(sonar_file=file), same_log=False).sonar == Sonar()
+
+
+class OtherLog:
+    path = Path("other.mcap")
+    frame_count = 1
+
+    def digest_source(self) -> tuple[int, str]:
+        return 7, "abd"
+
+
+def test_another_log_is_told_by_its_sha256_else_by_its_frames(tmp_path: Path) -> None:
+    (tmp_path / "frames.csv").write_text("frame\n0\n1\n")
+    run = read_run(written(tmp_path, RUN))
+    with pytest.raises(SonarrecError, match=r"results of another log, dive .* not of other\.mcap"):
+        check_same_log(OtherLog(), tmp_path, run)
+    nothing = read_run(tmp_path / "gone.toml")
+    with pytest.raises(SonarrecError, match=r"frame 1 is listed, but other\.mcap has only 1"):
+        check_same_log(OtherLog(), tmp_path, nothing)
+    (tmp_path / "frames.csv").write_text("frame\n0\n")
+    check_same_log(OtherLog(), tmp_path, nothing)

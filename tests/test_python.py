@@ -1,0 +1,102 @@
+"""What a program uses: `import sonarrec`, and the page of its manual, which is run."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import sonarrec
+from sonarrec.records import SonarrecError, UsageError
+
+ROOT = Path(__file__).parents[1]
+SAMPLE = ROOT / "sample_data" / "pan"
+NAMES = {
+    "Recogniser",
+    "evaluate",
+    "load_landmarks",
+    "open_log",
+    "preset",
+    "read_results",
+    "run",
+    "simulate",
+}
+
+
+def test_import_alone_loads_nothing_heavy_nor_of_ours() -> None:
+    code = (
+        "import sys, sonarrec\n"
+        "print(sonarrec.__version__)\n"
+        "print(sorted(m for m in sys.modules if m.startswith('sonarrec.') or m in "
+        "('numpy', 'cv2', 'pandas', 'scipy', 'matplotlib', 'mcap', 'click')))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_every_name_is_there_and_no_other() -> None:
+    assert {*sonarrec.__all__} - {"__version__"} == NAMES
+    assert set(dir(sonarrec)) >= NAMES
+    # In one process: a submodule that is imported must not stand in the place of a function.
+    for name in sorted(NAMES):
+        assert callable(getattr(sonarrec, name)), name
+        assert getattr(sonarrec, name).__doc__, name
+    with pytest.raises(AttributeError, match="no attribute 'recognise'"):
+        _ = sonarrec.recognise
+
+
+def test_the_page_s_code_runs_in_order(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("pan.mcap", "pan.sonar.toml", "pan.gt.csv"):
+        (tmp_path / "sample_data").mkdir(exist_ok=True)
+        shutil.copy(SAMPLE.parent / name, tmp_path / "sample_data" / name)
+    monkeypatch.chdir(tmp_path)
+    text = (ROOT / "sonarrec" / "help" / "python.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    assert len(blocks) == 5
+    names: dict[str, Any] = {}
+    for block in blocks:
+        exec(compile(block, "python.md", "exec"), names)
+    printed = capsys.readouterr().out
+    assert "results/pan 128 frames" in printed
+    assert "strict framework" in printed
+    assert re.search(r"framework ID\.[13] \d\.\d\d m", printed)
+    assert printed.splitlines()[-1] == "10"
+    for name in NAMES:
+        assert f"sonarrec.{name}" in text, name
+
+
+def test_frame_by_frame_is_what_a_run_writes(tmp_path: Path) -> None:
+    folder = tmp_path / "pings"
+    folder.mkdir()
+    for name in (*(f"{n:06d}.png" for n in range(10)), "sonar.toml"):
+        shutil.copy(SAMPLE / name, folder / name)
+    written = sonarrec.read_results(sonarrec.run(str(folder), str(tmp_path / "out")).folder)
+    with sonarrec.open_log(folder) as log:
+        frames = list(log)
+        fan = log.fan
+    assert fan is not None
+    with sonarrec.open_log(str(folder), sonar={"frame_rate_hz": 4.0}) as log:
+        by_log = list(sonarrec.Recogniser(log).recognise())
+    by_fan = list(sonarrec.Recogniser(fan).recognise(frames))
+    for found in (by_log, by_fan):
+        assert [r.index for r in found] == written.frames.frame.tolist()
+        scores = [e.score for r in found for e in r.estimates]
+        np.testing.assert_allclose(scores, written.estimates.score, atol=5.1e-7)
+    assert written.sightings is None
+    with pytest.raises(UsageError, match="needs frames"):
+        list(sonarrec.Recogniser(fan).recognise())
+
+
+def test_what_is_not_there_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(SonarrecError, match="no such file"):
+        sonarrec.read_results(tmp_path)
+    with pytest.raises(SonarrecError, match="no such results folder"):
+        sonarrec.evaluate(str(tmp_path / "gone"), str(SAMPLE / "gt.csv"))
