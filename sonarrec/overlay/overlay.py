@@ -66,14 +66,16 @@ def write_overlay(
     sonar: Sonar | None = None,
     sonar_file: Path | None = None,
     topic: str | None = None,
+    grid: bool = False,
     observe: Callable[[int | None], None] | None = None,
 ) -> Overlaid:
     """Draw the results of one log onto its frames, in one pass.
 
     results: the folder of this log's results, or one that holds it. method: None for the
     framework. span: frames from the first number up to, not including, the second. landmarks,
-    sonar, sonar_file, topic: where run.toml does not tell them; they win over it. observe: called
-    after every frame with the number of frames, where that is known.
+    sonar, sonar_file, topic: where run.toml does not tell them; they win over it. grid: range
+    rings and bearings in the pictures. observe: called after every frame with the number of frames,
+    where that is known.
     Raises SonarrecError where something cannot be used or the results are of another log,
     UsageError where an option cannot be meant.
     """
@@ -113,7 +115,7 @@ def write_overlay(
                 if annotations is not None:
                     annotations.write(frame, estimates, trails(history), marks)
                 if pictures:
-                    picture = _picture(frame, history, landmark_set, marks)
+                    picture = _picture(frame, history, landmark_set, marks, grid)
                     for target in pictures:
                         target.write(frame.index, picture)
         problems += log.problems
@@ -123,11 +125,17 @@ def write_overlay(
 
 
 def _picture(
-    frame: Frame, history: Sequence[Moment], landmarks: LandmarkSet, marks: Sequence[Mark]
+    frame: Frame,
+    history: Sequence[Moment],
+    landmarks: LandmarkSet,
+    marks: Sequence[Mark],
+    grid: bool,
 ) -> ByteImage:
     """The frame drawn, above its strip; history: up to this frame."""
     estimates, paths = history[-1].estimates, trails(history)
-    drawn = draw_frame(frame.image, frame.fan, landmarks, estimates, paths=paths, truth=marks)
+    drawn = draw_frame(
+        frame.image, frame.fan, landmarks, estimates, paths=paths, truth=marks, grid=grid
+    )
     return draw_picture(drawn, draw_strip(history, landmarks, max(drawn.shape[1], 512)))
 
 

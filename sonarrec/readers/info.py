@@ -56,7 +56,8 @@ class Images:
     "3 x uint8"). start_ns, end_ns: time of the first and last frame, rate_hz: frames a second
     between them, None where frames carry no time.
     layout: "fan" or "polar". polar_messages: the messages tell their own geometry. geometry: its
-    keys as stated, or told by the first ping. lacks: the keys that are missing.
+    keys as stated, or told by the first ping, or by default. origins: for each of these keys where
+    its value is from: "flag", "file" (geometry_from), "message" or "default". lacks: the keys that are missing.
     notes: what was stated against the messages. problems: one line for each frame that cannot be
     used (at most 20, then a count).
     """

@@ -86,7 +86,9 @@ def _fan_outline(picture: FloatArray, fan: Fan) -> list[str]:
     if share > _OUTSIDE and np.mean(outside) > _OUTSIDE / 10:
         told = f"{share:.0%} of the picture outside of the stated fan holds echoes"
         if _echoes(picture[::-1][outside]) < _OUTSIDE / 3:
-            return [f"{told}, but none if it is turned upside down (a fan has its far range on top)"]
+            return [
+                f"{told}, but none if it is turned upside down (a fan has its far range on top)"
+            ]
         return [
             f"{told} (is it polar, --layout polar? else look at range_min_m, range_max_m and "
             "field_of_view_deg)"
@@ -114,7 +116,10 @@ def _polar_outline(seen: FloatArray) -> list[str]:
         left, right = rows.argmax(axis=1), rows[:, ::-1].argmax(axis=1)
         at = np.arange(count)
         lines = [np.polyfit(at, side, 1) for side in (left, right)]
-        away = [np.std(side - np.polyval(line, at)) for side, line in zip((left, right), lines, strict=True)]
+        away = [
+            np.std(side - np.polyval(line, at))
+            for side, line in zip((left, right), lines, strict=True)
+        ]
         comes_in = [line[0] * count for line in lines]
         if max(away) < _STRAIGHT * _BEAMS and min(comes_in) > _NARROWING * _BEAMS * 0.4:
             return ["read as polar, the picture has the outline of a fan (--layout fan)"]
