@@ -175,6 +175,12 @@ class Features:
         "averaged along the track, with 'none of these' among the hypotheses",
         ("single", "track"),
     )
+    least_ring: float = _setting(
+        0.0,
+        "share",
+        "single: of the ring's cells that are bright in a frame whose symbol counts: the paper's "
+        "outer lines, which test for the circle; open in the paper",
+    )
     memory_frames: float = _setting(40.0, "frames", "track: memory of the averaged shape matrix")
     beam_width_deg: float = _setting(
         0.4,

@@ -165,7 +165,7 @@ class Recogniser:
             counts,
             np.concatenate([np.arange(n) for n in counts]),
             np.concatenate([f.candidates for f in frames]),
-            single.measurement,
+            single.measurement(),
             single.turn.astype(float),
             np.concatenate([f.scores for f in frames]),
             scores=single.similarity.max(axis=1) * single.ring,
@@ -186,7 +186,8 @@ class Recogniser:
             )
         else:
             single = self._identify(average, count > 0)
-            measured, turns = single.measurement, single.turn.astype(float)
+            measured = single.measurement(self._config.features.least_ring)
+            turns = single.turn.astype(float)
             turn_sigma = np.full(len(turns), np.nan)
         parts = np.split(measured, np.cumsum(counts)[:-1])
         beliefs = [self._features.step(g, q) for g, q in zip(groups, parts, strict=True)]  # stage 3

@@ -23,12 +23,16 @@ class Identification:
     turn: npt.NDArray[np.intp]
     ring: FloatArray
 
-    @property
-    def measurement(self) -> FloatArray:
-        """(n, K) q of Eq. 8: the similarities divided by their sum."""
+    def measurement(self, least_ring: float = 0.0) -> FloatArray:
+        """(n, K) q of Eq. 8: the similarities divided by their sum.
+
+        least_ring: where less of the ring is bright the outer lines show no circle, and the inner
+        ones tell nothing: q is uniform.
+        """
         total = self.similarity.sum(axis=1, keepdims=True)
         uniform = np.full_like(self.similarity, 1 / self.similarity.shape[1])
-        np.divide(self.similarity, total, out=uniform, where=total > 0)
+        circle = (self.ring >= least_ring)[:, None]
+        np.divide(self.similarity, total, out=uniform, where=(total > 0) & circle)
         return uniform
 
 
