@@ -51,7 +51,6 @@ STRIP_FRAMES = 120
 _SMALLEST = 512  # pixels of the longer side below which a frame is enlarged to be legible
 _FINE = 4  # fractional bits of the coordinates that OpenCV draws at
 _TICK_FRAMES = 20  # between ticks of the strip's time axis
-_NICE = (1.0, 2.0, 5.0)  # steps of a grid, times a power of ten
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _BLACK: Colour = (0, 0, 0)
 
@@ -195,9 +194,9 @@ def _pen_on(image: ByteImage, fan: Fan) -> _Pen:
 
 def nice_steps(low: float, high: float, about: int) -> FloatArray:
     """(n,) round numbers within low to high, `about` of them: multiples of 1, 2 or 5."""
-    step = (high - low) / about
-    power = 10.0 ** math.floor(math.log10(step))
-    step = next((n * power for n in _NICE if n * power >= step * 0.999), 10 * power)
+    wanted = (high - low) / about
+    power = 10.0 ** math.floor(math.log10(wanted))
+    step = min((n * power for n in (1, 2, 5, 10)), key=lambda nice: abs(math.log(nice / wanted)))
     first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
     return np.arange(first, last + 1) * step
 
@@ -267,13 +266,13 @@ def _legend(fan: Fan, landmarks: LandmarkSet, width: int) -> ByteImage:
     begins = floor_depth(fan)
     window = f"{fan.range_min_m:.4g} to {fan.range_max_m:.4g} m"
     where = ": nearer than the window" if begins < fan.range_min_m else ""
+    bearings = f"{fan.bearing_min_deg:.3g} to {fan.bearing_max_deg:.3g} deg"
+    disc = f"{2 * landmarks.radius_m:.3g} m, {disc_width_px(fan, landmarks):.0f} px wide"
     lines = (
-        (f"stated: {window}, {fan.bearing_min_deg:.3g} to {fan.bearing_max_deg:.3g} deg, "
-         f"tilt {fan.tilt_deg:g} deg", GRID),
+        (f"stated: {window}, {bearings}, tilt {fan.tilt_deg:g} deg", GRID),
         (f"floor from {begins:.3g} m{where}{assumed}", FLOOR),
-        (f"disc of {landmarks.name}: {2 * landmarks.radius_m:.3g} m, "
-         f"{disc_width_px(fan, landmarks):.0f} px wide in mid-window", TRUTH),
-    )  # fmt: skip
+        (f"disc of {landmarks.name}: {disc} in mid-window", TRUTH),
+    )
     pen = _Pen(np.zeros((round((len(lines) * 18 + 8) * unit), width, 3), np.uint8), unit)
     for n, (text, colour) in enumerate(lines):
         pen.text(text, (6 * unit, (18 * n + 16) * unit), colour)
@@ -294,7 +293,7 @@ def draw_strip(history: Sequence[Moment], landmarks: LandmarkSet, width: int) ->
     per_line = max(1, int((right - left - 210 * unit) / (46 * unit)))
     top = (24 + 16 * ((len(colours) - 1) // per_line)) * unit
     bottom = top + 92 * unit
-    pen = _Pen(np.zeros((round(bottom + 26 * unit), width, 3), np.uint8), unit)
+    pen = _Pen(np.zeros((round(bottom + 24 * unit), width, 3), np.uint8), unit)
     for n, (landmark, colour) in enumerate(colours.items()):
         at = (left + n % per_line * 46 * unit, (15 + 16 * (n // per_line)) * unit)
         pen.text(f"ID.{landmark}", at, colour)
@@ -308,10 +307,10 @@ def draw_strip(history: Sequence[Moment], landmarks: LandmarkSet, width: int) ->
     for result in history:
         ago = newest.index - result.index
         if result.index % _TICK_FRAMES == 0 and ago < STRIP_FRAMES:
-            x = right - ago * step
-            pen.lines(np.array([[[x, bottom], [x, bottom + 5 * unit]]]), UNNAMED, 1)
-            pen.note(_clock(result.timestamp_ns, short=True), (x, bottom + 19 * unit), UNNAMED,
-                     centred=True)  # fmt: skip
+            tick = right - ago * step
+            told = _clock(result.timestamp_ns, short=True)
+            pen.note(told, (tick, bottom + 21 * unit), UNNAMED, centred=True)
+            pen.lines(np.array([[[tick, bottom], [tick, bottom + 5 * unit]]]), UNNAMED, 1)
 
     shown = [
         (result.index, e)
@@ -425,9 +424,13 @@ class _Pen:
     ) -> None:
         """Text at a point of the image (its bottom left, or middle), kept inside the picture."""
         (width, height), _ = cv2.getTextSize(text, _FONT, self._unit / 2, self._thickness)
-        x, y = self._enlarged(np.asarray(at, float)) + (3 * self._unit, -3 * self._unit)
+        x, y = self._enlarged(np.asarray(at, float))
+        x, y = x + 3 * self._unit, y - 3 * self._unit
         x = min(max(x - (width / 2 if centred else 0), 2), self.canvas.shape[1] - width - 2)
-        self.text(text, (x, min(max(y, height + 2), self.canvas.shape[0] - 3)), colour)
+        y = min(max(y, height + 2), self.canvas.shape[0] - 3)
+        rows = slice(max(0, round(y - height) - 1), round(y) + 2)
+        self.canvas[rows, max(0, round(x) - 1) : round(x + width) + 1] //= 3
+        self.text(text, (x, y), colour)
 
     def text(
         self, text: str, at: tuple[float, float], colour: Colour, align_right: bool = False

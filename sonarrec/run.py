@@ -9,8 +9,10 @@ from itertools import chain
 from pathlib import Path
 
 from sonarrec.config import Config
+from sonarrec.drawing import disc_width_px
 from sonarrec.poses import PoseTable
 from sonarrec.readers import open_log
+from sonarrec.readers.plausible import Plausibility
 from sonarrec.readers.poses_csv import read_poses
 from sonarrec.recogniser.side_by_side import SideBySide
 from sonarrec.recogniser.stage3_features.model import ModelFile, model_from_table, read_model
@@ -24,7 +26,7 @@ from sonarrec.sonar import Sonar
 @dataclass(frozen=True, slots=True)
 class Summary:
     """What became of one log: where the results are, what could not be used, and what was stated
-    against the log's own messages."""
+    against the log's own messages or against its picture, or shows no candidate."""
 
     folder: Path
     frames: int
@@ -90,6 +92,8 @@ def process(
         )
         source = (log.name, *log.digest_source())
         methods = recogniser.methods
+        plausibility = Plausibility()
+        candidates = 0
         run = run_table(
             configs, methods, log.stated, first.fan, stated.landmarks, source, log.reading()
         )
@@ -102,7 +106,9 @@ def process(
         with ResultsWriter(out / log.name, stated.landmarks, run) as writer:
 
             def take(results: Iterable[FrameResult]) -> None:
+                nonlocal candidates
                 for result in results:
+                    candidates += result.candidates
                     writer.write(result, stamps.popleft())
                     for sighting in sightings:
                         sighting.add(result)
@@ -112,6 +118,7 @@ def process(
             try:
                 for frame in chain([first], frames):
                     stamps.append(frame.stamps)
+                    plausibility.look(frame)
                     take(recogniser.step(frame))
             finally:  # whatever breaks off, what only waited to be judged is written
                 take(recogniser.judge())
@@ -119,6 +126,16 @@ def process(
             problems = [*log.problems, *recogniser.problems()]
             writer.finish(problems)
         notes += [*log.notes, *recogniser.notes()]
+        doubts = plausibility.contradictions(polar=log.sonar.layout == "polar")
+        if not candidates:
+            width = disc_width_px(first.fan, stated.landmarks)
+            doubts.append(
+                f"0 candidates in {writer.frames} frames: a disc of {stated.landmarks.name} would "
+                f"be {width:.0f} px wide here"
+            )
+        if doubts:
+            look = f"`sonarrec info {path} --preview FILE.png`, with the same geometry"
+            notes.append(f"{path}: {'; '.join(doubts)}; look at {look}")
         return Summary(out / log.name, writer.frames, problems, notes, _lines(sightings))
 
 

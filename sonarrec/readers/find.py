@@ -64,13 +64,9 @@ class Source:
         except OSError as error:
             raise SonarrecError(f"{self.path}: cannot be read ({error.strerror})") from None
 
-    def sonar_file_beside(self) -> Path | None:
-        """The sonar.toml that serves this log, None without one."""
-        return next((b for b in self.beside if b.is_file()), None)
-
     def stated_sonar(self, flags: Sonar, sonar_file: Path | None) -> tuple[Sonar, str]:
         """The geometry as file and flags state it, and the name to give it in errors."""
-        file = sonar_file or self.sonar_file_beside()
+        file = sonar_file or next((b for b in self.beside if b.is_file()), None)
         stated = Sonar() if file is None else load_sonar(file)
         return stated.updated(flags), str(file or self.path)
 

@@ -18,6 +18,7 @@ _RINGS, _BEAMS = 96, 64  # the fan seen as rows of slant range, nearest first, a
 _BACKGROUND = 6.0  # grey levels about the background's that hold no echo
 # Clear faults measure .42 and more on the sample logs, right geometry .03 at the most.
 _OUTSIDE = 0.15  # share of the pixels outside of the stated fan that hold echoes
+_FILLED = 0.6  # the same share of a picture without a fan's outline
 _CUT = 0.2  # share of the stated fan that lies outside of the picture
 _NARROWING = 0.1  # of the picture's width, by which each side of a fan comes in
 _STRAIGHT = 0.02  # of the picture's width, standard deviation of an edge about a line
@@ -28,9 +29,7 @@ _NEAR = 0.1  # share of the window that has to lie before the stated floor to be
 class Plausibility:
     """Looks at the first frames of a log; `contradictions` says what cannot be."""
 
-    def __init__(self, layout: str | None) -> None:
-        """layout: "fan" or "polar", as the log's images are read."""
-        self._polar = layout == "polar"
+    def __init__(self) -> None:
         self._fan: Fan | None = None
         self._sum: FloatArray | None = None
         self._frames = 0
@@ -44,13 +43,16 @@ class Plausibility:
             self._fan, self._sum = frame.fan, np.zeros(frame.image.shape, np.float32)
         self._sum += frame.image
 
-    def contradictions(self) -> list[str]:
-        """What the picture shows against the stated geometry, each with the keys to look at."""
+    def contradictions(self, *, polar: bool) -> list[str]:
+        """What the picture shows against the stated geometry, each with the keys to look at.
+
+        polar: the log's images are read as polar, and the frames looked at were made of them.
+        """
         if self._sum is None or self._fan is None:
             return []
         picture = self._sum / self._frames
         seen = _as_polar(picture, self._fan)
-        shape = _polar_outline(seen) if self._polar else _fan_outline(picture, self._fan)
+        shape = _polar_outline(seen) if polar else _fan_outline(picture, self._fan)
         # Of a picture that lies wrongly no range is what it seems.
         return shape or _floor(seen, self._fan)
 
@@ -89,10 +91,9 @@ def _fan_outline(picture: FloatArray, fan: Fan) -> list[str]:
             return [
                 f"{told}, but none if it is turned upside down (a fan has its far range on top)"
             ]
-        return [
-            f"{told} (is it polar, --layout polar? else look at range_min_m, range_max_m and "
-            "field_of_view_deg)"
-        ]
+        if share > _FILLED:
+            return [f"{told} (is it polar, --layout polar?)"]
+        return [f"{told} (look at range_min_m, range_max_m, field_of_view_deg and layout)"]
     column, row = pixel_from_polar(fan, *_rings(fan))
     cut = np.mean((column < -1) | (column > fan.columns) | (row < -1) | (row > fan.rows))
     if cut > _CUT:
@@ -120,7 +121,7 @@ def _polar_outline(seen: FloatArray) -> list[str]:
             np.std(side - np.polyval(line, at))
             for side, line in zip((left, right), lines, strict=True)
         ]
-        comes_in = [line[0] * count for line in lines]
+        comes_in = [float(line[0]) * count for line in lines]
         if max(away) < _STRAIGHT * _BEAMS and min(comes_in) > _NARROWING * _BEAMS * 0.4:
             return ["read as polar, the picture has the outline of a fan (--layout fan)"]
     return []
@@ -135,7 +136,7 @@ def _floor(seen: FloatArray, fan: Fan) -> list[str]:
     before, beyond = range_m < 0.95 * fan.height_m, range_m > 1.05 * fan.height_m
     if np.mean(before) < _NEAR or np.mean(beyond) < _NEAR:
         return []
-    near, floor = np.median(rings[before]), np.quantile(rings[beyond], 0.75)
+    near, floor = float(np.median(rings[before])), float(np.quantile(rings[beyond], 0.75))
     if near < max(_AS_BRIGHT * floor, _BACKGROUND):
         return []
     return [
