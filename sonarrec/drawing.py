@@ -1,13 +1,15 @@
-"""Draws what a method says onto a fan image, and the probabilities below it.
+"""Draws what a method says onto a fan image, the probabilities below it, and the stated geometry.
 
 The counterparts of the paper's Figure 13 (frames) and Figure 14 (probabilities over time).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -21,7 +23,7 @@ from sonarrec.geometry import (
     slant_range,
 )
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import ByteImage, Estimate, Fan, FloatArray
+from sonarrec.records import ByteImage, Estimate, Fan, FloatArray, SonarrecError
 
 Colour = tuple[int, int, int]
 """Red, green, blue, 0 to 255."""
@@ -40,12 +42,15 @@ UNNAMED: Colour = (200, 200, 200)
 TRUTH: Colour = (255, 255, 255)
 AROUND = 1.15
 """Radius, in discs, at which truth is drawn: it must not hide under an estimate."""
+GRID: Colour = (110, 150, 160)
+FLOOR: Colour = (230, 159, 0)
 TRAIL_FRAMES = 20
 STRIP_FRAMES = 120
 """How far back trails and the probability strip reach."""
 
 _SMALLEST = 512  # pixels of the longer side below which a frame is enlarged to be legible
 _FINE = 4  # fractional bits of the coordinates that OpenCV draws at
+_TICK_FRAMES = 20  # between ticks of the strip's time axis
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _BLACK: Colour = (0, 0, 0)
 
@@ -150,17 +155,18 @@ def draw_frame(
     *,
     paths: Mapping[int, FloatArray] | None = None,
     truth: Sequence[Mark] = (),
+    grid: bool = False,
 ) -> ByteImage:
     """The frame with an outline, ID and probability for every estimate: one method's (Figure 13).
 
     image: (fan.rows, fan.columns) uint8. estimates: declared ones in the ID's colour, others thin
-    and grey. paths: as `trails` gives them. truth: dashed white.
+    and grey. paths: as `trails` gives them. truth: dashed white. grid: range rings and bearings
+    below all that.
     Returns (rows, columns, 3) uint8 BGR, both sides `enlargement` times the fan's.
     """
-    scale = enlargement(fan)
-    size = (fan.columns * scale, fan.rows * scale)
-    enlarged = cv2.resize(image, size, interpolation=cv2.INTER_LINEAR)
-    pen = _Pen(cv2.cvtColor(enlarged, cv2.COLOR_GRAY2BGR), pixel_unit(max(size)), scale)
+    pen = _pen_on(image, fan)
+    if grid:
+        _draw_grid(pen, fan)
     colours = landmark_colours(landmarks.ids)
     # The declared last, on top of the others.
     for e in sorted(estimates, key=lambda e: (e.declared, e.score)):
@@ -178,6 +184,101 @@ def draw_frame(
     return pen.canvas
 
 
+def _pen_on(image: ByteImage, fan: Fan) -> _Pen:
+    """A pen that draws in fan pixels on the image, enlarged to be legible."""
+    scale = enlargement(fan)
+    size = (fan.columns * scale, fan.rows * scale)
+    enlarged = cv2.resize(image, size, interpolation=cv2.INTER_LINEAR)
+    return _Pen(cv2.cvtColor(enlarged, cv2.COLOR_GRAY2BGR), pixel_unit(max(size)), scale)
+
+
+def nice_steps(low: float, high: float, about: int) -> FloatArray:
+    """(n,) round numbers within low to high, `about` of them: multiples of 1, 2 or 5."""
+    wanted = (high - low) / about
+    power = 10.0 ** math.floor(math.log10(wanted))
+    step = min((n * power for n in (1, 2, 5, 10)), key=lambda nice: abs(math.log(nice / wanted)))
+    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    return np.arange(first, last + 1) * step
+
+
+def _draw_grid(pen: _Pen, fan: Fan) -> None:
+    """The stated fan's outline, range rings and bearings, each labelled."""
+    low, high = fan.bearing_min_deg, fan.bearing_max_deg
+    for range_m in nice_steps(fan.range_min_m, fan.range_max_m, 5):
+        ring = _arc(fan, range_m)
+        pen.lines(ring[None], GRID, 1)
+        pen.note(f"{range_m:g} m", ring[-1], GRID)
+    for bearing in nice_steps(low, high, 6):
+        ray = _ray(fan, bearing)
+        pen.lines(ray[None], GRID, 1)
+        pen.note(f"{bearing:g}", ray[-1], GRID, centred=True)
+    edge = [_ray(fan, low), _arc(fan, fan.range_max_m), _ray(fan, high)[::-1]]
+    outline = np.concatenate([*edge, _arc(fan, fan.range_min_m)[::-1]])
+    pen.lines(outline[None], GRID, 2, closed=True)
+
+
+def _arc(fan: Fan, range_m: float) -> FloatArray:
+    """(64, 2) fan pixels of a range ring, from the left edge of the fan to the right."""
+    bearings = np.linspace(fan.bearing_min_deg, fan.bearing_max_deg, 64)
+    return np.column_stack(pixel_from_polar(fan, range_m, bearings))
+
+
+def _ray(fan: Fan, bearing_deg: float) -> FloatArray:
+    """(2, 2) fan pixels of a bearing, from the near end of the window to the far."""
+    ends = np.array([fan.range_min_m, fan.range_max_m])
+    return np.column_stack(pixel_from_polar(fan, ends, bearing_deg))
+
+
+def disc_width_px(fan: Fan, landmarks: LandmarkSet) -> float:
+    """How wide a disc of the set is, across the line of sight, in the middle of the window."""
+    middle = (fan.range_min_m + fan.range_max_m) / 2
+    column, row = pixel_from_polar(fan, middle, 0.0)
+    outline = disc_outline(fan, landmarks.radius_m, float(column), float(row))
+    return float(np.ptp(outline[:, 0]))
+
+
+def draw_preview(image: ByteImage, fan: Fan, landmarks: LandmarkSet) -> ByteImage:
+    """A frame under what is stated of it: rings, bearings, the floor's near edge, three discs.
+
+    image: (fan.rows, fan.columns) uint8. The floor's near edge is the slant range of the height:
+    nothing nearer lies on the floor. The discs lie at a sixth, half and five sixths of the window.
+    Returns (rows, columns, 3) uint8 BGR: the frame as of draw_frame, with a legend below.
+    """
+    pen = _pen_on(image, fan)
+    _draw_grid(pen, fan)
+    near = floor_depth(fan)
+    if fan.range_min_m <= near <= fan.range_max_m:
+        edge = _arc(fan, near)
+        pen.line(edge, FLOOR, 2)
+        pen.note("floor", edge[len(edge) // 2], FLOOR, centred=True)
+    for share, aside in ((1 / 6, 0.5), (1 / 2, 0.25), (5 / 6, 0.75)):
+        bearing = fan.bearing_min_deg + aside * (fan.bearing_max_deg - fan.bearing_min_deg)
+        place = pixel_from_polar(fan, fan.range_min_m + share * fan.window_m, bearing)
+        outline = disc_outline(fan, landmarks.radius_m, float(place[0]), float(place[1]))
+        pen.line(outline, TRUTH, 1, closed=True)
+    return draw_picture(pen.canvas, _legend(fan, landmarks, max(pen.canvas.shape[1], 512)))
+
+
+def _legend(fan: Fan, landmarks: LandmarkSet, width: int) -> ByteImage:
+    """Lines on what is stated, in the colours of what they explain."""
+    unit = pixel_unit(width)
+    assumed = "" if fan.height_m is not None else ", by the tilt (no height is stated)"
+    begins = floor_depth(fan)
+    window = f"{fan.range_min_m:.4g} to {fan.range_max_m:.4g} m"
+    where = ": nearer than the window" if begins < fan.range_min_m else ""
+    bearings = f"{fan.bearing_min_deg:.3g} to {fan.bearing_max_deg:.3g} deg"
+    disc = f"{2 * landmarks.radius_m:.3g} m, {disc_width_px(fan, landmarks):.0f} px wide"
+    lines = (
+        (f"stated: {window}, {bearings}, tilt {fan.tilt_deg:g} deg", GRID),
+        (f"floor from {begins:.3g} m{where}{assumed}", FLOOR),
+        (f"disc of {landmarks.name}: {disc} in mid-window", TRUTH),
+    )
+    pen = _Pen(np.zeros((round((len(lines) * 18 + 8) * unit), width, 3), np.uint8), unit)
+    for n, (text, colour) in enumerate(lines):
+        pen.text(text, (6 * unit, (18 * n + 16) * unit), colour)
+    return pen.canvas
+
+
 def draw_strip(history: Sequence[Moment], landmarks: LandmarkSet, width: int) -> ByteImage:
     """The probability of each ID along every track, up to the newest frame (Figure 14).
 
@@ -192,7 +293,7 @@ def draw_strip(history: Sequence[Moment], landmarks: LandmarkSet, width: int) ->
     per_line = max(1, int((right - left - 210 * unit) / (46 * unit)))
     top = (24 + 16 * ((len(colours) - 1) // per_line)) * unit
     bottom = top + 92 * unit
-    pen = _Pen(np.zeros((round(bottom + 12 * unit), width, 3), np.uint8), unit)
+    pen = _Pen(np.zeros((round(bottom + 24 * unit), width, 3), np.uint8), unit)
     for n, (landmark, colour) in enumerate(colours.items()):
         at = (left + n % per_line * 46 * unit, (15 + 16 * (n // per_line)) * unit)
         pen.text(f"ID.{landmark}", at, colour)
@@ -202,6 +303,14 @@ def draw_strip(history: Sequence[Moment], landmarks: LandmarkSet, width: int) ->
         level = bottom - share * (bottom - top)
         pen.lines(np.array([[[left, level], [right, level]]]), (70, 70, 70), 1)
         pen.text(f"{share:g}", (6 * unit, level + 5 * unit), UNNAMED)
+    step = (right - left) / (STRIP_FRAMES - 1)
+    for result in history:
+        ago = newest.index - result.index
+        if result.index % _TICK_FRAMES == 0 and ago < STRIP_FRAMES:
+            tick = right - ago * step
+            told = _clock(result.timestamp_ns, short=True)
+            pen.note(told, (tick, bottom + 21 * unit), UNNAMED, centred=True)
+            pen.lines(np.array([[[tick, bottom], [tick, bottom + 5 * unit]]]), UNNAMED, 1)
 
     shown = [
         (result.index, e)
@@ -218,7 +327,6 @@ def draw_strip(history: Sequence[Moment], landmarks: LandmarkSet, width: int) ->
     named = np.array([e.landmark if e.declared else None for _, e in shown])
     joined = np.append(False, (track[1:] == track[:-1]) & (track[1:] >= 0))
     before = np.arange(len(shown)) - joined
-    step = (right - left) / (STRIP_FRAMES - 1)
     x = right - (newest.index - frame) * step
     beliefs = np.array([e.probabilities for _, e in shown])
     for thick in (False, True):
@@ -242,11 +350,21 @@ def draw_picture(frame: ByteImage, strip: ByteImage) -> ByteImage:
     return picture
 
 
-def _clock(timestamp_ns: int) -> str:
-    """Seconds, or the time of day where they count from 1970."""
+def write_png(path: Path, picture: ByteImage) -> None:
+    """Write (rows, columns, 3) uint8 BGR. Raises SonarrecError where it cannot be written."""
+    try:
+        path.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
+    except OSError as error:
+        raise SonarrecError(f"{path}: cannot be written ({error.strerror})") from None
+
+
+def _clock(timestamp_ns: int, *, short: bool = False) -> str:
+    """Seconds, or the time of day where they count from 1970. short: for a tick."""
     seconds = timestamp_ns / 1e9
     if seconds < 1e8:
-        return f"{seconds:.2f} s"
+        return f"{seconds:.1f} s" if short else f"{seconds:.2f} s"
+    if short:
+        return f"{datetime.fromtimestamp(seconds, UTC):%H:%M:%S}"
     return f"{datetime.fromtimestamp(seconds, UTC):%H:%M:%S.%f}"[:-4] + " UTC"
 
 
@@ -299,6 +417,19 @@ class _Pen:
         y = min(max(y, height + 2), self.canvas.shape[0] - drop)
         rows = slice(max(0, round(y - height) - 3), round(y + drop))
         self.canvas[rows, max(0, round(x) - 3) : round(x + width) + 3] //= 4
+        self.text(text, (x, y), colour)
+
+    def note(
+        self, text: str, at: FloatArray | tuple[float, float], colour: Colour, centred: bool = False
+    ) -> None:
+        """Text at a point of the image (its bottom left, or middle), kept inside the picture."""
+        (width, height), _ = cv2.getTextSize(text, _FONT, self._unit / 2, self._thickness)
+        x, y = self._enlarged(np.asarray(at, float))
+        x, y = x + 3 * self._unit, y - 3 * self._unit
+        x = min(max(x - (width / 2 if centred else 0), 2), self.canvas.shape[1] - width - 2)
+        y = min(max(y, height + 2), self.canvas.shape[0] - 3)
+        rows = slice(max(0, round(y - height) - 1), round(y) + 2)
+        self.canvas[rows, max(0, round(x) - 1) : round(x + width) + 1] //= 3
         self.text(text, (x, y), colour)
 
     def text(

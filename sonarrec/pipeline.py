@@ -11,10 +11,12 @@ from typing import Any
 
 from sonarrec.config import Config
 from sonarrec.config import preset as config_of
+from sonarrec.drawing import disc_width_px
 from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.poses import PoseTable
 from sonarrec.readers import open_log
 from sonarrec.readers.log import Log
+from sonarrec.readers.plausible import Plausibility
 from sonarrec.readers.poses_csv import read_poses
 from sonarrec.recogniser.side_by_side import SideBySide
 from sonarrec.recogniser.stage3_features.model import ModelFile, model_from_table, read_model
@@ -164,10 +166,12 @@ def process(
         if learned is not None:
             table["model"] = learned.as_table()
         sightings = [Sightings(method) for method in recogniser.tracking]
+        plausibility, candidates = Plausibility(), 0
         folder = Path(out) / log.name
         with ResultsWriter(folder, landmarks, table) as writer:
-            for result, stamps in _results(recogniser, chain([first], frames)):
+            for result, stamps in _results(recogniser, chain([first], frames), plausibility):
                 writer.write(result, stamps)
+                candidates += result.candidates
                 for sighting in sightings:
                     sighting.add(result)
                 if observe is not None:
@@ -175,11 +179,17 @@ def process(
             problems = [*log.problems, *recogniser.problems()]
             writer.finish(problems)
         notes += [*log.notes, *recogniser.notes()]
+        doubts = plausibility.contradictions(polar=log.sonar.layout == "polar")
+        if not candidates:
+            doubts.append(_no_candidate(writer.frames, first.fan, landmarks))
+        if doubts:
+            look = f"`sonarrec info {path} --preview FILE.png`, with the same geometry"
+            notes.append(f"{path}: {'; '.join(doubts)}; look at {look}")
         return Summary(folder, writer.frames, problems, notes, _lines(sightings))
 
 
 def _results(
-    recogniser: SideBySide, frames: Iterable[Frame]
+    recogniser: SideBySide, frames: Iterable[Frame], plausibility: Plausibility
 ) -> Iterator[tuple[FrameResult, Stamps]]:
     """Every frame's result, and the log's times of that frame."""
     stamps = deque[Stamps]()  # of the frames whose results are waited for
@@ -187,10 +197,17 @@ def _results(
     def stamped() -> Iterator[Frame]:
         for frame in frames:
             stamps.append(frame.stamps)
+            plausibility.look(frame)
             yield frame
 
     for result in recogniser.recognise(stamped()):
         yield result, stamps.popleft()
+
+
+def _no_candidate(frames: int, fan: Fan, landmarks: LandmarkSet) -> str:
+    width = disc_width_px(fan, landmarks)
+    of = f"a disc of {landmarks.name} would be {width:.0f} px wide here"
+    return f"0 candidates in {frames} frames: {of}"
 
 
 def _opened(path: Path, given: Given) -> Log:

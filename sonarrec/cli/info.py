@@ -11,10 +11,12 @@ import click
 
 from sonarrec.cli.options import (
     INPUT,
+    NEW_FILE,
     OUTPUT,
     PARTLY,
     LogChoice,
     command,
+    landmarks_option,
     leave,
     log_options,
     option,
@@ -39,10 +41,24 @@ _YEAR_2000_NS = 946_684_800 * 10**9
     help="Read the summary and the first frames only; do not check every frame and checksum.",
 )
 @log_options()
+@landmarks_option
+@option(
+    OUTPUT,
+    "--preview",
+    type=NEW_FILE,
+    metavar="FILE.png",
+    help="Draw the first usable frame under the stated geometry, with discs of the set to scale.",
+)
 @option(OUTPUT, "--json", "as_json", is_flag=True, help="Print JSON. Keys: sonarrec help info.")
 @quiet_option
 def info(
-    log: tuple[str, ...], quick: bool, log_choice: LogChoice, as_json: bool, quiet: bool
+    log: tuple[str, ...],
+    quick: bool,
+    log_choice: LogChoice,
+    landmarks: str | None,
+    preview: Path | None,
+    as_json: bool,
+    quiet: bool,
 ) -> None:
     """Show what is in LOG, whether it is whole, and how `run` would read it.
 
@@ -51,16 +67,22 @@ def info(
     out. A geometry that is not complete is told but no fault. Exit code 3: part of the log cannot
     be used; 1: nothing can.
 
+    --preview draws range rings, bearings, the near edge of the stated floor and three discs of the
+    landmark set onto the first usable frame: what is wrong with a geometry shows at a glance.
+
     \b
     Examples:
       sonarrec info sample_data/pan.mcap
       sonarrec info --quick *.mcap
+      sonarrec info pings/ --tilt-deg 22 --preview pings.png
       sonarrec info --json dive.mcap | jq '.logs[0].images[].usable'
     """
     from sonarrec import __version__
     from sonarrec.readers.info import describe
 
     reading = log_choice.arguments()
+    if preview is not None:
+        _check_preview(preview, log)
     tables: list[dict[str, Any]] = []
     useless = faulty = 0
     for number, path in enumerate(log):
@@ -77,6 +99,8 @@ def info(
         useless += found.nothing
         faulty += found.partly
         tables.append(found.as_table())
+        if preview is not None:
+            _draw_preview(path, preview, landmarks, reading)
         if not as_json:
             click.echo("\n".join(["", *lines(found)] if number else lines(found)))
     if as_json:
@@ -85,6 +109,33 @@ def info(
         leave(1)
     if useless or faulty:
         leave(PARTLY)
+
+
+def _check_preview(preview: Path, logs: tuple[str, ...]) -> None:
+    """Raises UsageError where the picture has no place of its own."""
+    if len(logs) > 1:
+        raise UsageError(f"--preview {preview}: draws one log; {len(logs)} are given")
+    if preview.suffix.lower() != ".png":
+        raise UsageError(f"--preview {preview}: a picture is written as NAME.png")
+    log = Path(logs[0])
+    if log.is_file():
+        taken = preview.resolve() == log.resolve()
+    else:  # a folder of images or a glob
+        taken = preview.parent.resolve() == (log if log.is_dir() else log.parent).resolve()
+    if taken:
+        raise UsageError(f"--preview {preview}: this is the recording itself; write somewhere else")
+
+
+def _draw_preview(path: str, preview: Path, landmarks: str | None, reading: dict[str, Any]) -> None:
+    """Write the first usable frame under its geometry. Raises SonarrecError where there is none."""
+    from sonarrec.drawing import draw_preview, write_png
+    from sonarrec.landmarks import load_landmarks
+    from sonarrec.readers import open_log
+
+    landmark_set = load_landmarks(landmarks or "basin")
+    with open_log(path, **reading) as opened:
+        first = next(iter(opened))
+    write_png(preview, draw_preview(first.image, first.fan, landmark_set))
 
 
 def lines(info: LogInfo) -> list[str]:
@@ -195,14 +246,27 @@ def _geometry_lines(images: Images) -> list[str]:
         parts.append(f"tilt {known.tilt_deg:g} deg")
     if known.height_m is not None:
         parts.append(f"height {known.height_m:g} m")
-    sources = ["the messages"] if images.polar_messages and images.rows is not None else []
-    sources += [images.geometry_from] if images.geometry_from is not None else []
-    out = [", ".join(parts) + (f" (from {' and '.join(sources)})" if sources else "")]
+    out = [", ".join(parts), *_origin_lines(images)]
     if images.lacks:
         flags = " ".join(f"--{key.replace('_', '-')}" for key in images.lacks)
         out.append(f"lacks {', '.join(images.lacks)}")
         out.append(f"give {flags}, or put a sonar.toml beside the log")
     return [text for text in out if text]
+
+
+def _origin_lines(images: Images) -> list[str]:
+    """Which values are from where, a line for each origin."""
+    names = {"flag": "by flag", "message": "told by the messages", "default": "by default"}
+    lines: dict[str, list[str]] = {}
+    for key, origin in images.origins.items():
+        value = f" = {images.layout}" if key == "layout" and origin == "default" else ""
+        lines.setdefault(names.get(origin, f"from {origin}"), []).append(key + value)
+    for key, value in images.assumed.items():
+        numbers = value if isinstance(value, list) else [value]
+        text = ", ".join(f"{number:.4g}" for number in numbers)
+        text = f"[{text}]" if isinstance(value, list) else text
+        lines.setdefault(names["default"], []).append(f"{key} = {text}")
+    return [f"{origin}: {', '.join(keys)}" for origin, keys in lines.items()]
 
 
 def _moment(time_ns: int) -> str:

@@ -43,6 +43,7 @@ from sonarrec.records import UsageError
     metavar="A:B",
     help="From frame A up to, not including, B; either may be left out.",
 )
+@option(OUTPUT, "--grid", is_flag=True, help="Range rings and bearings in videos and images.")
 @quiet_option
 def overlay(
     log: str,
@@ -55,6 +56,7 @@ def overlay(
     images: Path | None,
     method: str | None,
     frames: str | None,
+    grid: bool,
     quiet: bool,
 ) -> None:
     """Draw RESULTS onto the frames of LOG: outlines, IDs, probabilities, trails.
@@ -91,6 +93,7 @@ def overlay(
             ground_truth=ground_truth,
             landmarks=landmarks,
             **log_choice.arguments(),
+            grid=grid,
             observe=step,
         )
     tell(done.problems)

@@ -67,14 +67,16 @@ def write_overlay(
     sonar: Sonar | None = None,
     sonar_file: Path | None = None,
     topic: str | None = None,
+    grid: bool = False,
     observe: Callable[[int | None], None] | None = None,
 ) -> Overlaid:
     """Draw the results of one log onto its frames, in one pass.
 
     results: the folder of this log's results, or one that holds it. method: None for the
     framework. span: frames from the first number up to, not including, the second. landmarks,
-    sonar, sonar_file, topic: where run.toml does not tell them; they win over it. observe: called
-    after every frame with the number of frames, where that is known.
+    sonar, sonar_file, topic: where run.toml does not tell them; they win over it. grid: range
+    rings and bearings in the pictures. observe: called after every frame with the number of frames,
+    where that is known.
     Raises SonarrecError where something cannot be used or the results are of another log,
     UsageError where an option cannot be meant.
     """
@@ -110,7 +112,7 @@ def write_overlay(
                 marks = truth.get(frame.index, [])
                 if annotations is not None:
                     annotations.write(frame, estimates, trails(history), marks)
-                _write_pictures(pictures, frame, history, landmark_set, marks)
+                _write_pictures(pictures, frame, history, landmark_set, marks, grid)
         problems += log.problems
     if not written:
         raise UsageError(f"{path}: no frame lies in --frames {span[0]}:{span[1] or ''}")
@@ -127,12 +129,15 @@ def _write_pictures(
     history: Sequence[Moment],
     landmarks: LandmarkSet,
     marks: Sequence[Mark],
+    grid: bool,
 ) -> None:
     """Write the frame drawn, above its strip; history: up to this frame."""
     if not targets:
         return
     estimates, paths = history[-1].estimates, trails(history)
-    drawn = draw_frame(frame.image, frame.fan, landmarks, estimates, paths=paths, truth=marks)
+    drawn = draw_frame(
+        frame.image, frame.fan, landmarks, estimates, paths=paths, truth=marks, grid=grid
+    )
     picture = draw_picture(drawn, draw_strip(history, landmarks, max(drawn.shape[1], 512)))
     for target in targets:
         target.write(frame.index, picture)

@@ -8,6 +8,7 @@ from types import TracebackType
 
 import cv2
 
+from sonarrec.drawing import write_png
 from sonarrec.records import ByteImage, SonarrecError, UsageError
 
 
@@ -76,8 +77,4 @@ class ImageFolder:
 
     def write(self, number: int, picture: ByteImage) -> None:
         """Write one picture, (rows, columns, 3) uint8 BGR. Raises SonarrecError where it fails."""
-        path = self._folder / f"{number:06d}.png"
-        try:
-            path.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
-        except OSError as error:
-            raise SonarrecError(f"{path}: cannot be written ({error.strerror})") from None
+        write_png(self._folder / f"{number:06d}.png", picture)

@@ -9,10 +9,12 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+from sonarrec.geometry import floor_depth
 from sonarrec.readers.find import Source, find_log
 from sonarrec.readers.log import Log
+from sonarrec.readers.plausible import Plausibility
 from sonarrec.readers.raw import RawFrame, RawLog
-from sonarrec.records import SonarrecError, UsageError
+from sonarrec.records import Fan, SonarrecError, UsageError
 from sonarrec.sonar import Sonar, sonar_from_table
 
 Observe = Callable[[int | None], None]
@@ -56,9 +58,11 @@ class Images:
     "3 x uint8"). start_ns, end_ns: time of the first and last frame, rate_hz: frames a second
     between them, None where frames carry no time.
     layout: "fan" or "polar". polar_messages: the messages tell their own geometry. geometry: its
-    keys as stated, or told by the first ping. lacks: the keys that are missing.
-    notes: what was stated against the messages. problems: one line for each frame that cannot be
-    used (at most 20, then a count).
+    keys as stated, or told by the first ping. origins: where each of these, and the layout, is
+    from: "flag", "message", "default" or the name of a file. assumed: keys that nothing states and
+    the values that serve in their place, where the geometry is complete. lacks: the keys that are
+    missing. notes: what was stated against the messages, or cannot be by what the first frames
+    show. problems: one line for each frame that cannot be used (at most 20, then a count).
     """
 
     topic: str | None
@@ -74,6 +78,8 @@ class Images:
     polar_messages: bool
     geometry: dict[str, Any]
     geometry_from: str | None
+    origins: dict[str, str]
+    assumed: dict[str, Any]
     lacks: list[str]
     notes: list[str]
     problems: list[str]
@@ -174,7 +180,8 @@ def describe(
     source = find_log(path)
     if topic is not None and not source.reader.has_topics:
         raise UsageError(f"{path}: --topic chooses a channel of an MCAP file; this is none")
-    stated, where = source.stated_sonar(sonar or Sonar(), sonar_file)
+    flags = sonar or Sonar()
+    stated, where = source.stated_sonar(flags, sonar_file)
     container: Container | None = None
     topics: Sequence[str | None] = [None]
     faults: list[str] = []
@@ -186,7 +193,7 @@ def describe(
             raise UsageError(f"{path}: no image channel {topic!r}; there is {there}")
     images = []
     for each in [topic] if topic is not None else topics:
-        found, more = _images(source, stated, where, each, quick, observe)
+        found, more = _images(source, stated, flags, where, each, quick, observe)
         images.append(found)
         faults += [fault for fault in more if fault not in faults]
     return LogInfo(
@@ -235,6 +242,7 @@ def _container(path: Path) -> tuple[Container, list[str]]:
 def _images(
     source: Source,
     stated: Sonar,
+    flags: Sonar,
     where: str,
     topic: str | None,
     quick: bool,
@@ -242,28 +250,37 @@ def _images(
 ) -> tuple[Images, list[str]]:
     """Read one sequence of images as `sonarrec run` would, with stand-ins for missing geometry.
 
-    where: names the geometry. Returns also the faults of the file that reading it brought up.
+    stated: by file and flags; flags: by these alone. where: names the geometry. Returns also the
+    faults of the file that reading it brought up.
     """
     raw = _Watched(source.open(topic), observe)
+    by_user = stated
     if stated.layout is None:
         stated = replace(stated, layout="polar" if raw.polar else "fan")
     lacks = [key for key in stated.missing() if key == "tilt_deg" or not raw.polar]
     complete = _with_stand_ins(stated, lacks)
     problems: list[str] = []
     used = 0
+    plausibility = Plausibility()
     with Log(source.path, source.name, source.files, complete, raw, "log") as log:
         try:
             if not raw.polar:
                 complete.complete(where)
-            for _ in islice(log, 1 if quick else None):
+            for frame in islice(log, 1 if quick else None):
                 used += 1
+                plausibility.look(frame)
         except SonarrecError as error:
             problems += log.problems or [str(error).partition("\n")[0]]
         else:
             problems += log.problems
     size = raw.sizes.most_common(1)
     geometry = log.sonar.as_table()
+    origins = {
+        key: _origin(key, flags, by_user, where, raw.polar) for key in geometry if key not in lacks
+    }
     layout = geometry.pop("layout")
+    polar = raw.polar or layout == "polar"
+    doubts = [] if lacks else plausibility.contradictions(polar=polar)
     images = Images(
         topic=topic,
         frames=raw.frame_count if quick else raw.frames,
@@ -278,11 +295,34 @@ def _images(
         polar_messages=raw.polar,
         geometry={key: value for key, value in geometry.items() if key not in lacks},
         geometry_from=where if where != str(source.path) else None,
+        origins=origins,
+        assumed={} if lacks or log.fan is None else _assumed(log.sonar, log.fan, polar, raw.timed),
         lacks=lacks,
-        notes=log.notes,
+        notes=[*log.notes, *doubts],
         problems=[p for p in problems if p not in raw.faults],
     )
     return images, raw.faults
+
+
+def _origin(key: str, flags: Sonar, stated: Sonar, where: str, polar_messages: bool) -> str:
+    """Where a key's value is from. stated: by file and flags."""
+    if getattr(flags, key) is not None:
+        return "flag"
+    if getattr(stated, key) is not None:
+        return where
+    return "message" if polar_messages else "default"
+
+
+def _assumed(sonar: Sonar, fan: Fan, polar: bool, timed: int) -> dict[str, Any]:
+    """What serves in place of keys that are not stated."""
+    values: dict[str, Any] = {} if polar else {
+        "metres_per_pixel": fan.metres_per_pixel,
+        "apex_px": [fan.apex_column, fan.apex_row],
+    }  # fmt: skip
+    values["height_m"] = floor_depth(fan)
+    if not timed:
+        values["frame_rate_hz"] = 1.0
+    return {key: value for key, value in values.items() if getattr(sonar, key) is None}
 
 
 def _with_stand_ins(stated: Sonar, lacks: list[str]) -> Sonar:

@@ -552,7 +552,7 @@ def test_video_and_images(tmp_path: Path) -> None:
         assert ok
         picture = cv2.imread(str(images / f"{n:06d}.png"))
         assert picture is not None
-        assert picture.shape == played.shape == (652, 512, 3)
+        assert picture.shape == played.shape == (664, 512, 3)
         # The codec loses some of the speckle, not the drawing.
         assert np.abs(played.astype(int) - picture).mean() < 6
     assert not player.read()[0]

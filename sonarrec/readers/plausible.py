@@ -1,0 +1,147 @@
+"""Whether a log's picture can be what its stated geometry says: told only where it is clear.
+
+Three things are looked at in the mean of the first frames: what lies outside of the stated fan, the
+outline of a picture that is read as polar, and echoes from nearer than the stated floor.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sonarrec.geometry import fan_mask, pixel_from_polar
+from sonarrec.records import Fan, FloatArray, Frame
+
+FRAMES = 5
+"""How many frames are looked at, the first ones. Each costs one addition of an image."""
+
+_RINGS, _BEAMS = 96, 64  # the fan seen as rows of slant range, nearest first, and bearing columns
+_BACKGROUND = 6.0  # grey levels about the background's that hold no echo
+# Measured on the sample logs and on recordings of others: a wrong fan .42 and more outside, a right
+# one .03 at the most; a height stated too great by half .96 and more of the floor's grey level,
+# water before a right one .58 at the most, .84 where half of the picture is noise.
+_OUTSIDE = 0.15  # share of the pixels outside of the stated fan that hold echoes
+_FILLED = 0.6  # the same share of a picture without a fan's outline
+_CUT = 0.2  # share of the stated fan that lies outside of the picture
+_NARROWING = 0.1  # of the picture's width, by which each side of a fan comes in
+_STRAIGHT = 0.02  # of the picture's width, standard deviation of an edge about a line
+_AS_BRIGHT = 0.9  # of the floor's grey level, at which the water before it cannot be water
+_NEAR = 0.1  # share of the window that has to lie before the stated floor to be judged
+
+
+class Plausibility:
+    """Looks at the first frames of a log; `contradictions` says what cannot be."""
+
+    def __init__(self) -> None:
+        self._fan: Fan | None = None
+        self._sum: FloatArray | None = None
+        self._frames = 0
+
+    def look(self, frame: Frame) -> None:
+        """Take in one frame; all after the first FRAMES are passed over."""
+        if self._frames == FRAMES:
+            return
+        self._frames += 1
+        if self._sum is None:
+            self._fan, self._sum = frame.fan, np.zeros(frame.image.shape, np.float32)
+        self._sum += frame.image
+
+    def contradictions(self, *, polar: bool) -> list[str]:
+        """What the picture shows against the stated geometry, each with the keys to look at.
+
+        polar: the log's images are read as polar, and the frames looked at were made of them.
+        """
+        if self._sum is None or self._fan is None:
+            return []
+        picture = self._sum / self._frames
+        seen = _as_polar(picture, self._fan)
+        shape = _polar_outline(seen) if polar else _fan_outline(picture, self._fan)
+        # Of a picture that lies wrongly no range is what it seems.
+        return shape or _floor(seen, self._fan)
+
+
+def _rings(fan: Fan) -> tuple[FloatArray, FloatArray]:
+    """(rings, 1) slant ranges (m) and (beams,) bearings (deg) that fill the fan."""
+    share = (np.arange(_RINGS) + 0.5) / _RINGS
+    across = (np.arange(_BEAMS) + 0.5) / _BEAMS
+    bearings = fan.bearing_min_deg + across * (fan.bearing_max_deg - fan.bearing_min_deg)
+    return (fan.range_min_m + share * fan.window_m)[:, None], bearings
+
+
+def _as_polar(picture: FloatArray, fan: Fan) -> FloatArray:
+    """(rings, beams) grey levels of the fan's cells; NaN outside of the picture."""
+    column, row = (np.rint(at).astype(int) for at in pixel_from_polar(fan, *_rings(fan)))
+    inside = (column >= 0) & (column < fan.columns) & (row >= 0) & (row < fan.rows)
+    cells = picture[np.clip(row, 0, fan.rows - 1), np.clip(column, 0, fan.columns - 1)]
+    return np.where(inside, cells, np.nan)
+
+
+def _echoes(grey: FloatArray) -> float:
+    """Share of pixels that are not of the commonest grey level: 0 of a background of one colour."""
+    if not grey.size:
+        return 0.0
+    background = np.bincount(np.rint(grey).astype(int).ravel(), minlength=256).argmax()
+    return float(np.mean(np.abs(grey - background) > _BACKGROUND))
+
+
+def _fan_outline(picture: FloatArray, fan: Fan) -> list[str]:
+    """Echoes where the stated fan has none, or a fan too wide for its picture."""
+    outside = fan_mask(fan) == 0
+    share = _echoes(picture[outside])
+    if share > _OUTSIDE and np.mean(outside) > _OUTSIDE / 10:
+        told = f"{share:.0%} of the picture outside of the stated fan holds echoes"
+        if _echoes(picture[::-1][outside]) < _OUTSIDE / 3:
+            return [
+                f"{told}, but none if it is turned upside down (a fan has its far range on top)"
+            ]
+        if share > _FILLED:
+            return [f"{told} (is it polar, --layout polar?)"]
+        return [f"{told} (look at range_min_m, range_max_m, field_of_view_deg and layout)"]
+    column, row = pixel_from_polar(fan, *_rings(fan))
+    cut = np.mean((column < -1) | (column > fan.columns) | (row < -1) | (row > fan.rows))
+    if cut > _CUT:
+        return [
+            f"{cut:.0%} of the stated fan lies outside of the picture, {fan.columns} x {fan.rows} "
+            "pixels (is it polar, --layout polar? else look at metres_per_pixel and apex_px)"
+        ]
+    return []
+
+
+def _polar_outline(seen: FloatArray) -> list[str]:
+    """Two straight edges that narrow the picture to one end: the outline of a fan.
+
+    Only the 40 % of rows at either end are looked at: farther off a wide fan's arc cuts its edges.
+    """
+    echoes = seen > _BACKGROUND
+    count = round(0.4 * _RINGS)
+    for rows in (echoes[-count:], echoes[:count][::-1]):  # narrow end last
+        if not rows.any(axis=1).all():
+            continue
+        left, right = rows.argmax(axis=1), rows[:, ::-1].argmax(axis=1)
+        at = np.arange(count)
+        lines = [np.polyfit(at, side, 1) for side in (left, right)]
+        away = [
+            np.std(side - np.polyval(line, at))
+            for side, line in zip((left, right), lines, strict=True)
+        ]
+        comes_in = [float(line[0]) * count for line in lines]
+        if max(away) < _STRAIGHT * _BEAMS and min(comes_in) > _NARROWING * _BEAMS * 0.4:
+            return ["read as polar, the picture has the outline of a fan (--layout fan)"]
+    return []
+
+
+def _floor(seen: FloatArray, fan: Fan) -> list[str]:
+    """Echoes as bright as the floor's, from nearer than a floor can be."""
+    if fan.height_m is None:
+        return []
+    rings = np.nanmedian(seen, axis=1)
+    range_m = _rings(fan)[0][:, 0]
+    before, beyond = range_m < 0.95 * fan.height_m, range_m > 1.05 * fan.height_m
+    if np.mean(before) < _NEAR or np.mean(beyond) < _NEAR:
+        return []
+    near, floor = float(np.median(rings[before])), float(np.quantile(rings[beyond], 0.75))
+    if near < max(_AS_BRIGHT * floor, _BACKGROUND):
+        return []
+    return [
+        f"from {fan.range_min_m:.3g} m on it is as bright as a floor, but the stated floor begins "
+        f"at {fan.height_m:.3g} m (look at height_m, range_min_m and range_max_m)"
+    ]

@@ -1,0 +1,209 @@
+"""What a picture tells against its geometry: clear faults are told, right geometry never."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from sonarrec.cli import main
+from sonarrec.readers import open_log
+from sonarrec.readers.info import describe
+from sonarrec.readers.plausible import FRAMES, Plausibility
+from sonarrec.records import Fan, Frame
+from sonarrec.sonar import Sonar
+from tests.support.drawn import draw_on_floor, make_fan, speckled
+
+SAMPLE = Path(__file__).parents[2] / "sample_data"
+RNG = np.random.default_rng(3)
+
+
+def doubts(log: Path, **stated: float | str) -> list[str]:
+    """What is told of a log, with keys of its geometry replaced."""
+    plausibility = Plausibility()
+    with open_log(log, sonar=Sonar(**stated)) as opened:  # type: ignore[arg-type]
+        for frame in islice(opened, FRAMES):
+            plausibility.look(frame)
+        return plausibility.contradictions(polar=opened.sonar.layout == "polar")
+
+
+def of_picture(image: np.ndarray, fan: Fan, *, polar: bool = False) -> list[str]:
+    plausibility = Plausibility()
+    plausibility.look(Frame(0, 0, image, fan))
+    return plausibility.contradictions(polar=polar)
+
+
+def floor(fan: Fan) -> np.ndarray:
+    """A fan image of bare floor, black outside of the fan."""
+    empty, seen = draw_on_floor(fan, 2.5, 0, 0.01, lambda x, y: 0 * (x + y))
+    return speckled(empty, seen, RNG)
+
+
+def upside_down(folder: Path, out: Path) -> Path:
+    """The first frames of a folder, their rows in reverse, with its sonar.toml."""
+    out.mkdir()
+    shutil.copy(folder / "sonar.toml", out)
+    for path in sorted(folder.glob("*.png"))[:8]:
+        image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        assert image is not None
+        assert cv2.imwrite(str(out / path.name), image[::-1])
+    return out
+
+
+def run(log: Path, out: Path, *flags: str) -> Result:
+    arguments = ["run", str(log), "--out", str(out), *flags]
+    return CliRunner().invoke(main, arguments, catch_exceptions=False)
+
+
+@pytest.mark.parametrize("log", ["pan", "polar", "pan.mcap"])
+def test_right_geometry_is_not_doubted(log: str) -> None:
+    assert doubts(SAMPLE / log) == []
+
+
+@pytest.mark.parametrize(
+    ("log", "stated", "told"),
+    [
+        ("pan", {"height_m": 3.0}, r"as bright as a floor.* begins at 3 m"),
+        ("pan", {"range_max_m": 30.0}, r"outside of the stated fan holds echoes \(look at range"),
+        ("pan", {"range_max_m": 31.25}, r"outside of the stated fan holds echoes \(look at range"),
+        ("pan", {"field_of_view_deg": 18.0}, r"outside of the stated fan holds echoes \(look at"),
+        ("pan", {"layout": "polar"}, r"outline of a fan \(--layout fan\)"),
+        ("polar", {"layout": "fan"}, r"outside of the picture, 96 x 256 .*--layout polar"),
+        ("polar", {"height_m": 2.2}, r"as bright as a floor.* begins at 2.2 m"),
+    ],
+)
+def test_wrong_geometry_is_told(log: str, stated: dict[str, float | str], told: str) -> None:
+    (line,) = doubts(SAMPLE / log, **stated)
+    assert re.search(told, line), line
+
+
+def test_an_upside_down_fan_is_told(tmp_path: Path) -> None:
+    (line,) = doubts(upside_down(SAMPLE / "pan", tmp_path / "down"))
+    assert "none if it is turned upside down" in line
+
+
+def test_the_share_outside_is_the_share_of_pixels() -> None:
+    """Half of the pixels outside of the fan lit, by count."""
+    fan = make_fan(rows=200)
+    image = floor(fan)
+    column, row = np.meshgrid(np.arange(fan.columns), np.arange(fan.rows))
+    across, ahead = column - fan.apex_column, fan.apex_row - row
+    range_m = np.hypot(across, ahead) * fan.metres_per_pixel
+    outside = (np.abs(np.degrees(np.arctan2(across, ahead))) > 14.4) | (range_m > 3.75)
+    outside |= range_m < 1.25
+    assert of_picture(image, fan) == []
+    lit = outside & (RNG.random(outside.shape) < 0.3)
+    (line,) = of_picture(np.where(lit, 120, image).astype(np.uint8), fan)
+    assert line.startswith(f"{np.mean(lit[outside]):.0%} of the picture outside")
+
+
+@pytest.mark.parametrize("background", [0, 60, 255])
+def test_a_background_of_one_colour_and_a_few_marks_are_no_echoes(background: int) -> None:
+    fan = make_fan(rows=200)
+    image = floor(fan)
+    image[image == 0] = background
+    image[5:15, 3:30] = 255 - background  # a burnt-in number
+    assert of_picture(image, fan) == []
+
+
+def test_a_picture_without_a_fan_is_asked_for_polar() -> None:
+    fan = make_fan(rows=200)
+    speckle = speckled(np.zeros((fan.rows, fan.columns)), np.ones((fan.rows, fan.columns)), RNG)
+    (line,) = of_picture(speckle, fan)
+    assert "is it polar, --layout polar?" in line
+
+
+@pytest.mark.parametrize("water_db", [-60.0, -34.0])
+def test_dark_water_before_the_stated_floor_is_right(water_db: float) -> None:
+    """The same floor from 2 m on, stated at 2 m and at 3 m; before it water, black or noisy."""
+    fan = make_fan(rows=300, height_m=2.0)
+    column, row = np.meshgrid(np.arange(fan.columns), np.arange(fan.rows))
+    range_m = np.hypot(column - fan.apex_column, fan.apex_row - row) * fan.metres_per_pixel
+    image = floor(fan)
+    nothing = np.zeros((fan.rows, fan.columns))
+    water = speckled(nothing, image > 0, RNG, floor_db=water_db)
+    image = np.where(range_m < 2.0, water, image)
+    assert of_picture(image, fan) == []
+    assert of_picture(image, replace(fan, height_m=1.5)) == []
+    everywhere = floor(fan)
+    assert len(of_picture(everywhere, fan)) == 1
+
+
+def test_without_a_height_no_floor_is_doubted() -> None:
+    assert of_picture(floor(make_fan()), make_fan(height_m=None)) == []
+
+
+@pytest.mark.parametrize("make", [np.zeros, lambda shape, kind: np.full(shape, 90, kind)])
+def test_pictures_of_nothing_tell_nothing(make: Callable[..., np.ndarray]) -> None:
+    fan = make_fan(rows=120, height_m=2.5)
+    image = make((fan.rows, fan.columns), np.uint8)
+    assert not [line for line in of_picture(image, fan) if "outside" in line]
+    assert of_picture(np.zeros_like(image), fan, polar=True) == []
+
+
+def test_only_the_first_frames_are_looked_at() -> None:
+    fan = make_fan(rows=120)
+    plausibility = Plausibility()
+    for _ in range(FRAMES):
+        plausibility.look(Frame(0, 0, floor(fan), fan))
+    plausibility.look(Frame(0, 0, np.full((fan.rows, fan.columns), 255, np.uint8), fan))
+    assert plausibility.contradictions(polar=False) == []
+
+
+# What the commands make of it
+
+
+def test_run_tells_it_in_one_note_and_is_done(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    log.mkdir()
+    shutil.copy(SAMPLE / "pan" / "sonar.toml", log)
+    for path in sorted((SAMPLE / "pan").glob("*.png"))[:8]:
+        shutil.copy(path, log)
+    right = run(log, tmp_path / "out")
+    assert (right.exit_code, right.stderr) == (0, "")
+    wrong = run(log, tmp_path / "out", "--height-m", "3")
+    assert wrong.exit_code == 0
+    (line,) = wrong.stderr.splitlines()
+    assert line.startswith(f"sonarrec: note: {log}: from 1.25 m on it is as bright as a floor")
+    # 0.3 m at 2.5 m, below the floor: the disc is drawn as at 1.05 of the height.
+    assert "0 candidates in 8 frames: a disc of basin would be 101 px wide here" in line
+    assert f"`sonarrec info {log} --preview FILE.png`" in line
+
+
+def test_no_candidate_in_a_picture_that_contradicts_nothing_is_told(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    log.mkdir()
+    shutil.copy(SAMPLE / "pan" / "sonar.toml", log)
+    fan = make_fan(rows=256)
+    for n in range(3):
+        blank = np.zeros((fan.rows, fan.columns), np.uint8)
+        assert cv2.imwrite(str(log / f"{n}.png"), blank)
+    result = run(log, tmp_path / "out")
+    assert result.exit_code == 0
+    (line,) = result.stderr.splitlines()
+    # At 2.5 m of slant range and 0.68 m of height: 0.3 m across is 0.3 x 2.5 / 2.406 m of arc.
+    pixels = 0.3 * 2.5 / np.sqrt(2.5**2 - 0.68**2) / (2.5 / 256)
+    assert f"0 candidates in 3 frames: a disc of basin would be {pixels:.0f} px wide" in line
+
+
+def test_info_says_it_too(tmp_path: Path) -> None:
+    (images,) = describe(SAMPLE / "pan", quick=True, sonar=Sonar(height_m=3.0)).images
+    assert "as bright as a floor" in images.notes[0]
+    (images,) = describe(SAMPLE / "pan", quick=True).images
+    assert images.notes == []
+    # An incomplete geometry is nothing to be held against the picture.
+    bare = tmp_path / "bare"
+    bare.mkdir()
+    for path in sorted((SAMPLE / "pan").glob("*.png"))[:2]:
+        shutil.copy(path, bare)
+    (images,) = describe(bare, sonar=Sonar(height_m=3.0)).images
+    assert images.lacks
+    assert images.notes == []

@@ -1,0 +1,291 @@
+"""The stated geometry as it is drawn: rings, bearings, floor and discs at places known apart."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from sonarrec.cli import main
+from sonarrec.drawing import (
+    FLOOR,
+    GRID,
+    STRIP_FRAMES,
+    TRUTH,
+    Moment,
+    disc_width_px,
+    draw_frame,
+    draw_preview,
+    draw_strip,
+    nice_steps,
+)
+from sonarrec.landmarks import BUILT_IN, load_landmarks
+from sonarrec.records import Fan
+from tests.support.drawn import draw_on_floor, make_fan
+from tests.support.logs import PERIOD_NS, cdr_image, frames, image_folder, mcap_file
+
+BASIN = load_landmarks("basin")
+FAN = make_fan(rows=512)
+SAMPLE = Path(__file__).parents[1] / "sample_data"
+
+
+def blank(fan: Fan) -> np.ndarray:
+    return np.zeros((fan.rows, fan.columns), np.uint8)
+
+
+def like(picture: np.ndarray, colour: tuple[int, int, int], within: int = 30) -> np.ndarray:
+    """(n, 2) column and row of the pixels of about this colour (RGB)."""
+    away = np.abs(picture[:, :, ::-1].astype(int) - colour)
+    return np.argwhere(away.max(axis=2) <= within)[:, ::-1]
+
+
+def place(fan: Fan, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Slant range (m) and bearing (deg) of pixels, by the contract's formula."""
+    across, ahead = points[:, 0] - fan.apex_column, fan.apex_row - points[:, 1]
+    return np.hypot(across, ahead) * fan.metres_per_pixel, np.degrees(np.arctan2(across, ahead))
+
+
+# Range rings and bearings
+
+
+def test_grid_lines_lie_at_round_ranges_and_bearings() -> None:
+    picture = draw_frame(blank(FAN), FAN, BASIN, [], grid=True)
+    range_m, bearing = place(FAN, like(picture, GRID))
+    # Between bearings 0.6 and 4.4 deg and away from labels there are rings alone.
+    ring = np.unique(np.round(range_m[(bearing > 0.8) & (bearing < 4.2)], 2))
+    assert {1.5, 2.0, 2.5, 3.0, 3.5} <= set(np.round(ring, 1))
+    inner = ring[(ring > 1.4) & (ring < 3.55)]
+    assert np.abs(inner * 2 - np.round(inner * 2)).max() <= 2 * 0.011
+    # Between two rings there are rays alone.
+    ray = bearing[(range_m > 2.1) & (range_m < 2.4) & (np.abs(bearing) < 13)]
+    assert np.abs(ray - 5 * np.round(ray / 5)).max() < 0.35
+    assert {-10, -5, 0, 5, 10} == set((5 * np.round(ray / 5)).astype(int))
+
+
+def test_without_grid_nothing_is_drawn() -> None:
+    assert not draw_frame(blank(FAN), FAN, BASIN, []).any()
+
+
+def test_the_outline_is_the_stated_fan() -> None:
+    picture = draw_frame(blank(FAN), FAN, BASIN, [], grid=True)
+    points = like(picture, GRID)
+    for range_m, bearing in ((2.25, -14.4), (2.25, 14.4), (1.255, 2.5), (3.745, 2.5)):
+        b = math.radians(bearing)
+        column = FAN.apex_column + range_m * math.sin(b) / FAN.metres_per_pixel
+        row = FAN.apex_row - range_m * math.cos(b) / FAN.metres_per_pixel
+        assert np.hypot(*(points - (column, row)).T).min() < 3, (range_m, bearing)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "about", "expected"),
+    [
+        (1.25, 3.75, 5, [1.5, 2, 2.5, 3, 3.5]),
+        (0, 30, 5, [0, 5, 10, 15, 20, 25, 30]),
+        (0.45, 5.5, 5, [1, 2, 3, 4, 5]),
+        (-14.4, 14.4, 6, [-10, -5, 0, 5, 10]),
+        (-65, 65, 6, [-60, -40, -20, 0, 20, 40, 60]),
+    ],
+)
+def test_nice_steps(low: float, high: float, about: int, expected: list[float]) -> None:
+    np.testing.assert_allclose(nice_steps(low, high, about), expected, atol=1e-9)
+
+
+# The preview
+
+
+def preview(fan: Fan) -> np.ndarray:
+    """The frame of a preview of 512 rows, without what is beside and below it."""
+    left = (512 - fan.columns) // 2
+    return draw_preview(blank(fan), fan, BASIN)[: fan.rows, left : left + fan.columns]
+
+
+def test_the_floor_s_near_edge_lies_at_the_height() -> None:
+    fan = make_fan(rows=512, height_m=2.0)
+    range_m, bearing = place(fan, like(preview(fan), FLOOR))
+    edge = np.abs(bearing) > 4  # beside the label
+    assert np.abs(range_m[edge] - 2.0).max() < 2 * fan.metres_per_pixel
+    assert bearing.min() < -14
+    assert bearing.max() > 14
+    # A floor that begins before the window has no edge in it.
+    assert not len(like(preview(FAN), FLOOR))
+
+
+def test_the_discs_are_to_scale() -> None:
+    """Three outlines, each over a disc rendered on the floor from first principles."""
+    line = np.zeros((FAN.rows, FAN.columns), np.uint8)
+    points = like(preview(FAN), TRUTH, within=60)
+    line[points[:, 1], points[:, 0]] = 1
+    for share, aside in ((1 / 6, 0.5), (1 / 2, 0.25), (5 / 6, 0.75)):
+        range_m, bearing = 1.25 + 2.5 * share, -14.4 + 28.8 * aside
+        disc, _ = draw_on_floor(FAN, range_m, bearing, 0.15, lambda x, y: np.hypot(x, y) <= 1)
+        solid = (disc > 0.5).astype(np.uint8)
+        rim = cv2.morphologyEx(solid, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) > 0
+        near = cv2.dilate(line, np.ones((3, 3), np.uint8)) > 0
+        assert near[rim].mean() > 0.9, share
+
+
+def test_disc_width_is_that_of_a_rendered_disc() -> None:
+    disc, _ = draw_on_floor(FAN, 2.5, 0.0, 0.15, lambda x, y: np.hypot(x, y) <= 1)
+    columns = np.nonzero((disc > 0.5).any(axis=0))[0]
+    assert disc_width_px(FAN, BASIN) == pytest.approx(np.ptp(columns) + 1, abs=1.5)
+
+
+@pytest.mark.parametrize("rows", [2, 40, 300, 1400])
+@pytest.mark.parametrize("height", [None, 0.1, 3.7])
+def test_any_fan_can_be_previewed(rows: int, height: float | None) -> None:
+    fan = make_fan(rows=rows, height_m=height)
+    assert max(draw_preview(blank(fan), fan, BASIN).shape) >= 512
+
+
+# The strip's time axis
+
+
+def ticks(history: list[Moment]) -> np.ndarray:
+    """Columns of what is lit right below the line of probability 0, beside its label."""
+    strip = draw_strip(history, BASIN, 512)
+    return 20 + np.nonzero((strip[119:121, 20:] > 60).any(axis=(0, 2)))[0]
+
+
+def test_ticks_stand_every_twenty_frames() -> None:
+    found = ticks([Moment(n, n * PERIOD_NS, ()) for n in range(200)])
+    step = (512 - 10 - 34) / (STRIP_FRAMES - 1)
+    expected = np.array([512 - 10 - (199 - n) * step for n in range(80, 200, 20)])
+    away = np.abs(found[:, None] - expected)
+    assert away.min(axis=0).max() <= 1  # each has its tick
+    assert away.min(axis=1).max() <= 1  # and nothing else is there
+
+
+def test_a_short_log_has_ticks_only_where_it_has_frames() -> None:
+    found = ticks([Moment(n, n * PERIOD_NS, ()) for n in range(5)])
+    assert np.abs(found - (502 - 4 * (512 - 10 - 34) / (STRIP_FRAMES - 1))).max() <= 1
+    assert not len(ticks([Moment(n, n * PERIOD_NS, ()) for n in range(3, 9)]))
+
+
+# The commands
+
+
+def info(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(main, ["info", *map(str, arguments)], catch_exceptions=False)
+
+
+def images(*arguments: str | Path) -> dict[str, Any]:
+    result = info(*arguments, "--json", "--quick")
+    found: dict[str, Any] = json.loads(result.stdout)["logs"][0]["images"][0]
+    return found
+
+
+def test_info_writes_the_preview_of_the_first_frame_that_can_be_used(tmp_path: Path) -> None:
+    log = image_folder(tmp_path / "log", frames(3, 48, 38))
+    (log / "frame0.png").write_bytes(b"no image")
+    out = tmp_path / "preview.png"
+    result = info(log, "--preview", out)
+    assert result.exit_code == 3  # the broken frame
+    picture = cv2.imread(str(out))
+    assert picture is not None
+    expected = cv2.imread(str(log / "frame1.png"), cv2.IMREAD_GRAYSCALE)
+    assert expected is not None
+    scale = -(-512 // 48)
+    left = (picture.shape[1] - 38 * scale) // 2
+    shown = picture[: 48 * scale, left : left + 38 * scale, 0]
+    middles = shown[scale // 2 :: scale, scale // 2 :: scale]
+    assert np.mean(np.abs(middles.astype(int) - expected) < 12) > 0.7  # all but under the lines
+
+
+def test_info_uses_the_landmark_set_given(tmp_path: Path) -> None:
+    text = (BUILT_IN / "basin.toml").read_text()
+    (tmp_path / "big.toml").write_text(text.replace("0.15", "0.3").replace('"basin"', '"big"'))
+    pictures = []
+    for name in ("basin", str(tmp_path / "big.toml")):
+        out = tmp_path / "p.png"
+        assert info(SAMPLE / "pan", "--quick", "--preview", out, "--landmarks", name).exit_code == 0
+        pictures.append(len(like(cv2.imread(str(out))[:512], TRUTH)))
+    assert pictures[1] > 1.6 * pictures[0]
+
+
+def test_a_preview_has_a_place_of_its_own(tmp_path: Path) -> None:
+    log = image_folder(tmp_path / "log", frames(2))
+    for arguments, told in (
+        ((log, "--preview", log / "p.png"), "this is the recording itself"),
+        ((log / "frame0.png", "--preview", log / "frame0.png"), "this is the recording itself"),
+        ((log, log, "--preview", tmp_path / "p.png"), "draws one log; 2 are given"),
+        ((log, "--preview", tmp_path / "p.jpg"), "written as NAME.png"),
+    ):
+        result = info(*arguments)
+        assert result.exit_code == 2
+        assert told in result.stderr
+    result = info(log, "--preview", tmp_path / "none" / "p.png")
+    assert result.exit_code == 1
+    assert "cannot be written" in result.stderr
+    (log / "sonar.toml").unlink()
+    result = info(log, "--preview", tmp_path / "p.png")
+    assert result.exit_code == 1
+    assert "sonar geometry lacks range_min_m" in result.stderr
+
+
+def test_info_names_where_each_value_is_from(tmp_path: Path) -> None:
+    log = image_folder(tmp_path / "log", frames(2, 48, 38))
+    found = images(log, "--height-m", "0.7")
+    file = str(log / "sonar.toml")
+    assert found["origins"] == {
+        "layout": file,
+        "range_min_m": file,
+        "range_max_m": file,
+        "field_of_view_deg": file,
+        "tilt_deg": file,
+        "height_m": "flag",
+        "frame_rate_hz": file,
+    }
+    scale = 2.5 / 48
+    assert found["assumed"]["metres_per_pixel"] == pytest.approx(scale)
+    assert found["assumed"]["apex_px"] == pytest.approx([18.5, 47.5 + 1.25 / scale])
+    text = info(log, "--height-m", "0.7").stdout
+    assert "by flag: height_m\n" in text
+    assert f"from {file}: layout, range_min_m" in text
+    assert "by default: metres_per_pixel = 0.05208, apex_px = [18.5, 71.5]" in text
+
+
+def test_without_a_file_all_is_from_flags_and_defaults(tmp_path: Path) -> None:
+    log = image_folder(tmp_path / "log", frames(2, 48, 38))
+    (log / "sonar.toml").unlink()
+    flags = ("--range-min-m", "1", "--range-max-m", "3", "--field-of-view-deg", "30")
+    found = images(log, *flags, "--tilt-deg", "30")
+    assert found["origins"].pop("layout") == "default"
+    assert set(found["origins"].values()) == {"flag"}
+    # The axis meets the floor in mid-window: 2 m x sin 30 deg.
+    assert found["assumed"]["height_m"] == pytest.approx(1.0)
+    assert found["assumed"]["frame_rate_hz"] == 1
+    assert "layout = fan" in info(log, *flags, "--tilt-deg", "30").stdout
+    assert images(log, *flags)["assumed"] == {}  # not complete: nothing is made of it
+
+
+def test_the_times_of_an_mcap_need_no_frame_rate(tmp_path: Path) -> None:
+    messages = [("/a", n * PERIOD_NS, cdr_image(image)) for n, image in enumerate(frames(3))]
+    path = mcap_file(tmp_path / "log.mcap", messages)
+    text = (tmp_path / "sonar.toml").read_text().replace("frame_rate_hz = 4.0\n", "")
+    (tmp_path / "sonar.toml").write_text(text)
+    assert "frame_rate_hz" not in images(path)["assumed"]
+
+
+def test_overlay_draws_the_grid_where_asked(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    log.mkdir()
+    for name in ("sonar.toml", "000000.png", "000001.png"):
+        shutil.copy(SAMPLE / "pan" / name, log)
+    run = ["run", str(log), "--out", str(tmp_path / "out"), "-q"]
+    assert CliRunner().invoke(main, run, catch_exceptions=False).exit_code == 0
+    counts = []
+    for flag in ([], ["--grid"]):
+        drawn = tmp_path / f"drawn{len(flag)}"
+        arguments = ["overlay", str(log), str(tmp_path / "out"), "--images", str(drawn), *flag]
+        result = CliRunner().invoke(main, arguments, catch_exceptions=False)
+        assert result.exit_code == 0, result.output
+        counts.append(len(like(cv2.imread(str(drawn / "000001.png")), GRID, within=15)))
+    assert counts[0] < 200
+    assert counts[1] > counts[0] + 2000
