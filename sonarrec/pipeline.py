@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -15,13 +16,15 @@ from sonarrec.drawing import disc_width_px
 from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.poses import PoseTable
 from sonarrec.readers import open_log
+from sonarrec.readers.find import find_log
 from sonarrec.readers.log import Log
 from sonarrec.readers.plausible import Plausibility
 from sonarrec.readers.poses_csv import read_poses
 from sonarrec.recogniser.side_by_side import SideBySide
 from sonarrec.recogniser.stage3_features.model import ModelFile, model_from_table, read_model
-from sonarrec.records import Clock, Fan, Frame, FrameResult, Stamps, UsageError
-from sonarrec.results.run_file import Given, RunFile, read_run, run_table
+from sonarrec.records import Clock, Fan, Frame, FrameResult, SonarrecError, Stamps, UsageError
+from sonarrec.results.folders import folder_names
+from sonarrec.results.run_file import Given, RunFile, held_results, read_run, run_table
 from sonarrec.results.sightings import Sightings
 from sonarrec.results.write import ResultsWriter
 from sonarrec.sonar import Sonar, sonar_from
@@ -49,7 +52,7 @@ class Summary:
 
     folder: where the results are. frames: how many were processed. problems: what could not be
     used, a line each. notes: what is stated against the log's own messages. sightings: what was
-    declared, in lines to print.
+    declared, in lines to print. up_to_date: these very results were there, so nothing was done.
     """
 
     folder: Path
@@ -57,6 +60,7 @@ class Summary:
     problems: list[str]
     notes: list[str]
     sightings: list[str]
+    up_to_date: bool = False
 
 
 def run(
@@ -71,6 +75,7 @@ def run(
     topic: str | None = None,
     time: Clock | None = None,
     odometry: str | Path | None = None,
+    overwrite: bool = False,
     observe: Observe | None = None,
 ) -> Summary:
     """Recognise the landmarks in a log and write its results to `out`/<log name>/.
@@ -81,7 +86,8 @@ def run(
     files, such as {"tilt_deg": 20.0} (keys and units of sonar.toml: m, deg). sonar_file: in place
     of the sonar.toml beside the log. topic: the image channel of an MCAP. time: which time of an
     MCAP's messages names a frame, "log" (default), "publish" or "header". odometry: CSV of the
-    sonar's poses. observe: called after each frame with its FrameResult and the number of frames
+    sonar's poses. overwrite: do again what is up to date, and replace the results of another log of
+    that name. observe: called after each frame with its FrameResult and the number of frames
     (None where unknown).
 
     Raises SonarrecError for input or settings that cannot be used; what was written stays.
@@ -93,7 +99,8 @@ def run(
         time=time,
         odometry=_path(odometry),
     )
-    return process(log, out, given, Used(_configs(preset), landmarks, _path(model)), observe)
+    used = Used(_configs(preset), landmarks, _path(model))
+    return process(log, out, given, used, observe, overwrite=overwrite)
 
 
 class Recogniser:
@@ -136,11 +143,34 @@ class Recogniser:
         yield from recogniser.recognise(chain([first], left))
 
 
-def process(
-    path: str | Path, out: str | Path, given: Given, used: Used, observe: Observe | None = None
-) -> Summary:
-    """Run one log and write `out`/<log name>/.
+def result_names(logs: Sequence[str | Path]) -> list[str | None]:
+    """The name of each log's results, no two alike; None where the log cannot be found.
 
+    Raises UsageError where nothing tells two logs apart.
+    """
+    places: dict[int, tuple[str, Path]] = {}
+    for i, log in enumerate(logs):
+        with suppress(SonarrecError):  # said when its turn comes
+            source = find_log(log)
+            one = source.path if source.path.exists() else source.files[0].parent
+            places[i] = source.name, one.resolve()
+    names = dict(zip(places, folder_names(list(places.values())), strict=True))
+    return [names.get(i) for i in range(len(logs))]
+
+
+def process(
+    path: str | Path,
+    out: str | Path,
+    given: Given,
+    used: Used,
+    observe: Observe | None = None,
+    *,
+    name: str | None = None,
+    overwrite: bool = False,
+) -> Summary:
+    """Run one log and write `out`/<name>/, by default under the log's own name.
+
+    The same results are not made again, and those of another log not replaced, but with overwrite.
     Raises SonarrecError for input or settings that cannot be used.
     """
     path = Path(path)
@@ -165,9 +195,15 @@ def process(
             table["odometry"] = dict(poses.source)
         if learned is not None:
             table["model"] = learned.as_table()
+        table["input"]["path"] = str(path)
+        folder = Path(out) / (name or log.name)
+        if not overwrite:
+            there = held_results(folder, table)
+            if there.up_to_date:
+                return Summary(folder, there.frames, there.problems, [], [], up_to_date=True)
+            notes += there.notes
         sightings = [Sightings(method) for method in recogniser.tracking]
         plausibility, candidates = Plausibility(), 0
-        folder = Path(out) / log.name
         with ResultsWriter(folder, landmarks, table) as writer:
             for result, stamps in _results(recogniser, chain([first], frames), plausibility):
                 writer.write(result, stamps)

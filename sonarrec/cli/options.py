@@ -13,6 +13,7 @@ import click
 
 from sonarrec.records import Clock, UsageError
 
+FAILED = 1  # exit code: nothing could be used
 PARTLY = 3  # exit code: finished, but part of the input could not be used
 FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 NEW_FILE = click.Path(dir_okay=False, path_type=Path)

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from sonarrec.cli.options import (
+    FAILED,
     FILE,
     FOLDER,
     INPUT,
+    OUTPUT,
     PARTLY,
     LogChoice,
     SettingsChoice,
@@ -24,7 +30,14 @@ from sonarrec.cli.options import (
     settings_options,
     tell,
 )
-from sonarrec.records import FrameResult, UsageError
+from sonarrec.records import FrameResult, SonarrecError, UsageError
+
+if TYPE_CHECKING:
+    from sonarrec.pipeline import Summary
+
+INTERRUPTED, TERMINATED = 130, 143
+"""Exit codes of a run that was stopped by Ctrl-C or SIGTERM."""
+PART = ".part"
 
 
 @command(short_help="Recognise the landmarks in logs.")
@@ -54,6 +67,12 @@ from sonarrec.records import FrameResult, UsageError
 @out_option(
     FOLDER, "Results go to OUT/<log name>.", default=Path("sonarrec_out"), show_default=True
 )
+@option(
+    OUTPUT,
+    "--overwrite",
+    is_flag=True,
+    help="Do again what is up to date, and replace results of another log of that name.",
+)
 @quiet_option
 def run(
     log: tuple[str, ...],
@@ -64,6 +83,7 @@ def run(
     model: Path | None,
     settings: SettingsChoice,
     out: Path,
+    overwrite: bool,
     quiet: bool,
 ) -> None:
     """Recognise landmarks in LOG, frame by frame.
@@ -71,7 +91,10 @@ def run(
     LOG is an MCAP file, a folder of images, a quoted glob of images or a video. The sonar's
     geometry is read from sonar.toml beside it (NAME.sonar.toml for one file), from --sonar, or
     from the flags; polar sonar messages tell their own, all but the tilt and the height. Several
-    LOGs are processed one after the other.
+    LOGs are processed one after the other; one that cannot be used does not stop the others.
+
+    Results are replaced only when the new ones are finished, and not made again where they are up
+    to date. A run that is stopped leaves its part in OUT/<log name>.part.
 
     \b
     Examples:
@@ -81,26 +104,73 @@ def run(
       sonarrec run pings/ --odometry poses.csv --model my.toml
       sonarrec run 'dump/*.png' --preset paper -o results
     """
-    from sonarrec.pipeline import Used, process
+    from sonarrec.pipeline import Used, process, result_names
     from sonarrec.results.run_file import Given
 
     if odometry is not None and odometry_topic is not None:
         raise UsageError("--odometry and --odometry-topic: choose one of the two")
     given = Given(**log_choice.arguments(), odometry=odometry, odometry_topic=odometry_topic)
     used = Used(settings.configs(), landmarks, model, settings.file)
-    partly = False
-    for path in log:
+    names = result_names(log)
+    ended: dict[str, list[str]] = {"done": [], "up to date": [], "in part": [], "failed": []}
+
+    def one(path: str, name: str | None) -> None:
         with progress(quiet) as step:
 
             def observe(result: FrameResult, total: int | None) -> None:
                 step(total, f"{result.tracks} tracks in view")
 
-            summary = process(path, out, given, used, observe)
+            summary = process(path, out, given, used, observe, name=name, overwrite=overwrite)
         tell(summary.problems, summary.notes)
-        partly |= bool(summary.problems)
+        how = "in part" if summary.problems else "up to date" if summary.up_to_date else "done"
+        ended[how].append(path)
         if not quiet:
-            click.echo(f"{summary.folder}: {summary.frames} frame{'s' * (summary.frames != 1)}")
-            for line in summary.sightings:
-                click.echo(f"  {line}")
-    if partly:
+            _print(summary)
+
+    with _stoppable(out):
+        for path, name in zip(log, names, strict=True):
+            try:
+                one(path, name)
+            except SonarrecError as error:
+                if len(log) == 1:
+                    raise
+                tell([str(error)])
+                ended["failed"].append(path)
+    failed = ended["failed"]
+    if len(log) > 1 and (failed or not quiet):
+        counts = ", ".join(f"{len(paths)} {how}" for how, paths in ended.items() if paths)
+        click.echo(counts + (f": {', '.join(failed)}" if failed else ""), err=bool(failed))
+    if len(failed) == len(log):
+        leave(FAILED)
+    if failed or ended["in part"]:
         leave(PARTLY)
+
+
+def _print(summary: Summary) -> None:
+    frames = f"{summary.frames} frame{'s' * (summary.frames != 1)}"
+    click.echo(f"{summary.folder}: {'up to date, ' * summary.up_to_date}{frames}")
+    for line in summary.sightings:
+        click.echo(f"  {line}")
+
+
+class _Terminated(KeyboardInterrupt):
+    """SIGTERM, as batch systems and containers send it."""
+
+
+@contextmanager
+def _stoppable(out: Path) -> Iterator[None]:
+    """SIGTERM stops as Ctrl-C does: what is written stays whole, and a line says where it is."""
+
+    def stop(*_: object) -> None:
+        raise _Terminated
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    except KeyboardInterrupt as error:
+        parts = ", ".join(str(p) for p in sorted(out.glob(f"*{PART}")))
+        kept = f"; the frames before are in {parts}" if parts else ""
+        click.echo(f"sonarrec: stopped{kept}", err=True)
+        leave(TERMINATED if isinstance(error, _Terminated) else INTERRUPTED)
+    finally:
+        signal.signal(signal.SIGTERM, before)

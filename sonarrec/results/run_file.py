@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any
 from sonarrec import __version__, config
 from sonarrec.geometry import fan_for_image
 from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
-from sonarrec.records import Clock, Fan
+from sonarrec.records import Clock, Fan, SonarrecError
 from sonarrec.sonar import Sonar, sonar_from_table
 from sonarrec.toml import Count, checked, read_toml, types_of
 
@@ -59,6 +60,45 @@ def run_table(
         },
         "landmarks": landmarks.as_table(),
     }
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """What a results folder holds, beside what is to be written there."""
+
+    up_to_date: bool = False  # the same results, finished
+    frames: int = 0
+    problems: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+
+def held_results(folder: Path, table: dict[str, Any]) -> Held:
+    """Hold the finished results in a folder against the run.toml of a run to come.
+
+    Raises SonarrecError where they are of another log: of another path and another SHA-256.
+    """
+    path = folder / "run.toml"
+    if not path.is_file() or not (folder / "frames.csv").is_file():
+        return Held()
+    there = read_toml(path)
+    source = there.get("input")
+    if not there.get("finished") or not isinstance(source, dict):
+        return Held()
+    coming = json.loads(json.dumps(table))  # as a file gives it back: lists, no tuples
+    mine = coming["input"]
+    if source.get("sha256") != mine["sha256"] and source.get("path", mine["path"]) != mine["path"]:
+        raise SonarrecError(
+            f"{folder}: holds the results of another log ({source.get('path')}); choose another "
+            "--out, or give --overwrite"
+        )
+    frames, problems = source.get("frames_processed", 0), source.get("problems", [])
+    alike = {k: v for k, v in there.items() if k != "finished"} | {
+        "input": {k: v for k, v in source.items() if k in mine} | {"path": mine["path"]}
+    }
+    if alike == coming:
+        return Held(True, frames, problems)
+    what = "the log has changed" if source.get("sha256") != mine["sha256"] else "other settings"
+    return Held(notes=[f"{folder}: results from before are replaced ({what})"])
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import csv
+import io
 import os
-from collections.abc import Sequence
+import shutil
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -14,74 +16,121 @@ import tomli_w
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.records import NO_STAMPS, FrameResult, SonarrecError, Stamps
 from sonarrec.results.columns import FRAME_COLUMNS, estimate_columns
+from sonarrec.results.folders import exchange, lock, part_of, release, restore
+
+
+class _Table:
+    """A CSV file that holds whole frames at any moment, also where the process is killed."""
+
+    def __init__(self, path: Path, header: Sequence[str]) -> None:
+        self._file = path.open("wb", buffering=0)
+        self._size = 0
+        self.append([header])
+
+    def append(self, rows: Iterable[Sequence[object]]) -> None:
+        """Add the rows of a frame, all or none. Raises OSError where the disk takes no more."""
+        text = io.StringIO()
+        # Line endings and encoding are fixed, so that equal results are equal bytes anywhere.
+        csv.writer(text, lineterminator="\n").writerows(rows)
+        data = memoryview(text.getvalue().encode())
+        try:
+            while data:
+                data = data[self._file.write(data) :]
+        except OSError:
+            self._file.truncate(self._size)
+            raise
+        self._size = self._file.tell()
+
+    def close(self, *, sync: bool = False) -> None:
+        if sync:
+            os.fsync(self._file.fileno())
+        self._file.close()
 
 
 class ResultsWriter:
-    """Appends one log's results as they come; run.toml says `finished = true` only at the end."""
+    """Appends one log's results as they come, into `<folder>.part` until all are there.
+
+    `finish` puts them in the place of `folder`. Without it, the part stays: its run.toml says
+    `finished = false`, its tables hold whole frames, and `folder` is as it was.
+    """
 
     def __init__(self, folder: Path, landmarks: LandmarkSet, run: dict[str, Any]) -> None:
-        """run: the tables of run.toml. Raises SonarrecError where the folder cannot be written."""
+        """run: the tables of run.toml.
+
+        Raises SonarrecError where the folder cannot be written, or another run writes there.
+        """
         self.frames = 0
         self._folder = folder
+        self._part = part_of(folder)
         self._run = run
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            self._write_run(finished=False)
-            # Line endings and encoding are fixed, so that equal results are equal bytes anywhere.
-            self._frames_file = (folder / "frames.csv").open("w", newline="", encoding="utf-8")
-            self._estimates_file = (folder / "estimates.csv").open(
-                "w", newline="", encoding="utf-8"
-            )
-        except OSError as error:
-            raise SonarrecError(
-                f"{folder}: cannot write results here ({error.strerror}); choose another --out"
-            ) from None
-        self._frames = csv.writer(self._frames_file, lineterminator="\n")
-        self._estimates = csv.writer(self._estimates_file, lineterminator="\n")
         self._columns = estimate_columns(landmarks.ids)
-        self._frames.writerow([c.name for c in FRAME_COLUMNS])
-        self._estimates.writerow([c.name for c in self._columns])
+        try:
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            self._lock = lock(folder)
+        except OSError as error:
+            raise self._unwritable(error) from None
+        try:
+            restore(folder)
+            if self._part.exists():
+                shutil.rmtree(self._part)  # of a run that was stopped
+            self._part.mkdir()
+            self._write_run(finished=False)
+            self._estimates = _Table(self._part / "estimates.csv", [c.name for c in self._columns])
+            self._frames = _Table(self._part / "frames.csv", [c.name for c in FRAME_COLUMNS])
+        except OSError as error:
+            release(folder, self._lock)
+            raise self._unwritable(error) from None
+
+    def _unwritable(self, error: OSError) -> SonarrecError:
+        return SonarrecError(
+            f"{self._folder}: cannot write results here ({error.strerror}); choose another --out"
+        )
 
     def write(self, result: FrameResult, stamps: Stamps = NO_STAMPS) -> None:
         """Append one frame and the times that its log keeps of it.
 
         Raises SonarrecError where the disk takes no more.
         """
-        self.frames += 1
         try:
-            self._frames.writerow([c.written(result, stamps) for c in FRAME_COLUMNS])
-            self._estimates.writerows(
+            # A frame that frames.csv lists has all its estimates.
+            self._estimates.append(
                 [c.written(result, e) for c in self._columns] for e in result.estimates
             )
+            self._frames.append([[c.written(result, stamps) for c in FRAME_COLUMNS]])
         except OSError as error:
             raise self._fault(error) from None
+        self.frames += 1
 
     def finish(self, problems: Sequence[str]) -> None:
-        """Mark the results as whole: every frame of the log was processed or told of.
+        """Every frame of the log was processed or told of: take the place of what was there.
 
         Raises SonarrecError where the disk takes no more.
         """
         self._run["input"]["frames_processed"] = self.frames
         self._run["input"]["problems"] = list(problems)
         try:
-            # The last rows leave the buffers before run.toml calls them whole.
-            self._frames_file.close()
-            self._estimates_file.close()
+            self._estimates.close(sync=True)
+            self._frames.close(sync=True)
             self._write_run(finished=True)
+            exchange(self._folder)
         except OSError as error:
             raise self._fault(error) from None
 
     def _fault(self, error: OSError) -> SonarrecError:
         return SonarrecError(
-            f"{self._folder}: cannot write results ({error.strerror}); what is there is good"
+            f"{self._part}: cannot write results ({error.strerror}); it holds the "
+            f"{self.frames} frames before"
         )
 
     def _write_run(self, finished: bool) -> None:
         """Replace run.toml in one step: readers see the old one or the new one."""
         text = tomli_w.dumps({"finished": finished, **self._run}, multiline_strings=True)
-        partial = self._folder / "run.toml.part"
-        partial.write_text(text, encoding="utf-8")
-        os.replace(partial, self._folder / "run.toml")  # noqa: PTH105
+        partial = self._part / "run.toml.part"
+        with partial.open("w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(partial, self._part / "run.toml")  # noqa: PTH105
 
     def __enter__(self) -> Self:
         return self
@@ -92,5 +141,8 @@ class ResultsWriter:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._frames_file.close()
-        self._estimates_file.close()
+        self._estimates.close()
+        self._frames.close()
+        if not self.frames and self._part.is_dir():
+            shutil.rmtree(self._part, ignore_errors=True)  # it holds nothing
+        release(self._folder, self._lock)

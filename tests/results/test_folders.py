@@ -1,0 +1,244 @@
+"""No results are lost, and none pass for what they are not."""
+
+from __future__ import annotations
+
+import csv
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import tomllib
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sonarrec.records import UsageError
+from sonarrec.results.folders import exchange, folder_names, part_of, restore
+
+SAMPLE = Path(__file__).parents[2] / "sample_data" / "pan"
+FRAMES = 40
+
+
+def sonarrec(*words: str | Path, code: int = 0) -> subprocess.CompletedProcess[str]:
+    done = subprocess.run(command(*words), capture_output=True, text=True)
+    assert done.returncode == code, done.stdout + done.stderr
+    return done
+
+
+def command(*words: str | Path) -> list[str]:
+    return [sys.executable, "-m", "sonarrec", *map(str, words)]
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The first frames of the sample log."""
+    folder = tmp_path_factory.mktemp("logs") / "dive"
+    folder.mkdir()
+    shutil.copy(SAMPLE / "sonar.toml", folder)
+    for i in range(FRAMES):
+        shutil.copy(SAMPLE / f"{i:06d}.png", folder)
+    return folder
+
+
+def shorter(log: Path, to: Path, frames: int = 3) -> Path:
+    """A log of fewer frames, at another place."""
+    to.mkdir(parents=True)
+    shutil.copy(log / "sonar.toml", to)
+    for i in range(frames):
+        shutil.copy(log / f"{i:06d}.png", to)
+    return to
+
+
+def frames(folder: Path) -> list[int]:
+    """The frames of both tables, whole ones only; fails where a row is torn."""
+    tables = {}
+    for name in ("frames.csv", "estimates.csv"):
+        text = (folder / name).read_text()
+        assert text.endswith("\n"), f"{name} is torn"
+        rows = list(csv.reader(text.splitlines()))
+        assert {len(r) for r in rows} == {len(rows[0])}, f"{name} has rows of unequal length"
+        tables[name] = [int(r[0]) for r in rows[1:]]
+    assert set(tables["estimates.csv"]) <= {*tables["frames.csv"], len(tables["frames.csv"])}
+    return tables["frames.csv"]
+
+
+def finished(folder: Path) -> bool:
+    return bool(tomllib.loads((folder / "run.toml").read_text())["finished"])
+
+
+paths = st.lists(
+    st.lists(st.sampled_from(["a", "b", "day1", "day2"]), min_size=1, max_size=4).map(
+        lambda parts: Path("/", *parts)
+    ),
+    min_size=1,
+    max_size=6,
+    unique=True,
+)
+
+
+@given(paths)
+def test_names_of_different_places_are_different_and_begin_alike(places: list[Path]) -> None:
+    names = folder_names([(p.name, p) for p in places])
+    assert len(set(names)) == len(places)
+    for name, place in zip(names, places, strict=True):
+        assert "-".join(place.parts[1:]).endswith(name)
+        if sum(p.name == place.name for p in places) == 1:
+            assert name == place.name
+
+
+def test_as_many_folders_in_front_as_tell_them_apart() -> None:
+    logs = [Path("/x/day1/dive.mcap"), Path("/x/day2/dive.mcap"), Path("/x/day2/other.mcap")]
+    assert folder_names([(p.stem, p) for p in logs]) == ["day1-dive", "day2-dive", "other"]
+
+
+def test_what_nothing_tells_apart_is_refused() -> None:
+    with pytest.raises(UsageError, match="would all go to pan"):
+        folder_names([("pan", Path("/x/pan")), ("pan", Path("/x/pan.mcap"))])
+
+
+def test_equal_stems_of_one_call_get_folders_of_their_own(log: Path, tmp_path: Path) -> None:
+    one = shorter(log, tmp_path / "day1" / "dive", 3)
+    two = shorter(log, tmp_path / "day2" / "dive", 5)
+    sonarrec("run", "-q", one, two, "--out", tmp_path / "out")
+    assert frames(tmp_path / "out" / "day1-dive") == list(range(3))
+    assert frames(tmp_path / "out" / "day2-dive") == list(range(5))
+
+
+def test_one_bad_log_does_not_stop_the_others(log: Path, tmp_path: Path) -> None:
+    one = shorter(log, tmp_path / "one")
+    two = shorter(log, tmp_path / "two")
+    empty = tmp_path / "empty.mcap"
+    empty.touch()
+    done = sonarrec("run", one, empty, tmp_path / "no.mcap", two, "-o", tmp_path / "out", code=3)
+    assert f"2 done, 2 failed: {empty}, {tmp_path / 'no.mcap'}" in done.stderr
+    assert finished(tmp_path / "out" / "two")
+    sonarrec("run", empty, tmp_path / "no.mcap", "-o", tmp_path / "out", code=1)
+
+
+def test_the_same_results_are_not_made_again(log: Path, tmp_path: Path) -> None:
+    short = shorter(log, tmp_path / "short")
+    out = tmp_path / "out"
+    sonarrec("run", "-q", short, "-o", out)
+    before = (out / "short" / "frames.csv").stat().st_mtime_ns
+    assert "up to date, 3 frames" in sonarrec("run", short, "-o", out).stdout
+    assert (out / "short" / "frames.csv").stat().st_mtime_ns == before
+    sonarrec("run", "-q", short, "-o", out, "--overwrite")
+    assert (out / "short" / "frames.csv").stat().st_mtime_ns > before
+
+
+def test_other_settings_replace_results_and_what_was_made_of_them(
+    log: Path, tmp_path: Path
+) -> None:
+    short, out = shorter(log, tmp_path / "short"), tmp_path / "out"
+    sonarrec("run", "-q", short, "-o", out)
+    (out / "short" / "evaluation").mkdir()
+    (out / "short" / "evaluation" / "confusion.csv").touch()
+    (out / "short" / "notes.txt").write_text("mine")
+    done = sonarrec("run", "-q", short, "-o", out, "--set", "features.declare=.9")
+    assert "results from before are replaced (other settings)" in done.stderr
+    assert not (out / "short" / "evaluation").exists()
+    assert (out / "short" / "notes.txt").read_text() == "mine"
+    assert not list(out.glob(".*"))
+
+
+def test_another_logs_results_are_replaced_only_when_told(log: Path, tmp_path: Path) -> None:
+    one, two = (shorter(log, tmp_path / d / "dive", n) for d, n in (("a", 3), ("b", 4)))
+    out = tmp_path / "out"
+    sonarrec("run", "-q", one, "-o", out)
+    refused = sonarrec("run", "-q", two, "-o", out, code=1).stderr
+    assert "holds the results of another log" in refused
+    assert frames(out / "dive") == [0, 1, 2]
+    sonarrec("run", "-q", two, "-o", out, "--overwrite")
+    assert frames(out / "dive") == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130), (signal.SIGKILL, -9)]
+)
+def test_a_stopped_run_leaves_its_part_and_the_old_results(
+    log: Path, tmp_path: Path, number: int, code: int
+) -> None:
+    out = tmp_path / "out"
+    sonarrec("run", "-q", shorter(log, tmp_path / "dive"), "-o", out)
+    old = (out / "dive" / "estimates.csv").read_bytes()
+    process = subprocess.Popen(
+        command("run", "-q", log, "-o", out, "--overwrite"), stderr=subprocess.PIPE, text=True
+    )
+    part = part_of(out / "dive")
+    until(lambda: (part / "frames.csv").is_file() and len(frames_now(part)) > 4)
+    process.send_signal(number)
+    _, told = process.communicate(timeout=60)
+    assert process.returncode == code, told
+    assert (out / "dive" / "estimates.csv").read_bytes() == old
+    assert not finished(part)
+    assert 4 < len(frames(part)) < FRAMES
+    if code > 0:
+        assert f"stopped; the frames before are in {part}" in told
+    sonarrec("run", "-q", log, "-o", out, "--overwrite")  # no lock is left, and no part
+    assert frames(out / "dive") == list(range(FRAMES))
+    assert not part.exists()
+
+
+def test_killed_at_any_moment_nothing_is_lost(log: Path, tmp_path: Path) -> None:
+    """At moments spread over the whole run, its start and its end."""
+    out = tmp_path / "out"
+    short = shorter(log, tmp_path / "dive", 12)
+    sonarrec("run", "-q", short, "-o", out)
+    whole = {n: (out / "dive" / n).read_bytes() for n in ("frames.csv", "estimates.csv")}
+    begun = time.monotonic()
+    sonarrec("run", "-q", short, "-o", out, "--overwrite")
+    seconds = time.monotonic() - begun
+    for moment in range(8):
+        process = subprocess.Popen(command("run", "-q", short, "-o", out, "--overwrite"))
+        time.sleep(seconds * (moment + 4) / 12)
+        process.kill()
+        process.wait()
+        restore(out / "dive")  # as the next run does
+        assert finished(out / "dive")
+        assert {n: (out / "dive" / n).read_bytes() for n in whole} == whole
+        part = part_of(out / "dive")
+        if (part / "estimates.csv").is_file() and (part / "frames.csv").is_file():
+            frames(part)
+
+
+def until(true) -> None:
+    for _ in range(3000):
+        if true():
+            return
+        time.sleep(0.01)
+    raise AssertionError("never came true")
+
+
+def frames_now(folder: Path) -> list[str]:
+    return (folder / "frames.csv").read_text().splitlines()[1:]
+
+
+def test_a_second_run_into_the_same_folder_is_refused(log: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    first = subprocess.Popen(command("run", "-q", log, "-o", out))
+    until(lambda: (part_of(out / "dive") / "frames.csv").is_file())
+    os.kill(first.pid, signal.SIGSTOP)
+    try:
+        told = sonarrec("run", "-q", log, "-o", out, code=1).stderr
+    finally:
+        os.kill(first.pid, signal.SIGCONT)
+    assert "another run writes here now" in told
+    assert first.wait() == 0
+    assert frames(out / "dive") == list(range(FRAMES))
+
+
+def test_an_exchange_that_was_broken_off_is_put_right(tmp_path: Path) -> None:
+    folder = tmp_path / "dive"
+    for place, text in ((folder, "old"), (part_of(folder), "new")):
+        place.mkdir()
+        (place / "run.toml").write_text(text)
+    folder.rename(tmp_path / ".dive.old")  # the first of its two steps
+    restore(folder)
+    assert (folder / "run.toml").read_text() == "old"
+    exchange(folder)
+    assert (folder / "run.toml").read_text() == "new"
+    assert [p.name for p in tmp_path.iterdir()] == ["dive"]
