@@ -440,6 +440,7 @@ def test_died_in_the_middle_is_not_passed_off_as_whole(
     pings: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sonarrec("run", pings)
+    before = Path("sonarrec_out/pings/estimates.csv").read_bytes()
     follow, calls = Recogniser.follow, []
 
     def failing(*arguments: object) -> object:
@@ -450,10 +451,11 @@ def test_died_in_the_middle_is_not_passed_off_as_whole(
 
     monkeypatch.setattr(Recogniser, "follow", failing)
     with pytest.raises(RuntimeError, match="power cut"):
-        sonarrec("run", pings)
-    run = tomllib.loads(Path("sonarrec_out/pings/run.toml").read_text())
+        sonarrec("run", pings, "--overwrite")
+    run = tomllib.loads(Path("sonarrec_out/pings.part/run.toml").read_text())
     assert run["finished"] is False
-    assert len(table(Path("sonarrec_out/pings/frames.csv"))) == 4
+    assert len(table(Path("sonarrec_out/pings.part/frames.csv"))) == 4
+    assert Path("sonarrec_out/pings/estimates.csv").read_bytes() == before
 
 
 def test_results_folder_that_cannot_be_written(pings: Path) -> None:

