@@ -81,7 +81,7 @@ def run(
 ) -> None:
     """Recognise landmarks in LOG, frame by frame.
 
-    LOG is an MCAP file, a folder of images, a quoted glob of images or a video. The sonar's
+    LOG is an MCAP file, a folder of images, a video or a quoted glob of these. The sonar's
     geometry is read from sonar.toml beside it (NAME.sonar.toml for one file), from --sonar, or
     from the flags; polar sonar messages tell their own, all but the tilt and the height. Several
     LOGs are processed one after the other.
@@ -95,6 +95,7 @@ def run(
       sonarrec run dive.mcap --odometry-topic /odom
       sonarrec run 'dump/*.png' --preset paper --out results
     """
+    from sonarrec.readers.find import find_logs
     from sonarrec.run import process
 
     if odometry is not None and odometry_topic is not None:
@@ -102,7 +103,7 @@ def run(
     settings = chosen_settings(preset, config_file, assignments, seed)
     sonar = sonar_from_flags(flags)
     partly = False
-    for path in log:
+    for path in find_logs(log):
         summary = process(
             path,
             out,

@@ -12,7 +12,7 @@ from typing import Any
 from sonarrec.readers.find import Source, find_log
 from sonarrec.readers.log import Log
 from sonarrec.readers.raw import RawFrame, RawLog
-from sonarrec.records import SonarrecError, UsageError
+from sonarrec.records import SonarrecError, UsageError, shown
 from sonarrec.sonar import Sonar, check_sonar, missing_keys, sonar_from_table
 
 Observe = Callable[[int | None], None]
@@ -173,7 +173,7 @@ def describe(
     """
     source = find_log(path)
     if topic is not None and not source.reader.has_topics:
-        raise UsageError(f"{path}: --topic chooses a channel of an MCAP file; this is none")
+        raise UsageError(f"{shown(path)}: --topic chooses a channel of an MCAP file; this is none")
     stated, where = source.stated_sonar(sonar or Sonar(), sonar_file)
     container: Container | None = None
     topics: Sequence[str | None] = [None]
@@ -183,22 +183,30 @@ def describe(
         topics = sorted({c.topic for c in container.channels if c.images})
         if topic is not None and topic not in topics:
             there = ", ".join(map(str, topics)) or "none"
-            raise UsageError(f"{path}: no image channel {topic!r}; there is {there}")
+            raise UsageError(f"{shown(path)}: no image channel {topic!r}; there is {there}")
     images = []
     for each in [topic] if topic is not None else topics:
         found, more = _images(source, stated, where, each, quick, observe)
         images.append(found)
         faults += [fault for fault in more if fault not in faults]
     return LogInfo(
-        path=str(source.path),
+        path=shown(source.path),
         kind="images" if source.reader.kind == "image" else source.reader.kind,
         files=len(source.files),
-        size_bytes=sum(file.stat().st_size for file in source.files),
+        size_bytes=sum(_size(file) for file in source.files),
         checked=not quick,
         container=container,
         images=images,
         faults=faults,
     )
+
+
+def _size(file: Path) -> int:
+    """Bytes of a file; 0 of one that cannot be had, which is told as a frame that is not usable."""
+    try:
+        return file.stat().st_size
+    except OSError:
+        return 0
 
 
 def _container(path: Path) -> tuple[Container, list[str]]:
@@ -209,7 +217,7 @@ def _container(path: Path) -> tuple[Container, list[str]]:
     try:
         log = McapFile(path)
     except OSError as error:
-        raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
+        raise SonarrecError(f"{shown(path)}: cannot be read ({error.strerror})") from None
     log.close()
     decoders = image_decoders(log)
     channels = []
@@ -277,7 +285,7 @@ def _images(
         layout="polar" if raw.polar else layout,
         polar_messages=raw.polar,
         geometry={key: value for key, value in geometry.items() if key not in lacks},
-        geometry_from=where if where != str(source.path) else None,
+        geometry_from=where if where != shown(source.path) else None,
         lacks=lacks,
         notes=log.notes,
         problems=[p for p in problems if p not in raw.faults],

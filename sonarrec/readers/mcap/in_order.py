@@ -25,7 +25,7 @@ from sonarrec.readers.mcap.in_chunk import (
     scan,
 )
 from sonarrec.readers.mcap.salvage import CHUNK, MESSAGE_HEAD, McapFile
-from sonarrec.records import SonarrecError
+from sonarrec.records import SonarrecError, shown
 
 MAX_MESSAGE_BYTES = 48 * 2**20  # an image of 4096 x 4096 pixels of three bytes
 
@@ -89,7 +89,7 @@ class MessageReader:
                 yield self._next()
             self._tell_what_is_wrong()
         except OSError as error:
-            raise SonarrecError(f"{log.path}: cannot be read ({error.strerror})") from None
+            raise SonarrecError(f"{shown(log.path)}: cannot be read ({error.strerror})") from None
 
     def _next(self) -> Message:
         place, run, contents = self._runs[0]
