@@ -6,10 +6,14 @@ SAMPLE := sample_data/pan
 .PHONY: test lint demo bench memory fuzz paper paper-world paper-choices \
 	paper-prediction scenes ablation study model regression clean
 
-.venv/installed: pyproject.toml
+.venv/program: pyproject.toml  # what a user needs
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 		{ echo "Python 3.11 or newer is needed; set PYTHON=" >&2; exit 1; }
 	$(PYTHON) -m venv .venv
+	$(BIN)/pip install -q -e .
+	@touch $@
+
+.venv/installed: .venv/program  # what tests and studies need as well
 	$(BIN)/pip install -q -e '.[dev]'
 	@touch $@
 
@@ -21,7 +25,7 @@ lint: .venv/installed
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 
-demo: .venv/installed  # the sample log, from images to tables
+demo: .venv/program  # the sample log, from images to tables
 	$(BIN)/sonarrec run $(SAMPLE) --out build/demo
 	$(BIN)/sonarrec evaluate --ground-truth $(SAMPLE)/gt.csv build/demo/$(notdir $(SAMPLE))
 

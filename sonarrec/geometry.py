@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from sonarrec.records import ByteImage, Fan, FloatArray, SonarrecError
-from sonarrec.sonar import Sonar
+from sonarrec.sonar import Geometry
 
 MAX_FAN_PIXELS = 2**24
 # Nearer than this multiple of the height the floor is seen so steeply that a pixel of slant range
@@ -21,26 +21,10 @@ MAX_FAN_PIXELS = 2**24
 STEEPEST = 1.05
 
 
-def _bearing_limits(sonar: Sonar) -> tuple[float, float]:
-    """The fan's two edges in degrees: half a beam beyond the outermost beam centres."""
-    if sonar.bearings_deg is None:
-        assert sonar.field_of_view_deg is not None
-        return -sonar.field_of_view_deg / 2, sonar.field_of_view_deg / 2
-    bearings = np.sort(np.asarray(sonar.bearings_deg) * (-1 if sonar.flip else 1))
-    return (
-        float(bearings[0] - (bearings[1] - bearings[0]) / 2),
-        float(bearings[-1] + (bearings[-1] - bearings[-2]) / 2),
-    )
-
-
-def fan_for_image(sonar: Sonar, rows: int, columns: int) -> Fan:
-    """The fan of a fan-layout image of `rows` x `columns` pixels. `sonar` has been checked."""
-    assert sonar.range_min_m is not None
-    assert sonar.range_max_m is not None
-    assert sonar.tilt_deg is not None
+def fan_for_image(sonar: Geometry, rows: int, columns: int) -> Fan:
+    """The fan of a fan-layout image of `rows` x `columns` pixels."""
     scale = sonar.metres_per_pixel or (sonar.range_max_m - sonar.range_min_m) / rows
     apex = sonar.apex_px or ((columns - 1) / 2, rows - 0.5 + sonar.range_min_m / scale)
-    low, high = _bearing_limits(sonar)
     return Fan(
         rows=rows,
         columns=columns,
@@ -49,24 +33,21 @@ def fan_for_image(sonar: Sonar, rows: int, columns: int) -> Fan:
         apex_row=apex[1],
         range_min_m=sonar.range_min_m,
         range_max_m=sonar.range_max_m,
-        bearing_min_deg=low,
-        bearing_max_deg=high,
+        bearing_min_deg=sonar.bearing_min_deg,
+        bearing_max_deg=sonar.bearing_max_deg,
         tilt_deg=sonar.tilt_deg,
         height_m=sonar.height_m,
     )
 
 
-def fan_for_polar(sonar: Sonar, range_bins: int) -> Fan:
+def fan_for_polar(sonar: Geometry, range_bins: int) -> Fan:
     """The fan into which a polar image of `range_bins` rows is resampled.
 
     One pixel is one range bin. Rows reach below range_min_m as far as the window's near
     corners do, so that nothing recorded is cut off.
     """
-    assert sonar.range_min_m is not None
-    assert sonar.range_max_m is not None
-    assert sonar.tilt_deg is not None
     scale = (sonar.range_max_m - sonar.range_min_m) / range_bins
-    low, high = _bearing_limits(sonar)
+    low, high = sonar.bearing_min_deg, sonar.bearing_max_deg
     widest = max(abs(low), abs(high))
     rows = math.ceil(
         (sonar.range_max_m - sonar.range_min_m * math.cos(math.radians(widest))) / scale
@@ -151,21 +132,19 @@ def row_bands(shape: tuple[int, int]) -> Iterator[tuple[slice, FloatArray, Float
         yield slice(first, first + 64), row[:, None], column
 
 
-def bin_ranges(sonar: Sonar, bins: int) -> FloatArray:
+def bin_ranges(sonar: Geometry, bins: int) -> FloatArray:
     """(bins,) slant ranges (m) of the middles of a polar image's rows."""
     if sonar.ranges_m is not None:
         return np.asarray(sonar.ranges_m)
-    assert sonar.range_min_m is not None
-    assert sonar.range_max_m is not None
     step = (sonar.range_max_m - sonar.range_min_m) / bins
     return np.asarray(sonar.range_min_m + (np.arange(bins) + 0.5) * step)
 
 
-def beam_bearings(sonar: Sonar, beams: int) -> FloatArray:
+def beam_bearings(sonar: Geometry, beams: int) -> FloatArray:
     """(beams,) bearings (deg) of the middles of a polar image's columns."""
     if sonar.bearings_deg is not None:
         return np.asarray(sonar.bearings_deg)
-    low, high = _bearing_limits(sonar)
+    low, high = sonar.bearing_min_deg, sonar.bearing_max_deg
     return np.asarray(low + (np.arange(beams) + 0.5) * (high - low) / beams)
 
 
@@ -181,7 +160,9 @@ def _polar_of_pixels(fan: Fan) -> tuple[FloatArray, FloatArray]:
 class PolarToFan:
     """Resamples polar images (rows = range bins, nearest first; columns = beams) into a fan."""
 
-    def __init__(self, sonar: Sonar, range_bins: int, beams: int, fan: Fan | None = None) -> None:
+    def __init__(
+        self, sonar: Geometry, range_bins: int, beams: int, fan: Fan | None = None
+    ) -> None:
         """fan: of another ping, whose window may differ; outside of its own, a ping shows 0.
 
         Raises SonarrecError where bearings_deg or ranges_m does not match the image, or where the

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import math
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from sonarrec.records import FloatArray, SonarrecError
+from sonarrec.toml import Positive, Share, Whole, from_table, length, named_file, read_toml, shown
 
 BUILT_IN = Path(__file__).parent / "landmark_sets"
 
@@ -65,67 +64,62 @@ class LandmarkSet:
         }
 
 
+@dataclass(frozen=True, slots=True)
+class _Row:
+    """One [[landmark]] of a file."""
+
+    id: Whole
+    sectors: Annotated[tuple[Literal[0, 1], ...], length(1, 360)]
+
+
+@dataclass(frozen=True, slots=True)
+class _Stated:
+    """A landmark set as its file states it."""
+
+    name: str
+    radius_m: Positive
+    ring: tuple[Share, Share]
+    symbol: tuple[Share, Share]
+    landmark: tuple[_Row, ...]
+
+
 def load_landmarks(source: str | Path) -> LandmarkSet:
     """Read a landmark set: the name of a built-in one ("basin") or a TOML file.
 
     Raises SonarrecError where the file is missing or what it says cannot be a landmark set.
     """
-    path = BUILT_IN / f"{source}.toml"
-    if not path.is_file():
-        path = Path(source)
-    if not path.is_file():
+    path = named_file(source, BUILT_IN)
+    if path is None:
         built_in = ", ".join(sorted(p.stem for p in BUILT_IN.glob("*.toml")))
         raise SonarrecError(
-            f"no landmark set {str(source)!r}: neither a file nor built in ({built_in})"
+            f"no landmark set {shown(str(source))}: neither a file nor built in ({built_in})"
         )
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise SonarrecError(f"{path}: not a readable TOML file ({error})") from None
-    return landmarks_from_table(document, str(path))
+    return landmarks_from_table(read_toml(path), str(path))
 
 
-def landmarks_from_table(table: dict[str, Any], where: str) -> LandmarkSet:
+def landmarks_from_table(table: object, where: str) -> LandmarkSet:
     """A LandmarkSet from the keys of its TOML; `where` names it in errors (SonarrecError)."""
-    needed = {"name", "radius_m", "ring", "symbol", "landmark"}
-    if set(table) != needed:
-        wrong = ", ".join(sorted(set(table) ^ needed))
-        raise SonarrecError(
-            f"{where}: a landmark set has exactly the keys {', '.join(sorted(needed))}; "
-            f"missing or unknown: {wrong}"
-        )
-    try:
-        ring = tuple(float(v) for v in table["ring"])
-        symbol = tuple(float(v) for v in table["symbol"])
-        unknown = {key for row in table["landmark"] for key in row} - {"id", "sectors"}
-        rows = [(row["id"], tuple(row["sectors"])) for row in table["landmark"]]
-        radius = float(table["radius_m"])
-    except (TypeError, ValueError, KeyError) as error:
-        raise SonarrecError(f"{where}: not a landmark set ({error!r})") from None
-    if unknown:
-        raise SonarrecError(f"{where}: unknown key {min(unknown)!r} in [[landmark]]")
-    if not 0 < radius < math.inf:
-        raise SonarrecError(f"{where}: radius_m must be above 0")
-    for key, band in (("ring", ring), ("symbol", symbol)):
-        if len(band) != 2 or not 0 <= band[0] < band[1] <= 1:
+    stated = from_table(_Stated, table, where)
+    ids = tuple(row.id for row in stated.landmark)
+    sectors = tuple(row.sectors for row in stated.landmark)
+    for key, (inner, outer) in (("ring", stated.ring), ("symbol", stated.symbol)):
+        if inner >= outer:
             raise SonarrecError(
-                f"{where}: {key} must be [inner, outer] with 0 <= inner < outer <= 1"
+                f"{where}: {key} must be [inner, outer] with inner < outer, not {[inner, outer]}"
             )
-    if symbol[1] > ring[0]:
+    if stated.symbol[1] > stated.ring[0]:
         raise SonarrecError(f"{where}: the symbol must end where the ring begins, or before")
-    ids = tuple(i for i, _ in rows)
-    sectors = tuple(s for _, s in rows)
-    if not rows or not all(type(i) is int for i in ids) or len(set(ids)) != len(ids):
+    if not ids or len(set(ids)) < len(ids):
         raise SonarrecError(f"{where}: every [[landmark]] needs an id, a whole number of its own")
-    count = len(sectors[0])
-    if not count or not all(len(s) == count and all(v in (0, 1) for v in s) for s in sectors):
-        raise SonarrecError(f"{where}: sectors must be zeros and ones, equally many for every ID")
-    for i, first in enumerate(sectors):
-        turns = {first[n:] + first[:n] for n in range(len(first))}
-        for j in range(i):
-            if sectors[j] in turns:
-                raise SonarrecError(
-                    f"{where}: IDs {ids[j]} and {ids[i]} are the same pattern turned, "
-                    "so no image can tell them apart"
-                )
-    return LandmarkSet(str(table["name"]), radius, ring, symbol, ids, sectors)  # type: ignore[arg-type]
+    if len({len(s) for s in sectors}) > 1:
+        raise SonarrecError(f"{where}: sectors must be equally many for every ID")
+    first: dict[tuple[int, ...], int] = {}
+    for number, row in zip(ids, sectors, strict=True):
+        turned = min(row[n:] + row[:n] for n in range(len(row)))
+        if turned in first:
+            raise SonarrecError(
+                f"{where}: IDs {first[turned]} and {number} are the same pattern turned, "
+                "so no image can tell them apart"
+            )
+        first[turned] = number
+    return LandmarkSet(stated.name, stated.radius_m, stated.ring, stated.symbol, ids, sectors)

@@ -15,8 +15,18 @@ BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.int64]
 
 
+def printable(text: str) -> str:
+    """The text with what a terminal would obey, or could not show, written as escapes."""
+    shown = (c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    return text if text.isprintable() else "".join(shown)
+
+
 class SonarrecError(Exception):
     """A fault in the input or the settings, told in one line: what, where, what to do."""
+
+    def __str__(self) -> str:
+        # It quotes what files hold.
+        return "\n".join(map(printable, super().__str__().split("\n")))
 
 
 class UsageError(SonarrecError):

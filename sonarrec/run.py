@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -14,7 +14,7 @@ from sonarrec.readers import open_log
 from sonarrec.readers.poses_csv import read_poses
 from sonarrec.recogniser.side_by_side import SideBySide
 from sonarrec.recogniser.stage3_features.model import ModelFile, model_from_table, read_model
-from sonarrec.records import Clock, FrameResult, Stamps, UsageError
+from sonarrec.records import Clock, Frame, FrameResult, Stamps, UsageError
 from sonarrec.results.run_file import Stated, lay_under, run_table
 from sonarrec.results.sightings import Sightings
 from sonarrec.results.write import ResultsWriter
@@ -101,21 +101,17 @@ def process(
         stamps = deque[Stamps]()
         with ResultsWriter(out / log.name, stated.landmarks, run) as writer:
 
-            def take(results: Iterable[FrameResult]) -> None:
-                for result in results:
-                    writer.write(result, stamps.popleft())
-                    for sighting in sightings:
-                        sighting.add(result)
-                    if observe is not None:
-                        observe(result, log.frame_count)
-
-            try:
-                for frame in chain([first], frames):
+            def stamped(frames: Iterable[Frame]) -> Iterator[Frame]:
+                for frame in frames:
                     stamps.append(frame.stamps)
-                    take(recogniser.step(frame))
-            finally:  # whatever breaks off, what only waited to be judged is written
-                take(recogniser.judge())
-            take(recogniser.finish())
+                    yield frame
+
+            for result in recogniser.recognise(stamped(chain([first], frames))):
+                writer.write(result, stamps.popleft())
+                for sighting in sightings:
+                    sighting.add(result)
+                if observe is not None:
+                    observe(result, log.frame_count)
             problems = [*log.problems, *recogniser.problems()]
             writer.finish(problems)
         notes += [*log.notes, *recogniser.notes()]

@@ -27,6 +27,8 @@ POSITION_KINDS: dict[str, Kind] = {
     "range_m": "blank or number",
     "bearing_deg": "blank or number",
 }
+MOST_COLUMNS = 1_000
+LONGEST_LINE = 64_000
 _WORDS = {
     "whole": "a whole number",
     "number": "a finite number",
@@ -45,6 +47,7 @@ def read_table(
     `expected` is the header shown where one of the `required` columns is missing.
     Raises SonarrecError where the file, its header or a cell cannot be used.
     """
+    _check_shape(path)
     options: dict[str, Any] = {
         "encoding": "utf-8-sig",
         "skipinitialspace": True,
@@ -79,6 +82,34 @@ def read_table(
     return {name: _column(path, name, frame[column], kinds[name]) for name, column in used.items()}
 
 
+def _check_shape(path: Path) -> None:
+    """Refuses what is no table before it is taken for one: a device has no end, and of very many
+    columns each costs time."""
+    try:
+        if path.exists() and not path.is_file():
+            raise SonarrecError(f"{path}: not a file that can be read as a table")
+        with path.open("rb") as file:
+            header = file.read(LONGEST_LINE).lstrip().partition(b"\n")[0]
+            blocks = iter(lambda: file.read(LONGEST_LINE), b"")
+            long = any(
+                len(x) == LONGEST_LINE and not _ends_line(x)
+                for x in itertools.chain([header], blocks)
+            )
+    except FileNotFoundError:
+        return  # told by who reads it
+    except OSError as error:
+        raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
+    if long or header.count(b",") >= MOST_COLUMNS:
+        raise SonarrecError(
+            f"{path}: more than {MOST_COLUMNS} columns, or a line of more than {LONGEST_LINE} "
+            "bytes; no table of this program is like that"
+        )
+
+
+def _ends_line(block: bytes) -> bool:
+    return b"\n" in block or b"\r" in block
+
+
 def line_number(path: Path, row: int) -> int:
     """1-based line in the file of a table's 0-based row (blank lines hold no row)."""
     with path.open(encoding="utf-8-sig", errors="replace") as file:
@@ -101,7 +132,10 @@ def _column(path: Path, name: str, column: Any, kind: Kind) -> Any:
         if column.dtype.kind in "iu" and column.dtype != np.uint64:
             values = column.to_numpy(dtype=np.int64)
         else:
-            values = pd.to_numeric(column, errors="coerce").to_numpy(dtype=float)
+            try:
+                values = pd.to_numeric(column, errors="coerce").to_numpy(dtype=float)
+            except OverflowError:  # of hundreds of digits
+                values = pd.to_numeric(column.astype(str), errors="coerce").to_numpy(dtype=float)
         bad = ~np.isfinite(values)
         if kind in ("blank or number", "share"):
             bad &= ~column.isna().to_numpy()
@@ -115,9 +149,11 @@ def _column(path: Path, name: str, column: Any, kind: Kind) -> Any:
     if bad.any():
         row = int(np.argmax(bad))
         cell = column.iloc[row]
-        found = "an empty cell or nan" if pd.isna(cell) else repr(str(cell))
+        found = "an empty cell or nan" if pd.isna(cell) else repr(str(cell)[:40])
+        bound = " below 2^63" if kind == "whole" and np.abs(values[row]) >= 2.0**63 else ""
         raise SonarrecError(
-            f"{path} line {line_number(path, row)}: {name} must be {_WORDS[kind]}, not {found}"
+            f"{path} line {line_number(path, row)}: {name} must be {_WORDS[kind]}{bound}, "
+            f"not {found}"
         )
     if kind == "text":
         return column.array

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from sonarrec import config
 from sonarrec.cli import main
 from sonarrec.records import UsageError
+from sonarrec.toml import checked, types_of
 
 NUMBERS = [
     f"{section}.{field.name}"
@@ -40,7 +41,7 @@ def test_every_preset_is_within_what_the_paper_and_the_choices_allow(name):
         for field in dataclasses.fields(kind):
             value = getattr(getattr(settings, section), field.name)
             assert type(value) is type(field.default)
-            assert not field.metadata["choices"] or value in field.metadata["choices"]
+            assert checked(value, types_of(kind)[field.name], field.name) == value
             assert field.metadata["meaning"]
 
 

@@ -23,7 +23,7 @@ from sonarrec.geometry import (
     slant_range,
 )
 from sonarrec.records import SonarrecError
-from sonarrec.sonar import EXAMPLE_SONAR_TOML, Sonar, check_sonar, load_sonar, sonar_from_table
+from sonarrec.sonar import EXAMPLE_SONAR_TOML, Sonar, load_sonar, sonar_from_table
 
 BASIN = Sonar(
     layout="fan",
@@ -50,7 +50,7 @@ sonars = st.builds(
 
 def test_a_fan_image_by_hand() -> None:
     """512 rows over 2.5 m: the near edge of the window is the lower edge of the last row."""
-    fan = fan_for_image(BASIN, 512, 381)
+    fan = fan_for_image(BASIN.complete("test"), 512, 381)
     assert fan.metres_per_pixel == 2.5 / 512
     assert fan.apex_column == 190
     column, row = pixel_from_polar(fan, np.array([1.25, 3.75]), 0.0)
@@ -63,14 +63,17 @@ def test_a_fan_image_by_hand() -> None:
 
 def test_stated_scale_and_apex_count() -> None:
     sonar = BASIN.updated(Sonar(metres_per_pixel=0.01, apex_px=(262.0, 569.0)))
-    fan = fan_for_image(sonar, 400, 500)
+    fan = fan_for_image(sonar.complete("test"), 400, 500)
     assert [float(v) for v in pixel_from_polar(fan, 1.0, 0.0)] == [262, 469]
 
 
 @settings(deadline=None, derandomize=True)
 @given(sonars, st.floats(0.01, 50), st.floats(-89, 89))
 def test_round_trip(sonar: Sonar, range_m: float, bearing: float) -> None:
-    for fan in (fan_for_image(sonar, 300, 200), fan_for_polar(sonar, 300)):
+    for fan in (
+        fan_for_image(sonar.complete("test"), 300, 200),
+        fan_for_polar(sonar.complete("test"), 300),
+    ):
         back = polar_from_pixel(fan, *pixel_from_polar(fan, range_m, bearing))
         np.testing.assert_allclose(back, (range_m, bearing), atol=1e-8)
 
@@ -79,7 +82,7 @@ def test_round_trip(sonar: Sonar, range_m: float, bearing: float) -> None:
 @given(sonars, st.integers(20, 120))
 def test_the_polar_fan_holds_the_whole_window(sonar: Sonar, bins: int) -> None:
     """Every point of the window falls into the image, and no row or column is there for nothing."""
-    fan = fan_for_polar(sonar, bins)
+    fan = fan_for_polar(sonar.complete("test"), bins)
     assert sonar.range_min_m is not None
     assert sonar.range_max_m is not None
     bearing = np.linspace(fan.bearing_min_deg, fan.bearing_max_deg, 201)
@@ -93,7 +96,7 @@ def test_the_polar_fan_holds_the_whole_window(sonar: Sonar, bins: int) -> None:
 
 
 def test_fan_mask_against_a_loop() -> None:
-    fan = fan_for_image(BASIN, 48, 40)
+    fan = fan_for_image(BASIN.complete("test"), 48, 40)
     expected = np.zeros((48, 40), np.uint8)
     for row in range(48):
         for column in range(40):
@@ -111,7 +114,7 @@ def test_fan_mask_against_a_loop() -> None:
 def brute_fan(sonar: Sonar, polar: np.ndarray, bearings: np.ndarray) -> np.ndarray:
     """Bilinear in range bin and beam, one pixel after the other. bearings rise."""
     bins, beams = polar.shape
-    fan = fan_for_polar(sonar, bins)
+    fan = fan_for_polar(sonar.complete("test"), bins)
     image = np.zeros((fan.rows, fan.columns))
     for row in range(fan.rows):
         for column in range(fan.columns):
@@ -141,7 +144,9 @@ def test_polar_to_fan_against_a_loop(uneven: bool, falling: bool) -> None:
         stated = bearings[::-1] if falling else bearings
         sonar = BASIN.updated(Sonar(bearings_deg=tuple(float(b) for b in stated)))
     expected = brute_fan(sonar, polar.astype(float), bearings)
-    found = PolarToFan(sonar, 40, 24)(np.ascontiguousarray(polar[:, ::-1]) if falling else polar)
+    found = PolarToFan(sonar.complete("test"), 40, 24)(
+        np.ascontiguousarray(polar[:, ::-1]) if falling else polar
+    )
     # cv2.remap places to 1/32 pixel: at most 255 / 32 grey levels in either direction.
     assert np.abs(found - expected).max() <= 16
     assert np.abs(found - expected).mean() < 2
@@ -157,7 +162,7 @@ def test_a_polar_target_lands_where_it_should() -> None:
     spot = np.exp(
         -(((range_m[:, None] - 2.2) / 0.05) ** 2) - (((bearing[None, :] - 6.0) / 1.5) ** 2)
     )
-    to_fan = PolarToFan(sonar, bins, beams)
+    to_fan = PolarToFan(sonar.complete("test"), bins, beams)
     image = to_fan((255 * spot).astype(np.uint8)).astype(float)
     row, column = np.mgrid[0 : image.shape[0], 0 : image.shape[1]]
     centre = (image * column).sum() / image.sum(), (image * row).sum() / image.sum()
@@ -168,24 +173,23 @@ def test_a_polar_target_lands_where_it_should() -> None:
 def test_bearings_must_match_the_beams() -> None:
     sonar = BASIN.updated(Sonar(bearings_deg=(-1.0, 0.0, 1.0)))
     with pytest.raises(SonarrecError, match="3 bearings but the images have 4 beams"):
-        PolarToFan(sonar, 10, 4)
+        PolarToFan(sonar.complete("test"), 10, 4)
     sonar = BASIN.updated(Sonar(ranges_m=(1.5, 2.0, 3.0)))
     with pytest.raises(SonarrecError, match="3 ranges but the images have 10 range bins"):
-        PolarToFan(sonar, 10, 4)
+        PolarToFan(sonar.complete("test"), 10, 4)
 
 
 # The floor
 
 
 def test_floor_by_hand() -> None:
-    fan = fan_for_image(BASIN, 512, 381)
+    fan = fan_for_image(BASIN.complete("test"), 512, 381)
     assert float(ground_range(fan, 2.0)) == pytest.approx(math.sqrt(4 - 0.68**2))
     assert np.isnan(ground_range(fan, 0.5))
-    unknown = fan_for_image(BASIN.updated(Sonar()), 512, 381)
+    unknown = fan_for_image(BASIN.updated(Sonar()).complete("test"), 512, 381)
     assert unknown == fan
-    flat = fan_for_image(
-        Sonar(range_min_m=1.0, range_max_m=2.0, field_of_view_deg=30, tilt_deg=20), 100, 80
-    )
+    flat = Sonar(range_min_m=1.0, range_max_m=2.0, field_of_view_deg=30, tilt_deg=20)
+    flat = fan_for_image(flat.complete("test"), 100, 80)
     # Without a height the beam's axis meets the floor mid-window, and Eq. 1 is exact there.
     slope = float(slant_range(flat, ground_range(flat, 1.5) + 1e-6)) - 1.5
     assert slope / 1e-6 == pytest.approx(math.cos(math.radians(20)), abs=1e-3)
@@ -196,7 +200,7 @@ def test_ground_range_round_trip(range_m: float, with_height: bool) -> None:
     sonar = BASIN if with_height else Sonar(
         range_min_m=1.0, range_max_m=2.0, field_of_view_deg=30, tilt_deg=20
     )  # fmt: skip
-    fan = fan_for_image(sonar, 100, 80)
+    fan = fan_for_image(sonar.complete("test"), 100, 80)
     assert float(slant_range(fan, ground_range(fan, range_m))) == pytest.approx(range_m)
 
 
@@ -207,7 +211,7 @@ def test_the_example_is_valid_and_comes_back(tmp_path: Path) -> None:
     path = tmp_path / "sonar.toml"
     path.write_text(EXAMPLE_SONAR_TOML)
     sonar = load_sonar(path)
-    check_sonar(sonar, "example")
+    sonar.complete("example")
     assert sonar_from_table(sonar.as_table(), "again") == sonar
     assert Sonar().updated(sonar) == sonar
     assert sonar.updated(Sonar(tilt_deg=5.0)).tilt_deg == 5
@@ -218,19 +222,28 @@ def test_the_example_is_valid_and_comes_back(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("[sonar", "not valid TOML"),
+        ("[sonar", "not a readable TOML file"),
         ("", r"expected one table \[sonar\]"),
-        ("sonar = 3", r"expected one table \[sonar\]"),
+        ("sonar = 3", r"\[sonar\] must be a table of keys, not 3"),
         ("[sonar]\n[other]", r"expected one table \[sonar\]"),
-        ("[sonar]\nrange_mim_m = 1", "unknown key 'range_mim_m'"),
+        (
+            "[sonar]\nrange_mim_m = 1",
+            "unknown key sonar.range_mim_m; known in .sonar.: layout, range_min_m",
+        ),
         ('[sonar]\nlayout = "round"', 'layout must be "fan" or "polar"'),
         ('[sonar]\ntilt_deg = "20"', "tilt_deg must be a finite number"),
         ("[sonar]\ntilt_deg = nan", "tilt_deg must be a finite number"),
         ("[sonar]\ntilt_deg = true", "tilt_deg must be a finite number"),
-        ("[sonar]\napex_px = [1]", r"apex_px must be \[column, row\]"),
-        ("[sonar]\nbearings_deg = 3", "bearings_deg must be a list of numbers"),
-        ('[sonar]\nbearings_deg = ["a"]', "bearings_deg must be a list of numbers"),
-        ("[sonar]\nbearings_deg = [1, inf]", "bearings_deg must be a list of numbers"),
+        (
+            "[sonar]\napex_px = [1]",
+            r"sonar.apex_px must be a list of 2, each a finite number, not \[1\]",
+        ),
+        ("[sonar]\nbearings_deg = 3", "bearings_deg must be a list, each a finite number, not"),
+        ('[sonar]\nbearings_deg = ["a"]', "bearings_deg must be a list, each a finite number, not"),
+        (
+            "[sonar]\nbearings_deg = [1, inf]",
+            "bearings_deg must be a list, each a finite number, not",
+        ),
     ],
 )
 def test_a_sonar_toml_that_cannot_be_meant(text: str, says: str, tmp_path: Path) -> None:
@@ -269,17 +282,17 @@ def test_a_sonar_toml_that_cannot_be_read(tmp_path: Path) -> None:
     ],
 )
 def test_contradictions(change: dict[str, Any], says: str) -> None:
-    check_sonar(BASIN, "here")
+    BASIN.complete("here")
     with pytest.raises(SonarrecError, match=says) as caught:
-        check_sonar(BASIN.updated(Sonar(**change)), "here")
+        BASIN.updated(Sonar(**change)).complete("here")
     assert "here: " in str(caught.value)
     assert EXAMPLE_SONAR_TOML in str(caught.value)
 
 
 def test_what_is_missing_is_named() -> None:
     with pytest.raises(SonarrecError, match="lacks range_max_m, tilt_deg, field_of_view_deg"):
-        check_sonar(Sonar(range_min_m=1.0), "here")
+        Sonar(range_min_m=1.0).complete("here")
     bearings = Sonar(range_min_m=1.0, range_max_m=2.0, tilt_deg=3.0, bearings_deg=(-1.0, 1.0))
-    check_sonar(bearings, "here")  # the bearings tell the field of view
-    fan = fan_for_polar(bearings, 10)
+    bearings.complete("here")  # the bearings tell the field of view
+    fan = fan_for_polar(bearings.complete("test"), 10)
     assert (fan.bearing_min_deg, fan.bearing_max_deg) == (-2, 2)

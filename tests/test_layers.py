@@ -11,6 +11,7 @@ import pytest
 
 FLOORS = (
     {"records"},
+    {"toml"},
     {"config", "sonar", "landmarks", "poses", "tables"},
     {"geometry"},
     {"recogniser", "readers", "results", "drawing"},
@@ -30,6 +31,8 @@ MAY_IMPORT = {
     "zstandard": ("readers.mcap",),
     "rosbags": ("readers.mcap.ros", "simulation.mcap_writer"),
     "google": ("readers.mcap.foxglove",),  # protobuf
+    "msgspec": ("toml",),
+    "tomllib": ("toml",),
     "pandas": ("tables", "report.logs", "report.mistakes"),
     "matplotlib": ("evaluation.plots", "report.charts", "truth.contact_sheet"),
     "jinja2": ("report.page",),
@@ -96,9 +99,13 @@ def ours(sources: Sources, name: str, top_level_only: bool = False) -> set[str]:
 
 
 def others(sources: Sources, name: str, top_level_only: bool = False) -> set[str]:
-    """The packages that a module imports, but for Python's own and numpy."""
+    """The packages that a module imports, but for numpy and Python's own (tomllib is watched)."""
     first = {n.partition(".")[0] for n, _ in imported(sources[name], top_level_only)}
-    return first - set(sys.stdlib_module_names) - {"sonarrec", "numpy", "", "__future__"}
+    return (
+        first
+        - (set(sys.stdlib_module_names) - {"tomllib"})
+        - {"sonarrec", "numpy", "", "__future__"}
+    )
 
 
 def room(name: str) -> str:

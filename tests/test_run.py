@@ -10,7 +10,6 @@ import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
-import click
 import cv2
 import numpy as np
 import pytest
@@ -286,21 +285,6 @@ def test_heavy_imports_are_late(pings: Path) -> None:
 def test_every_command_has_an_example() -> None:
     for name in main.commands:
         assert "Example" in sonarrec(name, "--help").stdout, name
-
-
-def test_every_command_and_option_is_in_the_readme() -> None:
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    commands: dict[str, click.Command] = dict(main.commands)
-    for name, command in main.commands.items():
-        if isinstance(command, click.Group):
-            commands |= {f"{name} {part}": c for part, c in command.commands.items()}
-    for name, command in commands.items():
-        assert f"sonarrec {name}" in text, name
-        for parameter in command.params:
-            if isinstance(parameter, click.Option):
-                assert any(f"{o}`" in text or f"{o} " in text for o in parameter.opts), (
-                    f"sonarrec {name} {parameter.opts[0]}"
-                )
 
 
 # What cannot be used: one clear line and the right exit code

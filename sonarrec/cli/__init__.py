@@ -10,6 +10,7 @@ from sonarrec import __version__
 from sonarrec.cli.calibrate import calibrate
 from sonarrec.cli.config import config
 from sonarrec.cli.evaluate import evaluate
+from sonarrec.cli.help import help_
 from sonarrec.cli.info import info
 from sonarrec.cli.overlay import overlay
 from sonarrec.cli.report import report
@@ -33,9 +34,11 @@ class _Program(click.Group):
     cls=_Program,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
-@click.version_option(__version__, prog_name="sonarrec")
+@click.version_option(__version__, "-V", "--version", prog_name="sonarrec")
 def main() -> None:
     """Recognise landmarks in recorded imaging-sonar logs, and score the results.
+
+    `sonarrec help` lists the pages of the manual: commands, files, results, limits.
 
     \b
     Exit codes: 0 done; 1 failed; 2 bad usage; 3 finished, but part of the input
@@ -43,5 +46,5 @@ def main() -> None:
     """
 
 
-for command in (run, info, evaluate, report, overlay, simulate, calibrate, config, truth):
+for command in (run, info, evaluate, report, overlay, simulate, calibrate, config, truth, help_):
     main.add_command(command)

@@ -3,75 +3,54 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import click
 
 from sonarrec.cli.options import (
-    FILE,
+    LEARNING,
+    NEW_FILE,
     PARTLY,
-    chosen_settings,
-    config_option,
+    LogChoice,
+    SettingsChoice,
+    command,
+    ground_truth_option,
     landmarks_option,
-    pixel_options,
-    preset_option,
-    seed_option,
-    set_option,
-    sonar_from_flags,
-    sonar_options,
-    topic_option,
+    leave,
+    log_options,
+    option,
+    out_option,
+    progress,
+    quiet_option,
+    settings_options,
+    tell,
 )
-from sonarrec.records import Clock, SonarrecError, UsageError
+from sonarrec.records import SonarrecError, UsageError
 
 
-@click.command(short_help="Learn from labelled logs how landmarks look.")
+@command(short_help="Learn from labelled logs how landmarks look.")
 @click.argument("log", nargs=-1, required=True)
-@click.option(
-    "--ground-truth", type=FILE, required=True, help="gt.csv; its columns are in the README."
-)
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(dir_okay=False, path_type=Path),
-    required=True,
-    help="The model, for `sonarrec run --model`.",
-)
-@click.option(
+@ground_truth_option("gt.csv with positions.", required=True)
+@log_options(time=True)
+@landmarks_option
+@option(
+    LEARNING,
     "--from-scratch",
     is_flag=True,
     help="Forget the built-in model, in place of starting from it: for thousands of labelled "
     "frames of all that may be met.",
 )
-@topic_option
-@click.option(
-    "--time",
-    "clock",
-    type=click.Choice(["log", "publish", "header"]),
-    help="Which time of an MCAP message timestamp_ns means.  [default: log]",
-)
-@landmarks_option
-@preset_option
-@config_option
-@set_option
-@seed_option
-@sonar_options
-@pixel_options
-@click.option("-q", "--quiet", is_flag=True, help="No progress bar and no summary.")
+@settings_options
+@out_option(NEW_FILE, "The model, for `sonarrec run --model`.", required=True)
+@quiet_option
 def calibrate(
     log: tuple[str, ...],
     ground_truth: Path,
-    out: Path,
+    log_choice: LogChoice,
+    landmarks: str | None,
     from_scratch: bool,
-    topic: str | None,
-    clock: Clock | None,
-    landmarks: str,
-    preset: str | None,
-    config_file: Path | None,
-    assignments: tuple[str, ...],
-    seed: int | None,
-    sonar_file: Path | None,
+    settings: SettingsChoice,
+    out: Path,
     quiet: bool,
-    **flags: Any,
 ) -> None:
     """Learn from LOG, whose landmarks are labelled, how landmarks look to this sonar.
 
@@ -82,44 +61,34 @@ def calibrate(
 
     \b
     Examples:
-      sonarrec calibrate log.mcap --ground-truth gt.csv -o model.toml
+      sonarrec calibrate sample_data/pan --ground-truth sample_data/pan/gt.csv -o model.toml
       sonarrec run next.mcap --model model.toml
       sonarrec calibrate day_1/ day_2/ --ground-truth both.csv -o model.toml --landmarks my.toml
     """
-    from tqdm import tqdm
-
     from sonarrec.landmarks import load_landmarks
     from sonarrec.learning.calibrate import learn
 
     if not out.parent.is_dir():
         raise UsageError(f"--out {out}: there is no folder {out.parent}")
-    settings, *more = chosen_settings(preset, config_file, assignments, seed)
-    if more:
-        raise UsageError("several presets: a model is learned for one; choose it with --preset")
-    with tqdm(unit="frame", leave=False, disable=True if quiet else None) as bar:
+    config = settings.config()
+    with progress(quiet) as step:
         lesson = learn(
             log,
             ground_truth,
-            settings,
-            load_landmarks(landmarks),
-            sonar=sonar_from_flags(flags),
-            sonar_file=sonar_file,
-            topic=topic,
-            time=clock,
+            config,
+            load_landmarks(landmarks or "basin"),
+            **log_choice.arguments(),
             from_scratch=from_scratch,
-            observe=bar.update,
+            observe=step,
         )
     try:
         out.write_text(lesson.as_toml(), encoding="utf-8")
     except OSError as error:
         raise SonarrecError(f"{out}: cannot be written ({error.strerror})") from None
-    for note in lesson.notes:
-        click.echo(f"sonarrec: note: {note}", err=True)
-    for problem in lesson.problems:
-        click.echo(f"sonarrec: {problem}", err=True)
+    tell(lesson.problems, lesson.notes)
     if not quiet:
         for line in lesson.told():
             click.echo(line)
         click.echo(f"{out}: model, for `sonarrec run --model`")
     if lesson.problems:
-        click.get_current_context().exit(PARTLY)
+        leave(PARTLY)

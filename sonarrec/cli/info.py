@@ -3,14 +3,25 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from sonarrec.cli.options import PARTLY, pixel_options, sonar_from_flags, sonar_options
+from sonarrec.cli.options import (
+    INPUT,
+    OUTPUT,
+    PARTLY,
+    LogChoice,
+    command,
+    leave,
+    log_options,
+    option,
+    progress,
+    quiet_option,
+    tell,
+)
 from sonarrec.records import SonarrecError, UsageError
 
 if TYPE_CHECKING:
@@ -19,26 +30,19 @@ if TYPE_CHECKING:
 _YEAR_2000_NS = 946_684_800 * 10**9
 
 
-@click.command(short_help="Show what is in a log, and whether it is whole.")
+@command(short_help="Show what is in a log, and whether it is whole.")
 @click.argument("log", nargs=-1, required=True)
-@click.option("--topic", help="Look at this channel of an MCAP alone.")
-@click.option(
+@option(
+    INPUT,
     "--quick",
     is_flag=True,
     help="Read the summary and the first frames only; do not check every frame and checksum.",
 )
-@click.option("--json", "as_json", is_flag=True, help="Print JSON; its keys are in the README.")
-@sonar_options
-@pixel_options
-@click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
+@log_options()
+@option(OUTPUT, "--json", "as_json", is_flag=True, help="Print JSON. Keys: sonarrec help info.")
+@quiet_option
 def info(
-    log: tuple[str, ...],
-    topic: str | None,
-    quick: bool,
-    as_json: bool,
-    sonar_file: Path | None,
-    quiet: bool,
-    **flags: Any,
+    log: tuple[str, ...], quick: bool, log_choice: LogChoice, as_json: bool, quiet: bool
 ) -> None:
     """Show what is in LOG, whether it is whole, and how `run` would read it.
 
@@ -49,7 +53,7 @@ def info(
 
     \b
     Examples:
-      sonarrec info log.mcap
+      sonarrec info sample_data/pan.mcap
       sonarrec info --quick *.mcap
       sonarrec info --json dive.mcap | jq '.logs[0].images[].usable'
     """
@@ -57,26 +61,20 @@ def info(
     from sonarrec.readers.find import find_logs
     from sonarrec.readers.info import describe
 
-    sonar = sonar_from_flags(flags)
+    reading = log_choice.arguments()
     tables: list[dict[str, Any]] = []
     useless = faulty = 0
     logs = find_logs(log)
     for number, path in enumerate(logs):
         try:
-            found = describe(
-                path,
-                sonar=sonar,
-                sonar_file=sonar_file,
-                topic=topic,
-                quick=quick,
-                observe=_progress_bar(quiet),
-            )
+            with progress(quiet) as step:
+                found = describe(path, **reading, quick=quick, observe=step)
         except UsageError:
             raise
         except SonarrecError as error:
             useless += 1
             tables.append({"path": path, "error": str(error)})
-            click.echo(f"sonarrec: {error}", err=True)
+            tell([str(error)])
             continue
         useless += found.nothing
         faulty += found.partly
@@ -86,22 +84,9 @@ def info(
     if as_json:
         click.echo(json.dumps({"version": __version__, "logs": tables}, indent=2))
     if useless == len(logs):
-        click.get_current_context().exit(1)
+        leave(1)
     if useless or faulty:
-        click.get_current_context().exit(PARTLY)
-
-
-def _progress_bar(quiet: bool) -> Callable[[int | None], None]:
-    """A tqdm bar on stderr; silent when quiet and where stderr is no terminal."""
-    from tqdm import tqdm
-
-    bar = tqdm(unit="frame", leave=False, disable=True if quiet else None)
-
-    def observe(total: int | None) -> None:
-        bar.total = total
-        bar.update()
-
-    return observe
+        leave(PARTLY)
 
 
 def lines(info: LogInfo) -> list[str]:

@@ -1,160 +1,385 @@
-"""Options that several commands share, and what they mean."""
+"""Options that several commands share, and what they mean; --help that shows them in groups."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial, wraps
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NoReturn
 
 import click
 
-from sonarrec.records import UsageError
+from sonarrec.records import Clock, UsageError
 
 PARTLY = 3  # exit code: finished, but part of the input could not be used
 FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
-Command = TypeVar("Command", bound=Callable[..., Any])
+NEW_FILE = click.Path(dir_okay=False, path_type=Path)
+FOLDER = click.Path(file_okay=False, path_type=Path)
+ANY = click.Path(path_type=Path)
+
+# The groups of --help, in this order.
+INPUT, SCORING, LEARNING, SETTINGS = "Input", "Scoring", "Learning", "Settings"
+GEOMETRY, PIXELS, OUTPUT = "Geometry", "Pixels", "Output"
+_GROUPS = (INPUT, SCORING, LEARNING, SETTINGS, GEOMETRY, PIXELS, OUTPUT)
+Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 
-def sonar_options(command: Command) -> Command:
-    """The flags that set keys of the sonar geometry, over what sonar.toml says."""
-    numbers = {
-        "range_min_m": "Slant range of the window's near end, m.",
-        "range_max_m": "Slant range of the window's far end, m.",
-        "field_of_view_deg": "Horizontal field of view, deg.",
-        "tilt_deg": "Downward tilt of the sonar, deg.",
-        "height_m": "Height of the sonar above the floor, m.",
-        "frame_rate_hz": "Frames per second, where frames carry no time.",
-        "metres_per_pixel": "Scale of a fan image, m.",
-    }
-    options = [
-        click.option(
-            "--sonar",
-            "sonar_file",
-            type=FILE,
-            help="Sonar geometry, in place of the sonar.toml beside the log.",
-        ),
-        click.option("--layout", type=click.Choice(["fan", "polar"]), help="Layout of the images."),
-        *(
-            click.option(f"--{key.replace('_', '-')}", key, type=float, help=text)
-            for key, text in numbers.items()
-        ),
-        click.option(
-            "--apex-px",
-            type=float,
-            nargs=2,
-            metavar="COLUMN ROW",
-            help="Apex of a fan image, pixels.",
-        ),
-        click.option(
-            "--bearings-deg", metavar="B,B,...", help="One bearing per beam of a polar image."
-        ),
-        click.option(
-            "--ranges-m", metavar="R,R,...", help="One slant range per row of a polar image."
-        ),
-    ]
-    for option in reversed(options):
-        command = option(command)
-    return command
+class GroupedOption(click.Option):
+    """An option that belongs to a group of --help."""
+
+    def __init__(self, *names: Any, group: str, **told: Any) -> None:
+        super().__init__(*names, **told)
+        self.group = group
 
 
-def pixel_options(command: Command) -> Command:
-    """The flags that say how a log's samples lie and what they mean; keys of sonar.toml as well."""
-    options = [
-        click.option(
-            "--beam-order",
-            type=click.Choice(["range-major", "beam-major"]),
-            help="Polar samples: all beams of one range first, or all ranges of one beam.  "
-            "[default: found from the first ping]",
-        ),
-        click.option(
-            "--flip/--no-flip", default=None, help="Exchange left and right, where a driver did."
-        ),
-        click.option(
-            "--pixel-scale",
-            type=click.Choice(["linear", "log", "db"]),
-            help="What pixels hold: ready to show, echo amplitudes, decibels.  "
-            "[default: linear to 16 bit and within 0 to 1, else log; db where negative]",
-        ),
-        click.option(
-            "--full-scale",
-            type=float,
-            metavar="VALUE",
-            help="The pixel value that becomes white.  "
-            "[default: the type's largest; for log and db by the first ping]",
-        ),
-        click.option(
-            "--dynamic-range-db",
-            type=float,
-            help="Decibels from black to white, for log and db.  [default: 50]",
-        ),
-    ]
-    for option in reversed(options):
-        command = option(command)
-    return command
+class GroupedCommand(click.Command):
+    """A command whose --help shows its options in groups and names its help page."""
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        rows: dict[str, list[tuple[str, str]]] = {group: [] for group in (*_GROUPS, "Other")}
+        for parameter in self.get_params(ctx):
+            row = parameter.get_help_record(ctx)
+            if row is not None and isinstance(parameter, click.Option):
+                rows[getattr(parameter, "group", "Other")].append(row)
+        for group, found in rows.items():
+            if found:
+                with formatter.section(group):
+                    formatter.write_dl(found)
+        _, _, page = ctx.command_path.partition(" ")
+        formatter.write_paragraph()
+        formatter.write_text(f"More: sonarrec help {page.partition(' ')[0]}")
 
 
-def sonar_from_flags(flags: dict[str, Any]) -> Any:
-    from sonarrec.sonar import sonar_from_table
+command = partial(click.command, cls=GroupedCommand)
 
-    stated = {key: value for key, value in flags.items() if value is not None}
-    for key in ("bearings_deg", "ranges_m"):
-        if key in stated:
+
+def option(group: str, *names: str, **told: Any) -> Decorator:
+    """`click.option` in a group of --help."""
+    return click.option(*names, cls=GroupedOption, group=group, **told)
+
+
+def _as_one(
+    argument: str, options: Mapping[str, Decorator], make: Callable[[dict[str, Any]], Any]
+) -> Decorator:
+    """Add options, and hand their values to the command as the one argument `argument`."""
+
+    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+        @wraps(function)
+        def gather(**given: Any) -> Any:
+            values = {key: given.pop(key) for key in options}
+            return function(**given, **{argument: make(values)})
+
+        called: Callable[..., Any] = gather
+        for add in reversed([*options.values()]):
+            called = add(called)
+        return called
+
+    return decorate
+
+
+# How a log is read
+
+_NUMBERS = {
+    "range_min_m": "Slant range of the window's near end, m.",
+    "range_max_m": "Slant range of the window's far end, m.",
+    "field_of_view_deg": "Horizontal field of view, deg.",
+    "tilt_deg": "Downward tilt of the sonar, deg.",
+    "height_m": "Height of the sonar above the floor, m.",
+    "frame_rate_hz": "Frames per second, where frames carry no time.",
+    "metres_per_pixel": "Scale of a fan image, m.",
+}
+_GEOMETRY = {
+    "sonar_file": option(
+        GEOMETRY,
+        "--sonar",
+        "sonar_file",
+        type=FILE,
+        help="Geometry file, in place of the sonar.toml beside the log.",
+    ),
+    "layout": option(
+        GEOMETRY, "--layout", type=click.Choice(["fan", "polar"]), help="Layout of the images."
+    ),
+    **{
+        key: option(GEOMETRY, f"--{key.replace('_', '-')}", key, type=float, help=text)
+        for key, text in _NUMBERS.items()
+    },
+    "apex_px": option(
+        GEOMETRY,
+        "--apex-px",
+        type=float,
+        nargs=2,
+        metavar="COLUMN ROW",
+        help="Apex of a fan image, pixels.",
+    ),
+    "bearings_deg": option(
+        GEOMETRY,
+        "--bearings-deg",
+        metavar="B,B,...",
+        help="One bearing per beam of a polar image, deg.",
+    ),
+    "ranges_m": option(
+        GEOMETRY,
+        "--ranges-m",
+        metavar="R,R,...",
+        help="One slant range per row of a polar image, m.",
+    ),
+}
+_PIXELS = {
+    "beam_order": option(
+        PIXELS,
+        "--beam-order",
+        type=click.Choice(["range-major", "beam-major"]),
+        help="Polar samples: all beams of one range first, or all ranges of one beam.  "
+        "[default: found from the first ping]",
+    ),
+    "flip": option(
+        PIXELS,
+        "--flip/--no-flip",
+        default=None,
+        help="Exchange left and right, where a driver did.",
+    ),
+    "pixel_scale": option(
+        PIXELS,
+        "--pixel-scale",
+        type=click.Choice(["linear", "log", "db"]),
+        help="What pixels hold: ready to show, echo amplitudes, decibels.  "
+        "[default: linear to 16 bit and within 0 to 1, else log; db where negative]",
+    ),
+    "full_scale": option(
+        PIXELS,
+        "--full-scale",
+        type=float,
+        metavar="VALUE",
+        help="The pixel value that becomes white.  "
+        "[default: the type's largest; for log and db by the first ping]",
+    ),
+    "dynamic_range_db": option(
+        PIXELS,
+        "--dynamic-range-db",
+        type=float,
+        help="Decibels from black to white, for log and db.  [default: 50]",
+    ),
+}
+topic_option = option(
+    INPUT, "--topic", help="Channel of an MCAP that holds several image channels."
+)
+_TIME = {
+    "time": option(
+        INPUT,
+        "--time",
+        type=click.Choice(["log", "publish", "header"]),
+        help="Which time of an MCAP message names a frame, and timestamp_ns means. Frames come "
+        "in the order of log time.  [default: log]",
+    )
+}
+
+
+@dataclass(frozen=True, slots=True)
+class LogChoice:
+    """How a log is to be read, by the flags of the command line."""
+
+    values: Mapping[str, Any]  # of the options by name, None where not given
+
+    def sonar(self) -> Any:
+        """The Sonar that the flags alone state. Raises UsageError for what is no list."""
+        from sonarrec.sonar import sonar_from_table
+
+        keys = [key for key in (*_GEOMETRY, *_PIXELS) if key != "sonar_file"]
+        stated = {key: self.values[key] for key in keys if self.values.get(key) is not None}
+        for key in {"bearings_deg", "ranges_m"} & set(stated):
             try:
                 stated[key] = [float(number) for number in stated[key].split(",")]
             except ValueError:
                 flag = f"--{key.replace('_', '-')}"
                 raise UsageError(f"{flag}: expected numbers with commas between") from None
-    return sonar_from_table(stated, "command line")
+        return sonar_from_table(stated, "command line")
+
+    def sonar_without_log(self) -> Any:
+        """The Sonar of --sonar and the flags, which win, where no log is opened."""
+        from sonarrec.sonar import Sonar, load_sonar
+
+        file = self.values["sonar_file"]
+        return (load_sonar(file) if file else Sonar()).updated(self.sonar())
+
+    def arguments(self) -> dict[str, Any]:
+        """Keyword arguments of what opens a log: sonar, sonar_file, topic; time where stated."""
+        time: Clock | None = self.values.get("time")
+        return {
+            "sonar": self.sonar(),
+            "sonar_file": self.values["sonar_file"],
+            "topic": self.values["topic"],
+            **({"time": time} if time else {}),
+        }
 
 
-_LANDMARKS = "Landmark set: a built-in name or a TOML file."
-landmarks_option = click.option("--landmarks", default="basin", show_default=True, help=_LANDMARKS)
-landmarks_of_results_option = click.option(
-    "--landmarks", help=f"{_LANDMARKS}  [default: that of run.toml, else basin]"
-)
-topic_option = click.option("--topic", help="Channel of an MCAP that holds several image channels.")
-min_visible_option = click.option(
-    "--min-visible",
-    type=float,
-    default=0.9,
-    show_default=True,
-    help="Share of the disc in view from which a landmark counts; with less it is ignored.",
-)
-tolerance_option = click.option(
-    "--tolerance",
-    type=float,
-    metavar="SECONDS",
-    help="For truth matched by timestamp_ns.  [default: half the time between frames]",
-)
-preset_option = click.option(
-    "--preset",
-    metavar="NAME[,NAME]",
-    help="default (frame by frame), offline (each result waits for what its log shows later) or "
-    "paper (every rule as published). `sonarrec run` takes several, side by side.",
-)
-config_option = click.option(
-    "--config", "config_file", type=FILE, help="Settings (TOML), or the run.toml of an earlier run."
-)
-set_option = click.option(
-    "--set",
-    "assignments",
-    multiple=True,
-    metavar="STAGE.KEY=VALUE",
-    help="Change one setting; repeatable.",
-)
-seed_option = click.option(
-    "--seed", type=click.IntRange(min=0), help="Of all that is random.  [default: 0]"
+def log_options(*, pixels: bool = True, time: bool = False) -> Decorator:
+    """--topic, the geometry and, where wanted, pixels and --time, as one `log_choice`."""
+    options = (
+        {"topic": topic_option} | (_TIME if time else {}) | _GEOMETRY | (_PIXELS if pixels else {})
+    )
+    return _as_one("log_choice", options, LogChoice)
+
+
+# Results and truth
+
+landmarks_option = option(
+    INPUT,
+    "--landmarks",
+    help="Landmark set: a built-in name or a TOML file.  "
+    "[default: that of run.toml where one is read, else basin]",
 )
 
 
-def chosen_settings(
-    preset: str | None, config_file: Path | None, assignments: tuple[str, ...], seed: int | None
-) -> Any:
-    """A Config per preset. Preset, then file, then --set, then --seed: the later wins."""
-    from dataclasses import replace
+def ground_truth_option(text: str, required: bool = False) -> Decorator:
+    """--ground-truth; text: what it is for."""
+    text = f"{text} Columns: sonarrec help truth."
+    return option(INPUT, "--ground-truth", type=FILE, required=required, help=text)
 
-    from sonarrec import config
 
-    chosen = config.configs(preset.split(",") if preset else [], config_file)
-    chosen = [config.with_assignments(settings, assignments) for settings in chosen]
-    return chosen if seed is None else [replace(settings, seed=seed) for settings in chosen]
+_SCORING = {
+    "min_visible": option(
+        SCORING,
+        "--min-visible",
+        type=float,
+        default=0.9,
+        show_default=True,
+        help="Share of the disc in view from which a landmark counts; with less it is ignored.",
+    ),
+    "tolerance_s": option(
+        SCORING,
+        "--tolerance",
+        "tolerance_s",
+        type=float,
+        metavar="SECONDS",
+        help="For truth matched by timestamp_ns.  [default: half the time between frames]",
+    ),
+    "landmarks": landmarks_option,
+}
+
+
+def _scoring(values: dict[str, Any]) -> dict[str, Any]:
+    given = {key: values[key] for key in _SCORING}
+    return given | {"sonar": LogChoice(values).sonar_without_log()}
+
+
+# --min-visible, --tolerance, --landmarks and the geometry, as one `scoring`: keyword arguments.
+scoring_options = _as_one("scoring", _SCORING | _GEOMETRY, _scoring)
+
+
+# Settings
+
+_SETTINGS = {
+    "preset": option(
+        SETTINGS,
+        "--preset",
+        metavar="NAME[,NAME]",
+        help="default (frame by frame), offline (each result waits for what its log shows later) "
+        "or paper (every rule as published). `sonarrec run` takes several, side by side.",
+    ),
+    "config_file": option(
+        SETTINGS,
+        "--config",
+        "config_file",
+        type=FILE,
+        help="Settings (TOML), or the run.toml of an earlier run.",
+    ),
+    "assignments": option(
+        SETTINGS,
+        "--set",
+        "assignments",
+        multiple=True,
+        metavar="STAGE.KEY=VALUE",
+        help="Change one setting; repeatable. `sonarrec config` prints them all.",
+    ),
+    "seed": option(
+        SETTINGS,
+        "--seed",
+        type=click.IntRange(min=0),
+        help="Of all that is random.  [default: 0]",
+    ),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class SettingsChoice:
+    """The settings that the flags ask for."""
+
+    values: Mapping[str, Any]
+
+    @property
+    def file(self) -> Path | None:
+        """The settings file, or the run.toml of an earlier run."""
+        file: Path | None = self.values["config_file"]
+        return file
+
+    def configs(self) -> Any:
+        """A Config per preset. Preset, then file, then --set, then --seed: the later wins."""
+        from dataclasses import replace
+
+        from sonarrec import config
+
+        preset, seed = self.values["preset"], self.values["seed"]
+        chosen = config.configs(preset.split(",") if preset else [], self.file)
+        chosen = [config.with_assignments(c, self.values["assignments"]) for c in chosen]
+        return chosen if seed is None else [replace(c, seed=seed) for c in chosen]
+
+    def config(self) -> Any:
+        """The one Config. Raises UsageError where several presets are asked for."""
+        chosen, *more = self.configs()
+        if more:
+            raise UsageError("several presets: this command takes one; choose it with --preset")
+        return chosen
+
+
+settings_options = _as_one("settings", _SETTINGS, SettingsChoice)
+
+
+# What goes out
+
+quiet_option = option(
+    OUTPUT,
+    "-q",
+    "--quiet",
+    is_flag=True,
+    help="No progress bar and no summary; files, notes and faults as ever.",
+)
+
+
+def out_option(kind: click.Path, text: str, **told: Any) -> Decorator:
+    """-o, --out; text: what it names."""
+    return option(OUTPUT, "-o", "--out", type=kind, help=text, **told)
+
+
+@contextmanager
+def progress(quiet: bool, total: int | None = None) -> Iterator[Callable[..., None]]:
+    """A progress bar over frames on stderr; silent when quiet and where stderr is no terminal.
+
+    Yields what to call after each frame: step(total=None, note="").
+    """
+    from tqdm import tqdm
+
+    with tqdm(total=total, unit="frame", leave=False, disable=True if quiet else None) as bar:
+
+        def step(total: int | None = None, note: str = "") -> None:
+            if total is not None:
+                bar.total = total
+            if note:
+                bar.set_postfix_str(note, refresh=False)
+            bar.update()
+
+        yield step
+
+
+def tell(problems: Iterable[str], notes: Iterable[str] = ()) -> None:
+    """Notes and problems, a line each, on stderr."""
+    for note in notes:
+        click.echo(f"sonarrec: note: {note}", err=True)
+    for problem in problems:
+        click.echo(f"sonarrec: {problem}", err=True)
+
+
+def leave(code: int) -> NoReturn:
+    """End the command with an exit code."""
+    click.get_current_context().exit(code)

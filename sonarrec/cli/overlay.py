@@ -4,52 +4,58 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any
 
 import click
 
 from sonarrec.cli.options import (
-    FILE,
+    ANY,
+    OUTPUT,
     PARTLY,
-    landmarks_of_results_option,
-    sonar_from_flags,
-    sonar_options,
-    topic_option,
+    LogChoice,
+    command,
+    ground_truth_option,
+    landmarks_option,
+    leave,
+    log_options,
+    option,
+    progress,
+    quiet_option,
+    tell,
 )
 from sonarrec.records import UsageError
 
-OUT = click.Path(path_type=Path)
 
-
-@click.command(short_help="Draw results onto the frames of their log.")
+@command(short_help="Draw results onto the frames of their log.")
 @click.argument("log")
-@click.argument("results", type=OUT, default=Path("sonarrec_out"))
-@click.option("--mcap", type=OUT, metavar="OUT", help="Annotations for Foxglove.")
-@click.option("--video", type=OUT, metavar="OUT.mp4", help="The frames drawn, as MPEG-4.")
-@click.option("--images", type=OUT, metavar="DIR", help="The frames drawn, as DIR/000000.png, ...")
-@click.option("--method", help="Method of estimates.csv.  [default: framework]")
-@click.option(
-    "--frames", metavar="A:B", help="From frame A up to, not including, B; either may be left out."
+@click.argument("results", type=ANY, default=Path("sonarrec_out"))
+@log_options(pixels=False)
+@landmarks_option
+@ground_truth_option("gt.csv, drawn dashed.")
+@option(OUTPUT, "--mcap", type=ANY, metavar="OUT", help="Annotations for Foxglove.")
+@option(OUTPUT, "--video", type=ANY, metavar="OUT.mp4", help="The frames drawn, as MPEG-4.")
+@option(
+    OUTPUT, "--images", type=ANY, metavar="DIR", help="The frames drawn, as DIR/000000.png, ..."
 )
-@click.option("--ground-truth", type=FILE, help="gt.csv, drawn dashed.")
-@topic_option
-@landmarks_of_results_option
-@sonar_options
-@click.option("-q", "--quiet", is_flag=True, help="No progress bar and no summary.")
+@option(OUTPUT, "--method", help="Method of estimates.csv.  [default: framework]")
+@option(
+    OUTPUT,
+    "--frames",
+    metavar="A:B",
+    help="From frame A up to, not including, B; either may be left out.",
+)
+@quiet_option
 def overlay(
     log: str,
     results: Path,
+    log_choice: LogChoice,
+    landmarks: str | None,
+    ground_truth: Path | None,
     mcap: Path | None,
     video: Path | None,
     images: Path | None,
     method: str | None,
     frames: str | None,
-    ground_truth: Path | None,
-    topic: str | None,
-    landmarks: str | None,
-    sonar_file: Path | None,
     quiet: bool,
-    **flags: Any,
 ) -> None:
     """Draw RESULTS onto the frames of LOG: outlines, IDs, probabilities, trails.
 
@@ -66,23 +72,16 @@ def overlay(
 
     \b
     Examples:
-      sonarrec overlay log.mcap --mcap overlay.mcap
+      sonarrec overlay sample_data/pan.mcap --mcap overlay.mcap
       sonarrec overlay pings/ --video pings.mp4 --ground-truth gt.csv
       sonarrec overlay log.mcap results/log --images shots --frames 100:120 --method smi
     """
-    from tqdm import tqdm
-
     from sonarrec.overlay.overlay import Targets, write_overlay
 
     targets = {"--mcap": mcap, "--video": video, "--images": images}
     if not any(targets.values()):
         raise UsageError("nothing to write: give --mcap OUT, --video OUT.mp4 or --images DIR")
-    with tqdm(unit="frame", leave=False, disable=True if quiet else None) as bar:
-
-        def observe(total: int | None) -> None:
-            bar.total = total
-            bar.update()
-
+    with progress(quiet) as step:
         done = write_overlay(
             log,
             Targets(mcap, video, images),
@@ -91,18 +90,15 @@ def overlay(
             span=_span(frames),
             ground_truth=ground_truth,
             landmarks=landmarks,
-            sonar=sonar_from_flags(flags),
-            sonar_file=sonar_file,
-            topic=topic,
-            observe=observe,
+            **log_choice.arguments(),
+            observe=step,
         )
-    for problem in done.problems:
-        click.echo(f"sonarrec: {problem}", err=True)
+    tell(done.problems)
     if not quiet:
         for target in filter(None, targets.values()):
             click.echo(f"{target}: {done.frames} frames, {done.method}")
     if done.problems:
-        click.get_current_context().exit(PARTLY)
+        leave(PARTLY)
 
 
 def _span(text: str | None) -> tuple[int, int | None]:

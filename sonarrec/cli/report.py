@@ -8,55 +8,52 @@ from typing import Any
 import click
 
 from sonarrec.cli.options import (
-    FILE,
+    ANY,
+    INPUT,
+    NEW_FILE,
+    OUTPUT,
     PARTLY,
-    landmarks_of_results_option,
-    min_visible_option,
-    sonar_from_flags,
-    sonar_options,
-    tolerance_option,
+    command,
+    ground_truth_option,
+    leave,
+    option,
+    out_option,
+    quiet_option,
+    scoring_options,
+    tell,
+    topic_option,
 )
 
 
-@click.command(short_help="Write results as one HTML page.")
-@click.argument("results", type=click.Path(path_type=Path), default=Path("sonarrec_out"))
-@click.option("--ground-truth", type=FILE, help="gt.csv; without it nothing is scored.")
-@click.option(
+@command(short_help="Write results as one HTML page.")
+@click.argument("results", type=ANY, default=Path("sonarrec_out"))
+@ground_truth_option("gt.csv; without it nothing is scored.")
+@option(
+    INPUT,
     "--log",
     "recordings",
-    type=click.Path(path_type=Path),
+    type=ANY,
     multiple=True,
     help="The log that RESULTS came from, for frames on the page; once for each of several.",
 )
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(dir_okay=False, path_type=Path),
-    help="The page.  [default: RESULTS/report.html]",
-)
-@min_visible_option
-@tolerance_option
-@click.option(
+@topic_option
+@scoring_options
+@option(
+    OUTPUT,
     "--method",
     help="Whose sightings and tracks are shown.  [default: framework, or the first preset]",
 )
-@landmarks_of_results_option
-@click.option("--topic", help="Channel of an MCAP --log, where run.toml does not tell it.")
-@sonar_options
-@click.option("-q", "--quiet", is_flag=True, help="Write the page only; print nothing.")
+@out_option(NEW_FILE, "The page.  [default: RESULTS/report.html]")
+@quiet_option
 def report(
     results: Path,
     ground_truth: Path | None,
     recordings: tuple[Path, ...],
-    out: Path | None,
-    min_visible: float,
-    tolerance: float | None,
-    method: str | None,
-    landmarks: str | None,
     topic: str | None,
-    sonar_file: Path | None,
+    scoring: dict[str, Any],
+    method: str | None,
+    out: Path | None,
     quiet: bool,
-    **flags: Any,
 ) -> None:
     """Write RESULTS as one HTML page that needs nothing else: no network, no other file.
 
@@ -68,30 +65,24 @@ def report(
     \b
     Examples:
       sonarrec report
-      sonarrec report sonarrec_out/log_7 --log log_7.mcap
+      sonarrec report sonarrec_out/pan --log sample_data/pan.mcap
       sonarrec report --ground-truth gt.csv --log pings/ -o report.html
     """
     from sonarrec.report.build import write_report
-    from sonarrec.sonar import Sonar, load_sonar
 
-    stated = load_sonar(sonar_file) if sonar_file else Sonar()
     written = write_report(
         out or results / "report.html",
         results,
         ground_truth=ground_truth,
         recordings=recordings,
-        min_visible=min_visible,
-        tolerance_s=tolerance,
-        landmarks=landmarks,
-        sonar=stated.updated(sonar_from_flags(flags)),
         topic=topic,
         method=method,
+        **scoring,
     )
-    for problem in written.unused:
-        click.echo(f"sonarrec: {problem}", err=True)
+    tell(written.unused)
     if not quiet:
         size = written.path.stat().st_size / 1e6
         frames = "1 frame" if written.pictures == 1 else f"{written.pictures} frames"
         click.echo(f"{written.path}: {size:.1f} MB, {frames} of the log")
     if written.unused:
-        click.get_current_context().exit(PARTLY)
+        leave(PARTLY)

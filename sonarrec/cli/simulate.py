@@ -6,16 +6,32 @@ from pathlib import Path
 
 import click
 
+from sonarrec.cli.options import (
+    ANY,
+    INPUT,
+    OUTPUT,
+    command,
+    option,
+    out_option,
+    progress,
+    quiet_option,
+)
 from sonarrec.records import UsageError
 
 
-@click.command(short_help="Render a recording with known truth.")
-@click.option(
-    "--scene", "source", default="paper", show_default=True, help="Built-in name or a TOML file."
+@command(short_help="Render a recording with known truth.")
+@option(
+    INPUT,
+    "--scene",
+    "source",
+    default="paper",
+    show_default=True,
+    help="Built-in name (paper, basin, sample_pan, sample_polar) or a TOML file.",
 )
-@click.option("--seed", type=click.IntRange(min=0), help="In place of the scene's own.")
-@click.option("--frames", type=click.IntRange(min=1), help="In place of the scene's own number.")
-@click.option(
+@option(INPUT, "--seed", type=click.IntRange(min=0), help="In place of the scene's own.")
+@option(INPUT, "--frames", type=click.IntRange(min=1), help="In place of the scene's own number.")
+@option(
+    OUTPUT,
     "--format",
     "image_format",
     type=click.Choice(["png", "mcap"]),
@@ -23,25 +39,26 @@ from sonarrec.records import UsageError
     show_default=True,
     help="A folder of images, or one MCAP file.",
 )
-@click.option(
+@option(
+    OUTPUT,
     "--schema",
     metavar="NAME",
     help="Message type of an MCAP, such as sensor_msgs/msg/Image, with +ros1 or +json for another "
     "encoding than CDR (ROS) or protobuf (Foxglove); a wrong name lists them all.  "
     "[default: sensor_msgs/msg/Image]",
 )
-@click.option(
+@option(
+    OUTPUT,
     "--compression",
     type=click.Choice(["none", "lz4", "zstd"]),
     help="Of an MCAP.  [default: zstd]",
 )
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path),
+@out_option(
+    ANY,
+    "Folder for the recording; NAME.mcap for one file with its companions beside it.",
     required=True,
-    help="Folder for the recording; NAME.mcap for one file with its companions beside it.",
 )
-@click.option("-q", "--quiet", is_flag=True, help="No progress bar and no summary.")
+@quiet_option
 def simulate(
     source: str,
     seed: int | None,
@@ -56,16 +73,14 @@ def simulate(
 
     \b
     Examples:
-      sonarrec simulate --scene paper --out paper_log
-      sonarrec simulate --scene my_scene.toml --frames 200 --format mcap --out log.mcap
-      sonarrec simulate --scene sample_polar --format mcap --out pings.mcap \\
+      sonarrec simulate --scene paper -o paper_log
+      sonarrec simulate --scene my_scene.toml --frames 200 --format mcap -o log.mcap
+      sonarrec simulate --scene sample_polar --format mcap -o pings.mcap \\
         --schema marine_acoustic_msgs/msg/ProjectedSonarImage
     """
     if image_format != "mcap" and (schema or compression):
         raise UsageError("--schema and --compression are for --format mcap")
     from dataclasses import replace
-
-    from tqdm import tqdm
 
     from sonarrec.simulation.simulate import load_scene, write_recording
 
@@ -75,14 +90,12 @@ def simulate(
         seed=scene.seed if seed is None else seed,
         frames=scene.frames if frames is None else frames,
     )
-    with tqdm(
-        total=scene.frames, unit="frame", leave=False, disable=True if quiet else None
-    ) as bar:
+    with progress(quiet, scene.frames) as step:
         write_recording(
             scene,
             out,
             image_format,
-            progress=lambda done: bar.update(done - bar.n) and None,
+            progress=lambda _: step(),
             schema=schema or "sensor_msgs/msg/Image",
             compression=compression or "zstd",
         )

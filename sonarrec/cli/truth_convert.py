@@ -8,12 +8,19 @@ from typing import Any
 import click
 
 from sonarrec.cli.options import (
+    ANY,
+    INPUT,
+    NEW_FILE,
     PARTLY,
+    LogChoice,
+    command,
     landmarks_option,
-    pixel_options,
-    sonar_from_flags,
-    sonar_options,
-    topic_option,
+    leave,
+    log_options,
+    option,
+    out_option,
+    quiet_option,
+    tell,
 )
 from sonarrec.records import UsageError
 
@@ -28,10 +35,11 @@ def _label_map(_: click.Context, __: click.Parameter, given: tuple[str, ...]) ->
     return labels
 
 
-@click.command()
-@click.argument("annotations", type=click.Path(path_type=Path))
-@click.option("--log", help="The log that was annotated.")
-@click.option(
+@command(short_help="Write annotations as a gt.csv.")
+@click.argument("annotations", type=ANY)
+@option(INPUT, "--log", help="The log that was annotated.")
+@option(
+    INPUT,
     "--map",
     "labels",
     multiple=True,
@@ -39,40 +47,39 @@ def _label_map(_: click.Context, __: click.Parameter, given: tuple[str, ...]) ->
     callback=_label_map,
     help="ID of a label; none leaves it out. 1, ID.1 and landmark_1 need no such line.",
 )
-@click.option(
+@option(
+    INPUT,
     "--first-frame",
     type=int,
     metavar="N",
     help="What the annotations call the log's first frame.  [default: 0; mot 1]",
 )
-@click.option(
+@option(
+    INPUT,
     "--format",
     "format_name",
     type=click.Choice(["cvat", "coco", "mot", "labelme"]),
     help="In place of what the content shows.",
 )
-@click.option(
-    "--out",
-    type=click.Path(dir_okay=False, path_type=Path),
+@log_options()
+@landmarks_option
+@out_option(
+    NEW_FILE,
+    "A new file; one that exists is not touched.",
     default=Path("gt.csv"),
     show_default=True,
-    help="A new file; one that exists is not touched.",
 )
-@landmarks_option
-@topic_option
-@sonar_options
-@pixel_options
+@quiet_option
 def convert(
     annotations: Path,
     log: str | None,
     labels: dict[str, int | None],
     first_frame: int | None,
     format_name: str | None,
+    log_choice: LogChoice,
+    landmarks: str | None,
     out: Path,
-    landmarks: str,
-    topic: str | None,
-    sonar_file: Path | None,
-    **flags: Any,
+    quiet: bool,
 ) -> None:
     """Write ANNOTATIONS as a gt.csv.
 
@@ -84,17 +91,16 @@ def convert(
     \b
     Examples:
       sonarrec truth convert annotations.xml --log pings/
-      sonarrec truth convert coco.json --map "half ring=none" --map north=3 --out gt.csv
+      sonarrec truth convert coco.json --map "half ring=none" --map north=3 -o gt.csv
     """
     from sonarrec.landmarks import load_landmarks
     from sonarrec.readers import open_log
     from sonarrec.truth.convert import convert as convert_annotations
     from sonarrec.truth.convert import look_at
 
-    landmark_set, images = load_landmarks(landmarks), None
+    landmark_set, images = load_landmarks(landmarks or "basin"), None
     if log is not None:
-        sonar = sonar_from_flags(flags)
-        with open_log(log, sonar=sonar, sonar_file=sonar_file, topic=topic) as opened:
+        with open_log(log, **log_choice.arguments()) as opened:
             images = look_at(opened)
     done = convert_annotations(
         annotations,
@@ -105,11 +111,11 @@ def convert(
         first_frame=first_frame,
         log=images,
     )
-    for line in done.unused:
-        click.echo(f"sonarrec: {line}", err=True)
+    tell(done.unused)
     counts = ", ".join(f"ID.{i} {count}" for i, count in done.counts.items()) or "no landmark"
-    click.echo(f"{out}: {sum(done.counts.values())} rows from {done.format} ({counts})")
+    if not quiet:
+        click.echo(f"{out}: {sum(done.counts.values())} rows from {done.format} ({counts})")
     for line in done.notes:
         click.echo(f"note: {line}")
     if done.unused:
-        click.get_current_context().exit(PARTLY)
+        leave(PARTLY)

@@ -6,32 +6,47 @@ from pathlib import Path
 
 import click
 
+from sonarrec.cli.options import (
+    ANY,
+    INPUT,
+    NEW_FILE,
+    SCORING,
+    command,
+    option,
+    out_option,
+    quiet_option,
+)
 
-@click.command()
-@click.argument("results", type=click.Path(path_type=Path), default=Path("sonarrec_out"))
-@click.option("--method", default="framework", show_default=True, help="Whose tracks.")
-@click.option(
+
+@command(short_help="Propose a gt.csv from confident tracks.")
+@click.argument("results", type=ANY, default=Path("sonarrec_out"))
+@option(INPUT, "--method", default="framework", show_default=True, help="Whose tracks.")
+@option(
+    SCORING,
     "--min-score",
     type=float,
     default=0.9,
     show_default=True,
     help="That a track must reach at its best.",
 )
-@click.option(
+@option(
+    SCORING,
     "--max-gap",
     type=click.IntRange(min=0),
     default=8,
     show_default=True,
     help="Frames missing from a track that are filled in.",
 )
-@click.option(
-    "--out",
-    type=click.Path(dir_okay=False, path_type=Path),
+@out_option(
+    NEW_FILE,
+    "A new file; one that exists is not touched.",
     default=Path("gt_proposed.csv"),
     show_default=True,
-    help="A new file; one that exists is not touched.",
 )
-def propose(results: Path, method: str, min_score: float, max_gap: int, out: Path) -> None:
+@quiet_option
+def propose(
+    results: Path, method: str, min_score: float, max_gap: int, out: Path, quiet: bool
+) -> None:
     """Propose a gt.csv from the confident tracks of RESULTS.
 
     RESULTS is the folder of one log, or one that holds several (default: sonarrec_out). It is for
@@ -40,12 +55,14 @@ def propose(results: Path, method: str, min_score: float, max_gap: int, out: Pat
 
     \b
     Examples:
-      sonarrec truth propose sonarrec_out/log_7
-      sonarrec truth propose --min-score 0.95 --max-gap 0 --out gt.csv
+      sonarrec truth propose sonarrec_out/pan
+      sonarrec truth propose --min-score 0.95 --max-gap 0 -o gt.csv
     """
     from sonarrec.truth.propose import propose as propose_truth
 
     tracks = propose_truth(results, out, method=method, min_score=min_score, max_gap=max_gap)
+    if quiet:
+        return
     rows = sum(track.rows for track in tracks)
     click.echo(f"{out}: {rows} rows from {sum(bool(t.rows) for t in tracks)} tracks")
     for t in sorted(tracks, key=lambda t: (t.log, t.frames)):

@@ -3,49 +3,72 @@ ID and track, and errors of position."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from sonarrec.evaluation.counted import Counted, by_landmark, spread_count, sum_count
 from sonarrec.evaluation.joined import Joined, distance, nearest_truth
 from sonarrec.evaluation.passes import Passes, Units
 from sonarrec.evaluation.scoring import Scored
-from sonarrec.evaluation.tallies import quantile_tally, ratio_tally
-from sonarrec.evaluation.uncertainty import Tally
-from sonarrec.records import BoolArray, FloatArray, IntArray
-
-WAITS = ("frames_to_id_median", "frames_to_id_90")
-FALSE = ("false_claims_per_min", "wrong_ids_per_min")
-SWITCHES = ("id_switches_per_pass", "track_switches_per_pass")
-ERRORS = ("position_error_median_m", "position_error_95_m")
-TURNS = ("orientation_error_median_deg", "orientation_error_95_deg")
+from sonarrec.records import FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True)
 class Followed:
-    """How one method did in each of P passes under one protocol.
-
-    frames: (P,) frames with the landmark whole in view; right: (P,) those of them in which it was
-    claimed. wait: (P,) frames from the first of them to the one from which on it was claimed in
-    all, infinite where it was not claimed in the last.
-    """
+    """How one method did in each of P passes under one protocol."""
 
     protocol: str
     method: str
     frames: IntArray
+    """(P,) frames with the landmark whole in view."""
     right: IntArray
+    """(P,) those of them in which it was claimed."""
     wait: FloatArray
+    """(P,) frames from the first of them to the one from which on it was claimed in all, infinite
+    where it was not claimed in the last."""
+
+
+@dataclass(frozen=True, slots=True)
+class FalseClaims:
+    """Declared claims of an ID that are not on a landmark of it, (R,) each."""
+
+    nowhere: FloatArray
+    """On no landmark at all."""
+    other: FloatArray
+    """On a landmark of another ID."""
+    minutes: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Switches:
+    """Of one method, changes from one frame of a pass to the next one that has it."""
+
+    method: str
+    ids: IntArray
+    """(P,) of the declared ID."""
+    tracks: IntArray | None
+    """(P,) of the track on the landmark; None where the method has none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Switched:
+    """Switches of a method, (R,) each."""
+
+    passes: FloatArray
+    ids: FloatArray
+    tracks: FloatArray | None = None
 
 
 def follow(scored: Scored, joined: Joined, passes: Passes) -> Followed:
     """Each pass of a landmark under one method."""
-    claimed = np.zeros(len(joined.truth_frame), dtype=bool)
-    claimed[scored.truth[scored.made[scored.made_effect[:, 0] > 0]]] = True
+    claimed = np.zeros(len(joined.truth_frame_index), dtype=bool)
+    claimed[scored.truth[_right_claims(scored)]] = True
     truth = scored.positive
-    number, frame, right = passes.of_truth[truth], joined.truth_frame[truth], claimed[truth]
-    count = len(passes.first)
-    wrong_last = passes.first - 1
+    number, frame, right = passes.of_truth[truth], joined.truth_frame_index[truth], claimed[truth]
+    count = len(passes.first_frame_index)
+    wrong_last = passes.first_frame_index - 1
     np.maximum.at(wrong_last, number[~right], frame[~right])
     lasting = frame > wrong_last[number]
     settled = np.full(count, np.inf)
@@ -55,89 +78,57 @@ def follow(scored: Scored, joined: Joined, passes: Passes) -> Followed:
         method=scored.method,
         frames=np.bincount(number, minlength=count),
         right=np.bincount(number[right], minlength=count),
-        wait=settled - passes.first,
+        wait=settled - passes.first_frame_index,
     )
 
 
-def wait_tallies(
+def wait_counts(
     followed: Sequence[Followed], joined: Joined, passes: Passes, units: Units
-) -> list[Tally]:
-    """Frames to a lasting right ID over passes: median and 90 %, per ID and in all.
+) -> Iterator[Counted]:
+    """Frames to a lasting right ID over passes, per ID and in all.
 
     A pass in which it never comes counts as infinite.
     """
     edges = np.unique(np.concatenate([[np.inf], *(f.wait for f in followed)]))
     unit = _unit_of_pass(passes, units)
-    found = []
     for one in followed:
-        for label, mine in _by_landmark(joined, passes.landmark):
-            labels = (one.protocol, one.method, label)
-            found.append(
-                quantile_tally(
-                    labels, WAITS, (0.5, 0.9), one.wait[mine], unit[mine], units.count, edges
-                )
-            )
-    return found
+        for name, mine in by_landmark(joined, passes.landmark_index):
+            labels = (one.protocol, one.method, name)
+            yield spread_count(labels, one.wait[mine], unit[mine], units.count, edges)
 
 
 def _unit_of_pass(passes: Passes, units: Units) -> IntArray:
-    unit = np.zeros(len(passes.first), dtype=np.int64)
+    unit = np.zeros(len(passes.first_frame_index), dtype=np.int64)
     part = passes.of_truth >= 0
     unit[passes.of_truth[part]] = units.of_truth[part]
     return unit
 
 
-def _by_landmark(joined: Joined, landmark: IntArray) -> list[tuple[str, BoolArray]]:
-    """Per ID, then in all: its name and which elements are its own."""
-    named = [(str(i), landmark == k) for k, i in enumerate(joined.ids)]
-    return [*named, ("total", np.ones(len(landmark), dtype=bool))]
-
-
 def on_truth(joined: Joined) -> IntArray:
     """(N,) per claim the nearest truth of whatever ID in its frame, -1 with none in its gate."""
-    everything = np.arange(len(joined.claim_frame))
-    return nearest_truth(joined, everything, joined.claim_frame, joined.truth_frame)
+    everything = np.arange(len(joined.claim_frame_index))
+    return nearest_truth(joined, everything, joined.claim_frame_index, joined.truth_frame_index)
 
 
-def false_claim_tallies(joined: Joined, nearest: IntArray, units: Units) -> list[Tally]:
-    """Declared claims a minute on no landmark at all, and on one of another ID; per claimed ID.
+def false_claim_counts(joined: Joined, nearest: IntArray, units: Units) -> Iterator[Counted]:
+    """Declared claims on no landmark of their ID, per claimed ID and in all.
 
-    nearest: of `on_truth`. What is no landmark is a distractor, or the bare floor.
+    nearest: of `on_truth`.
     """
     minutes = np.bincount(units.of_frame, joined.seconds, minlength=units.count) / 60
     declared = np.flatnonzero(joined.declared)
-    truth = nearest[declared]
+    truth, claimed = nearest[declared], joined.claim_landmark_index[declared]
     nowhere = truth < 0
-    if len(joined.truth_landmark):
-        other = ~nowhere & (joined.truth_landmark[truth] != joined.claim_landmark[declared])
-        unit = np.where(
-            nowhere, units.of_frame[joined.claim_frame[declared]], units.of_truth[truth]
-        )
-    else:
-        other, unit = ~nowhere, units.of_frame[joined.claim_frame[declared]]
-    found = []
+    other, unit = ~nowhere, units.of_frame[joined.claim_frame_index[declared]]
+    if len(joined.truth_landmark_index):
+        other &= joined.truth_landmark_index[truth] != claimed
+        unit = np.where(nowhere, unit, units.of_truth[truth])
     for m, method in enumerate(joined.methods):
-        made = joined.method[declared] == m
-        for label, mine in _by_landmark(joined, joined.claim_landmark[declared]):
-            parts = [
-                np.bincount(unit[made & mine & kind], minlength=units.count).astype(float)
-                for kind in (nowhere, other)
-            ]
-            labels = ("strict", method, label)
-            found.append(ratio_tally(labels, FALSE, parts, [minutes, minutes]))
-    return found
-
-
-@dataclass(frozen=True, slots=True)
-class Switches:
-    """Of one method, per pass: changes of the declared ID, and of the track on the landmark.
-
-    (P,) each; tracks is None where the method has none.
-    """
-
-    method: str
-    ids: IntArray
-    tracks: IntArray | None
+        made = joined.method_index[declared] == m
+        for name, mine in by_landmark(joined, claimed):
+            some = (made & mine & kind for kind in (nowhere, other))
+            parts = [np.bincount(unit[s], minlength=units.count) for s in some]
+            yield sum_count(("strict", method, name), FalseClaims, [*parts, minutes])
 
 
 def switches(joined: Joined, nearest: IntArray, passes: Passes) -> list[Switches]:
@@ -148,24 +139,24 @@ def switches(joined: Joined, nearest: IntArray, passes: Passes) -> list[Switches
     Candidates of the single-frame method (smi) are no tracks.
     """
     k = len(joined.ids)
-    cell = joined.truth_frame * k + joined.truth_landmark
+    cell = joined.truth_frame_index * k + joined.truth_landmark_index
     alone = joined.truth_positive & (np.bincount(cell, minlength=1)[cell] == 1)
     claims = np.flatnonzero(nearest >= 0)
     claims = claims[alone[nearest[claims]]]
     # By method, pass and frame, the nearest first.
     truth = nearest[claims]
     away = distance(joined, claims, truth)
-    order = np.lexsort((away, truth, joined.truth_frame[truth], passes.of_truth[truth]))
+    order = np.lexsort((away, truth, joined.truth_frame_index[truth], passes.of_truth[truth]))
     claims = claims[order]
     found = []
     for m, method in enumerate(joined.methods):
-        mine = claims[joined.method[claims] == m]
+        mine = claims[joined.method_index[claims] == m]
         tracked = method.partition(":")[0] != "smi" and bool((joined.claim_object[mine] >= 0).any())
         declared = mine[joined.declared[mine]]
         found.append(
             Switches(
                 method=method,
-                ids=_changes(joined.claim_landmark[declared], nearest[declared], passes),
+                ids=_changes(joined.claim_landmark_index[declared], nearest[declared], passes),
                 tracks=_changes(joined.claim_object[mine], nearest[mine], passes)
                 if tracked
                 else None,
@@ -180,75 +171,73 @@ def _changes(what: IntArray, truth: IntArray, passes: Passes) -> IntArray:
     first[1:] = np.diff(truth) != 0
     what, number = what[first], passes.of_truth[truth[first]]
     changed = (np.diff(what) != 0) & (np.diff(number) == 0)
-    return np.bincount(number[1:][changed], minlength=len(passes.first))
+    return np.bincount(number[1:][changed], minlength=len(passes.first_frame_index))
 
 
-def switch_tallies(
+def switch_counts(
     found: Sequence[Switches], joined: Joined, passes: Passes, units: Units
-) -> list[Tally]:
-    """Switches per pass, per ID and in all."""
+) -> Iterator[Counted]:
+    """Switches over passes, per ID and in all."""
     unit = _unit_of_pass(passes, units)
-    tallies = []
     for one in found:
-        kinds = [(SWITCHES[0], one.ids)]
-        if one.tracks is not None:
-            kinds.append((SWITCHES[1], one.tracks))
-        for label, mine in _by_landmark(joined, passes.landmark):
-            many = np.bincount(unit[mine], minlength=units.count).astype(float)
-            parts = [
-                np.bincount(unit[mine], changes[mine], minlength=units.count).astype(float)
-                for _, changes in kinds
-            ]
-            names = tuple(name for name, _ in kinds)
-            labels = ("strict", one.method, label)
-            tallies.append(ratio_tally(labels, names, parts, [many] * len(kinds)))
-    return tallies
+        kinds = [one.ids] if one.tracks is None else [one.ids, one.tracks]
+        for name, mine in by_landmark(joined, passes.landmark_index):
+            summed = (np.bincount(unit[mine], kind[mine], units.count) for kind in kinds)
+            columns = [np.bincount(unit[mine], minlength=units.count), *summed]
+            yield sum_count(("strict", one.method, name), Switched, columns)
 
 
-def error_tallies(strict: Sequence[Scored], joined: Joined, units: Units) -> list[Tally]:
-    """Errors of right claims, median and 95 %, per ID and in all: of position (m), and of
-    orientation (deg) where truth and estimates tell it.
+def position_counts(strict: Sequence[Scored], joined: Joined, units: Units) -> Iterator[Counted]:
+    """Position errors (m) of right claims, per ID and in all.
 
-    Claims beyond the gate are not right, so this says how exact the right ones are. An ID that
-    looks the same after a turn is not wrong by that turn.
+    Claims beyond the gate are not right, so this says how exact the right ones are.
     """
-    rights = [s.made[s.made_effect[:, 0] > 0] for s in strict]
-    away, turned = [], []
-    for s, right in zip(strict, rights, strict=True):
-        claim, truth = s.claim[right], s.truth[right]
-        away.append(distance(joined, claim, truth))
-        period = joined.turn_deg[s.landmark[right]]
-        off = joined.claim_orientation[claim] - joined.truth_orientation[truth]
-        turned.append(np.abs((off + period / 2) % period - period / 2))
-    return [
-        *_error_tallies(strict, rights, away, ERRORS, joined, units),
-        *_error_tallies(strict, rights, turned, TURNS, joined, units),
+    rights = [_right_claims(s) for s in strict]
+    errors = [
+        distance(joined, s.claim[right], s.truth[right])
+        for s, right in zip(strict, rights, strict=True)
     ]
+    return _error_counts(strict, rights, errors, joined, units)
 
 
-def _error_tallies(
+def orientation_counts(strict: Sequence[Scored], joined: Joined, units: Units) -> Iterator[Counted]:
+    """Orientation errors (deg) of right claims, where truth and estimates tell it.
+
+    An ID that looks the same after a turn is not wrong by that turn.
+    """
+    rights = [_right_claims(s) for s in strict]
+    errors = []
+    for s, right in zip(strict, rights, strict=True):
+        period = joined.turn_deg[s.landmark_index[right]]
+        off = joined.claim_orientation[s.claim[right]] - joined.truth_orientation[s.truth[right]]
+        errors.append(np.abs((off + period / 2) % period - period / 2))
+    return _error_counts(strict, rights, errors, joined, units)
+
+
+def _right_claims(scored: Scored) -> IntArray:
+    """Which of its claims are declared and right."""
+    return scored.made[scored.made_effect[:, 0] > 0]
+
+
+def _error_counts(
     strict: Sequence[Scored],
     rights: Sequence[IntArray],
     errors: Sequence[FloatArray],
-    names: tuple[str, str],
     joined: Joined,
     units: Units,
-) -> list[Tally]:
+) -> Iterator[Counted]:
     """rights: per method its right claims, of which errors are; NaN where unknown."""
     known = [~np.isnan(error) for error in errors]
-    pooled = np.concatenate([error[k] for error, k in zip(errors, known, strict=True)])
-    if not len(pooled):
-        return []
+    pooled = [error[k] for error, k in zip(errors, known, strict=True)]
+    if not any(map(len, pooled)):
+        return
     # Steps as fine as the errors are dense, the same for every method.
-    edges = np.unique(np.quantile(pooled, np.linspace(0, 1, 513), method="inverted_cdf"))
-    found = []
+    shares = np.linspace(0, 1, 513)
+    edges = np.unique(np.quantile(np.concatenate(pooled), shares, method="inverted_cdf"))
     for s, right, error, k in zip(strict, rights, errors, known, strict=True):
         unit = units.of_truth[s.truth[right]]
-        for label, mine in _by_landmark(joined, s.landmark[right]):
-            labels, mine = ("strict", s.method, label), mine & k
-            found.append(
-                quantile_tally(
-                    labels, names, (0.5, 0.95), error[mine], unit[mine], units.count, edges
-                )
+        for name, mine in by_landmark(joined, s.landmark_index[right]):
+            mine &= k
+            yield spread_count(
+                ("strict", s.method, name), error[mine], unit[mine], units.count, edges
             )
-    return found

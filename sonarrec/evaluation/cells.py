@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 from sonarrec.evaluation.curves import Count
 from sonarrec.evaluation.evaluate import Evaluation
-from sonarrec.evaluation.metrics import DIGITS, ROWS, TESTED
+from sonarrec.evaluation.metrics import BY_NAME, METRICS
 from sonarrec.evaluation.scoring import Scored
 from sonarrec.evaluation.summary import Summary
-from sonarrec.evaluation.uncertainty import Figure
+from sonarrec.evaluation.uncertainty import Difference, Figure
 
-TESTED_LABELS = [label for name, label, _ in ROWS if name in TESTED]
 HEADLINE = ("tpr", "fpr")
+"""Told by themselves, before the other figures."""
+TESTED = tuple(metric for metric in METRICS if metric.tested)
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,18 +23,23 @@ class Cell:
     """A value and, where known, its interval and what a test says of it."""
 
     value: str
-    interval: str = ""
+    low: str = ""
+    high: str = ""
     test: str = ""
+
+
+NONE = Cell("-")
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """One of the paper's tables: heading cells, then rows of a label and cells."""
+    """One of the paper's tables."""
 
     method: str
     protocol: str
     heading: list[str]
     rows: list[tuple[str, list[str]]]
+    """A label and its cells, one per heading."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +49,9 @@ class Rates:
     tpr: Cell
     fpr: Cell
     missed: int
+    """FN."""
     false: int
+    """FP."""
 
 
 def of(evaluation: Evaluation, method: str, protocol: str) -> Scored:
@@ -55,18 +64,21 @@ def protocols(evaluation: Evaluation) -> list[str]:
     return [p for p in ("strict", "paper") if any(s.protocol == p for s in evaluation.scored)]
 
 
-def paper_table(scored: Scored) -> Table:
-    """TPR to Total per ID and in all, as published; "0.0000*" for 0/0."""
+def paper_table(scored: Scored, thousands: str = "") -> Table:
+    """TPR to Total per ID and in all, as published; "0.0000*" for 0/0.
+
+    thousands: what parts them in counts.
+    """
     counts = [scored.count(k) for k in range(len(scored.ids))] + [scored.count()]
     return Table(
         method=scored.method,
         protocol=scored.protocol,
         heading=[f"ID.{i}" for i in scored.ids] + ["Total"],
         rows=[
-            ("TPR", [rate(c.tp, c.tp + c.fn).strip() for c in counts]),
-            ("FPR", [rate(c.fp, c.fp + c.tn).strip() for c in counts]),
+            ("TPR", [rate(c.tp, c.tp + c.fn) for c in counts]),
+            ("FPR", [rate(c.fp, c.fp + c.tn) for c in counts]),
             *(
-                (label, [f"{getattr(c, label.lower()):,}" for c in counts])
+                (label, [f"{getattr(c, label.lower()):{thousands}}" for c in counts])
                 for label in ("TP", "TN", "FP", "FN", "Total")
             ),
         ],
@@ -81,7 +93,7 @@ def rates(evaluation: Evaluation, summary: Summary) -> list[tuple[str, list[Rate
             [
                 _rates(
                     of(evaluation, method, protocol).count(),
-                    *(summary.figure(protocol, method, name) for name in HEADLINE),
+                    *(figure(summary.figure(protocol, method, n), n) for n in HEADLINE),
                 )
                 for protocol in protocols(evaluation)
             ],
@@ -99,65 +111,62 @@ def rates_per_log(evaluation: Evaluation) -> list[tuple[str, list[Rates]]]:
     ]
 
 
-def _rates(count: Count, tpr: Figure | None = None, fpr: Figure | None = None) -> Rates:
+def _rates(count: Count, tpr: Cell = NONE, fpr: Cell = NONE) -> Rates:
+    """The intervals of the figures beside rates to four digits, a dash for 0/0."""
+    positives, negatives = count.tp + count.fn, count.fp + count.tn
     return Rates(
-        Cell(_rate(count.tp, count.tp + count.fn), _interval(tpr, 3)),
-        Cell(_rate(count.fp, count.fp + count.tn), _interval(fpr, 4)),
+        replace(tpr, value=rate(count.tp, positives) if positives else NONE.value),
+        replace(fpr, value=rate(count.fp, negatives) if negatives else NONE.value),
         count.fn,
         count.fp,
     )
 
 
-def figures(evaluation: Evaluation, summary: Summary) -> list[tuple[str, list[Cell]]]:
-    """The other figures over all IDs under the stricter protocol: a label, a cell per method."""
-    protocol = protocols(evaluation)[0]
+def figures(
+    summary: Summary, protocol: str, methods: Sequence[str], beside: Sequence[str] = ()
+) -> list[tuple[str, list[Cell]]]:
+    """The figures over all IDs that any method has: a label, a cell per method.
+
+    beside: metrics that are told elsewhere.
+    """
     rows = []
-    for name, label, digits in ROWS:
-        found = [summary.figure(protocol, m, name) for m in evaluation.joined.methods]
-        if name not in HEADLINE and any(found):
-            rows.append((label, [_cell(figure, digits) for figure in found]))
+    for metric in METRICS:
+        found = [summary.figure(protocol, m, metric.name) for m in methods]
+        if metric.name not in beside and any(found):
+            rows.append((metric.label, [figure(one, metric.name) for one in found]))
     return rows
 
 
-def differences(evaluation: Evaluation, summary: Summary) -> list[tuple[str, list[Cell]]]:
-    """Per two methods their differences in the figures of TESTED under the stricter protocol.
-
-    Each with its p, or why there is none.
-    """
-    protocol = protocols(evaluation)[0]
+def differences(summary: Summary, protocol: str) -> list[tuple[str, list[Cell]]]:
+    """Per two methods their differences in the metrics of TESTED, or why there are none."""
     rows: dict[str, list[Cell]] = {}
-    for d in summary.differences:
-        if d.protocol == protocol and d.name in TESTED:
-            digits = DIGITS[d.name]
-            rows.setdefault(f"{d.b} less {d.a}", []).append(
-                Cell(
-                    number(d.value, digits, "+"),
-                    _span(d.low, d.high, digits, "+"),
-                    d.note if math.isnan(d.p) else f"p = {d.p:.2g}",
-                )
-            )
+    for d in tested(summary, protocol):
+        rows.setdefault(f"{d.b} less {d.a}", []).append(difference(d))
     return list(rows.items())
 
 
-def _cell(figure: Figure | None, digits: int) -> Cell:
-    if figure is None:
-        return Cell("-")
-    return Cell(number(figure.value, digits), _interval(figure, digits))
+def tested(summary: Summary, protocol: str) -> list[Difference]:
+    """The differences in the metrics of TESTED."""
+    found = (d for d in summary.differences if d.protocol == protocol)
+    return [d for d in found if BY_NAME[d.name].tested]
 
 
-def _interval(figure: Figure | None, digits: int) -> str:
-    return "" if figure is None else _span(figure.low, figure.high, digits)
+def figure(found: Figure | None, name: str) -> Cell:
+    """A figure of the metric of this name; a dash where there is none."""
+    if found is None:
+        return NONE
+    return _cell(found.value, found.low, found.high, BY_NAME[name].digits)
 
 
-def _span(low: float, high: float, digits: int, sign: str = "") -> str:
-    if math.isnan(low):
-        return ""
-    return f"{number(low, digits, sign)} to {number(high, digits, sign)}"
+def difference(d: Difference) -> Cell:
+    """A difference, signed, with its p or why there is none."""
+    test = d.note if math.isnan(d.p) else f"p = {d.p:.2g}"
+    return replace(_cell(d.value, d.low, d.high, BY_NAME[d.name].digits, "+"), test=test)
 
 
-def _rate(part: int, whole: int) -> str:
-    """A rate to four digits; a dash where there is nothing to measure."""
-    return rate(part, whole).strip() if whole else "-"
+def _cell(value: float, low: float, high: float, digits: int, sign: str = "") -> Cell:
+    span = ("", "") if math.isnan(low) else (number(v, digits, sign) for v in (low, high))
+    return Cell(number(value, digits, sign), *span)
 
 
 def rate(part: int, whole: int) -> str:
@@ -166,21 +175,11 @@ def rate(part: int, whole: int) -> str:
         return "0.0000*"
     # In whole numbers: 52/640 is .08125 and printed .0813, which binary rounding makes .0812.
     digits = (2 * 10_000 * part + whole) // (2 * whole)
-    return f"{digits // 10_000}.{digits % 10_000:04d} "
+    return f"{digits // 10_000}.{digits % 10_000:04d}"
 
 
 def number(value: float, digits: int, sign: str = "") -> str:
     """A number; a dash for none, "never" for an infinite one."""
     if math.isnan(value):
-        return "-"
+        return NONE.value
     return "never" if math.isinf(value) else f"{value:{sign}.{digits}f}"
-
-
-def with_interval(figure: Figure | None, digits: int) -> str:
-    """A figure and, where known, its interval in brackets."""
-    if figure is None:
-        return "-"
-    value = number(figure.value, digits)
-    if math.isnan(figure.low):
-        return value
-    return f"{value} ({number(figure.low, digits)}-{number(figure.high, digits)})"

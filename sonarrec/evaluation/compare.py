@@ -3,49 +3,51 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from sonarrec.evaluation import metrics
+from sonarrec.evaluation.counted import Counted, rate_counts
 from sonarrec.evaluation.evaluate import Evaluation, check_options, pool
 from sonarrec.evaluation.joined import Joined
+from sonarrec.evaluation.metrics import BY_NAME, MAIN
 from sonarrec.evaluation.passes import find_passes, find_units
 from sonarrec.evaluation.scoring import Scored
-from sonarrec.evaluation.tallies import rate_tallies
 from sonarrec.evaluation.uncertainty import (
     Difference,
     bootstrap_weights,
     coin_tosses,
     differences,
 )
-from sonarrec.records import SonarrecError
+from sonarrec.records import SonarrecError, printable
 from sonarrec.results.read import LogResults, find_logs, read_log
 from sonarrec.sonar import Sonar
 from sonarrec.truth.match import match_truth
 from sonarrec.truth.table import read_truth
 
-RATES = ("tpr", "fpr", "auc")
 FRAMES_FREE = 2
 """Frames that may turn worse whatever the band: two of 24 are no trend, though they are .083."""
 
 
 @dataclass(frozen=True, slots=True)
 class RateChange:
-    """A rate of one method, before and after; of: the frames, or claims, that it is taken over.
-
-    landmark: an ID or "total". old, new: NaN where 0/0.
-    """
+    """A rate of one method, before and after."""
 
     protocol: str
     method: str
-    landmark: str
+    landmark_text: str
+    """An ID or "total"."""
     rate: str
+    """Name of a metric of MAIN."""
     old: float
     new: float
+    """NaN where 0/0."""
     of: int
+    """The frames, or claims, that it is taken over."""
 
     @property
     def worse(self) -> float:
@@ -60,10 +62,7 @@ class RateChange:
 
 @dataclass(frozen=True, slots=True)
 class FrameChange:
-    """A frame and ID that one method no longer counts as before.
-
-    old, new: (TP, FP, FN) there.
-    """
+    """A frame and ID that one method no longer counts as before."""
 
     protocol: str
     method: str
@@ -72,6 +71,7 @@ class FrameChange:
     landmark: int
     old: tuple[int, int, int]
     new: tuple[int, int, int]
+    """TP, FP, FN there."""
 
     @property
     def verdict(self) -> str:
@@ -82,28 +82,28 @@ class FrameChange:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """What `compare` found. differences: new less old, in total, with interval and p-value.
-
-    lost, gained: methods that only the old, or only the new results have. unused: input that
-    could not be used.
-    """
+    """What `compare` found."""
 
     rates: tuple[RateChange, ...]
     frames: tuple[FrameChange, ...]
     differences: tuple[Difference, ...]
+    """New less old, in total, with interval and p-value."""
     lost: tuple[str, ...]
+    """Methods that only the old results have."""
     gained: tuple[str, ...]
+    """Methods that only the new results have."""
     unused: tuple[str, ...]
+    """Input that could not be used, one line each."""
 
     def regressions(self, band: float) -> list[str]:
         """One line per rate that got worse beyond the band, and per method that is gone."""
         lines = [f"{method}: no longer in the results" for method in self.lost]
         for r in self.rates:
             if r.is_regression(band):
-                name = r.landmark if r.landmark == "total" else f"ID.{r.landmark}"
+                name = "ID." * r.landmark_text.isdigit() + r.landmark_text
                 lines.append(
-                    f"{r.method}, {r.protocol}, {name}: {r.rate.upper()} was {_told(r.old)}, is "
-                    f"{_told(r.new)}"
+                    f"{r.method}, {r.protocol}, {name}: {BY_NAME[r.rate].label} was "
+                    f"{_told(r.old)}, is {_told(r.new)}"
                 )
         return lines
 
@@ -203,11 +203,11 @@ def _compared(before: Evaluation, after: Evaluation, unused: tuple[str, ...]) ->
     for b in after.scored:
         a = olds.get((b.protocol, b.method))
         if a is not None:
-            rates += _rate_changes(a, b)
+            old, new = rate_counts(a, units), rate_counts(b, units)
+            rates += _rate_changes(old, new)
             frames += _frame_changes(a, b, joined)
-            found += differences(
-                rate_tallies(a, units)[-1], rate_tallies(b, units)[-1], weights, tosses
-            )
+            before_all, after_all = (metrics.tally(metrics.rates, side[-1]) for side in (old, new))
+            found += differences(before_all, after_all, weights, tosses)
     ours, theirs = before.joined.methods, after.joined.methods
     return Comparison(
         rates=tuple(rates),
@@ -219,30 +219,27 @@ def _compared(before: Evaluation, after: Evaluation, unused: tuple[str, ...]) ->
     )
 
 
-def _rate_changes(a: Scored, b: Scored) -> Iterable[RateChange]:
-    for k, name in [*((k, str(i)) for k, i in enumerate(a.ids)), (None, "total")]:
-        old, new = a.count(k), b.count(k)
-        positives, negatives = new.tp + new.fn, new.fp + new.tn
-        values = (
-            (old.tpr, new.tpr, positives),
-            (old.fpr, new.fpr, negatives),
-            (a.curve(k).area(), b.curve(k).area(), positives),
-        )
-        for rate, (was, now, of) in zip(RATES, values, strict=True):
+def _rate_changes(old: Sequence[Counted], new: Sequence[Counted]) -> Iterable[RateChange]:
+    for a, b in zip(old, new, strict=True):
+        tp, tn, fp, fn = b.exact.made[0].tolist()
+        labels = a.protocol, a.method, a.landmark_text
+        for name in MAIN:
+            was, now = (BY_NAME[name].value(side) for side in (a, b))
             if not (math.isnan(was) and math.isnan(now)):
-                yield RateChange(a.protocol, a.method, name, rate, was, now, of)
+                of = fp + tn if name == "fpr" else tp + fn
+                yield RateChange(*labels, name, was, now, of)
 
 
 def _frame_changes(a: Scored, b: Scored, joined: Joined) -> Iterable[FrameChange]:
     frames = len(joined.frame)
-    cells = [s.declared_by(np.arange(frames), joined.truth_frame, frames) for s in (a, b)]
+    cells = [s.declared_by(np.arange(frames), joined.truth_frame_index, frames) for s in (a, b)]
     old, new = (c[:, :, [0, 2, 3]] for c in cells)
     for f, k in np.argwhere((old != new).any(axis=2)).tolist():
         was, now = old[f, k].tolist(), new[f, k].tolist()
         yield FrameChange(
             protocol=a.protocol,
             method=a.method,
-            log=joined.logs[joined.log[f]],
+            log=joined.logs[joined.log_index[f]],
             frame=int(joined.frame[f]),
             landmark=a.ids[k],
             old=(was[0], was[1], was[2]),
@@ -256,8 +253,8 @@ def screen(found: Comparison, most: int = 12) -> str:
     totals: dict[str, list[str]] = {}
     few = ""
     for r in found.rates:
-        if r.landmark == "total":
-            text = f"{r.rate.upper()} {_told(r.old)}"
+        if r.landmark_text == "total":
+            text = f"{BY_NAME[r.rate].label} {_told(r.old)}"
             if r.new != r.old:
                 test = tests[r.protocol, r.method, r.rate]
                 text += f" -> {_told(r.new)}"
@@ -284,7 +281,7 @@ def screen(found: Comparison, most: int = 12) -> str:
         )
     if len(runs) > most:
         lines.append(f"  and {len(runs) - most} more runs; changes.csv has all")
-    return "\n".join(lines)
+    return "\n".join(map(printable, lines))
 
 
 def _outcome(counts: tuple[int, int, int]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -11,36 +12,37 @@ import numpy as np
 
 from sonarrec.evaluation.joined import Joined, join
 from sonarrec.evaluation.scoring import PROTOCOLS, Scored, score
-from sonarrec.records import SonarrecError, UsageError
+from sonarrec.records import SonarrecError, UsageError, printable
 from sonarrec.results.read import LogResults, find_logs, read_log
 from sonarrec.sonar import Sonar
-from sonarrec.tables import read_table
+from sonarrec.tables import line_number, read_table
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import TruthTable, read_truth
 
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """What `evaluate` found. notes: worth knowing. unused: input that could not be used."""
+    """What `evaluate` found."""
 
     joined: Joined
     scored: tuple[Scored, ...]
+    """Every method under every protocol."""
     min_visible: float
     notes: tuple[str, ...]
+    """Worth knowing."""
     unused: tuple[str, ...]
+    """Input that could not be used, one line each."""
 
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """The results folder of one log and the truth that goes with it.
-
-    log: the log's name, where the folder's own is not wanted; the log column of the truth is
-    matched with it.
-    """
+    """The results folder of one log and the truth that goes with it."""
 
     results: Path
     ground_truth: Path
     log: str | None = None
+    """The log's name, where the folder's own is not wanted; the log column of the truth is matched
+    with it."""
 
 
 def evaluate(
@@ -106,6 +108,7 @@ def evaluate_pairs(
     logs: list[LogResults] = []
     truths: list[Truth] = []
     unused: list[str] = []
+    seen: dict[str, Path] = {}
     for pair in pairs:
         folders = find_logs(pair.results)
         if folders != [pair.results]:
@@ -118,6 +121,12 @@ def evaluate_pairs(
         logs.append(log)
         truths.append(match_truth(table, log, tolerance_s))
         unused += _unused(table, logs[-1:], truths[-1:], single=True)
+        first = seen.setdefault(_identity(pair.results, log), pair.results)
+        if first is not pair.results:
+            raise SonarrecError(
+                f"{pair.results}: the same results as {first}, once more; pooled they would count "
+                "as two independent logs, so name each log once"
+            )
     names = [log.name for log in logs]
     if len(set(names)) < len(names):
         logs = [
@@ -125,6 +134,19 @@ def evaluate_pairs(
             for log, pair in zip(logs, pairs, strict=True)
         ]
     return pool(logs, truths, min_visible, unused)
+
+
+def _identity(folder: Path, log: LogResults) -> str:
+    """Tells results from others by what the files hold: a link, or a copy, is the same."""
+    digest = hashlib.sha256()
+    for name in ("run.toml", "frames.csv", "estimates.csv"):
+        if (folder / name).is_file():
+            with (folder / name).open("rb") as file:
+                digest.update(hashlib.file_digest(file, "sha256").digest())
+    # Two logs in which nothing was found may be alike; run.toml tells one from the other.
+    if not len(log.row) and not (folder / "run.toml").is_file():
+        digest.update(str((folder / "estimates.csv").resolve()).encode())
+    return digest.hexdigest()
 
 
 def read_pairs(path: Path) -> list[Pair]:
@@ -135,6 +157,15 @@ def read_pairs(path: Path) -> list[Pair]:
     columns = ("results", "ground_truth")
     table = read_table(path, dict.fromkeys((*columns, "log"), "text"), columns, ",".join(columns))
     logs = [str(log) for log in table["log"]] if "log" in table else [None] * len(table["results"])
+    for row, names in enumerate(zip(*(table[c] for c in columns), strict=True)):
+        for name in map(str, names):
+            try:
+                (path.parent / name).stat()
+            except (FileNotFoundError, NotADirectoryError):
+                continue  # told where it is read
+            except (OSError, ValueError) as error:  # too long, or with a NUL byte
+                where = f"{path} line {line_number(path, row)}"
+                raise SonarrecError(f"{where}: no path, {name[:40]!r} ({error})"[:300]) from None
     return [
         Pair(path.parent / str(results), path.parent / str(truth), log)
         for results, truth, log in zip(*(table[c] for c in columns), logs, strict=True)
@@ -173,7 +204,7 @@ def pool(
         for protocol in PROTOCOLS
         if protocol == "paper" or joined.placed
     )
-    return Evaluation(joined, scored, min_visible, notes, tuple(unused))
+    return Evaluation(joined, scored, min_visible, notes, tuple(map(printable, unused)))
 
 
 def _unused(
@@ -189,7 +220,7 @@ def _unused(
         raise SonarrecError(
             f"{table.path}: its log column names none of {', '.join(log.name for log in logs)}"
         )
-    if rows and not any(len(t.row) for t in truths):
+    if rows and not any(len(t.frame_index) for t in truths):
         raise SonarrecError(
             f"{table.path}: none of its {rows} rows ({table.key} {table.at.min()} to "
             f"{table.at.max()}) lies on a processed frame ({frames} frames, "
@@ -236,12 +267,14 @@ def _notes(joined: Joined, logs: Sequence[LogResults], truths: Sequence[Truth]) 
             notes.append(
                 f"{log.name}: holds nothing of {', '.join(missing)}, which counts as no claim"
             )
-    seen = np.bincount(joined.method, minlength=len(joined.methods))
+    seen = np.bincount(joined.method_index, minlength=len(joined.methods))
     notes += [
         f"{m}: no estimate at all" for m, n in zip(joined.methods, seen, strict=True) if not n
     ]
-    positives = np.bincount(joined.truth_landmark[joined.truth_positive], minlength=len(joined.ids))
+    positives = np.bincount(
+        joined.truth_landmark_index[joined.truth_positive], minlength=len(joined.ids)
+    )
     for i, n in zip(joined.ids, positives, strict=True):
         if not n:
             notes.append(f"ID.{i} is never in view: its TPR is 0/0 and says nothing")
-    return tuple(notes)
+    return tuple(map(printable, notes))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -17,42 +18,54 @@ ROUNDING_M = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Joined:
-    """Results and truth of all logs on one axis of F frames and one of K IDs.
+    """Results and truth of all logs: F frames, T truths, N claims, K IDs.
 
-    log, frame: (F,) index into logs, and frame number there. seconds: (F,) that a frame stands
-    for, NaN where the log tells no time. Truths (T,): truth_frame (index), truth_landmark (index
-    into ids), truth_position (T, 2) m, truth_positive, and gate, the distance (m) within which a
-    claim is right. Claims (N,): method (index), claim_frame, claim_landmark, claim_position
-    (N, 2) m, score, declared, claim_object (-1 unknown) and probability (N, K + 1), one per ID,
-    then none of these, NaN where not stated. Positions are NaN where unknown; placed: whether
-    they are known wherever the strict protocol needs them. truth_orientation (T,) and
-    claim_orientation (N,): deg, NaN where unknown; turn_deg: (K,) the least turn that an ID looks
-    the same after.
+    A truth is a landmark of which something shows in a frame, a claim an estimate.
     """
 
     logs: tuple[str, ...]
     ids: tuple[int, ...]
     methods: tuple[str, ...]
-    log: IntArray
+    log_index: IntArray
+    """(F,) into logs."""
     frame: IntArray
+    """(F,) number in its log."""
     seconds: FloatArray
-    truth_frame: IntArray
-    truth_landmark: IntArray
+    """(F,) that a frame stands for, NaN where the log tells no time."""
+    truth_frame_index: IntArray
+    """(T,) into frame."""
+    truth_landmark_index: IntArray
+    """(T,) into ids."""
     truth_position: FloatArray
-    truth_positive: BoolArray
-    gate: FloatArray
-    method: IntArray
-    claim_frame: IntArray
-    claim_landmark: IntArray
-    claim_position: FloatArray
-    score: FloatArray
-    declared: BoolArray
-    claim_object: IntArray
-    probability: FloatArray
-    placed: bool
+    """(T, 2) m in the fan plane, NaN where unknown."""
     truth_orientation: FloatArray
+    """(T,) deg, NaN where unknown."""
+    truth_positive: BoolArray
+    """(T,) whole enough in view to be missed."""
+    gate: FloatArray
+    """(T,) m, the distance within which a claim is right."""
+    method_index: IntArray
+    """(N,) into methods."""
+    claim_frame_index: IntArray
+    """(N,) into frame."""
+    claim_landmark_index: IntArray
+    """(N,) into ids."""
+    claim_position: FloatArray
+    """(N, 2) m in the fan plane, NaN where unknown."""
     claim_orientation: FloatArray
+    """(N,) deg, NaN where unknown."""
+    claim_object: IntArray
+    """(N,) number of the candidate or track, -1 where unknown."""
+    score: FloatArray
+    """(N,) 0 to 1."""
+    declared: BoolArray
+    """(N,) claimed at the method's operating point."""
+    probability: FloatArray
+    """(N, K + 1) one per ID, then none of these; NaN where not stated."""
     turn_deg: FloatArray
+    """(K,) the least turn that an ID looks the same after."""
+    placed: bool
+    """Whether positions are known wherever the strict protocol needs them."""
 
 
 def join(logs: Sequence[LogResults], truths: Sequence[Truth], min_visible: float) -> Joined:
@@ -60,50 +73,74 @@ def join(logs: Sequence[LogResults], truths: Sequence[Truth], min_visible: float
     ids = logs[0].landmarks.ids
     names = {name for log in logs for name in log.methods}
     methods = tuple(m for m in METHODS if m in names) + tuple(sorted(names - set(METHODS)))
-    length = np.array([len(log.frame) for log in logs])
-    start = np.cumsum(length) - length
-
-    def place(position: FloatArray | None, rows: int) -> FloatArray:
-        return np.full((rows, 2), np.nan) if position is None else position
-
-    pairs = list(zip(logs, truths, strict=True))
-    ids_of = [np.array([ids.index(i) for i in log.landmarks.ids]) for log in logs]
-    methods_of = [np.array([methods.index(m) for m in log.methods], dtype=int) for log in logs]
-    cat = np.concatenate
+    parts, start = [], 0
+    for n, (log, truth) in enumerate(zip(logs, truths, strict=True)):
+        of_log = {"log_index": np.full(len(log.frame), n)} | _frames_and_claims(log, ids, methods)
+        part = of_log | _truths(truth, log, ids, min_visible)
+        for name in ("truth_frame_index", "claim_frame_index"):
+            part[name] = part[name] + start
+        parts.append(part)
+        start += len(log.frame)
     return Joined(
         logs=tuple(log.name for log in logs),
         ids=ids,
         methods=methods,
-        log=np.repeat(np.arange(len(logs)), length),
-        frame=cat([log.frame for log in logs]),
-        seconds=np.repeat([_seconds_per_frame(log) for log in logs], length),
-        truth_frame=cat([t.row + s for t, s in zip(truths, start, strict=True)]),
-        truth_landmark=cat([i[t.landmark] for t, i in zip(truths, ids_of, strict=True)]),
-        truth_position=cat([place(t.position, len(t.row)) for t in truths]),
-        truth_positive=cat([t.visible >= min_visible for t in truths]),
-        gate=cat([np.full(len(t.row), log.landmarks.radius_m) for log, t in pairs]),
-        method=cat([m[log.method] for log, m in zip(logs, methods_of, strict=True)]),
-        claim_frame=cat([log.row + s for log, s in zip(logs, start, strict=True)]),
-        claim_landmark=cat([i[log.landmark] for log, i in zip(logs, ids_of, strict=True)]),
-        claim_position=cat([place(log.position, len(log.row)) for log in logs]),
-        score=cat([log.score for log in logs]),
-        declared=cat([log.declared for log in logs]),
-        claim_object=cat([log.object for log in logs]),
-        probability=cat([_probability(log, i) for log, i in zip(logs, ids_of, strict=True)]),
-        placed=all(
-            not len(t.row)
-            or (t.position is not None and (log.position is not None or not len(log.row)))
-            for log, t in pairs
-        ),
-        truth_orientation=cat(
-            [
-                np.full(len(t.row), np.nan) if t.orientation is None else t.orientation
-                for t in truths
-            ]
-        ),
-        claim_orientation=cat([log.orientation for log in logs]),
         turn_deg=np.array([_turn_deg(np.array(s)) for s in logs[0].landmarks.sectors]),
+        placed=all(map(_is_placed, logs, truths)),
+        **{name: np.concatenate([part[name] for part in parts]) for name in parts[0]},
     )
+
+
+def _frames_and_claims(
+    log: LogResults, ids: tuple[int, ...], methods: tuple[str, ...]
+) -> dict[str, Any]:
+    """The fields of Joined that one log's results give, with its own frames' indices."""
+    of_id = np.array([ids.index(i) for i in log.landmarks.ids])
+    of_method = np.array([methods.index(m) for m in log.methods], dtype=int)
+    n, k = len(log.row), len(ids)
+    probability = log.probability
+    if probability is None:
+        probability = np.full((n, k + 1), np.nan, dtype=np.float32)
+    return {
+        "frame": log.frame,
+        "seconds": np.full(len(log.frame), _seconds_per_frame(log)),
+        "method_index": of_method[log.method],
+        "claim_frame_index": log.row,
+        "claim_landmark_index": of_id[log.landmark],
+        "claim_position": _known(log.position, (n, 2)),
+        "claim_orientation": log.orientation,
+        "claim_object": log.object,
+        "score": log.score,
+        "declared": log.declared,
+        "probability": probability[:, [*np.argsort(of_id).tolist(), k]],
+    }
+
+
+def _truths(
+    truth: Truth, log: LogResults, ids: tuple[int, ...], min_visible: float
+) -> dict[str, Any]:
+    """The fields of Joined that one log's truth gives, with its own frames' indices."""
+    of_id = np.array([ids.index(i) for i in log.landmarks.ids])
+    n = len(truth.frame_index)
+    return {
+        "truth_frame_index": truth.frame_index,
+        "truth_landmark_index": of_id[truth.landmark_index],
+        "truth_position": _known(truth.position, (n, 2)),
+        "truth_orientation": _known(truth.orientation, (n,)),
+        "truth_positive": truth.visible >= min_visible,
+        "gate": np.full(n, log.landmarks.radius_m),
+    }
+
+
+def _known(values: FloatArray | None, shape: tuple[int, ...]) -> FloatArray:
+    return np.full(shape, np.nan) if values is None else values
+
+
+def _is_placed(log: LogResults, truth: Truth) -> bool:
+    """Whether positions are known wherever both sides have something."""
+    if not len(truth.frame_index):
+        return True
+    return truth.position is not None and (log.position is not None or not len(log.row))
 
 
 def _turn_deg(sectors: IntArray) -> float:
@@ -119,14 +156,6 @@ def _seconds_per_frame(log: LogResults) -> float:
         return np.nan
     seconds = float(np.median(np.diff(np.sort(log.timestamp_ns)))) / 1e9
     return seconds if seconds > 0 else np.nan
-
-
-def _probability(log: LogResults, ids_of: IntArray) -> FloatArray:
-    """(n, K + 1) of one log in the order of the joined IDs."""
-    k = len(ids_of)
-    if log.probability is None:
-        return np.full((len(log.row), k + 1), np.nan, dtype=np.float32)
-    return log.probability[:, [*np.argsort(ids_of).tolist(), k]]
 
 
 def nearest_truth(

@@ -26,32 +26,29 @@ UnitKind = Literal["pass", "log"]
 
 @dataclass(frozen=True, slots=True)
 class Passes:
-    """Passes of landmarks, by log and time. Arrays have one element per pass but for of_truth.
+    """P passes of landmarks, by log and time."""
 
-    log: index into Joined.logs. landmark: index into ids. first, last: indices into Joined.frame
-    of the first and last frame with the landmark whole in view.
-    of_truth: (T,) the pass that a truth is part of, -1 where it is no positive.
-    """
-
-    log: IntArray
-    landmark: IntArray
-    first: IntArray
-    last: IntArray
+    log_index: IntArray
+    """(P,) into Joined.logs."""
+    landmark_index: IntArray
+    """(P,) into Joined.ids."""
+    first_frame_index: IntArray
+    last_frame_index: IntArray
+    """(P,) into Joined.frame: the first and the last frame with the landmark whole in view."""
     of_truth: IntArray
+    """(T,) the pass that a truth is part of, -1 where it is no positive."""
 
 
 @dataclass(frozen=True, slots=True)
 class Units:
-    """The clusters that are drawn and swapped whole.
-
-    kind: what a unit is. count: how many there are. of_frame: (F,) whose a frame's negatives and
-    false claims are. of_truth: (T,) whose a landmark in view and the right claims of it are.
-    """
+    """The clusters that are drawn and swapped whole."""
 
     kind: UnitKind
     count: int
     of_frame: IntArray
+    """(F,) the unit that has a frame's negatives and false claims."""
     of_truth: IntArray
+    """(T,) the unit that has a landmark in view and the right claims of it."""
 
 
 def find_passes(joined: Joined) -> Passes:
@@ -60,10 +57,10 @@ def find_passes(joined: Joined) -> Passes:
     Landmarks of one ID that are in view together are one pass.
     """
     positive = np.flatnonzero(joined.truth_positive)
-    frame, landmark = joined.truth_frame[positive], joined.truth_landmark[positive]
+    frame, landmark = joined.truth_frame_index[positive], joined.truth_landmark_index[positive]
     order = np.lexsort((frame, landmark))
     frame, landmark = frame[order], landmark[order]
-    log = joined.log[frame]
+    log = joined.log_index[frame]
     new = np.ones(len(order), dtype=bool)
     new[1:] = (np.diff(landmark) != 0) | (np.diff(log) != 0) | (np.diff(frame) > PASS_GAP + 1)
     start = np.flatnonzero(new)
@@ -71,7 +68,7 @@ def find_passes(joined: Joined) -> Passes:
     in_time = np.lexsort((frame[end], frame[start]))
     rank = np.empty(len(start), dtype=np.int64)
     rank[in_time] = np.arange(len(start))
-    of_truth = np.full(len(joined.truth_frame), -1, dtype=np.int64)
+    of_truth = np.full(len(joined.truth_frame_index), -1, dtype=np.int64)
     of_truth[positive[order]] = rank[np.cumsum(new) - 1]
     start, end = start[in_time], end[in_time]
     return Passes(log[start], landmark[start], frame[start], frame[end], of_truth)
@@ -88,16 +85,18 @@ def find_units(joined: Joined, passes: Passes, kind: UnitKind | None = None) -> 
     """
     kind = kind or ("log" if len(joined.logs) >= LOGS_ENOUGH else "pass")
     if kind == "log":
-        return Units(kind, len(joined.logs), joined.log, joined.log[joined.truth_frame])
+        return Units(
+            kind, len(joined.logs), joined.log_index, joined.log_index[joined.truth_frame_index]
+        )
 
-    of_pass = np.empty(len(passes.first), dtype=np.int64)
+    of_pass = np.empty(len(passes.first_frame_index), dtype=np.int64)
     of_frame = np.empty(len(joined.frame), dtype=np.int64)
     count = 0
     for log in range(len(joined.logs)):
-        here = np.flatnonzero(passes.log == log)
+        here = np.flatnonzero(passes.log_index == log)
         spans: list[list[int]] = []
         for i in here.tolist():
-            first, last = int(passes.first[i]), int(passes.last[i])
+            first, last = int(passes.first_frame_index[i]), int(passes.last_frame_index[i])
             if spans:
                 shared = min(last, spans[-1][1]) - first + 1
                 shorter = min(last - first, spans[-1][1] - spans[-1][0]) + 1
@@ -108,10 +107,10 @@ def find_units(joined: Joined, passes: Passes, kind: UnitKind | None = None) -> 
             of_pass[i] = count + len(spans) - 1
         ends, starts = np.array([s[1] for s in spans[:-1]]), np.array([s[0] for s in spans[1:]])
         borders = np.maximum.accumulate((ends + starts) / 2)
-        frames = np.flatnonzero(joined.log == log)
+        frames = np.flatnonzero(joined.log_index == log)
         of_frame[frames] = count + np.searchsorted(borders, frames)
         count += max(len(spans), 1)
-    of_truth = of_frame[joined.truth_frame]
+    of_truth = of_frame[joined.truth_frame_index]
     positive = passes.of_truth >= 0
     of_truth[positive] = of_pass[passes.of_truth[positive]]
     units = Units(kind, count, of_frame, of_truth)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from itertools import cycle
 from pathlib import Path
 from statistics import NormalDist
@@ -12,8 +12,9 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from sonarrec.evaluation.curves import PUBLISHED, Curve, macro_curve
+from sonarrec.evaluation.curves import macro_curve
 from sonarrec.evaluation.reliability import BINS, Reliability
+from sonarrec.evaluation.roc import Point, fpr_end, roc
 from sonarrec.evaluation.scoring import PROTOCOLS, Scored
 from sonarrec.records import FloatArray
 
@@ -36,12 +37,6 @@ def _looks(scored: Sequence[Scored]) -> dict[str, tuple[str, str]]:
     """Colour and line style per method, the same in every panel."""
     methods = dict.fromkeys(s.method for s in scored)
     return dict(zip(methods, zip(cycle(COLOURS), cycle(STYLES), strict=False), strict=False))
-
-
-def _right_end(fprs: Iterable[float]) -> float:
-    """A little beyond the worst of these, 0.1 or more: right of it is no place to work."""
-    worst = max(np.nan_to_num(list(fprs)), default=0.0)
-    return float(min(1.0, max(0.1, np.ceil(13 * worst) / 10)))
 
 
 def _protocols(scored: Sequence[Scored]) -> list[str]:
@@ -67,39 +62,19 @@ def draw_roc(path: Path, scored: Sequence[Scored]) -> None:
     The FPR axis ends a little beyond the worst operating point (at 0.1 or more). roc.csv holds
     the rest.
     """
-    protocols, looks = _protocols(scored), _looks(scored)
-    right = _right_end(s.count().fpr for s in scored)
-    figure = _figure(5.2 * len(protocols), 5.6)
-    panels = figure.subplots(1, len(protocols), sharey=True, squeeze=False)[0]
-    for axes, protocol in zip(panels, protocols, strict=True):
-        for s in (s for s in scored if s.protocol == protocol):
-            colour, style = looks[s.method]
-            curve, point = s.curve(), s.count()
-            at = curve.turns()
-            axes.plot(curve.fpr[at], curve.tpr[at], style, color=colour, lw=1.8, zorder=3)
-            axes.plot(
-                point.fpr,
-                point.tpr,
-                "o" + style,
-                color=colour,
-                ms=9,
-                mec="black",
-                zorder=4,
-                clip_on=False,
-                label=f"{s.method}, at its operating point: {point.tpr:.3f}, {point.fpr:.4f}",
-            )
-        if protocol == "paper":
-            for (name, fpr, tpr), marker in zip(PUBLISHED, MARKERS, strict=True):
-                axes.plot(
-                    fpr,
-                    tpr,
-                    marker,
-                    color="none",
-                    mec="black",
-                    ms=13,
-                    zorder=5,
-                    label=f"published {name}, in the paper's own basin: {tpr:.3f}, {fpr:.4f}",
-                )
+    looks = _looks(scored)
+    shown = {p: roc([s for s in scored if s.protocol == p]) for p in _protocols(scored)}
+    right = max(one.fpr_end for one in shown.values())
+    figure = _figure(5.2 * len(shown), 5.6)
+    panels = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]
+    for axes, (protocol, one) in zip(panels, shown.items(), strict=True):
+        for line in one.lines:
+            colour, style = looks[line.method]
+            axes.plot(line.fpr, line.tpr, style, color=colour, lw=1.8, zorder=3)
+            dot = {"ms": 9, "mec": "black", "zorder": 4, "clip_on": False}
+            _dot(axes, line.at, "o" + style, color=colour, **dot)
+        for point, marker in zip(one.published, MARKERS, strict=False):
+            _dot(axes, point, marker, color="none", mec="black", ms=13, zorder=5)
         axes.set(
             title=f"protocol {protocol}",
             xlabel=f"false positive rate (axis ends at {right:g})",
@@ -108,16 +83,22 @@ def draw_roc(path: Path, scored: Sequence[Scored]) -> None:
         )
         axes.grid(color="0.9")
         axes.set_axisbelow(True)
-        _legend_below(axes, "TPR, FPR")
+        _legend_below(axes, "published: in the paper's own basin" if one.published else "")
     panels[0].set_ylabel("true positive rate (micro average)")
     figure.savefig(path)
+
+
+def _dot(axes: Any, point: Point, marker: str, **look: Any) -> None:
+    axes.plot(point.fpr, point.tpr, marker, label=point.label, **look)
 
 
 def draw_roc_by_id(path: Path, scored: Sequence[Scored]) -> None:
     """Draw the ROC of every ID that is ever in view, and their macro average, as a PNG."""
     protocols, looks = _protocols(scored), _looks(scored)
     seen = [k for k in range(len(scored[0].ids)) if not np.isnan(scored[0].count(k).tpr)]
-    right = _right_end(s.count(k).fpr for s in scored for k in seen)
+    shown = {p: [s for s in scored if s.protocol == p] for p in protocols}
+    charts = {(p, k): roc(some, k) for p, some in shown.items() for k in seen}
+    right = max((one.fpr_end for one in charts.values()), default=fpr_end(()))
     rows, columns = len(protocols), len(seen) + 1
     width, height = max(2.6 * columns, 5.2), 2.7 * rows + 0.5
     figure = _figure(width, height, layout=None)  # to lay out so many panels takes half a second
@@ -130,15 +111,16 @@ def draw_roc_by_id(path: Path, scored: Sequence[Scored]) -> None:
         hspace=0.22,
     )
     panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    for row, protocol in zip(panels, protocols, strict=True):
-        for s in (s for s in scored if s.protocol == protocol):
+    for row, (protocol, some) in zip(panels, shown.items(), strict=True):
+        for axes, k in zip(row, seen, strict=False):
+            for line in charts[protocol, k].lines:
+                colour, style = looks[line.method]
+                axes.plot(line.fpr, line.tpr, style, color=colour, lw=1.6)
+                dot = {"color": colour, "mec": "black", "clip_on": False}
+                axes.plot(line.at.fpr, line.at.tpr, "o", **dot)
+        for s in some:
             colour, style = looks[s.method]
-            curves = [s.curve(k) for k in seen]
-            for axes, k, curve in zip(row, seen, curves, strict=False):
-                at, point = curve.turns(), s.count(k)
-                axes.plot(curve.fpr[at], curve.tpr[at], style, color=colour, lw=1.6)
-                axes.plot(point.fpr, point.tpr, "o", color=colour, mec="black", clip_on=False)
-            fpr, tpr = macro_curve(curves)
+            fpr, tpr = macro_curve([s.curve(k) for k in seen])
             row[-1].plot(fpr, tpr, style, color=colour, lw=1.6, label=s.method)
         for axes, name in zip(
             row, [*(f"ID.{scored[0].ids[k]}" for k in seen), "macro"], strict=True
@@ -159,23 +141,15 @@ def draw_det(path: Path, scored: Sequence[Scored]) -> None:
     figure = _figure(5.2 * len(protocols), 5.6)
     panels = figure.subplots(1, len(protocols), squeeze=False)[0]
     for axes, protocol in zip(panels, protocols, strict=True):
-        for s in (s for s in scored if s.protocol == protocol):
-            colour, style = looks[s.method]
-            x, y = _det(s.curve())
-            axes.plot(x, y, style, color=colour, lw=1.8, label=s.method)
-            point = s.count()
-            axes.plot(
-                _deviates(np.array([point.fpr])),
-                _deviates(np.array([1 - point.tpr])),
-                "o",
-                color=colour,
-                mec="black",
-                ms=8,
-            )
-        if protocol == "paper":
-            for (name, fpr, tpr), marker in zip(PUBLISHED, MARKERS, strict=True):
-                x, y = _deviates(np.array([fpr])), _deviates(np.array([1 - tpr]))
-                axes.plot(x, y, marker, color="none", mec="black", ms=12, label=f"published {name}")
+        shown = roc([s for s in scored if s.protocol == protocol], corners=400)
+        for line in shown.lines:
+            colour, style = looks[line.method]
+            x, y = _deviates(line.fpr), _deviates(1 - line.tpr)
+            axes.plot(x, y, style, color=colour, lw=1.8, label=line.method)
+            axes.plot(*_det(line.at), "o", color=colour, mec="black", ms=8)
+        for point, marker in zip(shown.published, MARKERS, strict=False):
+            label = f"published {point.name}"
+            axes.plot(*_det(point), marker, color="none", mec="black", ms=12, label=label)
         at, names = _deviates(np.array(ticks)), [f"{100 * t:g} %" for t in ticks]
         axes.set_xticks(at, names)
         axes.set_yticks(at, names)
@@ -192,9 +166,8 @@ def draw_det(path: Path, scored: Sequence[Scored]) -> None:
     figure.savefig(path)
 
 
-def _det(curve: Curve) -> tuple[FloatArray, FloatArray]:
-    at = curve.turns(400)
-    return _deviates(curve.fpr[at]), _deviates(1 - curve.tpr[at])
+def _det(point: Point) -> tuple[FloatArray, FloatArray]:
+    return _deviates(np.array([point.fpr])), _deviates(np.array([1 - point.tpr]))
 
 
 def _deviates(rates: FloatArray) -> FloatArray:
@@ -205,7 +178,7 @@ def _deviates(rates: FloatArray) -> FloatArray:
 
 def draw_reliability(path: Path, curves: Sequence[Reliability]) -> None:
     """Draw, per method, how often the most probable was right, and how many estimates say so."""
-    tops = [c for c in curves if c.landmark == "top"]
+    tops = [c for c in curves if c.landmark_text == "top"]
     figure = _figure(max(3.6 * len(tops), 4.2), 4.6)
     panels = figure.subplots(
         2, len(tops), sharex=True, sharey="row", squeeze=False, height_ratios=(3, 1)

@@ -2,74 +2,87 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
+from sonarrec.evaluation.counted import Counted
 from sonarrec.evaluation.curves import ratio
 from sonarrec.evaluation.joined import Joined
 from sonarrec.evaluation.passes import Units
-from sonarrec.evaluation.uncertainty import Tally
 from sonarrec.records import BoolArray, FloatArray, IntArray
 
 BINS = 10
-CALIBRATION = ("brier", "ece")
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """Estimates by the probability they state, in BINS equal steps from 0 to 1."""
+
+    squares: FloatArray
+    """(R,) sum of (p - y)^2."""
+    count: FloatArray
+    """(R, BINS) estimates."""
+    said: FloatArray
+    """(R, BINS) sum of their probabilities."""
+    right: FloatArray
+    """(R, BINS) how many were so."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reliability:
-    """One method's probabilities against what was there, in BINS equal steps from 0 to 1.
-
-    landmark: an ID, "none", or "top": the most probable of all, none of these among them.
-    count: (BINS,) estimates. mean: their mean probability. right: the share that was so; both
-    NaN in empty bins.
-    """
+    """One method's probabilities against what was there, in the steps of Calibration."""
 
     method: str
-    landmark: str
+    landmark_text: str
+    """An ID, "none", or "top": the most probable of all, none of these among them."""
     count: IntArray
+    """(BINS,) estimates."""
     mean: FloatArray
+    """(BINS,) their mean probability, NaN in empty bins."""
     right: FloatArray
+    """(BINS,) the share that was so, NaN in empty bins."""
 
 
-def reliability(
-    joined: Joined, nearest: IntArray, units: Units
-) -> tuple[list[Reliability], list[Tally]]:
-    """Reliability curves, and Brier score and expected calibration error (ECE) as tallies.
+def calibration_counts(joined: Joined, nearest: IntArray, units: Units) -> Iterator[Counted]:
+    """What Brier score and expected calibration error (ECE) are taken from.
 
     nearest: (N,) of behaviour.on_truth; an estimate is of the landmark it lies on, else of none.
     Estimates on a landmark partly in view are left out, as in the rates, and so are those
-    without probabilities. Per ID and for "none" the Brier score is the mean of (p - y)^2; under
-    "total" it is their sum (Brier's own form, 0 to 2), and the ECE that of the most probable.
+    without probabilities. Per ID and for "none" the squares are (p - y)^2; under "total" they are
+    their sum (Brier's own form, 0 to 2), and the steps those of the most probable.
     """
     k = len(joined.ids)
     used = np.asarray(~np.isnan(joined.probability).any(axis=1))
     on_one = nearest >= 0
     outcome = np.full(len(nearest), k)
-    unit = units.of_frame[joined.claim_frame]
-    if len(joined.truth_landmark):
-        outcome[on_one] = joined.truth_landmark[nearest[on_one]]
+    unit = units.of_frame[joined.claim_frame_index]
+    if len(joined.truth_landmark_index):
+        outcome[on_one] = joined.truth_landmark_index[nearest[on_one]]
         used[on_one] &= joined.truth_positive[nearest[on_one]]
         unit = np.where(on_one, units.of_truth[nearest], unit)
-
-    curves, tallies = [], []
     for m, method in enumerate(joined.methods):
-        mine = np.flatnonzero(used & (joined.method == m))
+        mine = np.flatnonzero(used & (joined.method_index == m))
         if not len(mine):
             continue
         p, y, u = joined.probability[mine], outcome[mine], unit[mine]
         squares = np.zeros(units.count)
-        for c, label in enumerate([*map(str, joined.ids), "none"]):
-            mean, was = p[:, c], y == c
-            sums, square = _sums(mean, was, u, units.count)
+        for c, name in enumerate([*map(str, joined.ids), "none"]):
+            steps, square = _sums(p[:, c], y == c, u, units.count)
             squares += square
-            curves.append(_curve(method, label, sums))
-            tallies.append(_tally(method, label, sums, square))
-        top = p.argmax(axis=1)
-        sums, _ = _sums(p.max(axis=1), top == y, u, units.count)
-        curves.append(_curve(method, "top", sums))
-        tallies.append(_tally(method, "total", sums, squares))
-    return curves, tallies
+            yield _counted(method, name, square, steps)
+        steps, _ = _sums(p.max(axis=1), p.argmax(axis=1) == y, u, units.count)
+        yield _counted(method, "total", squares, steps)
+
+
+def reliability(counted: Iterable[Counted]) -> Iterator[Reliability]:
+    """The curves of what `calibration_counts` counted."""
+    for one in counted:
+        count, said, right = (a[0] for a in (one.exact.count, one.exact.said, one.exact.right))
+        name = "top" if one.landmark_text == "total" else one.landmark_text
+        mean, share = ratio(said, count), ratio(right, count)
+        yield Reliability(one.method, name, count.astype(np.int64), mean, share)
 
 
 def _sums(
@@ -87,32 +100,11 @@ def _sums(
     return np.stack([t.reshape(units, BINS) for t in table], axis=1), square
 
 
-def _curve(method: str, landmark: str, sums: FloatArray) -> Reliability:
-    count, mean, right = sums.sum(axis=0)
-    return Reliability(
-        method, landmark, count.astype(np.int64), ratio(mean, count), ratio(right, count)
-    )
+def _counted(method: str, name: str, square: FloatArray, steps: FloatArray) -> Counted:
+    rows = np.hstack([square[:, None], steps.reshape(len(steps), -1)])
+    return Counted("strict", method, name, rows, _calibration, _calibration(rows.sum(axis=0)[None]))
 
 
-def _tally(method: str, landmark: str, sums: FloatArray, square: FloatArray) -> Tally:
-    rows = np.hstack([square[:, None], sums.reshape(len(sums), -1)])
-    cases = int(np.count_nonzero(sums[:, 0].sum(axis=1)))
-    return Tally(
-        protocol="strict",
-        method=method,
-        landmark=landmark,
-        names=CALIBRATION,
-        values=tuple(_figures(rows.sum(axis=0)[None])[0].tolist()),
-        cases=(cases, cases),
-        sums=rows,
-        figures=_figures,
-    )
-
-
-def _figures(rows: FloatArray) -> FloatArray:
-    """(R, 2) Brier score and ECE from (R, 1 + 3 * BINS)."""
-    count, mean, right = np.moveaxis(rows[:, 1:].reshape(len(rows), 3, BINS), 1, 0)
-    total = count.sum(axis=1)
-    return np.stack(
-        [ratio(rows[:, 0], total), ratio(np.abs(mean - right).sum(axis=1), total)], axis=1
-    )
+def _calibration(rows: FloatArray) -> Calibration:
+    """From (R, 1 + 3 * BINS)."""
+    return Calibration(rows[:, 0], *np.moveaxis(rows[:, 1:].reshape(len(rows), 3, BINS), 1, 0))

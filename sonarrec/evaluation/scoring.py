@@ -22,34 +22,41 @@ NEGATIVE, POSITIVE, IGNORED = 0, 1, 2
 
 @dataclass(frozen=True, slots=True)
 class Scored:
-    """One method under one protocol.
+    """One method under one protocol: K IDs, P positives, n claims that count, m of them declared.
 
-    ids: K landmark IDs. base, declared: (K, 4) TP, TN, FP, FN with nothing claimed, and at the
-    method's operating point. negative: (F, K) bool, the frames and IDs that count as TN in base.
-    positive: (P,) indices of the truths that count as FN there, one per frame and ID under the
-    paper's protocol; positive_landmark: (P,) index into ids.
-    Per claim that counts, by falling score: claim (index into Joined), score, landmark (index
-    into ids), frame (index into Joined.frame), truth (the positive it is a right claim of, else
-    -1) and effect, (n, 4) int8, what it adds. made: (m,) those of them that are declared, and
-    made_effect, (m, 4), what these add where no others are made.
+    Claims stand by falling score.
     """
 
     protocol: str
     method: str
     ids: tuple[int, ...]
     base: IntArray
+    """(K, 4) TP, TN, FP, FN with nothing claimed."""
     declared: IntArray
+    """(K, 4) TP, TN, FP, FN at the method's operating point."""
     negative: BoolArray
+    """(F, K) the frames and IDs that count as TN in base."""
     positive: IntArray
-    positive_landmark: IntArray
+    """(P,) the truths of Joined that count as FN in base; of the paper's protocol one per frame
+    and ID."""
+    positive_landmark_index: IntArray
+    """(P,) into ids."""
     claim: IntArray
+    """(n,) which of Joined's it is."""
     score: FloatArray
-    landmark: IntArray
-    frame: IntArray
+    """(n,) 0 to 1, falling."""
+    landmark_index: IntArray
+    """(n,) into ids."""
+    frame_index: IntArray
+    """(n,) into Joined.frame."""
     truth: IntArray
+    """(n,) the positive that it is a right claim of, as in `positive`, else -1."""
     effect: npt.NDArray[np.int8]
+    """(n, 4) what it adds to TP, TN, FP, FN once those before it are made."""
     made: IntArray
+    """(m,) which of the n are declared."""
     made_effect: npt.NDArray[np.int8]
+    """(m, 4) what these add where no others are made."""
 
     def count(self, k: int | None = None) -> Count:
         """At the operating point: of the k-th ID, or the micro sum over all of them."""
@@ -58,7 +65,7 @@ class Scored:
 
     def curve(self, k: int | None = None) -> Curve:
         """The ROC of the k-th ID, or the micro-averaged one over all of them."""
-        mine = slice(None) if k is None else self.landmark == k
+        mine = slice(None) if k is None else self.landmark_index == k
         score, effect = self.score[mine], self.effect[mine]
         base = self.base.sum(axis=0) if k is None else self.base[k]
         last = np.flatnonzero(np.append(np.diff(score) != 0, True)[: len(score)])
@@ -72,7 +79,7 @@ class Scored:
         cells = np.zeros((groups * k, 4), dtype=np.int64)
         cells[:, 1] = np.bincount(of_frame[frame] * k + landmark, minlength=groups * k)
         cells[:, 3] = np.bincount(
-            of_truth[self.positive] * k + self.positive_landmark, minlength=groups * k
+            of_truth[self.positive] * k + self.positive_landmark_index, minlength=groups * k
         )
         return cells.reshape(groups, k, 4)
 
@@ -82,19 +89,21 @@ class Scored:
         So whatever a claim takes from `base_by` is taken from the group that has it.
         """
         if not len(of_truth):
-            return of_frame[self.frame]
-        return np.where(self.truth >= 0, of_truth[self.truth], of_frame[self.frame])
+            return of_frame[self.frame_index]
+        return np.where(self.truth >= 0, of_truth[self.truth], of_frame[self.frame_index])
 
     def declared_by(self, of_frame: IntArray, of_truth: IntArray, groups: int) -> IntArray:
         """(groups, K, 4) the count at the operating point, split as in `base_by`."""
         counts = self.base_by(of_frame, of_truth, groups)
         group = self.claims_by(of_frame, of_truth)[self.made]
-        np.add.at(counts, (group, self.landmark[self.made]), self.made_effect)
+        np.add.at(counts, (group, self.landmark_index[self.made]), self.made_effect)
         return counts
 
     def counts_per_log(self, joined: Joined) -> list[list[Count]]:
         """Per log the count at the operating point of each ID, then of all."""
-        split = self.declared_by(joined.log, joined.log[joined.truth_frame], len(joined.logs))
+        split = self.declared_by(
+            joined.log_index, joined.log_index[joined.truth_frame_index], len(joined.logs)
+        )
         split = np.concatenate([split, split.sum(axis=1, keepdims=True)], axis=1)
         return [[Count(*cell) for cell in log] for log in split.tolist()]
 
@@ -103,13 +112,13 @@ def score(joined: Joined, method: int, protocol: str) -> Scored:
     """Score one method (index) under one protocol, as `evaluate` says."""
     k = len(joined.ids)
     state = np.zeros(len(joined.frame) * k, dtype=np.int8)
-    truth_cell = joined.truth_frame * k + joined.truth_landmark
+    truth_cell = joined.truth_frame_index * k + joined.truth_landmark_index
     state[truth_cell[~joined.truth_positive]] = IGNORED
     state[truth_cell[joined.truth_positive]] = POSITIVE  # a whole one goes before a part of another
 
-    mine = np.flatnonzero(joined.method == method)
+    mine = np.flatnonzero(joined.method_index == method)
     mine = mine[np.argsort(-joined.score[mine], kind="stable")]
-    cell = joined.claim_frame[mine] * k + joined.claim_landmark[mine]
+    cell = joined.claim_frame_index[mine] * k + joined.claim_landmark_index[mine]
     positive = np.flatnonzero(joined.truth_positive)
     if protocol == "paper":
         positive = positive[np.unique(truth_cell[positive], return_index=True)[1]]
@@ -129,11 +138,11 @@ def score(joined: Joined, method: int, protocol: str) -> Scored:
     negative = state.reshape(-1, k) == NEGATIVE
     base = np.zeros((k, 4), dtype=np.int64)
     base[:, 1] = np.count_nonzero(negative, axis=0)
-    base[:, 3] = np.bincount(joined.truth_landmark[positive], minlength=k)
+    base[:, 3] = np.bincount(joined.truth_landmark_index[positive], minlength=k)
     right, absent = truth >= 0, state[cell] == NEGATIVE
     made = np.flatnonzero(joined.declared[mine])
     made_effect = _effects(protocol, right[made], absent[made], spot[made])
-    landmark = joined.claim_landmark[mine]
+    landmark = joined.claim_landmark_index[mine]
     declared = base.copy()
     np.add.at(declared, landmark[made], made_effect)
     return Scored(
@@ -144,11 +153,11 @@ def score(joined: Joined, method: int, protocol: str) -> Scored:
         declared=declared,
         negative=negative,
         positive=positive,
-        positive_landmark=joined.truth_landmark[positive],
+        positive_landmark_index=joined.truth_landmark_index[positive],
         claim=mine,
         score=joined.score[mine],
-        landmark=landmark,
-        frame=joined.claim_frame[mine],
+        landmark_index=landmark,
+        frame_index=joined.claim_frame_index[mine],
         truth=truth,
         effect=_effects(protocol, right, absent, spot),
         made=made,

@@ -8,21 +8,11 @@ from itertools import combinations
 
 import numpy as np
 
-from sonarrec.evaluation.behaviour import (
-    Followed,
-    Switches,
-    error_tallies,
-    false_claim_tallies,
-    follow,
-    on_truth,
-    switch_tallies,
-    switches,
-    wait_tallies,
-)
+from sonarrec.evaluation import metrics
+from sonarrec.evaluation.behaviour import Followed, Switches, follow, on_truth, switches
 from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.evaluation.passes import Passes, UnitKind, Units, find_passes, find_units
 from sonarrec.evaluation.reliability import Reliability, reliability
-from sonarrec.evaluation.tallies import macro, rate_tallies
 from sonarrec.evaluation.uncertainty import (
     LEVEL,
     MIN_UNITS,
@@ -33,40 +23,42 @@ from sonarrec.evaluation.uncertainty import (
     coin_tosses,
     differences,
     intervals,
+    macro,
     replicates,
 )
+from sonarrec.records import FloatArray, printable
 
-KINDS = {"pass": "passes", "log": "logs"}
+UNITS = {"pass": "passes", "log": "logs"}
 SEED = 0
 """Of the draws: the same input gives the same intervals."""
 
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """Figures with intervals, differences between methods, passes and calibration.
-
-    figures: per protocol, method and landmark (IDs, "total", "macro"). differences: of every two
-    methods, in total. followed: per protocol and method; switches: per method, empty where
-    positions are not known. notes: what the units cannot say.
-    """
+    """Figures with intervals, differences between methods, passes and calibration."""
 
     units: Units
     passes: Passes
     figures: tuple[Figure, ...]
+    """Per protocol, method and landmark_text, by metric."""
     differences: tuple[Difference, ...]
+    """Of every two methods, in total."""
     followed: tuple[Followed, ...]
+    """Per protocol and method."""
     switches: tuple[Switches, ...]
+    """Per method; empty where positions are not known."""
     reliability: tuple[Reliability, ...]
+    """Per method and landmark_text; empty where positions or probabilities are not known."""
     notes: tuple[str, ...]
+    """What the units cannot say."""
 
     def figure(
-        self, protocol: str, method: str, name: str, landmark: str = "total"
+        self, protocol: str, method: str, name: str, landmark_text: str = "total"
     ) -> Figure | None:
         """One figure; None where it was not measured."""
-        wanted = (protocol, method, landmark, name)
-        return next(
-            (f for f in self.figures if (f.protocol, f.method, f.landmark, f.name) == wanted), None
-        )
+        wanted = (protocol, method, landmark_text, name)
+        named = ((f, (f.protocol, f.method, f.landmark_text, f.name)) for f in self.figures)
+        return next((f for f, name in named if name == wanted), None)
 
 
 def summarise(evaluation: Evaluation, unit: UnitKind | None = None, seed: int = SEED) -> Summary:
@@ -77,52 +69,50 @@ def summarise(evaluation: Evaluation, unit: UnitKind | None = None, seed: int = 
     joined = evaluation.joined
     passes = find_passes(joined)
     units = find_units(joined, passes, unit)
-    followed = [follow(scored, joined, passes) for scored in evaluation.scored]
+    nearest = on_truth(joined) if joined.placed else None
+    case = metrics.Case(
+        scored=evaluation.scored,
+        joined=joined,
+        passes=passes,
+        units=units,
+        followed=tuple(follow(scored, joined, passes) for scored in evaluation.scored),
+        nearest=nearest,
+        switches=() if nearest is None else tuple(switches(joined, nearest, passes)),
+    )
     rng = np.random.default_rng(seed)
     weights = bootstrap_weights(units.count, rng)
     tosses = coin_tosses(units.count, rng)
     figures: list[Figure] = []
-    tallies: list[Tally] = []
-    for scored in evaluation.scored:
-        rates = rate_tallies(scored, units)
-        drawn = [replicates(tally, weights) for tally in rates]
-        for tally, values in zip(rates, drawn, strict=True):
-            figures += intervals(tally, values)
-        figures += macro(rates[:-1], drawn[:-1])
-        tallies.append(rates[-1])
-    rest: list[Tally] = []
-    rest += wait_tallies(followed, joined, passes, units)
-    changed: list[Switches] = []
     curves: list[Reliability] = []
-    if joined.placed:
-        nearest = on_truth(joined)
-        changed = switches(joined, nearest, passes)
-        rest += switch_tallies(changed, joined, passes, units)
-        rest += false_claim_tallies(joined, nearest, units)
-        strict = [scored for scored in evaluation.scored if scored.protocol == "strict"]
-        rest += error_tallies(strict, joined, units)
-        curves, calibration = reliability(joined, nearest, units)
-        rest += calibration
-
-    for tally in rest:
-        figures += intervals(tally, replicates(tally, weights))
+    # Those of one protocol that have the same figures can be held against each other.
     alike: dict[tuple[str, tuple[str, ...]], list[Tally]] = defaultdict(list)
-    for tally in tallies + rest:
-        if tally.landmark == "total":
+    for kind in metrics.KINDS:
+        per_id: list[tuple[Tally, FloatArray]] = []
+        for counted in kind(case):
+            tally = metrics.tally(kind, counted)
+            drawn = replicates(tally, weights)
+            figures += intervals(tally, drawn)
+            if kind is metrics.calibration:
+                curves += reliability([counted])
+            if tally.landmark_text != "total":
+                per_id.append((tally, drawn))
+                continue
+            if kind is metrics.rates:
+                figures += macro(*zip(*per_id, strict=True))
+            per_id.clear()
             alike[tally.protocol, tally.names].append(tally)
-    found = tuple(
-        difference
-        for group in alike.values()
-        for a, b in combinations(group, 2)
-        for difference in differences(a, b, weights, tosses)
-    )
     return Summary(
         units=units,
         passes=passes,
         figures=tuple(figures),
-        differences=found,
-        followed=tuple(followed),
-        switches=tuple(changed),
+        differences=tuple(
+            difference
+            for group in alike.values()
+            for a, b in combinations(group, 2)
+            for difference in differences(a, b, weights, tosses)
+        ),
+        followed=case.followed,
+        switches=case.switches,
         reliability=tuple(curves),
         notes=_notes(evaluation, units, figures),
     )
@@ -139,14 +129,14 @@ def _notes(evaluation: Evaluation, units: Units, figures: list[Figure]) -> tuple
     joined = evaluation.joined
     protocol = "strict" if joined.placed else "paper"
     for figure in figures:
-        told = (figure.protocol, figure.landmark, figure.name, figure.value)
+        told = (figure.protocol, figure.landmark_text, figure.name, figure.value)
         if told == (protocol, "total", "fpr", 0):
             # None of n: with 95 % confidence a share below 1 - .05 ** (1 / n) has any.
             most = 1 - (1 - LEVEL) ** (1 / figure.units)
             notes.append(
-                f"{figure.method}: no false claim in {figure.units} {KINDS[units.kind]}, so with "
+                f"{figure.method}: no false claim in {figure.units} {UNITS[units.kind]}, so with "
                 f"{LEVEL:.0%} confidence fewer than {most:.0%} of them have one"
             )
     if joined.placed and np.isnan(joined.seconds).any():
         notes.append("claims a minute are not told: frames.csv has no timestamp_ns")
-    return tuple(notes)
+    return tuple(map(printable, notes))

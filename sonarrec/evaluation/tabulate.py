@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from sonarrec.evaluation.cells import number, rate, with_interval
+from sonarrec.evaluation import cells
+from sonarrec.evaluation.cells import Cell, number
 from sonarrec.evaluation.evaluate import Evaluation
-from sonarrec.evaluation.metrics import DIGITS, ROWS, TESTED
+from sonarrec.evaluation.metrics import BY_NAME, MAIN
 from sonarrec.evaluation.scoring import Scored
-from sonarrec.evaluation.summary import KINDS, Summary
-from sonarrec.evaluation.uncertainty import LEVEL, MIN_UNITS, Difference
+from sonarrec.evaluation.summary import UNITS, Summary
+from sonarrec.evaluation.uncertainty import LEVEL, MIN_UNITS
+from sonarrec.records import printable
 
 WIDTH = 100
 LABEL, COLUMN = 30, 23
@@ -18,17 +20,12 @@ LABEL, COLUMN = 30, 23
 
 def paper_table(scored: Scored) -> list[str]:
     """The lines of one of the paper's tables: a heading, then TPR to Total, per ID and in all."""
-    counts = [scored.count(k) for k in range(len(scored.ids))] + [scored.count()]
-    rows: list[tuple[str, list[str]]] = [
-        ("", [f"ID.{i} " for i in scored.ids] + ["Total "]),
-        ("TPR", [rate(c.tp, c.tp + c.fn) for c in counts]),
-        ("FPR", [rate(c.fp, c.fp + c.tn) for c in counts]),
+    table = cells.paper_table(scored)
+    # A star stands behind the digits.
+    return [
+        f"{label:<5}" + "".join(f"{cell if '*' in cell else cell + ' ':>8}" for cell in row)
+        for label, row in [("", table.heading), *table.rows]
     ]
-    rows += [
-        (label, [f"{getattr(c, label.lower())} " for c in counts])
-        for label in ("TP", "TN", "FP", "FN", "Total")
-    ]
-    return [f"{label:<5}" + "".join(f"{cell:>8}" for cell in cells) for label, cells in rows]
 
 
 def screen(evaluation: Evaluation) -> str:
@@ -51,7 +48,7 @@ def screen(evaluation: Evaluation) -> str:
         lines.append("")
     if undefined:
         lines += ["* 0/0, printed as the paper prints it: nothing to measure here", ""]
-    return "\n".join(lines)
+    return "\n".join(map(printable, lines))
 
 
 def _title(scored: Scored, evaluation: Evaluation) -> str:
@@ -67,7 +64,7 @@ def summary_screen(evaluation: Evaluation, summary: Summary, details: bool = Fal
     """The figures in total with their intervals, and the tests; with details per ID and log too."""
     joined = evaluation.joined
     main = "strict" if joined.placed else "paper"
-    units = f"{summary.units.count} {KINDS[summary.units.kind]}"
+    units = f"{summary.units.count} {UNITS[summary.units.kind]}"
     over = f"; {LEVEL:.0%} intervals over {units}" if summary.units.count >= MIN_UNITS else ""
     lines = []
     for protocol in ("strict", "paper") if details else (main,):
@@ -75,16 +72,27 @@ def summary_screen(evaluation: Evaluation, summary: Summary, details: bool = Fal
             lines.append(f"protocol {protocol}, all IDs{over}")
             lines += _figure_table(summary, protocol, joined.methods)
             lines.append("")
-    told = [d for d in summary.differences if d.protocol == main and d.name in TESTED]
+    told = cells.tested(summary, main)
     if any(not math.isnan(d.p) for d in told):
         lines.append(f"protocol {main}, differences; paired sign-flip test over {units}")
-        lines += [_difference_line(d) for d in told]
+        for d in told:
+            text = _text(cells.difference(d), " to ")
+            lines.append(f"{d.b} less {d.a}, {BY_NAME[d.name].label}: {text}")
         lines.append("")
     if details:
         lines += _per_id(summary, main, joined.methods)
         if len(joined.logs) > 1:
             lines += _per_log(evaluation, main)
-    return "\n".join(lines)
+    return "\n".join(map(printable, lines))
+
+
+def _text(cell: Cell, to: str = "-") -> str:
+    interval = f" ({cell.low}{to}{cell.high})" if cell.low else ""
+    return f"{cell.value}{interval}" + (f", {cell.test}" if cell.test else "")
+
+
+def _row(label: str, columns: Sequence[str]) -> str:
+    return f"{label:<{LABEL}}{''.join(f'{c:<{COLUMN}}' for c in columns)}".rstrip()
 
 
 def _figure_table(summary: Summary, protocol: str, methods: Sequence[str]) -> list[str]:
@@ -93,35 +101,24 @@ def _figure_table(summary: Summary, protocol: str, methods: Sequence[str]) -> li
     beside = (WIDTH - LABEL) // COLUMN
     for first in range(0, len(methods), beside):
         some = methods[first : first + beside]
-        lines.append(" " * LABEL + "".join(f"{m[: COLUMN - 1]:<{COLUMN}}" for m in some).rstrip())
-        for name, label, digits in ROWS:
-            found = [summary.figure(protocol, m, name) for m in some]
-            if any(found):
-                cells = "".join(f"{with_interval(f, digits):<{COLUMN}}" for f in found)
-                lines.append(f"{label:<{LABEL}}{cells}".rstrip())
+        lines.append(_row("", [m[: COLUMN - 1] for m in some]))
+        for label, row in cells.figures(summary, protocol, some):
+            lines.append(_row(label, list(map(_text, row))))
     return lines
 
 
-def _difference_line(d: Difference) -> str:
-    label = next(label for name, label, _ in ROWS if name == d.name)
-    digits = DIGITS[d.name]
-    text = f"{d.b} less {d.a}, {label}: {number(d.value, digits, '+')}"
-    if not math.isnan(d.low):
-        text += f" ({number(d.low, digits, '+')} to {number(d.high, digits, '+')})"
-    return text + (f", {d.note}" if math.isnan(d.p) else f", p = {d.p:.2g}")
-
-
 def _per_id(summary: Summary, protocol: str, methods: Sequence[str]) -> list[str]:
-    names = ("tpr", "fpr", "auc")
     lines = [f"protocol {protocol}, per ID (macro: mean of the IDs; total: of all counts)"]
-    lines.append(" " * LABEL + "".join(f"{n.upper():<{COLUMN}}" for n in names).rstrip())
-    landmarks = list(dict.fromkeys(f.landmark for f in summary.figures if f.name == "tpr"))
+    lines.append(_row("", [BY_NAME[name].label for name in MAIN]))
+    landmarks = list(dict.fromkeys(f.landmark_text for f in summary.figures if f.name == MAIN[0]))
     for method in methods:
         for landmark in landmarks:
             label = f"{method[: LABEL - 8]} {'ID.' * landmark.isdigit()}{landmark}"
-            found = [summary.figure(protocol, method, name, landmark) for name in names]
-            cells = [with_interval(f, DIGITS[n]) for f, n in zip(found, names, strict=True)]
-            lines.append(f"{label:<{LABEL}}{''.join(f'{c:<{COLUMN}}' for c in cells)}".rstrip())
+            found = (
+                cells.figure(summary.figure(protocol, method, name, landmark), name)
+                for name in MAIN
+            )
+            lines.append(_row(label, list(map(_text, found))))
     return [*lines, ""]
 
 
@@ -137,6 +134,6 @@ def _per_log(evaluation: Evaluation, protocol: str) -> list[str]:
     for i, log in enumerate(joined.logs):
         for method, per_log in counts.items():
             c = per_log[i][-1]
-            cells = f"{number(c.tpr, 3):>8}{number(c.fpr, 4):>9}{c.tp:>7}{c.fp:>6}{c.fn:>6}"
-            lines.append(f"{log[-LABEL + 1 :]:<{LABEL}}{method[: COLUMN - 1]:<{COLUMN}}{cells}")
+            lines.append(_row(log[-LABEL + 1 :], [method[: COLUMN - 1]]).ljust(LABEL + COLUMN))
+            lines[-1] += f"{number(c.tpr, 3):>8}{number(c.fpr, 4):>9}{c.tp:>7}{c.fp:>6}{c.fn:>6}"
     return [*lines, ""]

@@ -3,18 +3,19 @@
 A figure is a function of sums over units (`Tally`). Drawing units with replacement (the cluster
 bootstrap) gives its interval; swapping two methods in units by the toss of a coin (the paired
 sign-flip test) gives the p-value of their difference. Both are one matrix product: the weights of
-the units times the units' sums.
+the units times the units' sums. By hand: no library resamples whole units of such figures.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
 
 import numpy as np
 
+from sonarrec.evaluation.curves import ratio
 from sonarrec.records import FloatArray
 
 LEVEL = 0.95
@@ -28,60 +29,64 @@ SAME = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Tally:
-    """Figures of one method that are functions of sums over U units.
-
-    landmark: an ID, "total" or "macro". names, values: one per figure, the values as computed
-    from everything. cases: per figure the number of units that have any case of it.
-    sums: (U, C) what each unit adds. figures: turns (R, C) summed rows into (R, figures).
-    """
+    """Figures of one method that are functions of sums over U units."""
 
     protocol: str
     method: str
-    landmark: str
+    landmark_text: str
+    """An ID, "none", "total" or "macro"."""
     names: tuple[str, ...]
     values: tuple[float, ...]
+    """One per figure, as computed from everything."""
     cases: tuple[int, ...]
+    """Per figure the number of units that have any case of it."""
     sums: FloatArray
+    """(U, C) what each unit adds."""
     figures: Callable[[FloatArray], FloatArray]
+    """Turns (R, C) summed rows into (R, figures)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """One figure of one method, with its interval over the units that have a case of it.
-
-    low, high: NaN where the units say nothing; note tells why.
-    """
+    """One figure of one method, with its interval over the units that have a case of it."""
 
     protocol: str
     method: str
-    landmark: str
+    landmark_text: str
+    """An ID, "none", "total" or "macro"."""
     name: str
+    """Of the metric."""
     value: float
+    """NaN where it is 0/0."""
     low: float
     high: float
+    """NaN where the units say nothing."""
     units: int
     note: str
+    """Why there is no interval; "" where there is one."""
 
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """A figure of method b less that of method a, with interval and p-value over units.
-
-    p: two-sided, of the paired sign-flip test. NaN where the units say nothing; note tells why.
-    """
+    """A figure of method b less that of method a, with interval and p-value over units."""
 
     protocol: str
     a: str
     b: str
-    landmark: str
+    landmark_text: str
+    """An ID or "total"."""
     name: str
+    """Of the metric."""
     value_a: float
     value_b: float
     low: float
     high: float
+    """Of the difference; NaN where the units say nothing."""
     p: float
+    """Two-sided, of the paired sign-flip test; NaN where the units say nothing."""
     units: int
     note: str
+    """Why there is no interval or no test; "" where there are both."""
 
     @property
     def value(self) -> float:
@@ -157,7 +162,7 @@ def intervals(tally: Tally, drawn: FloatArray) -> list[Figure]:
         else:
             low, high = interval(drawn[:, i], units)
             note = ""
-        labels = (tally.protocol, tally.method, tally.landmark)
+        labels = (tally.protocol, tally.method, tally.landmark_text)
         found.append(Figure(*labels, name, value, low, high, units, note))
     return found
 
@@ -188,6 +193,27 @@ def differences(a: Tally, b: Tally, weights: FloatArray, tosses: FloatArray) -> 
             note = "alike in every unit" if _alike(drawn[:, i]) else ""
             if not note:
                 low, high = interval(drawn[:, i], units)
-        labels = (a.protocol, a.method, b.method, a.landmark, name)
+        labels = (a.protocol, a.method, b.method, a.landmark_text, name)
         found.append(Difference(*labels, a.values[i], b.values[i], low, high, p, units, note))
     return found
+
+
+def macro(per_id: Sequence[Tally], drawn: Sequence[FloatArray]) -> list[Figure]:
+    """The mean of each figure over the IDs that have it; drawn: the replicates of each ID's."""
+    mean = Tally(
+        protocol=per_id[0].protocol,
+        method=per_id[0].method,
+        landmark_text="macro",
+        names=per_id[0].names,
+        values=tuple(_mean_of_known(np.array([t.values for t in per_id])).tolist()),
+        cases=tuple(max(cases) for cases in zip(*(t.cases for t in per_id), strict=True)),
+        sums=np.empty((0, 0)),
+        figures=_mean_of_known,
+    )
+    return intervals(mean, mean.figures(np.stack(drawn)))
+
+
+def _mean_of_known(values: FloatArray) -> FloatArray:
+    """Mean over the first axis of what is not NaN; NaN where nothing is."""
+    known = ~np.isnan(values)
+    return ratio(np.where(known, values, 0).sum(axis=0), known.sum(axis=0))

@@ -17,6 +17,7 @@ from sonarrec.evaluation.plots import draw_det, draw_reliability, draw_roc, draw
 from sonarrec.evaluation.reliability import BINS
 from sonarrec.evaluation.scoring import Scored
 from sonarrec.evaluation.summary import Summary
+from sonarrec.evaluation.uncertainty import Difference, Figure
 from sonarrec.records import SonarrecError
 
 COUNTS = ("tpr", "fpr", "tp", "tn", "fp", "fn", "total")
@@ -80,7 +81,8 @@ def write_evaluation(
 def write_comparison(folder: Path, found: Comparison) -> None:
     """Write compare.csv and changes.csv; raises SonarrecError where they cannot be written."""
     rates = (
-        (r.protocol, r.method, r.landmark, r.rate, r.old, r.new, r.worse, r.of) for r in found.rates
+        (r.protocol, r.method, r.landmark_text, r.rate, r.old, r.new, r.worse, r.of)
+        for r in found.rates
     )
     changes = (
         (c.protocol, c.method, c.log, c.frame, c.landmark, c.verdict, *c.old, *c.new)
@@ -154,13 +156,13 @@ def _roc(evaluation: Evaluation) -> Iterable[tuple[Any, ...]]:
 
 def _figures(summary: Summary) -> Iterable[tuple[Any, ...]]:
     for f in summary.figures:
-        yield f.protocol, f.method, f.landmark, f.name, f.value, f.low, f.high, f.units, f.note
+        yield f.protocol, f.method, f.landmark_text, f.name, f.value, f.low, f.high, f.units, f.note
 
 
 def _tests(summary: Summary) -> Iterable[tuple[Any, ...]]:
     for d in summary.differences:
         yield (
-            *(d.protocol, d.a, d.b, d.landmark, d.name, d.value_a, d.value_b, d.value),
+            *(d.protocol, d.a, d.b, d.landmark_text, d.name, d.value_a, d.value_b, d.value),
             *(d.low, d.high, d.p, d.units, d.note),
         )
 
@@ -170,12 +172,12 @@ def _passes(evaluation: Evaluation, summary: Summary) -> Iterable[tuple[Any, ...
     changed = {s.method: s for s in summary.switches}
     for followed in summary.followed:
         switches = changed.get(followed.method)
-        for i in range(len(passes.first)):
+        for i in range(len(passes.first_frame_index)):
             yield (
-                joined.logs[passes.log[i]],
-                joined.ids[passes.landmark[i]],
-                int(joined.frame[passes.first[i]]),
-                int(joined.frame[passes.last[i]]),
+                joined.logs[passes.log_index[i]],
+                joined.ids[passes.landmark_index[i]],
+                int(joined.frame[passes.first_frame_index[i]]),
+                int(joined.frame[passes.last_frame_index[i]]),
                 followed.protocol,
                 followed.method,
                 int(followed.frames[i]),
@@ -190,7 +192,7 @@ def _reliability(summary: Summary) -> Iterable[tuple[Any, ...]]:
     for r in summary.reliability:
         for b in range(BINS):
             yield (
-                *(r.method, r.landmark, b / BINS, (b + 1) / BINS),
+                *(r.method, r.landmark_text, b / BINS, (b + 1) / BINS),
                 *(int(r.count[b]), float(r.mean[b]), float(r.right[b])),
             )
 
@@ -215,11 +217,15 @@ def as_json(evaluation: Evaluation, summary: Summary) -> dict[str, Any]:
         "unit": summary.units.kind,
         "units": summary.units.count,
         "methods": methods,
-        "figures": [{k: _known(v) for k, v in asdict(f).items()} for f in summary.figures],
-        "differences": [{k: _known(v) for k, v in asdict(d).items()} for d in summary.differences],
+        "figures": [_record(figure) for figure in summary.figures],
+        "differences": [_record(difference) for difference in summary.differences],
         "notes": [*evaluation.notes, *summary.notes],
         "unused": list(evaluation.unused),
     }
+
+
+def _record(record: Figure | Difference) -> dict[str, Any]:
+    return {key.removesuffix("_text"): _known(v) for key, v in asdict(record).items()}
 
 
 def _known(value: Any) -> Any:

@@ -50,7 +50,7 @@ def _frames(scene: Scene, truth: list[tuple[int, LandmarkTruth]]) -> Iterator[Fr
         truth += [(frame.index, landmark) for landmark in frame.truth]
         image = frame.image
         if scene.sonar.layout == "polar":
-            to_fan = to_fan or PolarToFan(scene_sonar(scene), *image.shape)
+            to_fan = to_fan or PolarToFan(scene_sonar(scene).complete(scene.name), *image.shape)
             image = to_fan(image)
         yield Frame(frame.index, frame.timestamp_ns, image, frame.fan)
 

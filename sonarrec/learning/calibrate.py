@@ -165,7 +165,7 @@ def _labelled(tracks: Tracks, truth: Truth) -> Samples:
     these".
     """
     assert truth.position is not None
-    samples = label(tracks, truth.row, truth.landmark, truth.position)
+    samples = label(tracks, truth.frame_index, truth.landmark_index, truth.position)
     other = samples.label == len(tracks.landmarks.ids)
     return _part(samples, ~(other & np.isin(samples.track, samples.track[~other])))
 

@@ -207,10 +207,10 @@ def _truth_marks(
     pixels = Sonar(metres_per_pixel=fan.metres_per_pixel, apex_px=(fan.apex_column, fan.apex_row))
     log = read_log(folder, landmarks, sonar.updated(pixels))
     truth = match_truth(read_truth(path), log)
-    if truth.position is None:
+    place = truth.pixels(fan)
+    if place is None:
         raise SonarrecError(f"{path}: no positions (x_px,y_px or range_m,bearing_deg) to draw")
     marks: dict[int, list[Mark]] = {}
-    place = truth.position / fan.metres_per_pixel * (1, -1) + (fan.apex_column, fan.apex_row)
-    for row, k, (x, y) in zip(truth.row, truth.landmark, place.tolist(), strict=True):
-        marks.setdefault(int(log.frame[row]), []).append(Mark(log.landmarks.ids[k], x, y))
+    for at, k, (x, y) in zip(truth.frame_index, truth.landmark_index, place.tolist(), strict=True):
+        marks.setdefault(int(log.frame[at]), []).append(Mark(log.landmarks.ids[k], x, y))
     return marks

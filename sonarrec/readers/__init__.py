@@ -9,7 +9,7 @@ from typing import get_args
 from sonarrec.readers.find import find_log
 from sonarrec.readers.log import Log
 from sonarrec.records import Clock, SonarrecError, UsageError, shown
-from sonarrec.sonar import Sonar, check_sonar
+from sonarrec.sonar import Sonar
 
 
 def open_log(
@@ -44,7 +44,7 @@ def open_log(
         resolved = replace(resolved, layout="polar" if raw.polar else "fan")
     try:
         if not raw.polar:
-            check_sonar(resolved, where)
+            resolved.complete(where)
         elif resolved.tilt_deg is None:
             raise SonarrecError(
                 f"{where}: the messages tell the sonar's geometry, all but its tilt; give "

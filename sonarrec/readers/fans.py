@@ -15,7 +15,7 @@ from sonarrec.geometry import MAX_FAN_PIXELS, PolarToFan, fan_for_image, fan_for
 from sonarrec.readers.pixels import GreyScale, grey_scale, single_channel, to_grey8
 from sonarrec.readers.raw import RawFrame, UnusableError
 from sonarrec.records import ByteImage, Fan, SonarrecError
-from sonarrec.sonar import Sonar, check_sonar, missing_keys
+from sonarrec.sonar import PingGeometry, Sonar
 
 MIN_SHARED_WINDOW = 0.5
 """A ping whose window covers less of the fan's is not used."""
@@ -42,7 +42,7 @@ class FanImages:
         self._where = where
         self._scales: dict[np.dtype[Any], GreyScale] = {}  # one for each type of pixel
         self._shape: tuple[int, ...] | None = None
-        self._told: Sonar | None = None
+        self._told: PingGeometry | None = None
         self._to_fan: PolarToFan | None = None
         self._beam_major: bool | None = None
         self._told_against = self._told_cut = False
@@ -91,17 +91,18 @@ class FanImages:
 
     def _image(self, image: ByteImage) -> ByteImage:
         """A frame that does not tell its geometry."""
-        if self._shape is None and missing_keys(self._stated):
+        if self._shape is None and self._stated.missing():
             raise UnusableError("it does not tell its geometry, as other messages of its topic do")
         polar = self.sonar.layout == "polar"
         if polar and self.sonar.beam_order == "beam-major":
             image = np.ascontiguousarray(image.T)
         if self._shape is None:
+            geometry = self.sonar.complete(self._where)
             if polar:
-                self._to_fan = PolarToFan(self.sonar, *image.shape)
+                self._to_fan = PolarToFan(geometry, *image.shape)
                 self.fan = self._to_fan.fan
             else:
-                self.fan = fan_for_image(self.sonar, *image.shape)
+                self.fan = fan_for_image(geometry, *image.shape)
             self._shape = image.shape
         if image.shape != self._shape:
             raise UnusableError(
@@ -112,7 +113,7 @@ class FanImages:
             return self._to_fan(image)
         return np.ascontiguousarray(image[:, ::-1]) if self.sonar.flip else image
 
-    def _ping(self, image: ByteImage, told: Sonar) -> ByteImage:
+    def _ping(self, image: ByteImage, told: PingGeometry) -> ByteImage:
         """A polar frame and the geometry it tells."""
         beam_major = self._beam_major
         if beam_major is None:
@@ -136,17 +137,17 @@ class FanImages:
         assert self._to_fan is not None
         return self._to_fan(image)
 
-    def _resampling(self, told: Sonar, shape: tuple[int, int]) -> tuple[Sonar, PolarToFan]:
+    def _resampling(self, told: PingGeometry, shape: tuple[int, int]) -> tuple[Sonar, PolarToFan]:
         sonar, against = _as_stated(told, self._stated, bins=shape[0])
         try:
-            check_sonar(sonar, self._where)
-            window = fan_for_polar(sonar, shape[0])
+            geometry = sonar.complete(self._where)
+            window = fan_for_polar(geometry, shape[0])
             if window.rows * window.columns > MAX_FAN_PIXELS:
                 raise UnusableError(
                     f"its window, {window.range_min_m:.6g} to {window.range_max_m:.6g} m in "
                     f"{shape[0]} bins, makes a fan of {window.columns} x {window.rows} pixels"
                 )
-            to_fan = PolarToFan(sonar, *shape, self.fan)
+            to_fan = PolarToFan(geometry, *shape, self.fan)
         except SonarrecError as error:
             if self.fan is None:  # what is stated does not fit the log
                 raise
@@ -169,27 +170,22 @@ class FanImages:
         return sonar, to_fan
 
 
-def _shows(window: Fan | Sonar, other: Fan | Sonar) -> bool:
+def _shows(window: Fan | PingGeometry, other: Fan | PingGeometry) -> bool:
     """Whether a range window covers enough of another."""
-    assert window.range_min_m is not None
-    assert window.range_max_m is not None
-    assert other.range_min_m is not None
-    assert other.range_max_m is not None
     near = max(window.range_min_m, other.range_min_m)
     far = min(window.range_max_m, other.range_max_m)
     return far - near >= MIN_SHARED_WINDOW * (other.range_max_m - other.range_min_m)
 
 
-def _as_wide(window: Fan | Sonar, other: Fan | Sonar) -> bool:
+def _as_wide(window: Fan | PingGeometry, other: Fan | PingGeometry) -> bool:
     """Whether a field of view covers enough of another."""
     (left, right), (from_deg, to_deg) = _bearings(window), _bearings(other)
     return min(right, to_deg) - max(left, from_deg) >= MIN_SHARED_WINDOW * (to_deg - from_deg)
 
 
-def _bearings(window: Fan | Sonar) -> tuple[float, float]:
+def _bearings(window: Fan | PingGeometry) -> tuple[float, float]:
     if isinstance(window, Fan):
         return window.bearing_min_deg, window.bearing_max_deg
-    assert window.bearings_deg is not None
     return min(window.bearings_deg), max(window.bearings_deg)
 
 
@@ -200,18 +196,15 @@ def _extent(fan: Fan) -> str:
     )
 
 
-def _as_stated(told: Sonar, stated: Sonar, bins: int) -> tuple[Sonar, list[str]]:
+def _as_stated(told: PingGeometry, stated: Sonar, bins: int) -> tuple[Sonar, list[str]]:
     """A message's geometry with what the user states in its place, and where they contradict.
 
     Ranges that agree to half a bin, and a field of view to half a beam, contradict nothing.
     """
-    assert told.bearings_deg is not None
-    assert told.range_min_m is not None
-    assert told.range_max_m is not None
     against = []
     if stated.layout == "fan":
         against.append('layout = "fan" (they are polar, and read so)')
-    sonar = told.updated(replace(stated, layout=None))
+    sonar = told.as_sonar().updated(replace(stated, layout=None))
     bin_m = (told.range_max_m - told.range_min_m) / bins
     for key in ("range_min_m", "range_max_m"):
         mine, theirs = getattr(stated, key), getattr(told, key)

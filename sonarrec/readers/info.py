@@ -13,7 +13,7 @@ from sonarrec.readers.find import Source, find_log
 from sonarrec.readers.log import Log
 from sonarrec.readers.raw import RawFrame, RawLog
 from sonarrec.records import SonarrecError, UsageError, shown
-from sonarrec.sonar import Sonar, check_sonar, missing_keys, sonar_from_table
+from sonarrec.sonar import Sonar, sonar_from_table
 
 Observe = Callable[[int | None], None]
 
@@ -255,14 +255,14 @@ def _images(
     raw = _Watched(source.open(topic), observe)
     if stated.layout is None:
         stated = replace(stated, layout="polar" if raw.polar else "fan")
-    lacks = [key for key in missing_keys(stated) if key == "tilt_deg" or not raw.polar]
+    lacks = [key for key in stated.missing() if key == "tilt_deg" or not raw.polar]
     complete = _with_stand_ins(stated, lacks)
     problems: list[str] = []
     used = 0
     with Log(source.path, source.name, source.files, complete, raw, "log") as log:
         try:
             if not raw.polar:
-                check_sonar(complete, where)
+                complete.complete(where)
             for _ in islice(log, 1 if quick else None):
                 used += 1
         except SonarrecError as error:

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from sonarrec.records import NO_STAMPS, Stamps
-from sonarrec.sonar import Sonar
+from sonarrec.sonar import PingGeometry
 
 
 class UnusableError(Exception):
@@ -27,7 +27,7 @@ class Ping:
 
     pixels: np.ndarray
     stamp_ns: int | None = None
-    sonar: Sonar | None = None
+    sonar: PingGeometry | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,7 @@ class RawFrame:
     timestamp_ns: int | None
     pixels: np.ndarray | None
     problem: str | None = None
-    sonar: Sonar | None = None
+    sonar: PingGeometry | None = None
     stamps: Stamps = NO_STAMPS
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
+from sonarrec.recogniser.estimates import declared, likeliest
 from sonarrec.records import Estimate, FloatArray, FrameResult
 
 LEAST_BELIEF = 1e-2  # in a logarithm: no single frame rules an ID out for good
@@ -15,17 +16,17 @@ LEAST_BELIEF = 1e-2  # in a logarithm: no single frame rules an ID out for good
 
 @dataclass(slots=True)
 class _Opinion:
-    """What a track's frames said of it, all taken together.
-
-    log_beliefs: (K + 1,) weighted sum over the frames of log belief. weight: sum of the weights.
-    turns: per ID, (score, degrees from the line of sight, their standard error) when surest of it.
-    """
+    """What a track's frames said of it, all taken together."""
 
     log_beliefs: FloatArray
+    """(K + 1,) weighted sum over the frames of log belief."""
     weight: float = 0.0
+    """Sum of the weights."""
     frames: int = 0
+    """How many there were."""
     last_frame: int = 0
     turns: dict[int, tuple[float, float, float]] = field(default_factory=dict)
+    """By ID, (score, degrees from the line of sight, their standard error) when surest of it."""
 
     def beliefs(self) -> FloatArray:
         """(K + 1,) weighted geometric mean of the beliefs, which sums to 1."""
@@ -82,8 +83,8 @@ class Hindsight:
             return estimate
         opinion = self._opinions[estimate.object]
         beliefs = opinion.beliefs()
-        best = int(beliefs[: len(self._ids)].argmax())
-        landmark, score = self._ids[best], float(beliefs[best])
+        (landmark_index,), (score,) = likeliest(beliefs[None])
+        landmark = self._ids[landmark_index]
         turn, sigma = estimate.orientation_deg + estimate.bearing_deg, np.nan
         if landmark in opinion.turns:
             _, turn, sigma = opinion.turns[landmark]
@@ -91,8 +92,8 @@ class Hindsight:
             estimate,
             probabilities=beliefs,
             landmark=landmark,
-            score=score,
-            declared=score >= self._threshold,
+            score=float(score),
+            declared=bool(declared(score, self._threshold)),
             # The line of sight turns with the bearing, the object as seen from it does not.
             orientation_deg=(turn - estimate.bearing_deg) % 360,
             orientation_sigma_deg=sigma,

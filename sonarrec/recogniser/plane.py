@@ -8,6 +8,7 @@ a pan of the sonar is a rotation about the apex, and fewer pixels do the work.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 
 import cv2
 import numpy as np
@@ -27,29 +28,160 @@ from sonarrec.geometry import (
 from sonarrec.records import ByteImage, Fan, FloatArray, Motion, SonarrecError
 
 
-class Plane:
-    """Fan image to working image and back.
+class Plane(ABC):
+    """Fan image to working image and back."""
 
-    shape: (rows, columns) of the working image. axes: (across, along) semi-axes in its pixels of a
-    disc of the landmark's radius. inside: (rows, columns) uint8, 1 where there is sonar data.
-    scale: working pixels per fan pixel.
-    """
+    fan: Fan
+    """The geometry of the images that it is made for."""
+    shape: tuple[int, int]
+    """(rows, columns) of the working image."""
+    axes: tuple[float, float]
+    """(across, along) semi-axes in its pixels of a disc of the landmark's radius."""
+    inside: ByteImage
+    """`shape`, 1 where there is sonar data."""
+    scale: float
+    """Working pixels per fan pixel."""
+    apex: tuple[float, float]
+    """(column, row) of the sonar in working pixels: in either plane a pan is a turn about it."""
 
-    def __init__(self, fan: Fan, radius_m: float, kind: str, disc_radius_px: float) -> None:
-        """kind: "fan" or "floor". disc_radius_px: radius of a disc on the floor plane.
+    @abstractmethod
+    def warp(self, image: ByteImage) -> ByteImage:
+        """(fan.rows, fan.columns) uint8 to the working image, `shape` uint8."""
+
+    @abstractmethod
+    def to_polar(
+        self, column: FloatArray | float, row: FloatArray | float
+    ) -> tuple[FloatArray, FloatArray]:
+        """(slant range in m, bearing in deg) of working pixels; shapes broadcast."""
+
+    @abstractmethod
+    def from_polar(
+        self, range_m: FloatArray, bearing_deg: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """(column, row) in working pixels of slant ranges (m) and bearings (deg)."""
+
+    @abstractmethod
+    def to_fan(
+        self, column: FloatArray | float, row: FloatArray | float
+    ) -> tuple[FloatArray, FloatArray]:
+        """(column, row) in fan pixels of working pixels; shapes broadcast."""
+
+    @abstractmethod
+    def _slant_per_pixel(self, position: FloatArray, distance: FloatArray) -> FloatArray | float:
+        """By how many metres slant range grows with a pixel away from the sonar.
+
+        position: (n, 2) working pixels. distance: (n,) theirs from the apex, in pixels.
+        """
+
+    @abstractmethod
+    def _carried(
+        self, column: FloatArray, row: FloatArray, motion: Motion
+    ) -> tuple[FloatArray, FloatArray]:
+        """(column, row) of still objects once the sonar was carried, before it turns."""
+
+    def disc_share(self) -> npt.NDArray[np.float32]:
+        """`shape` float32: the share of a disc centred on each pixel that the fan shows."""
+        margin = [int(np.ceil(axis)) for axis in self.axes]
+        y, x = np.mgrid[-margin[1] : margin[1] + 1, -margin[0] : margin[0] + 1].astype(float)
+        disc = (np.hypot(x / self.axes[0], y / self.axes[1]) <= 1).astype(np.float32)
+        share = cv2.filter2D(
+            self.inside.astype(np.float32), -1, disc / disc.sum(), borderType=cv2.BORDER_CONSTANT
+        )
+        return np.asarray(share, np.float32)
+
+    def polar_sigma(self, position: FloatArray, sigma: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Standard errors (n,) in slant range (m) and bearing (deg) of (n, 2) working pixels.
+
+        sigma: (n, 2) (across, along) in disc diameters.
+        """
+        across, along = (2 * np.asarray(sigma) * self.axes).T
+        x = position[:, 0] - self.apex[0]
+        y = self.apex[1] - position[:, 1]
+        distance = np.maximum(np.hypot(x, y), 1.0)
+        radial = np.hypot(along * y, across * x) / distance
+        turning = np.hypot(across * y, along * x) / distance**2
+        return radial * self._slant_per_pixel(position, distance), np.degrees(turning)
+
+    def moved(self, position: FloatArray, motion: Motion) -> FloatArray:
+        """(..., 2) where still objects on the floor, at working pixels, appear after a motion."""
+        column, row = position[..., 0], position[..., 1]
+        if motion.right_m or motion.ahead_m:
+            column, row = self._carried(column, row, motion)
+        x, y = column - self.apex[0], row - self.apex[1]
+        pan = math.radians(motion.pan_deg)
+        cos, sin = math.cos(pan), math.sin(pan)
+        return np.stack(
+            [self.apex[0] + x * cos + y * sin, self.apex[1] - x * sin + y * cos], axis=-1
+        )
+
+    def line_of_sight(self, position: FloatArray) -> FloatArray:
+        """(n,) direction away from the sonar at (n, 2) working pixels, rad.
+
+        Counter-clockwise from the image's right, seen from above.
+        """
+        return np.asarray(np.arctan2(self.apex[1] - position[:, 1], position[:, 0] - self.apex[0]))
+
+
+class FanPlane(Plane):
+    """The fan image itself, as the paper does: discs are squeezed by Eq. 1."""
+
+    def __init__(self, fan: Fan, radius_m: float) -> None:
+        radius_px = radius_m / fan.metres_per_pixel
+        self.fan = fan
+        self.scale = 1.0
+        self.shape = (fan.rows, fan.columns)
+        self.axes = (radius_px, radius_px * math.cos(math.radians(fan.tilt_deg)))
+        self.apex = (fan.apex_column, fan.apex_row)
+        self.inside = np.minimum(fan_mask(fan), 1)
+
+    def warp(self, image: ByteImage) -> ByteImage:
+        return image
+
+    def to_polar(
+        self, column: FloatArray | float, row: FloatArray | float
+    ) -> tuple[FloatArray, FloatArray]:
+        return polar_from_pixel(self.fan, column, row)
+
+    def from_polar(
+        self, range_m: FloatArray, bearing_deg: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        return pixel_from_polar(self.fan, range_m, bearing_deg)
+
+    def to_fan(
+        self, column: FloatArray | float, row: FloatArray | float
+    ) -> tuple[FloatArray, FloatArray]:
+        return np.asarray(column, dtype=float), np.asarray(row, dtype=float)
+
+    def _slant_per_pixel(
+        self,
+        position: FloatArray,  # noqa: ARG002
+        distance: FloatArray,  # noqa: ARG002
+    ) -> FloatArray | float:
+        return self.fan.metres_per_pixel
+
+    def _carried(
+        self, column: FloatArray, row: FloatArray, motion: Motion
+    ) -> tuple[FloatArray, FloatArray]:
+        range_m, bearing_deg = self.to_polar(column, row)
+        ground = np.nan_to_num(ground_range(self.fan, range_m))  # nearer than the floor: below
+        bearing = np.radians(bearing_deg)
+        across = ground * np.sin(bearing) - motion.right_m
+        along = ground * np.cos(bearing) - motion.ahead_m
+        return self.from_polar(
+            slant_range(self.fan, np.hypot(across, along)), np.degrees(np.arctan2(across, along))
+        )
+
+
+class FloorPlane(Plane):
+    """The floor seen from above: discs are circles of one size."""
+
+    def __init__(self, fan: Fan, radius_m: float, disc_radius_px: float) -> None:
+        """disc_radius_px: radius of a disc in working pixels, if that is no finer than the fan.
 
         Raises SonarrecError where the floor lies beyond the range window.
         """
         self.fan = fan
-        self.kind = kind
         radius_px = radius_m / fan.metres_per_pixel
-        if kind == "fan":
-            self.scale = 1.0
-            self.shape = (fan.rows, fan.columns)
-            self.axes = (radius_px, radius_px * math.cos(math.radians(fan.tilt_deg)))
-            self._apex = (fan.apex_column, fan.apex_row)
-            self.inside: ByteImage = np.minimum(fan_mask(fan), 1)
-            return
         self.scale = min(1.0, disc_radius_px / radius_px)
         self.axes = (radius_px * self.scale, radius_px * self.scale)
         self._metres = fan.metres_per_pixel / self.scale
@@ -64,11 +196,14 @@ class Plane:
         edges = np.radians([fan.bearing_min_deg, fan.bearing_max_deg])
         left, right = far * np.sin(edges) / self._metres
         bottom = near * np.cos(edges).min() / self._metres
-        self._apex = (-math.floor(left), math.ceil(far / self._metres))
-        self.shape = (
-            self._apex[1] - math.floor(bottom) + 1,
-            math.ceil(right) - math.floor(left) + 1,
-        )
+        column, row = -math.floor(left), math.ceil(far / self._metres)
+        self.apex = (column, row)
+        self.shape = (row - math.floor(bottom) + 1, math.ceil(right) + column + 1)
+        self._make_map(nearest)
+
+    def _make_map(self, nearest: float) -> None:
+        """Where each working pixel lies in the fan; nothing is seen nearer than `nearest` m."""
+        fan = self.fan
         # Whole-number shrinking averages speckle before the resampling picks pixels.
         self._shrink = max(1, round(1 / self.scale))
         self._map = np.empty((*self.shape, 2), np.int16)
@@ -92,9 +227,6 @@ class Plane:
         )
 
     def warp(self, image: ByteImage) -> ByteImage:
-        """(fan.rows, fan.columns) uint8 to the working image, `shape` uint8."""
-        if self.kind == "fan":
-            return image
         if self._shrink > 1:
             # Whole blocks only: a remainder would shift the scale by a part of a pixel.
             rows, columns = (-side % self._shrink for side in image.shape)
@@ -104,24 +236,11 @@ class Plane:
             image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)  # type: ignore[assignment]
         return cv2.remap(image, self._map, self._weights, cv2.INTER_LINEAR)  # type: ignore[return-value]
 
-    def disc_share(self) -> npt.NDArray[np.float32]:
-        """`shape` float32: the share of a disc centred on each pixel that the fan shows."""
-        margin = [int(np.ceil(axis)) for axis in self.axes]
-        y, x = np.mgrid[-margin[1] : margin[1] + 1, -margin[0] : margin[0] + 1].astype(float)
-        disc = (np.hypot(x / self.axes[0], y / self.axes[1]) <= 1).astype(np.float32)
-        share = cv2.filter2D(
-            self.inside.astype(np.float32), -1, disc / disc.sum(), borderType=cv2.BORDER_CONSTANT
-        )
-        return np.asarray(share, np.float32)
-
     def to_polar(
         self, column: FloatArray | float, row: FloatArray | float
     ) -> tuple[FloatArray, FloatArray]:
-        """(slant range in m, bearing in deg) of working pixels; shapes broadcast."""
-        if self.kind == "fan":
-            return polar_from_pixel(self.fan, column, row)
-        across = (np.asarray(column, dtype=float) - self._apex[0]) * self._metres
-        along = (self._apex[1] - np.asarray(row, dtype=float)) * self._metres
+        across = (np.asarray(column, dtype=float) - self.apex[0]) * self._metres
+        along = (self.apex[1] - np.asarray(row, dtype=float)) * self._metres
         return (
             slant_range(self.fan, np.hypot(across, along)),
             np.degrees(np.arctan2(across, along)),
@@ -130,73 +249,28 @@ class Plane:
     def from_polar(
         self, range_m: FloatArray, bearing_deg: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """(column, row) in working pixels of slant ranges (m) and bearings (deg)."""
-        if self.kind == "fan":
-            return pixel_from_polar(self.fan, range_m, bearing_deg)
         distance = ground_range(self.fan, range_m) / self._metres
         bearing = np.radians(bearing_deg)
-        return self._apex[0] + distance * np.sin(bearing), self._apex[1] - distance * np.cos(
-            bearing
-        )
+        return self.apex[0] + distance * np.sin(bearing), self.apex[1] - distance * np.cos(bearing)
 
     def to_fan(
         self, column: FloatArray | float, row: FloatArray | float
     ) -> tuple[FloatArray, FloatArray]:
-        """(column, row) in fan pixels of working pixels; shapes broadcast."""
-        if self.kind == "fan":
-            return np.asarray(column, dtype=float), np.asarray(row, dtype=float)
         return pixel_from_polar(self.fan, *self.to_polar(column, row))
 
-    def polar_sigma(self, position: FloatArray, sigma: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Standard errors (n,) in slant range (m) and bearing (deg) of (n, 2) working pixels.
-
-        sigma: (n, 2) (across, along) in disc diameters.
-        """
-        across, along = (2 * np.asarray(sigma) * self.axes).T
-        x = position[:, 0] - self._apex[0]
-        y = self._apex[1] - position[:, 1]
-        distance = np.maximum(np.hypot(x, y), 1.0)
-        radial = np.hypot(along * y, across * x) / distance
-        turning = np.hypot(across * y, along * x) / distance**2
-        metres = self.fan.metres_per_pixel
-        if self.kind == "floor":
-            # Slant range grows with the way along the floor by the cosine of the grazing angle.
-            metres = self._metres * distance * self._metres / self.to_polar(*position.T)[0]
-        return radial * metres, np.degrees(turning)
-
-    def moved(self, position: FloatArray, motion: Motion) -> FloatArray:
-        """(..., 2) where still objects on the floor, at working pixels, appear after a motion."""
-        column, row = position[..., 0], position[..., 1]
-        if motion.right_m or motion.ahead_m:
-            column, row = self._carried(column, row, motion)
-        # In either plane a pan is a rotation about the apex.
-        x, y = column - self._apex[0], row - self._apex[1]
-        pan = math.radians(motion.pan_deg)
-        cos, sin = math.cos(pan), math.sin(pan)
-        return np.stack(
-            [self._apex[0] + x * cos + y * sin, self._apex[1] - x * sin + y * cos], axis=-1
-        )
+    def _slant_per_pixel(self, position: FloatArray, distance: FloatArray) -> FloatArray | float:
+        # It grows with the way along the floor by the cosine of the grazing angle.
+        metres = self._metres
+        return np.asarray(metres * distance * metres / self.to_polar(*position.T)[0])
 
     def _carried(
         self, column: FloatArray, row: FloatArray, motion: Motion
     ) -> tuple[FloatArray, FloatArray]:
-        """(column, row) of still objects once the sonar was carried, before it turns."""
-        if self.kind == "floor":
-            return column - motion.right_m / self._metres, row + motion.ahead_m / self._metres
-        range_m, bearing_deg = self.to_polar(column, row)
-        ground = np.nan_to_num(ground_range(self.fan, range_m))  # nearer than the floor: below
-        bearing = np.radians(bearing_deg)
-        across = ground * np.sin(bearing) - motion.right_m
-        along = ground * np.cos(bearing) - motion.ahead_m
-        return self.from_polar(
-            slant_range(self.fan, np.hypot(across, along)), np.degrees(np.arctan2(across, along))
-        )
+        return column - motion.right_m / self._metres, row + motion.ahead_m / self._metres
 
-    def line_of_sight(self, position: FloatArray) -> FloatArray:
-        """(n,) direction away from the sonar at (n, 2) working pixels, rad.
 
-        Counter-clockwise from the image's right, seen from above.
-        """
-        return np.asarray(
-            np.arctan2(self._apex[1] - position[:, 1], position[:, 0] - self._apex[0])
-        )
+def working_plane(kind: str, fan: Fan, radius_m: float, disc_radius_px: float) -> Plane:
+    """The plane of this kind, "fan" or "floor"; the rest as FloorPlane."""
+    if kind == "fan":
+        return FanPlane(fan, radius_m)
+    return FloorPlane(fan, radius_m, disc_radius_px)

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.poses import PoseTable
 from sonarrec.recogniser.hindsight import Hindsight
-from sonarrec.recogniser.recogniser import FRAMEWORK, SMI, Followed, Recogniser
+from sonarrec.recogniser.recogniser import FRAMEWORK, SMI, Recogniser, together
 from sonarrec.recogniser.stage3_features.appearance import Judge
 from sonarrec.records import Fan, Frame, FrameResult
-
-# Stage 3 takes so many frames at once and costs less than half; of twice as many hardly less still.
-FRAMES_AT_ONCE = 8
 
 
 class SideBySide:
@@ -23,8 +20,7 @@ class SideBySide:
 
     Of one configuration the methods are plain `smi` and `framework`; of several each has its
     preset's name behind it. Presets that judge the same candidates by the same rule have one
-    `smi`, named for the first of them. Results wait for the longest lag, and for the frames that
-    stage 3 takes at once.
+    `smi`, named for the first of them. Results wait for the longest lag.
 
     tracking: the names of the framework's methods. methods: all names.
     """
@@ -55,33 +51,21 @@ class SideBySide:
             for config, method in zip(configs, self.tracking, strict=True)
         ]
         self._lag = max(config.features.lag_frames for config in configs)
-        self._followed: list[list[Followed]] = []  # frame by frame
         self._pending: deque[list[FrameResult]] = deque()
 
-    def step(self, frame: Frame) -> Iterator[FrameResult]:
-        """The results that are final after this frame, in the log's order."""
-        self._followed.append([recogniser.follow(frame) for recogniser in self._recognisers])
-        if len(self._followed) == FRAMES_AT_ONCE:
-            yield from self.judge()
+    def recognise(self, frames: Iterable[Frame]) -> Iterator[FrameResult]:
+        """The results in the log's order, each when it is final.
 
-    def judge(self) -> Iterator[FrameResult]:
-        """Stage 3 of the frames that wait for it: the results that are final after them."""
-        followed, self._followed = self._followed, []
-        if not followed:
-            return
-        by_recogniser = zip(*followed, strict=True)
-        parts = [r.judge(f) for r, f in zip(self._recognisers, by_recogniser, strict=True)]
-        for results in map(list, zip(*parts, strict=True)):
+        Whatever breaks the frames off is raised when the results of those before it are out, but
+        for those that wait to be revised.
+        """
+        for results in together(self._recognisers, frames):
             for hindsight, result in zip(self._hindsight, results, strict=True):
                 if hindsight is not None:
                     hindsight.learn(result)
             self._pending.append(results)
             if len(self._pending) > self._lag:
                 yield self._final()
-
-    def finish(self) -> Iterator[FrameResult]:
-        """The results that were still waiting."""
-        yield from self.judge()
         while self._pending:
             yield self._final()
 

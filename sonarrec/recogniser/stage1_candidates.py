@@ -6,7 +6,7 @@ correlation (Hough) map above a threshold are candidates.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple, Protocol
 
 import cv2
 import numpy as np
@@ -27,6 +27,9 @@ LEAST_LOCAL_SIGMA = 0.5  # of the whole frame's
 MOST_PEAKS = 64
 
 
+FloatImage = npt.NDArray[np.float32]
+
+
 class CandidateSelector:
     """Finds circles of the landmarks' size in working images of one plane."""
 
@@ -34,60 +37,31 @@ class CandidateSelector:
         self._config = config
         self._inside = plane.inside
         self._cells = max(1, int(np.count_nonzero(plane.inside)))
-        across, along = plane.axes
-        margin = int(np.ceil(max(across, along) * OUTSIDE[1]))
-        y, x = np.mgrid[-margin : margin + 1, -margin : margin + 1].astype(float)
-        radius = np.hypot(x / across, y / along)
-        pixel = 1 / min(across, along)
-        if config.detector == "edge":
-            outline = np.abs(radius - 1) < 0.5 * pixel
-            self._kernel = (outline / outline.sum()).astype(np.float32)
-            ring = outline.astype(float)
-            # The fan's own edge is an edge too, and so is what the blur makes of it.
-            border = config.blur_px // 2 + 1
-            self._away = cv2.erode(plane.inside, np.ones((2 * border + 1,) * 2, np.uint8))
-            self._tolerance = np.ones((2 * config.edge_tolerance_px + 1,) * 2, np.uint8)
-        else:
-            ring = _band(radius, landmarks.ring, pixel)
-            gap = _band(
-                radius, (landmarks.symbol[1] + GAP_MARGIN, landmarks.ring[0] - GAP_MARGIN), pixel
-            )
-            outside = _band(radius, OUTSIDE, pixel)
-            self._kernel = (
-                ring / ring.sum() - 0.5 * gap / gap.sum() - 0.5 * outside / outside.sum()
-            ).astype(np.float32)
-        self._margin = margin
-        size = 4 * margin // COARSE + 1
-        self._background = (size, size)
-        inside = plane.inside.astype(np.float32)
-        self._seen = np.maximum(self._local_sum(inside), np.float32(1e-3))
         self._diameter = 2 * np.array(plane.axes)
-        visible = self._correlate(inside, ring.astype(np.float32))
-        visible /= ring.sum()
-        # A part of a ring is scored by what shows of it. The correlation is short by the share that
-        # is hidden, its noise by the root of that: dividing by the root keeps the rate of chance
-        # candidates the same up to the fan's edge.
-        self._gain = np.where(
-            visible >= config.min_visible, np.maximum(visible, config.min_visible) ** -0.5, 0
-        ).astype(np.float32)
+        self._surroundings = Surroundings(plane)
+        self._detector: Detector
+        if config.detector == "edge":
+            self._detector = EdgeScore(config, plane)
+        else:
+            self._detector = RingScore(config, plane, landmarks, self._surroundings)
 
     def __call__(self, image: ByteImage) -> Selection:
         """Candidates in a working image (uint8, the plane's shape)."""
-        mean = self._fine(self._local_mean(cv2.bitwise_and(image, image, mask=self._inside)))
+        around = self._surroundings
+        mean = around.fine(around.mean(cv2.bitwise_and(image, image, mask=self._inside)))
         relief = np.subtract(image, mean, dtype=np.float32)
         relief *= self._inside
         # A black or even frame has no relief but that of rounding.
         sigma = float(np.sqrt(cv2.norm(relief, cv2.NORM_L2SQR) / self._cells))
         sigma = max(sigma, LEAST_SIGMA)
-        if self._config.detector == "edge":
-            score = self._edge_score(image)
-            # The tolerance makes plateaus; the middle of one is where the circle is, and its
-            # best pixel is what the circle scores.
-            size = 2 * self._config.edge_tolerance_px + 3
-            hill = np.asarray(cv2.GaussianBlur(score, (size, size), 0), np.float32)
-            best = cv2.dilate(score, np.ones((size, size), np.uint8))
-        else:
-            score = hill = best = self._ring_score(relief, sigma)
+        hills = self._detector(image, relief, sigma)
+        positions, scores = self._peaks(hills)
+        score = np.clip(hills.score, 0, 1, out=hills.score)
+        return Selection(score, positions, scores, mean, sigma)
+
+    def _peaks(self, hills: Hills) -> tuple[FloatArray, FloatArray]:
+        """(n, 2) tops that score enough, to a part of a pixel, and (n,) scores; best first."""
+        _, hill, best = hills
         top = (hill == cv2.dilate(hill, np.ones((3, 3), np.uint8))) & (
             best >= self._config.threshold
         )
@@ -97,8 +71,7 @@ class CandidateSelector:
         row, column = row[order], column[order]
         positions = _refine(hill, column, row)
         kept = self._apart(positions)
-        scores = np.minimum(best[row, column][kept], 1).astype(float)
-        return Selection(np.clip(score, 0, 1, out=score), positions[kept], scores, mean, sigma)
+        return positions[kept], np.minimum(best[row, column][kept], 1).astype(float)
 
     def _apart(self, positions: FloatArray) -> list[int]:
         """Indices of the peaks, best first, that no better one is too near to."""
@@ -112,59 +85,168 @@ class CandidateSelector:
             left[kept[-1]] = False  # also where separation is 0
         return kept
 
-    def _edge_score(self, image: ByteImage) -> npt.NDArray[np.float32]:
-        """Share of the outline's pixels that lie on or near an edge, per pixel."""
-        config = self._config
-        sigma = float(cv2.meanStdDev(image, mask=self._inside)[1][0, 0])
-        blurred = cv2.GaussianBlur(image, (config.blur_px | 1, config.blur_px | 1), 0)
-        edges = cv2.Canny(blurred, config.canny_low * sigma, config.canny_high * sigma)
-        edges = cv2.dilate(cv2.bitwise_and(edges, edges, mask=self._away), self._tolerance)
-        on_edge = (edges > 0).astype(np.float32)
-        return np.asarray(self._correlate(on_edge, self._kernel) * self._gain)
 
-    def _ring_score(self, relief: npt.NDArray[np.float32], sigma: float) -> npt.NDArray[np.float32]:
-        """Contrast of a bright ring over its surroundings, in shares of the full contrast.
+class Surroundings:
+    """Means over each pixel's surroundings, on a coarse grid.
 
-        relief: (rows, columns) grey level over that of the surroundings. sigma: its deviation.
-        """
-        # Never far below the whole frame's: an even patch must not turn its noise into rings.
-        least = (LEAST_LOCAL_SIGMA * sigma) ** 2
-        local = np.sqrt(np.maximum(self._local_mean(relief * relief), least))
-        score = self._correlate(relief, self._kernel)
-        score *= self._gain
-        score *= self._fine(1 / (self._config.ring_full_contrast * local))
-        return score
+    For they hardly change from one pixel to the next.
+    """
 
-    def _local_mean(self, values: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
-        """Mean of (rows, columns) values, 0 outside the fan, over each pixel's surroundings.
+    def __init__(self, plane: Plane) -> None:
+        size = 4 * _reach(plane) // COARSE + 1
+        self._size = (size, size)
+        self._shape = plane.inside.shape
+        self._seen = np.maximum(self._sum(plane.inside.astype(np.float32)), np.float32(1e-3))
 
-        On a coarse grid, for it hardly changes from one pixel to the next.
-        """
-        return np.asarray(self._local_sum(values) / self._seen, np.float32)
+    def mean(self, values: npt.NDArray[Any]) -> FloatImage:
+        """Of (rows, columns) values, 0 outside the fan: their mean, on the coarse grid."""
+        return np.asarray(self._sum(values) / self._seen, np.float32)
 
-    def _local_sum(self, values: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+    def fine(self, coarse: FloatArray) -> FloatImage:
+        """(rows, columns) of values on the coarse grid."""
+        size = (coarse.shape[1] * COARSE, coarse.shape[0] * COARSE)
+        rows, columns = self._shape
+        fine = cv2.resize(coarse, size, interpolation=cv2.INTER_LINEAR)
+        return np.asarray(fine[:rows, :columns], np.float32)
+
+    def _sum(self, values: npt.NDArray[Any]) -> FloatImage:
         """Sum over each pixel's surroundings, in units of their size, on a grid of whole blocks."""
         rows, columns = (-side % COARSE for side in values.shape)
         whole = cv2.copyMakeBorder(values, 0, rows, 0, columns, cv2.BORDER_CONSTANT, value=0)
         size = (whole.shape[1] // COARSE, whole.shape[0] // COARSE)
         coarse = cv2.resize(whole, size, interpolation=cv2.INTER_AREA).astype(np.float32)
-        return np.asarray(
-            cv2.blur(coarse, self._background, borderType=cv2.BORDER_CONSTANT), np.float32
+        return np.asarray(cv2.blur(coarse, self._size, borderType=cv2.BORDER_CONSTANT), np.float32)
+
+
+class Hills(NamedTuple):
+    """What a detector makes of a frame; each (rows, columns) float32."""
+
+    score: FloatImage
+    """Of a disc centred on each pixel."""
+    hill: FloatImage
+    """Whose tops are the candidates."""
+    best: FloatImage
+    """What a candidate scores whose top is there."""
+
+
+class Detector(Protocol):
+    """How well a landmark's circle fits at every pixel."""
+
+    def __call__(self, image: ByteImage, relief: FloatImage, sigma: float) -> Hills:
+        """Of a working image.
+
+        relief: (rows, columns) grey level over that of the surroundings. sigma: its deviation.
+        """
+        ...
+
+
+class EdgeScore:
+    """The paper's: the share of the outline's pixels that lie on or near an edge."""
+
+    def __init__(self, config: Candidates, plane: Plane) -> None:
+        self._config = config
+        self._inside = plane.inside
+        radius, pixel = _radii(plane)
+        outline = np.abs(radius - 1) < 0.5 * pixel
+        self._kernel = (outline / outline.sum()).astype(np.float32)
+        self._gain = _gain(plane, outline.astype(float), config.min_visible)
+        # The fan's own edge is an edge too, and so is what the blur makes of it.
+        border = config.blur_px // 2 + 1
+        self._away = cv2.erode(plane.inside, np.ones((2 * border + 1,) * 2, np.uint8))
+        self._tolerance = np.ones((2 * config.edge_tolerance_px + 1,) * 2, np.uint8)
+
+    def __call__(
+        self,
+        image: ByteImage,
+        relief: FloatImage,  # noqa: ARG002
+        sigma: float,  # noqa: ARG002
+    ) -> Hills:
+        """Edges are found in the grey levels themselves."""
+        config = self._config
+        grey_sigma = float(cv2.meanStdDev(image, mask=self._inside)[1][0, 0])
+        blurred = cv2.GaussianBlur(image, (config.blur_px | 1, config.blur_px | 1), 0)
+        edges = cv2.Canny(blurred, config.canny_low * grey_sigma, config.canny_high * grey_sigma)
+        edges = cv2.dilate(cv2.bitwise_and(edges, edges, mask=self._away), self._tolerance)
+        on_edge = (edges > 0).astype(np.float32)
+        score = np.asarray(_correlate(on_edge, self._kernel) * self._gain)
+        # The tolerance makes plateaus; the middle of one is where the circle is, and its best
+        # pixel is what the circle scores.
+        size = 2 * config.edge_tolerance_px + 3
+        hill = np.asarray(cv2.GaussianBlur(score, (size, size), 0), np.float32)
+        best = np.asarray(cv2.dilate(score, np.ones((size, size), np.uint8)), np.float32)
+        return Hills(score, hill, best)
+
+
+class RingScore:
+    """The default: contrast of a bright ring over its surroundings, 1 for the full contrast."""
+
+    def __init__(
+        self,
+        config: Candidates,
+        plane: Plane,
+        landmarks: LandmarkSet,
+        surroundings: Surroundings,
+    ) -> None:
+        self._full_contrast = config.ring_full_contrast
+        self._surroundings = surroundings
+        radius, pixel = _radii(plane)
+        ring = _band(radius, landmarks.ring, pixel)
+        gap = _band(
+            radius, (landmarks.symbol[1] + GAP_MARGIN, landmarks.ring[0] - GAP_MARGIN), pixel
         )
+        outside = _band(radius, OUTSIDE, pixel)
+        self._kernel = (
+            ring / ring.sum() - 0.5 * gap / gap.sum() - 0.5 * outside / outside.sum()
+        ).astype(np.float32)
+        self._gain = _gain(plane, ring, config.min_visible)
 
-    def _fine(self, coarse: FloatArray) -> npt.NDArray[np.float32]:
-        """(rows, columns) of values on the coarse grid."""
-        size = (coarse.shape[1] * COARSE, coarse.shape[0] * COARSE)
-        rows, columns = self._inside.shape
-        fine = cv2.resize(coarse, size, interpolation=cv2.INTER_LINEAR)
-        return np.asarray(fine[:rows, :columns], np.float32)
+    def __call__(
+        self,
+        image: ByteImage,  # noqa: ARG002
+        relief: FloatImage,
+        sigma: float,
+    ) -> Hills:
+        """Contrast is counted in what the relief varies by about each place."""
+        # Never far below the whole frame's: an even patch must not turn its noise into rings.
+        least = (LEAST_LOCAL_SIGMA * sigma) ** 2
+        local = np.sqrt(np.maximum(self._surroundings.mean(relief * relief), least))
+        score = _correlate(relief, self._kernel)
+        score *= self._gain
+        score *= self._surroundings.fine(1 / (self._full_contrast * local))
+        return Hills(score, score, score)
 
-    def _correlate(
-        self, image: npt.NDArray[np.float32], kernel: npt.NDArray[np.float32]
-    ) -> npt.NDArray[np.float32]:
-        m = self._margin
-        padded = cv2.copyMakeBorder(image, m, m, m, m, cv2.BORDER_CONSTANT, value=0)
-        return cv2.matchTemplate(padded, kernel, cv2.TM_CCORR)  # type: ignore[return-value]
+
+def _reach(plane: Plane) -> int:
+    """How far from its centre a disc and the floor round it are looked at, in pixels."""
+    return int(np.ceil(max(plane.axes) * OUTSIDE[1]))
+
+
+def _radii(plane: Plane) -> tuple[FloatArray, float]:
+    """Distance of each pixel of a kernel from its middle, and the size of one, in disc radii."""
+    across, along = plane.axes
+    reach = _reach(plane)
+    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1].astype(float)
+    return np.hypot(x / across, y / along), 1 / min(across, along)
+
+
+def _gain(plane: Plane, ring: FloatArray, least: float) -> FloatImage:
+    """(rows, columns) what a score counts where a part of the ring lies outside the fan.
+
+    ring: weights of a kernel's pixels. least: 0 where less than this share of it shows.
+    """
+    visible = _correlate(plane.inside.astype(np.float32), ring.astype(np.float32))
+    visible /= ring.sum()
+    # A part of a ring is scored by what shows of it. The correlation is short by the share that
+    # is hidden, its noise by the root of that: dividing by the root keeps the rate of chance
+    # candidates the same up to the fan's edge.
+    return np.where(visible >= least, np.maximum(visible, least) ** -0.5, 0).astype(np.float32)
+
+
+def _correlate(image: FloatImage, kernel: FloatImage) -> FloatImage:
+    """(rows, columns) of the image with a kernel centred on each pixel; 0 beyond the image."""
+    m = kernel.shape[0] // 2
+    padded = cv2.copyMakeBorder(image, m, m, m, m, cv2.BORDER_CONSTANT, value=0)
+    return cv2.matchTemplate(padded, kernel, cv2.TM_CCORR)  # type: ignore[return-value]
 
 
 def _band(radius: FloatArray, band: tuple[float, float], pixel: float) -> FloatArray:

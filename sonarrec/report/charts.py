@@ -1,5 +1,8 @@
 """Charts as SVG paths and tick labels; colours, sizes and fonts are the style sheet's.
 
+By hand: a chart library's SVG carries its own fonts, colours and size, ten times the bytes, or a
+script, and the page has none.
+
 Paths are drawn on a sheet of WIDTH x HEIGHT that the page stretches to any size, with strokes
 that keep their width; tick labels are text beside it. So charts stay legible on any screen.
 """
@@ -12,8 +15,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
-from sonarrec.evaluation.curves import PUBLISHED
 from sonarrec.evaluation.reliability import Reliability
+from sonarrec.evaluation.roc import roc as evaluation_roc
 from sonarrec.evaluation.scoring import Scored
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.records import FloatArray, IntArray
@@ -193,30 +196,22 @@ def timeline(log: ReportedLog) -> list[tuple[int, list[Lane]]]:
 
 
 def roc(scored: Sequence[Scored], k: int | None = None) -> Chart:
-    """The ROC of each method under one protocol: of the k-th ID, or over all IDs.
-
-    The FPR axis ends a little beyond the worst operating point, at 0.1 or more: what lies to the
-    right of it is no place to work at.
-    """
-    points = [s.count(k) for s in scored]
-    worst = max((p.fpr for p in points if np.isfinite(p.fpr)), default=0.0)
-    axis = Axis(0.0, min(1.0, max(0.1, float(np.ceil(13 * worst)) / 10)))
-    shapes, dots, told = [], [], []
-    for n, (s, point) in enumerate(zip(scored, points, strict=True)):
-        curve = s.curve(k)
-        at = curve.turns(2 * MOST_POINTS)
-        line = polyline(axis.share(curve.fpr[at]), curve.tpr[at])
-        shapes.append(Shape(line, n, f"line style-{n % STYLES}", s.method))
-        label = f"{s.method} at its operating point: TPR {point.tpr:.4f}, FPR {point.fpr:.4f}"
-        told.append(label)
-        if np.isfinite(point.tpr) and np.isfinite(point.fpr):
-            dots.append(Dot(100 * float(axis.share(point.fpr)), 100 * point.tpr, label, n))
-    if k is None and all(s.protocol == "paper" for s in scored):
-        for name, fpr, tpr in PUBLISHED:
-            label = f"published {name}: TPR {tpr:.4f}, FPR {fpr:.4f}"
-            told.append(label)
-            dots.append(Dot(100 * float(axis.share(fpr)), 100 * tpr, label, None, name))
-    return Chart("; ".join(told), shapes, axis.ticks(5), UNIT.ticks(5), dots)
+    """The ROC of each method under one protocol: of the k-th ID, or over all IDs."""
+    shown = evaluation_roc(scored, k, 2 * MOST_POINTS)
+    axis = Axis(0.0, shown.fpr_end)
+    shapes = [
+        Shape(polyline(axis.share(x.fpr), x.tpr), n, f"line style-{n % STYLES}", x.method)
+        for n, x in enumerate(shown.lines)
+    ]
+    points = [(line.at, n, "dot") for n, line in enumerate(shown.lines)]
+    marks = [*points, *((point, None, point.name) for point in shown.published)]
+    dots = [
+        Dot(100 * float(axis.share(point.fpr)), 100 * point.tpr, point.label, colour, kind)
+        for point, colour, kind in marks
+        if np.isfinite([point.fpr, point.tpr]).all()
+    ]
+    told = "; ".join(point.label for point, _, _ in marks)
+    return Chart(told, shapes, axis.ticks(5), UNIT.ticks(5), dots)
 
 
 def reliability(found: Reliability, method: int) -> Chart:
@@ -260,7 +255,7 @@ class TrackPanel:
 def track_axis(log: ReportedLog, track: Track) -> Axis:
     """From the track's first frame to its last, half a frame more at both ends."""
     _, period = time_axis(log)
-    time = log.time[track.row]
+    time = log.time[track.frame_index]
     return Axis(float(time[0]) - period / 2, float(time[-1]) + period / 2)
 
 
@@ -281,10 +276,10 @@ def _panel(log: ReportedLog, track: Track, method: str, at: IntArray) -> TrackPa
     axis = track_axis(log, track)
     _, period = time_axis(log)
     # One place per frame of the log, so that a line breaks where the object was not seen.
-    rows = np.arange(track.row[0], track.row[-1] + 1)
+    rows = np.arange(track.frame_index[0], track.frame_index[-1] + 1)
     seen = at >= 0
     belief = np.full((len(rows), found.probability.shape[1]), np.nan)
-    belief[track.row[seen] - rows[0]] = found.probability[at[seen]]
+    belief[track.frame_index[seen] - rows[0]] = found.probability[at[seen]]
     x = axis.share(log.time[rows])
     shapes, told = [], []
     for k in [belief.shape[1] - 1, *range(belief.shape[1] - 1)]:
@@ -301,7 +296,7 @@ def _panel(log: ReportedLog, track: Track, method: str, at: IntArray) -> TrackPa
         claims = np.zeros(len(rows))
         mine = seen.copy()
         mine[seen] = found.declared[at[seen]] & (found.landmark[at[seen]] == k)
-        claims[track.row[mine] - rows[0]] = 1
+        claims[track.frame_index[mine] - rows[0]] = 1
         if mine.any():
             strip.append(Shape(bars(axis, log.time[rows] - period / 2, period, claims), k, "bar"))
     count = int(seen.sum())
@@ -325,7 +320,11 @@ def truth_strip(log: ReportedLog, track: Track) -> Chart | None:
     _, period = time_axis(log)
     beneath = log.truth_near[track.at]
     shapes = [
-        Shape(bars(axis, log.time[track.row] - period / 2, period, (beneath == k) * 1.0), k, "bar")
+        Shape(
+            bars(axis, log.time[track.frame_index] - period / 2, period, (beneath == k) * 1.0),
+            k,
+            "bar",
+        )
         for k in np.unique(beneath[beneath >= 0]).tolist()
     ]
     return Chart("the landmark that truly lies here", shapes)

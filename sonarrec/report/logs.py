@@ -21,25 +21,25 @@ from sonarrec.truth.table import TruthTable
 
 @dataclass(frozen=True, slots=True)
 class ReportedLog:
-    """One log's results and, where it is known, its truth. N estimates over F frames.
-
-    folder: where the results are. tracker: the method that the page follows. run: run.toml as
-    tables, {} without. time: (F,) seconds since the first frame, or frame numbers where no times
-    are given; clock says which ("s" or "frame").
-    truth_near: (N,) index into the IDs of the truth nearest to each estimate, -1 where none lies
-    within half a disc diameter; None without truth or positions.
-    in_view: (F, K) which landmarks count as in view; None without truth.
-    """
+    """One log's results and, where it is known, its truth. N estimates over F frames."""
 
     folder: Path
+    """Of the results."""
     results: LogResults
     tracker: str
+    """The method that the page follows."""
     truth: Truth | None
     run: dict[str, Any]
+    """run.toml as tables, {} without."""
     time: FloatArray
+    """(F,) seconds since the first frame, or frame numbers where no times are given."""
     clock: str
+    """Which of them: "s" or "frame"."""
     truth_near: IntArray | None
+    """(N,) into the IDs: of the truth nearest to each estimate, -1 where none lies within half a
+    disc diameter; None without truth or positions."""
     in_view: BoolArray | None
+    """(F, K) which landmarks count as in view; None without truth."""
 
     def of_method(self, name: str) -> BoolArray:
         """(N,) which estimates are the method's."""
@@ -50,36 +50,36 @@ class ReportedLog:
 
 @dataclass(frozen=True, slots=True)
 class Sighting:
-    """One landmark as one track declared it.
-
-    landmark: ID. track: number, None for a method without tracks. first, last: index into the
-    log's frames. claims: frames in which it was declared. best, mean: score of those. surest:
-    frame number of the best.
-    right: how many of the claims have that ID's truth beneath them; None where unknown.
-    """
+    """One landmark as one track declared it."""
 
     landmark: int
+    """ID."""
     track: int | None
-    first: int
-    last: int
+    """Number, None for a method without tracks."""
+    first_frame_index: int
+    last_frame_index: int
+    """Into the log's frames."""
     claims: int
+    """Frames in which it was declared."""
     best: float
     mean: float
+    """Score of those."""
     surest: int
+    """Frame number of the best."""
     right: int | None
+    """How many of the claims have that ID's truth beneath them; None where unknown."""
 
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """One object followed by the tracker.
-
-    number: its name in estimates.csv. at: (n,) its estimates, in frame order. row: (n,) index
-    into the log's frames, rising.
-    """
+    """One object followed by the tracker."""
 
     number: int
+    """Its name in estimates.csv."""
     at: IntArray
-    row: IntArray
+    """(n,) its estimates, in frame order."""
+    frame_index: IntArray
+    """(n,) into the log's frames, rising."""
 
 
 def read_logs(
@@ -138,7 +138,7 @@ def _reported(
     if truth is not None:
         in_view = np.zeros((len(log.frame), len(log.landmarks.ids)), dtype=bool)
         whole = truth.visible >= min_visible
-        in_view[truth.row[whole], truth.landmark[whole]] = True
+        in_view[truth.frame_index[whole], truth.landmark_index[whole]] = True
     return ReportedLog(
         folder=folder,
         results=log,
@@ -157,9 +157,9 @@ def _truth_near(log: LogResults, truth: Truth, min_visible: float) -> IntArray |
     if not joined.placed:
         return None
     every = np.arange(len(log.row))
-    nearest = nearest_truth(joined, every, joined.claim_frame, joined.truth_frame)
+    nearest = nearest_truth(joined, every, joined.claim_frame_index, joined.truth_frame_index)
     near = np.full(len(every), -1, dtype=np.int64)
-    near[nearest >= 0] = truth.landmark[nearest[nearest >= 0]]
+    near[nearest >= 0] = truth.landmark_index[nearest[nearest >= 0]]
     return near
 
 
@@ -190,8 +190,8 @@ def sightings(log: ReportedLog) -> list[Sighting]:
         Sighting(
             landmark=found.landmarks.ids[row.landmark],
             track=int(row.track) if tracked else None,
-            first=int(row.first),
-            last=int(row.last),
+            first_frame_index=int(row.first),
+            last_frame_index=int(row.last),
             claims=int(row.claims),
             best=float(row.best),
             mean=float(row.mean),
@@ -223,7 +223,7 @@ def tracks(log: ReportedLog, most: int) -> tuple[list[Track], int]:
         at = mine[which == n]
         at = at[np.unique(found.row[at], return_index=True)[1]]
         shown.append(Track(int(numbers[n]), at, found.row[at]))
-    shown.sort(key=lambda track: (int(track.row[0]), track.number))
+    shown.sort(key=lambda track: (int(track.frame_index[0]), track.number))
     return shown, len(numbers)
 
 
@@ -236,8 +236,8 @@ def alongside(log: ReportedLog, track: Track, method: str) -> IntArray:
     matched = np.full(len(track.at), -1, dtype=np.int64)
     if found.position is None:
         return matched
-    other = np.flatnonzero(log.of_method(method) & np.isin(found.row, track.row))
-    beside = np.searchsorted(track.row, found.row[other])
+    other = np.flatnonzero(log.of_method(method) & np.isin(found.row, track.frame_index))
+    beside = np.searchsorted(track.frame_index, found.row[other])
     away = np.linalg.norm(found.position[other] - found.position[track.at[beside]], axis=1)
     order = np.argsort(-away, kind="stable")
     order = order[away[order] <= found.landmarks.radius_m]

@@ -10,6 +10,7 @@ import pandas as pd
 from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.evaluation.joined import Joined, nearest_truth
 from sonarrec.evaluation.scoring import Scored
+from sonarrec.records import IntArray
 
 GAP = 4
 """Frames without the mistake that do not yet end an episode: neighbouring frames are alike."""
@@ -17,25 +18,25 @@ GAP = 4
 
 @dataclass(frozen=True, slots=True)
 class Episode:
-    """One mistake over neighbouring frames, as one method made it.
-
-    kind: "claim" (declared where it is not) or "miss" (in view and not declared). landmark: the
-    ID claimed or missed. log: name. first, last, worst: frame numbers. count: mistakes in it.
-    wrongness: of the worst frame, 0 to 1; of a claim its score, of a miss 1 - the best score that
-    the method gave that ID in that frame. which: index into Joined of that claim, or of the
-    truth that was missed.
-    """
+    """One mistake over neighbouring frames, as one method made it."""
 
     method: str
     kind: str
+    """Either "claim" (declared where it is not) or "miss" (in view and not declared)."""
     landmark: int
+    """The ID claimed or missed."""
     log: str
     first: int
     last: int
     worst: int
+    """Frame numbers."""
     count: int
+    """Mistakes in it."""
     wrongness: float
+    """Of the worst frame, 0 to 1; of a claim its score, of a miss 1 - the best score that the
+    method gave that ID in that frame."""
     which: int
+    """Of Joined's: that claim, or the truth that was missed."""
 
 
 def protocol_of_mistakes(evaluation: Evaluation) -> str:
@@ -53,7 +54,7 @@ def episodes(evaluation: Evaluation, method: str) -> list[Episode]:
     protocol = protocol_of_mistakes(evaluation)
     scored = next(s for s in evaluation.scored if (s.method, s.protocol) == (method, protocol))
     wrong = pd.concat([_false_claims(scored), _misses(joined, scored)], ignore_index=True)
-    wrong["log"] = joined.log[wrong["at"]]
+    wrong["log"] = joined.log_index[wrong["at"]]
     wrong = wrong.sort_values(["kind", "landmark", "log", "at"], kind="stable")
     gap = wrong.groupby(["kind", "landmark", "log"], sort=False)["at"].diff()
     wrong["episode"] = (~(gap <= GAP + 1)).cumsum()  # the first of a group has no gap before it
@@ -86,8 +87,8 @@ def _false_claims(scored: Scored) -> pd.DataFrame:
     return pd.DataFrame(
         {
             "kind": "claim",
-            "at": scored.frame[false],
-            "landmark": scored.landmark[false],
+            "at": scored.frame_index[false],
+            "landmark": scored.landmark_index[false],
             "wrongness": scored.score[false],
             "which": scored.claim[false],
         }
@@ -100,10 +101,10 @@ def _misses(joined: Joined, scored: Scored) -> pd.DataFrame:
     missed = np.setdiff1d(scored.positive, found)
     ids = len(joined.ids)
     best = np.zeros(len(joined.frame) * ids)
-    mine = joined.method == joined.methods.index(scored.method)
-    cell = joined.claim_frame[mine] * ids + joined.claim_landmark[mine]
+    mine = joined.method_index == joined.methods.index(scored.method)
+    cell = joined.claim_frame_index[mine] * ids + joined.claim_landmark_index[mine]
     np.maximum.at(best, cell, joined.score[mine])
-    at, landmark = joined.truth_frame[missed], joined.truth_landmark[missed]
+    at, landmark = joined.truth_frame_index[missed], joined.truth_landmark_index[missed]
     return pd.DataFrame(
         {
             "kind": "miss",
@@ -122,24 +123,29 @@ def told(episode: Episode, joined: Joined) -> str:
         if not joined.placed:
             return f"{sentence} while it is not in view"
         claim = np.array([episode.which])
-        truth = nearest_truth(joined, claim, joined.claim_frame[claim], joined.truth_frame)[0]
+        (truth,) = _beneath(joined, claim)
         if truth < 0:
             return f"{sentence} where no landmark lies"
-        beneath = joined.ids[joined.truth_landmark[truth]]
+        beneath = joined.ids[joined.truth_landmark_index[truth]]
         if beneath == episode.landmark:
             return f"{sentence} a second time on the same landmark"
         return f"{sentence} on what is ID.{beneath}"
     sentence = f"ID.{episode.landmark} in view and not declared"
     if not joined.placed:
         return sentence
-    mine = joined.method == joined.methods.index(episode.method)
-    here = np.flatnonzero(mine & (joined.claim_frame == joined.truth_frame[episode.which]))
-    truth = nearest_truth(joined, here, joined.claim_frame[here], joined.truth_frame)
-    here = here[truth == episode.which]
+    mine = joined.method_index == joined.methods.index(episode.method)
+    frame_index = joined.truth_frame_index[episode.which]
+    here = np.flatnonzero(mine & (joined.claim_frame_index == frame_index))
+    here = here[_beneath(joined, here) == episode.which]
     if not len(here):
         return f"{sentence}: nothing found there"
     best = here[np.argmax(joined.score[here])]
-    name, score = joined.ids[joined.claim_landmark[best]], joined.score[best]
+    name, score = joined.ids[joined.claim_landmark_index[best]], joined.score[best]
     if joined.declared[best]:
         return f"{sentence}: called ID.{name} ({score:.2f})"
     return f"{sentence}: best guess ID.{name} ({score:.2f})"
+
+
+def _beneath(joined: Joined, claims: IntArray) -> IntArray:
+    """(n,) the truth beneath each of the claims, -1 where there is none."""
+    return nearest_truth(joined, claims, joined.claim_frame_index[claims], joined.truth_frame_index)

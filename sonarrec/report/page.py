@@ -17,7 +17,7 @@ from sonarrec.evaluation import cells
 from sonarrec.evaluation.curves import Count
 from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.evaluation.plots import COLOURS
-from sonarrec.evaluation.summary import KINDS, summarise
+from sonarrec.evaluation.summary import UNITS, summarise
 from sonarrec.evaluation.uncertainty import LEVEL
 from sonarrec.report import charts
 from sonarrec.report.logs import ReportedLog, Sighting, Track, sightings, tracks, true_landmark
@@ -152,25 +152,26 @@ def render(
 
 
 def _scores(tracker: str, evaluation: Evaluation) -> Scores:
-    summary = summarise(evaluation)
-    tables = [cells.paper_table(s) for s in evaluation.scored]
+    summary, joined = summarise(evaluation), evaluation.joined
+    protocols = cells.protocols(evaluation)
+    tables = [cells.paper_table(s, thousands=",") for s in evaluation.scored]
     return Scores(
-        protocols=cells.protocols(evaluation),
+        protocols=protocols,
         rates=cells.rates(evaluation, summary),
         rates_per_log=cells.rates_per_log(evaluation),
-        units=f"{summary.units.count} {KINDS[summary.units.kind]}",
+        units=f"{summary.units.count} {UNITS[summary.units.kind]}",
         level=f"{LEVEL:.0%}",
-        others=cells.figures(evaluation, summary),
-        tested=cells.TESTED_LABELS,
-        differences=cells.differences(evaluation, summary),
+        others=cells.figures(summary, protocols[0], joined.methods, beside=cells.HEADLINE),
+        tested=[metric.label for metric in cells.TESTED],
+        differences=cells.differences(summary, protocols[0]),
         notes=[*evaluation.notes, *summary.notes],
         tables=tables,
         starred=any("*" in cell for table in tables for _, row in table.rows for cell in row),
         curves=_curves(evaluation),
         reliability=[
-            (r.method, charts.reliability(r, evaluation.joined.methods.index(r.method)))
+            (r.method, charts.reliability(r, joined.methods.index(r.method)))
             for r in summary.reliability
-            if r.landmark == "top"
+            if r.landmark_text == "top"
         ],
         mistakes=_mistakes(tracker, evaluation),
     )
@@ -227,7 +228,7 @@ def _track_view(log: ReportedLog, track: Track) -> TrackView:
         count = int((found.declared[track.at] & (found.landmark[track.at] == k)).sum())
         if count:
             claims.append(f"ID.{ids[k]} in {count} of {len(track.at)} frames")
-    first, last = int(track.row[0]), int(track.row[-1])
+    first, last = int(track.frame_index[0]), int(track.frame_index[-1])
     return TrackView(
         track=track,
         claims=", ".join(claims),

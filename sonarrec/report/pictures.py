@@ -13,6 +13,7 @@ from sonarrec.drawing import Mark, draw_frame
 from sonarrec.readers.log import Log
 from sonarrec.records import Estimate, Fan, Frame, SonarrecError
 from sonarrec.report.logs import ReportedLog
+from sonarrec.results.run_file import check_same
 from sonarrec.results.stream import read_estimates
 
 LARGEST = 640  # pixels of the longer side; draw_frame lays its text out for this
@@ -51,7 +52,7 @@ def draw(log: Log, reported: ReportedLog, wanted: Sequence[Wanted]) -> dict[Want
     Raises SonarrecError where this is not the log that the results came from, or where it does
     not hold a wanted frame.
     """
-    _check_source(log, reported)
+    check_same(log, reported.folder, reported.run)
     numbers = {w.frame for w in wanted}
     pictures: dict[Wanted, Picture] = {}
     said: dict[str, dict[int, tuple[Estimate, ...]]] = {}
@@ -78,16 +79,6 @@ def draw(log: Log, reported: ReportedLog, wanted: Sequence[Wanted]) -> dict[Want
     return pictures
 
 
-def _check_source(log: Log, reported: ReportedLog) -> None:
-    """Frames of another log would be pictures of something else."""
-    stated = reported.run.get("input", {}).get("sha256")
-    if stated is not None and log.digest_source()[1] != stated:
-        raise SonarrecError(
-            f"{log.path}: not the log that {reported.folder} came from (its SHA-256 is not that "
-            "of run.toml); give that one, or none for a report without frames"
-        )
-
-
 def _estimates(
     reported: ReportedLog, method: str, numbers: set[int], fan: Fan
 ) -> dict[int, tuple[Estimate, ...]]:
@@ -98,20 +89,13 @@ def _estimates(
 
 def _marks(reported: ReportedLog, frame: Frame) -> list[Mark]:
     """The landmarks of which anything shows in the frame, where truth says where."""
-    truth, found, fan = reported.truth, reported.results, frame.fan
-    if truth is None or truth.position is None:
+    truth, found = reported.truth, reported.results
+    place = None if truth is None else truth.pixels(frame.fan)
+    if truth is None or place is None:
         return []
-    here = found.frame[truth.row] == frame.index
-    return [
-        Mark(
-            found.landmarks.ids[k],
-            fan.apex_column + right / fan.metres_per_pixel,
-            fan.apex_row - ahead / fan.metres_per_pixel,
-        )
-        for k, (right, ahead) in zip(
-            truth.landmark[here].tolist(), truth.position[here].tolist(), strict=True
-        )
-    ]
+    here = np.flatnonzero(found.frame[truth.frame_index] == frame.index)
+    ids = found.landmarks.ids
+    return [Mark(ids[truth.landmark_index[n]], *place[n].tolist()) for n in here]
 
 
 def _picture(

@@ -79,7 +79,7 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
     if landmarks is not None or "landmarks" not in run:
         landmark_set = load_landmarks(landmarks or "basin")
     else:
-        landmark_set = landmarks_from_table(run["landmarks"], str(folder / "run.toml"))
+        landmark_set = landmarks_from_table(run["landmarks"], f"{folder / 'run.toml'}: [landmarks]")
     fan = fan_of_run(run, folder / "run.toml", sonar)
 
     path = folder / "frames.csv"

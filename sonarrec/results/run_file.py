@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -13,7 +12,8 @@ from sonarrec import __version__, config
 from sonarrec.geometry import fan_for_image
 from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
 from sonarrec.records import Clock, Fan, SonarrecError, UsageError
-from sonarrec.sonar import Sonar, check_sonar, sonar_from_table
+from sonarrec.sonar import Sonar, sonar_from_table
+from sonarrec.toml import Count, checked, read_toml, types_of
 
 
 def run_table(
@@ -61,14 +61,42 @@ def run_table(
     }
 
 
+_SHAPES: dict[str, Any] = {
+    **dict.fromkeys(("program", "input", "sonar", "fan", "landmarks", "odometry", "model"), dict),
+    "config": dict | list[dict[str, Any]],
+}
+_INPUT: dict[str, Any] = {
+    **dict.fromkeys(("name", "sha256", "topic"), str),
+    "bytes": Count,
+    "time": Clock,
+    "problems": tuple[str, ...],
+}
+_PROGRAM: dict[str, Any] = {"methods": tuple[str, ...]}
+
+
 def read_run(path: Path) -> dict[str, Any]:
-    """run.toml as a table, {} where it is missing or empty."""
+    """run.toml as a table, {} where it is missing or empty.
+
+    Raises SonarrecError where it cannot be read, or what sonarrec uses of it cannot be meant; of
+    a later version's keys nothing is said.
+    """
     if not path.is_file():
         return {}
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise SonarrecError(f"{path}: not a readable TOML file ({error})") from None
+    run = read_toml(path)
+    for name, wanted in _SHAPES.items():
+        if name in run:
+            checked(run[name], wanted, f"{path}: {name}")
+    geometry = types_of(Sonar)
+    for name, known in (
+        ("program", _PROGRAM),
+        ("input", _INPUT),
+        ("odometry", _INPUT),
+        ("sonar", geometry),
+        ("fan", geometry),
+    ):
+        for key in known.keys() & run.get(name, {}).keys():
+            checked(run[name][key], known[key], f"{path}: {name}.{key}")
+    return run
 
 
 def fan_of_run(run: dict[str, Any], path: Path, given: Sonar | None) -> Fan | None:
@@ -81,9 +109,9 @@ def fan_of_run(run: dict[str, Any], path: Path, given: Sonar | None) -> Fan | No
     sonar = sonar_from_table(table, str(path)).updated(given or Sonar())
     if sonar.metres_per_pixel is None or sonar.apex_px is None:
         return None
-    check_sonar(sonar, str(path) if run else "command line")
+    geometry = sonar.complete(str(path) if run else "command line")
     # Scale and apex are stated, so the image's size does not enter the conversion.
-    return fan_for_image(sonar, rows=1, columns=1)
+    return fan_for_image(geometry, rows=1, columns=1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,9 +150,7 @@ def lay_under(
     settings file has none of the tables and changes nothing. Raises SonarrecError for tables that
     cannot be used, UsageError where the earlier run had a table of poses that is not given again.
     """
-    run: dict[str, Any] = {}
-    if earlier_run is not None:
-        run = tomllib.loads(earlier_run.read_text(encoding="utf-8"))
+    run = {} if earlier_run is None else read_run(earlier_run)
     landmark_set, sonar = as_run(run, str(earlier_run), landmarks, sonar, sonar_file)
     same_log = run.get("input", {}).get("name") == log
     read_as = run["input"] if same_log else {}
@@ -161,7 +187,7 @@ def as_run(
     if "sonar" in run and sonar_file is None:
         sonar = sonar_from_table(run["sonar"], where).updated(sonar)
     if landmarks is None and "landmarks" in run:
-        return landmarks_from_table(run["landmarks"], where), sonar
+        return landmarks_from_table(run["landmarks"], f"{where}: [landmarks]"), sonar
     return load_landmarks(landmarks or "basin"), sonar
 
 

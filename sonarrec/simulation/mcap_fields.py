@@ -9,14 +9,14 @@ import cv2
 import numpy as np
 
 from sonarrec.geometry import beam_bearings, bin_ranges
-from sonarrec.sonar import Sonar
+from sonarrec.sonar import Geometry
 
 FRAME_ID = "sonar"
 SOUND_SPEED = 1500.0  # m/s
 FREQUENCY = 1_800_000.0  # Hz
 
-MakeFields = Callable[[int, np.ndarray, Sonar], dict[str, Any]]
-"""Time in ns, image and geometry to the fields of a message."""
+MakeFields = Callable[[int, np.ndarray, Any], dict[str, Any]]
+"""Time in ns, image and geometry (a polar ping's; else None) to the fields of a message."""
 
 
 def _clock(timestamp_ns: int) -> dict[str, int]:
@@ -41,12 +41,14 @@ def _png(image: np.ndarray) -> bytes:
     return cv2.imencode(".png", image)[1].tobytes()
 
 
-def ros_image(timestamp_ns: int, image: np.ndarray, _: Sonar) -> dict[str, Any]:
+def ros_image(timestamp_ns: int, image: np.ndarray, _: Geometry | None) -> dict[str, Any]:
     """sensor_msgs/Image."""
     return {"header": _header(timestamp_ns), **_pixels(image), "is_bigendian": 0}
 
 
-def ros_compressed_image(timestamp_ns: int, image: np.ndarray, _: Sonar) -> dict[str, Any]:
+def ros_compressed_image(
+    timestamp_ns: int, image: np.ndarray, _: Geometry | None
+) -> dict[str, Any]:
     """sensor_msgs/CompressedImage, as image_transport names its format."""
     kind = _pixels(image)["encoding"]
     return {
@@ -56,12 +58,14 @@ def ros_compressed_image(timestamp_ns: int, image: np.ndarray, _: Sonar) -> dict
     }
 
 
-def foxglove_image(timestamp_ns: int, image: np.ndarray, _: Sonar) -> dict[str, Any]:
+def foxglove_image(timestamp_ns: int, image: np.ndarray, _: Geometry | None) -> dict[str, Any]:
     """foxglove.RawImage."""
     return {"timestamp": _clock(timestamp_ns), "frame_id": FRAME_ID, **_pixels(image)}
 
 
-def foxglove_compressed_image(timestamp_ns: int, image: np.ndarray, _: Sonar) -> dict[str, Any]:
+def foxglove_compressed_image(
+    timestamp_ns: int, image: np.ndarray, _: Geometry | None
+) -> dict[str, Any]:
     """foxglove.CompressedImage."""
     return {
         "timestamp": _clock(timestamp_ns),
@@ -77,7 +81,7 @@ def with_clock(
     nanoseconds: str,
     timestamp_ns: int,
     image: np.ndarray,
-    sonar: Sonar,
+    sonar: Geometry,
 ) -> dict[str, Any]:
     """The fields of a foxglove message, with its time as another encoding names it."""
     clock = dict(zip((seconds, nanoseconds), divmod(timestamp_ns, 1_000_000_000), strict=True))
@@ -103,7 +107,7 @@ def _samples(image: np.ndarray) -> dict[str, Any]:
     }
 
 
-def projected_sonar_image(timestamp_ns: int, image: np.ndarray, sonar: Sonar) -> dict[str, Any]:
+def projected_sonar_image(timestamp_ns: int, image: np.ndarray, sonar: Geometry) -> dict[str, Any]:
     """marine_acoustic_msgs/ProjectedSonarImage: z forward, y to the right."""
     bearings = np.radians(beam_bearings(sonar, image.shape[1]))
     return {
@@ -118,13 +122,11 @@ def projected_sonar_image(timestamp_ns: int, image: np.ndarray, sonar: Sonar) ->
     }
 
 
-def _bin_length(sonar: Sonar, bins: int) -> float:
-    assert sonar.range_min_m is not None
-    assert sonar.range_max_m is not None
+def _bin_length(sonar: Geometry, bins: int) -> float:
     return (sonar.range_max_m - sonar.range_min_m) / bins
 
 
-def raw_sonar_image(timestamp_ns: int, image: np.ndarray, sonar: Sonar) -> dict[str, Any]:
+def raw_sonar_image(timestamp_ns: int, image: np.ndarray, sonar: Geometry) -> dict[str, Any]:
     """marine_acoustic_msgs/RawSonarImage; the window is moved to whole samples."""
     bin_m = _bin_length(sonar, image.shape[0])
     return {
@@ -140,19 +142,18 @@ def raw_sonar_image(timestamp_ns: int, image: np.ndarray, sonar: Sonar) -> dict[
     }
 
 
-def _from_the_sonar_on(image: np.ndarray, sonar: Sonar) -> np.ndarray:
+def _from_the_sonar_on(image: np.ndarray, sonar: Geometry) -> np.ndarray:
     """The image with empty bins before the window: an Oculus records from range 0 on. The window
     is moved to whole bins."""
-    assert sonar.range_min_m is not None
     empty = round(sonar.range_min_m / _bin_length(sonar, image.shape[0]))
     return np.pad(image, ((empty, 0), (0, 0)))
 
 
-def _hundredths(sonar: Sonar, beams: int) -> list[int]:
+def _hundredths(sonar: Geometry, beams: int) -> list[int]:
     return [round(b) for b in (beam_bearings(sonar, beams) * 100).tolist()]
 
 
-def oculus_ping(timestamp_ns: int, image: np.ndarray, sonar: Sonar) -> dict[str, Any]:
+def oculus_ping(timestamp_ns: int, image: np.ndarray, sonar: Geometry) -> dict[str, Any]:
     """sonar_oculus/OculusPing."""
     bin_m = _bin_length(sonar, image.shape[0])
     image = _from_the_sonar_on(image, sonar)
@@ -179,7 +180,7 @@ def oculus_ping(timestamp_ns: int, image: np.ndarray, sonar: Sonar) -> dict[str,
     }
 
 
-def oculus_interfaces_ping(timestamp_ns: int, image: np.ndarray, sonar: Sonar) -> dict[str, Any]:
+def oculus_interfaces_ping(timestamp_ns: int, image: np.ndarray, sonar: Geometry) -> dict[str, Any]:
     """oculus_interfaces/Ping, without gains."""
     bin_m = _bin_length(sonar, image.shape[0])
     image = _from_the_sonar_on(image, sonar)

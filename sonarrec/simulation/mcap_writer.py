@@ -21,7 +21,7 @@ from sonarrec.readers.mcap.ros import known_messages
 from sonarrec.records import SonarrecError, UsageError
 from sonarrec.simulation import mcap_fields as fields
 from sonarrec.simulation.mcap_fields import MakeFields
-from sonarrec.sonar import Sonar
+from sonarrec.sonar import Geometry
 
 _COMPRESSIONS = {
     "none": CompressionType.NONE,
@@ -159,15 +159,15 @@ def is_polar(schema: str) -> bool:
     return kind is not None and kind.polar
 
 
-def check_schema(schema: str, compression: str, sonar: Sonar | None) -> None:
-    """Raise SonarrecError for what McapImageWriter cannot write."""
+def check_schema(schema: str, compression: str, polar: bool) -> None:
+    """Raise SonarrecError for what McapImageWriter cannot write. polar: the images are."""
     if schema not in SCHEMAS:
         raise UsageError(f"no writer for schema {schema!r}; one of {', '.join(SCHEMAS)}")
     if compression not in _COMPRESSIONS:
         raise SonarrecError(
             f"no MCAP compression {compression!r}; one of {', '.join(_COMPRESSIONS)}"
         )
-    if is_polar(schema) and (sonar is None or sonar.layout != "polar"):
+    if is_polar(schema) and not polar:
         raise UsageError(f"schema {schema!r} holds polar pings: it needs a polar scene")
 
 
@@ -184,7 +184,7 @@ class McapImageWriter:
         topic: str = "/sonar/image",
         schema: str = "sensor_msgs/msg/Image",
         compression: str = "zstd",
-        sonar: Sonar | None = None,
+        sonar: Geometry | None = None,
     ) -> None:
         """schema: one of SCHEMAS. compression: none, lz4 or zstd. sonar: the window and bearings
         of polar images, which the schemas of polar pings need.
@@ -192,11 +192,11 @@ class McapImageWriter:
         Raises SonarrecError for another schema or compression, for polar pings of images that are
         not polar, or where the file cannot be made.
         """
-        check_schema(schema, compression, sonar)
+        check_schema(schema, compression, sonar is not None)
         name, _, encoding = schema.partition("+")
         make_family = _foxglove_family if name in _FOXGLOVE_TYPES else _ros_family
         self._family = family = make_family(name.replace("/msg/", "/"), encoding)
-        self._sonar = sonar or Sonar()
+        self._sonar = sonar
         try:
             self._file = path.open("wb")
         except OSError as error:

@@ -366,9 +366,9 @@ def write_recording(
     if single and image_format != "mcap":
         raise UsageError(f"{out}: a name ending in .mcap needs --format mcap")
     sonar = scene_sonar(scene)
-    stated = sonar
+    stated, polar = sonar, sonar.layout == "polar"
     if image_format == "mcap":
-        check_schema(schema, compression, sonar)
+        check_schema(schema, compression, polar)
         if is_polar(schema):
             stated = Sonar(
                 tilt_deg=sonar.tilt_deg, height_m=sonar.height_m, frame_rate_hz=sonar.frame_rate_hz
@@ -387,7 +387,7 @@ def write_recording(
                     out if single else out / "frames.mcap",
                     schema=schema,
                     compression=compression,
-                    sonar=sonar,
+                    sonar=sonar.complete(scene.name) if polar else None,
                 ) as writer:
                     for frame in render(scene):
                         writer.write(frame.timestamp_ns, frame.image)

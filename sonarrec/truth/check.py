@@ -33,26 +33,30 @@ class Fault:
 
 @dataclass(frozen=True, slots=True)
 class CheckedTruth:
-    """A gt.csv seen against its log. Arrays have one element per row that speaks of this log.
-
-    path: of gt.csv. fan: of the log. landmarks: the set. line: (N,) in gt.csv.
-    landmark: (N,) IDs as written. frame: (N,) number in the log, -1 where the log has none.
-    x_px, y_px: (N,) fan pixels, None where the file tells no positions. visible: (N,) as written.
-    faults: in order of the lines. others: rows that speak of other logs. problems: of the log.
-    """
+    """A gt.csv seen against its log, of which N rows speak."""
 
     path: Path
+    """Of gt.csv."""
     fan: Fan
+    """Of the log."""
     landmarks: LandmarkSet
     line: IntArray
+    """(N,) in gt.csv."""
     landmark: IntArray
+    """(N,) IDs as written."""
     frame: IntArray
+    """(N,) number in the log, -1 where the log has none."""
     x_px: FloatArray | None
     y_px: FloatArray | None
+    """(N,) in the fan image, None where the file tells no positions."""
     visible: FloatArray
+    """(N,) as written."""
     faults: list[Fault]
+    """In order of the lines."""
     others: int
+    """Rows that speak of other logs."""
     problems: list[str]
+    """Of the log."""
 
     def told(self) -> str:
         """How much was looked at, and how much of it is wrong."""
@@ -87,21 +91,8 @@ def check_truth(
         raise SonarrecError(f"{path}: its log column does not name {log.name}; it has {named}")
     lines = _lines(path)
     line = lines[row]
-    index, stamp = [], []
-    for frame in log:
-        index.append(frame.index)
-        stamp.append(frame.timestamp_ns)
+    frames, faults = _matched(table, row, line, log)
     assert log.fan is not None
-    numbers = np.array(index, dtype=np.int64)
-    at = table.at[row]
-    if table.key == "frame":
-        known = np.isin(at, numbers)
-        frames = np.where(known, at, -1)
-    else:
-        nearest, known, kept = match_times(np.array(stamp, dtype=np.int64), at)
-        # Of truth denser than the frames, the nearest counts, as in scoring.
-        frames = np.where(kept, numbers[nearest], -1)
-    faults = _frames(line[~known], at[~known], table.key, numbers)
     faults += _ids(line, table.landmark[row], landmarks)
     visible = table.visible[row]
     wrong = (visible < 0) | (visible > 1)
@@ -146,6 +137,23 @@ def _lines(path: Path) -> IntArray:
     with path.open(encoding="utf-8-sig") as file:
         filled = [number for number, text in enumerate(file, 1) if text.strip()]
     return np.array(filled[1:], dtype=np.int64)
+
+
+def _matched(
+    table: TruthTable, row: IntArray, line: IntArray, log: Log
+) -> tuple[IntArray, list[Fault]]:
+    """(N,) the frame numbers of these rows, -1 where the log has none, which is a fault."""
+    seen = [(frame.index, frame.timestamp_ns) for frame in log]
+    numbers, stamps = np.array(seen, dtype=np.int64).T
+    at = table.at[row]
+    if table.key == "frame":
+        known = np.isin(at, numbers)
+        frames = np.where(known, at, -1)
+    else:
+        nearest, known, kept = match_times(stamps, at)
+        # Of truth denser than the frames, the nearest counts, as in scoring.
+        frames = np.where(kept, numbers[nearest], -1)
+    return frames, _frames(line[~known], at[~known], table.key, numbers)
 
 
 def _frames(line: IntArray, at: IntArray, key: str, numbers: IntArray) -> list[Fault]:

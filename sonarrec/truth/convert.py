@@ -22,9 +22,11 @@ from sonarrec.truth.annotations.shapes import Annotations, Shape
 from sonarrec.truth.in_view import share_in_fan
 from sonarrec.truth.table import HEADER, write_truth
 
-_PLAIN_LABEL = re.compile(r"(?:(?:id|landmark)[\s._-]*)?(\d+)", re.IGNORECASE)
+_PLAIN_LABEL = re.compile(r"(?:(?:id|landmark)[\s._-]*)?(\d{1,18})", re.IGNORECASE)
 _BY_NUMBER = "frames by the number that ends every image name"
 _FEW = 5  # names told in one line
+MOST_LETTERS = 255
+"""Of a file's name, on any disk."""
 
 FrameNumbers = dict[int | str, int]
 """The frame, or the time in ns, that each Shape.frame stands for."""
@@ -188,14 +190,20 @@ def _frames_of_images(
     name counts; else their natural order.
     """
     paths = {name: Path(name.replace("\\", "/")) for name in images}
+    long = next((name for name, path in paths.items() if len(path.name) > MOST_LETTERS), None)
+    if long is not None:
+        raise SonarrecError(f"image name of {len(long)} characters, {long[:40]!r}...: no file's")
     at = {Path(name).stem: n for n, name in enumerate(log_names)}
     in_log: FrameNumbers = {name: at[path.stem] for name, path in paths.items() if path.stem in at}
     if in_log:
         return "frame", in_log, "frames by image name in the log"
     if all(re.fullmatch(r"[0-9]{19}", path.stem) for path in paths.values()):
         times: FrameNumbers = {name: int(path.stem) for name, path in paths.items()}
+        latest = max(times.values(), default=0)
+        if latest >= 2**63:
+            raise SonarrecError(f"image name {latest} is no time in ns: it must lie below 2^63")
         return "timestamp_ns", times, "image names of 19 digits are times in ns"
-    ends = {name: re.search(r"[0-9]+$", path.stem) for name, path in paths.items()}
+    ends = {name: re.search(r"(?<![0-9])[0-9]{1,18}$", path.stem) for name, path in paths.items()}
     numbers: FrameNumbers = {name: int(end[0]) for name, end in ends.items() if end}
     if len(numbers) == len(ends):
         return "frame", numbers, _BY_NUMBER
@@ -247,8 +255,9 @@ def _polar_pixels(
     beams = min(sizes)[0] if sonar.bearings_deg is None else len(sonar.bearings_deg)
     if sizes != {(beams, bins)}:
         raise _wrong_size(source, found, f"{beams} beams x {bins} ranges")
-    bearing_deg = np.interp(x, np.arange(beams), beam_bearings(sonar, beams))
-    range_m = np.interp(y, np.arange(bins), bin_ranges(sonar, bins))
+    geometry = sonar.complete(str(source))
+    bearing_deg = np.interp(x, np.arange(beams), beam_bearings(geometry, beams))
+    range_m = np.interp(y, np.arange(bins), bin_ranges(geometry, bins))
     return range_m, -bearing_deg if sonar.flip else bearing_deg
 
 

@@ -16,23 +16,31 @@ from sonarrec.truth.table import TruthTable
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """The landmarks in view of one log's processed frames. Arrays have one element per landmark.
+    """The T landmarks in view of one log's processed frames."""
 
-    row: index into LogResults.frame. landmark: index into the set's ids. visible: 0 to 1.
-    position: (T, 2) metres in the fan plane, or None where it is not known. orientation: (T,) deg,
-    as in estimates.csv, or None.
-    rows: rows of gt.csv that speak of this log. unprocessed: those of them on frames that were
-    not processed. between: those, matched by time, for which a nearer stamp has the frame.
-    """
-
-    row: IntArray
-    landmark: IntArray
+    frame_index: IntArray
+    """(T,) into LogResults.frame."""
+    landmark_index: IntArray
+    """(T,) into the set's ids."""
     visible: FloatArray
+    """(T,) share of the disc, 0 to 1."""
     position: FloatArray | None
+    """(T, 2) m in the fan plane: to the right, ahead; None where it is not known."""
     orientation: FloatArray | None
+    """(T,) deg, as in estimates.csv; None without the column."""
     rows: int
+    """Of gt.csv that speak of this log."""
     unprocessed: int
+    """Rows of them on frames that were not processed."""
     between: int
+    """Rows of them, matched by time, for which a nearer stamp has the frame."""
+
+    def pixels(self, fan: Fan) -> FloatArray | None:
+        """(T, 2) column and row in the fan image; None where positions are not known."""
+        if self.position is None:
+            return None
+        apex = (fan.apex_column, fan.apex_row)
+        return np.asarray(self.position / fan.metres_per_pixel * (1, -1) + apex)
 
 
 class ReadLog(Protocol):
@@ -89,8 +97,8 @@ def match_truth(table: TruthTable, log: ReadLog, tolerance_s: float | None = Non
     by_id = np.argsort(ids)
     chosen = np.flatnonzero(mine)[kept]
     return Truth(
-        row=row[kept],
-        landmark=by_id[np.searchsorted(ids, table.landmark[chosen], sorter=by_id)],
+        frame_index=row[kept],
+        landmark_index=by_id[np.searchsorted(ids, table.landmark[chosen], sorter=by_id)],
         visible=table.visible[chosen],
         position=None if position is None else position[chosen],
         orientation=None if table.orientation is None else table.orientation[chosen],

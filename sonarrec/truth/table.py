@@ -18,21 +18,23 @@ HEADER = "frame,landmark,x_px,y_px,visible"
 
 @dataclass(frozen=True, slots=True)
 class TruthTable:
-    """gt.csv as read. Arrays have one element per row of the file.
-
-    key: "frame" or "timestamp_ns"; at: (R,) its values. landmark: (R,) IDs. visible: 0 to 1.
-    log: (R,) names, or None. position: as tables.position_pair gives it, or None.
-    orientation: (R,) deg, NaN where blank; None without the column.
-    """
+    """gt.csv as read: R rows."""
 
     path: Path
     key: str
+    """What tells the frame: the column "frame" or "timestamp_ns"."""
     at: IntArray
+    """(R,) its values."""
     landmark: IntArray
+    """(R,) IDs."""
     visible: FloatArray
+    """(R,) share of the disc, 0 to 1."""
     log: Any
+    """(R,) names; None without the column."""
     position: tuple[str, FloatArray, FloatArray] | None
+    """As tables.position_pair gives it; None without positions."""
     orientation: FloatArray | None
+    """(R,) deg, NaN where blank; None without the column."""
 
 
 def read_truth(path: Path) -> TruthTable:

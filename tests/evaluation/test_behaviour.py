@@ -174,7 +174,7 @@ def test_brier_and_reliability_by_hand() -> None:
     assert value(summary, "brier") == pytest.approx(sum(per_class))
     # Most probable: .8 right, .8 wrong, .75 right.
     assert value(summary, "ece") == pytest.approx((abs(1.6 - 1) + abs(0.75 - 1)) / 3)
-    (top,) = [r for r in summary.reliability if r.landmark == "top"]
+    (top,) = [r for r in summary.reliability if r.landmark_text == "top"]
     assert top.count.tolist() == [0, 0, 0, 0, 0, 0, 0, 1, 2, 0]
     assert top.right[8] == 0.5
     assert top.mean[8] == pytest.approx(0.8)

@@ -136,7 +136,7 @@ def test_tables_4_and_5_to_the_last_digit(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("part", "whole", "printed"),
-    [(52, 640, "0.0813 "), (1, 1, "1.0000 "), (0, 7, "0.0000 "), (0, 0, "0.0000*")],
+    [(52, 640, "0.0813"), (1, 1, "1.0000"), (0, 7, "0.0000"), (0, 0, "0.0000*")],
 )
 def test_rates_round_half_up_as_printed(part: int, whole: int, printed: str) -> None:
     assert rate(part, whole) == printed

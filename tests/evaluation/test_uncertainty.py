@@ -9,11 +9,13 @@ from itertools import product
 import numpy as np
 import pytest
 
+from sonarrec.evaluation.counted import rate_counts
+from sonarrec.evaluation.metrics import METRICS, rates, tally
 from sonarrec.evaluation.passes import MOST_UNITS, find_passes, find_units
 from sonarrec.evaluation.scoring import score
 from sonarrec.evaluation.summary import summarise
-from sonarrec.evaluation.tallies import CURVES, RATES, rate_tallies, ratio_tally
 from sonarrec.evaluation.uncertainty import (
+    Tally,
     bootstrap_weights,
     coin_tosses,
     differences,
@@ -24,6 +26,21 @@ from sonarrec.evaluation.uncertainty import (
 from tests.support.claims import evaluated, joined
 
 LABELS = ("strict", "m", "total")
+RATES = [m.name for m in METRICS if m.counted is rates]
+
+
+def ratio_tally(labels, names, parts, wholes) -> Tally:
+    """Figures that are sum(part) / sum(whole), each (U,) per unit."""
+    n, sums = len(names), np.stack([*parts, *wholes], axis=1)
+    cases = tuple(np.count_nonzero(sums[:, n:], axis=0).tolist())
+    values = sums.sum(axis=0)
+    values = tuple((values[:n] / values[n:]).tolist())
+    return Tally(*labels, names, values, cases, sums, lambda rows: rows[:, :n] / rows[:, n:])
+
+
+def rate_tallies(scored, units) -> list[Tally]:
+    return [tally(rates, counted) for counted in rate_counts(scored, units)]
+
 
 # --- Passes and units ----------------------------------------------------------------------------
 
@@ -34,9 +51,8 @@ def seen(landmark: int, first: int, last: int) -> list[tuple]:
 
 def spans(case) -> list[tuple[int, int, int]]:
     p = find_passes(case)
-    return [
-        (case.ids[k], int(a), int(b)) for k, a, b in zip(p.landmark, p.first, p.last, strict=True)
-    ]
+    found = zip(p.landmark_index, p.first_frame_index, p.last_frame_index, strict=True)
+    return [(case.ids[k], int(a), int(b)) for k, a, b in found]
 
 
 def test_passes_end_where_a_landmark_stays_away() -> None:
@@ -57,7 +73,7 @@ def test_units_are_passes_and_what_is_nearest() -> None:
     case = joined(100, truth, [])
     units = find_units(case, find_passes(case))
     assert (units.kind, units.count) == ("pass", 3)
-    landmark = case.truth_landmark
+    landmark = case.truth_landmark_index
     assert set(units.of_truth[landmark < 2]) == {0}
     assert set(units.of_truth[landmark == 2]) == {1}  # also in the frames that ID.2 shares
     assert set(units.of_truth[landmark == 3]) == {2}
@@ -108,26 +124,24 @@ def test_units_add_up_to_the_whole() -> None:
         split = scored.declared_by(units.of_frame, units.of_truth, units.count)
         np.testing.assert_array_equal(split.sum(axis=0), scored.declared)
         assert (split >= 0).all()  # what a claim takes away, its own unit has
-        for k, tally in enumerate(rate_tallies(scored, units)):
-            found = dict(
-                zip(tally.names, tally.figures(tally.sums.sum(axis=0)[None])[0], strict=True)
-            )
-            exact = dict(zip(tally.names, tally.values, strict=True))
+        for k, one in enumerate(rate_tallies(scored, units)):
+            found = dict(zip(one.names, one.figures(one.sums.sum(axis=0)[None])[0], strict=True))
+            exact = dict(zip(one.names, one.values, strict=True))
             assert found["tpr"] == pytest.approx(exact["tpr"], abs=1e-6)
             assert found["fpr"] == pytest.approx(exact["fpr"], abs=1e-6)
             # Curves are held in steps of .001 to .02 of FPR, over each of which the TPR rises.
             assert found["auc"] == pytest.approx(exact["auc"], abs=0.01), k
-            for name in CURVES[2:]:
+            for name in RATES[4:]:
                 assert found[name] == pytest.approx(exact[name], abs=1e-6), name
 
 
 def test_counts_per_log_add_up() -> None:
     case = random_case(np.random.default_rng(2), 6)
     second = case.frame >= 3 * 35  # three of the six passes
-    case = replace(case, logs=("x", "y"), log=second.astype(int))
+    case = replace(case, logs=("x", "y"), log_index=second.astype(int))
     scored = score(case, 0, "strict")
     per_log = scored.counts_per_log(case)
-    in_second = second[case.truth_frame]
+    in_second = second[case.truth_frame_index]
     assert [log[-1].tp + log[-1].fn for log in per_log] == [(~in_second).sum(), in_second.sum()]
     for k, total in enumerate([*scored.declared.tolist(), scored.declared.sum(axis=0).tolist()]):
         split = [(log[k].tp, log[k].tn, log[k].fp, log[k].fn) for log in per_log]
@@ -268,7 +282,7 @@ def test_null_simulation_of_every_figure() -> None:
     """
     rng = np.random.default_rng(9)
     cases, passes, length, gap = 120, 10, 20, 15
-    rejected = dict.fromkeys(RATES + CURVES, 0)
+    rejected = dict.fromkeys(RATES, 0)
     for _ in range(cases):
         truth, claims = [], []
         for i in range(passes):

@@ -157,7 +157,7 @@ def test_a_geometry_that_contradicts_itself(tmp_path: Path) -> None:
 
 def test_polar_messages_tell_their_own_geometry(tmp_path: Path) -> None:
     bearings = tuple(np.linspace(-30, 30, 24).tolist())
-    sonar = Sonar(layout="polar", range_min_m=1, range_max_m=4, bearings_deg=bearings)
+    sonar = Sonar(range_min_m=1, range_max_m=4, tilt_deg=20, bearings_deg=bearings).complete("test")
     path = tmp_path / "log.mcap"
     schema = "marine_acoustic_msgs/msg/ProjectedSonarImage"
     with McapImageWriter(path, schema=schema, sonar=sonar) as writer:
@@ -240,7 +240,7 @@ def test_a_cut_video(tmp_path: Path) -> None:
     video.write_bytes(video.read_bytes()[: video.stat().st_size // 2])
     found = table(video, code=3)
     assert 0 < found["images"][0]["usable"] < 20
-    assert "ended after" in found["faults"][0]
+    assert "frames could be read; cut short" in found["faults"][0]
 
 
 def test_for_programs(tmp_path: Path) -> None:

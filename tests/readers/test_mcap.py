@@ -424,7 +424,9 @@ def test_magic_alone(tmp_path: Path) -> None:
 # The writer
 
 
-POLAR = Sonar(layout="polar", range_min_m=1.0, range_max_m=1.9, field_of_view_deg=28.0)
+POLAR = Sonar(range_min_m=1.0, range_max_m=1.9, field_of_view_deg=28.0, tilt_deg=20.0).complete(
+    "test"
+)
 
 
 def read_by_others(schema: Schema, channel: Channel, data: bytes) -> dict[str, Any]:

@@ -293,14 +293,14 @@ def test_polar_images_with_a_row_per_beam(tmp_path: Path) -> None:
 @pytest.mark.parametrize("uneven", [False, True])
 def test_flip_mirrors_the_bearings(uneven: bool, tmp_path: Path) -> None:
     """What lay at bearing b lies at -b, also where bearings are neither even nor symmetric."""
-    sonar = Sonar(layout="polar", range_min_m=1.0, range_max_m=1.9, field_of_view_deg=28.0)
+    sonar = Sonar(range_min_m=1.0, range_max_m=1.9, field_of_view_deg=28.0, tilt_deg=20.0)
     if uneven:
         sonar = sonar.updated(Sonar(bearings_deg=tuple((BEARINGS_DEG + 2).tolist())))
     spot = np.zeros((BINS, BEAMS), np.uint8)
     spot[28:33, 17:21] = 255
     centres = []
     for flip in (False, True):
-        to_fan = PolarToFan(sonar.updated(Sonar(flip=flip, tilt_deg=20.0)), BINS, BEAMS)
+        to_fan = PolarToFan(sonar.updated(Sonar(flip=flip)).complete("test"), BINS, BEAMS)
         image = to_fan(spot).astype(float)
         row, column = np.mgrid[0 : image.shape[0], 0 : image.shape[1]]
         centre = (image * column).sum() / image.sum(), (image * row).sum() / image.sum()

@@ -57,7 +57,7 @@ def in_the_fan(images: list[np.ndarray]) -> list[np.ndarray]:
         bearings_deg=tuple(BEARINGS_DEG.tolist()),
         tilt_deg=20.0,
     )
-    to_fan = PolarToFan(sonar, BINS, BEAMS)
+    to_fan = PolarToFan(sonar.complete("test"), BINS, BEAMS)
     return [to_fan(image) for image in images]
 
 
@@ -107,7 +107,7 @@ def test_the_scale_can_be_stated(tmp_path: Path) -> None:
     by_db = greys(decibels, full_scale=0.0, dynamic_range_db=60.0)  # db: some are negative
     for mine, theirs in zip(by_log, by_db, strict=True):
         assert np.abs(mine.astype(int) - theirs).max() <= 1
-    with pytest.raises(SonarrecError, match='pixel_scale must be "linear" or "log" or "db"'):
+    with pytest.raises(SonarrecError, match='pixel_scale must be "linear", "log" or "db"'):
         sonar_from_table({"pixel_scale": "sqrt"}, "x")
 
 

@@ -22,7 +22,7 @@ from sonarrec.config import Config, preset
 from sonarrec.poses import PoseTable, pose_table
 from sonarrec.readers.mcap.poses import read_topic
 from sonarrec.readers.poses_csv import read_poses
-from sonarrec.recogniser.plane import Plane
+from sonarrec.recogniser.plane import working_plane
 from sonarrec.recogniser.recogniser import FRAMEWORK, Recogniser
 from sonarrec.records import Frame, Motion, SonarrecError
 from sonarrec.simulation.motion import poses
@@ -82,7 +82,7 @@ def test_a_still_object_appears_where_trigonometry_says(
     table = pose_table("", {}, np.array([0, 10**9]), *columns)
     motion = table.motion(0, 10**9)
     assert motion is not None
-    plane = Plane(make_fan(120, height_m=HEIGHT), 0.15, kind, 10.0)
+    plane = working_plane(kind, make_fan(120, height_m=HEIGHT), 0.15, 10.0)
     first, second = (
         np.stack(plane.from_polar(*(np.array([v]) for v in seen_by(x, y, p))), axis=-1)
         for p in (before, after)

@@ -171,7 +171,7 @@ def test_polar_becomes_a_fan(tmp_path: Path) -> None:
     images = frames(3, 60, 24)
     log = image_folder(tmp_path / "log", images)
     (log / "sonar.toml").write_text(SONAR_TOML.replace('"fan"', '"polar"'))
-    to_fan = PolarToFan(load_sonar(log / "sonar.toml"), 60, 24)
+    to_fan = PolarToFan(load_sonar(log / "sonar.toml").complete("test"), 60, 24)
     found, problems = read(log)
     assert not problems
     for frame, image in zip(found, images, strict=True):

@@ -3,6 +3,7 @@
 What the features are may change; how they must behave may not.
 """
 
+import dataclasses
 import math
 import warnings
 
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 
 from sonarrec.config import Features
 from sonarrec.landmarks import load_landmarks
-from sonarrec.recogniser.plane import Plane
+from sonarrec.recogniser.plane import FloorPlane
 from sonarrec.recogniser.stage3_features.appearance import AppearanceMeasurement
 from sonarrec.recogniser.stage3_features.description import FEATURES, LIMIT, Describer
 from sonarrec.recogniser.stage3_features.model import AppearanceModel, load_model
@@ -33,7 +34,7 @@ from tests.support.drawn import (
 
 BASIN = load_landmarks("basin")
 FAN = make_fan(512)
-PLANE = Plane(FAN, BASIN.radius_m, "floor", 15.0)
+PLANE = FloorPlane(FAN, BASIN.radius_m, 15.0)
 SAMPLER = ShapeSampler(BASIN, PLANE.axes)
 LINES = len(SAMPLER.radii)
 DESCRIBE = Describer(SAMPLER.bands, SAMPLER.radii, BASIN, alike=0.45)
@@ -339,7 +340,7 @@ def test_a_model_survives_its_file(tmp_path):
     ("text", "told"),
     [
         ("bias = 1.0", "correlation"),
-        ("not toml", "not an appearance model"),
+        ("not toml", "not a readable TOML file"),
         (None, "No such file"),
     ],
 )
@@ -363,8 +364,8 @@ def test_knots_that_do_not_rise_are_refused(tmp_path):
 def averaged(pattern, seed: int, frames: int = 16, range_m: float = 2.1, bearing_deg: float = 3.0):
     """Probabilities and turn after some frames of one speckled disc on its dark plate."""
     rng = np.random.default_rng(seed)
-    matrix = TrackMatrix(20.0, LINES)
-    measure = AppearanceMeasurement(Features(), SAMPLER, BASIN, load_model())
+    sharp = Features(memory_frames=20.0, beam_width_deg=0.0)
+    measurement = AppearanceMeasurement(sharp, PLANE, SAMPLER, BASIN, load_model())
     disc, seen = draw_on_floor(FAN, range_m, bearing_deg, BASIN.radius_m, pattern)
     plate, _ = draw_on_floor(
         FAN, range_m, bearing_deg, BASIN.radius_m, lambda x, y: (np.hypot(x, y) <= 1) * 1.0
@@ -374,9 +375,10 @@ def averaged(pattern, seed: int, frames: int = 16, range_m: float = 2.1, bearing
     for _ in range(frames):
         image = PLANE.warp(speckled(disc, seen, rng, dark=plate))
         grey, visible = SAMPLER(image, PLANE.inside, centre, sight, *surroundings(image))
-        average, count = matrix.step(groups(1), grey, visible)
-    p, turn, _ = measure(average, count, SURE[:1], SHARP[:1])
-    return p[0], float(sight[0] + turn[0] * STEP)
+        track = dataclasses.replace(groups(1), positions=centre, existence=SURE[:1])
+        average, count = measurement.gather(track, grey, visible)
+    known = measurement.beliefs([track], average, count)
+    return known.probabilities[0], float(sight[0] + known.turn[0] * STEP)
 
 
 @pytest.mark.parametrize("landmark", sorted(SECTORS))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sonarrec.recogniser.odometry import PanEstimator
-from sonarrec.recogniser.plane import Plane
+from sonarrec.recogniser.plane import FloorPlane, working_plane
 from tests.support.drawn import make_fan
 
 FAN = make_fan(300)
@@ -57,7 +57,7 @@ def steps_of_eight_beams(bearing: np.ndarray) -> np.ndarray:
 
 
 def estimated(first: np.ndarray, second: np.ndarray, kind: str = "floor") -> tuple[float, float]:
-    plane = Plane(FAN, 0.15, kind, 15.0)
+    plane = working_plane(kind, FAN, 0.15, 15.0)
     estimator = PanEstimator(plane)
     assert estimator.step(plane.warp(first)) == (0.0, 0.0)
     return estimator.step(plane.warp(second))
@@ -84,7 +84,7 @@ def test_a_fixed_gain_pattern_over_the_beams_does_not_pull_it_to_zero(pan_deg):
 
 
 def test_the_sum_over_a_sweep_stays_near_the_truth():
-    plane = Plane(FAN, 0.15, "floor", 15.0)
+    plane = FloorPlane(FAN, 0.15, 15.0)
     estimator = PanEstimator(plane)
     floor = floor_speckle(3)
     headings = np.cumsum([0.0, *np.random.default_rng(5).uniform(0.3, 0.7, 25)]) - 8

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sonarrec.geometry import floor_depth
-from sonarrec.recogniser.plane import Plane
+from sonarrec.recogniser.plane import FanPlane, FloorPlane, working_plane
 from sonarrec.records import Motion
 from tests.support.drawn import draw_on_floor, make_fan
 
@@ -41,7 +41,7 @@ def still_circle(range_m, bearing_deg, height_m, radius_m=0.15):
 def test_round_trips(kind, window, height_known, share, bearing_deg):
     near, far, height = window
     fan = make_fan(120, near, far, height_m=height if height_known else None)
-    plane = Plane(fan, 0.15, kind, 10.0)
+    plane = working_plane(kind, fan, 0.15, 10.0)
     near = max(near, floor_depth(fan)) if kind == "floor" else near  # nearer there is no floor
     range_m = near + share * (far - near)
     column, row = plane.from_polar(np.array([range_m]), np.array([bearing_deg]))
@@ -63,7 +63,7 @@ def test_round_trips(kind, window, height_known, share, bearing_deg):
 def test_a_floor_circle_is_a_circle_of_one_size(window, bearing_deg, share, disc_radius_px):
     near, far, height = window
     fan = make_fan(512, near, far, height_m=height)
-    plane = Plane(fan, 0.15, "floor", disc_radius_px)
+    plane = FloorPlane(fan, 0.15, disc_radius_px)
     assert plane.axes[0] == plane.axes[1] <= disc_radius_px + 1e-9  # never finer than the fan
     assert plane.scale <= 1
     range_m = near + share * (far - near)
@@ -79,7 +79,7 @@ def test_a_floor_circle_is_a_circle_of_one_size(window, bearing_deg, share, disc
 def test_a_drawn_disc_comes_out_round_and_where_it_is(rows, range_m, bearing_deg):
     fan = make_fan(rows)
     disc, _ = draw_on_floor(fan, range_m, bearing_deg, 0.15, lambda x, y: np.hypot(x, y) <= 1)
-    plane = Plane(fan, 0.15, "floor", 12.0)
+    plane = FloorPlane(fan, 0.15, 12.0)
     image = plane.warp((disc * 255).astype(np.uint8)).astype(float) / 255
     assert image.shape == plane.shape == plane.inside.shape
     row, column = np.mgrid[0 : image.shape[0], 0 : image.shape[1]]
@@ -101,7 +101,7 @@ def test_a_drawn_disc_comes_out_round_and_where_it_is(rows, range_m, bearing_deg
     pan_deg=st.floats(-20, 20),
 )
 def test_a_turn_to_the_right_lowers_every_bearing(kind, range_m, bearing_deg, pan_deg):
-    plane = Plane(make_fan(100), 0.15, kind, 10.0)
+    plane = working_plane(kind, make_fan(100), 0.15, 10.0)
     before = np.stack(plane.from_polar(np.array([range_m]), np.array([bearing_deg])), axis=-1)
     after = np.stack(plane.from_polar(np.array([range_m]), np.array([bearing_deg - pan_deg])), -1)
     np.testing.assert_allclose(plane.moved(before, Motion(pan_deg)), after, atol=1e-7)
@@ -111,7 +111,7 @@ def test_a_turn_to_the_right_lowers_every_bearing(kind, range_m, bearing_deg, pa
 
 def test_the_fan_plane_is_the_image_itself():
     fan = make_fan(90)
-    plane = Plane(fan, 0.15, "fan", 15.0)
+    plane = FanPlane(fan, 0.15)
     image = np.random.default_rng(0).integers(0, 256, (fan.rows, fan.columns), np.uint8)
     np.testing.assert_array_equal(plane.warp(image), image)
     assert plane.scale == 1
@@ -124,7 +124,7 @@ def test_the_fan_plane_is_the_image_itself():
 @pytest.mark.parametrize("tilt_deg", [0.0, 20.0, 35.0])
 def test_the_fan_plane_s_axes_are_equations_1_and_2(window_m, tilt_deg):
     fan = make_fan(512, 1.25, 1.25 + window_m, tilt_deg=tilt_deg)
-    across, along = Plane(fan, 0.15, "fan", 15.0).axes
+    across, along = FanPlane(fan, 0.15).axes
     assert across == pytest.approx(0.15 / (window_m / 512))
     assert along == pytest.approx(0.15 * math.cos(math.radians(tilt_deg)) / (window_m / 512))
 
@@ -132,7 +132,7 @@ def test_the_fan_plane_s_axes_are_equations_1_and_2(window_m, tilt_deg):
 @pytest.mark.parametrize("kind", ["fan", "floor"])
 def test_inside_is_where_the_sonar_looks(kind):
     fan = make_fan(200)
-    plane = Plane(fan, 0.15, kind, 15.0)
+    plane = working_plane(kind, fan, 0.15, 15.0)
     row, column = np.mgrid[0 : plane.shape[0], 0 : plane.shape[1]]
     range_m, bearing_deg = plane.to_polar(column, row)
     assert set(np.unique(plane.inside)) == {0, 1}
@@ -154,7 +154,7 @@ def test_inside_is_where_the_sonar_looks(kind):
 @pytest.mark.parametrize("disc_radius_px", [5.0, 15.0])
 def test_made_in_bands_it_is_what_all_rows_at_once_give(rows, disc_radius_px):
     fan = make_fan(rows)
-    plane = Plane(fan, 0.15, "floor", disc_radius_px)
+    plane = FloorPlane(fan, 0.15, disc_radius_px)
     row, column = np.mgrid[0 : plane.shape[0], 0 : plane.shape[1]].astype(float)
     range_m, bearing_deg = plane.to_polar(column, row)
     fan_column, fan_row = plane.to_fan(column, row)
@@ -175,7 +175,7 @@ def test_made_in_bands_it_is_what_all_rows_at_once_give(rows, disc_radius_px):
 
 @pytest.mark.parametrize("kind", ["fan", "floor"])
 def test_line_of_sight_points_straight_away_from_the_sonar(kind):
-    plane = Plane(make_fan(200), 0.15, kind, 15.0)
+    plane = working_plane(kind, make_fan(200), 0.15, 15.0)
     bearing = np.array([-13.0, -4.0, 0.0, 9.0])
     near = np.stack(plane.from_polar(np.full(4, 2.0), bearing), axis=-1)
     far = np.stack(plane.from_polar(np.full(4, 2.001), bearing), axis=-1)

@@ -2,7 +2,9 @@
 
 import csv
 import dataclasses
+import math
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
@@ -12,8 +14,8 @@ import pytest
 from sonarrec import config
 from sonarrec.geometry import fan_for_image
 from sonarrec.landmarks import LandmarkSet, load_landmarks
-from sonarrec.recogniser.recogniser import FRAMEWORK, SMI, Recogniser
-from sonarrec.recogniser.side_by_side import FRAMES_AT_ONCE, SideBySide
+from sonarrec.recogniser.recogniser import FRAMES_AT_ONCE, FRAMEWORK, SMI, Recogniser
+from sonarrec.recogniser.side_by_side import SideBySide
 from sonarrec.records import Frame, FrameResult, SonarrecError, UsageError
 from sonarrec.results.write import ResultsWriter
 from sonarrec.sonar import Sonar, load_sonar
@@ -30,7 +32,9 @@ def recording(frames: range) -> list[Frame]:
     log = []
     for i in frames:
         image = cv2.imread(str(BASIN_A / f"{i:06}.png"), cv2.IMREAD_GRAYSCALE)
-        log.append(Frame(i, i * 250_000_000, image, fan_for_image(sonar, *image.shape)))
+        log.append(
+            Frame(i, i * 250_000_000, image, fan_for_image(sonar.complete("test"), *image.shape))
+        )
     return log
 
 
@@ -228,7 +232,7 @@ def tiny_sonar(**changed) -> Sonar:
     ],
 )
 def test_odd_geometry_is_told_in_one_line_or_recognises_nothing(name, sonar, shape):
-    fan = fan_for_image(sonar, *shape)
+    fan = fan_for_image(sonar.complete("test"), *shape)
     rng = np.random.default_rng(0)
     noise = [rng.integers(0, 256, shape, np.uint8) for _ in range(4)]
     log = [Frame(i, i, image, fan) for i, image in enumerate([*noise, np.zeros(shape, np.uint8)])]
@@ -264,8 +268,43 @@ def still_log(landmark: int, frames: int, hidden=()) -> list[Frame]:
 
 def side_by_side(log: list[Frame], *presets: str) -> list[FrameResult]:
     together = SideBySide([config.preset(name) for name in presets], log[0].fan, BASIN)
-    results = [result for frame in log for result in together.step(frame)]
-    return [*results, *together.finish()]
+    return list(together.recognise(log))
+
+
+def noted(log: list[Frame], drawn: list[Frame]) -> Iterator[Frame]:
+    """The frames, each put down in `drawn` as it is asked for."""
+    for frame in log:
+        drawn.append(frame)
+        yield frame
+
+
+def test_all_at_once_says_what_frame_by_frame_does():
+    log = still_log(2, 2 * FRAMES_AT_ONCE + 3)
+    recogniser = Recogniser(config.preset("default"), log[0].fan, BASIN)
+    for one, other in zip(
+        run(log, config.preset("default")), recogniser.recognise(log), strict=True
+    ):
+        alike(one, other)
+        alike(one, other, SMI)
+
+
+@pytest.mark.parametrize("fault", [ValueError, KeyboardInterrupt])
+def test_what_breaks_the_frames_off_is_raised_when_those_before_it_are_out(fault):
+    log = still_log(1, FRAMES_AT_ONCE + 3)
+
+    def breaking() -> Iterator[Frame]:
+        yield from log
+        raise fault("power cut")
+
+    results = []
+
+    def take() -> None:
+        together = SideBySide([config.preset("default")], log[0].fan, BASIN)
+        results.extend(result.index for result in together.recognise(breaking()))
+
+    with pytest.raises(fault, match="power cut"):
+        take()
+    assert results == [frame.index for frame in log]
 
 
 def rows(result: FrameResult, method: str, renamed: str = "") -> list[tuple]:
@@ -326,18 +365,16 @@ def test_hindsight_tells_from_the_start_what_the_log_shows_later():
 def test_a_lag_shorter_than_the_log_uses_so_many_frames_and_no_more():
     log = still_log(3, 24, hidden=range(12))
     settings = config.with_assignments(config.preset("offline"), ["features.lag_frames=4"])
-    together = SideBySide([settings], log[0].fan, BASIN)
+    drawn: list[Frame] = []
     results = []
-    for done, frame in enumerate(log, 1):
-        results += together.step(frame)
-        # Frames are judged so many at once, and then wait for four more.
-        assert len(results) == max(done // FRAMES_AT_ONCE * FRAMES_AT_ONCE - 4, 0)
-    results += together.finish()
+    for result in SideBySide([settings], log[0].fan, BASIN).recognise(noted(log, drawn)):
+        # Frames wait for four more, and are judged so many at once.
+        needed = min(result.index + 1 + 4, 24)
+        assert len(drawn) == math.ceil(needed / FRAMES_AT_ONCE) * FRAMES_AT_ONCE
+        results.append(result)
     assert [r.index for r in results] == list(range(24))
     for seen in (5, 14, 20):  # what comes later than four frames on changes nothing
-        shorter = SideBySide([settings], log[0].fan, BASIN)
-        so_far = [result for frame in log[:seen] for result in shorter.step(frame)]
-        so_far += shorter.finish()
+        so_far = list(SideBySide([settings], log[0].fan, BASIN).recognise(log[:seen]))
         alike(so_far[seen - 5], results[seen - 5])
 
 

@@ -67,13 +67,13 @@ def test_on_the_grid_of_angles_the_row_is_exact(landmark, start_deg):
     found = identified(image, start_rad=start)
     np.testing.assert_allclose(found.similarity[0], agreement(landmark), atol=1e-9)
     np.testing.assert_allclose(
-        found.measurement[0], np.array(agreement(landmark)) / sum(agreement(landmark))
+        found.measurement()[0], np.array(agreement(landmark)) / sum(agreement(landmark))
     )
     assert found.turn[0] in ((7, 25) if landmark == 2 else (7,))
 
 
 def test_the_trap_a_blank_disc_is_more_id_1_than_id_1():
-    q = identified(picture(disc_pattern((0, 0, 0, 0)))).measurement[0]
+    q = identified(picture(disc_pattern((0, 0, 0, 0)))).measurement()[0]
     np.testing.assert_allclose(q, (0.375, 0.25, 0.25, 0.125))
     assert q[0] > 1 / 3  # what an ideal ID.1 gives
 
@@ -84,15 +84,32 @@ def test_the_trap_a_filled_disc_is_more_id_4_than_id_4():
     def pattern(x, y):  # a shadow over part of the ring gives Otsu's rule something to part
         return whole(x, y) * ~((np.hypot(x, y) > 0.7) & (y > 0.5))
 
-    q = identified(picture(pattern)).measurement[0]
+    q = identified(picture(pattern)).measurement()[0]
     np.testing.assert_allclose(q, (0.125, 0.25, 0.25, 0.375))
     assert q[3] > 1 / 3
+
+
+@pytest.mark.parametrize("share", [0.25, 0.75])
+def test_without_a_circle_the_symbol_tells_nothing(share):
+    """The outer lines of a ring that covers a known share of the turn, beside that share."""
+    whole = disc_pattern(SECTORS[3])
+
+    def pattern(x, y):
+        turn = np.arctan2(y, x) % (2 * np.pi)
+        return whole(x, y) * ((np.hypot(x, y) < 0.7) | (turn < share * 2 * np.pi))
+
+    found = identified(picture(pattern))
+    assert found.ring[0] == pytest.approx(share, abs=0.03)  # a cell at each end of the arc
+    plain = found.measurement()[0]
+    assert plain.argmax() == 2
+    np.testing.assert_array_equal(found.measurement(share - 0.05)[0], plain)
+    np.testing.assert_array_equal(found.measurement(share + 0.05)[0], 0.25)
 
 
 def test_a_disc_without_any_contrast_gives_numbers_all_the_same():
     found = identified(np.full((200, 204), 70, np.uint8))
     assert np.isfinite(found.similarity).all()
-    assert found.measurement.sum() == pytest.approx(1)
+    assert found.measurement().sum() == pytest.approx(1)
 
 
 def test_a_squeezed_disc_needs_its_own_axes():
@@ -208,5 +225,5 @@ def test_no_objects_and_objects_outside_the_image_are_no_trouble():
         grey, seen = sampler(image, np.ones_like(image), centres, start, *surroundings(image))
         found = identify(grey, seen, sampler.bands, TURNED)
         assert not seen.any()
-        assert found.measurement.shape == (len(centres), 4)
-        np.testing.assert_allclose(found.measurement.sum(axis=1), 1)
+        assert found.measurement().shape == (len(centres), 4)
+        np.testing.assert_allclose(found.measurement().sum(axis=1), 1)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from sonarrec import config
 from sonarrec.landmarks import load_landmarks
-from sonarrec.recogniser.plane import Plane
+from sonarrec.recogniser.plane import FanPlane, Plane, working_plane
 from sonarrec.recogniser.stage1_candidates import CandidateSelector
 from sonarrec.records import Fan, Selection
 from tests.support.drawn import SECTORS, disc_pattern, draw_on_floor, make_fan, speckled
@@ -29,7 +29,7 @@ DETECTORS = {"ring": RING, "edge": EDGE}
 
 def selector(kind: str, fan: Fan = FAN) -> tuple[Plane, CandidateSelector]:
     settings = DETECTORS[kind]
-    plane = Plane(fan, BASIN.radius_m, settings.plane, settings.disc_radius_px)
+    plane = working_plane(settings.plane, fan, BASIN.radius_m, settings.disc_radius_px)
     return plane, CandidateSelector(settings, plane, BASIN)
 
 
@@ -152,7 +152,7 @@ def test_gain_does_not_change_the_score(kind, gain):
 def test_the_outline_s_score_is_the_count_of_edge_pixels_written_out():
     fan = make_fan(64)
     settings = dataclasses.replace(EDGE, blur_px=3, edge_tolerance_px=1, min_visible=0.361)
-    plane = Plane(fan, BASIN.radius_m, "fan", 15.0)
+    plane = FanPlane(fan, BASIN.radius_m)
     select = CandidateSelector(settings, plane, BASIN)
     rng = np.random.default_rng(6)
     image = picture(rng, [(2.4, 2.0)], fan=fan)

@@ -8,7 +8,7 @@ import pytest
 
 from sonarrec import config
 from sonarrec.landmarks import load_landmarks
-from sonarrec.recogniser.plane import Plane
+from sonarrec.recogniser.plane import FanPlane, Plane
 from sonarrec.recogniser.stage1_candidates import CandidateSelector
 from sonarrec.recogniser.stage2_continuity import ContinuityFilter
 from sonarrec.records import Motion, Selection
@@ -16,7 +16,7 @@ from tests.support.drawn import SECTORS, disc_pattern, draw_on_floor, make_fan, 
 
 BASIN = load_landmarks("basin")
 FAN = make_fan(512)
-PLANE = Plane(FAN, BASIN.radius_m, "fan", 15.0)
+PLANE = FanPlane(FAN, BASIN.radius_m)
 DIAMETER = 2 * PLANE.axes[0]
 # The paper's rules with nothing added: only the strikes delete.
 PAPER = dataclasses.replace(
@@ -76,9 +76,9 @@ def resampled(weight_map: np.ndarray, places: np.ndarray, settings, seed: int) -
     follow = new_filter(settings, seed)
     follow.step(selection(weight_map, tuple(places[0])))
     # No other way in: the particles are put where their weights are known.
-    follow._particles = places[None].astype(np.float32)
+    follow._groups.particles = places[None].astype(np.float32)
     follow.step(selection(weight_map))
-    kept, counts = np.unique(follow._particles[0], axis=0, return_counts=True)
+    kept, counts = np.unique(follow._groups.particles[0], axis=0, return_counts=True)
     table = {tuple(p): int(c) for p, c in zip(kept, counts, strict=True)}
     return np.array([table.get(tuple(p), 0) for p in places.astype(np.float32)])
 
@@ -114,7 +114,7 @@ def test_groups_do_not_exchange_particles():
     for _ in range(5):
         groups = follow.step(selection(score, *places))
         np.testing.assert_allclose(groups.positions, places, atol=3)
-        for particles, place in zip(follow._particles, places, strict=True):
+        for particles, place in zip(follow._groups.particles, places, strict=True):
             assert np.median(np.abs(particles - place)) < 15
 
 
@@ -123,9 +123,11 @@ def test_a_particle_walks_randn_sigma_in_each_frame():
     follow = new_filter()
     even = np.ones(PLANE.shape, np.float32)
     follow.step(selection(even, START))
-    before = follow._particles.copy()
+    before = follow._groups.particles.copy()
     follow.step(selection(even))
-    np.testing.assert_allclose((follow._particles - before).std(axis=1), PAPER.sigma_px, rtol=0.1)
+    np.testing.assert_allclose(
+        (follow._groups.particles - before).std(axis=1), PAPER.sigma_px, rtol=0.1
+    )
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -324,7 +324,7 @@ def test_another_log_is_refused(results: Path, tmp_path: Path) -> None:
     (folder / "000127.png").unlink()
     fault = sonarrec("report", results, "--log", folder, "-o", tmp_path / "x.html", code=1).stderr
     assert fault.startswith("sonarrec: ")
-    assert "not the log that" in fault
+    assert "results of another log" in fault
     assert not (tmp_path / "x.html").exists()
 
 
@@ -550,19 +550,21 @@ def test_truth_beneath_and_estimates_alongside(random_log: Path) -> None:
     assert truth.position is not None
     for n in range(0, len(found.row), 7):
         best, beneath = found.landmarks.radius_m, -1
-        for t in np.flatnonzero(truth.row == found.row[n]):
+        for t in np.flatnonzero(truth.frame_index == found.row[n]):
             away = np.linalg.norm(found.position[n] - truth.position[t])
             if away <= best:
-                best, beneath = away, truth.landmark[t]
+                best, beneath = away, truth.landmark_index[t]
         assert log.truth_near[n] == beneath
     shown, in_all = tracks(log, most=3)
     assert (len(shown), in_all) == (3, 4)
     assert {track.number for track in shown} < {100, 101, 102, 103}
     smi = np.flatnonzero(log.of_method("smi"))
     for track in shown:
-        assert (np.diff(track.row) > 0).all()
+        assert (np.diff(track.frame_index) > 0).all()
         assert (found.object[track.at] == track.number).all()
-        for at, row, matched in zip(track.at, track.row, alongside(log, track, "smi"), strict=True):
+        for at, row, matched in zip(
+            track.at, track.frame_index, alongside(log, track, "smi"), strict=True
+        ):
             here = smi[found.row[smi] == row]
             away = np.linalg.norm(found.position[here] - found.position[at], axis=1)
             if len(here) and away.min() <= found.landmarks.radius_m:
@@ -585,7 +587,11 @@ def test_sightings_of_the_sample(results: Path) -> None:
     for s in found:
         assert s.track is not None
         frames, scores = zip(*claims[s.landmark, s.track], strict=True)
-        assert (s.first, s.last, s.claims) == (min(frames), max(frames), len(frames))
+        assert (s.first_frame_index, s.last_frame_index, s.claims) == (
+            min(frames),
+            max(frames),
+            len(frames),
+        )
         assert s.best == max(scores)
         assert s.mean == pytest.approx(np.mean(scores))
         assert scores[frames.index(s.surest)] == s.best

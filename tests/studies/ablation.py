@@ -61,6 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     recognise_all(jobs)
     found = score([job.folder for job in jobs])
     strict = {s.method: s for s in found.scored if s.protocol == "strict"}
+    passes = len(find_passes(found.joined).first_frame_index)
     lines = []
     for name, changes in ABLATIONS.items():
         one = strict[f"{FRAMEWORK}:{name}"]
@@ -72,8 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         )
     show(
         f"TPR and FPR, protocol strict, at the operating point, and TPR at equal FPR;\n"
-        f"{len(jobs)} recordings of {asked.frames} frames, {len(find_passes(found.joined).first)} "
-        f"passes of landmarks",
+        f"{len(jobs)} recordings of {asked.frames} frames, {passes} passes of landmarks",
         lines,
     )
     print(f"\n{asked.out}; {(time.monotonic() - begun) / 60:.1f} minutes")

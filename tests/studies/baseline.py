@@ -277,7 +277,7 @@ def fan_of(folder: Path, image: np.ndarray) -> Fan:
     from sonarrec.geometry import fan_for_image
     from sonarrec.sonar import load_sonar
 
-    return fan_for_image(load_sonar(folder / "sonar.toml"), *image.shape[:2])
+    return fan_for_image(load_sonar(folder / "sonar.toml").complete("test"), *image.shape[:2])
 
 
 def read_grey(path: Path) -> np.ndarray:

@@ -25,7 +25,7 @@ from sonarrec.config import Config, preset
 from sonarrec.evaluation.evaluate import evaluate
 from sonarrec.landmarks import load_landmarks
 from sonarrec.recogniser.odometry import Odometry
-from sonarrec.recogniser.plane import Plane
+from sonarrec.recogniser.plane import FloorPlane
 from sonarrec.recogniser.recogniser import Recogniser
 from sonarrec.recogniser.stage1_candidates import CandidateSelector
 from sonarrec.recogniser.stage2_continuity import ContinuityFilter
@@ -44,7 +44,7 @@ LONG = (500, 5000)
 REPORTED = ("basin", (501, "plain"), (502, "near_miss"), (503, "fading"))
 # What a frame goes through, and where.
 PARTS = {
-    "fan to floor": (Plane, "warp"),
+    "fan to floor": (FloorPlane, "warp"),
     "stage 1": (CandidateSelector, "__call__"),
     "pan from the images": (Odometry, "step"),
     "stage 2": (ContinuityFilter, "step"),

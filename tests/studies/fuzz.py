@@ -56,7 +56,8 @@ POLAR = Sonar(
     range_min_m=1.25,
     range_max_m=3.75,
     bearings_deg=tuple(np.linspace(-14, 14, COLUMNS).tolist()),
-)
+    tilt_deg=20.0,
+).complete("test")
 FLATBUFFERS = [name for name in WRITERS if "flatbuffer" in name]
 COMPRESSIONS = (CompressionType.NONE, CompressionType.LZ4, CompressionType.ZSTD)
 

@@ -42,7 +42,7 @@ def errors(evaluation: Evaluation, found: Scored, folders: Sequence[Path]) -> Er
     right = found.made[found.made_effect[:, 0] > 0]
     claim, truth = found.claim[right], found.truth[right]
     told, true = joined.claim_position[claim].T, joined.truth_position[truth].T
-    turn = joined.turn_deg[found.landmark[right]]
+    turn = joined.turn_deg[found.landmark_index[right]]
     off = joined.claim_orientation[claim] - joined.truth_orientation[truth]
     # The evaluation numbers claims as the files hold them, one log after the other.
     sigmas = pd.concat([pd.read_csv(f / "estimates.csv", usecols=SIGMAS) for f in folders])

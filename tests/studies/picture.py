@@ -1,27 +1,69 @@
-"""The README's picture: `python -m tests.studies.picture` writes sample_data/picture.png.
+"""The README's pictures, sample_data/{landmarks,picture}.png: `python -m tests.studies.picture`.
 
-Two frames of the sample log as `sonarrec overlay` draws them.
+The landmarks of the built-in set, as drawn and cut out of the sample logs; two frames of a sample
+log as `sonarrec overlay` draws them.
 """
 
 from __future__ import annotations
 
+import csv
 from pathlib import Path
 
 import cv2
 import numpy as np
 
 from sonarrec.config import preset
+from sonarrec.landmarks import load_landmarks
 from sonarrec.overlay.overlay import Targets, write_overlay
+from sonarrec.readers import open_log
 from sonarrec.run import process
 
 SAMPLES = Path(__file__).resolve().parents[2] / "sample_data"
 BUILD = SAMPLES.parent / "build" / "picture"
 LOG = SAMPLES / "pan"
 SHOWN = (34, 100)
+CELL_PX = 130
+CUT_RADII = 1.3  # what is shown round a landmark's centre
+SEEN = {1: ("pan", 20), 2: ("polar", 20), 3: ("pan", 60), 4: ("polar", 60)}  # ID: log, frame
+
+
+def draw_landmarks() -> np.ndarray:
+    """(2 cells, one column per ID, 3): every landmark as drawn, and as a sample log shows it.
+
+    As drawn it is turned to where it lies in the frame below it.
+    """
+    landmarks = load_landmarks("basin")
+    right, down = np.meshgrid(*2 * (np.linspace(-CUT_RADII, CUT_RADII, CELL_PX),))
+    columns = []
+    for k, landmark in enumerate(landmarks.ids):
+        name, number = SEEN[landmark]
+        with (SAMPLES / name / "gt.csv").open(encoding="utf-8") as file:
+            (row,) = [
+                row
+                for row in csv.DictReader(file)
+                if (row["frame"], row["landmark"]) == (str(number), str(landmark))
+            ]
+        turn = np.deg2rad(float(row["orientation_deg"]))
+        x = right * np.cos(turn) - down * np.sin(turn)
+        y = -right * np.sin(turn) - down * np.cos(turn)
+        bright = landmarks.pattern(k, x, y)
+        drawn = np.where(np.hypot(x, y) <= 1, 70 + 160 * bright, 20).astype(np.uint8)
+        with open_log(str(SAMPLES / name)) as log:
+            frame = next(frame for frame in log if frame.index == number)
+        side = round(2 * CUT_RADII * landmarks.radius_m / frame.fan.metres_per_pixel)
+        place = (float(row["x_px"]), float(row["y_px"]))
+        cut = cv2.getRectSubPix(frame.image, (side, side), place)
+        seen = cv2.resize(cut, (CELL_PX, CELL_PX), interpolation=cv2.INTER_CUBIC)
+        both = cv2.cvtColor(np.vstack([drawn, seen]), cv2.COLOR_GRAY2BGR)
+        white = (255, 255, 255)
+        cv2.putText(both, f"ID.{landmark}", (6, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.45, white, 1)
+        columns.append(both)
+    return np.hstack(columns)
 
 
 def main() -> None:
-    """Run the sample log and draw."""
+    """Draw the landmarks; run the sample log and draw its results."""
+    assert cv2.imwrite(str(SAMPLES / "landmarks.png"), draw_landmarks())
     results = process(LOG, BUILD, preset("default"))
     images = BUILD / "frames"
     write_overlay(LOG, Targets(images=images), results=results.folder)

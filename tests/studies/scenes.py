@@ -98,7 +98,7 @@ def scored_rows(recordings: Sequence[Recording]) -> list[Row]:
             for name, method in METHODS.items()
             if s.method == method
         }
-        passes = len(find_passes(found.joined).first)
+        passes = len(find_passes(found.joined).first_frame_index)
         rows.append(Row(recording.kind, recording.seed, passes, counts))
     return rows
 

@@ -154,7 +154,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     files = write_evaluation(asked.out, found, summary)
     print(
         f"{len(jobs)} sequences of {asked.frames} frames (seeds {asked.seeds.start} to "
-        f"{asked.seeds.stop - 1}), {len(summary.passes.first)} passes of landmarks"
+        f"{asked.seeds.stop - 1}), {len(summary.passes.first_frame_index)} passes of landmarks"
     )
     for protocol in ("strict", "paper"):
         show_figures(summary, protocol)

@@ -31,7 +31,7 @@ from sonarrec.simulation.scene import (
 from sonarrec.simulation.simulate import write_recording
 from tests.studies import ablation, baseline, bench, scenes, study
 from tests.studies.measured import BINS, errors, honesty, reliability
-from tests.support.simulated import METHODS, PRESETS, Job, recognise, score
+from tests.support.simulated import METHODS, PRESETS, HoughRival, Job, recognise, score
 
 # Another radius than the built-in set's, so that the set has to be handed on.
 SCENE = Scene(
@@ -57,7 +57,7 @@ def table(path: Path) -> list[dict[str, str]]:
 def in_memory(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The results of SCENE as the harness makes them."""
     folder = tmp_path_factory.mktemp("in_memory") / SCENE.name
-    recognise(Job(SCENE, folder, [preset(name) for name in PRESETS]))
+    recognise(Job(SCENE, folder, [preset(name) for name in PRESETS], (HoughRival,)))
     return folder
 
 

@@ -40,7 +40,7 @@ def make_fan(
     )
     half = range_max_m * math.sin(math.radians(field_of_view_deg / 2))
     columns = 2 * math.ceil(half / ((range_max_m - range_min_m) / rows)) + 1
-    return fan_for_image(sonar, rows, columns)
+    return fan_for_image(sonar.complete("test"), rows, columns)
 
 
 def disc_pattern(

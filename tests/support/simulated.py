@@ -9,7 +9,7 @@ from __future__ import annotations
 import multiprocessing
 import shutil
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
@@ -25,7 +25,7 @@ from sonarrec.geometry import polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.recogniser import FRAMEWORK, SMI
 from sonarrec.recogniser.side_by_side import SideBySide
-from sonarrec.records import Estimate, Fan, Frame, FrameResult
+from sonarrec.records import Estimate, Fan, Frame
 from sonarrec.results.run_file import run_table
 from sonarrec.results.write import ResultsWriter
 from sonarrec.simulation.scene import Scene, scene_fan, scene_sonar
@@ -81,15 +81,14 @@ def recognise(job: Job) -> None:
     waiting = deque[list[Estimate]]()
     with ResultsWriter(job.folder, landmarks, run) as writer:
 
-        def take(results: Iterable[FrameResult]) -> None:
-            for result in results:
-                writer.write(replace(result, estimates=(*result.estimates, *waiting.popleft())))
+        def seen() -> Iterator[Frame]:
+            for frame in render(scene):
+                truth.extend([frame.index, *asdict(row).values()] for row in frame.truth)
+                waiting.append([e for rival in rivals for e in rival.step(frame.image)])
+                yield Frame(frame.index, frame.timestamp_ns, frame.image, fan)
 
-        for frame in render(scene):
-            truth += ([frame.index, *asdict(row).values()] for row in frame.truth)
-            waiting.append([e for rival in rivals for e in rival.step(frame.image)])
-            take(recogniser.step(Frame(frame.index, frame.timestamp_ns, frame.image, fan)))
-        take(recogniser.finish())
+        for result in recogniser.recognise(seen()):
+            writer.write(replace(result, estimates=(*result.estimates, *waiting.popleft())))
         writer.finish([])
     write_truth(job.folder / "gt.csv", ["frame", *(f.name for f in fields(LandmarkTruth))], truth)
 

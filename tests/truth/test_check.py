@@ -188,7 +188,7 @@ def test_several_faults_of_one_row_are_all_told(tmp_path: Path, log: Path) -> No
 
 def test_pixels_edited_beside_range_and_bearing(tmp_path: Path, log: Path) -> None:
     """Scoring reads range and bearing: a correction of the pixels alone would have no effect."""
-    fan = fan_for_image(load_sonar(log / "sonar.toml"), 300, 560)
+    fan = fan_for_image(load_sonar(log / "sonar.toml").complete("test"), 300, 560)
     range_m, bearing_deg = polar_from_pixel(fan, 280.0, 150.0)
     header = "frame,landmark,x_px,y_px,range_m,bearing_deg"
     polar = f"{float(range_m):.4f},{float(bearing_deg):.3f}"
@@ -222,7 +222,7 @@ def test_visible_of_the_simulator_is_always_sound(
     """Whatever share the simulator works out, and a person's estimate that is near to it."""
     folder = tmp_path_factory.mktemp("check")
     log = image_folder(folder / "pings", [np.zeros((60, 112), np.uint8)])
-    fan = fan_for_image(load_sonar(log / "sonar.toml"), 60, 112)
+    fan = fan_for_image(load_sonar(log / "sonar.toml").complete("test"), 60, 112)
     ground = math.sqrt(range_m**2 - 0.68**2)
     turn = math.radians(bearing_deg)
     pose = Pose(0.0, 0.68, 0.0, 0.0)

@@ -180,7 +180,10 @@ def test_entity_bombs_are_refused_before_they_go_off(tmp_path: Path) -> None:
         (track('<box frame="0" xtl="nan" ytl="2" xbr="3" ybr="4"/>'), "'nan' is no coordinate"),
         (track('<points frame="0" points="1,2;3,4"/>'), "marked by one point, not 2"),
         (track('<polygon frame="0" points="1,2;3"/>'), "line 6"),
-        (track(BOX.format(0, 0, 0, 1, 2), BOX.format(10**9, 0, 0, 1, 2)), "between two keyframes"),
+        (
+            track(BOX.format(0, 0, 0, 1, 2), BOX.format(10**9, 0, 0, 1, 2)),
+            "shapes to fill in between keyframes",
+        ),
         (track(more=' task_id="1"') + track(more=' task_id="2"'), "several tasks in one file"),
         ("<track", "not well-formed XML"),
         (

@@ -69,8 +69,8 @@ def test_spreadsheet_habits_are_read(case: Path) -> None:
         b"\xef\xbb\xbfframe, landmark, visible, remark\r\n0.0, 1, , good\r\n\r\n3, 2, 0.5, part\r\n"
     )
     truth = matched(case)
-    assert truth.row.tolist() == [0, 2]
-    assert truth.landmark.tolist() == [0, 1]
+    assert truth.frame_index.tolist() == [0, 2]
+    assert truth.landmark_index.tolist() == [0, 1]
     assert truth.visible.tolist() == [1.0, 0.5]
     assert truth.position is None
 
@@ -131,22 +131,26 @@ def test_nearest_frame_within_half_an_interval(case: Path) -> None:
     # Frames at 1000, 1250 and 1750 ms: the median interval is 375 ms, half of it 187.5.
     stamps(case, 900, 1260, 1562, 1600, 1938)
     truth = matched(case)
-    assert truth.row.tolist() == [0, 1, 2]  # 1562 and 1600 both belong to 1750; 1600 is nearer
+    assert truth.frame_index.tolist() == [
+        0,
+        1,
+        2,
+    ]  # 1562 and 1600 both belong to 1750; 1600 is nearer
     assert (truth.between, truth.unprocessed) == (0, 2)
-    assert matched(case, 0.05).row.tolist() == [1]
+    assert matched(case, 0.05).frame_index.tolist() == [1]
     assert matched(case, 0.2).between == 2
 
 
 def test_denser_truth_shows_a_landmark_once_per_frame(case: Path) -> None:
     stamps(case, *range(950, 1800, 10))
     truth = matched(case, 0.1)
-    assert truth.row.tolist() == [0, 1, 2]
+    assert truth.frame_index.tolist() == [0, 1, 2]
     assert truth.between + truth.unprocessed == truth.rows - 3
 
 
 def test_equally_near_stamps_take_the_earlier_with_all_its_rows(case: Path) -> None:
     (case / "gt.csv").write_text("timestamp_ns,landmark\n1010000000,1\n990000000,2\n990000000,3\n")
-    assert sorted(matched(case).landmark.tolist()) == [1, 2]
+    assert sorted(matched(case).landmark_index.tolist()) == [1, 2]
 
 
 def test_time_matching_against_brute_force(case: Path) -> None:
@@ -163,13 +167,13 @@ def test_time_matching_against_brute_force(case: Path) -> None:
         if near is not None and abs(near - frame) <= 30:
             expected.add(i)
     truth = matched(case, 0.03)
-    assert set(truth.row.tolist()) == expected
-    assert len(truth.row) == len(expected)
+    assert set(truth.frame_index.tolist()) == expected
+    assert len(truth.frame_index) == len(expected)
 
 
 def test_frame_numbers_go_before_times(case: Path) -> None:
     (case / "gt.csv").write_text("frame,timestamp_ns,landmark\n3,1000000000,1\n")
-    assert matched(case).row.tolist() == [2]
+    assert matched(case).frame_index.tolist() == [2]
 
 
 # --- Faults of the truth -------------------------------------------------------------------------
@@ -240,7 +244,11 @@ def test_truth_beyond_the_processed_frames_is_counted_and_said(case: Path) -> No
         ("estimates.csv", ESTIMATES + "0,m,2,0,9,0.5,1\n", "line 4: landmark 9 is not in the set"),
         ("estimates.csv", ESTIMATES.splitlines()[0] + "\n", "names no method to score"),
         ("run.toml", "[sonar\n", "run.toml: not a readable TOML file"),
-        ("run.toml", "[landmarks]\nname = 'x'\n", "run.toml: a landmark set has exactly"),
+        (
+            "run.toml",
+            "[landmarks]\nname = 'x'\n",
+            "run.toml: [landmarks] lacks radius_m, ring, symbol, landmark",
+        ),
     ],
 )
 def test_bad_results(case: Path, name: str, text: str, said: str) -> None:

@@ -16,7 +16,7 @@ from sonarrec.readers.mcap.fields import Fields
 from sonarrec.readers.pixels import decode_image, raw_pixels
 from sonarrec.readers.raw import Ping, UnusableError
 from sonarrec.records import FloatArray
-from sonarrec.sonar import MIN_WINDOW_M, Sonar
+from sonarrec.sonar import MIN_WINDOW_M, PingGeometry
 
 # What each message means
 
@@ -90,7 +90,7 @@ def _fan_bearings(directions: FloatArray) -> FloatArray:
     return _left_to_right(np.degrees(np.arctan2(directions[:, across], ahead)))
 
 
-def _geometry(ranges_m: FloatArray, bearings_deg: FloatArray) -> Sonar:
+def _geometry(ranges_m: FloatArray, bearings_deg: FloatArray) -> PingGeometry:
     """The geometry of a ping from the middles of its bins and beams.
 
     Raises UnusableError where they are no window in front of a sonar.
@@ -111,8 +111,7 @@ def _geometry(ranges_m: FloatArray, bearings_deg: FloatArray) -> Sonar:
     if np.abs(ranges_m - even).max() > first / 64:  # resampling does not resolve less
         first, last = steps[0], steps[-1]
         ranges = tuple(ranges_m.tolist())
-    return Sonar(
-        layout="polar",
+    return PingGeometry(
         range_min_m=max(float(ranges_m[0] - first / 2), 0.0),
         range_max_m=float(ranges_m[-1] + last / 2),
         bearings_deg=tuple(bearings_deg.tolist()),
@@ -143,7 +142,7 @@ def read_raw_sonar_image(message: Fields) -> Ping:
     return Ping(pixels, message.stamp_ns(), _geometry(ranges, bearings))
 
 
-def _oculus_geometry(message: Fields, bins: int, beams: int) -> Sonar:
+def _oculus_geometry(message: Fields, bins: int, beams: int) -> PingGeometry:
     """Bearings in hundredths of a degree; bins of one length from the sonar on."""
     bearings = message.numbers("bearings") / 100
     if len(bearings) != beams:

@@ -1,1 +1,48 @@
-"""Stage 3: which landmark is it? The published measurement, and the appearance along the track."""
+"""Stage 3: which landmark is it? (Section 3.4).
+
+Two ways lead from shape matrices to beliefs, behind one seam, Measurement: the published one
+(published.py: a single frame's identification, Tables 2 and 3, Eq. 5 to 8) and the default
+(appearance.py: the matrix averaged along the track, described and judged by a model).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from sonarrec.records import BoolArray, FloatArray, Groups
+
+
+@dataclass(frozen=True, slots=True)
+class Beliefs:
+    """What n objects are, and how they lie."""
+
+    probabilities: FloatArray
+    """(n, K + 1): every ID, then 'none of these'; rows sum to 1."""
+    turn: FloatArray
+    """(n,) of the likeliest ID from the line of sight, in steps of the shape matrix."""
+    turn_sigma: FloatArray
+    """(n,) its standard error in steps, NaN where unknown."""
+
+
+class Measurement(Protocol):
+    """From the groups' shape matrices to beliefs. Frames come in the log's order."""
+
+    def gather(
+        self, groups: Groups, grey: FloatArray, seen: BoolArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Take in a frame's matrices, (n, L, ANGLES) from ShapeSampler.
+
+        Returns what is judged, same shapes: brightness, and how often each cell was seen.
+        """
+        ...
+
+    def beliefs(
+        self, groups: Sequence[Groups], brightness: FloatArray, count: FloatArray
+    ) -> Beliefs:
+        """Beliefs in the groups of some frames, one frame after another.
+
+        brightness, count: (n, L, ANGLES) from `gather`, of all those groups.
+        """
+        ...

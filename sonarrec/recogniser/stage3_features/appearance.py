@@ -1,22 +1,29 @@
-"""What a disc's shape matrix looks like, gathered along its track.
+"""The default measurement: what a disc's shape matrix looks like, gathered along its track.
 
 The paper measures each frame by itself and normalises away 'this is no landmark'. Here the grey
-shape matrix is averaged in the object's own frame (angles count from the line of sight, which a
-pan leaves alone), described under every ID (description.py), and judged by a model of what
-landmarks look like (model.py).
+shape matrix is averaged in the object's own frame (track_matrix.py), described under every ID
+(description.py), and judged by a model of what landmarks look like (model.py). The average holds
+what earlier frames showed, so the model's probabilities are the belief: there is no prior belief
+to carry on (Eq. 5) and no confusion of IDs to weigh it with (Eq. 6 to 8).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
 
 from sonarrec.config import Features
 from sonarrec.landmarks import LandmarkSet
+from sonarrec.recogniser.plane import Plane
+from sonarrec.recogniser.stage3_features import Beliefs
 from sonarrec.recogniser.stage3_features.description import Describer
 from sonarrec.recogniser.stage3_features.shape_matrix import ShapeSampler
-from sonarrec.records import FloatArray
+from sonarrec.recogniser.stage3_features.track_matrix import TrackMatrix
+from sonarrec.records import BoolArray, FloatArray, Groups
+
+HALF_POWER = 2 * (2 * np.log(2)) ** 0.5  # width of a Gaussian at half power, in its deviations
 
 
 class Judge(Protocol):
@@ -26,25 +33,47 @@ class Judge(Protocol):
 
 
 class AppearanceMeasurement:
-    """The default measurement of stage 3: from each track's averaged shape matrix."""
+    """Beliefs from each track's averaged shape matrix."""
 
     def __init__(
-        self, config: Features, sampler: ShapeSampler, landmarks: LandmarkSet, model: Judge
+        self,
+        config: Features,
+        plane: Plane,
+        sampler: ShapeSampler,
+        landmarks: LandmarkSet,
+        model: Judge,
     ) -> None:
+        self._plane = plane
+        self._matrix = TrackMatrix(config.memory_frames, len(sampler.radii))
         self._describe = Describer(
             sampler.bands, sampler.radii, landmarks, alike=config.alike_radii
         )
         self._model = model
+        self._beam_sigma = np.radians(config.beam_width_deg / HALF_POWER)
+        self._radius_m = landmarks.radius_m
 
-    def __call__(
-        self, average: FloatArray, count: FloatArray, existence: FloatArray, smear: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(n, K + 1) probabilities, the (n,) turn of the likeliest ID and its error, in steps.
+    def gather(
+        self, groups: Groups, grey: FloatArray, seen: BoolArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """The average along each track, and how often its cells were seen."""
+        return self._matrix.step(groups, grey, seen)
 
-        average, count: (n, L, ANGLES) from TrackMatrix. existence, smear: (n,) as Describer.
-        """
-        description = self._describe(average, count, existence, smear)
+    def beliefs(
+        self, groups: Sequence[Groups], brightness: FloatArray, count: FloatArray
+    ) -> Beliefs:
+        """See Measurement."""
+        existence = np.concatenate([g.existence for g in groups])
+        positions = np.concatenate([g.positions for g in groups])
+        description = self._describe(brightness, count, existence, self._smear(positions))
         probabilities = self._model.probabilities(description.features)
         best = probabilities[:, :-1].argmax(axis=1)
         at = (np.arange(len(best)), best)
-        return probabilities, description.turn[at], description.turn_sigma[at]
+        return Beliefs(probabilities, description.turn[at], description.turn_sigma[at])
+
+    def _smear(self, positions: FloatArray) -> FloatArray:
+        """(n,) the beam's standard deviation across the line of sight, in disc radii.
+
+        positions: (n, 2) working pixels.
+        """
+        range_m, _ = self._plane.to_polar(*positions.T)
+        return np.asarray(self._beam_sigma * range_m / self._radius_m)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.stage3_features.expected_symbol import ExpectedSymbols
 from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES, Bands, turned_codes
-from sonarrec.records import FloatArray
+from sonarrec.records import BoolArray, FloatArray
 
 # Levels are in standard deviations of the frame. Those named "local" count the symbol from the gap
 # in the same direction: echoes that come late and light that falls unevenly lie over both alike.
@@ -52,14 +52,14 @@ LIMIT = 9.0  # of every feature's magnitude
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """n objects under each of K IDs. features: (n, K, F).
-
-    turn, turn_sigma: (n, K) the rotation that fits best and its standard error, in steps.
-    """
+    """n objects under each of K IDs."""
 
     features: FloatArray
+    """(n, K, F)."""
     turn: FloatArray
+    """(n, K) the rotation that fits best, in steps."""
     turn_sigma: FloatArray
+    """(n, K) its standard error, in steps."""
 
 
 class Describer:
@@ -90,6 +90,7 @@ class Describer:
         self._member = np.stack([np.roll(member, turn, axis=0) for turn in range(ANGLES)], axis=1)
         self._member = self._member.reshape(ANGLES, -1)
 
+    # Long, for all that the FEATURES are made of is said in their order, in one place.
     def __call__(
         self, average: FloatArray, count: FloatArray, existence: FloatArray, smear: FloatArray
     ) -> Description:
@@ -100,10 +101,7 @@ class Describer:
         """
         frames = np.maximum(count.max(axis=(1, 2)), 0.5)
         count = count * self._area
-        # Mean over each band's lines and how often its cells were seen: (bands, n, ANGLES).
-        weights = np.add.reduceat(count, self._starts, axis=1).swapaxes(0, 1)
-        profiles = np.add.reduceat(average * count, self._starts, axis=1).swapaxes(0, 1)
-        profiles = profiles / np.maximum(weights, 1e-9)
+        profiles, weights = self._profiles(average, count)
         symbol, ring, gap, outer = profiles
         weight, ring_weight, gap_weight, outer_weight = weights
         _, ring_level, gap_level, outer_level = _level(profiles, weights)
@@ -125,11 +123,8 @@ class Describer:
         known = np.stack([weight, weight * (gap_weight > 0), weight * (outer_weight > 0)])
         dark, step, texture = _regress(counted[0], weight, code)
         level, shown = self._sector_levels(counted, known, turn)
-        # 0 where no such sector has shown.
-        brightest = np.where(shown & ~self._sectors, level, -np.inf).max(axis=-1)
-        brightest = np.where(np.isfinite(brightest), brightest, 0.0)
-        darkest = np.where(shown[1] & self._sectors, level[1], np.inf).min(axis=-1)
-        darkest = np.where(np.isfinite(darkest), darkest, 0.0)
+        brightest = _most(level, shown & ~self._sectors)
+        darkest = -_most(-level[1], shown[1] & self._sectors)
         edge, weakest_edge = _steepness(symbol, weight, self._edges[turn, np.arange(ids)])
 
         smeared = np.clip(smear[:, None] / SMEAR_UNIT, 0, MOST_SMEAR)
@@ -158,16 +153,18 @@ class Describer:
         features = np.empty((objects, ids, len(FEATURES)))
         for i, value in enumerate(values):
             features[:, :, i] = value if value.ndim == 2 else value[:, None]
-        exact, bend = _summit(correlation, turn)
-        # The steeper the correlation falls off, and the less of the symbol it leaves unexplained,
-        # the better is the turn known (curvature of a least-squares fit).
-        noise = np.sqrt(1 - np.minimum(best, 0.999) ** 2)
-        turn_sigma = TURN_SIGMA * noise / np.sqrt(np.maximum(bend, 1e-4))
+        exact, turn_sigma = _exact_turn(correlation, turn, best)
         return Description(np.clip(features, -LIMIT, LIMIT), exact, turn_sigma)
+
+    def _profiles(self, average: FloatArray, count: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(bands, n, ANGLES) mean over each band's lines, and how often its cells were seen."""
+        weights = np.add.reduceat(count, self._starts, axis=1).swapaxes(0, 1)
+        profiles = np.add.reduceat(average * count, self._starts, axis=1).swapaxes(0, 1)
+        return profiles / np.maximum(weights, 1e-9), weights
 
     def _sector_levels(
         self, symbol: FloatArray, weight: FloatArray, turn: npt.NDArray[np.intp]
-    ) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+    ) -> tuple[FloatArray, BoolArray]:
         """Mean level of every sector of every ID, and whether enough of it has shown.
 
         symbol, weight: (m, n, ANGLES). turn: (n, K). Returns (m, n, K, S).
@@ -178,6 +175,27 @@ class Describer:
         level = ((symbol * weight) @ self._member).reshape(shape)[turned]
         full = weight.max(axis=-1)[..., None, None] * self._cells
         return level / np.maximum(share, 1e-9), share > 0.3 * np.maximum(full, 1e-9)
+
+
+def _most(level: FloatArray, among: BoolArray) -> FloatArray:
+    """Greatest over the last axis of those `among`; 0 where there is none."""
+    most = np.where(among, level, -np.inf).max(axis=-1)
+    return np.where(np.isfinite(most), most, 0.0)
+
+
+def _exact_turn(
+    correlation: FloatArray, turn: npt.NDArray[np.intp], best: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """(n, K) the turn to a part of a step, and its standard error.
+
+    correlation: (n, ANGLES, K). turn, best: (n, K) the whole step where it is greatest, and how
+    great it is there.
+    """
+    exact, bend = _summit(correlation, turn)
+    # The steeper the correlation falls off, and the less of the symbol it leaves unexplained,
+    # the better is the turn known (curvature of a least-squares fit).
+    noise = np.sqrt(1 - np.minimum(best, 0.999) ** 2)
+    return exact, TURN_SIGMA * noise / np.sqrt(np.maximum(bend, 1e-4))
 
 
 def _regress(

@@ -45,15 +45,14 @@ LEAST_SHOWN = 0.1  # share of a whole symbol's evidence below which nothing of i
 
 
 class _Expected(NamedTuple):
-    """flat: (cells, T) of what is expected, 0 on the plate to 1 on a symbol.
-
-    T: every ID at every turn (ANGLES x K), then a cross at CROSS_TURNS. whitened: the same times
-    the precision. power: (T,) the product of the two.
-    """
+    """What T symbols should show: every ID at every turn (ANGLES x K), a cross at CROSS_TURNS."""
 
     flat: FloatArray
+    """(cells, T) 0 on the plate to 1 on a symbol."""
     whitened: FloatArray
+    """(cells, T) the same times the precision."""
     power: FloatArray
+    """(T,) the product of the two."""
 
 
 class ExpectedSymbols:

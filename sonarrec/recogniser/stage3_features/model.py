@@ -7,17 +7,17 @@ curve. A curve shows at a glance what its feature is worth, which a file of weig
 from __future__ import annotations
 
 import hashlib
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from sonarrec.recogniser.stage3_features.description import FEATURES
 from sonarrec.records import FloatArray, UsageError
+from sonarrec.toml import Finite, checked, from_table, length, parse_toml, read_text, shown
 
 BUILT_IN = Path(__file__).parent / "appearance.toml"
 
@@ -86,19 +86,18 @@ class ModelFile:
 
 def read_model(path: Path) -> ModelFile:
     """A model from a TOML file. Raises UsageError where the file is not such a model."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path}: cannot be read ({error})") from None
+    text = read_text(path, UsageError)
     return ModelFile(path.name, text, parse_model(text, str(path)))
 
 
 def model_from_table(table: Mapping[str, Any], where: str) -> ModelFile:
     """The model that ModelFile.as_table wrote down. Raises UsageError where it is none."""
     try:
-        name, text = str(table["name"]), str(table["text"])
-    except (TypeError, KeyError):
+        name, text = table["name"], table["text"]
+    except KeyError:
         raise UsageError(f"{where}: [model] needs name and text") from None
+    for key, value in (("name", name), ("text", text)):
+        checked(value, str, f"{where}: model.{key}", UsageError)
     return ModelFile(name, text, parse_model(text, f"{where}: [model]"))
 
 
@@ -107,22 +106,33 @@ def load_model(path: Path = BUILT_IN) -> AppearanceModel:
     return read_model(path).model
 
 
+@dataclass(frozen=True, slots=True)
+class _Curve:
+    """A feature's curve as its table states it."""
+
+    at: Annotated[tuple[Finite, ...], length(1, 1000)]
+    log_odds: Annotated[tuple[Finite, ...], length(1, 1000)]
+
+
 def parse_model(text: str, where: str) -> AppearanceModel:
     """The model in a TOML text; `where` names it in errors.
 
     Raises UsageError where the text is not such a model.
     """
-    try:
-        table = tomllib.loads(text)
-        knots = tuple(np.array(table[name]["at"], float) for name in FEATURES)
-        values = tuple(np.array(table[name]["log_odds"], float) for name in FEATURES)
-        bias = float(table["bias"])
-    except (ValueError, TypeError, KeyError) as error:
+    table = parse_toml(text, where, UsageError)
+    known = ("bias", *FEATURES)
+    if wrong := [key for key in (*known, *table) if key not in known or key not in table]:
         raise UsageError(
-            f"{where}: not an appearance model ({error!r}); `sonarrec calibrate` writes one"
-        ) from None
+            f"{where}: not an appearance model (missing or unknown: {shown(wrong[0])}); "
+            "`sonarrec calibrate` writes one"
+        )
+    bias = checked(table["bias"], Finite, f"{where}: bias", UsageError)
+    curves = [
+        from_table(_Curve, table[name], where, section=name, error=UsageError) for name in FEATURES
+    ]
+    knots = tuple(np.array(curve.at) for curve in curves)
+    values = tuple(np.array(curve.log_odds) for curve in curves)
     for name, at, odds in zip(FEATURES, knots, values, strict=True):
-        sound = at.ndim == 1 and at.shape == odds.shape and len(at) > 0
-        if not sound or not (np.diff(at) > 0).all() or not np.isfinite([at, odds]).all():
-            raise UsageError(f"{where}: [{name}] needs rising `at` and as many `log_odds`, finite")
+        if at.shape != odds.shape or not (np.diff(at) > 0).all():
+            raise UsageError(f"{where}: [{name}] needs rising `at` and as many `log_odds`")
     return AppearanceModel(bias, knots, values)

@@ -1,4 +1,6 @@
-"""Stage 3: Bayesian feature estimation (Section 3.4, Algorithms 1 and 2, Eq. 5 to 8).
+"""The paper's measurement: single frames and Bayesian feature estimation.
+
+Section 3.4, Algorithms 1 and 2, Eq. 5 to 8.
 
 The belief of each object over the IDs is carried from frame to frame by the motion model, and
 updated with the shape matrices' measurement through the measurement model.
@@ -6,11 +8,17 @@ updated with the shape matrices' measurement through the measurement model.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import partial
+
 import numpy as np
 
 from sonarrec.config import Features
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import FloatArray, Groups
+from sonarrec.recogniser.stage3_features import Beliefs
+from sonarrec.recogniser.stage3_features.shape_matrix import Bands, turned_codes
+from sonarrec.recogniser.stage3_features.smi import identify, without_none
+from sonarrec.records import BoolArray, FloatArray, Groups
 
 # Measurement models, rows k = true ID, columns j = measured ID.
 TABLE_2 = np.array(  # range window 1.25 m
@@ -29,8 +37,6 @@ TABLE_3 = np.array(  # range window 2.50 m
         [0.1681, 0.2485, 0.2515, 0.3319],
     ]
 )
-
-
 PAPER_SECTORS = ((1, 0, 0, 0), (1, 0, 1, 0), (1, 1, 0, 0), (1, 1, 1, 0))
 
 
@@ -110,3 +116,34 @@ class FeatureEstimator:
             same = motion_model(groups.positions[known], self._positions, power)
             predicted[known] = same @ self._beliefs[: len(self._positions)]
         return predicted
+
+
+class PublishedMeasurement:
+    """The similarities of each frame by itself, and the beliefs that Eq. 5 to 8 make of them."""
+
+    def __init__(
+        self, config: Features, bands: Bands, landmarks: LandmarkSet, window_m: float
+    ) -> None:
+        """bands: of ShapeSampler. window_m: of the range, which says which table serves."""
+        self._least_ring = config.least_ring
+        self._identify = partial(identify, bands=bands, turned=turned_codes(landmarks))
+        self._estimator = FeatureEstimator(config, measurement_model(landmarks, window_m))
+
+    def gather(
+        self,
+        groups: Groups,  # noqa: ARG002
+        grey: FloatArray,
+        seen: BoolArray,
+    ) -> tuple[FloatArray, FloatArray]:
+        """The frame itself: nothing is gathered."""
+        return np.where(seen, grey, 0.0), seen.astype(float)
+
+    def beliefs(
+        self, groups: Sequence[Groups], brightness: FloatArray, count: FloatArray
+    ) -> Beliefs:
+        """See Measurement. What is no landmark is normalised away: 'none of these' has 0."""
+        single = self._identify(brightness, count > 0)
+        ends = np.cumsum([len(g.numbers) for g in groups])[:-1]
+        measured = np.split(single.measurement(self._least_ring), ends)
+        beliefs = [self._estimator.step(g, q) for g, q in zip(groups, measured, strict=True)]
+        return without_none(np.concatenate(beliefs), single.turn)

@@ -39,7 +39,9 @@ class Bands:
     symbol: slice
     ring: slice
     gap: slice
+    """Between the two."""
     outer: slice
+    """The floor just outside."""
 
 
 class ShapeSampler:

@@ -7,29 +7,51 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from sonarrec.recogniser.stage3_features import Beliefs
 from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES, Bands
 from sonarrec.records import FloatArray
 
 
 @dataclass(frozen=True, slots=True)
 class Identification:
-    """What SMI says of n objects in one frame.
-
-    similarity: (n, K) share of inner cells that agree with each ID, at the one rotation that fits
-    best. turn: (n,) that rotation in steps. ring: (n,) share of ring cells that are bright.
-    """
+    """What SMI says of n objects in one frame."""
 
     similarity: FloatArray
+    """(n, K) share of inner cells that agree with each ID, at the one rotation that fits best."""
     turn: npt.NDArray[np.intp]
+    """(n,) that rotation in steps."""
     ring: FloatArray
+    """(n,) share of ring cells that are bright."""
 
-    @property
-    def measurement(self) -> FloatArray:
-        """(n, K) q of Eq. 8: the similarities divided by their sum."""
+    def measurement(self, least_ring: float = 0.0) -> FloatArray:
+        """(n, K) q of Eq. 8: the similarities divided by their sum.
+
+        least_ring: where less of the ring is bright the outer lines show no circle, and the inner
+        ones tell nothing: q is uniform.
+        """
         total = self.similarity.sum(axis=1, keepdims=True)
         uniform = np.full_like(self.similarity, 1 / self.similarity.shape[1])
-        np.divide(self.similarity, total, out=uniform, where=total > 0)
+        circle = (self.ring >= least_ring)[:, None]
+        np.divide(self.similarity, total, out=uniform, where=(total > 0) & circle)
         return uniform
+
+    @property
+    def score(self) -> FloatArray:
+        """(n,) largest similarity, as far as there is a ring."""
+        return np.asarray(self.similarity.max(axis=1) * self.ring)
+
+    @property
+    def beliefs(self) -> Beliefs:
+        """The measurement taken for the belief; 'none of these' is normalised away."""
+        return without_none(self.measurement(), self.turn)
+
+
+def without_none(probabilities: FloatArray, turn: npt.NDArray[np.intp]) -> Beliefs:
+    """(n, K) beliefs of a method that knows no 'none of these', and no error of (n,) turns."""
+    n = len(turn)
+    return Beliefs(
+        np.column_stack([probabilities, np.zeros(n)]), turn.astype(float), np.full(n, np.nan)
+    )
 
 
 def identify(

@@ -1,4 +1,8 @@
-"""Ground truth as people already have it. A further format is one module and one row in FORMATS."""
+"""Ground truth as people already have it. A further format is one module and one row in FORMATS.
+
+Read by hand: the libraries for these formats bring drawing tools or machine learning with them,
+and check less of what a person's file holds.
+"""
 
 from __future__ import annotations
 

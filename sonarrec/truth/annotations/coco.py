@@ -13,9 +13,10 @@ from sonarrec.truth.annotations.shapes import (
     Annotations,
     Shape,
     centre_of_area,
-    finite,
+    coordinate,
     read_json,
     stated_visible,
+    whole,
 )
 
 
@@ -42,7 +43,7 @@ def read(path: Path) -> Annotations:
         for image in document["images"]:
             names[image["id"]] = str(image["file_name"])
             if "width" in image and "height" in image:
-                found.sizes.add((int(image["width"]), int(image["height"])))
+                found.sizes.add((whole(image["width"]), whole(image["height"])))
         found.images.extend(names.values())
         for number, annotation in enumerate(document["annotations"]):
             where = f"annotation {number} of the list"
@@ -68,12 +69,12 @@ def _centre(annotation: dict[str, Any]) -> tuple[float, float, float | None]:
         if visible is None and flag == 1:  # labelled, but not visible
             visible = PARTLY_HIDDEN
         # A keypoint names a pixel; boxes and polygons run along the edges between pixels.
-        return finite(x), finite(y), visible
+        return coordinate(x), coordinate(y), visible
     polygons = annotation.get("segmentation")
     if isinstance(polygons, list) and len(polygons) == 1 and len(polygons[0]) >= 6:
-        flat = [finite(value) for value in polygons[0]]
+        flat = [coordinate(value) for value in polygons[0]]
         x, y = centre_of_area(list(zip(flat[0::2], flat[1::2], strict=True)))
     else:
-        left, top, width, height = (finite(value) for value in annotation["bbox"])
+        left, top, width, height = (coordinate(value) for value in annotation["bbox"])
         x, y = left + width / 2, top + height / 2
     return x - HALF_A_PIXEL, y - HALF_A_PIXEL, visible

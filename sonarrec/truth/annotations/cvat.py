@@ -18,11 +18,13 @@ from sonarrec.truth.annotations.shapes import (
     Annotations,
     Shape,
     centre_of_area,
-    finite,
+    coordinate,
     stated_visible,
+    whole,
 )
 
-MAX_GAP = 100_000  # frames between two keyframes of a track; beyond it a number is mistyped
+MOST_FILLED_IN = 200_000
+"""Shapes between keyframes, of all tracks: hours of recording. Beyond it a number is mistyped."""
 
 
 def matches(path: Path, text: str) -> bool:
@@ -53,7 +55,7 @@ def read(path: Path) -> Annotations:
     except KeyError as error:
         where = f"{path} line {parser.CurrentLineNumber}"
         raise SonarrecError(f"{where}: lacks the attribute {error.args[0]!r}") from None
-    except ValueError as error:
+    except (LookupError, ValueError) as error:  # LookupError: of an encoding nobody knows
         raise SonarrecError(f"{path} line {parser.CurrentLineNumber}: {error}") from None
     return reader.found
 
@@ -64,23 +66,25 @@ def _refuse(*_: object) -> None:
 
 def _box(a: Mapping[str, str]) -> tuple[float, float]:
     # Also of a rotated box, which turns about its centre.
-    return (finite(a["xtl"]) + finite(a["xbr"])) / 2, (finite(a["ytl"]) + finite(a["ybr"])) / 2
+    return (coordinate(a["xtl"]) + coordinate(a["xbr"])) / 2, (
+        coordinate(a["ytl"]) + coordinate(a["ybr"])
+    ) / 2
 
 
 def _ellipse(a: Mapping[str, str]) -> tuple[float, float]:
-    return finite(a["cx"]), finite(a["cy"])
+    return coordinate(a["cx"]), coordinate(a["cy"])
 
 
 def _mask(a: Mapping[str, str]) -> tuple[float, float]:
     return (
-        finite(a["left"]) + finite(a["width"]) / 2,
-        finite(a["top"]) + finite(a["height"]) / 2,
+        coordinate(a["left"]) + coordinate(a["width"]) / 2,
+        coordinate(a["top"]) + coordinate(a["height"]) / 2,
     )
 
 
 def _points(a: Mapping[str, str]) -> list[tuple[float, float]]:
     pairs = [point.split(",") for point in a["points"].split(";")]
-    return [(finite(x), finite(y)) for x, y in pairs]
+    return [(coordinate(x), coordinate(y)) for x, y in pairs]
 
 
 def _point(a: Mapping[str, str]) -> tuple[float, float]:
@@ -102,7 +106,7 @@ _OTHER_SHAPES = {"polyline", "cuboid", "skeleton", "tag"}
 
 @dataclass(frozen=True, slots=True)
 class _Place:
-    """Where a track is in one frame; as Shape."""
+    """Where a track is in one frame; as Shape, and whether it is marked as left."""
 
     frame: int
     x: float
@@ -137,7 +141,7 @@ class _Reader:
         elif tag == "image":
             self._image = attributes["name"]
             self.found.images.append(self._image)
-            self.found.sizes.add((int(attributes["width"]), int(attributes["height"])))
+            self.found.sizes.add((whole(attributes["width"]), whole(attributes["height"])))
         elif tag in _CENTRES:
             self._told = {}
         elif tag in _OTHER_SHAPES and len(self._open) == 3:
@@ -151,9 +155,9 @@ class _Reader:
         if tag == "attribute" and "name" in attributes:
             self._told[attributes["name"]] = self._text
         elif tag == "width":
-            self._width = int(self._text)
+            self._width = whole(self._text)
         elif tag == "height":
-            self.found.sizes.add((self._width, int(self._text)))
+            self.found.sizes.add((self._width, whole(self._text)))
         elif tag == "track" and self._places is not None:
             self._close_track(sorted(self._places, key=lambda place: place.frame))
             self._places = None
@@ -168,7 +172,7 @@ class _Reader:
         visible = stated_visible({"occluded": attributes.get("occluded"), **self._told})
         if self._places is not None:
             outside = attributes.get("outside") == "1"
-            self._places.append(_Place(int(attributes["frame"]), x, y, visible, outside))
+            self._places.append(_Place(whole(attributes["frame"]), x, y, visible, outside))
         elif self._image is not None:
             self.found.shapes.append(Shape(self._image, attributes["label"], x, y, visible))
 
@@ -183,10 +187,13 @@ class _Reader:
             gap = b.frame - a.frame
             if a.outside or gap < 2:
                 continue
-            if gap > MAX_GAP:
-                raise ValueError(f"{gap} frames between two keyframes of a track")
+            self.found.interpolated += gap - 1
+            if self.found.interpolated > MOST_FILLED_IN:
+                raise ValueError(
+                    f"{self.found.interpolated} shapes to fill in between keyframes, the last of "
+                    f"them {gap} frames apart; more than {MOST_FILLED_IN} are not filled in"
+                )
             for step in range(1, gap):
                 part = step / gap
                 x, y = a.x + part * (b.x - a.x), a.y + part * (b.y - a.y)
                 add(a.frame + step, x, y, a.visible)
-            self.found.interpolated += gap - 1

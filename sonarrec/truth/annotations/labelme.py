@@ -12,9 +12,10 @@ from sonarrec.truth.annotations.shapes import (
     Annotations,
     Shape,
     centre_of_area,
-    finite,
+    coordinate,
     read_json,
     stated_visible,
+    whole,
 )
 
 
@@ -35,10 +36,10 @@ def read(path: Path) -> Annotations:
             name = str(document["imagePath"]).replace("\\", "/").rpartition("/")[2]
             found.images.append(name)
             if document.get("imageWidth") and document.get("imageHeight"):
-                found.sizes.add((int(document["imageWidth"]), int(document["imageHeight"])))
+                found.sizes.add((whole(document["imageWidth"]), whole(document["imageHeight"])))
             for shape in document["shapes"]:
                 kind = shape.get("shape_type") or "polygon"
-                centre = _centre(kind, [(finite(x), finite(y)) for x, y in shape["points"]])
+                centre = _centre(kind, [(coordinate(x), coordinate(y)) for x, y in shape["points"]])
                 if centre is None:
                     found.unused[f"{kind} shapes, which have no one centre"] += 1
                     continue

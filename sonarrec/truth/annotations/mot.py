@@ -5,7 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 from sonarrec.records import SonarrecError
-from sonarrec.truth.annotations.shapes import HALF_A_PIXEL, Annotations, Shape, finite, read_text
+from sonarrec.truth.annotations.shapes import (
+    HALF_A_PIXEL,
+    Annotations,
+    Shape,
+    coordinate,
+    read_text,
+    whole,
+)
 
 LABELS = "labels.txt"
 
@@ -35,14 +42,14 @@ def read(path: Path) -> Annotations:
         if not line.strip():
             continue
         try:
-            cells = [finite(cell) for cell in line.split(",")]
+            cells = [coordinate(cell) for cell in line.split(",")]
             frame, track, left, top, width, height, considered = cells[:7]
-            kind = int(cells[7]) if len(cells) > 7 else -1
+            kind = whole(cells[7]) if len(cells) > 7 else -1
             visible = cells[8] if len(cells) > 8 and kind != -1 else None
             if frame != int(frame) or (visible is not None and not 0 <= visible <= 1):
                 raise ValueError("frames are whole numbers, visibility is a share, 0 to 1")
             if kind == -1:
-                label = str(int(track))
+                label = str(whole(track))
             elif names and not 1 <= kind <= len(names):
                 raise ValueError(f"class {kind} is not in {LABELS}")
             else:

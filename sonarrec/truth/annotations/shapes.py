@@ -20,6 +20,12 @@ PARTLY_HIDDEN = 0.5
 HALF_A_PIXEL = 0.5
 """Drawing tools put (0, 0) at the image's corner, we at the centre of its first pixel."""
 
+LARGEST = 10**9
+"""Coordinates, sizes and numbers beyond it are no image's and no log's."""
+
+MOST_DIGITS = 400
+"""Of a number; Python itself refuses to read or write thousands of them."""
+
 NOT_AS_DESCRIBED = (
     AttributeError,
     IndexError,
@@ -33,34 +39,33 @@ NOT_AS_DESCRIBED = (
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """One labelled shape on one frame.
-
-    frame: its number as the file counts, or the name of its image. x, y: the shape's centre,
-    pixels, (0, 0) at the centre of the first pixel. visible: 0 to 1, None where nothing is said.
-    """
+    """One labelled shape on one frame."""
 
     frame: int | str
+    """Its number as the file counts, or the name of its image."""
     label: str
     x: float
     y: float
+    """Of its centre, pixels, (0, 0) at the centre of the first pixel."""
     visible: float | None
+    """0 to 1, None where nothing is said."""
 
 
 @dataclass(slots=True)
 class Annotations:
-    """One file, or folder of files, as read.
-
-    first_frame: what the file calls the first frame of the log. images: every image listed, also
-    those with no shape on them. sizes: (columns, rows) of the images, as far as they are told.
-    interpolated: shapes filled in between keyframes. unused: what was passed over, counted.
-    """
+    """One file, or folder of files, as read."""
 
     shapes: list[Shape] = field(default_factory=list)
     first_frame: int = 0
+    """What the file calls the first frame of the log."""
     images: list[str] = field(default_factory=list)
+    """Every image listed, also those with no shape on them."""
     sizes: set[tuple[int, int]] = field(default_factory=set)
+    """(columns, rows) of the images, as far as they are told."""
     interpolated: int = 0
+    """Shapes filled in between keyframes."""
     unused: Counter[str] = field(default_factory=Counter)
+    """What was passed over, counted."""
 
 
 def centre_of_area(points: Sequence[tuple[float, float]]) -> tuple[float, float]:
@@ -98,12 +103,25 @@ def stated_visible(attributes: Mapping[str, Any]) -> float | None:
     return None
 
 
-def finite(value: Any) -> float:
-    """A coordinate as a number. Raises ValueError or TypeError where it is none."""
-    number = float(value)
-    if not math.isfinite(number):
-        raise ValueError(f"{value!r} is no coordinate")
+def coordinate(value: Any) -> float:
+    """A coordinate in pixels as a number. Raises ValueError or TypeError where it is none."""
+    number = float(value) if len(str(value)) < MOST_DIGITS else math.inf
+    if not abs(number) <= LARGEST:  # or nan
+        raise ValueError(f"{_shortened(value)} is no coordinate in pixels")
     return number
+
+
+def whole(value: Any) -> int:
+    """A frame number, a size or a class. Raises ValueError or TypeError where it is none."""
+    number = int(value) if len(str(value)) < MOST_DIGITS else LARGEST + 1
+    if abs(number) > LARGEST:
+        raise ValueError(f"{_shortened(value)} is no number of a frame, of a class or of pixels")
+    return number
+
+
+def _shortened(value: Any) -> str:
+    text = repr(value) if isinstance(value, str) else str(value)
+    return text if len(text) < 40 else f"{text[:40]}..."
 
 
 def read_text(path: Path) -> str:
@@ -120,5 +138,5 @@ def read_json(path: Path) -> Any:
     """The document in a JSON file. Raises SonarrecError where there is none."""
     try:
         return json.loads(read_text(path))
-    except (json.JSONDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # also a number of thousands of digits
         raise SonarrecError(f"{path}: not valid JSON ({error})") from None

@@ -59,16 +59,18 @@ class Parts:
             CONTINUITY,
             groups.numbers,
             groups.positions,
-            found.measurement,
-            found.similarity.max(axis=1) * found.ring,
+            found.measurement(),
+            found.score,
             self._config.smi.declare,
         )
-        beliefs = self._learned.step(groups, found.measurement)
+        measured = found.measurement(self._config.features.least_ring)
+        beliefs = self._learned.step(groups, measured)
         made += self._estimates(
             LEARNED, groups.numbers, groups.positions, beliefs, beliefs.max(axis=1), declare
         )
         single = identify(followed.grey, followed.seen, self._bands, self._turned)
-        beliefs = self._carried(followed.candidates, single.measurement)
+        measured = single.measurement(self._config.features.least_ring)
+        beliefs = self._carried(followed.candidates, measured)
         numbers = np.arange(len(beliefs))
         made += self._estimates(
             BAYES, numbers, followed.candidates, beliefs, beliefs.max(axis=1), declare

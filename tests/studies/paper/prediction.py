@@ -33,7 +33,7 @@ from tests.studies.paper.published import CLEAR, FRAMES, IDS, IN_VIEW, TABLE_4, 
 from tests.studies.paper.world import kept_worlds
 from tests.support.simulated import Job, recognise_all, score
 
-SEEDS = range(7000, 7035)
+SEEDS = range(7000, 7070)
 """Of the recordings that are reported: nothing is fitted or chosen on them."""
 METHODS = {
     "SMI": f"{SMI}:paper",

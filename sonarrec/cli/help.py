@@ -1,0 +1,45 @@
+"""`sonarrec help`: the manual, a page per topic, from sonarrec/help/*.md."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+
+import click
+
+from sonarrec.cli.options import command
+from sonarrec.records import UsageError
+
+
+def pages() -> dict[str, str]:
+    """Text of each page by its topic; those of commands first, in the order of --help."""
+    found = {
+        page.name.removesuffix(".md"): page.read_text(encoding="utf-8")
+        for page in files("sonarrec").joinpath("help").iterdir()
+        if page.name.endswith(".md")
+    }
+    group = click.get_current_context().find_root().command
+    commands = [name for name in getattr(group, "commands", {}) if name in found]
+    return {topic: found[topic] for topic in [*commands, *sorted(set(found) - set(commands))]}
+
+
+@command("help", short_help="Show the manual: a page per topic.")
+@click.argument("topic", required=False)
+def help_(topic: str | None) -> None:
+    """Show the page of the manual on TOPIC; without TOPIC list the pages.
+
+    \b
+    Examples:
+      sonarrec help
+      sonarrec help run
+      sonarrec help results | less
+    """
+    found = pages()
+    if topic is None:
+        click.echo("sonarrec help TOPIC shows a page. Topics:\n")
+        for name, text in found.items():
+            title = text.partition("\n")[0].partition(": ")[2]
+            click.echo(f"  {name:<10} {title}")
+    elif topic not in found:
+        raise UsageError(f"help {topic}: there is no such page; there are {', '.join(found)}")
+    else:
+        click.echo_via_pager(found[topic].rstrip("\n"))  # plain where stdout is no terminal

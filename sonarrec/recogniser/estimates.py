@@ -1,0 +1,113 @@
+"""From arrays in working pixels to Estimates; what an ID is declared by."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from sonarrec.config import Config
+from sonarrec.landmarks import LandmarkSet
+from sonarrec.recogniser.followed import Batch
+from sonarrec.recogniser.plane import Plane
+from sonarrec.recogniser.stage3_features import Beliefs
+from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES
+from sonarrec.recogniser.stage3_features.smi import Identification
+from sonarrec.records import BoolArray, Estimate, FloatArray, IntArray
+
+STEP_DEG = 360 / ANGLES
+# Standard error of a group's mean, in shares of its particles' spread: chosen on tuning seeds, held
+# against the truth by `make scenes`.
+POSITION_SHARE = 0.22
+
+
+def likeliest(probabilities: FloatArray) -> tuple[npt.NDArray[np.intp], FloatArray]:
+    """(n,) index of the likeliest ID of (n, K + 1) beliefs, and (n,) the belief in it."""
+    best = probabilities[:, :-1].argmax(axis=1)
+    return best, probabilities[np.arange(len(best)), best]
+
+
+def declared(score: FloatArray | float, threshold: float) -> BoolArray:
+    """Whether an ID of this score is declared; the score's shape."""
+    return np.asarray(score) >= threshold
+
+
+class EstimateMaker:
+    """Puts what a method says of its objects into Estimates."""
+
+    def __init__(self, config: Config, plane: Plane, landmarks: LandmarkSet) -> None:
+        self._plane = plane
+        self._ids = landmarks.ids
+        self._declare = config.features.declare
+        self._declare_smi = config.smi.declare
+
+    def of_groups(self, method: str, batch: Batch, beliefs: Beliefs) -> list[Estimate]:
+        """What the framework says of a batch's groups. Its score is the belief in the ID."""
+        _, scores = likeliest(beliefs.probabilities)
+        return self._estimates(
+            method,
+            batch.numbers,
+            batch.positions,
+            batch.existence,
+            beliefs,
+            scores,
+            self._declare,
+            self._plane.polar_sigma(batch.positions, POSITION_SHARE * batch.spread),
+        )
+
+    def of_candidates(self, method: str, batch: Batch, found: Identification) -> list[Estimate]:
+        """What SMI says of a batch's candidates. It knows no standard errors."""
+        unknown: FloatArray = np.full(len(batch.candidates), np.nan)
+        return self._estimates(
+            method,
+            batch.candidate_numbers,
+            batch.candidates,
+            batch.scores,
+            found.beliefs,
+            found.score,
+            self._declare_smi,
+            (unknown, unknown),
+        )
+
+    def _estimates(
+        self,
+        method: str,
+        objects: IntArray,
+        positions: FloatArray,
+        existence: FloatArray,
+        beliefs: Beliefs,
+        scores: FloatArray,
+        threshold: float,
+        sigma: tuple[FloatArray, FloatArray],
+    ) -> list[Estimate]:
+        """One Estimate for each of n objects.
+
+        objects, existence, scores: (n,). positions: (n, 2) working pixels. threshold: as
+        `declared`. sigma: (n,) standard errors of slant range (m) and bearing (deg).
+        """
+        landmark_index, _ = likeliest(beliefs.probabilities)
+        range_sigma, bearing_sigma = sigma
+        column, row = self._plane.to_fan(*positions.T)
+        range_m, bearing_deg = self._plane.to_polar(*positions.T)
+        orientation_deg = (90 - bearing_deg + beliefs.turn * STEP_DEG) % 360
+        orientation_sigma = beliefs.turn_sigma * STEP_DEG
+        claimed = declared(scores, threshold)
+        return [
+            Estimate(
+                method=method,
+                object=int(objects[i]),
+                x_px=float(column[i]),
+                y_px=float(row[i]),
+                range_m=float(range_m[i]),
+                bearing_deg=float(bearing_deg[i]),
+                orientation_deg=float(orientation_deg[i]),
+                existence=float(existence[i]),
+                probabilities=beliefs.probabilities[i],
+                landmark=self._ids[landmark_index[i]],
+                score=float(scores[i]),
+                declared=bool(claimed[i]),
+                range_sigma_m=float(range_sigma[i]),
+                bearing_sigma_deg=float(bearing_sigma[i]),
+                orientation_sigma_deg=float(orientation_sigma[i]),
+            )
+            for i in range(len(positions))
+        ]

@@ -1,0 +1,79 @@
+"""What stages 1 and 2 hand to stage 3: frame by frame, and several frames at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sonarrec.records import BoolArray, Estimate, FloatArray, FrameResult, Groups, IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class Followed:
+    """What stages 1 and 2 made of one frame, and what stage 3 needs of its picture."""
+
+    frame: int
+    """The frame's number."""
+    timestamp_ns: int
+    candidates: FloatArray
+    """(n, 2) pixels of the working image."""
+    scores: FloatArray
+    """(n,) of stage 1."""
+    grey: FloatArray
+    """(n, L, ANGLES) shape matrices of the candidates."""
+    seen: BoolArray
+    """(n, L, ANGLES) which of their cells lie inside the fan."""
+    groups: Groups
+    """m of them."""
+    average: FloatArray
+    """(m, L, ANGLES) shape matrices of the groups, as the measurement gathers them."""
+    count: FloatArray
+    """(m, L, ANGLES) how often each of their cells was seen."""
+
+
+class Batch:
+    """Some frames, at least one: their candidates in a row, and their groups in a row."""
+
+    def __init__(self, frames: Sequence[Followed]) -> None:
+        self._frames = frames
+        self._candidates = [len(f.candidates) for f in frames]
+        self._tracks = [len(f.groups.numbers) for f in frames]
+        self.candidates: FloatArray = np.concatenate([f.candidates for f in frames])
+        """(n, 2) working pixels."""
+        self.candidate_numbers: IntArray = np.concatenate([np.arange(n) for n in self._candidates])
+        """(n,) each in its own frame, from 0."""
+        self.scores: FloatArray = np.concatenate([f.scores for f in frames])
+        """(n,) of stage 1."""
+        self.grey: FloatArray = np.concatenate([f.grey for f in frames])
+        """(n, L, ANGLES) and `seen` as in Followed."""
+        self.seen: BoolArray = np.concatenate([f.seen for f in frames])
+        self.groups = [f.groups for f in frames]
+        """Frame by frame; below all m of them in a row, and their shape matrices as in Followed."""
+        self.numbers: IntArray = np.concatenate([g.numbers for g in self.groups])
+        self.positions: FloatArray = np.concatenate([g.positions for g in self.groups])
+        self.spread: FloatArray = np.concatenate([g.spread for g in self.groups])
+        self.existence: FloatArray = np.concatenate([g.existence for g in self.groups])
+        self.average: FloatArray = np.concatenate([f.average for f in frames])
+        self.count: FloatArray = np.concatenate([f.count for f in frames])
+
+    def results(self, single: list[Estimate], tracked: list[Estimate]) -> list[FrameResult]:
+        """Frame by frame: `single` of the candidates (or of none), then `tracked` of the groups."""
+        singles = _parted(single, self._candidates if single else [0] * len(self._candidates))
+        return [
+            FrameResult(f.frame, f.timestamp_ns, candidates, tracks, (*a, *b))
+            for f, candidates, tracks, a, b in zip(
+                self._frames,
+                self._candidates,
+                self._tracks,
+                singles,
+                _parted(tracked, self._tracks),
+                strict=True,
+            )
+        ]
+
+
+def _parted(estimates: list[Estimate], counts: Sequence[int]) -> list[list[Estimate]]:
+    ends = np.cumsum(counts).tolist()
+    return [estimates[end - n : end] for end, n in zip(ends, counts, strict=True)]

@@ -1,0 +1,264 @@
+"""TOML read, and its tables held against dataclasses: the one place that does either.
+
+A dataclass says what its table may hold: each field's type carries the bounds (msgspec.Meta).
+A fault is one line that names the file, the key, the bound and the value.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import re
+import reprlib
+import sys
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+
+import msgspec
+
+from sonarrec.records import SonarrecError
+
+MAX_LENGTH = 2**24
+"""In characters: a longer file is no file of settings."""
+MAX_DEPTH = 32
+"""Of tables and lists in each other."""
+
+_MOST = sys.float_info.max
+
+
+def bounds(least: float, most: float = _MOST) -> msgspec.Meta:
+    """Both are allowed, NaN and infinity never."""
+    return msgspec.Meta(ge=least, le=most)
+
+
+def length(least: int, most: int) -> msgspec.Meta:
+    """Of a list; both are allowed."""
+    return msgspec.Meta(min_length=least, max_length=most)
+
+
+Finite = Annotated[float, bounds(-_MOST)]
+Positive = Annotated[float, msgspec.Meta(gt=0, le=_MOST)]
+NotNegative = Annotated[float, bounds(0)]
+Share = Annotated[float, bounds(0, 1)]
+Whole = Annotated[int, bounds(-(2**63), 2**63 - 1)]  # as wide as TOML asks for
+Count = Annotated[int, bounds(0, 2**63 - 1)]
+
+
+def read_toml(path: Path, error: type[SonarrecError] = SonarrecError) -> dict[str, Any]:
+    """The tables of a file. Raises `error` where it cannot be read or is no TOML."""
+    return parse_toml(read_text(path, error), str(path), error)
+
+
+def read_text(path: Path, error: type[SonarrecError] = SonarrecError) -> str:
+    """The text of a TOML file. Raises `error` where it cannot be read."""
+    try:
+        with path.open(encoding="utf-8") as file:
+            text = file.read(MAX_LENGTH + 1)
+    except (OSError, UnicodeDecodeError) as fault:
+        raise error(f"{path}: not a readable TOML file, it cannot be read ({fault})") from None
+    if len(text) > MAX_LENGTH:
+        raise error(f"{path}: not a readable TOML file, it is larger than {MAX_LENGTH >> 20} MiB")
+    return text
+
+
+def parse_toml(text: str, where: str, error: type[SonarrecError] = SonarrecError) -> dict[str, Any]:
+    """The tables of a TOML text; `where` names it in errors. Raises `error` where it is none."""
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as fault:
+        raise error(f"{where}: not a readable TOML file ({fault})") from None
+    except RecursionError:
+        raise error(
+            f"{where}: not a readable TOML file (tables or lists nested too deep)"
+        ) from None
+    except ValueError:  # Python's own limit on the digits of a whole number
+        raise error(f"{where}: not a readable TOML file (a number of too many digits)") from None
+    if found := _beyond_toml(table):
+        *keys, what = found
+        named = ".".join(_key(k) for k in keys[:3])
+        raise error(f"{where}: not a readable TOML file ({named}: {what})")
+    return table
+
+
+def _beyond_toml(value: Any, depth: int = 0) -> list[str]:
+    """The keys that lead to what no reader of TOML need take, and what it is; [] without such.
+
+    What is left is safe to print, to turn into a float and to walk through.
+    """
+    if isinstance(value, int) and not -(2**63) <= value < 2**63:
+        return ["a whole number of more than 64 bits"]
+    if depth == MAX_DEPTH and isinstance(value, dict | list):
+        return ["nested too deep"]
+    if isinstance(value, list):
+        return next(filter(None, (_beyond_toml(v, depth + 1) for v in value)), [])
+    if isinstance(value, dict):
+        found = ((k, _beyond_toml(v, depth + 1)) for k, v in value.items())
+        return next(([k, *fault] for k, fault in found if fault), [])
+    return []
+
+
+def named_file(source: str | Path, built_in: Path) -> Path | None:
+    """The file `source`, or the TOML file of that name in the folder `built_in`; else None."""
+    for path in (built_in / f"{source}.toml", Path(source)):
+        try:
+            if path.is_file():
+                return path
+        except OSError:  # a name too long for the file system
+            continue
+    return None
+
+
+T = TypeVar("T")
+
+
+def from_table(
+    kind: type[T],
+    table: object,
+    where: str,
+    *,
+    section: str = "",
+    over: T | None = None,
+    error: type[SonarrecError] = SonarrecError,
+) -> T:
+    """The dataclass `kind` as a TOML table states it, fields that are dataclasses from [theirs].
+
+    where, section: name the table in errors. over: has the values of keys that are not stated, in
+    place of the defaults. A field's metadata may have the "key" that it goes by in the file.
+    Raises `error` for a key that is unknown or missing and for a value out of its type or bounds.
+    """
+    place = f"{where}: [{section}]" if section else where
+    if not isinstance(table, Mapping):
+        raise error(f"{place} must be a table of keys, not {shown(table)}")
+    types = types_of(kind)  # type: ignore[arg-type]
+    names = {f.metadata.get("key", f.name): f for f in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    inside = f" in [{section}]" if section else ""
+    values: dict[str, Any] = {}
+    for key, value in table.items():
+        label = f"{section}.{_key(key)}" if section else _key(key)
+        if key not in names:
+            known = ", ".join(names)
+            raise error(f"{where}: unknown key {label}; known{inside or ' keys'}: {known}")
+        name = names[key].name
+        wanted = types[name]
+        rows: Any = get_args(wanted)[0] if get_origin(wanted) is tuple else None
+        if _has_keys(wanted):
+            part = None if over is None else getattr(over, name)
+            if not isinstance(value, wanted):
+                value = from_table(wanted, value, where, section=label, over=part, error=error)
+        elif _has_keys(rows):
+            if not isinstance(value, list | tuple):
+                raise error(f"{where}: write each {label} under its own [[{label}]]")
+            value = tuple(
+                from_table(rows, row, f"{where}: [[{label}]] {n}", error=error)
+                for n, row in enumerate(value, 1)
+            )
+        else:
+            value = checked(value, wanted, f"{where}: {label}", error)
+        values[name] = value
+    if over is not None:
+        return dataclasses.replace(over, **values)  # type: ignore[type-var]
+    lacks = [key for key, f in names.items() if f.name not in values and _needed(f)]
+    if lacks:
+        raise error(f"{place} lacks {', '.join(lacks)}")
+    return kind(**values)
+
+
+def checked(
+    value: object, wanted: Any, label: str, error: type[SonarrecError] = SonarrecError
+) -> Any:
+    """`value` as the type `wanted`. Raises `error`, which begins with `label`, where it is none."""
+    whole = _bare(wanted) is int and isinstance(value, float) and value.is_integer()
+    try:  # 1e3 is a whole number too
+        return msgspec.convert(int(value) if whole else value, wanted)  # type: ignore[call-overload]
+    except msgspec.ValidationError:
+        raise error(f"{label} must be {described(wanted)}, not {shown(value)}") from None
+
+
+@functools.cache
+def types_of(kind: Any) -> dict[str, Any]:
+    """The fields' types with their bounds, by name; of `X | None` X, for TOML has no None."""
+    hints = get_type_hints(kind, include_extras=True)
+    return {name: _stated(hint) for name, hint in hints.items()}
+
+
+def _stated(hint: Any) -> Any:
+    if get_origin(hint) in (Annotated, tuple, Literal):
+        return hint
+    return next((a for a in get_args(hint) if a is not NoneType), hint)
+
+
+def _has_keys(wanted: Any) -> bool:
+    return dataclasses.is_dataclass(wanted)
+
+
+def metas(wanted: Any) -> list[msgspec.Meta]:
+    """What a type is annotated with."""
+    return list(get_args(wanted)[1:]) if get_origin(wanted) is Annotated else []
+
+
+def _bare(wanted: Any) -> Any:
+    return get_args(wanted)[0] if get_origin(wanted) is Annotated else wanted
+
+
+def choices(wanted: Any) -> tuple[Any, ...]:
+    """The words of a type that is one of a few, else ()."""
+    bare = _bare(wanted)
+    return get_args(bare) if get_origin(bare) is Literal else ()
+
+
+def described(wanted: Any) -> str:
+    """What a value of the type is, in words: "a number from 0 to 1"."""
+    bare = _bare(wanted)
+    if few := [f'"{c}"' if isinstance(c, str) else str(c) for c in choices(wanted)]:
+        return " or ".join(filter(None, (", ".join(few[:-1]), few[-1])))
+    if get_origin(bare) is tuple:
+        each, *more = get_args(bare)
+        count = f" of {1 + len(more)}" if Ellipsis not in more else ""
+        for meta in metas(wanted):
+            count = f" of {meta.min_length} to {meta.max_length}"
+        return f"a list{count}, each {described(each)}"
+    if isinstance(bare, UnionType):
+        return " or ".join(described(each) for each in get_args(bare))
+    words = {
+        str: "a text",
+        bool: "true or false",
+        dict: "a table of keys",
+        list: "a list of tables",
+    }
+    if (kind := get_origin(bare) or bare) in words:
+        return words[kind]
+    noun = "a whole number" if bare is int else "a number"
+    least = most = beyond = ""
+    for meta in metas(wanted):
+        if meta.gt is not None:
+            beyond = f" above {meta.gt:g}"
+        if meta.ge is not None and meta.ge > -(2**63):
+            least = f"{meta.ge:g}"
+        if meta.le is not None and meta.le < 2**63 - 1:
+            most = f"{meta.le:g}"
+    if least and most:
+        return f"{noun} from {least} to {most}"
+    if least:
+        return f"{noun}, {least} or more"
+    return noun + beyond if beyond or bare is int else "a finite number"
+
+
+_short = reprlib.Repr()
+_short.maxlevel, _short.maxdict, _short.maxstring, _short.maxother = 2, 3, 60, 60
+
+
+def shown(value: object) -> str:
+    """A value as it stands in a message: on one line, of some 60 characters."""
+    return _short.repr(value)
+
+
+def _key(key: str) -> str:
+    """A key as it stands in a message: quoted where it must be in TOML."""
+    return key if re.fullmatch(r"[A-Za-z0-9_-]{1,60}", key) else shown(key)
+
+
+def _needed(field: dataclasses.Field[Any]) -> bool:
+    return field.default is field.default_factory is dataclasses.MISSING

@@ -1,0 +1,238 @@
+"""The documentation does what it says: every command in it is run, and its lists are compared.
+
+In README.md and sonarrec/help/*.md a line `$ COMMAND` of a code block is run, in order, in a fresh
+copy of the sample data. Lines under it are what it prints, in order, `...` standing for anything.
+`$ cat FILE` of a file that is not there yet makes it.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from sonarrec.cli import main
+
+ROOT = next(folder for folder in Path(__file__).parents if (folder / "pyproject.toml").exists())
+README = ROOT / "README.md"
+PAGES = {page.stem: page for page in sorted((ROOT / "sonarrec" / "help").glob("*.md"))}
+DOCUMENTS = [README, *PAGES.values()]
+
+
+def commands() -> dict[str, click.Command]:
+    """Every command by what a user types after `sonarrec`; of a group its commands."""
+    found: dict[str, click.Command] = {}
+    for name, command in main.commands.items():
+        if isinstance(command, click.Group):
+            found |= {f"{name} {part}": c for part, c in command.commands.items()}
+        else:
+            found[name] = command
+    return found
+
+
+COMMANDS = commands()
+
+
+def code_lines(document: Path) -> Iterator[str]:
+    """The lines of code blocks without their indent, an empty line after each block."""
+    indent: int | None = None  # of the fence that is open
+    for line in document.read_text(encoding="utf-8").splitlines():
+        if line.lstrip().startswith("```"):
+            indent = None if indent is not None else len(line) - len(line.lstrip())
+            yield ""
+        elif indent is not None:
+            yield line[indent:]
+        else:
+            yield line[4:] if line.startswith("    ") else ""
+
+
+def examples(document: Path) -> list[tuple[str, list[str]]]:
+    """Each command of a document, its continuations joined, and the lines shown under it."""
+    found: list[tuple[str, list[str]]] = []
+    shown: list[str] | None = None
+    unfinished = False
+    for line in code_lines(document):
+        if unfinished:
+            found[-1] = (found[-1][0].removesuffix("\\") + line.strip(), found[-1][1])
+        elif line.lstrip().startswith("$ "):
+            shown = []
+            found.append((line.lstrip()[2:], shown))
+        elif not line:
+            shown = None
+        elif shown is not None:
+            shown.append(line)
+        unfinished = bool(found) and found[-1][0].endswith("\\")
+    return found
+
+
+def run(command: str, folder: Path) -> str:
+    """What a command prints, stderr first; `sonarrec` by itself runs in this process."""
+    words = shlex.split(command)
+    if words[0] == "sonarrec" and not set(words) & {"|", ">", "&&"}:
+        result = CliRunner().invoke(main, words[1:])
+        if result.exception is not None and not isinstance(result.exception, SystemExit):
+            raise result.exception
+        code, printed = result.exit_code, result.stderr + result.stdout
+    else:
+        paths = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+        done = subprocess.run(
+            ["bash", "-c", command],
+            cwd=folder,
+            env=os.environ | {"PATH": paths},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        code, printed = done.returncode, done.stderr + done.stdout
+    assert code in (0, 3), f"$ {command}\n{printed}"
+    return printed
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.stem)
+def test_commands_in_order_print_what_is_shown(
+    document: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(ROOT / "sample_data", tmp_path / "sample_data")
+    monkeypatch.chdir(tmp_path)
+    found = examples(document)
+    assert any("sonarrec" in command for command, _ in found)
+    for command, shown in found:
+        words = command.split()
+        if words[0] == "cat" and not Path(words[1]).exists():
+            Path(words[1]).write_text("\n".join(shown) + "\n", encoding="utf-8")
+        elif words[0] != "make":
+            printed = run(command, tmp_path)
+            pattern = ".*".join(
+                "\n" + ".*".join(re.escape(part) for part in line.split("..."))
+                for line in shown
+                if line.strip() != "..."
+            )
+            assert re.search(pattern, "\n" + printed, re.DOTALL), f"$ {command}\n{printed}"
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.stem)
+def test_every_command_shown_is_run(document: Path) -> None:
+    """No `sonarrec ...` line of a code block goes without its `$`."""
+    assert not [line for line in code_lines(document) if re.match(r"\s*sonarrec [a-z]", line)]
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_command_has_help_an_example_a_page_and_a_place_in_the_readme(name: str) -> None:
+    command = COMMANDS[name]
+    assert command.help
+    for parameter in command.params:
+        if isinstance(parameter, click.Option):
+            assert parameter.help, f"{name} {parameter.opts[0]}"
+            assert getattr(parameter, "group", None), f"{name} {parameter.opts[0]}"
+    assert f"sonarrec {name}" in README.read_text(encoding="utf-8")
+    lines = [line.strip() for line in command.help.splitlines() if "sonarrec " in line]
+    typed = [line for line in lines if re.match(r"sonarrec [a-z]", line)]
+    assert any(line.startswith(f"sonarrec {name}") for line in typed)
+    for line in typed:
+        used = {word for word in line.split() if word.startswith("-")}
+        target = next(
+            (c for n, c in COMMANDS.items() if line.startswith(f"sonarrec {n} ")), command
+        )
+        known = {o for p in target.params for o in (*p.opts, *p.secondary_opts)}
+        assert used <= known, line
+    if name != "help":
+        page = PAGES[name.partition(" ")[0]].read_text(encoding="utf-8")
+        assert f"sonarrec {name}" in page
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_a_page_is_fit_for_a_terminal(name: str) -> None:
+    text = PAGES[name].read_text(encoding="utf-8")
+    assert re.match(rf"# {name}: \S.*\n\n", text)
+    shown = {line for _, lines in examples(PAGES[name]) for line in lines}
+    assert not [
+        line
+        for line in text.splitlines()
+        if len(line) > 92 and line.removeprefix("    ") not in shown
+    ]
+
+
+def test_help_lists_and_prints_the_pages() -> None:
+    listed = CliRunner().invoke(main, ["help"]).stdout
+    for name, page in PAGES.items():
+        assert re.search(rf"^  {name} +\S", listed, re.MULTILINE)
+        assert CliRunner().invoke(main, ["help", name]).stdout == page.read_text(encoding="utf-8")
+
+
+def test_an_unknown_page_names_the_known_ones() -> None:
+    result = CliRunner().invoke(main, ["help", "formts"])
+    assert result.exit_code == 2
+    assert result.stderr.startswith("sonarrec: help formts: there is no such page")
+    assert all(name in result.stderr for name in PAGES)
+
+
+def test_pages_named_in_the_documentation_exist() -> None:
+    for document in DOCUMENTS:
+        for page in re.findall(r"sonarrec help ([a-z]+)", document.read_text(encoding="utf-8")):
+            assert page in PAGES, f"{document.name}: {page}"
+
+
+def test_files_named_in_the_readme_exist() -> None:
+    text = README.read_text(encoding="utf-8")
+    named = re.findall(r"[`(]((?:sonarrec|tests|sample_data)/[\w./]+)[`)]", text)
+    assert len(named) > 5
+    assert not [path for path in named if not (ROOT / path).exists()]
+
+
+def test_help_is_in_groups() -> None:
+    text = CliRunner().invoke(main, ["run", "--help"]).stdout
+    groups = re.findall(r"^(\w+):$", text, re.MULTILINE)
+    assert groups == ["Input", "Settings", "Geometry", "Pixels", "Output", "Other"]
+    assert text.rstrip().endswith("More: sonarrec help run")
+
+
+def listed_columns(page: str, file: str) -> list[str]:
+    """The columns that a help page lists under `## FILE`."""
+    section = re.split(r"^## ", PAGES[page].read_text(encoding="utf-8"), flags=re.MULTILINE)
+    (text,) = [part for part in section if part.partition("\n")[0] == file]
+    columns: list[str] = []
+    for line in text.splitlines():
+        if re.match(r"    [a-z]", line):
+            names = re.split(r"  +", line.strip())[0]
+            columns += re.split(r", ", names.rstrip(","))
+    return columns
+
+
+def test_the_columns_listed_are_the_columns_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    results, sample = tmp_path / "results", ROOT / "sample_data"
+    shutil.copytree(sample / "regression" / "pan", results / "pan")
+    truth = ["--ground-truth", str(sample / "pan.gt.csv")]
+    run(shlex.join(["sonarrec", "evaluate", *truth, str(results / "pan"), "-q"]), tmp_path)
+    same = [str(results / "pan")] * 2
+    run(shlex.join(["sonarrec", "evaluate", *truth, "--compare", *same, "-q"]), tmp_path)
+    log = str(sample / "pan" / "00000*.png")
+    run(shlex.join(["sonarrec", "run", log, "-o", "short", "-q"]), tmp_path)
+    written = {path.name: path for path in (results / "pan" / "evaluation").glob("*.csv")}
+    (folder,) = (tmp_path / "short").iterdir()
+    written |= {path.name: path for path in folder.glob("*.csv")}
+    assert {"frames.csv", "estimates.csv", "confusion.csv", "changes.csv"} <= set(written)
+    for name, path in written.items():
+        with path.open(newline="", encoding="utf-8") as file:
+            header = next(csv.reader(file))
+        listed = listed_columns("results", name)
+        if "p_1 ... p_K" in listed:
+            place = listed.index("p_1 ... p_K")
+            listed[place : place + 1] = ["p_1", "p_2", "p_3", "p_4"]
+        assert listed == header, name
+
+
+def test_the_readme_is_at_most_200_lines() -> None:
+    assert len(README.read_text(encoding="utf-8").splitlines()) <= 200

@@ -1,0 +1,242 @@
+"""Every TOML that is read: whatever it holds, a fault is one line that names file and key."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import pytest
+from click.testing import CliRunner
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sonarrec import toml
+from sonarrec.cli import main
+from sonarrec.config import Config, configs, with_assignments
+from sonarrec.landmarks import load_landmarks
+from sonarrec.recogniser.stage3_features.description import FEATURES
+from sonarrec.recogniser.stage3_features.model import read_model
+from sonarrec.records import SonarrecError, UsageError
+from sonarrec.results.run_file import read_run
+from sonarrec.simulation.scene import load_scene
+from sonarrec.sonar import load_sonar
+
+LINES = [f"{name} = {{ at = [0, 1], log_odds = [0, 1] }}\n" for name in FEATURES]
+SET = 'name = "x"\nradius_m = 1\nring = [0.5, 1]\nsymbol = [0, 0.5]\n'
+
+TABLES = ("input", "sonar", "fan", "landmarks", "odometry", "model")
+SAMPLE = Path(__file__).parents[1] / "sample_data" / "pan"
+
+# reader, what of its file is sound, a number in it
+READERS: dict[str, tuple[Callable[[Path], object], str, str]] = {
+    "settings": (lambda path: configs(path=path), "[candidates]\n", "candidates.threshold"),
+    "run.toml": (lambda path: configs(path=path), "[config.candidates]\n", "candidates.threshold"),
+    "seed": (lambda path: configs(path=path), "", "seed"),
+    "sonar": (load_sonar, "[sonar]\n", "sonar.tilt_deg"),
+    "sonar's list": (load_sonar, "[sonar]\n", "sonar.bearings_deg"),
+    "model": (read_model, "".join(LINES), "bias"),
+    "model's curve": (
+        read_model,
+        "bias = 0\n" + "".join(LINES[:-1]) + f"[{FEATURES[-1]}]\nlog_odds = [0, 1]\n",
+        "at",
+    ),
+    "landmarks": (load_landmarks, SET.replace("radius_m = 1\n", ""), "radius_m"),
+    "landmark": (load_landmarks, SET + "[[landmark]]\nsectors = [1, 0]\n", "id"),
+    "scene": (load_scene, "", "frames"),
+    "scene's section": (load_scene, "[noise]\n", "noise.snr_db"),
+    "scene's landmark": (load_scene, "[[landmark]]\nid = 1\nground_m = 2\n", "azimuth_deg"),
+}
+HOSTILE = {
+    "400 digits": "9" * 400,
+    "5,000 digits": "9" * 5000,
+    "5,000 digits of hex": "0x" + "f" * 5000,
+    "nan": "nan",
+    "-inf": "-inf",
+    "bool": "true",
+    "text": '"fast"',
+    "long text": '"' + "x" * 10**5 + '"',
+    "date": "2020-01-01",
+    "nested lists": "[" * 5000 + "]" * 5000,
+    "nested tables": "{a=" * 5000 + "1" + "}" * 5000,
+    "NUL": "1\0",
+    "NUL told": r'"\u0000"',
+}
+
+
+def one_line(read: Callable[[], object], path: Path) -> str:
+    with pytest.raises(SonarrecError) as caught:
+        read()
+    text = str(caught.value)
+    assert text.startswith(str(path))
+    assert len(text) < len(str(path)) + 300
+    assert text.isprintable()
+    return text
+
+
+@pytest.mark.parametrize("value", HOSTILE.values(), ids=HOSTILE.keys())
+@pytest.mark.parametrize("reader", READERS)
+def test_a_value_that_cannot_be_meant(reader: str, value: str, tmp_path: Path) -> None:
+    read, sound, key = READERS[reader]
+    path = tmp_path / "x.toml"
+    path.write_text(f"{sound}{key.split('.')[-1]} = {value}\n")
+    text = one_line(lambda: read(path), path)
+    assert key in text or "not a readable TOML file" in text
+
+
+@pytest.mark.parametrize(
+    "key", ['"a\\nb"', '"\\u001b[31m"', '""', "k" * 5000, ".".join("a" * 5000)]
+)
+@pytest.mark.parametrize("reader", READERS)
+def test_a_key_that_cannot_be_meant(reader: str, key: str, tmp_path: Path) -> None:
+    read, sound, _ = READERS[reader]
+    path = tmp_path / "x.toml"
+    path.write_text(f"{sound}{key} = 1\n")
+    text = one_line(lambda: read(path), path)
+    assert any(says in text for says in ("unknown key", "or unknown: ", "nested too deep"))
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_a_file_that_cannot_be_read(reader: str, tmp_path: Path) -> None:
+    read = READERS[reader][0]
+    path = tmp_path / "x.toml"
+    path.write_bytes(b"\xff\xfe")
+    assert "utf-8" in one_line(lambda: read(path), path)
+    path.write_text("a = 1\nb =\n")
+    assert "line 2" in one_line(lambda: read(path), path)
+    with path.open("wb") as file:
+        file.truncate(2**25)  # sparse: 32 MiB that are not on the disk
+    assert "larger than 16 MiB" in one_line(lambda: read(path), path)
+
+
+@pytest.mark.parametrize(
+    ("stated", "says"),
+    [
+        *((f"{name} = 3", f"{name} must be a table of keys, not 3") for name in TABLES),
+        ("config = 3", "config must be a table of keys or a list of tables, not 3"),
+        ("config = [3]", "config must be a table of keys or a list of tables, not [3]"),
+        ("[input]\nsha256 = 3", "input.sha256 must be a text, not 3"),
+        ("[input]\nproblems = 3", "input.problems must be a list, each a text, not 3"),
+        ("[input]\ntime = 'noon'", 'input.time must be "log", "publish" or "header", not \'noon\''),
+        ("[sonar]\nrange_min_m = 'near'", "sonar.range_min_m must be a finite number, not 'near'"),
+        ("[fan]\napex_px = [1]", "fan.apex_px must be a list of 2, each a finite number, not [1]"),
+        ("[odometry]\nname = 3", "odometry.name must be a text, not 3"),
+        (f"x = {'9' * 400}", "(x: a whole number of more than 64 bits)"),
+        (f"x.{'y.' * 5000}z = 1", "(x.y.y: nested too deep)"),
+        ("x = 1\0", "(at line 1, column 6)"),
+    ],
+)
+def test_a_run_toml_that_cannot_be_meant(stated: str, says: str, tmp_path: Path) -> None:
+    path = tmp_path / "run.toml"
+    path.write_text(stated)
+    assert says in one_line(lambda: read_run(path), path)
+
+
+@pytest.mark.parametrize("stated", [*(f"{name} = 3\n" for name in TABLES), "[input]\nsha256 = 3\n"])
+def test_no_command_breaks_on_it(stated: str, tmp_path: Path) -> None:
+    """run, evaluate, report, overlay and truth propose: one line, exit code 1 or 2."""
+    log, results = SAMPLE, tmp_path / "pan"
+    results.mkdir()
+    (results / "frames.csv").write_text("frame,timestamp_ns,candidates,tracks\n0,0,0,0\n")
+    (results / "estimates.csv").write_text("frame,method,object,landmark,score,declared\n")
+    run = results / "run.toml"
+    run.write_text(stated)
+    for arguments in (
+        ["run", str(log), "--config", str(run), "--out", str(tmp_path / "out")],
+        ["evaluate", str(results), "--ground-truth", str(log / "gt.csv")],
+        ["report", str(results)],
+        ["overlay", str(log), str(results), "--mcap", str(tmp_path / "o.mcap")],
+        ["truth", "propose", str(results), "--out", str(tmp_path / "gt.csv")],
+    ):
+        told = CliRunner().invoke(main, arguments)
+        assert told.exit_code in (1, 2), (arguments, told.output)
+        assert isinstance(told.exception, SystemExit), (arguments, told.exception)
+        assert "run.toml" in told.output, (arguments, told.output)
+
+
+def test_names_no_file_can_have() -> None:
+    for load in (load_landmarks, load_scene):
+        for name in ("x" * 5000, "a\0b", "a\nb"):
+            with pytest.raises(SonarrecError, match="neither a file nor built in") as caught:
+                load(name)
+            assert str(caught.value).isprintable()
+
+
+@pytest.mark.parametrize("value", HOSTILE.values(), ids=HOSTILE.keys())
+def test_assignments_that_cannot_be_meant(value: str) -> None:
+    with pytest.raises(UsageError, match=r"candidates\.threshold must be a number") as caught:
+        with_assignments(Config(), [f"candidates.threshold={value}"])
+    assert str(caught.value).isprintable()
+    assert len(str(caught.value)) < 300
+
+
+@dataclass(frozen=True)
+class Part:
+    share: toml.Share = 0.5
+    word: Literal["red", "green"] = "red"
+    pair: tuple[toml.Positive, toml.Positive] | None = None
+
+
+@dataclass(frozen=True)
+class Row:
+    id: toml.Whole
+
+
+@dataclass(frozen=True)
+class Whole:
+    count: toml.Count = 3
+    part: Part = Part()
+    rows: tuple[Row, ...] = ()
+
+
+def test_a_table_becomes_its_dataclass() -> None:
+    table: dict[str, Any] = {"count": 1e3, "part": {"pair": [1, 2.5]}, "rows": [{"id": -4}]}
+    found = toml.from_table(Whole, table, "here")
+    assert found == Whole(1000, Part(pair=(1.0, 2.5)), (Row(-4),))
+    assert (type(found.count), type(found.part.pair[0])) == (int, float)  # type: ignore[index]
+    over = toml.from_table(Whole, {"part": {"share": 1}}, "here", over=found)
+    assert over == Whole(1000, Part(1.0, pair=(1.0, 2.5)), (Row(-4),))
+
+
+@pytest.mark.parametrize(
+    ("table", "says"),
+    [
+        ({"cuont": 1}, "here: unknown key cuont; known keys: count, part, rows"),
+        ({"part": {"c d": 1}}, "here: unknown key part.'c d'; known in [part]: share, word, pair"),
+        ({"part": 3}, "here: [part] must be a table of keys, not 3"),
+        ({"count": -1}, "here: count must be a whole number, 0 or more, not -1"),
+        ({"count": 1.5}, "here: count must be a whole number, 0 or more, not 1.5"),
+        ({"part": {"share": 2}}, "here: part.share must be a number from 0 to 1, not 2"),
+        ({"part": {"word": "blue"}}, 'here: part.word must be "red" or "green", not \'blue\''),
+        ({"part": {"pair": [1]}}, "here: part.pair must be a list of 2, each a number above 0, "),
+        ({"rows": {"id": 1}}, "here: write each rows under its own [[rows]]"),
+        ({"rows": [{"id": 1}, {}]}, "here: [[rows]] 2 lacks id"),
+        ({"rows": [{"id": "x"}]}, "here: [[rows]] 1: id must be a whole number, not 'x'"),
+    ],
+)
+def test_faults_name_the_key_the_bound_and_the_value(table: dict[str, Any], says: str) -> None:
+    with pytest.raises(SonarrecError) as caught:
+        toml.from_table(Whole, table, "here")
+    assert str(caught.value).startswith(says)
+
+
+@given(value=st.floats() | st.integers())
+def test_bounds_hold_for_every_number(value: float) -> None:
+    most = sys.float_info.max
+    for wanted, good in (
+        (toml.Finite, -most <= value <= most),
+        (toml.Positive, 0 < value <= most),
+        (toml.NotNegative, 0 <= value <= most),
+        (toml.Share, 0 <= value <= 1),
+        (toml.Count, 0 <= value < 2**63 and int(value) == value),
+        (toml.Whole, -(2**63) <= value < 2**63 and int(value) == value),
+    ):
+        try:
+            found = toml.checked(value, wanted, "x")
+        except SonarrecError:
+            assert not good
+        else:
+            assert good
+            assert found == type(found)(value)
