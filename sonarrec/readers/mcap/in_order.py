@@ -84,7 +84,7 @@ class MessageReader:
                 else:
                     self._all_checked = False
                     everything = Contents(log.file, 0, log.size)
-                    self._add_run(places(everything, position, None, {channel}))
+                    self._add_run(_rising(places(everything, position, None, {channel})))
             while self._runs:
                 yield self._next()
             self._tell_what_is_wrong()
