@@ -62,7 +62,7 @@ def info(
 ) -> None:
     """Show what is in LOG, whether it is whole, and how `run` would read it.
 
-    LOG is an MCAP file, a folder of images, a quoted glob of images or a video. Every frame is
+    LOG is an MCAP file, a folder of images, a video or a quoted glob of these. Every frame is
     read, and every checksum compared, to tell how many frames can be used; --quick leaves that
     out. A geometry that is not complete is told but no fault. Exit code 3: part of the log cannot
     be used; 1: nothing can.
@@ -78,6 +78,7 @@ def info(
       sonarrec info --json dive.mcap | jq '.logs[0].images[].usable'
     """
     from sonarrec import __version__
+    from sonarrec.readers.find import find_logs
     from sonarrec.readers.info import describe
 
     reading = log_choice.arguments()
@@ -85,7 +86,8 @@ def info(
         _check_preview(preview, log)
     tables: list[dict[str, Any]] = []
     useless = faulty = 0
-    for number, path in enumerate(log):
+    logs = find_logs(log)
+    for number, path in enumerate(logs):
         try:
             with progress(quiet) as step:
                 found = describe(path, **reading, quick=quick, observe=step)
@@ -105,7 +107,7 @@ def info(
             click.echo("\n".join(["", *lines(found)] if number else lines(found)))
     if as_json:
         click.echo(json.dumps({"version": __version__, "logs": tables}, indent=2))
-    if useless == len(log):
+    if useless == len(logs):
         leave(1)
     if useless or faulty:
         leave(PARTLY)

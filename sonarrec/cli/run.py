@@ -88,7 +88,7 @@ def run(
 ) -> None:
     """Recognise landmarks in LOG, frame by frame.
 
-    LOG is an MCAP file, a folder of images, a quoted glob of images or a video. The sonar's
+    LOG is an MCAP file, a folder of images, a video or a quoted glob of these. The sonar's
     geometry is read from sonar.toml beside it (NAME.sonar.toml for one file), from --sonar, or
     from the flags; polar sonar messages tell their own, all but the tilt and the height. Several
     LOGs are processed one after the other; one that cannot be used does not stop the others.
@@ -105,13 +105,15 @@ def run(
       sonarrec run 'dump/*.png' --preset paper -o results
     """
     from sonarrec.pipeline import Used, process, result_names
+    from sonarrec.readers.find import find_logs
     from sonarrec.results.run_file import Given
 
     if odometry is not None and odometry_topic is not None:
         raise UsageError("--odometry and --odometry-topic: choose one of the two")
     given = Given(**log_choice.arguments(), odometry=odometry, odometry_topic=odometry_topic)
     used = Used(settings.configs(), landmarks, model, settings.file)
-    names = result_names(log)
+    logs = find_logs(log)
+    names = result_names(logs)
     ended: dict[str, list[str]] = {"done": [], "up to date": [], "in part": [], "failed": []}
 
     def one(path: str, name: str | None) -> None:
@@ -128,19 +130,19 @@ def run(
             _print(summary)
 
     with _stoppable(out):
-        for path, name in zip(log, names, strict=True):
+        for path, name in zip(logs, names, strict=True):
             try:
                 one(path, name)
             except SonarrecError as error:
-                if len(log) == 1:
+                if len(logs) == 1:
                     raise
                 tell([str(error)])
                 ended["failed"].append(path)
     failed = ended["failed"]
-    if len(log) > 1 and (failed or not quiet):
+    if len(logs) > 1 and (failed or not quiet):
         counts = ", ".join(f"{len(paths)} {how}" for how, paths in ended.items() if paths)
         click.echo(counts + (f": {', '.join(failed)}" if failed else ""), err=bool(failed))
-    if len(failed) == len(log):
+    if len(failed) == len(logs):
         leave(FAILED)
     if failed or ended["in part"]:
         leave(PARTLY)

@@ -9,7 +9,7 @@ from typing import Any, get_args
 
 from sonarrec.readers.find import find_log
 from sonarrec.readers.log import Log
-from sonarrec.records import Clock, SonarrecError, UsageError
+from sonarrec.records import Clock, SonarrecError, UsageError, shown
 from sonarrec.sonar import Sonar, sonar_from
 
 
@@ -33,11 +33,13 @@ def open_log(
     """
     source = find_log(path)
     if topic is not None and not source.reader.has_topics:
-        raise UsageError(f"{path}: --topic chooses a channel of an MCAP file; this is none")
+        raise UsageError(f"{shown(path)}: --topic chooses a channel of an MCAP file; this is none")
     if time not in get_args(Clock):
-        raise UsageError(f"{path}: time is {time!r}, not one of {', '.join(get_args(Clock))}")
+        raise UsageError(
+            f"{shown(path)}: time is {time!r}, not one of {', '.join(get_args(Clock))}"
+        )
     if time != "log" and not source.reader.has_topics:
-        raise UsageError(f"{path}: --time chooses a clock of an MCAP file; this is none")
+        raise UsageError(f"{shown(path)}: --time chooses a clock of an MCAP file; this is none")
     file = None if sonar_file is None else Path(sonar_file)
     resolved, where = source.stated_sonar(sonar_from(sonar), file)
     raw = source.open(topic)

@@ -45,7 +45,7 @@ class FanImages:
         self._told: PingGeometry | None = None
         self._to_fan: PolarToFan | None = None
         self._beam_major: bool | None = None
-        self._told_against = False
+        self._told_against = self._told_cut = False
 
     def __call__(self, raw: RawFrame) -> tuple[ByteImage, Fan]:
         """One frame's image, (fan.rows, fan.columns) uint8, and the fan.
@@ -67,12 +67,20 @@ class FanImages:
         return image, self.fan
 
     def settle(self, first: Sequence[RawFrame]) -> None:
-        """Take the fan from another ping than the first of these where most others show more of
-        its window: one that a driver sent before it had its settings must not cost the others.
+        """Take the fan from another ping than the first of these where more agree with that one:
+        one that a driver sent before it had its settings must not cost the others.
+
+        Two agree where each shows enough of the other's window and field of view.
         """
         pings = [(raw, raw.sonar) for raw in first if raw.pixels is not None and raw.sonar]
-        shown = [sum(_shows(other, sonar) for _, other in pings) for _, sonar in pings]
-        if shown and (best := int(np.argmax(shown))):
+        agreeing = [
+            sum(
+                _shows(a, b) and _shows(b, a) and _as_wide(a, b) and _as_wide(b, a)
+                for _, b in pings
+            )
+            for _, a in pings
+        ]
+        if agreeing and (best := int(np.argmax(agreeing))):
             with contextlib.suppress(UnusableError):
                 self(pings[best][0])
 
@@ -150,6 +158,12 @@ class FanImages:
                 f"its window, {window.range_min_m:.3g} to {window.range_max_m:.3g} m, shows less "
                 f"than half of the log's, {fan.range_min_m:.3g} to {fan.range_max_m:.3g} m"
             )
+        if not self._told_cut and not (_shows(fan, window) and _as_wide(fan, window)):
+            self._told_cut = True
+            self.notes.append(
+                f"{self._where}: a ping shows {_extent(window)}; of that only what is in the fan "
+                f"of the first pings, {_extent(fan)}, is used"
+            )
         if against and not self._told_against:
             self._told_against = True
             self.notes.append(f"{self._where}: stated against the messages: {', '.join(against)}")
@@ -161,6 +175,25 @@ def _shows(window: Fan | PingGeometry, other: Fan | PingGeometry) -> bool:
     near = max(window.range_min_m, other.range_min_m)
     far = min(window.range_max_m, other.range_max_m)
     return far - near >= MIN_SHARED_WINDOW * (other.range_max_m - other.range_min_m)
+
+
+def _as_wide(window: Fan | PingGeometry, other: Fan | PingGeometry) -> bool:
+    """Whether a field of view covers enough of another."""
+    (left, right), (from_deg, to_deg) = _bearings(window), _bearings(other)
+    return min(right, to_deg) - max(left, from_deg) >= MIN_SHARED_WINDOW * (to_deg - from_deg)
+
+
+def _bearings(window: Fan | PingGeometry) -> tuple[float, float]:
+    if isinstance(window, Fan):
+        return window.bearing_min_deg, window.bearing_max_deg
+    return min(window.bearings_deg), max(window.bearings_deg)
+
+
+def _extent(fan: Fan) -> str:
+    return (
+        f"{fan.range_min_m:.3g} to {fan.range_max_m:.3g} m and "
+        f"{fan.bearing_max_deg - fan.bearing_min_deg:.3g} deg"
+    )
 
 
 def _as_stated(told: PingGeometry, stated: Sonar, bins: int) -> tuple[Sonar, list[str]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import stat
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -10,7 +11,9 @@ import numpy as np
 
 from sonarrec.readers.pixels import decode_image
 from sonarrec.readers.raw import RawFrame, UnusableError
+from sonarrec.records import shown
 
+MAX_FILE_BYTES = 2**27  # an image of 4096 x 4096 pixels of eight bytes
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"})
 
 
@@ -21,8 +24,29 @@ def natural_order(path: Path) -> tuple[list[tuple[int, int, str]], str]:
 
 
 def is_image(path: Path) -> bool:
-    """Whether a path is taken for an image: a known suffix, and not a hidden file."""
-    return path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith(".")
+    """Whether a path is taken for an image: a known suffix, not hidden, and a file.
+
+    A link to a file that is not there is an image that cannot be read: it keeps its number.
+    """
+    if path.suffix.lower() not in IMAGE_SUFFIXES or path.name.startswith("."):
+        return False
+    try:
+        return stat.S_ISREG(path.stat().st_mode)
+    except OSError:
+        return True
+
+
+def _contents(file: Path) -> np.ndarray:
+    """The bytes of an image file. Raises UnusableError where they cannot be had."""
+    try:
+        size = file.stat().st_size
+        if size > MAX_FILE_BYTES:
+            raise UnusableError(f"a file of {size} bytes, more than is read")
+        return np.fromfile(file, np.uint8)
+    except OSError as error:
+        if file.is_symlink() and not file.exists():
+            raise UnusableError("a link to a file that is not there") from None
+        raise UnusableError(f"unreadable file ({error.strerror})") from None
 
 
 class ImageFiles:
@@ -37,19 +61,19 @@ class ImageFiles:
         self.topic: str | None = None
         self.polar = False
         self.faults: list[str] = []
-        self._stamped = all(re.fullmatch(r"[0-9]{19}", f.stem) for f in self.files)
+        self._stamped = all(
+            re.fullmatch(r"[0-9]{19}", f.stem) and int(f.stem) < 2**63 for f in self.files
+        )
 
     def __iter__(self) -> Iterator[RawFrame]:
         for file in self.files:
-            timestamp_ns = int(file.stem) if self._stamped else None
+            name, timestamp_ns = shown(file.name), int(file.stem) if self._stamped else None
             try:
-                pixels = decode_image(np.fromfile(file, np.uint8))
+                pixels = decode_image(_contents(file))
             except UnusableError as error:
-                yield RawFrame(file.name, timestamp_ns, None, str(error))
-            except OSError as error:
-                yield RawFrame(file.name, timestamp_ns, None, f"unreadable file ({error.strerror})")
+                yield RawFrame(name, timestamp_ns, None, str(error))
             else:
-                yield RawFrame(file.name, timestamp_ns, pixels)
+                yield RawFrame(name, timestamp_ns, pixels)
 
     def close(self) -> None:
         """Nothing stays open between frames."""

@@ -14,7 +14,7 @@ from sonarrec.readers.find import Source, find_log
 from sonarrec.readers.log import Log
 from sonarrec.readers.plausible import Plausibility
 from sonarrec.readers.raw import RawFrame, RawLog
-from sonarrec.records import Fan, SonarrecError, UsageError
+from sonarrec.records import Fan, SonarrecError, UsageError, shown
 from sonarrec.sonar import Sonar, sonar_from_table
 
 Observe = Callable[[int | None], None]
@@ -179,7 +179,7 @@ def describe(
     """
     source = find_log(path)
     if topic is not None and not source.reader.has_topics:
-        raise UsageError(f"{path}: --topic chooses a channel of an MCAP file; this is none")
+        raise UsageError(f"{shown(path)}: --topic chooses a channel of an MCAP file; this is none")
     flags = sonar or Sonar()
     stated, where = source.stated_sonar(flags, sonar_file)
     container: Container | None = None
@@ -190,22 +190,30 @@ def describe(
         topics = sorted({c.topic for c in container.channels if c.images})
         if topic is not None and topic not in topics:
             there = ", ".join(map(str, topics)) or "none"
-            raise UsageError(f"{path}: no image channel {topic!r}; there is {there}")
+            raise UsageError(f"{shown(path)}: no image channel {topic!r}; there is {there}")
     images = []
     for each in [topic] if topic is not None else topics:
         found, more = _images(source, stated, flags, where, each, quick, observe)
         images.append(found)
         faults += [fault for fault in more if fault not in faults]
     return LogInfo(
-        path=str(source.path),
+        path=shown(source.path),
         kind="images" if source.reader.kind == "image" else source.reader.kind,
         files=len(source.files),
-        size_bytes=sum(file.stat().st_size for file in source.files),
+        size_bytes=sum(_size(file) for file in source.files),
         checked=not quick,
         container=container,
         images=images,
         faults=faults,
     )
+
+
+def _size(file: Path) -> int:
+    """Bytes of a file; 0 of one that cannot be had, which is told as a frame that is not usable."""
+    try:
+        return file.stat().st_size
+    except OSError:
+        return 0
 
 
 def _container(path: Path) -> tuple[Container, list[str]]:
@@ -216,7 +224,7 @@ def _container(path: Path) -> tuple[Container, list[str]]:
     try:
         log = McapFile(path)
     except OSError as error:
-        raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
+        raise SonarrecError(f"{shown(path)}: cannot be read ({error.strerror})") from None
     log.close()
     decoders = image_decoders(log)
     channels = []

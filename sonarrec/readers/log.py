@@ -12,8 +12,9 @@ from types import TracebackType
 from typing import Any
 
 from sonarrec.readers.fans import FanImages
+from sonarrec.readers.images import MAX_FILE_BYTES
 from sonarrec.readers.raw import RawFrame, RawLog, UnusableError
-from sonarrec.records import Clock, Fan, Frame, SonarrecError
+from sonarrec.records import Clock, Fan, Frame, SonarrecError, shown
 from sonarrec.sonar import Sonar
 
 MAX_PROBLEM_LINES = 20
@@ -40,7 +41,7 @@ class Log:
         self._files = files
         self._raw = raw
         self._time = time
-        self._images = FanImages(stated, str(path))
+        self._images = FanImages(stated, shown(path))
 
     @property
     def sonar(self) -> Sonar:
@@ -110,7 +111,7 @@ class Log:
         self.problems.extend(self._raw.faults)
         if not used:
             reason = f" ({self.problems[0]})" if self.problems else ""
-            raise SonarrecError(f"{self.path}: not one frame could be used{reason}")
+            raise SonarrecError(f"{shown(self.path)}: not one frame could be used{reason}")
 
     def _named(self, index: int, raw: RawFrame) -> int:
         """The time that names a frame, ns. Raises UnusableError where the log has no such time."""
@@ -119,25 +120,33 @@ class Log:
         stamp = named[self._time]
         if stamp is None and self._time != "log":
             raise UnusableError(f"without a {self._time} time; --time log needs none")
+        if stamp is not None and not -(2**63) <= stamp < 2**63:
+            raise UnusableError(f"its {self._time} time of {stamp} ns is beyond every clock")
         return round(index * 1e9 / (self.sonar.frame_rate_hz or 1.0)) if stamp is None else stamp
 
     def digest_source(self) -> tuple[int, str]:
         """(size in bytes, SHA-256 in hex) of the log's file.
 
         Of several images, the sum of their sizes and the hash over each one's name, a zero byte
-        and its contents, in frame order. Raises SonarrecError where a file cannot be read.
+        and its contents, in frame order; of one that cannot be read or is too large to be an image
+        the name alone. Raises SonarrecError where the one file of a log cannot be read.
         """
         size, digest = 0, hashlib.sha256()
         for path in self._files:
-            if self._files != [self.path]:
+            several = self._files != [self.path]
+            if several:
                 digest.update(path.name.encode(errors="surrogateescape") + b"\0")
             try:
+                if several and path.stat().st_size > MAX_FILE_BYTES:
+                    continue
                 with path.open("rb") as file:
                     while block := file.read(2**20):
                         size += len(block)
                         digest.update(block)
             except OSError as error:
-                raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
+                if several:  # it was told when its frame's turn came
+                    continue
+                raise SonarrecError(f"{shown(path)}: cannot be read ({error.strerror})") from None
         return size, digest.hexdigest()
 
 

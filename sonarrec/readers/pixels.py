@@ -21,10 +21,13 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import struct
+import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Literal
+from functools import cache
+from typing import Any, BinaryIO, Literal
 
 import cv2
 import numpy as np
@@ -156,21 +159,49 @@ def _rounded(values: np.ndarray, factor: float) -> ByteImage:
 
 
 @contextlib.contextmanager
-def _quiet_stderr() -> Iterator[None]:
-    """Sends file descriptor 2 to nowhere: libpng writes there past every logging setting."""
-    try:
-        kept = os.dup(2)
-    except OSError:  # stderr is closed, so there is nothing to silence
+def _stderr_to(file: int) -> Iterator[None]:
+    """Sends file descriptor 2 to another: decoders write there past every logging setting."""
+    if file == 2:  # stderr was closed when the other was opened
         yield
         return
     try:
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, 2)
-        os.close(nowhere)
+        kept = os.dup(2)
+    except OSError:  # it is closed
+        kept = None
+    try:
+        os.dup2(file, 2)
         yield
     finally:
-        os.dup2(kept, 2)
-        os.close(kept)
+        if kept is None:
+            os.close(2)
+        else:
+            os.dup2(kept, 2)
+            os.close(kept)
+
+
+@cache
+def _heard() -> BinaryIO:
+    """Where the decoders' warnings go."""
+    return tempfile.TemporaryFile(prefix="sonarrec_", buffering=0)
+
+
+_JPEG = b"\xff\xd8"
+_EXTRA = re.compile(rb"Corrupt JPEG data: (\d+) extraneous bytes before marker 0xd9")
+
+
+def _jpeg_is_damaged(data: np.ndarray, warning: bytes) -> bool:
+    """Whether the decoder of a JPEG met damage, by its warning.
+
+    libjpeg gives an image all the same. Zeros before the end marker are padding: some cameras
+    write them.
+    """
+    if b"Corrupt JPEG" not in warning and b"Premature end" not in warning:
+        return False
+    extra = _EXTRA.search(warning)
+    if extra is None:
+        return True
+    end = data.tobytes().rfind(b"\xff\xd9")
+    return bool(data[max(0, end - int(extra[1])) : end].any())
 
 
 _PNG = b"\x89PNG\r\n\x1a\n"
@@ -205,12 +236,21 @@ def decode_image(data: bytes | memoryview | np.ndarray) -> np.ndarray:
         raise UnusableError("unreadable image")
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
-        with _quiet_stderr():
+        heard = _heard()
+        with _stderr_to(heard.fileno()):
             image = cv2.imdecode(buffer, cv2.IMREAD_UNCHANGED)
+        warning = b""
+        if heard.tell():
+            heard.seek(0)
+            warning = heard.read(4096)
+            heard.seek(0)
+            heard.truncate()
     except cv2.error:
         image = None
     if image is None:
         raise UnusableError("unreadable image")
+    if buffer[:2].tobytes() == _JPEG and _jpeg_is_damaged(buffer, warning):
+        raise UnusableError("a JPEG that is damaged inside")
     return np.asarray(image)
 
 

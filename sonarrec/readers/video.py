@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 
 from sonarrec.readers.raw import RawFrame
-from sonarrec.records import SonarrecError
+from sonarrec.records import SonarrecError, shown
 
 VIDEO_SUFFIXES = frozenset({".avi", ".mp4", ".mkv"})
 
@@ -19,11 +19,19 @@ class VideoFrames:
 
     def __init__(self, path: Path) -> None:
         """Raises SonarrecError where OpenCV cannot open the file as a video."""
+        try:
+            str(path).encode()
+        except UnicodeEncodeError:  # of which OpenCV dies
+            raise SonarrecError(
+                f"{shown(path)}: a video whose name is not UTF-8 cannot be opened; rename it"
+            ) from None
         os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # quiet: faults are told by us
         cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
         self._video = cv2.VideoCapture(str(path))
         if not self._video.isOpened():
-            raise SonarrecError(f"{path}: does not open as a video (damaged, or an unknown codec)")
+            raise SonarrecError(
+                f"{shown(path)}: does not open as a video (damaged, or an unknown codec)"
+            )
         count = self._video.get(cv2.CAP_PROP_FRAME_COUNT)
         self.frame_count = round(count) if 0 < count < 1e9 else None
         rate = self._video.get(cv2.CAP_PROP_FPS)
@@ -48,13 +56,27 @@ class VideoFrames:
                 timestamp_ns = None if period is None else round(index * period)
             yield RawFrame(f"frame {index}", timestamp_ns, pixels)
             index += 1
-        # Matroska holds no count: OpenCV works it out from the duration, to one frame.
-        slack = 1 if self._path.suffix.lower() == ".mkv" else 0
-        if self.frame_count is not None and index < self.frame_count - slack:
+        held = max(self.frame_count or 0, self._packets())
+        if index < held:
             self.faults.append(
-                f"{self._path.name}: ended after {index} of {self.frame_count} frames; "
-                "cut short or damaged"
+                f"{shown(self._path.name)}: {index} of {held} frames could be read; "
+                "cut short or damaged, so the numbers of later frames may be wrong"
             )
+
+    def _packets(self) -> int:
+        """How many frames the container holds, whether they decode or not; 0 where unknown.
+
+        In AVI files a packet may be empty or none of a frame, in the others each is one frame.
+        """
+        if self._path.suffix.lower() == ".avi":
+            return 0
+        packets = 0
+        video = cv2.VideoCapture(str(self._path))
+        if video.set(cv2.CAP_PROP_FORMAT, -1):  # read without decoding
+            while video.grab():
+                packets += 1
+        video.release()
+        return packets
 
     def close(self) -> None:
         """Release the file."""

@@ -107,6 +107,38 @@ def test_an_odd_first_ping_does_not_settle_the_window(tmp_path: Path) -> None:
         assert found[0].fan.range_max_m == pytest.approx((FIRST_BIN + BINS) * BIN_M)
 
 
+@pytest.mark.parametrize("share", [0.1, 0.3])
+def test_a_narrow_first_ping_does_not_settle_the_field_of_view(
+    share: float, tmp_path: Path
+) -> None:
+    """Sent before the driver had its settings; where it stays so, what is cut is noted."""
+    for narrow in (1, 3):
+        pings = [messages.projected_fields(k, image) for k, image in enumerate(polar_frames(6))]
+        whole = pings[-1]
+        (usual, *_), _, _ = read(log_of(tmp_path / "whole.mcap", pings[narrow:]), sonar=TILT)
+        for ping in pings[:narrow]:
+            turned = np.array([(v["x"], v["y"], v["z"]) for v in ping["beam_directions"]])
+            forward = int(np.argmax(np.abs(turned.mean(axis=0))))
+            across = int(
+                np.argmax([-1 if a == forward else np.ptp(turned[:, a]) for a in range(3)])
+            )
+            angle = np.arctan2(turned[:, across], turned[:, forward]) * share
+            turned[:] = 0
+            turned[:, across], turned[:, forward] = np.sin(angle), np.cos(angle)
+            ping["beam_directions"] = [dict(zip("xyz", v, strict=True)) for v in turned.tolist()]
+        assert whole is pings[-1]
+        found, problems, notes = read(log_of(tmp_path / "log.mcap", pings), sonar=TILT)
+        assert [f.index for f in found] == list(range(6))
+        assert not problems
+        if narrow == 1:
+            assert found[0].fan == usual.fan
+            assert not notes
+        else:
+            assert found[0].fan != usual.fan
+            (note,) = notes
+            assert "only what is in the fan of the first pings" in note
+
+
 def test_a_topic_of_pings_and_images() -> None:
     """An image that tells nothing has no place in the fan that pings made."""
     image = polar_frames(1)[0]

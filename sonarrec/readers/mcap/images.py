@@ -12,7 +12,7 @@ from sonarrec.readers.mcap.in_order import MessageReader
 from sonarrec.readers.mcap.messages import READABLE, Decoder, decoder_for
 from sonarrec.readers.mcap.salvage import McapFile
 from sonarrec.readers.raw import RawFrame, UnusableError
-from sonarrec.records import SonarrecError, Stamps, UsageError
+from sonarrec.records import SonarrecError, Stamps, UsageError, shown
 
 _NO_SCHEMA = Schema(id=0, name="", encoding="", data=b"")
 
@@ -28,15 +28,13 @@ def image_decoders(log: McapFile) -> dict[int, Decoder]:
     What speaks against a definition that cannot be used is added to the file's faults.
     """
     decoders: dict[int, Decoder] = {}
-    made: dict[tuple[int, str], Decoder | None] = {}  # channels may share a schema
+    made: dict[tuple[str, str, bytes, str], Decoder | None] = {}  # channels may share a schema
     for channel in log.channels.values():
-        key = channel.schema_id, channel.message_encoding
+        schema = schema_of(log, channel)
+        key = schema.name, schema.encoding, schema.data, channel.message_encoding
         if key not in made:
-            schema = schema_of(log, channel)
             try:
-                made[key] = decoder_for(
-                    schema.name, schema.encoding, schema.data, channel.message_encoding
-                )
+                made[key] = decoder_for(*key)
             except DefinitionError as error:
                 made[key] = None
                 log.fault(f"the definition of {channel.topic} cannot be used ({error})")
@@ -96,14 +94,17 @@ def _choose(log: McapFile, topic: str | None) -> dict[int, Decoder]:
         )
         damage = f" ({log.faults[0]})" if log.faults else ""
         raise SonarrecError(
-            f"{log.path}: no image channel; it holds {', '.join(there) or 'no channel'}, "
+            f"{shown(log.path)}: no image channel; it holds {', '.join(there) or 'no channel'}, "
             f"and this reads {READABLE}{damage}"
         )
     if topic is None and len(topics) > 1:
         raise UsageError(
-            f"{log.path}: several image channels; choose one with --topic: {', '.join(topics)}"
+            f"{shown(log.path)}: several image channels; choose one with --topic: "
+            + ", ".join(topics)
         )
     if topic is not None and topic not in topics:
-        raise UsageError(f"{log.path}: no image channel {topic!r}; there is {', '.join(topics)}")
+        raise UsageError(
+            f"{shown(log.path)}: no image channel {topic!r}; there is {', '.join(topics)}"
+        )
     chosen = topic or topics[0]
     return {c: d for c, d in decoders.items() if log.channels[c].topic == chosen}

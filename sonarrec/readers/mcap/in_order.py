@@ -7,22 +7,27 @@ are merged; of a message no more than its place is kept until its turn.
 from __future__ import annotations
 
 import heapq
-import struct
-from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
-from mcap.opcode import Opcode
 
-from sonarrec.readers.mcap.chunks import RECORD_HEAD, ChunkHead, Contents, DamagedError
-from sonarrec.readers.mcap.salvage import CHUNK, MESSAGE_HEAD, McapFile, records_in
-from sonarrec.records import SonarrecError
+from sonarrec.readers.mcap.chunks import ChunkHead, Contents, DamagedError
+from sonarrec.readers.mcap.in_chunk import (
+    Place,
+    Scan,
+    agrees,
+    by_index,
+    in_time_order,
+    indexed,
+    lost,
+    places,
+    scan,
+)
+from sonarrec.readers.mcap.salvage import CHUNK, MESSAGE_HEAD, McapFile
+from sonarrec.records import SonarrecError, shown
 
 MAX_MESSAGE_BYTES = 48 * 2**20  # an image of 4096 x 4096 pixels of three bytes
-_MAX_INDEX_BYTES = 2**20
-_INDEX_HEAD = struct.Struct("<HI")  # channel, length of the entries
-_INDEX_ENTRY = struct.Struct("<QQ")  # log time, offset in the chunk
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,35 +42,7 @@ class Message:
     problem: str | None = None
 
 
-@dataclass(frozen=True, slots=True, order=True)
-class _Place:
-    """Where a message is: ordered by log time, then by its place in the file."""
-
-    log_time: int
-    position: int
-    offset: int
-    channel: int = field(compare=False)
-    publish_time: int = field(compare=False)
-    contents: Contents | None = field(compare=False)  # None: lost
-    length: int = field(compare=False)
-
-
-def _places(
-    contents: Contents, at: int, chunk: int | None, channels: Collection[int]
-) -> Iterator[_Place]:
-    """The messages of some channels from `at` on. chunk: its position, None outside of any."""
-    file = contents.file
-    for opcode, body, length in records_in(contents, at):
-        if opcode != Opcode.MESSAGE or length < MESSAGE_HEAD.size:
-            continue
-        file.seek(body)
-        channel, _, log_time, publish_time = MESSAGE_HEAD.unpack(file.read(MESSAGE_HEAD.size))
-        if channel in channels:
-            position = body if chunk is None else chunk
-            yield _Place(log_time, position, body, channel, publish_time, contents, length)
-
-
-def _rising(places: Iterable[_Place]) -> Iterator[_Place]:
+def _rising(places: Iterable[Place]) -> Iterator[Place]:
     """The places as long as their times do not go back."""
     last = 0
     for place in places:
@@ -81,8 +58,8 @@ class MessageReader:
     def __init__(self, log: McapFile, channels: Collection[int]) -> None:
         self._log = log
         self._channels = frozenset(channels)
-        self._runs: list[tuple[_Place, Iterator[_Place]]] = []  # a heap, by their next message
-        self._runs_left: Counter[int] = Counter()  # by chunk
+        # A heap, by their next message; a chunk is one run, whose contents are then given back.
+        self._runs: list[tuple[Place, Iterator[Place], Contents | None]] = []
         self._passed = self._lost = 0
         self._last_time, self._in_order = 0, True
         self._all_checked = True  # by a checksum of its chunk
@@ -107,32 +84,28 @@ class MessageReader:
                 else:
                     self._all_checked = False
                     everything = Contents(log.file, 0, log.size)
-                    self._add_run(_places(everything, position, None, {channel}))
+                    self._add_run(_rising(places(everything, position, None, {channel})))
             while self._runs:
                 yield self._next()
             self._tell_what_is_wrong()
         except OSError as error:
-            raise SonarrecError(f"{log.path}: cannot be read ({error.strerror})") from None
+            raise SonarrecError(f"{shown(log.path)}: cannot be read ({error.strerror})") from None
 
     def _next(self) -> Message:
-        place, run = self._runs[0]
+        place, run, contents = self._runs[0]
         message = self._message(place)
         self._in_order &= place.log_time >= self._last_time
         self._last_time = place.log_time
         following = next(run, None)
         if following is not None:
-            heapq.heapreplace(self._runs, (following, run))
+            heapq.heapreplace(self._runs, (following, run, contents))
             return message
         heapq.heappop(self._runs)
-        if place.position in self._runs_left:
-            self._runs_left[place.position] -= 1
-            if not self._runs_left[place.position]:
-                del self._runs_left[place.position]
-                assert place.contents is not None
-                self._log.store.release(place.contents)
+        if contents is not None:
+            self._log.store.release(contents)
         return message
 
-    def _message(self, place: _Place) -> Message:
+    def _message(self, place: Place) -> Message:
         data, problem = None, None
         self._passed += 1
         if place.contents is None:
@@ -144,68 +117,89 @@ class MessageReader:
             data = memoryview(place.contents.file.read(place.length - MESSAGE_HEAD.size))
         return Message(place.channel, place.log_time, place.publish_time, data, problem)
 
-    def _add_run(self, places: Iterable[_Place]) -> None:
-        run = _rising(places)
+    def _add_run(self, run: Iterable[Place], contents: Contents | None = None) -> None:
+        """contents: of the chunk that the run is of."""
+        run = iter(run)
         first = next(run, None)
         if first is not None:
-            heapq.heappush(self._runs, (first, run))
+            heapq.heappush(self._runs, (first, run, contents))
+        elif contents is not None:
+            self._log.store.release(contents)
 
     def _open_chunk(self, position: int) -> None:
         log = self._log
-        chunk = log.chunk_at(position)
+        try:
+            chunk = log.chunk_at(position)
+        except DamagedError as error:  # overwritten since the file was opened
+            log.fault(f"the chunk at byte {position} {error}; its frames are lost")
+            return
         try:
             contents = log.store.open(chunk)
         except DamagedError as error:
-            lost = self._indexed(chunk)
-            number = f"{len(lost)} " if lost else ""
+            gone = lost(chunk, indexed(log, chunk), self._channels)
+            number = f"{len(gone)} " if gone else ""
             log.fault(f"the chunk at byte {position} {error}; its {number}frames are lost")
-            self._add_run(lost)
+            self._add_run(gone)
             return
         self._all_checked &= chunk.crc != 0
-        starts, last, end, count = [], -1, contents.start, 0
-        for place in _places(contents, contents.start, position, self._channels):
-            if place.log_time < last or last < 0:
-                starts.append(place.offset - RECORD_HEAD.size)
-            last, end = place.log_time, place.offset + place.length
-            count += 1
-        if chunk.cut and count:
-            more = round(count * (chunk.size / (end - contents.start) - 1))
-            if more:
-                log.fault(f"by its size, the chunk that is cut held {more} more frames")
-        if not starts:
-            log.store.release(contents)
+        found = scan(contents, self._channels, log.channels)
+        if chunk.cut:
+            if found.count:
+                share = chunk.size / (found.end - contents.start)
+                if more := round(found.count * (share - 1)):
+                    log.fault(f"by its size, the chunk that is cut held {more} more frames")
+        elif (mended := self._mended(chunk, contents, found)) is not None:
+            self._add_run(mended, contents)
             return
-        self._runs_left[position] = len(starts)
-        for start in starts:
-            self._add_run(_places(contents, start, position, self._channels))
+        for strange in found.strange():
+            log.fault(f"not read: {strange}, in the chunk at byte {position}")
+        if not found.count:
+            log.store.release(contents)
+        elif found.rising:
+            self._add_run(places(contents, contents.start, position, self._channels), contents)
+        else:
+            self._add_run(in_time_order(contents, chunk, self._channels), contents)
 
-    def _indexed(self, chunk: ChunkHead) -> list[_Place]:
-        """What the message indexes behind a damaged chunk say it held, in the order of time."""
-        log, lost = self._log, []
-        behind = Contents(log.file, chunk.data_start + chunk.stored, log.size)
-        for opcode, body, length in records_in(behind, behind.start):
-            if opcode != Opcode.MESSAGE_INDEX or length > _MAX_INDEX_BYTES:
-                break
-            log.file.seek(body)
-            record = log.file.read(length)
-            if len(record) < _INDEX_HEAD.size:
-                break
-            channel, size = _INDEX_HEAD.unpack_from(record)
-            entries = record[_INDEX_HEAD.size : _INDEX_HEAD.size + size]
-            if channel in self._channels and len(entries) % _INDEX_ENTRY.size == 0:
-                lost += [
-                    _Place(time, chunk.position, offset, channel, time, None, 0)
-                    for time, offset in _INDEX_ENTRY.iter_unpack(entries)
-                ]
-        return sorted(lost)
+    def _mended(self, chunk: ChunkHead, contents: Contents, found: Scan) -> list[Place] | None:
+        """The messages of a damaged chunk as far as its index helps; what is wrong is told.
+
+        None where the chunk is to be read as it was found.
+        """
+        log, where = self._log, f"the chunk at byte {chunk.position}"
+        stopped = found.end < contents.end
+        if chunk.crc and not stopped:
+            return None
+        index = indexed(log, chunk)
+        count = sum(channel in self._channels for _, channel, _ in index)
+        if not stopped and (
+            count < found.count
+            or (count == found.count and agrees(contents, chunk, index, self._channels))
+        ):
+            return None
+        mended, retimed = by_index(contents, chunk, index, self._channels) if index else ([], 0)
+        gone = sum(place.contents is None for place in mended)
+        if not index or len(mended) - gone < found.count:  # an index that knows less is no help
+            if not stopped:
+                return None
+            log.fault(
+                f"{where} is damaged at byte {found.end - contents.start} of its contents; "
+                "the frames behind it are lost"
+            )
+            return None
+        if stopped or gone:
+            number = f"{gone} of its {count} frames are lost" if gone else "no frame is lost"
+            log.fault(f"{where} is damaged; by its index {number}")
+        if retimed:
+            log.fault(f"{where}: {retimed} messages have another log time in its index")
+        return mended
 
     def _tell_what_is_wrong(self) -> None:
         log = self._log
-        if log.stated is not None:
-            stated = sum(log.stated[c] for c in self._channels)
-            if self._passed < stated:
-                lost = stated - self._passed + self._lost
-                log.fault(f"in all, {lost} of {stated} frames are lost")
+        if log.file.seek(0, 2) < log.size:
+            log.fault("the file became shorter while it was read")
+        held = sum(log.counts[c] for c in self._channels)
+        if self._passed < held:
+            log.fault(f"in all, {held - self._passed + self._lost} of {held} frames are lost")
         if not self._in_order:
             log.fault("a chunk states a later time than it holds; frames are out of order there")
         if not self._all_checked and not log.data_are_sound():

@@ -10,13 +10,13 @@ import numpy as np
 from sonarrec.poses import PoseTable, pose_table
 from sonarrec.readers.log import MAX_PROBLEM_LINES
 from sonarrec.readers.mcap.decode import Decode, fields_decoder
-from sonarrec.readers.mcap.fields import Fields
+from sonarrec.readers.mcap.fields import DefinitionError, Fields
 from sonarrec.readers.mcap.images import schema_of
 from sonarrec.readers.mcap.in_order import Message, MessageReader
 from sonarrec.readers.mcap.messages import message_type
 from sonarrec.readers.mcap.salvage import McapFile
 from sonarrec.readers.raw import UnusableError
-from sonarrec.records import Clock, SonarrecError, UsageError
+from sonarrec.records import Clock, SonarrecError, UsageError, shown
 
 # Where the pose is inside each message.
 POSES = {
@@ -35,7 +35,9 @@ def read_topic(path: Path, topic: str, time: Clock) -> PoseTable:
     the topic cannot be meant.
     """
     if path.suffix.lower() != ".mcap":
-        raise UsageError(f"{path}: --odometry-topic names a channel of an MCAP file; this is none")
+        raise UsageError(
+            f"{shown(path)}: --odometry-topic names a channel of an MCAP file; this is none"
+        )
     at, rows, problems = [], [], []
     log = McapFile(path)
     try:
@@ -57,7 +59,7 @@ def read_topic(path: Path, topic: str, time: Clock) -> PoseTable:
         log.close()
     if len(set(at)) < 2:
         raise SonarrecError(
-            f"{path}: {topic} has fewer than two poses that can be read"
+            f"{shown(path)}: {topic} has fewer than two poses that can be read"
             + (f" ({problems[0]})" if problems else "")
         )
     if len(problems) > MAX_PROBLEM_LINES:
@@ -71,19 +73,26 @@ def read_topic(path: Path, topic: str, time: Clock) -> PoseTable:
 
 def _channels(log: McapFile, topic: str) -> dict[int, tuple[Decode, tuple[str, ...]]]:
     """Of every channel of a pose topic its decoder, and where the pose is inside its messages."""
-    found: dict[int, tuple[Decode, tuple[str, ...]]] = {}
-    for channel in log.channels.values():
-        schema = schema_of(log, channel)
-        kind = message_type(schema.name)
-        if kind in POSES:
-            decode = fields_decoder(kind, schema.encoding, schema.data, channel.message_encoding)
+    kinds = {c.id: message_type(schema_of(log, c).name) for c in log.channels.values()}
+    poses = [c for c in log.channels.values() if kinds[c.id] in POSES]
+    chosen: dict[int, tuple[Decode, tuple[str, ...]]] = {}
+    for channel in poses:
+        if channel.topic == topic:
+            kind, schema = kinds[channel.id], schema_of(log, channel)
+            try:
+                decode = fields_decoder(
+                    kind, schema.encoding, schema.data, channel.message_encoding
+                )
+            except DefinitionError as error:
+                raise SonarrecError(
+                    f"{shown(log.path)}: the definition of {topic} cannot be used ({error})"
+                ) from None
             if decode is not None:
-                found[channel.id] = decode, POSES[kind]
-    chosen = {c: how for c, how in found.items() if log.channels[c].topic == topic}
+                chosen[channel.id] = decode, POSES[kind]
     if not chosen:
-        topics = sorted({log.channels[c].topic for c in found})
+        topics = sorted({c.topic for c in poses} - {topic})
         there = f"there is {', '.join(topics)}" if topics else f"this reads {', '.join(POSES)}"
-        raise UsageError(f"{log.path}: no pose topic {topic!r}; {there}")
+        raise UsageError(f"{shown(log.path)}: no pose topic {topic!r}; {there}")
     return chosen
 
 

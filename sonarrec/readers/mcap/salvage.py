@@ -29,7 +29,7 @@ from sonarrec.readers.mcap.chunks import (
     pieces_of,
     read_chunk_head,
 )
-from sonarrec.records import SonarrecError
+from sonarrec.records import SonarrecError, shown
 
 MAGIC = b"\x89MCAP0\r\n"
 MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
@@ -38,6 +38,8 @@ _MAX_DEFINITION_BYTES = 4 * 2**20
 _CHUNK_INDEX_HEAD = struct.Struct("<QQQ")  # start, end, position of the chunk
 _CRC = struct.Struct("<I")
 _FOOTER_BYTES = 20
+_LAST_OPCODE = 0x0F
+FIRST_PRIVATE = 0x80  # from here on opcodes are free for any use
 
 
 def records_in(contents: Contents, at: int) -> Iterator[tuple[int, int, int]]:
@@ -65,7 +67,7 @@ class McapFile:
 
     times, positions, channels_of_units: what there is to read, by first log time (ns) and place:
     chunks (channel CHUNK), and runs of messages outside of any chunk, each of one channel whose
-    times do not go back. stated: the counts of the summary, None without one.
+    times do not go back.
     """
 
     def __init__(self, path: Path) -> None:
@@ -81,12 +83,13 @@ class McapFile:
         self.faults: list[str] = []
         self.times, self.positions = array("Q"), array("Q")
         self.channels_of_units = array("l")
-        self.stated: Counter[int] | None = None
+        self._statistics: Statistics | None = None
+        self._strange: Counter[str] = Counter()
         self._data_end: tuple[int, int] | None = None  # position and checksum
         self.file = path.open("rb")
         self.store = ChunkStore(self.file)
         try:
-            self.size = self.file.seek(0, 2)
+            self.size = self._end = self.file.seek(0, 2)
             self._scan()
         except BaseException:
             self.close()
@@ -106,7 +109,7 @@ class McapFile:
 
     def fault(self, text: str) -> None:
         """Add a line about what is wrong."""
-        self.faults.append(f"{self.path.name}: {text}")
+        self.faults.append(f"{shown(self.path.name)}: {text}")
 
     def data_are_sound(self) -> bool:
         """Whether all before the summary keeps its checksum, if there is one. Reads all of it."""
@@ -119,7 +122,9 @@ class McapFile:
     def _scan(self) -> None:
         self.file.seek(0)
         if self.file.read(len(MAGIC)) != MAGIC:
-            raise SonarrecError(f"{self.path}: not an MCAP file (it does not begin like one)")
+            raise SonarrecError(
+                f"{shown(self.path)}: not an MCAP file (it does not begin like one)"
+            )
         stop = self._scan_from(len(MAGIC))
         while not self.whole:
             resume = next((p for p in self._indexed_positions() if p > stop), None)
@@ -131,12 +136,43 @@ class McapFile:
                 "what follows, is lost"
             )
             stop = self._scan_from(resume)
-        if self.stated is not None and set(self.stated) <= set(self.channels):
-            self.counts = self.stated
-            return
-        for position, channel in zip(self.positions, self.channels_of_units, strict=True):
-            if channel == CHUNK:
-                self._look_into(position)
+        self._tell_what_follows()
+        loose = self.counts.copy()
+        if not self._all_told():
+            self._look_into_chunks()
+        if self._statistics is not None and self._all_told():
+            self.counts = Counter(self._statistics.channel_message_counts)
+        undefined = sum(n for channel, n in loose.items() if channel not in self.channels)
+        if undefined:
+            self._strange["messages of channels that nothing defines"] += undefined
+        for what, count in self._strange.items():
+            self.fault(f"not read: {count} {what}")
+
+    def _all_told(self) -> bool:
+        """Whether the summary counts all messages, and all it counts is defined.
+
+        Writers may leave out the counts by channel, channels or schemas.
+        """
+        told = self._statistics
+        if told is None:
+            return False
+        counts = told.channel_message_counts
+        return (
+            sum(counts.values()) == told.message_count
+            and set(counts) <= set(self.channels)
+            and told.channel_count <= len(self.channels)
+            and {c.schema_id for c in self.channels.values()} <= {0, *self.schemas}
+        )
+
+    def _tell_what_follows(self) -> None:
+        """A recording ends with its footer; what others have put behind it is not read."""
+        if self.whole and (more := self.size - self._end):
+            self.file.seek(self._end)
+            another = self.file.read(len(MAGIC)) == MAGIC
+            self.fault(
+                f"{more} bytes follow its end at byte {self._end} and were not read"
+                + (": another recording begins there; cut the file in two" if another else "")
+            )
 
     def _cut_text(self, at: int) -> str:
         where = f"cut short or damaged at byte {at} of {self.size} (no footer): "
@@ -152,33 +188,60 @@ class McapFile:
         last_times: dict[int, int] = {}
         while at + RECORD_HEAD.size <= self.size:
             self.file.seek(at)
-            opcode, length = RECORD_HEAD.unpack(self.file.read(RECORD_HEAD.size))
+            head = self.file.read(RECORD_HEAD.size)
+            if len(head) < RECORD_HEAD.size:  # the file has become shorter
+                break
+            opcode, length = RECORD_HEAD.unpack(head)
             body = at + RECORD_HEAD.size
             if opcode == Opcode.CHUNK:
                 self._add_chunk(at)
             if opcode == 0 or body + length > self.size:
                 break
-            self.file.seek(body)
-            if opcode == Opcode.MESSAGE and length >= MESSAGE_HEAD.size:
-                channel, _, time, _ = MESSAGE_HEAD.unpack(self.file.read(MESSAGE_HEAD.size))
-                if time < last_times.get(channel, time + 1):
-                    self._add_unit(time, at, channel)
-                last_times[channel] = time
-                self._count(channel, time)
-            elif opcode == Opcode.FOOTER and length == _FOOTER_BYTES:
+            if opcode == Opcode.FOOTER and length == _FOOTER_BYTES:
                 self.file.seek(body + length)
                 self.whole = self.file.read(len(MAGIC)) == MAGIC
+                self._end = body + length + len(MAGIC)
                 break
-            elif opcode == Opcode.DATA_END and length == _CRC.size:
-                self._data_end = at, _CRC.unpack(self.file.read(_CRC.size))[0]
+            if opcode == Opcode.DATA_END and length == _CRC.size:
+                self.file.seek(body)
+                self._data_end = at, int.from_bytes(self.file.read(_CRC.size), "little")
+                self._end = self._end_behind(body + length)
                 if not self._summary_is_sound():
                     self.fault("the summary fails its checksum and was not used")
                     self.whole = True
                     break
             else:
-                self._define(self.file, opcode, length)
+                self._note(opcode, at, length, last_times)
             at = body + length
         return at
+
+    def _note(self, opcode: int, at: int, length: int, last_times: dict[int, int]) -> None:
+        """Take note of a whole record at `at`. last_times: of the messages before, by channel."""
+        self.file.seek(at + RECORD_HEAD.size)
+        if opcode != Opcode.MESSAGE:
+            if _LAST_OPCODE < opcode < FIRST_PRIVATE:
+                self._strange["records of no known kind"] += 1
+            self._define(self.file, opcode, length)
+            return
+        head = self.file.read(min(length, MESSAGE_HEAD.size))
+        if len(head) < MESSAGE_HEAD.size:
+            self._strange["messages too short for a head"] += 1
+            return
+        channel, _, time, _ = MESSAGE_HEAD.unpack(head)
+        if time < last_times.get(channel, time + 1):
+            self._add_unit(time, at, channel)
+        last_times[channel] = time
+        self._count(channel, time)
+
+    def _end_behind(self, at: int) -> int:
+        """Where the recording ends whose summary begins at `at`: behind its footer; of one that
+        has none, or none that can be found, the file's end."""
+        for opcode, body, length in records_in(Contents(self.file, at, self.size), at):
+            if opcode == Opcode.FOOTER and length == _FOOTER_BYTES:
+                self.file.seek(body + length)
+                whole = self.file.read(len(MAGIC)) == MAGIC
+                return body + length + len(MAGIC) if whole else self.size
+        return self.size
 
     def _add_chunk(self, position: int) -> None:
         try:
@@ -215,24 +278,32 @@ class McapFile:
                 channel = Channel.read(stream)
                 self.channels[channel.id] = channel
             else:
-                statistics = Statistics.read(stream)
-                self.stated = Counter(statistics.channel_message_counts)
-                if statistics.message_count:
-                    self.span = statistics.message_start_time, statistics.message_end_time
+                self._statistics = told = Statistics.read(stream)
+                if told.message_count:
+                    self.span = told.message_start_time, told.message_end_time
         except (struct.error, UnicodeDecodeError, McapError):
-            return
+            self._strange["damaged definitions"] += 1
+
+    def _look_into_chunks(self) -> None:
+        """Note what the chunks define, and count what they hold, until the summary is enough."""
+        for position, channel in zip(self.positions, self.channels_of_units, strict=True):
+            if channel == CHUNK:
+                self._look_into(position)
+                if self._all_told():
+                    return
 
     def _look_into(self, position: int) -> None:
-        """Note what a chunk defines, and count what it holds."""
         try:
             contents = self.store.open(self.chunk_at(position))
         except DamagedError:
             return  # told when the messages are read
         for opcode, body, length in records_in(contents, contents.start):
             contents.file.seek(body)
-            if opcode == Opcode.MESSAGE and length >= MESSAGE_HEAD.size:
-                channel, _, time, _ = MESSAGE_HEAD.unpack(contents.file.read(MESSAGE_HEAD.size))
-                self._count(channel, time)
+            if opcode == Opcode.MESSAGE:
+                head = contents.file.read(min(length, MESSAGE_HEAD.size))
+                if len(head) == MESSAGE_HEAD.size:
+                    channel, _, time, _ = MESSAGE_HEAD.unpack(head)
+                    self._count(channel, time)
             else:
                 self._define(contents.file, opcode, length)
         self.store.release(contents)
@@ -240,12 +311,12 @@ class McapFile:
     # The end of the file: what tells how to go on after damage.
 
     def _footer(self) -> tuple[int, Footer] | None:
-        """Position and contents of the footer, where the file ends in one."""
-        position = self.size - len(MAGIC) - _FOOTER_BYTES - RECORD_HEAD.size
+        """Position and contents of the footer, where the recording ends in one."""
+        position = self._end - len(MAGIC) - _FOOTER_BYTES - RECORD_HEAD.size
         if position < len(MAGIC):
             return None
         self.file.seek(position)
-        record = self.file.read()
+        record = self.file.read(self._end - position)
         head = RECORD_HEAD.pack(Opcode.FOOTER, _FOOTER_BYTES)
         if not record.startswith(head) or not record.endswith(MAGIC):
             return None

@@ -1,0 +1,205 @@
+"""The messages of one chunk, held against the message index behind it.
+
+A chunk without a checksum may be damaged unseen: a wrong record length hides all that follows. What
+the index knows is then read by it, and what it knows and cannot be read is lost but counted.
+"""
+
+from __future__ import annotations
+
+import struct
+from array import array
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from mcap.opcode import Opcode
+
+from sonarrec.readers.mcap.chunks import RECORD_HEAD, ChunkHead, Contents
+from sonarrec.readers.mcap.salvage import FIRST_PRIVATE, MESSAGE_HEAD, McapFile, records_in
+
+_MAX_INDEX_BYTES = 2**20
+_INDEX_HEAD = struct.Struct("<HI")  # channel, length of the entries
+_INDEX_ENTRY = struct.Struct("<QQ")  # log time, offset in the chunk
+_OF_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Place:
+    """Where a message is: ordered by log time, then by its place in the file.
+
+    position: of its chunk, or its own outside of any. offset: of its body in `contents`, which is
+    None where it is lost. length: of the body.
+    """
+
+    log_time: int
+    position: int
+    offset: int
+    channel: int = field(compare=False)
+    publish_time: int = field(compare=False)
+    contents: Contents | None = field(compare=False)
+    length: int = field(compare=False)
+
+
+@dataclass(slots=True)
+class Scan:
+    """What a pass over a chunk found.
+
+    count: messages of the channels asked for. rising: their times never go back. end: of the last
+    whole record. short: messages too short for a head. undefined: messages of channels that
+    nothing defines. foreign: records that no chunk may hold.
+    """
+
+    end: int
+    count: int = 0
+    rising: bool = True
+    short: int = 0
+    undefined: int = 0
+    foreign: int = 0
+
+    def strange(self) -> list[str]:
+        """What is in it that should not be, for a line each."""
+        told = (
+            (self.short, "messages too short for a head"),
+            (self.undefined, "messages of channels that nothing defines"),
+            (self.foreign, "records that no chunk may hold"),
+        )
+        return [f"{count} {what}" for count, what in told if count]
+
+
+def places(
+    contents: Contents, at: int, chunk: int | None, channels: Collection[int]
+) -> Iterator[Place]:
+    """The messages of some channels from `at` on. chunk: its position, None outside of any."""
+    file = contents.file
+    for opcode, body, length in records_in(contents, at):
+        if opcode != Opcode.MESSAGE or length < MESSAGE_HEAD.size:
+            continue
+        file.seek(body)
+        head = file.read(MESSAGE_HEAD.size)
+        if len(head) < MESSAGE_HEAD.size:  # the file has become shorter
+            return
+        channel, _, log_time, publish_time = MESSAGE_HEAD.unpack(head)
+        if channel in channels:
+            position = body if chunk is None else chunk
+            yield Place(log_time, position, body, channel, publish_time, contents, length)
+
+
+def in_time_order(
+    contents: Contents, chunk: ChunkHead, channels: Collection[int]
+) -> Iterator[Place]:
+    """The messages of a chunk in which times go back; 24 bytes are kept of each."""
+    times, offsets = array("Q"), array("Q")
+    for place in places(contents, contents.start, chunk.position, channels):
+        times.append(place.log_time)
+        offsets.append(place.offset - RECORD_HEAD.size)
+    for turn in np.argsort(np.frombuffer(times, np.uint64), kind="stable"):
+        yield from _message_at(contents, offsets[turn], chunk, channels)
+
+
+def _message_at(
+    contents: Contents, at: int, chunk: ChunkHead, channels: Collection[int]
+) -> list[Place]:
+    """The message whose record begins at `at`; none where there is none of these channels."""
+    found = next(places(contents, at, chunk.position, channels), None)
+    return [found] if found is not None and found.offset == at + RECORD_HEAD.size else []
+
+
+def scan(contents: Contents, channels: Collection[int], defined: Collection[int]) -> Scan:
+    """One pass over a chunk, of which nothing is kept."""
+    found, last, file = Scan(contents.start), 0, contents.file
+    for opcode, body, length in records_in(contents, contents.start):
+        found.end = body + length
+        if opcode != Opcode.MESSAGE:
+            found.foreign += opcode not in _OF_CHUNKS and opcode < FIRST_PRIVATE
+            continue
+        file.seek(body)
+        head = file.read(min(length, MESSAGE_HEAD.size))
+        if len(head) < MESSAGE_HEAD.size:
+            found.short += 1
+            continue
+        channel, _, time, _ = MESSAGE_HEAD.unpack(head)
+        if channel in channels:
+            found.count += 1
+            found.rising &= time >= last
+            last = time
+        elif channel not in defined:
+            found.undefined += 1
+    return found
+
+
+def indexed(log: McapFile, chunk: ChunkHead) -> list[tuple[int, int, int]]:
+    """(offset of the record in the chunk, channel, log time) by the message indexes behind it,
+    by rising offset; none where there is no index."""
+    entries: list[tuple[int, int, int]] = []
+    behind = Contents(log.file, chunk.data_start + chunk.stored, log.size)
+    for opcode, body, length in records_in(behind, behind.start):
+        if opcode != Opcode.MESSAGE_INDEX or length > _MAX_INDEX_BYTES:
+            break
+        log.file.seek(body)
+        record = log.file.read(length)
+        if len(record) < _INDEX_HEAD.size:
+            break
+        channel, size = _INDEX_HEAD.unpack_from(record)
+        pairs = record[_INDEX_HEAD.size : _INDEX_HEAD.size + size]
+        if len(pairs) % _INDEX_ENTRY.size == 0:
+            entries += [(offset, channel, time) for time, offset in _INDEX_ENTRY.iter_unpack(pairs)]
+    return sorted(entries)
+
+
+def lost(
+    chunk: ChunkHead, index: list[tuple[int, int, int]], channels: Collection[int]
+) -> list[Place]:
+    """What a chunk that cannot be read held by its index, in the order of time."""
+    return sorted(
+        Place(time, chunk.position, offset, channel, time, None, 0)
+        for offset, channel, time in index
+        if channel in channels
+    )
+
+
+def agrees(
+    contents: Contents,
+    chunk: ChunkHead,
+    index: list[tuple[int, int, int]],
+    channels: Collection[int],
+) -> bool:
+    """Whether the messages of some channels are where, and when, the index has them."""
+    at = contents.start + RECORD_HEAD.size
+    there = places(contents, contents.start, chunk.position, channels)
+    told = (entry for entry in index if entry[1] in channels)
+    return all(
+        (place.offset - at, place.channel, place.log_time) == entry
+        for place, entry in zip(there, told, strict=False)
+    )
+
+
+def by_index(
+    contents: Contents,
+    chunk: ChunkHead,
+    index: list[tuple[int, int, int]],
+    channels: Collection[int],
+) -> tuple[list[Place], int]:
+    """The messages of a damaged chunk by its index, in the order of time, lost ones among them,
+    and how many have another time there.
+
+    A message that reaches into the next is lost: its length is wrong. Of two times the index's
+    serves where the message's own is outside of what the chunk states.
+    """
+    found, retimed = [], 0
+    ends = [contents.start + offset for offset, _, _ in index[1:]] + [contents.end]
+    for (offset, channel, time), end in zip(index, ends, strict=True):
+        if channel not in channels:
+            continue
+        there = _message_at(contents, contents.start + offset, chunk, {channel})
+        if not there or there[0].offset + there[0].length > end:
+            found += lost(chunk, [(offset, channel, time)], channels)
+            continue
+        place = there[0]
+        retimed += place.log_time != time
+        if not chunk.start_time <= place.log_time <= chunk.end_time:
+            place = Place(
+                time, place.position, place.offset, channel, place.publish_time, contents,
+                place.length,
+            )  # fmt: skip
+        found.append(place)
+    return sorted(found), retimed

@@ -1,0 +1,282 @@
+"""Image files that are not there, too large or oddly named, and names of logs that are no logs."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from mcap.writer import Writer
+
+from sonarrec.cli import main
+from sonarrec.readers import open_log
+from sonarrec.readers.mcap import images as mcap_images
+from sonarrec.readers.mcap.poses import read_topic
+from sonarrec.records import SonarrecError, UsageError
+from tests.support.logs import PERIOD_NS, SONAR_TOML, cdr_image, frames, image_folder, mcap_file
+
+IMAGES = frames(6)
+
+
+@pytest.mark.parametrize("pattern", ["", "*.png"])
+def test_links_to_files_that_are_not_there_keep_their_number(pattern: str, tmp_path: Path) -> None:
+    """As git-annex leaves what was not fetched."""
+    log = image_folder(tmp_path / "log", IMAGES)
+    for gone in (0, 3):
+        (log / f"frame{gone}.png").unlink()
+        (log / f"frame{gone}.png").symlink_to(tmp_path / "nowhere")
+    os.mkfifo(log / "frame9.png")
+    (log / "frame7.png").mkdir()
+    with open_log(log / pattern) as opened:
+        found = list(opened)
+        assert opened.digest_source()[0] > 0
+        assert opened.name == "log"
+    assert [f.index for f in found] == [1, 2, 4, 5]
+    for frame in found:
+        np.testing.assert_array_equal(frame.image, IMAGES[frame.index])
+        assert frame.timestamp_ns == frame.index * PERIOD_NS
+    says = "a link to a file that is not there, skipped"
+    assert opened.problems == [f"frame0.png: {says}", f"frame3.png: {says}"]
+    told = CliRunner().invoke(main, ["info", str(log / pattern)])
+    assert told.exit_code == 3
+    assert "4 of 6" in told.stdout
+    done = CliRunner().invoke(main, ["run", str(log / pattern), "--out", str(tmp_path / "out")])
+    assert done.exit_code == 3, done.output
+
+
+def test_a_file_too_large_to_be_an_image(tmp_path: Path) -> None:
+    log = image_folder(tmp_path / "log", IMAGES)
+    with (log / "frame2.png").open("r+b") as file:
+        file.truncate(3 * 2**30)  # sparse
+    start = time.process_time()
+    with open_log(log) as opened:
+        assert [f.index for f in opened] == [0, 1, 3, 4, 5]
+        opened.digest_source()
+    assert time.process_time() - start < 2
+    assert opened.problems == [
+        f"frame2.png: a file of {3 * 2**30} bytes, more than is read, skipped"
+    ]
+
+
+def test_a_name_that_is_no_utf8(tmp_path: Path) -> None:
+    log = image_folder(tmp_path / "log", IMAGES)
+    odd = os.fsdecode(os.fsencode(log) + b"/frame5\xe9.png")
+    Path(odd).write_bytes(b"broken")
+    with open_log(log) as opened:
+        assert len(list(opened)) == 6
+    assert opened.problems == [r"frame5\xe9.png: unreadable image, skipped"]
+    moved = Path(os.fsdecode(os.fsencode(tmp_path) + b"/caf\xe9"))
+    shutil.copytree(log, moved)
+    with open_log(moved) as opened:
+        list(opened)
+        assert opened.name == r"caf\xe9"
+    video = Path(os.fsdecode(os.fsencode(tmp_path) + b"/dive\xe9.mcap"))
+    mcap_file(tmp_path / "m.mcap", [("/a", k, cdr_image(i)) for k, i in enumerate(IMAGES)])
+    video.write_bytes((tmp_path / "m.mcap").read_bytes()[:-40])
+    with open_log(video) as opened:
+        list(opened)
+    assert opened.problems[0].startswith(r"dive\xe9.mcap: cut short")
+    Path(str(video).replace(".mcap", ".avi")).write_bytes(b"junk" * 100)
+    for name in (odd + "x.png", str(video).replace(".mcap", ".avi"), str(video) + ".xyz"):
+        with pytest.raises(SonarrecError) as caught:
+            open_log(name)
+        str(caught.value).encode()
+
+
+def test_a_name_beyond_ascii_without_utf8_mode(tmp_path: Path) -> None:
+    log = image_folder(tmp_path / "log", IMAGES)
+    (log / "frame5é.png").write_bytes(b"broken")
+    script = f"""
+from sonarrec.readers import open_log
+with open_log({str(log)!r}) as log:
+    print(len(list(log)), log.problems[0].encode())
+"""
+    told = subprocess.run(
+        [sys.executable, "-c", script],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=os.environ | {"LC_ALL": "C", "PYTHONUTF8": "0"},
+    )
+    assert told.stdout.startswith(f"6 {'frame5é.png: unreadable image'.encode()!r}"[:-1])
+
+
+@pytest.mark.parametrize(
+    "name", ["x" * 5000, "*" * 5000, "a/" * 2500, "9" * 5000 + "/*.png", "\0.png"], ids=range(5)
+)
+def test_an_argument_that_is_no_name(name: str) -> None:
+    with pytest.raises(SonarrecError) as caught:
+        open_log(name)
+    assert "\n" not in str(caught.value)
+    if "\0" not in name:
+        told = CliRunner().invoke(main, ["info", name])
+        assert told.exit_code == 1
+        assert isinstance(told.exception, SystemExit)
+
+
+def test_times_beyond_every_clock(tmp_path: Path) -> None:
+    log = image_folder(tmp_path / "log", [])
+    for name in ("9999999999999999999", "9" * 200):
+        assert cv2.imwrite(str(log / f"{name}.png"), IMAGES[0])
+    with open_log(log) as opened:  # no times, hence
+        assert [f.timestamp_ns for f in opened] == [0, PERIOD_NS]
+    messages = [("/a", t, cdr_image(i)) for t, i in zip((0, 1, 2**63), IMAGES, strict=False)]
+    with open_log(mcap_file(tmp_path / "log.mcap", messages)) as opened:
+        assert [f.index for f in opened] == [0, 1]
+    assert "beyond every clock" in opened.problems[0]
+
+
+def test_a_quoted_glob_of_logs(tmp_path: Path) -> None:
+    messages = [("/a", k, cdr_image(i)) for k, i in enumerate(IMAGES)]
+    pattern = str(tmp_path / "dives" / "*.mcap")
+    mcap_file(tmp_path / "dives" / "dive2.mcap", messages)
+    with open_log(pattern) as opened:
+        assert opened.name == "dive2"
+        assert len(list(opened)) == 6
+    mcap_file(tmp_path / "dives" / "dive10.mcap", messages)
+    with pytest.raises(SonarrecError, match=r"matches 2 logs, dive2.mcap the first; open each"):
+        open_log(pattern)
+    done = CliRunner().invoke(main, ["run", pattern, "--out", str(tmp_path / "out")])
+    assert done.exit_code == 0, done.output
+    assert {p.name for p in (tmp_path / "out").iterdir()} >= {"dive2", "dive10"}
+    told = CliRunner().invoke(main, ["info", pattern])
+    assert told.exit_code == 0
+    assert told.output.index("dive2.mcap") < told.output.index("dive10.mcap")
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("dive.db3", "rosbags-convert --src "),
+        ("dive.bag", "rosbags-convert --src dive.bag "),
+        ("dive.mcap.zst", "zstd -d dive.mcap.zst"),
+        ("bag/dive_0.db3", "rosbags-convert --src "),
+    ],
+)
+def test_what_can_be_converted_is_told_how(name: str, says: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    path.parent.mkdir(exist_ok=True)
+    path.write_bytes(b"SQLite")
+    log = path.parent if "/" in name else path
+    for command in ("run", "info"):
+        told = CliRunner().invoke(main, [command, str(log)])
+        assert told.exit_code == 1
+        assert says in told.stderr
+        assert "\n" not in told.stderr.strip()
+
+
+def test_channels_that_share_a_definition_parse_it_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "log.mcap"
+    text = b"# a comment\n" * 20_000 + b"uint8[] data\n"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        for copy in range(3):
+            schema = writer.register_schema("sensor_msgs/msg/Image", "ros2msg", text)
+            odom = writer.register_schema("nav_msgs/msg/Odometry", "ros2msg", text)
+            for number in range(100):
+                writer.register_channel(f"/a{copy}_{number}", "cdr", schema)
+                writer.register_channel(f"/o{copy}_{number}", "cdr", odom)
+        writer.finish()
+    calls = []
+    whole = mcap_images.decoder_for
+    monkeypatch.setattr(
+        mcap_images, "decoder_for", lambda *a: calls.append(a) or whole(*a)  # type: ignore[func-returns-value]
+    )  # fmt: skip
+    start = time.process_time()
+    with pytest.raises(UsageError, match="several image channels"):
+        open_log(path)
+    assert len(calls) == 2
+    with pytest.raises(UsageError, match="no pose topic"):
+        read_topic(path, "/nothing", "log")
+    assert time.process_time() - start < 5
+
+
+def jpeg(number: int) -> bytes:
+    noise = np.random.default_rng(number).integers(0, 256, (120, 160), dtype=np.uint8)
+    return cv2.imencode(".jpg", cv2.GaussianBlur(noise, (0, 0), 2))[1].tobytes()
+
+
+def test_a_jpeg_that_is_damaged_inside(tmp_path: Path) -> None:
+    log = image_folder(tmp_path / "log", [])
+    rng = np.random.default_rng(1)
+    for number in range(6):
+        data = bytearray(jpeg(number))
+        middle = len(data) // 2
+        if number == 2:
+            data[middle : middle + 100] = rng.bytes(100)
+        if number == 3:  # padded, as some cameras do
+            data[-2:-2] = bytes(7)
+        if number == 4:  # a piece is missing
+            del data[middle : middle + 300]
+        (log / f"{number}.jpg").write_bytes(data)
+    with open_log(log) as opened:
+        assert [f.index for f in opened] == [0, 1, 3, 5]
+    assert opened.problems == [
+        f"{n}.jpg: a JPEG that is damaged inside, skipped" for n in (2, 4)
+    ]  # fmt: skip
+
+
+def test_a_damaged_jpeg_is_found_with_stderr_closed(tmp_path: Path) -> None:
+    data = bytearray(jpeg(0))
+    del data[len(data) // 2 : len(data) // 2 + 300]
+    (tmp_path / "a.jpg").write_bytes(data)
+    script = f"""
+import os
+os.close(2)
+from pathlib import Path
+from sonarrec.readers.pixels import decode_image
+from sonarrec.readers.raw import UnusableError
+for _ in range(2):
+    try:
+        decode_image(Path({str(tmp_path / "a.jpg")!r}).read_bytes())
+    except UnusableError as error:
+        print(error)
+"""
+    told = subprocess.run([sys.executable, "-c", script], stdout=subprocess.PIPE, check=True)
+    assert told.stdout.decode().splitlines() == ["a JPEG that is damaged inside"] * 2
+
+
+@pytest.mark.parametrize("suffix", [".mkv", ".mp4"])
+def test_frames_that_a_video_loses_are_told(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"log{suffix}"
+    codec = cv2.VideoWriter.fourcc(*("FFV1" if suffix == ".mkv" else "mp4v"))
+    video = cv2.VideoWriter(str(path), codec, 4.0, (64, 48))
+    rng = np.random.default_rng(2)
+    for _ in range(12):
+        video.write(rng.integers(0, 256, (48, 64, 3), dtype=np.uint8))
+    video.release()
+    (tmp_path / "sonar.toml").write_text(SONAR_TOML)
+    with open_log(path) as opened:
+        assert len(list(opened)) == 12
+    assert not opened.problems
+    whole = path.read_bytes()
+    lost = 0
+    for start in range(len(whole) // 20, len(whole), len(whole) // 20):
+        path.write_bytes(whole[:start] + bytes(60) + whole[start + 60 :])
+        try:
+            with open_log(path) as opened:
+                count = len(list(opened))
+        except SonarrecError:
+            continue
+        lost += count < 12
+        assert count == 12 or opened.problems, start
+    for cut in range(1, 2000, 100):
+        path.write_bytes(whole[:-cut])
+        try:
+            with open_log(path) as opened:
+                count = len(list(opened))
+        except SonarrecError:
+            continue
+        lost += count < 12
+        assert count == 12 or opened.problems, cut
+    assert lost or suffix == ".mp4"
