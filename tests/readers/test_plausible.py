@@ -169,7 +169,7 @@ def test_run_tells_it_in_one_note_and_is_done(tmp_path: Path) -> None:
         shutil.copy(path, log)
     right = run(log, tmp_path / "out")
     assert (right.exit_code, right.stderr) == (0, "")
-    wrong = run(log, tmp_path / "out", "--height-m", "3")
+    wrong = run(log, tmp_path / "wrong", "--height-m", "3")
     assert wrong.exit_code == 0
     (line,) = wrong.stderr.splitlines()
     assert line.startswith(f"sonarrec: note: {log}: from 1.25 m on it is as bright as a floor")

@@ -77,6 +77,7 @@ def test_two_runs_of_a_recording_give_the_same_bytes(name, tmp_path):
             for result in run(log, config.preset(name)):
                 check(result)
                 writer.write(result)
+            writer.finish([])
     for table in ("estimates.csv", "frames.csv"):
         one = (tmp_path / "one" / table).read_bytes()
         assert one == (tmp_path / "two" / table).read_bytes()
