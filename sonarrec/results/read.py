@@ -21,6 +21,7 @@ from sonarrec.results.columns import (
     kinds,
     needed,
 )
+from sonarrec.results.folders import part_of
 from sonarrec.results.run_file import read_run
 from sonarrec.sonar import Sonar
 from sonarrec.tables import Table, cut, line_number, position_pair, read_table, read_tables
@@ -71,6 +72,8 @@ def find_logs(results: Path) -> list[Path]:
     if not results.is_dir():
         raise SonarrecError(f"{results}: no such results folder; `sonarrec run LOG` writes one")
     logs = sorted(p.parent for p in results.glob("*/frames.csv"))
+    finished = {part_of(log) for log in logs}  # beside these a stopped run's part tells nothing new
+    logs = [log for log in logs if log not in finished]
     if not logs:
         raise SonarrecError(
             f"{results}: no results here (no frames.csv, nor a folder that holds one); "

@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 
 from sonarrec.records import UsageError
 from sonarrec.results.folders import exchange, folder_names, part_of, restore
+from sonarrec.results.read import find_logs
 
 SAMPLE = Path(__file__).parents[2] / "sample_data" / "pan"
 FRAMES = 40
@@ -258,6 +259,13 @@ def test_a_second_run_into_the_same_folder_is_refused(log: Path, tmp_path: Path)
     assert "another run writes here now" in told
     assert first.wait() == 0
     assert frames(out / "dive") == list(range(FRAMES))
+
+
+def test_a_part_beside_finished_results_is_not_counted_with_them(tmp_path: Path) -> None:
+    for name in ("dive", "dive.part", "other.part"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "frames.csv").write_text("frame\n")
+    assert [p.name for p in find_logs(tmp_path)] == ["dive", "other.part"]
 
 
 def test_an_exchange_that_was_broken_off_is_put_right(tmp_path: Path) -> None:
