@@ -53,7 +53,8 @@ def result(index: int = 0, *estimates: Estimate) -> FrameResult:
 
 def tables() -> dict:
     source = ("log_a", 12345, "0" * 64)
-    return run_table([config.preset("default")], SONAR, make_fan(), BASIN, source)
+    methods = ("smi", "framework")
+    return run_table([config.preset("default")], methods, SONAR, make_fan(), BASIN, source)
 
 
 def rows(path) -> list[list[str]]:
