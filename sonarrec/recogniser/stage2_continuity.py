@@ -73,11 +73,12 @@ class ContinuityFilter:
         positions = np.concatenate([positions[kept], born])
         wide = np.full((len(born), 2), self._sigma) / self._diameter
         spread = np.concatenate([spread[kept], wide])
-        order = np.argsort(self._groups.numbers)  # those that came back go to their old place
-        self._groups = groups = self._groups.take(order)
-        return Groups(
-            groups.numbers, positions[order], spread[order], groups.existence, self._lost.numbers
-        )
+        if len(born):  # those that came back go to their old place
+            order = np.argsort(self._groups.numbers)
+            self._groups = self._groups.take(order)
+            positions, spread = positions[order], spread[order]
+        groups = self._groups
+        return Groups(groups.numbers, positions, spread, groups.existence, self._lost.numbers)
 
     def _predict(self, motion: Motion | None) -> None:
         """Eq. 3: a random walk; where the sonar's own motion is known a narrower one round it."""
@@ -96,7 +97,8 @@ class ContinuityFilter:
             return
         groups.places = self._plane.moved(groups.places, motion)
         groups.places[there] = positions[there]
-        lost.places = self._plane.moved(lost.places, motion)
+        if len(lost):
+            lost.places = self._plane.moved(lost.places, motion)
 
     def _strike(self, spread: FloatArray, hit: BoolArray, in_view: BoolArray) -> None:
         """Strikes for spread groups, and the Bayes filter of existence from hits and misses.
