@@ -26,7 +26,7 @@ lint: .venv/installed
 	$(BIN)/mypy
 
 demo: .venv/program  # the sample log, from images to tables
-	$(BIN)/sonarrec run $(SAMPLE) --out build/demo
+	$(BIN)/sonarrec run $(SAMPLE) --overwrite --out build/demo
 	$(BIN)/sonarrec evaluate --ground-truth $(SAMPLE)/gt.csv build/demo/$(notdir $(SAMPLE))
 
 bench: .venv/installed  # cost per frame and memory, beside PNG decoding and a plain loop

@@ -121,7 +121,7 @@ def cost(work: Path) -> None:
             rival(read_grey(path))
 
     def ours(log: str, settings: Config = settings) -> Callable[[], object]:
-        return lambda: run_log(work / log, work / "out", preset=settings)
+        return lambda: run_log(work / log, work / "out", preset=settings, overwrite=True)
 
     ms = interleaved(
         {

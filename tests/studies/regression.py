@@ -48,7 +48,7 @@ def sonarrec(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
 
 def run(log: Path, out: Path) -> Path:
     """The folder of the results of one log, processed now."""
-    done = sonarrec("run", log, "--out", out, "-q")
+    done = sonarrec("run", log, "--out", out, "-q", "--overwrite")
     if done.returncode:
         raise SystemExit(f"sonarrec run {log}\nexit {done.returncode}\n{done.stderr}")
     [table] = out.glob("*/estimates.csv")

@@ -172,7 +172,7 @@ def draw_figure_13(out: Path) -> None:
     shutil.rmtree(log, ignore_errors=True)
     commands: list[tuple[object, ...]] = [
         ("simulate", "-q", "--scene", "paper", "--frames", SHOWN[-1] + 1, "--out", log),
-        ("run", "-q", log, "--preset", "paper", "--out", out / "results"),
+        ("run", "-q", log, "--preset", "paper", "--overwrite", "--out", out / "results"),
     ]
     for frame in SHOWN:
         only = ("--frames", f"{frame}:{frame + 1}", "--images", out / "figure_13")
