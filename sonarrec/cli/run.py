@@ -37,7 +37,6 @@ if TYPE_CHECKING:
 
 INTERRUPTED, TERMINATED = 130, 143
 """Exit codes of a run that was stopped by Ctrl-C or SIGTERM."""
-PART = ".part"
 
 
 @command(short_help="Recognise the landmarks in logs.")
@@ -170,6 +169,8 @@ def _stoppable(out: Path) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt as error:
+        from sonarrec.results.folders import PART
+
         parts = ", ".join(str(p) for p in sorted(out.glob(f"*{PART}")))
         kept = f"; the frames before are in {parts}" if parts else ""
         click.echo(f"sonarrec: stopped{kept}", err=True)
