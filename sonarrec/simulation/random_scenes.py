@@ -12,6 +12,7 @@ from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.records import SonarrecError
 from sonarrec.simulation.scene import (
     KINDS,
+    SYMBOLS,
     FadingSection,
     FloorSection,
     MotionSection,
@@ -24,6 +25,8 @@ from sonarrec.simulation.scene import (
     check_scene,
     vertical_beam_db,
 )
+from sonarrec.simulation.symbols import LEARNED_SYMBOLS, OTHER_SYMBOLS
+from sonarrec.simulation.unlike import LEARNED_UNLIKE, OTHER_UNLIKE, made_unlike
 from sonarrec.simulation.world import object_radius
 
 KINDS_OF_SCENE = (
@@ -43,12 +46,16 @@ KINDS_OF_SCENE = (
 # Beside the study's pool: discs of 0.06 m radius at the 2.5 m window, all that is hard at once,
 # and landmark sets, windows and images unlike the basin's.
 STRETCH_KINDS = ("tiny_discs", "all_hard", "other_sets")
-ALL_KINDS = KINDS_OF_SCENE + STRETCH_KINDS
+# Beyond the basin: see `simulation.unlike`. LEARNED_KINDS are what the built-in model learns from.
+UNLIKE_KINDS = LEARNED_UNLIKE + OTHER_UNLIKE
+ALL_KINDS = KINDS_OF_SCENE + STRETCH_KINDS + UNLIKE_KINDS
+LEARNED_KINDS = KINDS_OF_SCENE + STRETCH_KINDS + LEARNED_UNLIKE
 # Of the vertical beam where an object lies, against its axis. Where less sound falls on the floor
 # than this, the picture is black: nobody would look for landmarks there.
 LEAST_LIT_DB = -12.0
 _UNSTEADY = ("jitter", "all_hard")
 _FADING = ("fading", "all_hard")
+_SYMBOLIC = ("symbols", "other_symbols")
 _FAKES = ("near_miss", "no_landmark", "all_hard")
 # kind of scene: (range_min, range_max, height, tilt) before they are varied
 _WINDOWS = {"window_1_25": (1.4, 2.65, 0.66, 20.0), "window_5": (1.25, 6.25, 1.0, 18.0)}
@@ -74,6 +81,15 @@ def _sonar(kind: str, rng: np.random.Generator) -> SonarSection:
         cross_talk_db=round(rng.uniform(-42, -29), 1),
         pulse_m=round(rng.uniform(1.0, 2.2) * (high - low) / 512, 4),
     )
+    if kind == "wide":
+        fan_deg = round(rng.uniform(115, 132), 1)
+        return replace(
+            sonar,
+            beams=int(rng.choice([256, 512])),
+            field_of_view_deg=fan_deg,
+            beam_width_deg=round(rng.uniform(0.8, 1.2), 3),
+            vertical_beam_deg=20.0,
+        )
     if kind in _UNSTEADY:
         return replace(
             sonar,
@@ -244,6 +260,8 @@ def random_scene(seed: int, kind: str = "plain", wide: bool = False, **overrides
 
     landmarks = []
     count = 0 if kind == "no_landmark" else int(rng.integers(3, 5))
+    if kind in _SYMBOLIC:
+        count = 2
     for number in rng.choice(discs.ids, count, replace=count > len(discs.ids)):
         place = floor.place(discs.radius_m, share)
         if place:
@@ -260,7 +278,13 @@ def random_scene(seed: int, kind: str = "plain", wide: bool = False, **overrides
 
     kinds = ["blank", "filled", "tyre", "stone", "stone"]
     kinds += [str(k) for k in rng.choice(["mesh", "beam", "stone"], 2)]
-    if kind in _FAKES:
+    if kind == "symbols":
+        kinds += [str(k) for k in rng.choice(LEARNED_SYMBOLS, 5)]
+    elif kind == "other_symbols":
+        kinds += [str(k) for k in rng.choice(OTHER_SYMBOLS, 5)]
+    elif kind in ("any_floor", "relief", "light", "wide"):
+        kinds += [str(k) for k in rng.choice([*LEARNED_SYMBOLS, "blank", "half_ring"], 2)]
+    elif kind in _FAKES:
         kinds += ["spokes", "half_ring", "blank", "filled"]
     else:
         kinds += [str(k) for k in rng.choice(["spokes", "half_ring", "blank", "filled"], 1)]
@@ -274,6 +298,7 @@ def random_scene(seed: int, kind: str = "plain", wide: bool = False, **overrides
             size_m=_random_size(name, discs.radius_m, rng),
             bright_db=round(KINDS[name][3] + (bright - 12) + rng.normal(0, 1), 2),
             plate_db=round(plate + rng.normal(0, 0.7), 2),
+            number=int(rng.integers(2**31)) if name in SYMBOLS else 0,
         )
         place = floor.place(object_radius(scene, draft), share)
         if place:
@@ -286,6 +311,7 @@ def random_scene(seed: int, kind: str = "plain", wide: bool = False, **overrides
             PlacedObject("wall", round(0.95 * far, 3), 0.0, round(rng.uniform(-12, 12), 1))
         )
     drawn = replace(scene, landmarks=tuple(landmarks), objects=tuple(objects))
+    drawn = made_unlike(drawn, kind, rng)
     drawn = replace(drawn, **overrides)
     check_scene(drawn, drawn.name)
     return drawn

@@ -16,6 +16,7 @@ import numpy as np
 from sonarrec.geometry import fan_for_image, fan_for_polar
 from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
 from sonarrec.records import Fan, FloatArray, SonarrecError, UsageError
+from sonarrec.simulation.symbols import LEARNED_SYMBOLS, OTHER_SYMBOLS
 from sonarrec.sonar import Sonar
 from sonarrec.toml import (
     Count,
@@ -49,10 +50,13 @@ KINDS: dict[str, tuple[float, float, float, float]] = {
     "mesh": (0.40, 0.45, 0.0, 11.0),  # a patch of wire netting
     "beam": (0.70, 0.06, 0.03, 8.0),  # a wooden beam
     "stone": (0.05, 0.0, 0.03, 8.0),
+    # Rings with a symbol that no ID has, see `simulation.symbols`.
+    **dict.fromkeys((*LEARNED_SYMBOLS, *OTHER_SYMBOLS), (0.0, 0.0, 0.0, 11.0)),
     "cover": (0.15, 0.0, 0.0, 0.0),  # sediment that hides what lies below
     "wall": (8.0, 0.15, 1.5, 11.0),
 }
-ROUND = ("blank", "filled", "spokes", "half_ring", "tyre", "stone", "cover")
+SYMBOLS = (*LEARNED_SYMBOLS, *OTHER_SYMBOLS)
+ROUND = ("blank", "filled", "spokes", "half_ring", "tyre", "stone", "cover", *SYMBOLS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +108,11 @@ class FloorSection:
     angle_exponent: NotNegative = 1.0  # backscattered power: sin(grazing angle) to this power
     speckle_s: Positive = 120.0  # time after which speckle has changed (correlation 1/e)
     speckle_m: Positive = 0.12  # sway or heave after which speckle has changed (correlation 1/e)
+    coherence: Share = 1.0  # of the echoes' power: 1 speckle, 0 a sum of powers, without speckle
+    relief_m: NotNegative = 0.0  # standard deviation of its height: lit slopes and shadows
+    relief_size_m: Positive = 0.03  # size of its bumps, and of those of things with a relief
+    light_db: NotNegative = 0.0  # how much darker patches of the scene are, things on it as well
+    light_m: Positive = 0.4  # their size; their edges are sharp
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,6 +173,7 @@ class PlacedLandmark:
     bright_db: Finite = 12.0
     symbol_db: Finite = 11.0
     plate_db: Finite = -7.0
+    relief_m: NotNegative = 0.0  # mean height of the gravel that ring and sectors are made of
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,6 +188,8 @@ class PlacedObject:
     width_m: Positive | None = None
     bright_db: Finite | None = None
     plate_db: Finite = -7.0
+    relief_m: NotNegative = 0.0  # as of a landmark, of what is bright of it
+    number: Count = 0  # of symbols that no ID has: which one of the kind
 
 
 @dataclass(frozen=True, slots=True)

@@ -163,6 +163,11 @@ class _Receiver:
         pairs = cv2.sepFilter2D(pairs, -1, np.ones(1, np.float32), self._pulse)
         return np.ascontiguousarray(pairs).view(np.complex64)[..., 0]
 
+    def even(self, power: np.ndarray, patterns: np.ndarray) -> np.ndarray:
+        """(bins, azimuths) power of scatterers to (bins, beams), without speckle."""
+        sums = power @ np.square(np.abs(patterns)).T
+        return np.asarray(cv2.sepFilter2D(sums, -1, np.ones(1, np.float32), np.square(self._pulse)))
+
 
 class _Picture:
     """Log compression, and the fan image of the beams."""
@@ -322,7 +327,12 @@ def render(scene: Scene) -> Iterator[SimulatedFrame]:
         signal = np.float32(10 ** (gain_db[index] / 20))
         hiss = noise_rng.standard_normal((*field.shape, 2), dtype=np.float32)
         field = field * signal + hiss.view(np.complex64)[..., 0] * noise_amplitude
-        power = field.real**2 + field.imag**2 + glow * signal**2
+        power = field.real**2 + field.imag**2
+        if scene.floor.coherence < 1:
+            power = power * np.float32(scene.floor.coherence)
+            even = receiver.even(view.power * strength**2, patterns)
+            power += np.float32(1 - scene.floor.coherence) * even * signal**2
+        power += glow * signal**2
         if noise.smear:
             smooth = cv2.GaussianBlur(power, (0, 0), sigmaX=0.8, sigmaY=2.0)
             power += np.float32(noise.smear) * (smooth - power)

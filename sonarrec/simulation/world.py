@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from sonarrec.records import FloatArray
-from sonarrec.simulation.scene import KINDS, ROUND, PlacedLandmark, PlacedObject, Scene
+from sonarrec.simulation.scene import KINDS, ROUND, SYMBOLS, PlacedLandmark, PlacedObject, Scene
+from sonarrec.simulation.symbols import symbol
 
 STEP_DEG = 0.1  # azimuth between scatterers: three or more within a beam
 MARGIN_DEG = 4.0  # beyond the fan's edges, for side lobes
@@ -50,6 +51,8 @@ class View:
     azimuth_deg: FloatArray
     echoes: np.ndarray
     glow: np.ndarray
+    power: np.ndarray
+    """(bins, n) float32 mean power of each scatterer."""
 
 
 class World:
@@ -91,9 +94,11 @@ class World:
         level = scene.floor.texture_db * smooth_noise(rng, shape, cells(scene.floor.texture_m))
         owner = np.full(shape, -1, dtype=np.int16)
         height = np.zeros(shape, dtype=np.float32)
+        relief = np.full(shape, scene.floor.relief_m, dtype=np.float32)
         things: list[PlacedLandmark | PlacedObject] = [*scene.landmarks, *scene.objects]
         for number, item in enumerate(things):
-            self._draw(item, number, level, owner, height)
+            self._draw(item, number, level, owner, height, relief)
+        self._relieve(cells, level, height, relief)
         shadow = self._shadow(height)
         amplitude = np.power(np.float32(10), level / 20)
         amplitude[shadow] *= 10 ** (scene.noise.shadow_db / 20)
@@ -131,8 +136,9 @@ class World:
         level: np.ndarray,
         owner: np.ndarray,
         height: np.ndarray,
+        relief: np.ndarray,
     ) -> None:
-        """Lay one thing on the floor: its level (dB), its number, its height (m)."""
+        """Lay one thing on the floor: its level (dB), its number, its height and relief (m)."""
         scene = self._scene
         place = math.radians(item.azimuth_deg)
         x0, y0 = item.ground_m * math.sin(place), item.ground_m * math.cos(place)
@@ -151,10 +157,12 @@ class World:
         # Edges that face the sonar, near and far, send more of the sound back.
         line = (dx * x0 + dy * y0) / (np.maximum(np.hypot(dx, dy), 1e-6) * item.ground_m)
         facing = scene.fading.specular_db * (np.abs(line) - 0.5)
-        out, who, tall = level[box], owner[box], height[box]
+        out, who, tall, rough = level[box], owner[box], height[box], relief[box]
         texture = out.copy()
 
-        def paint(where: np.ndarray, value: FloatArray | float) -> None:
+        def paint(where: np.ndarray, value: FloatArray | float, gravel_m: float = 0.0) -> None:
+            # Below 0: bumps only, above what lies there.
+            rough[where] = -gravel_m
             shade = np.broadcast_to(np.asarray(value, dtype=np.float32), where.shape)
             out[where] = (shade + 0.5 * texture)[where]
             who[where] = number
@@ -166,22 +174,26 @@ class World:
             k = discs.ids.index(item.id)
             bright = discs.pattern(k, u, v) > 0.5
             paint(rho <= 1, item.plate_db)
-            paint(bright & ~ring, item.symbol_db)
-            paint(ring, item.bright_db + facing)
+            paint(bright & ~ring, item.symbol_db, item.relief_m)
+            paint(ring, item.bright_db + facing, item.relief_m)
             return
         _, _, tallness, usual = KINDS[item.kind]
         bright_db = usual if item.bright_db is None else item.bright_db
         long, wide = np.abs(u) * 2, np.abs(v) * 2 * radius / width
-        if item.kind in ("blank", "spokes", "half_ring"):
+        if item.kind in ("blank", "spokes", "half_ring", *SYMBOLS):
             paint(rho <= 1, item.plate_db)
             if item.kind == "half_ring":
                 ring &= angle >= 0
-            paint(ring, bright_db + facing)
+            paint(ring, bright_db + facing, item.relief_m)
+            if item.kind in SYMBOLS:
+                x, y = u / discs.symbol[1], v / discs.symbol[1]
+                bright = symbol(item.kind, item.number, discs, x, y) & (rho >= discs.symbol[0])
+                paint(bright, bright_db - 1, item.relief_m)
             if item.kind == "spokes":
                 across = np.minimum(np.abs(u), np.abs(v))
                 paint((across < 0.07) & (rho >= 0.12) & (rho <= discs.symbol[1]), bright_db)
         elif item.kind in ("filled", "cover"):
-            paint(rho <= 1, bright_db)
+            paint(rho <= 1, bright_db, item.relief_m)
         elif item.kind == "stone":
             # Rounded: brightest in the middle of the side that faces the sonar.
             inside = rho <= 1 + 0.25 * np.sin(3 * angle + number) + 0.1 * np.sin(7 * angle)
@@ -206,6 +218,33 @@ class World:
             inside = (long <= 1) & (wide <= 1)
             paint(inside, bright_db)
             tall[inside & (v > 0)] = tallness
+
+    def _relieve(
+        self,
+        cells: Callable[[float], tuple[float, float]],
+        level: np.ndarray,
+        height: np.ndarray,
+        relief: np.ndarray,
+    ) -> None:
+        """Raise bumps, and lighten and darken slopes that face the sonar and turn from it.
+
+        Then lay patches of light and shade over all. cells: rows and columns of so many metres.
+        """
+        floor = self._scene.floor
+        if relief.any():
+            rng = np.random.default_rng([self._scene.seed, 6])
+            noise = smooth_noise(rng, relief.shape, cells(floor.relief_size_m))
+            height += relief * np.where(relief < 0, -np.abs(noise), noise)
+            ground = self._ground[:, None].astype(np.float32)
+            grazing = np.arctan(np.float32(self._scene.sonar.height_m) / ground)
+            slope = np.gradient(height, axis=0) / np.gradient(ground, axis=0)
+            # Lambert's law, there and back.
+            lit = np.sin(np.clip(grazing + np.arctan(slope), 0.02, np.pi / 2))
+            level += 20 * np.log10(lit / np.sin(grazing))
+        if floor.light_db:
+            rng = np.random.default_rng([self._scene.seed, 7])
+            patches = smooth_noise(rng, relief.shape, cells(floor.light_m))
+            level -= np.float32(floor.light_db) / (1 + np.exp(-patches / 0.06))
 
     def _box(self, ground_m: float, azimuth_deg: float, reach_m: float) -> tuple[slice, slice]:
         """Rows and columns of the grid that a circle of radius reach_m may touch."""
@@ -283,4 +322,5 @@ class World:
         scatter = self._scatter.view(np.complex64)[:, 0][cell]
         spin = np.empty(cell.shape, dtype=np.complex64)
         spin.real, spin.imag = np.cos(phase), np.sin(phase)
-        return View(azimuth, scatter * spin * self._amplitude[cell], self._glow[cell])
+        amplitude = self._amplitude[cell]
+        return View(azimuth, scatter * spin * amplitude, self._glow[cell], amplitude**2)

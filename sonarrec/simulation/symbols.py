@@ -1,0 +1,87 @@
+"""Symbols that are nobody's: what a ring may hold that no ID of a landmark set has."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+
+from sonarrec.landmarks import LandmarkSet
+from sonarrec.records import BoolArray, FloatArray
+
+LEARNED_SYMBOLS = ("wedges", "blobs")
+"""Kinds that the built-in model learns from: wedges of any width, and patches of any shape."""
+OTHER_SYMBOLS = ("eighths", "foreign", "bar", "cross", "letter")
+"""Kinds that it never learns from: 45-degree wedges, sectors of sets with three, five or six, a bar
+and a cross as thick as sectors look, and capitals."""
+# Of the circle: how far the sectors of one differ from every ID at every turn.
+LEAST_UNLIKE = 0.12
+DIRECTIONS = 360
+LETTERS = "AEFHKLNTVXYZ"
+_GLYPH = 96  # pixels
+
+
+def symbol(kind: str, number: int, landmarks: LandmarkSet, x: FloatArray, y: FloatArray) -> BoolArray:
+    """Where a symbol of this kind is bright; the shape of x and y.
+
+    number: which one, a seed. x, y: from its centre, in radii of the landmarks' symbols; what lies
+    beyond 1 is dark.
+    """
+    rng = np.random.default_rng([number, (*LEARNED_SYMBOLS, *OTHER_SYMBOLS).index(kind)])
+    within = np.hypot(x, y) <= 1
+    if kind == "bar":
+        return np.asarray(within & (np.abs(y) < rng.uniform(0.15, 0.3)))
+    if kind == "cross":
+        half = rng.uniform(0.15, 0.3)
+        return np.asarray(within & (np.minimum(np.abs(x), np.abs(y)) < half))
+    if kind == "letter":
+        return np.asarray(within & _at(_letter(rng), x, y))
+    if kind == "blobs":
+        return np.asarray(within & _at(_blobs(rng), x, y))
+    lit = _sectors(kind, landmarks, rng)
+    way = np.mod(np.arctan2(y, x), 2 * math.pi) / (2 * math.pi) * DIRECTIONS
+    return np.asarray(within & lit[np.minimum(way.astype(int), DIRECTIONS - 1)])
+
+
+def _at(picture: BoolArray, x: FloatArray, y: FloatArray) -> BoolArray:
+    """Of a square picture of the symbol's circle."""
+    place = [np.clip((v + 1) / 2 * len(picture), 0, len(picture) - 1).astype(int) for v in (-y, x)]
+    return np.asarray(picture[place[0], place[1]])
+
+
+def _letter(rng: np.random.Generator) -> BoolArray:
+    text, face, thick = str(rng.choice(list(LETTERS))), cv2.FONT_HERSHEY_SIMPLEX, 14
+    glyph = np.zeros((_GLYPH, _GLYPH), np.uint8)
+    (width, height), _ = cv2.getTextSize(text, face, 2.4, thick)
+    cv2.putText(glyph, text, ((_GLYPH - width) // 2, (_GLYPH + height) // 2), face, 2.4, 255, thick)
+    return np.asarray(glyph > 0)
+
+
+def _blobs(rng: np.random.Generator) -> BoolArray:
+    noise = rng.standard_normal((_GLYPH, _GLYPH))
+    smooth = cv2.GaussianBlur(noise, (0, 0), rng.uniform(0.08, 0.2) * _GLYPH)
+    return np.asarray(smooth > np.quantile(smooth, rng.uniform(0.3, 0.7)))
+
+
+def _sectors(kind: str, landmarks: LandmarkSet, rng: np.random.Generator) -> BoolArray:
+    """(DIRECTIONS,) a code round the circle that is unlike every ID at every turn."""
+    direction = (np.arange(DIRECTIONS) + 0.5) * 2 * math.pi / DIRECTIONS
+    codes = landmarks.codes(direction) > 0.5
+    turned = np.concatenate([np.roll(codes, turn, axis=1) for turn in range(0, DIRECTIONS, 5)])
+    while True:
+        if kind == "wedges":
+            lit = _wedges(rng)
+        else:
+            parts = 8 if kind == "eighths" else int(rng.choice([3, 5, 6]))
+            lit = (rng.random(parts) < 0.5)[np.arange(DIRECTIONS) * parts // DIRECTIONS]
+        if 0 < lit.mean() < 1 and np.mean(turned != lit, axis=1).min() >= LEAST_UNLIKE:
+            return np.asarray(lit)
+
+
+def _wedges(rng: np.random.Generator) -> BoolArray:
+    lit = np.zeros(DIRECTIONS, bool)
+    for _ in range(int(rng.integers(1, 5))):
+        begin, width = rng.integers(DIRECTIONS), int(rng.integers(25, 151))
+        lit[(begin + np.arange(width)) % DIRECTIONS] = True
+    return lit
