@@ -4,7 +4,7 @@ BIN := .venv/bin
 SAMPLE := sample_data/pan
 
 .PHONY: test lint demo bench memory fuzz paper paper-world paper-choices \
-	paper-prediction scenes ablation study model regression clean
+	paper-prediction scenes worlds ablation study model regression clean
 
 .venv/program: pyproject.toml  # what a user needs
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
@@ -51,6 +51,9 @@ paper-prediction: .venv/installed  # Tables 4 and 5 on fresh recordings, ours be
 
 scenes: .venv/installed  # every kind of random scene, all methods, beside the goals
 	$(BIN)/python -m tests.studies.scenes
+
+worlds: .venv/installed  # recordings that are not ours, where they are at hand
+	$(BIN)/python -m tests.studies.worlds
 
 ablation: .venv/installed  # the default with one idea at a time put back
 	$(BIN)/python -m tests.studies.ablation

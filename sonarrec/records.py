@@ -107,12 +107,13 @@ class Motion:
     """How the sonar moved from one frame to the next.
 
     pan_deg: how far it turned, positive to the right. right_m, ahead_m: how far it was carried, to
-    the right and ahead as it looked before.
+    the right and ahead as it looked before. pan_sigma_deg: standard error of the turn.
     """
 
     pan_deg: float
     right_m: float = 0.0
     ahead_m: float = 0.0
+    pan_sigma_deg: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,14 +122,15 @@ class Selection:
 
     score_map: (rows, columns) float32, 0 to 1, over the working plane. positions: (n, 2) float,
     (column, row) in plane pixels. scores: (n,), best first. mean: (rows, columns) float32, grey
-    level of each pixel's surroundings. sigma: standard deviation of the frame about it, above 0.
+    level of each pixel's surroundings. sigma: (rows, columns) standard deviation about it, above 0:
+    of the frame, or of the surroundings.
     """
 
     score_map: npt.NDArray[np.float32]
     positions: FloatArray
     scores: FloatArray
     mean: npt.NDArray[np.float32]
-    sigma: float
+    sigma: FloatArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,18 +16,23 @@ from sonarrec.learning.fit import fit
 from sonarrec.learning.samples import Samples, describe, label, on_fan
 from sonarrec.recogniser.stage3_features.model import BUILT_IN
 from sonarrec.records import Frame
-from sonarrec.simulation.random_scenes import ALL_KINDS, random_scene
+from sonarrec.simulation.random_scenes import KINDS_OF_SCENE, STRETCH_KINDS, random_scene
 from sonarrec.simulation.scene import Scene, scene_sonar
 from sonarrec.simulation.simulate import LandmarkTruth, render
+from sonarrec.simulation.unlike import LEARNED_UNLIKE
 
 # Seeds of the built-in model. Those from 2000 on are for choosing settings, those from 3000 on for
 # figures that are reported: no recording serves two ends.
-MODEL_SEEDS = range(1000, 1010)
+MODEL_SEEDS = range(1000, 1020)
+# Of each kind so many, from the first on: the basin's kinds are alike, those beyond it are not.
+RECORDINGS = dict.fromkeys(KINDS_OF_SCENE + STRETCH_KINDS, 5) | dict.fromkeys(LEARNED_UNLIKE, 20)
+RECORDINGS["wide"] = 4  # they cost three times as much
+FRAMES = 64  # of each: more recordings teach more than longer ones
 
 
 def simulated(seed: int, kind: str) -> Samples:
     """Samples from one random simulated recording."""
-    return samples_of(random_scene(seed, kind, wide=True))
+    return samples_of(random_scene(seed, kind, wide=True, frames=FRAMES))
 
 
 def samples_of(scene: Scene) -> Samples:
@@ -56,17 +61,16 @@ def _frames(scene: Scene, truth: list[tuple[int, LandmarkTruth]]) -> Iterator[Fr
 
 
 def make_model() -> None:
-    """Write the built-in model anew: every kind of scene, MODEL_SEEDS of each."""
-    drawn = [(seed, kind) for seed in MODEL_SEEDS for kind in ALL_KINDS]
+    """Write the built-in model anew: every kind of scene that may be learned from."""
+    drawn = [(seed, kind) for kind, n in RECORDINGS.items() for seed in MODEL_SEEDS[:n]]
     with ProcessPoolExecutor() as workers:
         parts = list(workers.map(simulated, *zip(*drawn, strict=True)))
     count = sum(len(p.label) for p in parts)
     head = (
         "# Log odds of an ID against 'none of these' = bias + the curves of all features, which\n"
         "# description.py names.\n"
-        f"# Made by `make model`: {len(drawn)} simulated recordings (seeds\n"
-        f"# {MODEL_SEEDS.start} to {MODEL_SEEDS.stop - 1} of every kind of scene), "
-        f"{count} tracks in frames.\n"
+        f"# Made by `make model`: {len(drawn)} simulated recordings of {FRAMES} frames, seeds\n"
+        f"# from {MODEL_SEEDS.start} on of {len(RECORDINGS)} kinds of scene; {count} tracks in frames.\n"
     )
     BUILT_IN.write_text(head + fit(parts).as_toml(), encoding="utf-8")
 

@@ -12,7 +12,13 @@ import cv2
 import numpy as np
 
 from sonarrec.geometry import MAX_FAN_PIXELS, PolarToFan, fan_for_image, fan_for_polar
-from sonarrec.readers.pixels import GreyScale, grey_scale, single_channel, to_grey8
+from sonarrec.readers.pixels import (
+    GreyScale,
+    grey_scale,
+    holds_amplitudes,
+    single_channel,
+    to_grey8,
+)
 from sonarrec.readers.raw import RawFrame, UnusableError
 from sonarrec.records import ByteImage, Fan, SonarrecError
 from sonarrec.sonar import PingGeometry, Sonar
@@ -45,6 +51,7 @@ class FanImages:
         self._told: PingGeometry | None = None
         self._to_fan: PolarToFan | None = None
         self._beam_major: bool | None = None
+        self._amplitudes = False  # whether 8-bit pixels are
         self._told_against = self._told_cut = False
 
     def __call__(self, raw: RawFrame) -> tuple[ByteImage, Fan]:
@@ -58,7 +65,8 @@ class FanImages:
         pixels = single_channel(raw.pixels)
         scale = self._scales.get(pixels.dtype)
         if scale is None:
-            scale = grey_scale(self._stated, pixels, amplitudes=raw.sonar is not None)
+            floating = raw.sonar is not None and pixels.dtype != np.uint8
+            scale = grey_scale(self._stated, pixels, amplitudes=floating or self._amplitudes)
         image = np.zeros(pixels.shape, np.uint8) if scale is None else to_grey8(pixels, scale)
         image = self._image(image) if raw.sonar is None else self._ping(image, raw.sonar)
         if scale is not None:
@@ -67,11 +75,20 @@ class FanImages:
         return image, self.fan
 
     def settle(self, first: Sequence[RawFrame]) -> None:
-        """Take the fan from another ping than the first of these where more agree with that one:
-        one that a driver sent before it had its settings must not cost the others.
+        """Find out what 8-bit pixels are, and take the fan from another ping than the first of
+        these where more agree with that one: one that a driver sent before it had its settings
+        must not cost the others.
 
-        Two agree where each shows enough of the other's window and field of view.
+        Of pings two agree where each shows enough of the other's window and field of view.
         """
+        self._amplitudes = self._stated.pixel_scale is None and holds_amplitudes(
+            [grey for raw in first if (grey := _grey_of_8_bit(raw)) is not None]
+        )
+        if self._amplitudes:
+            self.notes.append(
+                f"{self._where}: 8-bit pixels read as amplitudes, by their speckle; "
+                "--pixel-scale linear if they are logarithms"
+            )
         pings = [(raw, raw.sonar) for raw in first if raw.pixels is not None and raw.sonar]
         agreeing = [
             sum(
@@ -168,6 +185,14 @@ class FanImages:
             self._told_against = True
             self.notes.append(f"{self._where}: stated against the messages: {', '.join(against)}")
         return sonar, to_fan
+
+
+def _grey_of_8_bit(raw: RawFrame) -> np.ndarray | None:
+    if raw.pixels is None or raw.pixels.dtype != np.uint8:
+        return None
+    with contextlib.suppress(UnusableError):
+        return single_channel(raw.pixels)
+    return None
 
 
 def _shows(window: Fan | PingGeometry, other: Fan | PingGeometry) -> bool:

@@ -90,7 +90,7 @@ class EstimateMaker:
         range_m, bearing_deg = self._plane.to_polar(*positions.T)
         orientation_deg = (90 - bearing_deg + beliefs.turn * STEP_DEG) % 360
         orientation_sigma = beliefs.turn_sigma * STEP_DEG
-        claimed = declared(scores, threshold)
+        claimed = declared(scores, threshold) & beliefs.earned
         return [
             Estimate(
                 method=method,

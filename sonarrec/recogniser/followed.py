@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sonarrec.recogniser.stage3_features import Gathered
 from sonarrec.records import BoolArray, Estimate, FloatArray, FrameResult, Groups, IntArray
 
 
@@ -27,10 +28,8 @@ class Followed:
     """(n, L, ANGLES) which of their cells lie inside the fan."""
     groups: Groups
     """m of them."""
-    average: FloatArray
-    """(m, L, ANGLES) shape matrices of the groups, as the measurement gathers them."""
-    count: FloatArray
-    """(m, L, ANGLES) how often each of their cells was seen."""
+    gathered: Gathered
+    """Of the groups, as the measurement gathers it."""
 
 
 class Batch:
@@ -50,13 +49,12 @@ class Batch:
         """(n, L, ANGLES) and `seen` as in Followed."""
         self.seen: BoolArray = np.concatenate([f.seen for f in frames])
         self.groups = [f.groups for f in frames]
-        """Frame by frame; below all m of them in a row, and their shape matrices as in Followed."""
+        """Frame by frame; below all m of them in a row, and what was gathered of them."""
         self.numbers: IntArray = np.concatenate([g.numbers for g in self.groups])
         self.positions: FloatArray = np.concatenate([g.positions for g in self.groups])
         self.spread: FloatArray = np.concatenate([g.spread for g in self.groups])
         self.existence: FloatArray = np.concatenate([g.existence for g in self.groups])
-        self.average: FloatArray = np.concatenate([f.average for f in frames])
-        self.count: FloatArray = np.concatenate([f.count for f in frames])
+        self.gathered = Gathered.joined([f.gathered for f in frames])
 
     def results(self, single: list[Estimate], tracked: list[Estimate]) -> list[FrameResult]:
         """Frame by frame: `single` of the candidates (or of none), then `tracked` of the groups."""

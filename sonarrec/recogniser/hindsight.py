@@ -11,6 +11,7 @@ from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.estimates import declared, likeliest
 from sonarrec.records import Estimate, FloatArray, FrameResult
 
+LEAST_BORNE_OUT = 0.5  # mean belief of a track's frames in an ID from which it is spread over them
 LEAST_BELIEF = 1e-2  # in a logarithm: no single frame rules an ID out for good
 
 
@@ -20,6 +21,8 @@ class _Opinion:
 
     log_beliefs: FloatArray
     """(K + 1,) weighted sum over the frames of log belief."""
+    beliefs_sum: FloatArray
+    """(K + 1,) plain sum over the frames of belief."""
     weight: float = 0.0
     """Sum of the weights."""
     frames: int = 0
@@ -33,6 +36,10 @@ class _Opinion:
         mean = np.exp(self.log_beliefs / self.weight)
         return np.asarray(mean / mean.sum())
 
+    def borne_out(self, landmark_index: int) -> bool:
+        """Whether its frames, each counting the same, mostly held it to be this one."""
+        return bool(self.beliefs_sum[landmark_index] >= LEAST_BORNE_OUT * self.frames)
+
 
 class Hindsight:
     """Revises past estimates of one method by what was learned of their tracks since.
@@ -41,6 +48,8 @@ class Hindsight:
     said, in logarithms, weighed by how many frames it had seen by then and by how sure it was. The
     last word alone would not do: as it leaves the view, or is taken for another on its return, a
     track is known badly.
+
+    An ID that most of the frames speak against is not spread over them: these stay as they were.
     """
 
     def __init__(self, method: str, config: Config, landmarks: LandmarkSet) -> None:
@@ -60,7 +69,9 @@ class Hindsight:
         self._opinions = {k: o for k, o in self._opinions.items() if o.last_frame >= oldest}
 
     def _add(self, frame: int, estimate: Estimate) -> None:
-        opinion = self._opinions.setdefault(estimate.object, _Opinion(np.zeros(len(self._ids) + 1)))
+        opinion = self._opinions.setdefault(
+            estimate.object, _Opinion(*np.zeros((2, len(self._ids) + 1)))
+        )
         opinion.frames += 1
         beliefs = np.maximum(estimate.probabilities, LEAST_BELIEF)
         # Minus the entropy: its exponential is 1 where the frame is sure, 1 / (K + 1) where it is
@@ -68,6 +79,7 @@ class Hindsight:
         weight = opinion.frames * float(np.exp(beliefs @ np.log(beliefs))) ** 2
         opinion.weight += weight
         opinion.log_beliefs += weight * np.log(beliefs)
+        opinion.beliefs_sum += estimate.probabilities
         opinion.last_frame = frame
         if estimate.score > opinion.turns.get(estimate.landmark, (0.0,))[0]:
             turn = estimate.orientation_deg + estimate.bearing_deg
@@ -84,6 +96,9 @@ class Hindsight:
         opinion = self._opinions[estimate.object]
         beliefs = opinion.beliefs()
         (landmark_index,), (score,) = likeliest(beliefs[None])
+        claimed = bool(declared(score, self._threshold))
+        if claimed and not opinion.borne_out(landmark_index):
+            return estimate
         landmark = self._ids[landmark_index]
         turn, sigma = estimate.orientation_deg + estimate.bearing_deg, np.nan
         if landmark in opinion.turns:
@@ -93,7 +108,7 @@ class Hindsight:
             probabilities=beliefs,
             landmark=landmark,
             score=float(score),
-            declared=bool(declared(score, self._threshold)),
+            declared=claimed,
             # The line of sight turns with the bearing, the object as seen from it does not.
             orientation_deg=(turn - estimate.bearing_deg) % 360,
             orientation_sigma_deg=sigma,

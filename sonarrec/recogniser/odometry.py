@@ -19,6 +19,9 @@ RANGES = 128
 BEARINGS = 192
 # Of the field of view: how much of two frames must overlap for their match to be believed.
 LEAST_OVERLAP = 0.4
+# Standard error of a measured pan in steps of the bearing: where two frames match in full, and what
+# is added where they do not match at all.
+PAN_SIGMA, UNMATCHED_SIGMA = 0.1, 0.5
 # A table of poses is held against the images where the sonar turned as far as this, and doubted
 # where most of at least so many frames contradict it.
 LEAST_TURN_DEG = 0.3
@@ -30,8 +33,8 @@ class PanEstimator:
 
     def __init__(self, plane: Plane) -> None:
         fan = plane.fan
-        self._step_deg = (fan.bearing_max_deg - fan.bearing_min_deg) / BEARINGS
-        bearing = fan.bearing_min_deg + (np.arange(BEARINGS) + 0.5) * self._step_deg
+        self.step_deg = (fan.bearing_max_deg - fan.bearing_min_deg) / BEARINGS
+        bearing = fan.bearing_min_deg + (np.arange(BEARINGS) + 0.5) * self.step_deg
         margin = 0.5 * fan.window_m / RANGES
         range_m = np.linspace(fan.range_min_m + margin, fan.range_max_m - margin, RANGES)
         column, row = plane.from_polar(range_m[:, None], bearing[None])
@@ -84,7 +87,7 @@ class PanEstimator:
         bend = left - 2 * match[best] + right
         part = 0.5 * (left - right) / bend if bend < 0 else 0.0
         return (
-            float((self._shift[best] + np.clip(part, -0.5, 0.5)) * self._step_deg),
+            float((self._shift[best] + np.clip(part, -0.5, 0.5)) * self.step_deg),
             float(np.clip(match[best], 0, 1)),
         )
 
@@ -108,7 +111,8 @@ class Odometry:
         seen = None
         if self._images is not None:
             pan_deg, match = self._images.step(image)
-            seen = Motion(pan_deg) if match >= self._min_match else None
+            sigma_deg = self._images.step_deg * (PAN_SIGMA + (1 - match) * UNMATCHED_SIGMA)
+            seen = Motion(pan_deg, pan_sigma_deg=sigma_deg) if match >= self._min_match else None
         if self._poses is None:
             return seen
         self._frames += 1

@@ -119,5 +119,7 @@ class LostGroups(Table):
 
     frames_left: IntArray
     """(n,) for so many frames more they are remembered."""
+    drift: FloatArray
+    """(n,) variance of the place, in disc diameters squared."""
     missed: IntArray
     """(n,) frames in which one was in view, by its place, and did not show."""

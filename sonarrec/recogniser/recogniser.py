@@ -95,7 +95,7 @@ class Recogniser:
         grey, seen = self._sampler(
             image, self._plane.inside, places, sight, selection.mean, selection.sigma
         )
-        average, count = self._measurement.gather(groups, grey[n:], seen[n:])
+        gathered = self._measurement.gather(groups, grey[n:], seen[n:])
         return Followed(
             frame=frame.index,
             timestamp_ns=frame.timestamp_ns,
@@ -104,8 +104,7 @@ class Recogniser:
             grey=grey[:n],
             seen=seen[:n],
             groups=groups,
-            average=average,
-            count=count,
+            gathered=gathered,
         )
 
     def judge(self, frames: Sequence[Followed]) -> list[FrameResult]:
@@ -115,7 +114,7 @@ class Recogniser:
         """
         batch = Batch(frames)
         # Stage 3, Bayesian feature estimation (Section 3.4): which landmark is each object?
-        beliefs = self._measurement.beliefs(batch.groups, batch.average, batch.count)
+        beliefs = self._measurement.beliefs(batch.groups, batch.gathered)
         tracked = self._estimates.of_groups(self._method, batch, beliefs)
         # Beside it shape-matrix identification of single frames (SMI), the paper's baseline.
         single = []

@@ -19,6 +19,8 @@ from sonarrec.records import ByteImage, FloatArray, Selection
 
 # The ring filter's dark surroundings, in disc radii: part of the gap inside, the floor outside.
 GAP_MARGIN = 0.03
+# How much the gap counts of them: a ring stands out from its plate, whatever the floor is like.
+GAP_SHARE = 0.75
 OUTSIDE = (1.08, 1.35)
 COARSE = 4  # pixels, of the grid on which the surroundings' brightness is measured
 LEAST_SIGMA = 0.5  # grey levels
@@ -57,11 +59,11 @@ class CandidateSelector:
         hills = self._detector(image, relief, sigma)
         positions, scores = self._peaks(hills)
         score = np.clip(hills.score, 0, 1, out=hills.score)
-        return Selection(score, positions, scores, mean, sigma)
+        return Selection(score, positions, scores, mean, hills.sigma)
 
     def _peaks(self, hills: Hills) -> tuple[FloatArray, FloatArray]:
         """(n, 2) tops that score enough, to a part of a pixel, and (n,) scores; best first."""
-        _, hill, best = hills
+        hill, best = hills.hill, hills.best
         top = (hill == cv2.dilate(hill, np.ones((3, 3), np.uint8))) & (
             best >= self._config.threshold
         )
@@ -127,6 +129,8 @@ class Hills(NamedTuple):
     """Whose tops are the candidates."""
     best: FloatImage
     """What a candidate scores whose top is there."""
+    sigma: FloatArray
+    """(rows, columns) what levels are counted in there."""
 
 
 class Detector(Protocol):
@@ -159,7 +163,7 @@ class EdgeScore:
         self,
         image: ByteImage,
         relief: FloatImage,  # noqa: ARG002
-        sigma: float,  # noqa: ARG002
+        sigma: float,
     ) -> Hills:
         """Edges are found in the grey levels themselves."""
         config = self._config
@@ -174,7 +178,7 @@ class EdgeScore:
         size = 2 * config.edge_tolerance_px + 3
         hill = np.asarray(cv2.GaussianBlur(score, (size, size), 0), np.float32)
         best = np.asarray(cv2.dilate(score, np.ones((size, size), np.uint8)), np.float32)
-        return Hills(score, hill, best)
+        return Hills(score, hill, best, np.broadcast_to(sigma, score.shape))
 
 
 class RingScore:
@@ -196,7 +200,9 @@ class RingScore:
         )
         outside = _band(radius, OUTSIDE, pixel)
         self._kernel = (
-            ring / ring.sum() - 0.5 * gap / gap.sum() - 0.5 * outside / outside.sum()
+            ring / ring.sum()
+            - GAP_SHARE * gap / gap.sum()
+            - (1 - GAP_SHARE) * outside / outside.sum()
         ).astype(np.float32)
         self._gain = _gain(plane, ring, config.min_visible)
 
@@ -212,8 +218,9 @@ class RingScore:
         local = np.sqrt(np.maximum(self._surroundings.mean(relief * relief), least))
         score = _correlate(relief, self._kernel)
         score *= self._gain
-        score *= self._surroundings.fine(1 / (self._full_contrast * local))
-        return Hills(score, score, score)
+        local = self._surroundings.fine(local)
+        score /= self._full_contrast * local
+        return Hills(score, score, score, local)
 
 
 def _reach(plane: Plane) -> int:

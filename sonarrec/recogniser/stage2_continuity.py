@@ -64,7 +64,9 @@ class ContinuityFilter:
         moved = np.hypot(*((positions - expected) / self._diameter).T)
         pulled = (moved > config.jump) & (motion is not None)
         self._place(positions, hit & ~pulled, motion)
-        in_view = self._shares(self._groups.places) >= config.least_in_view
+        # At the fan's edge particles may hang on to an object that has gone, or go before it.
+        shares = np.minimum(self._shares(self._groups.places), self._shares(positions))
+        in_view = shares >= config.least_in_view
         self._strike(spread, hit, in_view)
         # Delete.
         kept = self._delete(pulled, in_view, motion)
@@ -99,6 +101,9 @@ class ContinuityFilter:
         groups.places[there] = positions[there]
         if len(lost):
             lost.places = self._plane.moved(lost.places, motion)
+            away = np.hypot(*((lost.places - self._plane.apex) / self._diameter).T)
+            turned = np.radians(motion.pan_sigma_deg) * away
+            lost.drift += turned**2 + self._config.recall_drift**2
 
     def _strike(self, spread: FloatArray, hit: BoolArray, in_view: BoolArray) -> None:
         """Strikes for spread groups, and the Bayes filter of existence from hits and misses.
@@ -154,6 +159,7 @@ class ContinuityFilter:
             groups.places[left],
             groups.existence[left],
             np.full(count, self._config.remember_frames),
+            np.zeros(count),
             np.zeros(count, np.int64),
         )
         self._lost = self._lost.joined(gone)
@@ -165,6 +171,11 @@ class ContinuityFilter:
         """
         far = self._distances(selection.positions, positions) > self._config.new_group
         born = selection.positions[far.all(axis=1)]
+        if len(self._lost) and len(born):
+            # What may be one of the lost waits until enough of it shows to tell.
+            near = (self._distances(born, self._lost.places) <= self._gate()).any(axis=1)
+            hidden = self._shares(born) < self._config.recall_in_view
+            born = born[~(near & hidden)]
         if len(born):
             self._groups = self._groups.joined(self._new(*self._recall(born)))
         return born
@@ -178,7 +189,8 @@ class ContinuityFilter:
         numbers = np.zeros(len(born), np.int64)
         existence: FloatArray = np.full(len(born), NEW_EXISTENCE)
         distance = self._distances(born, lost.places)
-        while distance.size and distance.min() <= self._config.recall:
+        distance[distance > self._gate()] = np.inf
+        while distance.size and distance.min() < np.inf:
             new, old = np.unravel_index(distance.argmin(), distance.shape)
             numbers[new], existence[new] = lost.numbers[old], lost.existence[old]
             distance[new], distance[:, old] = np.inf, np.inf
@@ -188,6 +200,11 @@ class ContinuityFilter:
         numbers[unknown] = self._next + np.arange(count)
         self._next += count
         return numbers, born, existence
+
+    def _gate(self) -> FloatArray:
+        """(n,) disc diameters: how far from its place a candidate may be each of the lost."""
+        config = self._config
+        return np.minimum(config.recall + 2 * np.sqrt(self._lost.drift), config.recall_most)
 
     def _new(self, numbers: IntArray, places: FloatArray, existence: FloatArray) -> ParticleGroups:
         count = self._config.particles
@@ -213,5 +230,6 @@ def _nobody() -> LostGroups:
         np.empty((0, 2)),
         np.empty(0),
         np.empty(0, np.int64),
+        np.empty(0),
         np.empty(0, np.int64),
     )

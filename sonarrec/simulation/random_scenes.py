@@ -46,10 +46,9 @@ KINDS_OF_SCENE = (
 # Beside the study's pool: discs of 0.06 m radius at the 2.5 m window, all that is hard at once,
 # and landmark sets, windows and images unlike the basin's.
 STRETCH_KINDS = ("tiny_discs", "all_hard", "other_sets")
-# Beyond the basin: see `simulation.unlike`. LEARNED_KINDS are what the built-in model learns from.
+# Beyond the basin: see `simulation.unlike`.
 UNLIKE_KINDS = LEARNED_UNLIKE + OTHER_UNLIKE
 ALL_KINDS = KINDS_OF_SCENE + STRETCH_KINDS + UNLIKE_KINDS
-LEARNED_KINDS = KINDS_OF_SCENE + STRETCH_KINDS + LEARNED_UNLIKE
 # Of the vertical beam where an object lies, against its axis. Where less sound falls on the floor
 # than this, the picture is black: nobody would look for landmarks there.
 LEAST_LIT_DB = -12.0

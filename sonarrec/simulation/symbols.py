@@ -17,12 +17,15 @@ OTHER_SYMBOLS = ("eighths", "foreign", "bar", "cross", "letter")
 and a cross as thick as sectors look, and capitals."""
 # Of the circle: how far the sectors of one differ from every ID at every turn.
 LEAST_UNLIKE = 0.12
+LEAST_UNLIKE_BLOBS = 0.18  # of the area: patches have edges all over
 DIRECTIONS = 360
 LETTERS = "AEFHKLNTVXYZ"
 _GLYPH = 96  # pixels
 
 
-def symbol(kind: str, number: int, landmarks: LandmarkSet, x: FloatArray, y: FloatArray) -> BoolArray:
+def symbol(
+    kind: str, number: int, landmarks: LandmarkSet, x: FloatArray, y: FloatArray
+) -> BoolArray:
     """Where a symbol of this kind is bright; the shape of x and y.
 
     number: which one, a seed. x, y: from its centre, in radii of the landmarks' symbols; what lies
@@ -38,7 +41,7 @@ def symbol(kind: str, number: int, landmarks: LandmarkSet, x: FloatArray, y: Flo
     if kind == "letter":
         return np.asarray(within & _at(_letter(rng), x, y))
     if kind == "blobs":
-        return np.asarray(within & _at(_blobs(rng), x, y))
+        return np.asarray(within & _at(_blobs(landmarks, rng), x, y))
     lit = _sectors(kind, landmarks, rng)
     way = np.mod(np.arctan2(y, x), 2 * math.pi) / (2 * math.pi) * DIRECTIONS
     return np.asarray(within & lit[np.minimum(way.astype(int), DIRECTIONS - 1)])
@@ -58,17 +61,23 @@ def _letter(rng: np.random.Generator) -> BoolArray:
     return np.asarray(glyph > 0)
 
 
-def _blobs(rng: np.random.Generator) -> BoolArray:
-    noise = rng.standard_normal((_GLYPH, _GLYPH))
-    smooth = cv2.GaussianBlur(noise, (0, 0), rng.uniform(0.08, 0.2) * _GLYPH)
-    return np.asarray(smooth > np.quantile(smooth, rng.uniform(0.3, 0.7)))
+def _blobs(landmarks: LandmarkSet, rng: np.random.Generator) -> BoolArray:
+    """(_GLYPH, _GLYPH) smooth patches that are unlike every ID at every turn."""
+    y, x = 1 - 2 * (np.mgrid[:_GLYPH, :_GLYPH] + 0.5) / _GLYPH
+    within = np.hypot(x, y) <= 1
+    way = np.mod(np.arctan2(y, -x), 2 * math.pi)[within] / (2 * math.pi) * DIRECTIONS
+    turned = _turned(landmarks)[:, np.minimum(way.astype(int), DIRECTIONS - 1)]
+    while True:
+        noise = rng.standard_normal((_GLYPH, _GLYPH))
+        smooth = cv2.GaussianBlur(noise, (0, 0), rng.uniform(0.08, 0.2) * _GLYPH)
+        lit = smooth > np.quantile(smooth, rng.uniform(0.3, 0.7))
+        if np.mean(turned != lit[within], axis=1).min() >= LEAST_UNLIKE_BLOBS:
+            return np.asarray(lit)
 
 
 def _sectors(kind: str, landmarks: LandmarkSet, rng: np.random.Generator) -> BoolArray:
     """(DIRECTIONS,) a code round the circle that is unlike every ID at every turn."""
-    direction = (np.arange(DIRECTIONS) + 0.5) * 2 * math.pi / DIRECTIONS
-    codes = landmarks.codes(direction) > 0.5
-    turned = np.concatenate([np.roll(codes, turn, axis=1) for turn in range(0, DIRECTIONS, 5)])
+    turned = _turned(landmarks)
     while True:
         if kind == "wedges":
             lit = _wedges(rng)
@@ -77,6 +86,13 @@ def _sectors(kind: str, landmarks: LandmarkSet, rng: np.random.Generator) -> Boo
             lit = (rng.random(parts) < 0.5)[np.arange(DIRECTIONS) * parts // DIRECTIONS]
         if 0 < lit.mean() < 1 and np.mean(turned != lit, axis=1).min() >= LEAST_UNLIKE:
             return np.asarray(lit)
+
+
+def _turned(landmarks: LandmarkSet) -> BoolArray:
+    """(turns x K, DIRECTIONS) every ID's code at every turn."""
+    direction = (np.arange(DIRECTIONS) + 0.5) * 2 * math.pi / DIRECTIONS
+    codes = landmarks.codes(direction) > 0.5
+    return np.concatenate([np.roll(codes, turn, axis=1) for turn in range(0, DIRECTIONS, 5)])
 
 
 def _wedges(rng: np.random.Generator) -> BoolArray:

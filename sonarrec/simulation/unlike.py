@@ -9,10 +9,11 @@ import numpy as np
 from sonarrec.simulation.scene import SYMBOLS, PlacedLandmark, PlacedObject, Scene
 
 LEARNED_UNLIKE = ("any_floor", "relief", "light", "symbols", "wide")
-"""Any floor: ring and sectors 7 to 14 dB over a plate that is -12 to +6 dB over the floor, so that
-the ring may be as bright as the floor, or darker. Relief: gravel on a rough floor, with lit slopes
-and shadows, without or with little speckle. Light: patches of light and shade with sharp edges.
-Symbols: rings with symbols that no ID has. Wide: 120 to 130 deg, 1-degree beams."""
+"""Any floor: ring and sectors 5 to 14 dB over a plate that is -12 to +6 dB over the floor, so that
+the ring may be as bright as the floor, or darker; short and long pulses. Relief: gravel on a rough
+floor, with lit slopes and shadows, without or with little speckle. Light: patches of light and
+shade with sharp edges. Symbols: rings with symbols that no ID has. Wide: 120 to 130 deg, 1-degree
+beams."""
 OTHER_UNLIKE = ("other_symbols",)
 """Never learned from: symbols of other kinds."""
 _PLATED = ("blank", "spokes", "half_ring", *SYMBOLS)
@@ -23,7 +24,8 @@ def made_unlike(scene: Scene, kind: str, rng: np.random.Generator) -> Scene:
     u = rng.uniform
     if kind == "any_floor":
         plate = u(-12, 6)
-        scene = _with_levels(scene, plate, plate + u(7, 14), rng)
+        scene = _with_levels(scene, plate, plate + u(5, 14), rng)
+        scene = replace(scene, sonar=replace(scene.sonar, pulse_m=round(u(0.004, 0.02), 4)))
         return _lit(scene, u(2, 6), rng) if u() < 0.3 else scene
     if kind == "relief":
         plate = u(-12, -2)
@@ -44,9 +46,7 @@ def made_unlike(scene: Scene, kind: str, rng: np.random.Generator) -> Scene:
 
 def _lit(scene: Scene, light_db: float, rng: np.random.Generator) -> Scene:
     light_m = round(rng.uniform(0.15, 0.8), 3)
-    return replace(
-        scene, floor=replace(scene.floor, light_db=round(light_db, 2), light_m=light_m)
-    )
+    return replace(scene, floor=replace(scene.floor, light_db=round(light_db, 2), light_m=light_m))
 
 
 def _with_levels(

@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 from sonarrec.landmarks import load_landmarks
 from sonarrec.recogniser.stage3_features.expected_symbol import (
     LEAST_SHOWN,
+    LIGHT,
+    LIGHT_ALIKE,
     OWN,
     PIXEL,
     SMEAR_STEP,
@@ -39,7 +41,7 @@ def correlation(matrix: np.ndarray, smear: float, seen: np.ndarray | None = None
 def correlations(
     matrix: np.ndarray, smear: float, seen: np.ndarray | None = None
 ) -> tuple[np.ndarray, float]:
-    """The same, and the best with a cross."""
+    """The same, and the best with a rival."""
     if seen is None:
         seen = np.ones(matrix.shape, bool)
     lines = EXPECTED.lines
@@ -73,7 +75,7 @@ def test_a_cross_smeared_pixel_by_pixel_is_the_one_expected(steps: int, turn_deg
     seen = smeared_matrix(pattern, SAMPLER.radii, ANGLES, np.hypot(smear, PIXEL))
     ids, cross = correlations(seen, smear)
     assert cross > 0.89
-    assert ids.max() < cross - (0.3 if steps < 2 else 0.1)
+    assert ids.max() < cross - (0.25 if steps < 2 else 0.08)
 
 
 def test_through_a_wide_beam_the_smeared_symbol_fits_better_than_the_sharp_one() -> None:
@@ -111,8 +113,9 @@ def test_the_correlation_is_one_at_most_and_blind_to_gain_and_offset(
 def test_it_is_the_correlation_of_generalised_least_squares(
     seed: int, hidden: int, smear: float
 ) -> None:
-    """Its square: how much of what a level leaves unexplained an ID explains, cells unseen left
-    out, by fits to values whitened with a Cholesky factor of their covariance."""
+    """Its square: how much of what the levels of the ring and of the rest leave unexplained an ID
+    explains, cells unseen left out, by fits to values whitened with a Cholesky factor of their
+    covariance."""
     rng = np.random.default_rng(seed)
     matrix = rng.normal(size=(LINES, ANGLES)) + smeared_disc(seed % 4, seed % ANGLES, smear)
     seen = np.roll(np.arange(ANGLES) >= hidden, seed % ANGLES) & np.ones((LINES, 1), bool)
@@ -121,31 +124,35 @@ def test_it_is_the_correlation_of_generalised_least_squares(
 
     radii, angle = SAMPLER.radii[EXPECTED.lines], (np.arange(ANGLES) + 0.5) * STEP
     place = (radii[:, None] * np.exp(1j * angle)).ravel()
-    covariance = np.exp(-np.abs(place[:, None] - place) / ALIKE)
+    apart = np.abs(place[:, None] - place)
+    covariance = np.exp(-apart / ALIKE) + LIGHT * np.exp(-apart / LIGHT_ALIKE)
+    ring = np.repeat(radii > BASIN.ring[0], ANGLES)
     covariance += np.diag(OWN * radii.mean() / np.abs(place))
     of = seen[EXPECTED.lines].ravel()
     factor = np.linalg.cholesky(covariance[np.ix_(of, of)])
     flat = EXPECTED.expected(round(smear / SMEAR_STEP)).flat[:, : ANGLES * 4]
     flat = flat.reshape(-1, ANGLES, 4)
     for k, turn in ((0, 0), (1, 7), (2, 20), (3, 31)):
-        columns = [matrix[EXPECTED.lines].ravel(), np.ones(len(of)), flat[:, turn, k]]
-        values, level, symbol = np.linalg.solve(factor, np.column_stack(columns)[of]).T
-        rest = values - level * (level @ values) / (level @ level)
+        columns = [matrix[EXPECTED.lines].ravel(), ring, ~ring, flat[:, turn, k]]
+        values, *levels, symbol = np.linalg.solve(factor, np.column_stack(columns)[of]).T
+        level = np.column_stack(levels)
+        rest = values - level @ np.linalg.lstsq(level, values, rcond=None)[0]
         both = np.column_stack([level, symbol])
         fit = np.linalg.lstsq(both, values, rcond=None)[0]
         explained = 1 - np.sum((values - both @ fit) ** 2) / np.sum(rest**2)
         # Of an ID of which less than a tenth of the evidence has shown nothing is said.
         whole = np.linalg.solve(np.linalg.cholesky(covariance), np.column_stack(columns)[:, 1:]).T
-        if beyond(symbol, level) > LEAST_SHOWN * beyond(whole[1], whole[0]):
-            expected = np.sign(fit[1]) * np.sqrt(explained)
+        if beyond(symbol, level) > LEAST_SHOWN * beyond(whole[2], whole[:2].T):
+            expected = np.sign(fit[2]) * np.sqrt(explained)
         else:
             expected = 0.0
         assert found[turn, k] == pytest.approx(expected, abs=1e-6)
 
 
 def beyond(symbol: np.ndarray, level: np.ndarray) -> float:
-    """What of a whitened symbol a level does not explain: sum of squares."""
-    return float(symbol @ symbol - (level @ symbol) ** 2 / (level @ level))
+    """What of a whitened symbol the levels (cells, 2) do not explain: sum of squares."""
+    rest = symbol - level @ np.linalg.lstsq(level, symbol, rcond=None)[0]
+    return float(rest @ rest)
 
 
 def test_a_disc_not_seen_says_nothing() -> None:
@@ -162,7 +169,7 @@ def test_a_broad_patch_is_no_symbol_and_a_symbol_under_it_is_one(way: float) -> 
     cells = patch[None, EXPECTED.lines]
     seen, smear = np.ones(cells.shape, bool), np.array([0.1])
     independent = ExpectedSymbols(BASIN, SAMPLER.radii, SAMPLER.bands, 0.0)
-    assert independent.correlation(cells, seen, smear)[0].max() > 0.5
+    assert independent.correlation(cells, seen, smear)[0].max() > 0.35
     assert correlation(patch, 0.1).max() < 0.25
     for k in range(4):
         found = correlation(smeared_disc(k, 9, 0.1) + 0.5 * patch, 0.1)

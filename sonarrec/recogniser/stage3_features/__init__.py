@@ -8,10 +8,12 @@ Two ways lead from shape matrices to beliefs, behind one seam, Measurement: the 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Protocol
 
-from sonarrec.records import BoolArray, FloatArray, Groups
+import numpy as np
+
+from sonarrec.records import BoolArray, FloatArray, Groups, IntArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,25 +26,39 @@ class Beliefs:
     """(n,) of the likeliest ID from the line of sight, in steps of the shape matrix."""
     turn_sigma: FloatArray
     """(n,) its standard error in steps, NaN where unknown."""
+    earned: BoolArray
+    """(n,) whether enough has shown for an ID to be declared."""
+
+
+@dataclass(frozen=True, slots=True)
+class Gathered:
+    """What n objects are judged by."""
+
+    brightness: FloatArray
+    """(n, L, ANGLES) shape matrices."""
+    count: FloatArray
+    """(n, L, ANGLES) how often each cell was seen."""
+    frames: IntArray
+    """(n,) frames since the object began, or came back."""
+
+    @classmethod
+    def joined(cls, parts: Sequence[Gathered]) -> Gathered:
+        """Several, at least one, in a row."""
+        return cls(
+            *(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls))
+        )
 
 
 class Measurement(Protocol):
     """From the groups' shape matrices to beliefs. Frames come in the log's order."""
 
-    def gather(
-        self, groups: Groups, grey: FloatArray, seen: BoolArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Take in a frame's matrices, (n, L, ANGLES) from ShapeSampler.
-
-        Returns what is judged, same shapes: brightness, and how often each cell was seen.
-        """
+    def gather(self, groups: Groups, grey: FloatArray, seen: BoolArray) -> Gathered:
+        """Take in a frame's matrices, (n, L, ANGLES) from ShapeSampler."""
         ...
 
-    def beliefs(
-        self, groups: Sequence[Groups], brightness: FloatArray, count: FloatArray
-    ) -> Beliefs:
+    def beliefs(self, groups: Sequence[Groups], gathered: Gathered) -> Beliefs:
         """Beliefs in the groups of some frames, one frame after another.
 
-        brightness, count: (n, L, ANGLES) from `gather`, of all those groups.
+        gathered: from `gather`, of all those groups.
         """
         ...

@@ -17,13 +17,27 @@ import numpy as np
 from sonarrec.config import Features
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.plane import Plane
-from sonarrec.recogniser.stage3_features import Beliefs
+from sonarrec.recogniser.stage3_features import Beliefs, Gathered
 from sonarrec.recogniser.stage3_features.description import Describer
 from sonarrec.recogniser.stage3_features.shape_matrix import ShapeSampler
 from sonarrec.recogniser.stage3_features.track_matrix import TrackMatrix
-from sonarrec.records import BoolArray, FloatArray, Groups
+from sonarrec.records import BoolArray, Fan, FloatArray, Groups
 
+# An ID is declared from a track's second frame on; of a disc fewer beams wide than FEW_BEAMS, whose
+# symbol a single frame hardly shows, once more of them bear it out.
+LEAST_FRAMES, FEW_BEAMS, FRAMES_OF_FEW_BEAMS = 2, 5, 8
 HALF_POWER = 2 * (2 * np.log(2)) ** 0.5  # width of a Gaussian at half power, in its deviations
+
+
+# Degrees: of fields of view up to so wide, the beam width that their sonars have: acoustic cameras
+# (DIDSON, ARIS), multibeam sonars of 60 deg (Oculus M1200d), and of 120 to 130.
+BEAM_WIDTHS_DEG = ((40.0, 0.4), (80.0, 0.6), (360.0, 1.0))
+
+
+def usual_beam_width_deg(fan: Fan) -> float:
+    """Between half-power points, two-way, by the fan's field of view."""
+    view_deg = fan.bearing_max_deg - fan.bearing_min_deg
+    return next(width for widest, width in BEAM_WIDTHS_DEG if view_deg <= widest)
 
 
 class Judge(Protocol):
@@ -49,26 +63,27 @@ class AppearanceMeasurement:
             sampler.bands, sampler.radii, landmarks, alike=config.alike_radii
         )
         self._model = model
-        self._beam_sigma = np.radians(config.beam_width_deg / HALF_POWER)
+        width_deg = config.beam_width_deg or usual_beam_width_deg(plane.fan)
+        self._beam_sigma = np.radians(width_deg / HALF_POWER)
         self._radius_m = landmarks.radius_m
 
-    def gather(
-        self, groups: Groups, grey: FloatArray, seen: BoolArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """The average along each track, and how often its cells were seen."""
+    def gather(self, groups: Groups, grey: FloatArray, seen: BoolArray) -> Gathered:
+        """The average along each track, how often its cells were seen, and in how many frames."""
         return self._matrix.step(groups, grey, seen)
 
-    def beliefs(
-        self, groups: Sequence[Groups], brightness: FloatArray, count: FloatArray
-    ) -> Beliefs:
+    def beliefs(self, groups: Sequence[Groups], gathered: Gathered) -> Beliefs:
         """See Measurement."""
         existence = np.concatenate([g.existence for g in groups])
         positions = np.concatenate([g.positions for g in groups])
-        description = self._describe(brightness, count, existence, self._smear(positions))
+        smear = self._smear(positions)
+        description = self._describe(gathered.brightness, gathered.count, existence, smear)
         probabilities = self._model.probabilities(description.features)
         best = probabilities[:, :-1].argmax(axis=1)
         at = (np.arange(len(best)), best)
-        return Beliefs(probabilities, description.turn[at], description.turn_sigma[at])
+        # A beam is HALF_POWER deviations wide, a disc two radii.
+        few_beams = smear * HALF_POWER * FEW_BEAMS > 2
+        earned = gathered.frames >= np.where(few_beams, FRAMES_OF_FEW_BEAMS, LEAST_FRAMES)
+        return Beliefs(probabilities, description.turn[at], description.turn_sigma[at], earned)
 
     def _smear(self, positions: FloatArray) -> FloatArray:
         """(n,) the beam's standard deviation across the line of sight, in disc radii.

@@ -19,21 +19,28 @@ from sonarrec.records import BoolArray, FloatArray
 FEATURES = (
     "correlation",  # with the ID's expected symbol and gap at the best rotation
     "smeared_correlation",  # counted from what is typical
-    "over_cross",  # correlation, less that with a cross
+    "over_rival",  # correlation, less the best with a symbol that no ID has
+    "smeared_over_rival",
     "step",  # bright sectors over dark ones
     "dark_over_gap",  # dark sectors over the gap, 0 on a landmark
     "bright_over_ring",  # bright sectors over the ring, 0 on a landmark
+    "bright_over_ring_share",  # in the ring's contrast over the gap, as all shares
     "local_weakest_bright",  # darkest bright sector over the gap
     "smeared_weakest_bright",
     "strongest_dark",  # brightest dark sector over the gap, 0 on a landmark
     "local_strongest_dark",
     "strongest_dark_over_floor",
+    "weakest_bright_half_share",  # of the halves of sectors, over the gap
+    "strongest_dark_half_share",
     "edge",  # step across the edges between bright and dark sectors, mean
     "weakest_edge",  # the least of them
     "texture",  # spread within the sectors
+    "texture_share",
     "ring_over_floor",  # over the floor outside
+    "ring_over_gap",
     "weakest_ring",  # weakest quarter of the ring over what lies beside it
-    "ring_texture_share",  # spread along the ring, in its contrast over the gap
+    "weakest_ring_over_gap",
+    "ring_texture_share",  # spread along the ring
     "log_frames",  # natural logarithm of the frames gathered
     "existence",  # log odds that stage 2 gives
 )
@@ -62,6 +69,34 @@ class Description:
     """(n, K) its standard error, in steps."""
 
 
+class _Parts:
+    """Equal parts of the circle, at every rotation."""
+
+    def __init__(self, parts: int) -> None:
+        place = (np.arange(ANGLES) + 0.5) / ANGLES * parts
+        # Towards its edges a part runs into its neighbours.
+        member = place.astype(int)[:, None] == np.arange(parts)
+        member = member * np.sin(np.pi * (place % 1))[:, None]  # (ANGLES, parts)
+        self._cells = member.sum(axis=0)
+        # (ANGLES, ANGLES x parts)
+        turned = np.stack([np.roll(member, turn, axis=0) for turn in range(ANGLES)], axis=1)
+        self._member = turned.reshape(ANGLES, -1)
+
+    def levels(
+        self, symbol: FloatArray, weight: FloatArray, turn: npt.NDArray[np.intp]
+    ) -> tuple[FloatArray, BoolArray]:
+        """Mean level of every part for every ID's turn, and whether enough of it has shown.
+
+        symbol, weight: (m, n, ANGLES). turn: (n, K). Returns (m, n, K, parts).
+        """
+        shape = (*symbol.shape, len(self._cells))
+        turned = (slice(None), np.arange(len(turn))[:, None], turn)
+        share = (weight @ self._member).reshape(shape)[turned]
+        level = ((symbol * weight) @ self._member).reshape(shape)[turned]
+        full = weight.max(axis=-1)[..., None, None] * self._cells
+        return level / np.maximum(share, 1e-9), share > 0.3 * np.maximum(full, 1e-9)
+
+
 class Describer:
     """Describes averaged shape matrices under every ID of one landmark set."""
 
@@ -79,16 +114,9 @@ class Describer:
         # 1 at the two steps that flank a rise counter-clockwise, -1 at those of a fall.
         self._edges = codes[..., AFTER] - codes[..., BEFORE]
         table = np.asarray(landmarks.sectors, dtype=bool)
-        sector = ((np.arange(ANGLES) + 0.5) / ANGLES * table.shape[1]).astype(int)
         self._sectors = table
-        # Towards its edges a sector runs into its neighbours.
-        within = (np.arange(ANGLES) + 0.5) / ANGLES * table.shape[1] % 1
-        member = sector[:, None] == np.arange(table.shape[1])
-        member = member * np.sin(np.pi * within)[:, None]  # (ANGLES, S)
-        self._cells = member.sum(axis=0)
-        # Every sector at every rotation: (ANGLES, ANGLES x S).
-        self._member = np.stack([np.roll(member, turn, axis=0) for turn in range(ANGLES)], axis=1)
-        self._member = self._member.reshape(ANGLES, -1)
+        self._halves = np.repeat(table, 2, axis=1)
+        self._in_sector, self._in_half = (_Parts(n * table.shape[1]) for n in (1, 2))
 
     # Long, for all that the FEATURES are made of is said in their order, in one place.
     def __call__(
@@ -107,11 +135,13 @@ class Describer:
         _, ring_level, gap_level, outer_level = _level(profiles, weights)
         contrast = np.maximum(ring_level - gap_level, LEAST_CONTRAST)
         ring_spread = np.sqrt(_level((ring - ring_level[:, None]) ** 2, ring_weight))
-        weakest = _weakest_quarter(ring - 0.5 * (gap + outer), np.minimum(ring_weight, 1.0))
+        seen = np.minimum(ring_weight, 1.0)
+        weakest = _weakest_quarter(ring - 0.5 * (gap + outer), seen)
+        weakest_over_gap = _weakest_quarter(ring - gap, seen * (gap_weight > 0))
 
         objects, ids = len(average), self._codes.shape[1]
         lines = self._expected.lines
-        correlation, cross = self._expected.correlation(
+        correlation, rival = self._expected.correlation(
             average[:, lines], count[:, lines] > 0, smear
         )
         turn = correlation.argmax(axis=1)  # (n, K)
@@ -122,30 +152,43 @@ class Describer:
         counted = np.stack([symbol - gap_level[:, None], symbol - gap, symbol - floor])
         known = np.stack([weight, weight * (gap_weight > 0), weight * (outer_weight > 0)])
         dark, step, texture = _regress(counted[0], weight, code)
-        level, shown = self._sector_levels(counted, known, turn)
+        level, shown = self._in_sector.levels(counted, known, turn)
         brightest = _most(level, shown & ~self._sectors)
         darkest = -_most(-level[1], shown[1] & self._sectors)
+        half, half_shown = self._in_half.levels(counted[1:2], known[1:2], turn)
+        brightest_half = _most(half[0], half_shown[0] & ~self._halves)
+        darkest_half = -_most(-half[0], half_shown[0] & self._halves)
         edge, weakest_edge = _steepness(symbol, weight, self._edges[turn, np.arange(ids)])
 
         smeared = np.clip(smear[:, None] / SMEAR_UNIT, 0, MOST_SMEAR)
         odds = existence / (1 - existence)
+        over_rival = best - rival[:, None]
+        over_ring = dark + step - (ring_level - gap_level)[:, None]
+        share = 1 / contrast[:, None]
         values = [
             best,
             (best - TYPICAL_CORRELATION) * smeared,
-            best - cross[:, None],
+            over_rival,
+            over_rival * smeared,
             step,
             dark,
-            dark + step - (ring_level - gap_level)[:, None],
+            over_ring,
+            over_ring * share,
             darkest,
             darkest * smeared,
             brightest[0],
             brightest[1],
             brightest[2],
+            darkest_half * share,
+            brightest_half * share,
             edge,
             weakest_edge,
             texture,
+            texture * share,
             ring_level - outer_level,
+            ring_level - gap_level,
             weakest,
+            weakest_over_gap,
             ring_spread / contrast,
             np.log(frames),
             np.log(odds),
@@ -161,20 +204,6 @@ class Describer:
         weights = np.add.reduceat(count, self._starts, axis=1).swapaxes(0, 1)
         profiles = np.add.reduceat(average * count, self._starts, axis=1).swapaxes(0, 1)
         return profiles / np.maximum(weights, 1e-9), weights
-
-    def _sector_levels(
-        self, symbol: FloatArray, weight: FloatArray, turn: npt.NDArray[np.intp]
-    ) -> tuple[FloatArray, BoolArray]:
-        """Mean level of every sector of every ID, and whether enough of it has shown.
-
-        symbol, weight: (m, n, ANGLES). turn: (n, K). Returns (m, n, K, S).
-        """
-        shape = (*symbol.shape, len(self._cells))
-        turned = (slice(None), np.arange(len(turn))[:, None], turn)
-        share = (weight @ self._member).reshape(shape)[turned]
-        level = ((symbol * weight) @ self._member).reshape(shape)[turned]
-        full = weight.max(axis=-1)[..., None, None] * self._cells
-        return level / np.maximum(share, 1e-9), share > 0.3 * np.maximum(full, 1e-9)
 
 
 def _most(level: FloatArray, among: BoolArray) -> FloatArray:

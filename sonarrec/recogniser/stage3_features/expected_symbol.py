@@ -7,6 +7,11 @@ sight and the beam smears across it.
 A symbol is compared by generalised least squares. What lies over a disc unevenly (speckle, which
 the floor keeps as the sonar pans, patches that fade, late echoes) is alike in neighbouring cells:
 a broad patch that looks like half a sector is weak evidence, a step at a sector's edge strong.
+Light and shade are alike over a good part of the disc. They show on the ring and in the gap as
+well, so these take part; how bright the ring is, is left open.
+
+Beside the IDs stand rivals: symbols that no ID of the set has. Where one of them explains a disc
+better than every ID does, it is none of these.
 """
 
 from __future__ import annotations
@@ -37,6 +42,14 @@ BEAM_POINT = 0.08  # a beam is summed over points no farther apart than this, in
 # Variance that is a cell's own, where it stands for the mean cell's area, in that of what is alike
 # in neighbouring ones. On tuning seeds 0.1 does as well, and so do cells alike over 0.3 or 0.6.
 OWN = 0.3
+# What light and shade vary by, in that of speckle and the like, and how far they are alike (1/e, in
+# disc radii).
+LIGHT, LIGHT_ALIKE = 1.0, 2.0
+# Rivals have so many sectors, each bright or dark, and differ from every ID at every turn by so
+# much of the circle. Where a part of a disc is hidden only so many of them are looked at again.
+RIVAL_SECTORS = 8
+LEAST_UNLIKE = 0.12
+MOST_RIVALS = 48
 # Half the width of a cross's arms, and where they begin, in disc radii. It looks the same after so
 # many steps.
 ARM, HUB = 0.07, 0.12
@@ -45,7 +58,8 @@ LEAST_SHOWN = 0.1  # share of a whole symbol's evidence below which nothing of i
 
 
 class _Expected(NamedTuple):
-    """What T symbols should show: every ID at every turn (ANGLES x K), a cross at CROSS_TURNS."""
+    """What T symbols should show: every ID at every turn (ANGLES x K), a cross at CROSS_TURNS, and
+    every other rival at every turn."""
 
     flat: FloatArray
     """(cells, T) 0 on the plate to 1 on a symbol."""
@@ -56,7 +70,7 @@ class _Expected(NamedTuple):
 
 
 class ExpectedSymbols:
-    """Compares symbols, and the gap round them, with what every ID of a set should show.
+    """Compares symbols, the gap and the ring round them, with what every ID of a set should show.
 
     lines: which lines of the shape matrix take part. expected: from a smear in whole SMEAR_STEPs to
     what their cells should show.
@@ -70,29 +84,32 @@ class ExpectedSymbols:
         alike: how far what lies unevenly over a disc is alike (1/e), in disc radii.
         """
         self._landmarks = landmarks
-        self.lines = np.r_[bands.symbol, bands.gap]
+        self.lines = np.r_[bands.symbol, bands.gap, bands.ring]
         self._radii = radii[self.lines]
         self._ids = len(landmarks.ids)
-        self._precision = _precision(self._radii, alike)
+        self._rivals = _rivals(landmarks)
+        self._precision = _precision(self._radii, alike, landmarks.ring[0])
         # Only the smears that a log's ranges call for are ever drawn.
         self.expected = cache(self._draw)
 
     def correlation(
         self, cells: FloatArray, seen: npt.NDArray[np.bool_], smear: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """(n, ANGLES, K) correlation with every ID at every rotation, (n,) best with a cross.
+        """(n, ANGLES, K) correlation with every ID at every rotation, (n,) best with a rival.
 
         That of generalised least squares: its square is the share of the (whitened) variation that
         the ID explains beyond a level. 0 where too little of the ID has shown. cells, seen: (n,
         lines, ANGLES). smear: (n,) standard deviation across the line of sight in disc radii.
         """
         shape = (len(cells), len(self._precision))
+        ids = ANGLES * self._ids
         seen = seen.reshape(shape)
         values = np.where(seen, cells.reshape(shape), 0.0)
         whitened = values @ self._precision
         variation = (whitened * values).sum(axis=1)
         steps = np.minimum(np.rint(smear / SMEAR_STEP), MOST_STEPS).astype(int)
-        product, power = np.empty((2, len(cells), ANGLES * self._ids + CROSS_TURNS))
+        symbols = ids + CROSS_TURNS + ANGLES * len(self._rivals)
+        product, power = np.empty((2, len(cells), symbols))
         for step in set(steps.tolist()):
             of, expected = steps == step, self.expected(step)
             product[of], power[of] = values[of] @ expected.whitened, expected.power
@@ -100,15 +117,17 @@ class ExpectedSymbols:
         for i in np.flatnonzero(seen.any(axis=1) & ~seen.all(axis=1)):
             # Unseen cells leave the precision by their Schur complement.
             expected, hidden = self.expected(int(steps[i])), np.flatnonzero(~seen[i])
-            sides = np.column_stack([whitened[i, hidden], expected.whitened[hidden]])
+            rivals = ids + np.argsort(-product[i, ids:] / np.sqrt(power[i, ids:]))
+            some = np.r_[:ids, rivals[:MOST_RIVALS]]
+            sides = np.column_stack([whitened[i, hidden], expected.whitened[np.ix_(hidden, some)]])
             solved = np.linalg.solve(self._precision[np.ix_(hidden, hidden)], sides)
             variation[i] -= sides[:, 0] @ solved[:, 0]
-            product[i] -= sides[:, 0] @ solved[:, 1:]
-            power[i] -= (sides[:, 1:] * solved[:, 1:]).sum(axis=0)
+            product[i, some] -= sides[:, 0] @ solved[:, 1:]
+            power[i, some] -= (sides[:, 1:] * solved[:, 1:]).sum(axis=0)
+            power[i, rivals[MOST_RIVALS:]] = 0
         scale = np.sqrt(np.maximum(power * variation[:, None], 1e-12))
         found = np.where(power > least, product / scale, 0.0)
-        ids, cross = np.split(found, [ANGLES * self._ids], axis=1)
-        return ids.reshape(-1, ANGLES, self._ids), cross.max(axis=1)
+        return found[:, :ids].reshape(-1, ANGLES, self._ids), found[:, ids:].max(axis=1)
 
     def _draw(self, steps: int) -> _Expected:
         """What the cells should show, smeared by `steps`."""
@@ -117,7 +136,7 @@ class ExpectedSymbols:
         return _Expected(flat, whitened, (flat * whitened).sum(axis=0))
 
     def _look(self, steps: int) -> FloatArray:
-        """(lines, ANGLES, T) what the lines show of every ID, and of a cross, at every turn."""
+        """(lines, ANGLES, T) what the lines show of every ID and every rival at every turn."""
         discs = self._landmarks
         radius, angle, share = _points(self._radii, steps * SMEAR_STEP)
         ring = (radius >= discs.ring[0]) & (radius <= discs.ring[1])
@@ -126,16 +145,15 @@ class ExpectedSymbols:
         # How much of each cell lies in each of so many directions of the symbol that both a step
         # and a sector are whole numbers of them: a turn is a roll of these.
         sectors = np.asarray(discs.sectors, dtype=float)
-        directions = ANGLES * sectors.shape[1]
+        directions = math.lcm(ANGLES, RIVAL_SECTORS, sectors.shape[1])
         direction = np.mod(angle, 2 * np.pi) / (2 * np.pi) * directions
         cell = np.broadcast_to(np.arange(power.size).reshape(*power.shape, 1), radius.shape)
         shares = np.broadcast_to(share, radius.shape)
         within = (radius >= discs.symbol[0]) & (radius <= discs.symbol[1])
         at = cell * directions + np.minimum(direction, directions - 1).astype(int)
         spread = np.bincount(at[within], shares[within], power.size * directions)
-        codes = np.repeat(sectors, ANGLES, axis=1)
-        turned = [np.roll(codes, turn * sectors.shape[1], axis=1) for turn in range(ANGLES)]
-        lit = spread.reshape(power.size, directions) @ np.concatenate(turned).T
+        spread = spread.reshape(power.size, directions)
+        lit, rival = (spread @ _turned(codes, directions).T for codes in (sectors, self._rivals))
         within &= radius >= HUB
         x, y = (radius[within] * way(angle[within]) for way in (np.cos, np.sin))
         cos, sin = (way(np.arange(CROSS_TURNS)[:, None] * STEP) for way in (np.cos, np.sin))
@@ -143,10 +161,33 @@ class ExpectedSymbols:
         turn, point = np.nonzero(off_axis < ARM)
         at = cell[within][point] * CROSS_TURNS + turn
         cross = np.bincount(at, shares[within][point], power.size * CROSS_TURNS)
-        lit = np.concatenate([lit, cross.reshape(power.size, CROSS_TURNS)], axis=1)
+        lit = np.concatenate([lit, cross.reshape(power.size, CROSS_TURNS), rival], axis=1)
         brighter = 10 ** (SYMBOL_DB / 10) - 10 ** (PLATE_DB / 10)
         power = power[..., None] + brighter * lit.reshape(*power.shape, -1)
         return np.asarray((10 * np.log10(power) - PLATE_DB) / (SYMBOL_DB - PLATE_DB))
+
+
+def _rivals(landmarks: LandmarkSet) -> FloatArray:
+    """(R, RIVAL_SECTORS) codes, 0 or 1, that are unlike every ID: one of those that a turn or the
+    light, which leaves levels open, makes the same."""
+    numbers = np.arange(1, 2**RIVAL_SECTORS - 1)
+    codes = (numbers[:, None] >> np.arange(RIVAL_SECTORS)) & 1
+    turns = np.stack([np.roll(codes, turn, axis=1) for turn in range(RIVAL_SECTORS)])
+    values = turns @ (1 << np.arange(RIVAL_SECTORS))
+    codes = codes[values.min(axis=0) == numbers]
+    sectors = np.asarray(landmarks.sectors)
+    directions = math.lcm(ANGLES, RIVAL_SECTORS, sectors.shape[1])
+    ids = _turned(sectors, directions)
+    lit = np.repeat(codes, directions // RIVAL_SECTORS, axis=1)
+    unlike = np.abs(lit[:, None] - ids[None]).mean(axis=2).min(axis=1)
+    return np.asarray(codes[unlike >= LEAST_UNLIKE], float)
+
+
+def _turned(codes: FloatArray, directions: int) -> FloatArray:
+    """(ANGLES x K, directions) of codes (K, sectors): each at every turn, turn by turn."""
+    lit = np.repeat(codes, directions // codes.shape[1], axis=1)
+    step = directions // ANGLES
+    return np.concatenate([np.roll(lit, turn * step, axis=1) for turn in range(ANGLES)])
 
 
 def _points(radii: FloatArray, smear: float) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -172,12 +213,18 @@ def _points(radii: FloatArray, smear: float) -> tuple[FloatArray, FloatArray, Fl
     )
 
 
-def _precision(radii: FloatArray, alike: float) -> FloatArray:
-    """(cells, cells) inverse covariance of the cells on lines at `radii`, their level taken out."""
+def _precision(radii: FloatArray, alike: float, ring_from: float) -> FloatArray:
+    """(cells, cells) inverse covariance of the cells on lines at `radii`.
+
+    The level of all, and that of the ring, which begins at `ring_from`, are taken out.
+    """
     angle = (np.arange(ANGLES) + 0.5) * STEP
     x, y = (np.outer(radii, way(angle)).ravel() for way in (np.cos, np.sin))
     apart = np.hypot(x[:, None] - x, y[:, None] - y)
     area = np.repeat(radii / radii.mean(), ANGLES)
-    inverse = np.linalg.inv(np.exp(-apart / max(alike, 1e-6)) + np.diag(OWN / area))
-    level = inverse.sum(axis=1)
-    return np.asarray(inverse - np.outer(level, level) / level.sum())
+    covariance = np.exp(-apart / max(alike, 1e-6)) + LIGHT * np.exp(-apart / LIGHT_ALIKE)
+    inverse = np.linalg.inv(covariance + np.diag(OWN / area))
+    ring = np.repeat(radii > ring_from, ANGLES)
+    levels = np.column_stack([ring, ~ring]).astype(float)
+    known = inverse @ levels
+    return np.asarray(inverse - known @ np.linalg.solve(levels.T @ known, known.T))

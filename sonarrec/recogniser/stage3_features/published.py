@@ -15,7 +15,7 @@ import numpy as np
 
 from sonarrec.config import Features
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.recogniser.stage3_features import Beliefs
+from sonarrec.recogniser.stage3_features import Beliefs, Gathered
 from sonarrec.recogniser.stage3_features.shape_matrix import Bands, turned_codes
 from sonarrec.recogniser.stage3_features.smi import identify, without_none
 from sonarrec.records import BoolArray, FloatArray, Groups
@@ -134,15 +134,14 @@ class PublishedMeasurement:
         groups: Groups,  # noqa: ARG002
         grey: FloatArray,
         seen: BoolArray,
-    ) -> tuple[FloatArray, FloatArray]:
+    ) -> Gathered:
         """The frame itself: nothing is gathered."""
-        return np.where(seen, grey, 0.0), seen.astype(float)
+        brightness = np.where(seen, grey, 0.0)
+        return Gathered(brightness, seen.astype(float), np.ones(len(grey), np.int64))
 
-    def beliefs(
-        self, groups: Sequence[Groups], brightness: FloatArray, count: FloatArray
-    ) -> Beliefs:
+    def beliefs(self, groups: Sequence[Groups], gathered: Gathered) -> Beliefs:
         """See Measurement. What is no landmark is normalised away: 'none of these' has 0."""
-        single = self._identify(brightness, count > 0)
+        single = self._identify(gathered.brightness, gathered.count > 0)
         ends = np.cumsum([len(g.numbers) for g in groups])[:-1]
         measured = np.split(single.measurement(self._least_ring), ends)
         beliefs = [self._estimator.step(g, q) for g, q in zip(groups, measured, strict=True)]

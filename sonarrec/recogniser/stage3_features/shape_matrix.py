@@ -71,12 +71,12 @@ class ShapeSampler:
         centres: FloatArray,
         start_rad: FloatArray,
         mean: npt.NDArray[np.float32],
-        sigma: float,
+        sigma: FloatArray | float,
     ) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
         """Brightness (n, L, ANGLES) float64 and where it was seen (n, L, ANGLES) bool.
 
         Brightness is counted from the mean of each object's surroundings, in standard deviations
-        of the frame (mean, sigma: as in Selection), so that gain and grey scale drop out. image,
+        (mean, sigma: as in Selection), so that gain and grey scale drop out. image,
         inside: working image and 1 where it holds sonar data, both uint8. centres: (n, 2) (column,
         row). start_rad: (n,) direction of the first angle; angles run counter-clockwise seen from
         above.
@@ -97,7 +97,8 @@ class ShapeSampler:
         at = np.rint(centres).astype(int).T
         middle = (at[1].clip(0, rows - 1), at[0].clip(0, columns - 1))
         around = mean[middle][:, None, None].astype(float)
-        grey = (grey.reshape(size) - around) / sigma
+        spread = np.broadcast_to(sigma, image.shape)[middle][:, None, None].astype(float)
+        grey = (grey.reshape(size) - around) / spread
         return grey, seen.reshape(size).astype(bool)
 
 

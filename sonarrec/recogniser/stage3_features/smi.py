@@ -50,7 +50,10 @@ def without_none(probabilities: FloatArray, turn: npt.NDArray[np.intp]) -> Belie
     """(n, K) beliefs of a method that knows no 'none of these', and no error of (n,) turns."""
     n = len(turn)
     return Beliefs(
-        np.column_stack([probabilities, np.zeros(n)]), turn.astype(float), np.full(n, np.nan)
+        np.column_stack([probabilities, np.zeros(n)]),
+        turn.astype(float),
+        np.full(n, np.nan),
+        np.ones(n, bool),
     )
 
 

@@ -5,17 +5,42 @@ It is kept in the object's own frame: angles count from the line of sight, which
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 
+from sonarrec.recogniser.stage3_features import Gathered
 from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES
 from sonarrec.records import FloatArray, Groups
+
+# What comes back is judged by what it shows now. After so many frames what it showed before it left
+# counts again, by a share, where the two pictures are so much alike (correlation); speckle is
+# frozen to the floor, so one landmark's are.
+FRAMES_TO_EARN, LEAST_ALIKE, OLD_SHARE = 3, 0.5, 0.5
+
+
+class _Picture(NamedTuple):
+    """What a track showed: the faded sum of its cells and how often each was seen."""
+
+    total: FloatArray
+    seen: FloatArray
+
+    def alike(self, other: _Picture) -> float:
+        """Correlation over the cells that both have shown; 0 where these are too few."""
+        both = (self.seen > 0) & (other.seen > 0)
+        if np.count_nonzero(both) < 2:
+            return 0.0
+        a, b = (p.total[both] / p.seen[both] for p in (self, other))
+        a, b = a - a.mean(), b - b.mean()
+        return float(a @ b / max(np.sqrt((a @ a) * (b @ b)), 1e-9))
 
 
 class TrackMatrix:
     """The running average of each track's shape matrix.
 
-    Frames fade with a memory of `memory_frames`; a cell counts by how often it was seen.
+    Frames fade with a memory of `memory_frames`; a cell counts by how often it was seen. A track
+    that left the view and comes back begins anew, and has to earn what it was (FRAMES_TO_EARN).
     """
 
     def __init__(self, memory_frames: float, lines: int) -> None:
@@ -23,23 +48,38 @@ class TrackMatrix:
         self._numbers: list[int] = []
         self._sum: FloatArray = np.empty((0, lines, ANGLES))
         self._count: FloatArray = np.empty((0, lines, ANGLES))
+        self._frames = np.empty(0, np.int64)
+        # What those that left showed, and those that came back and have not earned it yet.
+        self._before: dict[int, _Picture] = {}
 
-    def step(
-        self, groups: Groups, grey: FloatArray, seen: npt.NDArray[np.bool_]
-    ) -> tuple[FloatArray, FloatArray]:
-        """Add a frame's matrices (n, L, ANGLES). Returns the averages and the counts, same shape.
+    def step(self, groups: Groups, grey: FloatArray, seen: npt.NDArray[np.bool_]) -> Gathered:
+        """Add a frame's matrices (n, L, ANGLES). Returns the averages of what is in view.
 
         Tracks that are neither in view nor remembered are forgotten.
         """
         place = {number: i for i, number in enumerate(self._numbers)}
-        numbers = [*groups.numbers.tolist(), *groups.remembered.tolist()]
+        numbers = groups.numbers.tolist()
+        for number in groups.remembered.tolist():
+            if number in place and number not in self._before:
+                i = place[number]
+                self._before[number] = _Picture(self._sum[i].copy(), self._count[i].copy())
         total = np.zeros((len(numbers), *self._sum.shape[1:]))
         count = np.zeros_like(total)
+        frames = np.zeros(len(numbers), np.int64)
         known = [i for i, number in enumerate(numbers) if number in place]
         before = [place[numbers[i]] for i in known]
         total[known], count[known] = self._sum[before], self._count[before]
-        now = slice(len(groups.numbers))
-        total[now] = self._keep * total[now] + np.where(seen, grey, 0.0)
-        count[now] = self._keep * count[now] + seen
-        self._numbers, self._sum, self._count = numbers, total, count
-        return total[now] / np.maximum(count[now], 1e-9), count[now]
+        frames[known] = self._frames[before]
+        total = self._keep * total + np.where(seen, grey, 0.0)
+        count = self._keep * count + seen
+        frames += 1
+        if self._before:
+            there = {*numbers, *groups.remembered.tolist()}
+            self._before = {k: p for k, p in self._before.items() if k in there}
+            for i in np.flatnonzero(frames >= FRAMES_TO_EARN).tolist():
+                picture = self._before.pop(numbers[i], None)
+                if picture and picture.alike(_Picture(total[i], count[i])) >= LEAST_ALIKE:
+                    total[i] += OLD_SHARE * picture.total
+                    count[i] += OLD_SHARE * picture.seen
+        self._numbers, self._sum, self._count, self._frames = numbers, total, count, frames
+        return Gathered(total / np.maximum(count, 1e-9), count, frames)
