@@ -70,7 +70,8 @@ def make_model() -> None:
         "# Log odds of an ID against 'none of these' = bias + the curves of all features, which\n"
         "# description.py names.\n"
         f"# Made by `make model`: {len(drawn)} simulated recordings of {FRAMES} frames, seeds\n"
-        f"# from {MODEL_SEEDS.start} on of {len(RECORDINGS)} kinds of scene; {count} tracks in frames.\n"
+        f"# from {MODEL_SEEDS.start} on of {len(RECORDINGS)} kinds of scene; "
+        f"{count} tracks in frames.\n"
     )
     BUILT_IN.write_text(head + fit(parts).as_toml(), encoding="utf-8")
 

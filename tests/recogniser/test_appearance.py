@@ -15,7 +15,10 @@ from hypothesis import strategies as st
 from sonarrec.config import Features
 from sonarrec.landmarks import load_landmarks
 from sonarrec.recogniser.plane import FloorPlane
-from sonarrec.recogniser.stage3_features.appearance import AppearanceMeasurement
+from sonarrec.recogniser.stage3_features.appearance import (
+    AppearanceMeasurement,
+    usual_beam_width_deg,
+)
 from sonarrec.recogniser.stage3_features.description import FEATURES, LIMIT, Describer
 from sonarrec.recogniser.stage3_features.model import AppearanceModel, load_model
 from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES, STEP, ShapeSampler
@@ -418,3 +421,24 @@ def test_a_blank_and_a_filled_disc_are_none_of_these(seed):
     for p in (blank, filled, floor):
         assert p.argmax() == 4
         assert p[4] > 0.5
+
+
+@pytest.mark.parametrize(("view_deg", "width_deg"), [(28.8, 0.4), (60.0, 0.6), (130.0, 1.0)])
+def test_beams_are_as_wide_as_is_usual_for_the_field_of_view(view_deg, width_deg):
+    fan = dataclasses.replace(FAN, bearing_min_deg=-view_deg / 2, bearing_max_deg=view_deg / 2)
+    assert usual_beam_width_deg(fan) == width_deg
+
+
+@pytest.mark.parametrize(("width_deg", "needed"), [(0.4, 2), (4.0, 8)])
+def test_an_id_is_earned_by_frames_and_by_more_of_a_disc_few_beams_wide(width_deg, needed):
+    """At 2 m a disc of 0.3 m is 21 beams of 0.4 deg wide, and two of 4 deg."""
+    config = Features(beam_width_deg=width_deg)
+    measurement = AppearanceMeasurement(config, PLANE, SAMPLER, BASIN, load_model())
+    centre = np.stack(PLANE.from_polar(np.array([2.0]), np.array([0.0])), axis=-1)
+    track = dataclasses.replace(groups(1), positions=centre)
+    grey = np.zeros((1, LINES, ANGLES))
+    earned = [
+        bool(measurement.beliefs([track], measurement.gather(track, grey, grey == 0)).earned[0])
+        for _ in range(10)
+    ]
+    assert earned == [frame >= needed for frame in range(1, 11)]

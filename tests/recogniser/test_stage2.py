@@ -412,3 +412,19 @@ def test_what_is_out_of_view_is_not_missed():
     back = follow.step(selection(score, START), Motion(-30.0))
     assert list(back.numbers) == [1]
     assert back.existence[0] == pytest.approx(existence)
+
+
+@pytest.mark.parametrize(("away", "number"), [(1, 2), (100, 1)])
+def test_the_longer_a_lost_object_is_away_the_farther_off_it_may_be(away, number):
+    """A third of a diameter: too far for one that just left, not after a hundred frames."""
+    follow = new_filter(dataclasses.replace(REMEMBER, recall=0.2, recall_drift=0.02))
+    follow.step(selection(peaks(START), START))
+    follow.step(selection(peaks(START), START), Motion(0.0))
+    nothing = selection(peaks())
+    follow.step(nothing, Motion(30.0))
+    for _ in range(away):
+        follow.step(nothing, Motion(0.0))
+    follow.step(nothing, Motion(-15.0))
+    place = (START[0] + 0.33 * DIAMETER, START[1])
+    groups = follow.step(selection(peaks(place), place), Motion(-15.0))
+    assert list(groups.numbers) == [number]
