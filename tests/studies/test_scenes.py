@@ -127,7 +127,7 @@ def test_errors_are_of_the_right_claims(in_memory: Path, found: Evaluation) -> N
     told = np.column_stack([e.range_m, e.bearing_deg, e.orientation_deg, e.bearing_sigma_deg])
     assert len(told) > 20
     # Claims come by falling score, rows of the file by frame.
-    order = np.lexsort(told.T), np.lexsort(np.array(expected).T)
+    order = np.lexsort(told.round(6).T), np.lexsort(np.round(expected, 6).T)
     np.testing.assert_allclose(told[order[0]], np.array(expected)[order[1]], atol=1e-9)
 
 

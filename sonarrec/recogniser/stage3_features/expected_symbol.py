@@ -67,6 +67,8 @@ class _Expected(NamedTuple):
     """(cells, T) the same times the precision."""
     power: FloatArray
     """(T,) the product of the two."""
+    rivals: npt.NDArray[np.float32]
+    """(cells, R) of `whitened` all that is no ID."""
 
 
 class ExpectedSymbols:
@@ -112,7 +114,10 @@ class ExpectedSymbols:
         product, power = np.empty((2, len(cells), symbols))
         for step in set(steps.tolist()):
             of, expected = steps == step, self.expected(step)
-            product[of], power[of] = values[of] @ expected.whitened, expected.power
+            product[of, :ids] = values[of] @ expected.whitened[:, :ids]
+            # There are many rivals: in half the time, for what half the digits tell.
+            product[of, ids:] = values[of].astype(np.float32) @ expected.rivals
+            power[of] = expected.power
         least = LEAST_SHOWN * power
         for i in np.flatnonzero(seen.any(axis=1) & ~seen.all(axis=1)):
             # Unseen cells leave the precision by their Schur complement.
@@ -133,7 +138,9 @@ class ExpectedSymbols:
         """What the cells should show, smeared by `steps`."""
         flat = self._look(steps).reshape(len(self._precision), -1)
         whitened = self._precision @ flat
-        return _Expected(flat, whitened, (flat * whitened).sum(axis=0))
+        power = (flat * whitened).sum(axis=0)
+        rivals = whitened[:, ANGLES * self._ids :].astype(np.float32)
+        return _Expected(flat, whitened, power, rivals)
 
     def _look(self, steps: int) -> FloatArray:
         """(lines, ANGLES, T) what the lines show of every ID and every rival at every turn."""
