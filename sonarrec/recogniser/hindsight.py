@@ -8,7 +8,8 @@ import numpy as np
 
 from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.recogniser.estimates import declared, likeliest
+from sonarrec.recogniser.estimates import declared
+from sonarrec.recogniser.stage3_features import likeliest
 from sonarrec.records import Estimate, FloatArray, FrameResult
 
 LEAST_BORNE_OUT = 0.5  # mean belief of a track's frames in an ID from which it is spread over them

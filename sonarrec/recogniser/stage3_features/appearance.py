@@ -17,7 +17,7 @@ import numpy as np
 from sonarrec.config import Features
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.plane import Plane
-from sonarrec.recogniser.stage3_features import Beliefs, Gathered
+from sonarrec.recogniser.stage3_features import Beliefs, Gathered, likeliest
 from sonarrec.recogniser.stage3_features.description import Describer
 from sonarrec.recogniser.stage3_features.shape_matrix import ShapeSampler
 from sonarrec.recogniser.stage3_features.track_matrix import TrackMatrix
@@ -78,7 +78,7 @@ class AppearanceMeasurement:
         smear = self._smear(positions)
         description = self._describe(gathered.brightness, gathered.count, existence, smear)
         probabilities = self._model.probabilities(description.features)
-        best = probabilities[:, :-1].argmax(axis=1)
+        best, _ = likeliest(probabilities)
         at = (np.arange(len(best)), best)
         # A beam is HALF_POWER deviations wide, a disc two radii.
         few_beams = smear * HALF_POWER * FEW_BEAMS > 2

@@ -24,6 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sonarrec.landmarks import LandmarkSet
+from sonarrec.recogniser.stage3_features import settled
 from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES, STEP, Bands
 from sonarrec.records import FloatArray
 
@@ -67,8 +68,6 @@ class _Expected(NamedTuple):
     """(cells, T) the same times the precision."""
     power: FloatArray
     """(T,) the product of the two."""
-    rivals: npt.NDArray[np.float32]
-    """(cells, R) of `whitened` all that is no ID."""
 
 
 class ExpectedSymbols:
@@ -114,15 +113,13 @@ class ExpectedSymbols:
         product, power = np.empty((2, len(cells), symbols))
         for step in set(steps.tolist()):
             of, expected = steps == step, self.expected(step)
-            product[of, :ids] = values[of] @ expected.whitened[:, :ids]
-            # There are many rivals: in half the time, for what half the digits tell.
-            product[of, ids:] = values[of].astype(np.float32) @ expected.rivals
-            power[of] = expected.power
+            product[of], power[of] = values[of] @ expected.whitened, expected.power
         least = LEAST_SHOWN * power
         for i in np.flatnonzero(seen.any(axis=1) & ~seen.all(axis=1)):
             # Unseen cells leave the precision by their Schur complement.
             expected, hidden = self.expected(int(steps[i])), np.flatnonzero(~seen[i])
-            rivals = ids + np.argsort(-product[i, ids:] / np.sqrt(power[i, ids:]))
+            likely = settled(product[i, ids:] / np.sqrt(power[i, ids:]))
+            rivals = ids + np.argsort(-likely, kind="stable")
             some = np.r_[:ids, rivals[:MOST_RIVALS]]
             sides = np.column_stack([whitened[i, hidden], expected.whitened[np.ix_(hidden, some)]])
             solved = np.linalg.solve(self._precision[np.ix_(hidden, hidden)], sides)
@@ -138,9 +135,7 @@ class ExpectedSymbols:
         """What the cells should show, smeared by `steps`."""
         flat = self._look(steps).reshape(len(self._precision), -1)
         whitened = self._precision @ flat
-        power = (flat * whitened).sum(axis=0)
-        rivals = whitened[:, ANGLES * self._ids :].astype(np.float32)
-        return _Expected(flat, whitened, power, rivals)
+        return _Expected(flat, whitened, (flat * whitened).sum(axis=0))
 
     def _look(self, steps: int) -> FloatArray:
         """(lines, ANGLES, T) what the lines show of every ID and every rival at every turn."""
