@@ -86,7 +86,7 @@ class FanImages:
         )
         if self._amplitudes:
             self.notes.append(
-                f"{self._where}: 8-bit pixels read as amplitudes, by their speckle; "
+                f"{self._where}: 8-bit pixels read as amplitudes, by their level and its spread; "
                 "--pixel-scale linear if they are logarithms"
             )
         pings = [(raw, raw.sonar) for raw in first if raw.pixels is not None and raw.sonar]

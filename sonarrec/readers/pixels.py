@@ -47,6 +47,7 @@ _NEXT_TO_BLACK = 1 / 32  # of full scale: no compressed image has its median bel
 # in relief has no speckle.
 _BLOCK = (16, 4)
 _MOST_BLACK, _LEAST_LEVEL, _LEAST_SPREAD, _LEAST_BLOCKS = 0.2, 4.0, 0.5, 50
+_DIM, _LEAST_SPECKLE = 32, 0.2  # an eighth of full scale; spread over level
 _LEAST_RANGE = 0.12  # standard deviation of the logarithm of levels
 _AMPLITUDES = 1.0
 
@@ -144,7 +145,8 @@ def holds_amplitudes(images: Sequence[np.ndarray]) -> bool:
 
     images: of single_channel. In amplitudes speckle spreads in proportion to its level, and its
     peaks reach farther than its troughs; in logarithms it spreads evenly, and its troughs reach
-    farther. Measured in small blocks; False where too few show speckle to tell.
+    farther. So dim a picture that what lies far is next to black is taken for amplitudes as well:
+    if it is none, little is lost. Measured in small blocks; False where too few show speckle.
     """
     rows, columns = _BLOCK
     parts = [np.empty((0, rows * columns), np.float32)]
@@ -160,6 +162,8 @@ def holds_amplitudes(images: Sequence[np.ndarray]) -> bool:
     if np.count_nonzero(whole) < _LEAST_BLOCKS:
         return False
     block, level, spread = block[whole], level[whole], spread[whole]
+    if np.median(level) < _DIM and np.median(spread / level) > _LEAST_SPECKLE:
+        return True
     if np.log(level).std() < _LEAST_RANGE:  # at one level a spread tells nothing
         return False
     slope = np.polyfit(np.log(level), np.log(spread), 1)[0]  # 1 of amplitudes, 0 of logarithms

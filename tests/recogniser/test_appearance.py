@@ -100,7 +100,7 @@ def test_tracks_keep_their_own_average_and_lost_ones_are_forgotten():
 
 @pytest.mark.parametrize("same", [True, False])
 def test_a_track_that_comes_back_earns_what_it_was_by_looking_the_same(same):
-    """Two new frames count alone; from the third on half of the old ones, if it looks like them."""
+    """Half of the old frames count at once where it does, and never where it does not."""
     matrix = TrackMatrix(10.0, 1)
     picture = np.sin(np.arange(ANGLES))[None, None]
     other = np.cos(2 * np.arange(ANGLES))[None, None]
@@ -109,14 +109,13 @@ def test_a_track_that_comes_back_earns_what_it_was_by_looking_the_same(same):
         before = matrix.step(groups(3), picture, seen)
     for _ in range(50):
         matrix.step(groups(remembered=[3]), nothing, nothing)
-    now = picture if same else other
-    counts = [1.0, 1.9, 2.71]
-    for i in range(3):
+    now, count = (picture if same else other), (0.5 * before.count if same else 0.0)
+    for i in range(4):
         found = matrix.step(groups(3), now, seen)
-        old = 0.5 * before.count if same and i == 2 else 0.0
+        count = 1 + (count if i == 0 else 0.9 * count)
         np.testing.assert_allclose(found.brightness, now)
-        np.testing.assert_allclose(found.count, counts[i] + old)
-        assert found.frames.tolist() == [i + 1]
+        np.testing.assert_allclose(found.count, count)
+        assert found.frames.tolist() == [i + (3 if same else 1)]
 
 
 def random_matrices(seed: int, n: int = 3) -> tuple[np.ndarray, np.ndarray]:

@@ -14,10 +14,10 @@ from sonarrec.recogniser.stage3_features import Gathered
 from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES
 from sonarrec.records import FloatArray, Groups
 
-# What comes back is judged by what it shows now. After so many frames what it showed before it left
-# counts again, by a share, where the two pictures are so much alike (correlation); speckle is
-# frozen to the floor, so one landmark's are.
-FRAMES_TO_EARN, LEAST_ALIKE, OLD_SHARE = 3, 0.5, 0.5
+# What comes back is judged by what it shows now. What it showed before it left counts again, by a
+# share, where the two pictures are very much alike (correlation), or after so many frames somewhat:
+# speckle is frozen to the floor, so one landmark's are.
+VERY_ALIKE, FRAMES_TO_EARN, LEAST_ALIKE, OLD_SHARE = 0.75, 3, 0.5, 0.5
 
 
 class _Picture(NamedTuple):
@@ -76,10 +76,17 @@ class TrackMatrix:
         if self._before:
             there = {*numbers, *groups.remembered.tolist()}
             self._before = {k: p for k, p in self._before.items() if k in there}
-            for i in np.flatnonzero(frames >= FRAMES_TO_EARN).tolist():
-                picture = self._before.pop(numbers[i], None)
-                if picture and picture.alike(_Picture(total[i], count[i])) >= LEAST_ALIKE:
+            for i, number in enumerate(numbers):
+                if (picture := self._before.get(number)) is None:
+                    continue
+                alike = picture.alike(_Picture(total[i], count[i]))
+                earned = frames[i] >= FRAMES_TO_EARN
+                if alike >= (LEAST_ALIKE if earned else VERY_ALIKE):
                     total[i] += OLD_SHARE * picture.total
                     count[i] += OLD_SHARE * picture.seen
+                    frames[i] = max(frames[i], FRAMES_TO_EARN)
+                    earned = True
+                if earned:
+                    del self._before[number]
         self._numbers, self._sum, self._count, self._frames = numbers, total, count, frames
         return Gathered(total / np.maximum(count, 1e-9), count, frames)
