@@ -54,7 +54,9 @@ class Parts:
         followed = self._recogniser.follow(Frame(self._index, 0, image, self._fan))
         groups = followed.groups
         declare = self._config.features.declare
-        found = identify(followed.average, followed.count > 0, self._bands, self._turned)
+        found = identify(
+            followed.gathered.brightness, followed.gathered.count > 0, self._bands, self._turned
+        )
         made = self._estimates(
             CONTINUITY,
             groups.numbers,
