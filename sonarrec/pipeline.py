@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from heapq import nlargest
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -25,7 +26,8 @@ from sonarrec.recogniser.stage3_features.model import ModelFile, model_from_tabl
 from sonarrec.records import Clock, Fan, Frame, FrameResult, SonarrecError, Stamps, UsageError
 from sonarrec.results.folders import folder_names
 from sonarrec.results.run_file import Given, RunFile, held_results, read_run, run_table
-from sonarrec.results.sightings import Sightings
+from sonarrec.results.sightings import Sighting, Sightings
+from sonarrec.results.sightings_file import sightings_in
 from sonarrec.results.write import ResultsWriter
 from sonarrec.sonar import Sonar, sonar_from
 
@@ -46,20 +48,28 @@ class Used:
     # file of settings has nothing that does, and changes nothing
 
 
+MOST_SIGHTINGS = 20
+"""Kept of each method in a Summary; sightings.csv has all."""
+
+
 @dataclass(frozen=True, slots=True)
 class Summary:
     """What became of one log.
 
     folder: where the results are. frames: how many were processed. problems: what could not be
-    used, a line each. notes: what is stated against the log's own messages. sightings: what was
-    declared, in lines to print. up_to_date: these very results were there, so nothing was done.
+    used, a line each. notes: what is stated against the log's own messages. candidates: over all
+    frames. passes: how many sightings.csv has of each method that follows objects. sightings: of
+    each of these the MOST_SIGHTINGS declared in the most frames, in order of first sight.
+    up_to_date: these very results were there, so nothing was done.
     """
 
     folder: Path
     frames: int
+    candidates: int
     problems: list[str]
     notes: list[str]
-    sightings: list[str]
+    passes: dict[str, int]
+    sightings: list[Sighting]
     up_to_date: bool = False
 
 
@@ -187,7 +197,7 @@ def process(
             used.configs, first.fan, landmarks, learned.model if learned else None, poses
         )
         source = (log.name, *log.digest_source())
-        methods = recogniser.methods
+        methods, tracking = recogniser.methods, recogniser.tracking
         table = run_table(
             used.configs, methods, log.stated, first.fan, landmarks, source, log.reading()
         )
@@ -200,28 +210,35 @@ def process(
         if not overwrite:
             there = held_results(folder, table)
             if there.up_to_date:
-                return Summary(folder, there.frames, there.problems, [], [], up_to_date=True)
+                passes, longest = _longest(folder, tracking)
+                return Summary(
+                    folder,
+                    there.frames,
+                    there.candidates,
+                    there.problems,
+                    [],
+                    passes,
+                    longest,
+                    True,
+                )
             notes += there.notes
-        sightings = [Sightings(method) for method in recogniser.tracking]
-        plausibility, candidates = Plausibility(), 0
-        with ResultsWriter(folder, landmarks, table) as writer:
+        plausibility, sightings = Plausibility(), Sightings(first.fan, poses)
+        with ResultsWriter(folder, landmarks, table, sightings) as writer:
             for result, stamps in _results(recogniser, chain([first], frames), plausibility):
                 writer.write(result, stamps)
-                candidates += result.candidates
-                for sighting in sightings:
-                    sighting.add(result)
                 if observe is not None:
                     observe(result, log.frame_count)
             problems = [*log.problems, *recogniser.problems()]
             writer.finish(problems)
         notes += [*log.notes, *recogniser.notes()]
         doubts = plausibility.contradictions(polar=log.sonar.layout == "polar")
-        if not candidates:
+        if not writer.candidates:
             doubts.append(_no_candidate(writer.frames, first.fan, landmarks))
         if doubts:
             look = f"`sonarrec info {path} --preview FILE.png`, with the same geometry"
             notes.append(f"{path}: {'; '.join(doubts)}; look at {look}")
-        return Summary(folder, writer.frames, problems, notes, _lines(sightings))
+        passes, longest = _longest(folder, tracking)
+        return Summary(folder, writer.frames, writer.candidates, problems, notes, passes, longest)
 
 
 def _results(
@@ -296,13 +313,21 @@ def _poses(path: Path, given: Given, earlier: RunFile) -> tuple[PoseTable | None
     return poses, []
 
 
-def _lines(sightings: Sequence[Sightings]) -> list[str]:
-    """What each method declared, the methods by their names where there are several."""
-    lines: list[str] = []
-    for sighting in sightings:
-        lines += [f"{sighting.method}:"] if len(sightings) > 1 else []
-        lines += sighting.table()
-    return lines
+def _longest(folder: Path, methods: Sequence[str]) -> tuple[dict[str, int], list[Sighting]]:
+    """`passes` and `sightings` of a Summary; methods: those that follow objects."""
+    passes = dict.fromkeys(methods, 0)
+
+    def seen(method: str) -> Iterator[Sighting]:
+        for sighting in sightings_in(folder / "sightings.csv"):
+            if sighting.method == method:
+                passes[method] += 1
+                yield sighting
+
+    kept: list[Sighting] = []
+    for method in methods:
+        longest = nlargest(MOST_SIGHTINGS, seen(method), key=lambda s: s.frames_declared)
+        kept += sorted(longest, key=lambda s: (s.first_frame, s.last_frame))
+    return passes, kept
 
 
 def _configs(presets: Presets) -> list[Config]:

@@ -24,12 +24,11 @@ from sonarrec.cli.options import (
     quiet_option,
     tell,
 )
+from sonarrec.cli.passes import YEAR_2000_NS
 from sonarrec.records import SonarrecError, UsageError
 
 if TYPE_CHECKING:
     from sonarrec.readers.info import Channel, Container, Images, LogInfo
-
-_YEAR_2000_NS = 946_684_800 * 10**9
 
 
 @command(short_help="Show what is in a log, and whether it is whole.")
@@ -273,6 +272,6 @@ def _origin_lines(images: Images) -> list[str]:
 
 def _moment(time_ns: int) -> str:
     """A time as a date where it can be one, else in seconds."""
-    if time_ns < _YEAR_2000_NS:
+    if time_ns < YEAR_2000_NS:
         return f"clock at {time_ns / 1e9:.3f} s"
     return f"{datetime.fromtimestamp(time_ns // 10**9, UTC):%Y-%m-%d %H:%M:%S} UTC"

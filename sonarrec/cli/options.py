@@ -348,20 +348,28 @@ quiet_option = option(
 )
 
 
+verbose_option = option(
+    OUTPUT, "-v", "--verbose", is_flag=True, help="A line on stderr for each log that is finished."
+)
+
+
 def out_option(kind: click.Path, text: str, **told: Any) -> Decorator:
     """-o, --out; text: what it names."""
     return option(OUTPUT, "-o", "--out", type=kind, help=text, **told)
 
 
 @contextmanager
-def progress(quiet: bool, total: int | None = None) -> Iterator[Callable[..., None]]:
+def progress(
+    quiet: bool, total: int | None = None, title: str | None = None
+) -> Iterator[Callable[..., None]]:
     """A progress bar over frames on stderr; silent when quiet and where stderr is no terminal.
 
-    Yields what to call after each frame: step(total=None, note="").
+    title: what stands before it. Yields what to call after each frame: step(total=None, note="").
     """
     from tqdm import tqdm
 
-    with tqdm(total=total, unit="frame", leave=False, disable=True if quiet else None) as bar:
+    off = True if quiet else None
+    with tqdm(total=total, desc=title, unit="frame", leave=False, disable=off) as bar:
 
         def step(total: int | None = None, note: str = "") -> None:
             if total is not None:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from time import monotonic
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from sonarrec import __version__
 from sonarrec.cli.options import (
     FAILED,
     FILE,
@@ -29,7 +32,10 @@ from sonarrec.cli.options import (
     quiet_option,
     settings_options,
     tell,
+    verbose_option,
 )
+from sonarrec.cli.passes import as_json as told
+from sonarrec.cli.passes import table
 from sonarrec.records import FrameResult, SonarrecError, UsageError
 
 if TYPE_CHECKING:
@@ -72,6 +78,8 @@ INTERRUPTED, TERMINATED = 130, 143
     is_flag=True,
     help="Do again what is up to date, and replace results of another log of that name.",
 )
+@option(OUTPUT, "--json", "as_json", is_flag=True, help="Print one JSON document on stdout.")
+@verbose_option
 @quiet_option
 def run(
     log: tuple[str, ...],
@@ -83,6 +91,8 @@ def run(
     settings: SettingsChoice,
     out: Path,
     overwrite: bool,
+    as_json: bool,
+    verbose: bool,
     quiet: bool,
 ) -> None:
     """Recognise landmarks in LOG, frame by frame.
@@ -114,9 +124,12 @@ def run(
     logs = find_logs(log)
     names = result_names(logs)
     ended: dict[str, list[str]] = {"done": [], "up to date": [], "in part": [], "failed": []}
+    document: list[dict[str, Any]] = []  # filled where it is asked for
 
-    def one(path: str, name: str | None) -> None:
-        with progress(quiet) as step:
+    def one(i: int, path: str, name: str | None) -> None:
+        begun = monotonic()
+        of = f" ({i + 1} of {len(logs)})" * (len(logs) > 1)
+        with progress(quiet, title=f"{name}{of}") as step:
 
             def observe(result: FrameResult, total: int | None) -> None:
                 step(total, f"{result.tracks} tracks in view")
@@ -125,14 +138,25 @@ def run(
         tell(summary.problems, summary.notes)
         how = "in part" if summary.problems else "up to date" if summary.up_to_date else "done"
         ended[how].append(path)
-        if not quiet:
+        if verbose:
+            click.echo(f"sonarrec: {path}{of}: {how}, {_counts(summary, begun)}", err=True)
+        if as_json:
+            status = "partial" if summary.problems else "done"
+            document.append({"name": name, "log": path, "status": status} | told(summary))
+        elif not quiet:
             _print(summary)
 
-    with _stoppable(out):
-        for path, name in zip(logs, names, strict=True):
+    with _one_document(document, as_json), _stoppable(out):
+        for i, (path, name) in enumerate(zip(logs, names, strict=True)):
             try:
-                one(path, name)
+                one(i, path, name)
+            except KeyboardInterrupt:
+                document.append({"name": name, "log": path, "status": "stopped"})
+                raise
             except SonarrecError as error:
+                document.append(
+                    {"name": name, "log": path, "status": "failed", "message": str(error)}
+                )
                 if len(logs) == 1:
                     raise
                 tell([str(error)])
@@ -140,18 +164,39 @@ def run(
     failed = ended["failed"]
     if len(logs) > 1 and (failed or not quiet):
         counts = ", ".join(f"{len(paths)} {how}" for how, paths in ended.items() if paths)
-        click.echo(counts + (f": {', '.join(failed)}" if failed else ""), err=bool(failed))
+        to_stderr = bool(failed) or as_json
+        click.echo(counts + (f": {', '.join(failed)}" if failed else ""), err=to_stderr)
     if len(failed) == len(logs):
         leave(FAILED)
     if failed or ended["in part"]:
         leave(PARTLY)
 
 
+def _counts(summary: Summary, begun: float) -> str:
+    """begun: when, by the monotonic clock."""
+    seconds = monotonic() - begun
+    return (
+        f"{summary.frames} frames in {seconds:.1f} s, {summary.candidates} candidates, "
+        f"{sum(summary.passes.values())} passes"
+    )
+
+
 def _print(summary: Summary) -> None:
     frames = f"{summary.frames} frame{'s' * (summary.frames != 1)}"
     click.echo(f"{summary.folder}: {'up to date, ' * summary.up_to_date}{frames}")
-    for line in summary.sightings:
+    for line in [] if summary.up_to_date else table(summary):
         click.echo(f"  {line}")
+
+
+@contextmanager
+def _one_document(logs: list[dict[str, Any]], wanted: bool) -> Iterator[None]:
+    """Print what is known of each log as JSON, however the logs end."""
+    try:
+        yield
+    finally:
+        if wanted:
+            program = {"name": "sonarrec", "version": __version__}
+            click.echo(json.dumps({"program": program, "logs": logs}, indent=2))
 
 
 class _Terminated(KeyboardInterrupt):

@@ -11,7 +11,7 @@ import numpy as np
 from sonarrec.evaluation.evaluate import Evaluation, evaluate
 from sonarrec.readers import open_log
 from sonarrec.records import SonarrecError, UsageError
-from sonarrec.report.logs import ReportedLog, read_logs, sightings
+from sonarrec.report.logs import ReportedLog, read_logs, seen
 from sonarrec.report.mistakes import episodes, told
 from sonarrec.report.page import render
 from sonarrec.report.pictures import Picture, Wanted, draw
@@ -161,7 +161,10 @@ def _wanted(logs: Sequence[ReportedLog], evaluation: Evaluation | None) -> list[
 
 def _surest(log: ReportedLog) -> list[tuple[int, str]]:
     """(frame, what is seen there) of each sighting; without any, of what came nearest to one."""
-    found = [(s.surest, f"ID.{s.landmark}, score {s.best_score:.2f}") for s in sightings(log)]
+    found = [
+        (s.surest, f"ID.{s.sighting.landmark}, score {s.sighting.best_score:.2f}")
+        for s in seen(log)
+    ]
     mine = np.flatnonzero(log.of_method(log.tracker))
     if found or not len(mine):
         return found

@@ -12,7 +12,8 @@ from sonarrec.evaluation.joined import join, nearest_truth
 from sonarrec.records import BoolArray, FloatArray, IntArray, SonarrecError, UsageError
 from sonarrec.results.read import LogResults, find_logs, read_log
 from sonarrec.results.run_file import RunFile, read_run
-from sonarrec.results.sightings import Sighting, Sightings
+from sonarrec.results.sightings import Sighting, follows
+from sonarrec.results.sightings_file import read_sightings
 from sonarrec.sonar import Sonar
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import TruthTable
@@ -36,6 +37,8 @@ class ReportedLog:
     truth_near: IntArray | None
     """(N,) into the IDs: of the truth nearest to each estimate, -1 where none lies within half a
     disc diameter; None without truth or positions."""
+    sightings: list[Sighting]
+    """Of the tracker, in order of first sight."""
     in_view: BoolArray | None
     """(F, K) which landmarks count as in view; None without truth."""
 
@@ -83,7 +86,8 @@ def read_logs(
         found = read_log(folder, landmarks, sonar)
         matched = None if truth is None else match_truth(truth, found, tolerance_s)
         follow = method or _tracker(found.methods)
-        logs.append(_reported(folder, found, matched, min_visible, follow))
+        passes = [s for s in read_sightings(folder, landmarks, sonar) if s.method == follow]
+        logs.append(_reported(folder, found, matched, min_visible, follow, passes))
     for log in logs:
         if log.results.landmarks.ids != logs[0].results.landmarks.ids:
             raise SonarrecError(
@@ -96,11 +100,6 @@ def read_logs(
     return logs
 
 
-def follows(method: str) -> bool:
-    """Whether the method's object numbers mean the same object from one frame to the next."""
-    return method.partition(":")[0] != "smi"
-
-
 def _tracker(methods: Sequence[str]) -> str:
     followers = [name for name in methods if follows(name)]
     if "framework" in followers or not methods:
@@ -109,7 +108,12 @@ def _tracker(methods: Sequence[str]) -> str:
 
 
 def _reported(
-    folder: Path, log: LogResults, truth: Truth | None, min_visible: float, tracker: str
+    folder: Path,
+    log: LogResults,
+    truth: Truth | None,
+    min_visible: float,
+    tracker: str,
+    passes: Sequence[Sighting],
 ) -> ReportedLog:
     time, clock = log.frame.astype(float), "frame"
     stamps = log.timestamp_ns
@@ -129,6 +133,7 @@ def _reported(
         time=time,
         clock=clock,
         truth_near=None if truth is None else _truth_near(log, truth, min_visible),
+        sightings=sorted(passes, key=lambda s: (s.first_frame, s.last_frame)),
         in_view=in_view,
     )
 
@@ -144,24 +149,41 @@ def _truth_near(log: LogResults, truth: Truth, min_visible: float) -> IntArray |
     return near
 
 
-def sightings(log: ReportedLog) -> list[Sighting]:
-    """What the tracker declared, in order of first sight: one entry per ID and track."""
-    found = log.results
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """A sighting as the page shows it.
+
+    surest: the frame of the best score. declarations: more than its frames where a frame has
+    several. right: how many have the landmark's truth beneath; None where the truth is not known.
+    """
+
+    sighting: Sighting
+    surest: int
+    declarations: int
+    right: int | None
+
+
+def seen(log: ReportedLog) -> list[Seen]:
+    """The tracker's passes, in order of first sight."""
+    found, ids = log.results, log.results.landmarks.ids
     mine = np.flatnonzero(log.of_method(log.tracker) & found.declared)
-    mine = mine[np.argsort(found.row[mine], kind="stable")]
-    tracked = follows(log.tracker) and bool((found.object[mine] >= 0).all())
-    gathered = Sightings(log.tracker)
-    for n in mine.tolist():
-        row, landmark_index = found.row[n], found.landmark[n]
-        gathered.declared(
-            int(found.frame[row]),
-            0 if found.timestamp_ns is None else int(found.timestamp_ns[row]),
-            found.landmarks.ids[landmark_index],
-            int(found.object[n]) if tracked else None,
-            float(found.score[n]),
-            None if log.truth_near is None else bool(log.truth_near[n] == landmark_index),
-        )
-    return gathered.found()
+    frame = found.frame[found.row[mine]]
+    shown = []
+    for s in log.sightings:
+        if s.landmark not in ids:
+            continue
+        here = (frame >= s.first_frame) & (frame <= s.last_frame)
+        here &= found.landmark[mine] == ids.index(s.landmark)
+        if s.track is not None:
+            here &= found.object[mine] == s.track
+        at = mine[here]
+        if len(at):
+            surest = int(found.frame[found.row[at[np.argmax(found.score[at])]]])
+            right = None
+            if log.truth_near is not None:
+                right = int((log.truth_near[at] == ids.index(s.landmark)).sum())
+            shown.append(Seen(s, surest, len(at), right))
+    return shown
 
 
 def tracks(log: ReportedLog, most: int) -> tuple[list[Track], int]:

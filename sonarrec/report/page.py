@@ -20,10 +20,9 @@ from sonarrec.evaluation.plots import COLOURS
 from sonarrec.evaluation.summary import UNITS, summarise
 from sonarrec.evaluation.uncertainty import LEVEL
 from sonarrec.report import charts
-from sonarrec.report.logs import ReportedLog, Track, sightings, tracks, true_landmark
+from sonarrec.report.logs import ReportedLog, Seen, Track, seen, tracks, true_landmark
 from sonarrec.report.mistakes import Episode, episodes, protocol_of_mistakes, told
 from sonarrec.report.pictures import Picture
-from sonarrec.results.sightings import Sighting
 
 MOST_TRACKS = 12
 MOST_SIGHTINGS = 40
@@ -54,7 +53,7 @@ class LogView:
     timeline: list[tuple[int, list[charts.Lane]]]
     time_ticks: list[charts.Tick]
     unseen: list[int]
-    sightings: list[Sighting]
+    sightings: list[Seen]
     sightings_left: int
     tracks: list[TrackView]
     tracks_in_all: int
@@ -179,17 +178,17 @@ def _scores(tracker: str, evaluation: Evaluation) -> Scores:
 
 
 def _log_view(log: ReportedLog, most_tracks: int) -> LogView:
-    found = sightings(log)
+    found = seen(log)
     shown, in_all = tracks(log, most_tracks)
     rows = charts.timeline(log)
-    seen = {k for k, _ in rows}
+    drawn = {k for k, _ in rows}
     return LogView(
         log=log,
         facts=list(_facts(log)),
         problems=list(log.run.input.problems),
         timeline=rows,
         time_ticks=charts.time_axis(log)[0].ticks(),
-        unseen=[i for k, i in enumerate(log.results.landmarks.ids) if k not in seen],
+        unseen=[i for k, i in enumerate(log.results.landmarks.ids) if k not in drawn],
         sightings=found[:MOST_SIGHTINGS],
         sightings_left=len(found[MOST_SIGHTINGS:]),
         tracks=[_track_view(log, track) for track in shown],

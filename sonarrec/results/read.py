@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +25,7 @@ from sonarrec.results.columns import (
 from sonarrec.results.folders import part_of
 from sonarrec.results.run_file import read_run
 from sonarrec.sonar import Sonar
-from sonarrec.tables import Table, cut, line_number, position_pair, read_table, read_tables
+from sonarrec.tables import Kind, Table, cut, line_number, position_pair, read_table, read_tables
 
 METHODS = ("smi", "framework")
 """The methods that every run of ours holds, also where one of them saw nothing."""
@@ -144,16 +145,21 @@ def read_frames(folder: Path) -> Table:
 
 
 def estimate_tables(
-    path: Path, landmarks: LandmarkSet, rows: int | None = None
+    path: Path,
+    landmarks: LandmarkSet,
+    rows: int | None = None,
+    more: Mapping[str, Kind] = MappingProxyType({}),
 ) -> Iterator[tuple[int, Table]]:
     """estimates.csv, whole or at most `rows` rows at a time: (the first row, 0-based; columns).
 
+    more: columns to read beside those that are always read, and what their cells must be.
     Raises SonarrecError, with the line, on a cell that cannot be meant; the rows before it are
     given first.
     """
     columns = estimate_columns(landmarks.ids)
     ids = np.asarray(landmarks.ids)
-    for first, table in read_tables(path, kinds(columns), needed(columns), ESTIMATES_HEADER, rows):
+    wanted = kinds(columns) | dict(more)
+    for first, table in read_tables(path, wanted, needed(columns), ESTIMATES_HEADER, rows):
         known = np.isin(table["landmark"], ids)
         if not known.all():
             row = int(np.argmin(known))

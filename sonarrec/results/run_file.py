@@ -13,6 +13,7 @@ from sonarrec import __version__, config
 from sonarrec.geometry import fan_for_image
 from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
 from sonarrec.records import Clock, Fan, SonarrecError
+from sonarrec.results.folders import TABLES
 from sonarrec.sonar import Sonar, sonar_from_table
 from sonarrec.toml import Count, checked, read_toml, types_of
 
@@ -68,6 +69,7 @@ class Held:
 
     up_to_date: bool = False  # the same results, finished
     frames: int = 0
+    candidates: int = 0
     problems: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
@@ -78,7 +80,7 @@ def held_results(folder: Path, table: dict[str, Any]) -> Held:
     Raises SonarrecError where they are of another log: of another path and another SHA-256.
     """
     path = folder / "run.toml"
-    if not path.is_file() or not (folder / "frames.csv").is_file():
+    if not all((folder / name).is_file() for name in ("run.toml", *TABLES)):
         return Held()
     there = read_toml(path)
     source = there.get("input")
@@ -91,12 +93,12 @@ def held_results(folder: Path, table: dict[str, Any]) -> Held:
             f"{folder}: holds the results of another log ({source.get('path')}); choose another "
             "--out, or give --overwrite"
         )
-    frames, problems = source.get("frames_processed", 0), source.get("problems", [])
+    frames, candidates = source.get("frames_processed", 0), source.get("candidates", 0)
     alike = {k: v for k, v in there.items() if k != "finished"} | {
         "input": {k: v for k, v in source.items() if k in mine} | {"path": mine["path"]}
     }
     if alike == coming:
-        return Held(True, frames, problems)
+        return Held(True, frames, candidates, source.get("problems", []))
     what = "the log has changed" if source.get("sha256") != mine["sha256"] else "other settings"
     return Held(notes=[f"{folder}: results from before are replaced ({what})"])
 
