@@ -224,10 +224,18 @@ def process(
             notes += there.notes
         plausibility, sightings = Plausibility(), Sightings(first.fan, poses)
         with ResultsWriter(folder, landmarks, table, sightings) as writer:
-            for result, stamps in _results(recogniser, chain([first], frames), plausibility):
-                writer.write(result, stamps)
-                if observe is not None:
-                    observe(result, log.frame_count)
+            stamps = deque[Stamps]()  # of the frames whose results are waited for
+            seen = _noted(chain([first], frames), stamps, plausibility)
+            try:
+                for result in recogniser.recognise(seen):
+                    writer.write(result, stamps.popleft())
+                    if observe is not None:
+                        observe(result, log.frame_count)
+            except BaseException:  # Ctrl-C as well: keep what is there
+                if not writer.full:
+                    for result in recogniser.waiting():
+                        writer.write(result, stamps.popleft())
+                raise
             problems = [*log.problems, *recogniser.problems()]
             writer.finish(problems)
         notes += [*log.notes, *recogniser.notes()]
@@ -241,20 +249,14 @@ def process(
         return Summary(folder, writer.frames, writer.candidates, problems, notes, passes, longest)
 
 
-def _results(
-    recogniser: SideBySide, frames: Iterable[Frame], plausibility: Plausibility
-) -> Iterator[tuple[FrameResult, Stamps]]:
-    """Every frame's result, and the log's times of that frame."""
-    stamps = deque[Stamps]()  # of the frames whose results are waited for
-
-    def stamped() -> Iterator[Frame]:
-        for frame in frames:
-            stamps.append(frame.stamps)
-            plausibility.look(frame)
-            yield frame
-
-    for result in recogniser.recognise(stamped()):
-        yield result, stamps.popleft()
+def _noted(
+    frames: Iterable[Frame], stamps: deque[Stamps], plausibility: Plausibility
+) -> Iterator[Frame]:
+    """The frames as they are, their times and what they show noted."""
+    for frame in frames:
+        stamps.append(frame.stamps)
+        plausibility.look(frame)
+        yield frame
 
 
 def _no_candidate(frames: int, fan: Fan, landmarks: LandmarkSet) -> str:

@@ -38,10 +38,20 @@ class _Table:
         try:
             while data:
                 data = data[self._file.write(data) :]
-        except OSError:
-            self._file.truncate(self._size)
+        except BaseException:  # the disk is full, or Ctrl-C
+            self.cut(self._size)
             raise
         self._size = self._file.tell()
+
+    def cut(self, size: int) -> None:
+        """Take back what was appended since the file had this size."""
+        self._file.seek(self._file.truncate(size))
+        self._size = size
+
+    @property
+    def size(self) -> int:
+        """Bytes written."""
+        return self._size
 
     def close(self, *, sync: bool = False) -> None:
         if sync:
@@ -69,6 +79,7 @@ class ResultsWriter:
         Raises SonarrecError where the folder cannot be written, or another run writes there.
         """
         self.frames = self.candidates = 0
+        self.full = False  # the disk took no more: nothing can be written any longer
         self._gathered = sightings or Sightings()
         self._folder = folder
         self._part = part_of(folder)
@@ -104,6 +115,7 @@ class ResultsWriter:
 
         Raises SonarrecError where the disk takes no more.
         """
+        before = self.frames, self._estimates.size, self._frames.size
         try:
             # A frame that frames.csv lists has all its estimates.
             self._estimates.append(
@@ -113,8 +125,13 @@ class ResultsWriter:
             self.frames += 1
             self.candidates += result.candidates
             self._seen(self._gathered.add(result.index, result.timestamp_ns, result.estimates))
-        except OSError as error:
-            raise self._fault(error) from None
+        except BaseException as error:
+            if self.frames == before[0]:  # not all of the frame is there
+                self._estimates.cut(before[1])
+                self._frames.cut(before[2])
+            if isinstance(error, OSError):
+                raise self._fault(error) from None
+            raise
 
     def _seen(self, ended: Sequence[Sighting]) -> None:
         if ended:
@@ -139,6 +156,7 @@ class ResultsWriter:
             raise self._fault(error) from None
 
     def _fault(self, error: OSError) -> SonarrecError:
+        self.full = True
         return SonarrecError(
             f"{self._part}: cannot write results ({error.strerror}); it holds the "
             f"{self.frames} frames before"

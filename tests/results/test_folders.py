@@ -185,6 +185,26 @@ def test_a_stopped_run_leaves_its_part_and_the_old_results(
     assert not part.exists()
 
 
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_results_that_wait_to_be_revised_are_kept(log: Path, tmp_path: Path, number: int) -> None:
+    """`offline` waits for 240 frames, more than the log has: none is out before the end."""
+    many = tmp_path / "many"
+    many.mkdir()
+    shutil.copy(log / "sonar.toml", many)
+    for i in range(200):
+        (many / f"{i:06d}.png").symlink_to(log / f"{i % FRAMES:06d}.png")
+    out = tmp_path / "out"
+    process = subprocess.Popen(command("run", "-q", many, "-o", out, "--preset", "offline"))
+    part = part_of(out / "many")
+    until(lambda: (part / "frames.csv").is_file())
+    time.sleep(0.3)
+    process.send_signal(number)
+    assert process.wait(timeout=60) == 128 + number
+    kept = frames(part)
+    assert kept == list(range(len(kept)))
+    assert 4 < len(kept) < 200
+
+
 def test_killed_at_any_moment_nothing_is_lost(log: Path, tmp_path: Path) -> None:
     """At moments spread over the whole run, its start and its end."""
     out = tmp_path / "out"
