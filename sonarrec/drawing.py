@@ -133,13 +133,17 @@ def probability(estimate: Estimate, landmarks: LandmarkSet) -> float:
     return float(estimate.probabilities[landmarks.ids.index(estimate.landmark)])
 
 
-def caption(estimate: Estimate, landmarks: LandmarkSet) -> str:
-    """What is written at an object: "ID.3  0.97", with "?" undeclared, "" for none of these."""
+def caption(estimate: Estimate, landmarks: LandmarkSet, *, score: bool = False) -> str:
+    """What is written at an object: "ID.3  0.97", with "?" undeclared, "" for none of these.
+
+    score: the number is the score, as in tables of results, in place of the probability.
+    """
+    number = estimate.score if score else probability(estimate, landmarks)
     if estimate.declared:
-        return f"ID.{estimate.landmark}  {probability(estimate, landmarks):.2f}"
+        return f"ID.{estimate.landmark}  {number:.2f}"
     if np.argmax(estimate.probabilities) == len(landmarks.ids):
         return ""
-    return f"ID.{estimate.landmark}?  {probability(estimate, landmarks):.2f}"
+    return f"ID.{estimate.landmark}?  {number:.2f}"
 
 
 def enlargement(fan: Fan) -> int:
@@ -156,12 +160,13 @@ def draw_frame(
     paths: Mapping[int, FloatArray] | None = None,
     truth: Sequence[Mark] = (),
     grid: bool = False,
+    score: bool = False,
 ) -> ByteImage:
     """The frame with an outline, ID and probability for every estimate: one method's (Figure 13).
 
     image: (fan.rows, fan.columns) uint8. estimates: declared ones in the ID's colour, others thin
     and grey. paths: as `trails` gives them. truth: dashed white. grid: range rings and bearings
-    below all that.
+    below all that. score: scores in place of probabilities.
     Returns (rows, columns, 3) uint8 BGR, both sides `enlargement` times the fan's.
     """
     pen = _pen_on(image, fan)
@@ -176,7 +181,7 @@ def draw_frame(
         outline = disc_outline(fan, landmarks.radius_m, e.x_px, e.y_px)
         pen.line(outline, colour, 2 if e.declared else 1, closed=True)
         around = disc_outline(fan, AROUND * landmarks.radius_m, e.x_px, e.y_px)
-        pen.label(caption(e, landmarks), around, colour)
+        pen.label(caption(e, landmarks, score=score), around, colour)
     for mark in truth:
         outline = disc_outline(fan, AROUND * landmarks.radius_m, mark.x_px, mark.y_px)
         pen.dashes(outline, TRUTH)
