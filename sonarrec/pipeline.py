@@ -85,6 +85,7 @@ def run(
     topic: str | None = None,
     time: Clock | None = None,
     odometry: str | Path | None = None,
+    frames: tuple[int, int | None] | None = None,
     overwrite: bool = False,
     observe: Observe | None = None,
 ) -> Summary:
@@ -96,9 +97,10 @@ def run(
     files, such as {"tilt_deg": 20.0} (keys and units of sonar.toml: m, deg). sonar_file: in place
     of the sonar.toml beside the log. topic: the image channel of an MCAP. time: which time of an
     MCAP's messages names a frame, "log" (default), "publish" or "header". odometry: CSV of the
-    sonar's poses. overwrite: do again what is up to date, and replace the results of another log of
-    that name. observe: called after each frame with its FrameResult and the number of frames
-    (None where unknown).
+    sonar's poses. frames: only those from the first number up to, not including, the second, if
+    there is one; they keep their numbers. overwrite: do again what is up to date, and replace the
+    results of another log of that name. observe: called after each frame with its FrameResult and
+    the number of frames (None where unknown).
 
     Raises SonarrecError for input or settings that cannot be used; what was written stays.
     """
@@ -108,6 +110,7 @@ def run(
         topic=topic,
         time=time,
         odometry=_path(odometry),
+        frames=frames,
     )
     used = Used(_configs(preset), landmarks, _path(model))
     return process(log, out, given, used, observe, overwrite=overwrite)
@@ -191,8 +194,11 @@ def process(
     learned = _model(used, earlier)
     poses, notes = _poses(path, given, earlier if same_log else read_run(None))
     with _opened(path, given) as log:
-        frames = iter(log)
-        first = next(frames)  # raises where there is no usable frame
+        span = given.frames or (0, None)
+        frames = _within(log, span)
+        first = next(frames, None)  # raises where there is no usable frame at all
+        if first is None:
+            raise UsageError(f"{path}: no frame lies in --frames {_told(span)}")
         recogniser = SideBySide(
             used.configs, first.fan, landmarks, learned.model if learned else None, poses
         )
@@ -206,6 +212,8 @@ def process(
         if learned is not None:
             table["model"] = learned.as_table()
         table["input"]["path"] = str(path)
+        if given.frames is not None:
+            table["input"]["frames"] = _told(span)
         folder = Path(out) / (name or log.name)
         if folder.resolve() == path.resolve():
             raise UsageError(f"{folder}: this is the log itself; choose another --out")
@@ -232,7 +240,7 @@ def process(
                 for result in recogniser.recognise(seen):
                     writer.write(result, stamps.popleft())
                     if observe is not None:
-                        observe(result, log.frame_count)
+                        observe(result, _count(log, span))
             except BaseException:  # Ctrl-C as well: keep what is there
                 if not writer.full:
                     for result in recogniser.waiting():
@@ -249,6 +257,27 @@ def process(
             notes.append(f"{path}: {'; '.join(doubts)}; look at {look}")
         passes, longest = _longest(folder, tracking)
         return Summary(folder, writer.frames, writer.candidates, problems, notes, passes, longest)
+
+
+def _within(log: Log, span: tuple[int, int | None]) -> Iterator[Frame]:
+    """The frames from the first number up to, not including, the second, if there is one."""
+    for frame in log:
+        if span[1] is not None and frame.index >= span[1]:
+            break
+        if frame.index >= span[0]:
+            yield frame
+
+
+def _told(span: tuple[int, int | None]) -> str:
+    return f"{span[0]}:{'' if span[1] is None else span[1]}"
+
+
+def _count(log: Log, span: tuple[int, int | None]) -> int | None:
+    """How many frames lie in the span, None where the log does not tell."""
+    if log.frame_count is None:
+        return None
+    end = log.frame_count if span[1] is None else min(span[1], log.frame_count)
+    return max(end - span[0], 0)
 
 
 def _noted(

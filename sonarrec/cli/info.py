@@ -25,7 +25,7 @@ from sonarrec.cli.options import (
     tell,
 )
 from sonarrec.cli.passes import YEAR_2000_NS
-from sonarrec.records import SonarrecError, UsageError
+from sonarrec.records import MissingError, SonarrecError, UsageError
 
 if TYPE_CHECKING:
     from sonarrec.readers.info import Channel, Container, Images, LogInfo
@@ -84,16 +84,17 @@ def info(
     if preview is not None:
         _check_preview(preview, log)
     tables: list[dict[str, Any]] = []
-    useless = faulty = 0
+    useless = missing = faulty = 0
     logs = find_logs(log)
     for number, path in enumerate(logs):
         try:
             with progress(quiet) as step:
                 found = describe(path, **reading, quick=quick, observe=step)
-        except UsageError:
-            raise
         except SonarrecError as error:
+            if isinstance(error, UsageError) and not isinstance(error, MissingError):
+                raise
             useless += 1
+            missing += isinstance(error, MissingError)
             tables.append({"path": path, "error": str(error)})
             tell([str(error)])
             continue
@@ -107,7 +108,7 @@ def info(
     if as_json:
         click.echo(json.dumps({"version": __version__, "logs": tables}, indent=2))
     if useless == len(logs):
-        leave(1)
+        leave(2 if missing == useless else 1)
     if useless or faulty:
         leave(PARTLY)
 

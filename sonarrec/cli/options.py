@@ -14,6 +14,7 @@ import click
 from sonarrec.records import Clock, UsageError
 
 FAILED = 1  # exit code: nothing could be used
+MISUSED = 2  # exit code: an option cannot be meant, or an input is not there
 PARTLY = 3  # exit code: finished, but part of the input could not be used
 FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 NEW_FILE = click.Path(dir_okay=False, path_type=Path)
@@ -231,6 +232,12 @@ landmarks_option = option(
     help="Landmark set: a built-in name or a TOML file.  "
     "[default: that of run.toml where one is read, else basin]",
 )
+
+
+def frames_option(text: str) -> Decorator:
+    """--frames; text: what becomes of these frames."""
+    text = f"{text} Either may be left out."
+    return option(INPUT, "--frames", metavar="A:B", help=text)
 
 
 def ground_truth_option(text: str, required: bool = False) -> Decorator:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from time import monotonic
@@ -18,11 +18,13 @@ from sonarrec.cli.options import (
     FILE,
     FOLDER,
     INPUT,
+    MISUSED,
     OUTPUT,
     PARTLY,
     LogChoice,
     SettingsChoice,
     command,
+    frames_option,
     landmarks_option,
     leave,
     log_options,
@@ -36,7 +38,7 @@ from sonarrec.cli.options import (
 )
 from sonarrec.cli.passes import as_json as told
 from sonarrec.cli.passes import table
-from sonarrec.records import FrameResult, SonarrecError, UsageError
+from sonarrec.records import FrameResult, MissingError, SonarrecError, UsageError, shown
 
 if TYPE_CHECKING:
     from sonarrec.pipeline import Summary
@@ -62,6 +64,7 @@ INTERRUPTED, TERMINATED = 130, 143
     metavar="TOPIC",
     help="Poses in the MCAP itself: nav_msgs/Odometry or geometry_msgs/PoseStamped.",
 )
+@frames_option("Recognise only these frames, from A up to, not including, B.")
 @option(
     INPUT,
     "--model",
@@ -87,6 +90,7 @@ def run(
     landmarks: str | None,
     odometry: Path | None,
     odometry_topic: str | None,
+    frames: str | None,
     model: Path | None,
     settings: SettingsChoice,
     out: Path,
@@ -115,11 +119,16 @@ def run(
     """
     from sonarrec.pipeline import Used, process, result_names
     from sonarrec.readers.find import find_logs
-    from sonarrec.results.run_file import Given
+    from sonarrec.results.run_file import Given, frame_span
 
     if odometry is not None and odometry_topic is not None:
         raise UsageError("--odometry and --odometry-topic: choose one of the two")
-    given = Given(**log_choice.arguments(), odometry=odometry, odometry_topic=odometry_topic)
+    given = Given(
+        **log_choice.arguments(),
+        odometry=odometry,
+        odometry_topic=odometry_topic,
+        frames=None if frames is None else frame_span(frames),
+    )
     used = Used(settings.configs(), landmarks, model, settings.file)
     logs = find_logs(log)
     names = result_names(logs)
@@ -146,7 +155,9 @@ def run(
         elif not quiet:
             _print(summary)
 
-    with _one_document(document, as_json), _stoppable(out):
+    missing = 0
+    folders = [out / name for name in names if name is not None]
+    with _one_document(document, as_json), _stoppable(folders):
         for i, (path, name) in enumerate(zip(logs, names, strict=True)):
             try:
                 one(i, path, name)
@@ -161,13 +172,14 @@ def run(
                     raise
                 tell([str(error)])
                 ended["failed"].append(path)
+                missing += isinstance(error, MissingError)
     failed = ended["failed"]
     if len(logs) > 1 and (failed or not quiet):
         counts = ", ".join(f"{len(paths)} {how}" for how, paths in ended.items() if paths)
         to_stderr = bool(failed) or as_json
         click.echo(counts + (f": {', '.join(failed)}" if failed else ""), err=to_stderr)
     if len(failed) == len(logs):
-        leave(FAILED)
+        leave(MISUSED if missing == len(failed) else FAILED)
     if failed or ended["in part"]:
         leave(PARTLY)
 
@@ -204,7 +216,7 @@ class _Terminated(KeyboardInterrupt):
 
 
 @contextmanager
-def _stoppable(out: Path) -> Iterator[None]:
+def _stoppable(folders: Sequence[Path]) -> Iterator[None]:
     """SIGTERM stops as Ctrl-C does: what is written stays whole, and a line says where it is."""
 
     def stop(*_: object) -> None:
@@ -214,9 +226,9 @@ def _stoppable(out: Path) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt as error:
-        from sonarrec.results.folders import PART
+        from sonarrec.results.folders import part_of
 
-        parts = ", ".join(str(p) for p in sorted(out.glob(f"*{PART}")))
+        parts = ", ".join(shown(part_of(f)) for f in folders if part_of(f).is_dir())
         kept = f"; the frames before are in {parts}" if parts else ""
         click.echo(f"sonarrec: stopped{kept}", err=True)
         leave(TERMINATED if isinstance(error, _Terminated) else INTERRUPTED)

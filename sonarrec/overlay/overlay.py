@@ -28,7 +28,7 @@ from sonarrec.overlay.foxglove_mcap import FoxgloveFile
 from sonarrec.overlay.video import ImageFolder, VideoFile
 from sonarrec.readers import open_log
 from sonarrec.readers.log import Log
-from sonarrec.records import Estimate, Fan, Frame, SonarrecError, UsageError
+from sonarrec.records import Estimate, Fan, Frame, MissingError, SonarrecError, UsageError
 from sonarrec.results.read import read_frames, read_log
 from sonarrec.results.run_file import Given, read_run
 from sonarrec.results.same_log import check_same_log, last_frame
@@ -181,7 +181,7 @@ def _open_targets(
 def _results_folder(path: Path, results: Path) -> Path:
     """The log's own folder of results. Raises SonarrecError where there is none."""
     if not path.exists() and not glob.has_magic(str(path)):
-        raise SonarrecError(f"{path}: no such file or folder")
+        raise MissingError(f"{path}: no such file or folder")
     if path.is_dir():
         name = path.resolve().name
     else:

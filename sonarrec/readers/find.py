@@ -13,7 +13,7 @@ from pathlib import Path
 from sonarrec.readers.images import IMAGE_SUFFIXES, ImageFiles, is_image, natural_order
 from sonarrec.readers.raw import RawLog
 from sonarrec.readers.video import VIDEO_SUFFIXES, VideoFrames
-from sonarrec.records import SonarrecError, shown
+from sonarrec.records import MissingError, SonarrecError, shown
 from sonarrec.sonar import Sonar, load_sonar
 
 SONAR_FILE = "sonar.toml"
@@ -125,7 +125,7 @@ def _found(path: Path) -> Source:
     elif path.is_symlink():
         raise SonarrecError(f"{shown(path)}: a link to a file that is not there")
     else:
-        raise SonarrecError(f"{shown(path)}: no such file or folder")
+        raise MissingError(f"{shown(path)}: no such file or folder")
     return Source(path, shown(name) or "log", files, _reader_of(files[0]), beside)
 
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from sonarrec.geometry import plane_position
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import BoolArray, Fan, FloatArray, IntArray, SonarrecError
+from sonarrec.records import BoolArray, Fan, FloatArray, IntArray, MissingError, SonarrecError
 from sonarrec.results.columns import (
     ESTIMATES_HEADER,
     FRAME_COLUMNS,
@@ -71,7 +71,7 @@ def find_logs(results: Path) -> list[Path]:
     if (results / "frames.csv").is_file():
         return [results]
     if not results.is_dir():
-        raise SonarrecError(f"{results}: no such results folder; `sonarrec run LOG` writes one")
+        raise MissingError(f"{results}: no such results folder; `sonarrec run LOG` writes one")
     logs = sorted(p.parent for p in results.glob("*/frames.csv"))
     finished = {part_of(log) for log in logs}  # beside these a stopped run's part tells nothing new
     logs = [log for log in logs if log not in finished]

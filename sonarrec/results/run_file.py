@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import Any
 from sonarrec import __version__, config
 from sonarrec.geometry import fan_for_image
 from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
-from sonarrec.records import Clock, Fan, SonarrecError
+from sonarrec.records import Clock, Fan, SonarrecError, UsageError
 from sonarrec.results.folders import TABLES
 from sonarrec.sonar import Sonar, sonar_from_table
 from sonarrec.toml import Count, checked, read_toml, types_of
@@ -74,6 +75,10 @@ class Held:
     notes: list[str] = field(default_factory=list)
 
 
+_OF_THE_END = ("frames_processed", "candidates", "problems")
+"""Keys of [input] that only a finished run has."""
+
+
 def held_results(folder: Path, table: dict[str, Any]) -> Held:
     """Hold the finished results in a folder against the run.toml of a run to come.
 
@@ -102,12 +107,28 @@ def held_results(folder: Path, table: dict[str, Any]) -> Held:
         )
     frames, candidates = source.get("frames_processed", 0), source.get("candidates", 0)
     alike = {k: v for k, v in there.items() if k != "finished"} | {
-        "input": {k: v for k, v in source.items() if k in mine} | {"path": mine["path"]}
+        "input": {k: v for k, v in source.items() if k not in _OF_THE_END} | {"path": mine["path"]}
     }
     if alike == coming:
         return Held(True, frames, candidates, source.get("problems", []))
     what = "the log has changed" if source.get("sha256") != mine["sha256"] else "other settings"
     return Held(notes=[f"{folder}: results from before are replaced ({what})"])
+
+
+def frame_span(text: str) -> tuple[int, int | None]:
+    """(first, one past the last or None) of "A:B", either of which may be left out.
+
+    Raises UsageError where the text is something else, or no frame can lie there.
+    """
+    match = re.fullmatch(r"([0-9]{0,18}):([0-9]{0,18})", text)
+    if match is None:
+        raise UsageError(f"--frames: expected A:B, two frame numbers, not {text[:60]!r}")
+    first, end = int(match[1] or 0), int(match[2]) if match[2] else None
+    if end is not None and end <= first:
+        raise UsageError(
+            f"--frames {text}: there is no frame from {first} up to, not including, {end}"
+        )
+    return first, end
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,6 +141,7 @@ class Given:
     time: Clock | None = None  # which of the log's times names a frame; default, its log time
     odometry: Path | None = None  # a table of the sonar's poses, see readers/poses_csv.py
     odometry_topic: str | None = None  # the topic of the log that has them, in place of a table
+    frames: tuple[int, int | None] | None = None  # only those from the first up to the second
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,6 +153,7 @@ class Input:
     sha256: str | None = None
     topic: str | None = None
     time: Clock | None = None
+    frames: str | None = None
     problems: tuple[str, ...] = ()
 
 
@@ -160,14 +183,18 @@ class RunFile:
     def lay_under(self, given: Given, *, same_log: bool) -> Given:
         """What is given, and where it says nothing the run's geometry.
 
-        same_log: the run's topic and time serve as well.
+        same_log: the run's topic, time and frames serve as well.
         """
         return replace(
             given,
             sonar=given.sonar if given.sonar_file else self.sonar().updated(given.sonar),
             topic=given.topic or (self.input.topic if same_log else None),
             time=given.time or (self.input.time if same_log else None),
+            frames=given.frames or (self._frames() if same_log else None),
         )
+
+    def _frames(self) -> tuple[int, int | None] | None:
+        return None if self.input.frames is None else frame_span(self.input.frames)
 
     def fan(self, given: Sonar | None = None) -> Fan | None:
         """The fan that pixel positions refer to; None where its scale and apex are not stated."""

@@ -700,7 +700,7 @@ def test_full_disk(target: str, count: int, work: Path) -> None:
 
 
 def test_no_such_log(work: Path) -> None:
-    told = sonarrec("overlay", "nowhere.mcap", "--mcap", "o.mcap", code=1)
+    told = sonarrec("overlay", "nowhere.mcap", "--mcap", "o.mcap", code=2)
     assert told.stderr == "sonarrec: nowhere.mcap: no such file or folder\n"
     assert not (work / "o.mcap").exists()
 
