@@ -23,7 +23,16 @@ from sonarrec.readers.plausible import Plausibility
 from sonarrec.readers.poses_csv import read_poses
 from sonarrec.recogniser.side_by_side import SideBySide
 from sonarrec.recogniser.stage3_features.model import ModelFile, model_from_table, read_model
-from sonarrec.records import Clock, Fan, Frame, FrameResult, SonarrecError, Stamps, UsageError
+from sonarrec.records import (
+    Clock,
+    Fan,
+    Frame,
+    FrameResult,
+    SonarrecError,
+    Stamps,
+    UsageError,
+    shown,
+)
 from sonarrec.results.folders import folder_names
 from sonarrec.results.run_file import Given, RunFile, held_results, read_run, run_table
 from sonarrec.results.sightings import Sighting, Sightings
@@ -188,7 +197,7 @@ def process(
     """
     path = Path(path)
     earlier = read_run(used.earlier_run)
-    same_log = earlier.input.name == path.stem
+    same_log = earlier.input.name == shown(path.stem)
     given = earlier.lay_under(given, same_log=same_log)
     landmarks = earlier.landmark_set(used.landmarks)
     learned = _model(used, earlier)
@@ -198,11 +207,11 @@ def process(
         frames = _within(log, span)
         first = next(frames, None)  # raises where there is no usable frame at all
         if first is None:
-            raise UsageError(f"{path}: no frame lies in --frames {_told(span)}")
+            raise UsageError(f"{shown(path)}: no frame lies in --frames {_told(span)}")
         recogniser = SideBySide(
             used.configs, first.fan, landmarks, learned.model if learned else None, poses
         )
-        source = (log.name, *log.digest_source())
+        source = (shown(log.name), *log.digest_source())
         methods, tracking = recogniser.methods, recogniser.tracking
         table = run_table(
             used.configs, methods, log.stated, first.fan, landmarks, source, log.reading()
@@ -211,12 +220,12 @@ def process(
             table["odometry"] = dict(poses.source)
         if learned is not None:
             table["model"] = learned.as_table()
-        table["input"]["path"] = str(path)
+        table["input"]["path"] = shown(path)
         if given.frames is not None:
             table["input"]["frames"] = _told(span)
         folder = Path(out) / (name or log.name)
         if folder.resolve() == path.resolve():
-            raise UsageError(f"{folder}: this is the log itself; choose another --out")
+            raise UsageError(f"{shown(folder)}: this is the log itself; choose another --out")
         if not overwrite:
             there = held_results(folder, table)
             if there.up_to_date:
@@ -253,8 +262,8 @@ def process(
         if not writer.candidates:
             doubts.append(_no_candidate(writer.frames, first.fan, landmarks))
         if doubts:
-            look = f"`sonarrec info {path} --preview FILE.png`, with the same geometry"
-            notes.append(f"{path}: {'; '.join(doubts)}; look at {look}")
+            look = f"`sonarrec info {shown(path)} --preview FILE.png`, with the same geometry"
+            notes.append(f"{shown(path)}: {'; '.join(doubts)}; look at {look}")
         passes, longest = _longest(folder, tracking)
         return Summary(folder, writer.frames, writer.candidates, problems, notes, passes, longest)
 

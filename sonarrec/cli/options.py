@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial, wraps
 from pathlib import Path
@@ -389,11 +389,12 @@ def progress(
 
 
 def tell(problems: Iterable[str], notes: Iterable[str] = ()) -> None:
-    """Notes and problems, a line each, on stderr."""
-    for note in notes:
-        click.echo(f"sonarrec: note: {note}", err=True)
-    for problem in problems:
-        click.echo(f"sonarrec: {problem}", err=True)
+    """Notes and problems, a line each, on stderr; where nobody can read it, nothing is lost."""
+    with suppress(OSError):
+        for note in notes:
+            click.echo(f"sonarrec: note: {note}", err=True)
+        for problem in problems:
+            click.echo(f"sonarrec: {problem}", err=True)
 
 
 def leave(code: int) -> NoReturn:

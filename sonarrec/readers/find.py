@@ -6,6 +6,7 @@ A further format is one module with a RawLog and one row in READERS.
 from __future__ import annotations
 
 import glob
+import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -126,7 +127,16 @@ def _found(path: Path) -> Source:
         raise SonarrecError(f"{shown(path)}: a link to a file that is not there")
     else:
         raise MissingError(f"{shown(path)}: no such file or folder")
-    return Source(path, shown(name) or "log", files, _reader_of(files[0]), beside)
+    return Source(path, _named(name), files, _reader_of(files[0]), beside)
+
+
+def _named(name: str) -> str:
+    """What results of a file or folder of this name are called, by a name that the disk takes."""
+    try:
+        os.fsencode(text := shown(name))
+    except UnicodeEncodeError:  # a locale without the letter: the bytes as they are
+        text = name
+    return "log" if text in ("", ".", "..") else text
 
 
 def _matches(pattern: Path) -> list[Path]:
