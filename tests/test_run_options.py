@@ -95,7 +95,9 @@ def test_an_input_that_is_not_there_is_exit_code_2_everywhere(tmp_path: Path, wo
 
 def test_verbose_is_a_line_for_each_log(tmp_path: Path) -> None:
     done = run_line("run", "-q", "-v", str(SAMPLE / "00000*.png"), "-o", str(tmp_path))
-    assert re.search(r": done, 10 frames in \d+\.\d s, \d+ candidates, \d+ passes", done.stderr)
+    assert re.search(
+        r" \(1 of 1\): done, 10 frames in \d+\.\d s, \d+ candidates, \d+ passes", done.stderr
+    )
     assert not done.stdout
     assert len(done.stderr.splitlines()) == 1
 
