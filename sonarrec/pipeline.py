@@ -23,7 +23,16 @@ from sonarrec.readers.plausible import Plausibility
 from sonarrec.readers.poses_csv import read_poses
 from sonarrec.recogniser.side_by_side import SideBySide
 from sonarrec.recogniser.stage3_features.model import ModelFile, model_from_table, read_model
-from sonarrec.records import Clock, Fan, Frame, FrameResult, SonarrecError, Stamps, UsageError
+from sonarrec.records import (
+    Clock,
+    Fan,
+    Frame,
+    FrameResult,
+    SonarrecError,
+    Stamps,
+    UsageError,
+    shown,
+)
 from sonarrec.results.folders import folder_names
 from sonarrec.results.run_file import Given, RunFile, held_results, read_run, run_table
 from sonarrec.results.sightings import Sighting, Sightings
@@ -85,6 +94,7 @@ def run(
     topic: str | None = None,
     time: Clock | None = None,
     odometry: str | Path | None = None,
+    frames: tuple[int, int | None] | None = None,
     overwrite: bool = False,
     observe: Observe | None = None,
 ) -> Summary:
@@ -96,9 +106,10 @@ def run(
     files, such as {"tilt_deg": 20.0} (keys and units of sonar.toml: m, deg). sonar_file: in place
     of the sonar.toml beside the log. topic: the image channel of an MCAP. time: which time of an
     MCAP's messages names a frame, "log" (default), "publish" or "header". odometry: CSV of the
-    sonar's poses. overwrite: do again what is up to date, and replace the results of another log of
-    that name. observe: called after each frame with its FrameResult and the number of frames
-    (None where unknown).
+    sonar's poses. frames: only those from the first number up to, not including, the second, if
+    there is one; they keep their numbers. overwrite: do again what is up to date, and replace the
+    results of another log of that name. observe: called after each frame with its FrameResult and
+    the number of frames (None where unknown).
 
     Raises SonarrecError for input or settings that cannot be used; what was written stays.
     """
@@ -108,6 +119,7 @@ def run(
         topic=topic,
         time=time,
         odometry=_path(odometry),
+        frames=frames,
     )
     used = Used(_configs(preset), landmarks, _path(model))
     return process(log, out, given, used, observe, overwrite=overwrite)
@@ -185,18 +197,21 @@ def process(
     """
     path = Path(path)
     earlier = read_run(used.earlier_run)
-    same_log = earlier.input.name == path.stem
+    same_log = earlier.input.name == shown(path.stem)
     given = earlier.lay_under(given, same_log=same_log)
     landmarks = earlier.landmark_set(used.landmarks)
     learned = _model(used, earlier)
     poses, notes = _poses(path, given, earlier if same_log else read_run(None))
     with _opened(path, given) as log:
-        frames = iter(log)
-        first = next(frames)  # raises where there is no usable frame
+        span = given.frames or (0, None)
+        frames = _within(log, span)
+        first = next(frames, None)  # raises where there is no usable frame at all
+        if first is None:
+            raise UsageError(f"{shown(path)}: no frame lies in --frames {_told(span)}")
         recogniser = SideBySide(
             used.configs, first.fan, landmarks, learned.model if learned else None, poses
         )
-        source = (log.name, *log.digest_source())
+        source = (shown(log.name), *log.digest_source())
         methods, tracking = recogniser.methods, recogniser.tracking
         table = run_table(
             used.configs, methods, log.stated, first.fan, landmarks, source, log.reading()
@@ -205,8 +220,12 @@ def process(
             table["odometry"] = dict(poses.source)
         if learned is not None:
             table["model"] = learned.as_table()
-        table["input"]["path"] = str(path)
+        table["input"]["path"] = shown(path)
+        if given.frames is not None:
+            table["input"]["frames"] = _told(span)
         folder = Path(out) / (name or log.name)
+        if folder.resolve() == path.resolve():
+            raise UsageError(f"{shown(folder)}: this is the log itself; choose another --out")
         if not overwrite:
             there = held_results(folder, table)
             if there.up_to_date:
@@ -230,7 +249,7 @@ def process(
                 for result in recogniser.recognise(seen):
                     writer.write(result, stamps.popleft())
                     if observe is not None:
-                        observe(result, log.frame_count)
+                        observe(result, _count(log, span))
             except BaseException:  # Ctrl-C as well: keep what is there
                 if not writer.full:
                     for result in recogniser.waiting():
@@ -243,10 +262,31 @@ def process(
         if not writer.candidates:
             doubts.append(_no_candidate(writer.frames, first.fan, landmarks))
         if doubts:
-            look = f"`sonarrec info {path} --preview FILE.png`, with the same geometry"
-            notes.append(f"{path}: {'; '.join(doubts)}; look at {look}")
+            look = f"`sonarrec info {shown(path)} --preview FILE.png`, with the same geometry"
+            notes.append(f"{shown(path)}: {'; '.join(doubts)}; look at {look}")
         passes, longest = _longest(folder, tracking)
         return Summary(folder, writer.frames, writer.candidates, problems, notes, passes, longest)
+
+
+def _within(log: Log, span: tuple[int, int | None]) -> Iterator[Frame]:
+    """The frames from the first number up to, not including, the second, if there is one."""
+    for frame in log:
+        if span[1] is not None and frame.index >= span[1]:
+            break
+        if frame.index >= span[0]:
+            yield frame
+
+
+def _told(span: tuple[int, int | None]) -> str:
+    return f"{span[0]}:{'' if span[1] is None else span[1]}"
+
+
+def _count(log: Log, span: tuple[int, int | None]) -> int | None:
+    """How many frames lie in the span, None where the log does not tell."""
+    if log.frame_count is None:
+        return None
+    end = log.frame_count if span[1] is None else min(span[1], log.frame_count)
+    return max(end - span[0], 0)
 
 
 def _noted(

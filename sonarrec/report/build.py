@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.evaluation.evaluate import Evaluation, evaluate, evaluate_pairs, read_pairs
+from sonarrec.outputs import check_output
 from sonarrec.records import SonarrecError
 from sonarrec.report import frames
 from sonarrec.report.logs import ReportedLog, Seen, read_logs, seen, told_false
@@ -60,6 +61,7 @@ def write_report(
     `logs.read_logs`.
     Raises SonarrecError where files cannot be used, read or written.
     """
+    check_output(path, "report", [ground_truth, pairs, *recordings])
     sonar = sonar or Sonar()
     scoring = {
         "min_visible": min_visible,

@@ -12,7 +12,16 @@ import numpy.typing as npt
 
 from sonarrec.geometry import plane_position
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import BoolArray, Fan, FloatArray, IntArray, SonarrecError
+from sonarrec.records import (
+    BoolArray,
+    Fan,
+    FloatArray,
+    IntArray,
+    MissingError,
+    SonarrecError,
+    printable,
+    shown,
+)
 from sonarrec.results.columns import (
     ESTIMATES_HEADER,
     FRAME_COLUMNS,
@@ -71,7 +80,7 @@ def find_logs(results: Path) -> list[Path]:
     if (results / "frames.csv").is_file():
         return [results]
     if not results.is_dir():
-        raise SonarrecError(f"{results}: no such results folder; `sonarrec run LOG` writes one")
+        raise MissingError(f"{results}: no such results folder; `sonarrec run LOG` writes one")
     logs = sorted(p.parent for p in results.glob("*/frames.csv"))
     finished = {part_of(log) for log in logs}  # beside these a stopped run's part tells nothing new
     logs = [log for log in logs if log not in finished]
@@ -109,7 +118,7 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
     pair = position_pair(path, table)
     position = None if pair is None else plane_position(pair, fan)
     listed = np.isin(table["frame"], frame)
-    names = [str(name) for name in table["method"].categories]
+    names = [printable(str(name)) for name in table["method"].categories]
     # A method of a run of ours that found nothing at all is scored as well.
     expected = METHODS if run.methods is None else run.methods
     methods = [m for m in expected if m in names or run.table]
@@ -118,7 +127,7 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
     ids = np.asarray(landmark_set.ids)
     by_id = np.argsort(ids)
     return LogResults(
-        name=folder.resolve().name,
+        name=shown(folder.resolve().name),
         landmarks=landmark_set,
         fan=fan,
         frame=frame,

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import json
+import platform
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from importlib.metadata import version
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+
 from sonarrec import __version__, config
 from sonarrec.geometry import fan_for_image
 from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
-from sonarrec.records import Clock, Fan, SonarrecError
+from sonarrec.records import Clock, Fan, SonarrecError, UsageError
 from sonarrec.results.folders import TABLES
 from sonarrec.sonar import Sonar, sonar_from_table
 from sonarrec.toml import Count, checked, read_toml, types_of
@@ -60,6 +65,20 @@ def run_table(
             **({} if fan.height_m is None else {"height_m": fan.height_m}),
         },
         "landmarks": landmarks.as_table(),
+        "ran_on": _ran_on(),
+    }
+
+
+def _ran_on() -> dict[str, str]:
+    """What the last digits depend on: the arithmetic's libraries and the processor's instructions.
+
+    numpy's exp and log round otherwise with AVX-512 than without.
+    """
+    instructions = np.show_config(mode="dicts")["SIMD Extensions"]["found"]
+    return {
+        "processor": " ".join([platform.machine(), *instructions]),
+        "numpy": np.__version__,
+        "opencv": version("opencv-python-headless"),
     }
 
 
@@ -74,13 +93,24 @@ class Held:
     notes: list[str] = field(default_factory=list)
 
 
+_OF_THE_END = ("frames_processed", "candidates", "problems")
+"""Keys of [input] that only a finished run has."""
+
+
 def held_results(folder: Path, table: dict[str, Any]) -> Held:
     """Hold the finished results in a folder against the run.toml of a run to come.
 
-    Raises SonarrecError where they are of another log: of another path and another SHA-256.
+    Raises SonarrecError where they are of another log, of another path and another SHA-256, or
+    not of this program.
     """
     path = folder / "run.toml"
-    if not all((folder / name).is_file() for name in ("run.toml", *TABLES)):
+    there_are = [name for name in ("run.toml", *TABLES) if (folder / name).is_file()]
+    if there_are and not path.is_file():
+        raise SonarrecError(
+            f"{folder}: holds {there_are[0]}, and no run.toml says that sonarrec wrote it; choose "
+            "another --out, or give --overwrite"
+        )
+    if len(there_are) <= len(TABLES):
         return Held()
     there = read_toml(path)
     source = there.get("input")
@@ -94,13 +124,30 @@ def held_results(folder: Path, table: dict[str, Any]) -> Held:
             "--out, or give --overwrite"
         )
     frames, candidates = source.get("frames_processed", 0), source.get("candidates", 0)
-    alike = {k: v for k, v in there.items() if k != "finished"} | {
-        "input": {k: v for k, v in source.items() if k in mine} | {"path": mine["path"]}
+    coming.pop("ran_on")
+    alike = {k: v for k, v in there.items() if k not in ("finished", "ran_on")} | {
+        "input": {k: v for k, v in source.items() if k not in _OF_THE_END} | {"path": mine["path"]}
     }
     if alike == coming:
         return Held(True, frames, candidates, source.get("problems", []))
     what = "the log has changed" if source.get("sha256") != mine["sha256"] else "other settings"
     return Held(notes=[f"{folder}: results from before are replaced ({what})"])
+
+
+def frame_span(text: str) -> tuple[int, int | None]:
+    """(first, one past the last or None) of "A:B", either of which may be left out.
+
+    Raises UsageError where the text is something else, or no frame can lie there.
+    """
+    match = re.fullmatch(r"([0-9]{0,18}):([0-9]{0,18})", text)
+    if match is None:
+        raise UsageError(f"--frames: expected A:B, two frame numbers, not {text[:60]!r}")
+    first, end = int(match[1] or 0), int(match[2]) if match[2] else None
+    if end is not None and end <= first:
+        raise UsageError(
+            f"--frames {text}: there is no frame from {first} up to, not including, {end}"
+        )
+    return first, end
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,6 +160,7 @@ class Given:
     time: Clock | None = None  # which of the log's times names a frame; default, its log time
     odometry: Path | None = None  # a table of the sonar's poses, see readers/poses_csv.py
     odometry_topic: str | None = None  # the topic of the log that has them, in place of a table
+    frames: tuple[int, int | None] | None = None  # only those from the first up to the second
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +172,7 @@ class Input:
     sha256: str | None = None
     topic: str | None = None
     time: Clock | None = None
+    frames: str | None = None
     problems: tuple[str, ...] = ()
 
 
@@ -153,14 +202,18 @@ class RunFile:
     def lay_under(self, given: Given, *, same_log: bool) -> Given:
         """What is given, and where it says nothing the run's geometry.
 
-        same_log: the run's topic and time serve as well.
+        same_log: the run's topic, time and frames serve as well.
         """
         return replace(
             given,
             sonar=given.sonar if given.sonar_file else self.sonar().updated(given.sonar),
             topic=given.topic or (self.input.topic if same_log else None),
             time=given.time or (self.input.time if same_log else None),
+            frames=given.frames or (self._frames() if same_log else None),
         )
+
+    def _frames(self) -> tuple[int, int | None] | None:
+        return None if self.input.frames is None else frame_span(self.input.frames)
 
     def fan(self, given: Sonar | None = None) -> Fan | None:
         """The fan that pixel positions refer to; None where its scale and apex are not stated."""

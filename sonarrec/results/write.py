@@ -15,7 +15,7 @@ from typing import Any, Self
 import tomli_w
 
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import NO_STAMPS, FrameResult, SonarrecError, Stamps
+from sonarrec.records import NO_STAMPS, FrameResult, SonarrecError, Stamps, shown
 from sonarrec.results.columns import FRAME_COLUMNS, SIGHTING_COLUMNS, estimate_columns
 from sonarrec.results.folders import exchange, lock, part_of, release, restore
 from sonarrec.results.sightings import Sighting, Sightings
@@ -25,9 +25,11 @@ class _Table:
     """A CSV file that holds whole frames at any moment, also where the process is killed."""
 
     def __init__(self, path: Path, header: Sequence[str]) -> None:
-        self._file = path.open("wb", buffering=0)
+        new = path.with_name(f".{path.name}.new")
+        self._file = new.open("wb", buffering=0)
         self._size = 0
         self.append([header])
+        new.rename(path)  # where it stands it has a header
 
     def append(self, rows: Iterable[Sequence[object]]) -> None:
         """Add the rows of a frame, all or none. Raises OSError where the disk takes no more."""
@@ -107,7 +109,8 @@ class ResultsWriter:
 
     def _unwritable(self, error: OSError) -> SonarrecError:
         return SonarrecError(
-            f"{self._folder}: cannot write results here ({error.strerror}); choose another --out"
+            f"{shown(self._folder)}: cannot write results here ({error.strerror}); "
+            "choose another --out"
         )
 
     def write(self, result: FrameResult, stamps: Stamps = NO_STAMPS) -> None:
@@ -144,7 +147,7 @@ class ResultsWriter:
         """
         self._run["input"]["frames_processed"] = self.frames
         self._run["input"]["candidates"] = self.candidates
-        self._run["input"]["problems"] = list(problems)
+        self._run["input"]["problems"] = [shown(problem) for problem in problems]
         try:
             self._seen(self._gathered.rest())
             self._sightings.close(sync=True)
@@ -158,7 +161,7 @@ class ResultsWriter:
     def _fault(self, error: OSError) -> SonarrecError:
         self.full = True
         return SonarrecError(
-            f"{self._part}: cannot write results ({error.strerror}); it holds the "
+            f"{shown(self._part)}: cannot write results ({error.strerror}); it holds the "
             f"{self.frames} frames before"
         )
 

@@ -12,7 +12,8 @@ import tomllib
 from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -24,11 +25,12 @@ from hypothesis import strategies as st
 from sonarrec.cli import main
 from sonarrec.drawing import landmark_colours
 from sonarrec.evaluation.evaluate import evaluate
+from sonarrec.evaluation.reliability import Reliability
 from sonarrec.evaluation.scoring import PROTOCOLS, score
 from sonarrec.evaluation.summary import summarise
 from sonarrec.landmarks import load_landmarks
 from sonarrec.report import charts, frames
-from sonarrec.report.logs import ReportedLog, alongside, read_logs, seen, tracks
+from sonarrec.report.logs import ReportedLog, Track, alongside, read_logs, seen, tracks
 from sonarrec.report.mistakes import episodes, told
 from sonarrec.report.page import darkened, settings_tables
 from sonarrec.sonar import Sonar
@@ -757,6 +759,43 @@ def test_lines_break_where_nothing_was_seen() -> None:
         [(1500, 500), (1500, 500)],
     ]
     assert charts.polyline(x, np.full(5, np.nan)) == ""
+
+
+def test_no_line_through_a_step_of_few_estimates() -> None:
+    """Nor through an empty one; its dot is hollow, and what it tells says so."""
+    count = np.array([0, 9, 10, 400, 3, 12, 15, 0, 11, 1])
+    mean = np.where(count, np.arange(10) / 10 + 0.05, np.nan)
+    right = np.where(count, 0.5, np.nan)
+    chart = charts.reliability(Reliability("mine", "top", count, mean, right), 0)
+    (line,) = [s.path for s in chart.shapes if s.label == "mine"]
+    columns = [[x for x, _ in part] for part in drawn_points(line)]
+    assert columns == [[500, 700], [1100, 1300], [1700, 1700]]
+    hollow = [dot.x for dot in chart.dots if dot.kind == "few"]
+    assert hollow == pytest.approx([15, 45, 95])
+    assert all(("too few" in d.label) == (d.kind == "few") for d in chart.dots)
+    assert len(chart.dots) == 8
+
+
+def test_a_track_never_declared_is_seen_though_its_score_is_nothing() -> None:
+    """Grey where it was followed; above it, where the score is worth a bar, in the ID's colour."""
+    log = SimpleNamespace(
+        time=np.arange(10.0),
+        truth_near=None,
+        results=SimpleNamespace(
+            landmark=np.array([0, 0, 1, 1]),
+            score=np.array([0.0, 0.0, 0.4, 0.0]),
+            landmarks=SimpleNamespace(ids=(1, 2)),
+        ),
+    )
+    track = Track(7, np.arange(4), np.array([2, 3, 4, 5]))
+    (lane,) = charts.silent_lanes(cast(ReportedLog, log), [track])
+    followed, first, second = (painted(shape.path) for shape in lane.chart.shapes)
+    assert (followed[400:1200] == 150).all()
+    assert not followed[:400].any()
+    assert not followed[1200:].any()
+    assert not first.any()
+    assert (second[800:1000] == 400).all()
+    assert np.count_nonzero(second) == 200
 
 
 def painted(path: str) -> np.ndarray:

@@ -11,8 +11,11 @@ import subprocess
 import sys
 import time
 import tomllib
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -20,9 +23,11 @@ from hypothesis import strategies as st
 from sonarrec.records import UsageError
 from sonarrec.results.folders import exchange, folder_names, part_of, restore
 from sonarrec.results.read import find_logs
+from sonarrec.results.sightings_file import read_sightings, sightings_in
 
 SAMPLE = Path(__file__).parents[2] / "sample_data" / "pan"
 FRAMES = 40
+MOMENTS = 40
 
 
 def sonarrec(*words: str | Path, code: int = 0) -> subprocess.CompletedProcess[str]:
@@ -205,26 +210,61 @@ def test_results_that_wait_to_be_revised_are_kept(log: Path, tmp_path: Path, num
     assert 4 < len(kept) < 200
 
 
-def test_killed_at_any_moment_nothing_is_lost(log: Path, tmp_path: Path) -> None:
-    """At moments spread over the whole run, its start and its end."""
-    out = tmp_path / "out"
-    short = shorter(log, tmp_path / "dive", 12)
-    sonarrec("run", "-q", short, "-o", out)
-    whole = {n: (out / "dive" / n).read_bytes() for n in ("frames.csv", "estimates.csv")}
-    begun = time.monotonic()
-    sonarrec("run", "-q", short, "-o", out, "--overwrite")
-    seconds = time.monotonic() - begun
-    for moment in range(8):
-        process = subprocess.Popen(command("run", "-q", short, "-o", out, "--overwrite"))
-        time.sleep(seconds * (moment + 4) / 12)
-        process.kill()
+TABLES = ("frames.csv", "estimates.csv", "sightings.csv")
+
+
+def held(folder: Path) -> list[bytes]:
+    return [(folder / name).read_bytes() for name in TABLES]
+
+
+def test_stopped_at_forty_random_moments_nothing_is_lost(log: Path, tmp_path: Path) -> None:
+    """By three signals, from the program's start to its end; after each the folder is one of the
+    two results, whole, and the part is readable to its last whole frame."""
+    out, short = tmp_path / "out", shorter(log, tmp_path / "dive", 12)
+    words = [
+        command("run", "-q", short, "-o", out, "--overwrite", "--seed", seed) for seed in ("0", "1")
+    ]
+    whole = []
+    for one in words:
+        begun = time.monotonic()
+        assert subprocess.run(one).returncode == 0
+        seconds = time.monotonic() - begun
+        whole.append(held(out / "dive"))
+    assert whole[0] != whole[1]
+    rng = np.random.default_rng(0)
+    parts = finished_runs = 0
+    signals = [signal.SIGKILL, signal.SIGTERM, signal.SIGINT]
+    for moment, number in zip(
+        rng.uniform(0, 1.1 * seconds, MOMENTS), rng.choice(signals, MOMENTS), strict=True
+    ):
+        before = whole.index(held(out / "dive"))
+        process = subprocess.Popen(words[1 - before], stderr=subprocess.DEVNULL)
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(timeout=moment)
+        process.send_signal(number)
         process.wait()
         restore(out / "dive")  # as the next run does
         assert finished(out / "dive")
-        assert {n: (out / "dive" / n).read_bytes() for n in whole} == whole
+        now = whole.index(held(out / "dive"))  # raises where it is neither
+        finished_runs += now != before
         part = part_of(out / "dive")
-        if (part / "estimates.csv").is_file() and (part / "frames.csv").is_file():
-            frames(part)
+        if (part / "sightings.csv").is_file():
+            parts += 1
+            assert_readable(part)
+    assert parts > MOMENTS / 8
+    assert finished_runs < MOMENTS
+
+
+def assert_readable(part: Path) -> None:
+    """All three tables of a part: whole rows, and what the first frames of the log give."""
+    listed = frames(part)
+    assert listed == list(range(len(listed)))
+    rows = (part / "sightings.csv").read_text()
+    assert rows.endswith("\n")
+    passes = list(read_sightings(part)) if listed else []
+    assert all(s.last_frame < len(listed) for s in passes)
+    for written in sightings_in(part / "sightings.csv"):
+        assert written.last_frame <= len(listed)
 
 
 @pytest.mark.parametrize("size", [100, 6_000, 15_000])
@@ -251,6 +291,45 @@ def test_a_full_disk_is_one_line_and_costs_no_frame(log: Path, tmp_path: Path, s
     if size > 10_000:
         assert f"{part}: " in line
         assert 0 < len(frames(part)) < FRAMES
+        assert f"the {len(frames(part))} frames before" in line
+        assert not finished(part)
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Callable[[int], Path]]:
+    """Mounts a file system of so many bytes; skips where this user may not."""
+    folder = tmp_path / "small"
+    folder.mkdir()
+    mounted = []
+
+    def mount(size: int) -> Path:
+        words = ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(folder)]
+        if shutil.which("mount") is None or subprocess.run(words, capture_output=True).returncode:
+            pytest.skip("this user may mount no file system")
+        mounted.append(folder)
+        return folder
+
+    yield mount
+    for one in mounted:
+        subprocess.run(["umount", str(one)], check=True)
+
+
+@pytest.mark.parametrize("pages", [8, 10, 12, 16])
+def test_a_full_file_system_is_one_line_and_costs_no_frame(
+    log: Path, tmp_path: Path, small_disk: Callable[[int], Path], pages: int
+) -> None:
+    out = small_disk(4096 * pages)
+    sonarrec("run", "-q", shorter(log, tmp_path / "dive"), "-o", out)
+    old = held(out / "dive")
+    done = sonarrec("run", "-q", log, "-o", out, "--overwrite", code=1)
+    [line] = done.stderr.splitlines()
+    assert "cannot write results" in line
+    assert "No space left on device" in line
+    assert held(out / "dive") == old
+    assert finished(out / "dive")
+    part = part_of(out / "dive")
+    if part.exists():
+        assert_readable(part)
         assert f"the {len(frames(part))} frames before" in line
         assert not finished(part)
 

@@ -157,6 +157,8 @@ def test_the_place_on_the_floor_is_the_same_from_wherever_it_is_seen() -> None:
         frames[n] = [claim(range_m=away, bearing_deg=(bearing + 180) % 360 - 180)]
     [s] = gathered(frames, Sightings(fan, table))
     assert (s.x_m, s.y_m) == pytest.approx(mark)
+    [s] = gathered(frames, Sightings(fan, replace(table, axes="ahead, left")))  # as ROS has them
+    assert (s.x_m, s.y_m) == pytest.approx((mark[1], -mark[0]))
     [unknown] = gathered({9: [claim()]}, Sightings(fan, table))
     assert math.isnan(unknown.x_m)
 
