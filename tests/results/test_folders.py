@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import csv
 import os
 import resource
 import shutil
 import signal
 import subprocess
-import sys
 import time
-import tomllib
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from pathlib import Path
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -23,21 +18,16 @@ from hypothesis import strategies as st
 from sonarrec.records import UsageError
 from sonarrec.results.folders import exchange, folder_names, part_of, restore
 from sonarrec.results.read import find_logs
-from sonarrec.results.sightings_file import read_sightings, sightings_in
+from tests.support.kills import assert_readable, command, finished, frames, held, stop_at_random
 
 SAMPLE = Path(__file__).parents[2] / "sample_data" / "pan"
 FRAMES = 40
-MOMENTS = 40
 
 
 def sonarrec(*words: str | Path, code: int = 0) -> subprocess.CompletedProcess[str]:
     done = subprocess.run(command(*words), capture_output=True, text=True)
     assert done.returncode == code, done.stdout + done.stderr
     return done
-
-
-def command(*words: str | Path) -> list[str]:
-    return [sys.executable, "-m", "sonarrec", *map(str, words)]
 
 
 @pytest.fixture(scope="module")
@@ -58,23 +48,6 @@ def shorter(log: Path, to: Path, frames: int = 3) -> Path:
     for i in range(frames):
         shutil.copy(log / f"{i:06d}.png", to)
     return to
-
-
-def frames(folder: Path) -> list[int]:
-    """The frames of both tables, whole ones only; fails where a row is torn."""
-    tables = {}
-    for name in ("frames.csv", "estimates.csv"):
-        text = (folder / name).read_text()
-        assert text.endswith("\n"), f"{name} is torn"
-        rows = list(csv.reader(text.splitlines()))
-        assert {len(r) for r in rows} == {len(rows[0])}, f"{name} has rows of unequal length"
-        tables[name] = [int(r[0]) for r in rows[1:]]
-    assert set(tables["estimates.csv"]) <= {*tables["frames.csv"], len(tables["frames.csv"])}
-    return tables["frames.csv"]
-
-
-def finished(folder: Path) -> bool:
-    return bool(tomllib.loads((folder / "run.toml").read_text())["finished"])
 
 
 paths = st.lists(
@@ -210,61 +183,11 @@ def test_results_that_wait_to_be_revised_are_kept(log: Path, tmp_path: Path, num
     assert 4 < len(kept) < 200
 
 
-TABLES = ("frames.csv", "estimates.csv", "sightings.csv")
-
-
-def held(folder: Path) -> list[bytes]:
-    return [(folder / name).read_bytes() for name in TABLES]
-
-
-def test_stopped_at_forty_random_moments_nothing_is_lost(log: Path, tmp_path: Path) -> None:
-    """By three signals, from the program's start to its end; after each the folder is one of the
-    two results, whole, and the part is readable to its last whole frame."""
-    out, short = tmp_path / "out", shorter(log, tmp_path / "dive", 12)
-    words = [
-        command("run", "-q", short, "-o", out, "--overwrite", "--seed", seed) for seed in ("0", "1")
-    ]
-    whole = []
-    for one in words:
-        begun = time.monotonic()
-        assert subprocess.run(one).returncode == 0
-        seconds = time.monotonic() - begun
-        whole.append(held(out / "dive"))
-    assert whole[0] != whole[1]
-    rng = np.random.default_rng(0)
-    parts = finished_runs = 0
-    signals = [signal.SIGKILL, signal.SIGTERM, signal.SIGINT]
-    for moment, number in zip(
-        rng.uniform(0, 1.1 * seconds, MOMENTS), rng.choice(signals, MOMENTS), strict=True
-    ):
-        before = whole.index(held(out / "dive"))
-        process = subprocess.Popen(words[1 - before], stderr=subprocess.DEVNULL)
-        with suppress(subprocess.TimeoutExpired):
-            process.wait(timeout=moment)
-        process.send_signal(number)
-        process.wait()
-        restore(out / "dive")  # as the next run does
-        assert finished(out / "dive")
-        now = whole.index(held(out / "dive"))  # raises where it is neither
-        finished_runs += now != before
-        part = part_of(out / "dive")
-        if (part / "sightings.csv").is_file():
-            parts += 1
-            assert_readable(part)
-    assert parts > MOMENTS / 8
-    assert finished_runs < MOMENTS
-
-
-def assert_readable(part: Path) -> None:
-    """All three tables of a part: whole rows, and what the first frames of the log give."""
-    listed = frames(part)
-    assert listed == list(range(len(listed)))
-    rows = (part / "sightings.csv").read_text()
-    assert rows.endswith("\n")
-    passes = list(read_sightings(part)) if listed else []
-    assert all(s.last_frame < len(listed) for s in passes)
-    for written in sightings_in(part / "sightings.csv"):
-        assert written.last_frame <= len(listed)
+def test_stopped_at_random_moments_nothing_is_lost(log: Path, tmp_path: Path) -> None:
+    """Twelve of the forty of `make kills`."""
+    parts, finished_runs = stop_at_random(log, tmp_path / "out", 12)
+    assert parts
+    assert finished_runs < 12
 
 
 @pytest.mark.parametrize("size", [100, 6_000, 15_000])
