@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from heapq import nlargest
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -22,10 +23,20 @@ from sonarrec.readers.plausible import Plausibility
 from sonarrec.readers.poses_csv import read_poses
 from sonarrec.recogniser.side_by_side import SideBySide
 from sonarrec.recogniser.stage3_features.model import ModelFile, model_from_table, read_model
-from sonarrec.records import Clock, Fan, Frame, FrameResult, SonarrecError, Stamps, UsageError
+from sonarrec.records import (
+    Clock,
+    Fan,
+    Frame,
+    FrameResult,
+    SonarrecError,
+    Stamps,
+    UsageError,
+    shown,
+)
 from sonarrec.results.folders import folder_names
 from sonarrec.results.run_file import Given, RunFile, held_results, read_run, run_table
-from sonarrec.results.sightings import Sightings
+from sonarrec.results.sightings import Sighting, Sightings
+from sonarrec.results.sightings_file import sightings_in
 from sonarrec.results.write import ResultsWriter
 from sonarrec.sonar import Sonar, sonar_from
 
@@ -46,20 +57,28 @@ class Used:
     # file of settings has nothing that does, and changes nothing
 
 
+MOST_SIGHTINGS = 20
+"""Kept of each method in a Summary; sightings.csv has all."""
+
+
 @dataclass(frozen=True, slots=True)
 class Summary:
     """What became of one log.
 
     folder: where the results are. frames: how many were processed. problems: what could not be
-    used, a line each. notes: what is stated against the log's own messages. sightings: what was
-    declared, in lines to print. up_to_date: these very results were there, so nothing was done.
+    used, a line each. notes: what is stated against the log's own messages. candidates: over all
+    frames. passes: how many sightings.csv has of each method that follows objects. sightings: of
+    each of these the MOST_SIGHTINGS declared in the most frames, in order of first sight.
+    up_to_date: these very results were there, so nothing was done.
     """
 
     folder: Path
     frames: int
+    candidates: int
     problems: list[str]
     notes: list[str]
-    sightings: list[str]
+    passes: dict[str, int]
+    sightings: list[Sighting]
     up_to_date: bool = False
 
 
@@ -75,6 +94,7 @@ def run(
     topic: str | None = None,
     time: Clock | None = None,
     odometry: str | Path | None = None,
+    frames: tuple[int, int | None] | None = None,
     overwrite: bool = False,
     observe: Observe | None = None,
 ) -> Summary:
@@ -86,9 +106,10 @@ def run(
     files, such as {"tilt_deg": 20.0} (keys and units of sonar.toml: m, deg). sonar_file: in place
     of the sonar.toml beside the log. topic: the image channel of an MCAP. time: which time of an
     MCAP's messages names a frame, "log" (default), "publish" or "header". odometry: CSV of the
-    sonar's poses. overwrite: do again what is up to date, and replace the results of another log of
-    that name. observe: called after each frame with its FrameResult and the number of frames
-    (None where unknown).
+    sonar's poses. frames: only those from the first number up to, not including, the second, if
+    there is one; they keep their numbers. overwrite: do again what is up to date, and replace the
+    results of another log of that name. observe: called after each frame with its FrameResult and
+    the number of frames (None where unknown).
 
     Raises SonarrecError for input or settings that cannot be used; what was written stays.
     """
@@ -98,6 +119,7 @@ def run(
         topic=topic,
         time=time,
         odometry=_path(odometry),
+        frames=frames,
     )
     used = Used(_configs(preset), landmarks, _path(model))
     return process(log, out, given, used, observe, overwrite=overwrite)
@@ -175,19 +197,22 @@ def process(
     """
     path = Path(path)
     earlier = read_run(used.earlier_run)
-    same_log = earlier.input.name == path.stem
+    same_log = earlier.input.name == shown(path.stem)
     given = earlier.lay_under(given, same_log=same_log)
     landmarks = earlier.landmark_set(used.landmarks)
     learned = _model(used, earlier)
     poses, notes = _poses(path, given, earlier if same_log else read_run(None))
     with _opened(path, given) as log:
-        frames = iter(log)
-        first = next(frames)  # raises where there is no usable frame
+        span = given.frames or (0, None)
+        frames = _within(log, span)
+        first = next(frames, None)  # raises where there is no usable frame at all
+        if first is None:
+            raise UsageError(f"{shown(path)}: no frame lies in --frames {_told(span)}")
         recogniser = SideBySide(
             used.configs, first.fan, landmarks, learned.model if learned else None, poses
         )
-        source = (log.name, *log.digest_source())
-        methods = recogniser.methods
+        source = (shown(log.name), *log.digest_source())
+        methods, tracking = recogniser.methods, recogniser.tracking
         table = run_table(
             used.configs, methods, log.stated, first.fan, landmarks, source, log.reading()
         )
@@ -195,49 +220,83 @@ def process(
             table["odometry"] = dict(poses.source)
         if learned is not None:
             table["model"] = learned.as_table()
-        table["input"]["path"] = str(path)
+        table["input"]["path"] = shown(path)
+        if given.frames is not None:
+            table["input"]["frames"] = _told(span)
         folder = Path(out) / (name or log.name)
+        if folder.resolve() == path.resolve():
+            raise UsageError(f"{shown(folder)}: this is the log itself; choose another --out")
         if not overwrite:
             there = held_results(folder, table)
             if there.up_to_date:
-                return Summary(folder, there.frames, there.problems, [], [], up_to_date=True)
+                passes, longest = _longest(folder, tracking)
+                return Summary(
+                    folder,
+                    there.frames,
+                    there.candidates,
+                    there.problems,
+                    [],
+                    passes,
+                    longest,
+                    True,
+                )
             notes += there.notes
-        sightings = [Sightings(method) for method in recogniser.tracking]
-        plausibility, candidates = Plausibility(), 0
-        with ResultsWriter(folder, landmarks, table) as writer:
-            for result, stamps in _results(recogniser, chain([first], frames), plausibility):
-                writer.write(result, stamps)
-                candidates += result.candidates
-                for sighting in sightings:
-                    sighting.add(result)
-                if observe is not None:
-                    observe(result, log.frame_count)
+        plausibility, sightings = Plausibility(), Sightings(first.fan, poses)
+        with ResultsWriter(folder, landmarks, table, sightings) as writer:
+            stamps = deque[Stamps]()  # of the frames whose results are waited for
+            seen = _noted(chain([first], frames), stamps, plausibility)
+            try:
+                for result in recogniser.recognise(seen):
+                    writer.write(result, stamps.popleft())
+                    if observe is not None:
+                        observe(result, _count(log, span))
+            except BaseException:  # Ctrl-C as well: keep what is there
+                if not writer.full:
+                    for result in recogniser.waiting():
+                        writer.write(result, stamps.popleft())
+                raise
             problems = [*log.problems, *recogniser.problems()]
             writer.finish(problems)
         notes += [*log.notes, *recogniser.notes()]
         doubts = plausibility.contradictions(polar=log.sonar.layout == "polar")
-        if not candidates:
+        if not writer.candidates:
             doubts.append(_no_candidate(writer.frames, first.fan, landmarks))
         if doubts:
-            look = f"`sonarrec info {path} --preview FILE.png`, with the same geometry"
-            notes.append(f"{path}: {'; '.join(doubts)}; look at {look}")
-        return Summary(folder, writer.frames, problems, notes, _lines(sightings))
+            look = f"`sonarrec info {shown(path)} --preview FILE.png`, with the same geometry"
+            notes.append(f"{shown(path)}: {'; '.join(doubts)}; look at {look}")
+        passes, longest = _longest(folder, tracking)
+        return Summary(folder, writer.frames, writer.candidates, problems, notes, passes, longest)
 
 
-def _results(
-    recogniser: SideBySide, frames: Iterable[Frame], plausibility: Plausibility
-) -> Iterator[tuple[FrameResult, Stamps]]:
-    """Every frame's result, and the log's times of that frame."""
-    stamps = deque[Stamps]()  # of the frames whose results are waited for
-
-    def stamped() -> Iterator[Frame]:
-        for frame in frames:
-            stamps.append(frame.stamps)
-            plausibility.look(frame)
+def _within(log: Log, span: tuple[int, int | None]) -> Iterator[Frame]:
+    """The frames from the first number up to, not including, the second, if there is one."""
+    for frame in log:
+        if span[1] is not None and frame.index >= span[1]:
+            break
+        if frame.index >= span[0]:
             yield frame
 
-    for result in recogniser.recognise(stamped()):
-        yield result, stamps.popleft()
+
+def _told(span: tuple[int, int | None]) -> str:
+    return f"{span[0]}:{'' if span[1] is None else span[1]}"
+
+
+def _count(log: Log, span: tuple[int, int | None]) -> int | None:
+    """How many frames lie in the span, None where the log does not tell."""
+    if log.frame_count is None:
+        return None
+    end = log.frame_count if span[1] is None else min(span[1], log.frame_count)
+    return max(end - span[0], 0)
+
+
+def _noted(
+    frames: Iterable[Frame], stamps: deque[Stamps], plausibility: Plausibility
+) -> Iterator[Frame]:
+    """The frames as they are, their times and what they show noted."""
+    for frame in frames:
+        stamps.append(frame.stamps)
+        plausibility.look(frame)
+        yield frame
 
 
 def _no_candidate(frames: int, fan: Fan, landmarks: LandmarkSet) -> str:
@@ -296,13 +355,21 @@ def _poses(path: Path, given: Given, earlier: RunFile) -> tuple[PoseTable | None
     return poses, []
 
 
-def _lines(sightings: Sequence[Sightings]) -> list[str]:
-    """What each method declared, the methods by their names where there are several."""
-    lines: list[str] = []
-    for sighting in sightings:
-        lines += [f"{sighting.method}:"] if len(sightings) > 1 else []
-        lines += sighting.table()
-    return lines
+def _longest(folder: Path, methods: Sequence[str]) -> tuple[dict[str, int], list[Sighting]]:
+    """`passes` and `sightings` of a Summary; methods: those that follow objects."""
+    passes = dict.fromkeys(methods, 0)
+
+    def seen(method: str) -> Iterator[Sighting]:
+        for sighting in sightings_in(folder / "sightings.csv"):
+            if sighting.method == method:
+                passes[method] += 1
+                yield sighting
+
+    kept: list[Sighting] = []
+    for method in methods:
+        longest = nlargest(MOST_SIGHTINGS, seen(method), key=lambda s: s.frames_declared)
+        kept += sorted(longest, key=lambda s: (s.first_frame, s.last_frame))
+    return passes, kept
 
 
 def _configs(presets: Presets) -> list[Config]:

@@ -291,7 +291,7 @@ def test_every_command_has_an_example() -> None:
 
 
 def test_missing_path(work: Path) -> None:
-    assert "no such file or folder" in one_line_fault("run", "nowhere")
+    assert "no such file or folder" in one_line_fault("run", "nowhere", code=2)
     assert not (work / "sonarrec_out").exists()
 
 

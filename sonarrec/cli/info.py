@@ -24,12 +24,11 @@ from sonarrec.cli.options import (
     quiet_option,
     tell,
 )
-from sonarrec.records import SonarrecError, UsageError
+from sonarrec.cli.passes import YEAR_2000_NS
+from sonarrec.records import MissingError, SonarrecError, UsageError
 
 if TYPE_CHECKING:
     from sonarrec.readers.info import Channel, Container, Images, LogInfo
-
-_YEAR_2000_NS = 946_684_800 * 10**9
 
 
 @command(short_help="Show what is in a log, and whether it is whole.")
@@ -85,16 +84,17 @@ def info(
     if preview is not None:
         _check_preview(preview, log)
     tables: list[dict[str, Any]] = []
-    useless = faulty = 0
+    useless = missing = faulty = 0
     logs = find_logs(log)
     for number, path in enumerate(logs):
         try:
             with progress(quiet) as step:
                 found = describe(path, **reading, quick=quick, observe=step)
-        except UsageError:
-            raise
         except SonarrecError as error:
+            if isinstance(error, UsageError) and not isinstance(error, MissingError):
+                raise
             useless += 1
+            missing += isinstance(error, MissingError)
             tables.append({"path": path, "error": str(error)})
             tell([str(error)])
             continue
@@ -108,7 +108,7 @@ def info(
     if as_json:
         click.echo(json.dumps({"version": __version__, "logs": tables}, indent=2))
     if useless == len(logs):
-        leave(1)
+        leave(2 if missing == useless else 1)
     if useless or faulty:
         leave(PARTLY)
 
@@ -119,13 +119,9 @@ def _check_preview(preview: Path, logs: tuple[str, ...]) -> None:
         raise UsageError(f"--preview {preview}: draws one log; {len(logs)} are given")
     if preview.suffix.lower() != ".png":
         raise UsageError(f"--preview {preview}: a picture is written as NAME.png")
-    log = Path(logs[0])
-    if log.is_file():
-        taken = preview.resolve() == log.resolve()
-    else:  # a folder of images or a glob
-        taken = preview.parent.resolve() == (log if log.is_dir() else log.parent).resolve()
-    if taken:
-        raise UsageError(f"--preview {preview}: this is the recording itself; write somewhere else")
+    from sonarrec.outputs import check_output
+
+    check_output(preview, "picture", logs)
 
 
 def _draw_preview(path: str, preview: Path, landmarks: str | None, reading: dict[str, Any]) -> None:
@@ -273,6 +269,6 @@ def _origin_lines(images: Images) -> list[str]:
 
 def _moment(time_ns: int) -> str:
     """A time as a date where it can be one, else in seconds."""
-    if time_ns < _YEAR_2000_NS:
+    if time_ns < YEAR_2000_NS:
         return f"clock at {time_ns / 1e9:.3f} s"
     return f"{datetime.fromtimestamp(time_ns // 10**9, UTC):%Y-%m-%d %H:%M:%S} UTC"

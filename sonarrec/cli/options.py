@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial, wraps
 from pathlib import Path
@@ -14,6 +14,7 @@ import click
 from sonarrec.records import Clock, UsageError
 
 FAILED = 1  # exit code: nothing could be used
+MISUSED = 2  # exit code: an option cannot be meant, or an input is not there
 PARTLY = 3  # exit code: finished, but part of the input could not be used
 FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 NEW_FILE = click.Path(dir_okay=False, path_type=Path)
@@ -233,6 +234,12 @@ landmarks_option = option(
 )
 
 
+def frames_option(text: str) -> Decorator:
+    """--frames; text: what becomes of these frames."""
+    text = f"{text} Either may be left out."
+    return option(INPUT, "--frames", metavar="A:B", help=text)
+
+
 def ground_truth_option(text: str, required: bool = False) -> Decorator:
     """--ground-truth; text: what it is for."""
     text = f"{text} Columns: sonarrec help truth."
@@ -348,20 +355,28 @@ quiet_option = option(
 )
 
 
+verbose_option = option(
+    OUTPUT, "-v", "--verbose", is_flag=True, help="A line on stderr for each log that is finished."
+)
+
+
 def out_option(kind: click.Path, text: str, **told: Any) -> Decorator:
     """-o, --out; text: what it names."""
     return option(OUTPUT, "-o", "--out", type=kind, help=text, **told)
 
 
 @contextmanager
-def progress(quiet: bool, total: int | None = None) -> Iterator[Callable[..., None]]:
+def progress(
+    quiet: bool, total: int | None = None, title: str | None = None
+) -> Iterator[Callable[..., None]]:
     """A progress bar over frames on stderr; silent when quiet and where stderr is no terminal.
 
-    Yields what to call after each frame: step(total=None, note="").
+    title: what stands before it. Yields what to call after each frame: step(total=None, note="").
     """
     from tqdm import tqdm
 
-    with tqdm(total=total, unit="frame", leave=False, disable=True if quiet else None) as bar:
+    off = True if quiet else None
+    with tqdm(total=total, desc=title, unit="frame", leave=False, disable=off) as bar:
 
         def step(total: int | None = None, note: str = "") -> None:
             if total is not None:
@@ -374,11 +389,12 @@ def progress(quiet: bool, total: int | None = None) -> Iterator[Callable[..., No
 
 
 def tell(problems: Iterable[str], notes: Iterable[str] = ()) -> None:
-    """Notes and problems, a line each, on stderr."""
-    for note in notes:
-        click.echo(f"sonarrec: note: {note}", err=True)
-    for problem in problems:
-        click.echo(f"sonarrec: {problem}", err=True)
+    """Notes and problems, a line each, on stderr; where nobody can read it, nothing is lost."""
+    with suppress(OSError):
+        for note in notes:
+            click.echo(f"sonarrec: note: {note}", err=True)
+        for problem in problems:
+            click.echo(f"sonarrec: {problem}", err=True)
 
 
 def leave(code: int) -> NoReturn:

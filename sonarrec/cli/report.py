@@ -9,6 +9,7 @@ import click
 
 from sonarrec.cli.options import (
     ANY,
+    FILE,
     INPUT,
     NEW_FILE,
     OUTPUT,
@@ -23,18 +24,26 @@ from sonarrec.cli.options import (
     tell,
     topic_option,
 )
+from sonarrec.records import UsageError
 
 
 @command(short_help="Write results as one HTML page.")
-@click.argument("results", type=ANY, default=Path("sonarrec_out"))
+@click.argument("results", type=ANY, required=False)
 @ground_truth_option("gt.csv; without it nothing is scored.")
+@option(
+    INPUT,
+    "--pairs",
+    type=FILE,
+    help="In place of RESULTS and truth: a CSV of results,ground_truth[,log], a row per log.",
+)
 @option(
     INPUT,
     "--log",
     "recordings",
     type=ANY,
     multiple=True,
-    help="The log that RESULTS came from, for frames on the page; once for each of several.",
+    help="The log that RESULTS came from, for frames on the page; once for each of several, or a "
+    "folder that holds them.",
 )
 @topic_option
 @scoring_options
@@ -43,11 +52,12 @@ from sonarrec.cli.options import (
     "--method",
     help="Whose sightings and tracks are shown.  [default: framework, or the first preset]",
 )
-@out_option(NEW_FILE, "The page.  [default: RESULTS/report.html]")
+@out_option(NEW_FILE, "The page.  [default: report.html in RESULTS or beside PAIRS]")
 @quiet_option
 def report(
-    results: Path,
+    results: Path | None,
     ground_truth: Path | None,
+    pairs: Path | None,
     recordings: tuple[Path, ...],
     topic: str | None,
     scoring: dict[str, Any],
@@ -59,7 +69,8 @@ def report(
 
     RESULTS is the folder of one log, or one that holds several (default: sonarrec_out). The page
     shows what was seen, when and how surely, and the probabilities along each track; with ground
-    truth also the paper's tables, the ROC and the worst mistakes; with the log also its frames.
+    truth also the paper's tables, the ROC and the worst mistakes; with the log also its frames,
+    of which a click on a bar, a track or a mistake shows the one meant.
     The geometry matters only where run.toml does not tell it.
 
     \b
@@ -67,13 +78,21 @@ def report(
       sonarrec report
       sonarrec report sonarrec_out/pan --log sample_data/pan.mcap
       sonarrec report --ground-truth gt.csv --log pings/ -o report.html
+      sonarrec report --pairs pairs.csv --log recordings/
     """
+    if pairs is not None and (ground_truth or results):
+        raise UsageError("--pairs names results and truth itself; give neither beside it")
+
     from sonarrec.report.build import write_report
 
+    results = None if pairs else results or Path("sonarrec_out")
+    beside = pairs.parent if pairs else results
+    assert beside is not None
     written = write_report(
-        out or results / "report.html",
+        out or beside / "report.html",
         results,
         ground_truth=ground_truth,
+        pairs=pairs,
         recordings=recordings,
         topic=topic,
         method=method,
@@ -82,7 +101,8 @@ def report(
     tell(written.unused)
     if not quiet:
         size = written.path.stat().st_size / 1e6
-        frames = "1 frame" if written.pictures == 1 else f"{written.pictures} frames"
-        click.echo(f"{written.path}: {size:.1f} MB, {frames} of the log")
+        shown = f"{written.pictures} picture" + "s" * (written.pictures != 1)
+        held = f", {written.held} frames to click" if written.held else ""
+        click.echo(f"{written.path}: {size:.1f} MB, {shown}{held}")
     if written.unused:
         leave(PARTLY)

@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
+import json
 import signal
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from time import monotonic
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from sonarrec import __version__
 from sonarrec.cli.options import (
     FAILED,
     FILE,
     FOLDER,
     INPUT,
+    MISUSED,
     OUTPUT,
     PARTLY,
     LogChoice,
     SettingsChoice,
     command,
+    frames_option,
     landmarks_option,
     leave,
     log_options,
@@ -29,8 +34,11 @@ from sonarrec.cli.options import (
     quiet_option,
     settings_options,
     tell,
+    verbose_option,
 )
-from sonarrec.records import FrameResult, SonarrecError, UsageError
+from sonarrec.cli.passes import as_json as told
+from sonarrec.cli.passes import table
+from sonarrec.records import FrameResult, MissingError, SonarrecError, UsageError, shown
 
 if TYPE_CHECKING:
     from sonarrec.pipeline import Summary
@@ -56,6 +64,7 @@ INTERRUPTED, TERMINATED = 130, 143
     metavar="TOPIC",
     help="Poses in the MCAP itself: nav_msgs/Odometry or geometry_msgs/PoseStamped.",
 )
+@frames_option("Recognise only these frames, from A up to, not including, B.")
 @option(
     INPUT,
     "--model",
@@ -72,6 +81,8 @@ INTERRUPTED, TERMINATED = 130, 143
     is_flag=True,
     help="Do again what is up to date, and replace results of another log of that name.",
 )
+@option(OUTPUT, "--json", "as_json", is_flag=True, help="Print one JSON document on stdout.")
+@verbose_option
 @quiet_option
 def run(
     log: tuple[str, ...],
@@ -79,10 +90,13 @@ def run(
     landmarks: str | None,
     odometry: Path | None,
     odometry_topic: str | None,
+    frames: str | None,
     model: Path | None,
     settings: SettingsChoice,
     out: Path,
     overwrite: bool,
+    as_json: bool,
+    verbose: bool,
     quiet: bool,
 ) -> None:
     """Recognise landmarks in LOG, frame by frame.
@@ -105,53 +119,112 @@ def run(
     """
     from sonarrec.pipeline import Used, process, result_names
     from sonarrec.readers.find import find_logs
-    from sonarrec.results.run_file import Given
+    from sonarrec.results.run_file import Given, frame_span
 
     if odometry is not None and odometry_topic is not None:
         raise UsageError("--odometry and --odometry-topic: choose one of the two")
-    given = Given(**log_choice.arguments(), odometry=odometry, odometry_topic=odometry_topic)
+    given = Given(
+        **log_choice.arguments(),
+        odometry=odometry,
+        odometry_topic=odometry_topic,
+        frames=None if frames is None else frame_span(frames),
+    )
     used = Used(settings.configs(), landmarks, model, settings.file)
     logs = find_logs(log)
     names = result_names(logs)
-    ended: dict[str, list[str]] = {"done": [], "up to date": [], "in part": [], "failed": []}
+    ended = _Ended(len(logs), as_json, verbose=verbose, quiet=quiet)
 
-    def one(path: str, name: str | None) -> None:
-        with progress(quiet) as step:
+    def one(path: str, name: str | None, title: str) -> Summary:
+        with progress(quiet, title=title) as step:
 
             def observe(result: FrameResult, total: int | None) -> None:
                 step(total, f"{result.tracks} tracks in view")
 
-            summary = process(path, out, given, used, observe, name=name, overwrite=overwrite)
-        tell(summary.problems, summary.notes)
-        how = "in part" if summary.problems else "up to date" if summary.up_to_date else "done"
-        ended[how].append(path)
-        if not quiet:
-            _print(summary)
+            return process(path, out, given, used, observe, name=name, overwrite=overwrite)
 
-    with _stoppable(out):
-        for path, name in zip(logs, names, strict=True):
+    folders = [out / name for name in names if name is not None]
+    with ended.document(), _stoppable(folders):
+        for i, (path, name) in enumerate(zip(logs, names, strict=True)):
+            begun = monotonic()
+            title = f"{name} ({i + 1} of {len(logs)})" if len(logs) > 1 else str(name)
             try:
-                one(path, name)
+                summary = one(path, name, title)
+            except KeyboardInterrupt:
+                ended.add_failed(path, name, "stopped")
+                raise
             except SonarrecError as error:
+                ended.add_failed(path, name, "failed", error)
                 if len(logs) == 1:
                     raise
                 tell([str(error)])
-                ended["failed"].append(path)
-    failed = ended["failed"]
-    if len(logs) > 1 and (failed or not quiet):
-        counts = ", ".join(f"{len(paths)} {how}" for how, paths in ended.items() if paths)
-        click.echo(counts + (f": {', '.join(failed)}" if failed else ""), err=bool(failed))
-    if len(failed) == len(logs):
-        leave(FAILED)
-    if failed or ended["in part"]:
-        leave(PARTLY)
+            else:
+                ended.add(path, name, summary, monotonic() - begun)
+    ended.leave()
 
 
-def _print(summary: Summary) -> None:
-    frames = f"{summary.frames} frame{'s' * (summary.frames != 1)}"
-    click.echo(f"{summary.folder}: {'up to date, ' * summary.up_to_date}{frames}")
-    for line in summary.sightings:
-        click.echo(f"  {line}")
+class _Ended:
+    """How the logs of one call ended, told as each does and at the end."""
+
+    def __init__(self, logs: int, as_json: bool, *, verbose: bool, quiet: bool) -> None:
+        self._logs, self._as_json = logs, as_json
+        self._verbose, self._quiet = verbose, quiet
+        self._paths: dict[str, list[str]] = {
+            how: [] for how in ("done", "up to date", "in part", "failed")
+        }
+        self._missing = 0
+        self._told: list[dict[str, Any]] = []  # a table per log, where JSON is asked for
+
+    def add(self, path: str, name: str | None, summary: Summary, seconds: float) -> None:
+        """A log that was processed, or was up to date."""
+        tell(summary.problems, summary.notes)
+        how = "in part" if summary.problems else "up to date" if summary.up_to_date else "done"
+        self._paths[how].append(path)
+        if self._verbose:
+            counts = f"{summary.frames} frames in {seconds:.1f} s, {summary.candidates} candidates"
+            passes = sum(summary.passes.values())
+            tell([f"{path} ({self._nth()}): {how}, {counts}, {passes} passes"])
+        if self._as_json:
+            status = "partial" if summary.problems else "done"
+            self._told.append({"name": name, "log": path, "status": status} | told(summary))
+        elif not self._quiet:
+            frames = f"{summary.frames} frame{'s' * (summary.frames != 1)}"
+            click.echo(f"{summary.folder}: {'up to date, ' * summary.up_to_date}{frames}")
+            for line in [] if summary.up_to_date else table(summary):
+                click.echo(f"  {line}")
+
+    def add_failed(
+        self, path: str, name: str | None, status: str, error: SonarrecError | None = None
+    ) -> None:
+        """A log that could not be used, or not to its end."""
+        message = {} if error is None else {"message": str(error)}
+        self._told.append({"name": name, "log": path, "status": status} | message)
+        self._paths["failed"].append(path)
+        self._missing += isinstance(error, MissingError)
+
+    def _nth(self) -> str:
+        return f"{sum(map(len, self._paths.values()))} of {self._logs}"
+
+    @contextmanager
+    def document(self) -> Iterator[None]:
+        """Print what is known of each log as JSON, where it is asked for, however the logs end."""
+        try:
+            yield
+        finally:
+            if self._as_json:
+                program = {"name": "sonarrec", "version": __version__}
+                click.echo(json.dumps({"program": program, "logs": self._told}, indent=2))
+
+    def leave(self) -> None:
+        """Count the logs, where there are several, and end with the exit code they make."""
+        failed = self._paths["failed"]
+        if self._logs > 1 and (failed or not self._quiet):
+            counts = ", ".join(f"{len(paths)} {how}" for how, paths in self._paths.items() if paths)
+            to_stderr = bool(failed) or self._as_json
+            click.echo(counts + (f": {', '.join(failed)}" if failed else ""), err=to_stderr)
+        if len(failed) == self._logs:
+            leave(MISUSED if self._missing == len(failed) else FAILED)
+        if failed or self._paths["in part"]:
+            leave(PARTLY)
 
 
 class _Terminated(KeyboardInterrupt):
@@ -159,7 +232,7 @@ class _Terminated(KeyboardInterrupt):
 
 
 @contextmanager
-def _stoppable(out: Path) -> Iterator[None]:
+def _stoppable(folders: Sequence[Path]) -> Iterator[None]:
     """SIGTERM stops as Ctrl-C does: what is written stays whole, and a line says where it is."""
 
     def stop(*_: object) -> None:
@@ -169,9 +242,9 @@ def _stoppable(out: Path) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt as error:
-        from sonarrec.results.folders import PART
+        from sonarrec.results.folders import part_of
 
-        parts = ", ".join(str(p) for p in sorted(out.glob(f"*{PART}")))
+        parts = ", ".join(shown(part_of(f)) for f in folders if part_of(f).is_dir())
         kept = f"; the frames before are in {parts}" if parts else ""
         click.echo(f"sonarrec: stopped{kept}", err=True)
         leave(TERMINATED if isinstance(error, _Terminated) else INTERRUPTED)

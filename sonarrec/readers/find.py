@@ -6,6 +6,7 @@ A further format is one module with a RawLog and one row in READERS.
 from __future__ import annotations
 
 import glob
+import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,7 @@ from pathlib import Path
 from sonarrec.readers.images import IMAGE_SUFFIXES, ImageFiles, is_image, natural_order
 from sonarrec.readers.raw import RawLog
 from sonarrec.readers.video import VIDEO_SUFFIXES, VideoFrames
-from sonarrec.records import SonarrecError, shown
+from sonarrec.records import MissingError, SonarrecError, shown
 from sonarrec.sonar import Sonar, load_sonar
 
 SONAR_FILE = "sonar.toml"
@@ -125,8 +126,17 @@ def _found(path: Path) -> Source:
     elif path.is_symlink():
         raise SonarrecError(f"{shown(path)}: a link to a file that is not there")
     else:
-        raise SonarrecError(f"{shown(path)}: no such file or folder")
-    return Source(path, shown(name) or "log", files, _reader_of(files[0]), beside)
+        raise MissingError(f"{shown(path)}: no such file or folder")
+    return Source(path, _named(name), files, _reader_of(files[0]), beside)
+
+
+def _named(name: str) -> str:
+    """What results of a file or folder of this name are called, by a name that the disk takes."""
+    try:
+        os.fsencode(text := shown(name))
+    except UnicodeEncodeError:  # a locale without the letter: the bytes as they are
+        text = name
+    return "log" if text in ("", ".", "..") else text
 
 
 def _matches(pattern: Path) -> list[Path]:

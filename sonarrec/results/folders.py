@@ -16,7 +16,8 @@ from typing import IO
 from sonarrec.records import SonarrecError, UsageError
 
 PART = ".part"
-OURS = ("frames.csv", "estimates.csv", "sightings.csv", "run.toml", "evaluation", "report.html")
+TABLES = ("frames.csv", "estimates.csv", "sightings.csv")
+OURS = (*TABLES, "run.toml", "evaluation", "report.html")
 """What a run replaces, and what was made from it. All else in a results folder is the user's."""
 
 

@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
 
 from sonarrec.geometry import plane_position
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import BoolArray, Fan, FloatArray, IntArray, SonarrecError
+from sonarrec.records import (
+    BoolArray,
+    Fan,
+    FloatArray,
+    IntArray,
+    MissingError,
+    SonarrecError,
+    printable,
+    shown,
+)
 from sonarrec.results.columns import (
     ESTIMATES_HEADER,
     FRAME_COLUMNS,
@@ -24,7 +34,7 @@ from sonarrec.results.columns import (
 from sonarrec.results.folders import part_of
 from sonarrec.results.run_file import read_run
 from sonarrec.sonar import Sonar
-from sonarrec.tables import Table, cut, line_number, position_pair, read_table, read_tables
+from sonarrec.tables import Kind, Table, cut, line_number, position_pair, read_table, read_tables
 
 METHODS = ("smi", "framework")
 """The methods that every run of ours holds, also where one of them saw nothing."""
@@ -70,7 +80,7 @@ def find_logs(results: Path) -> list[Path]:
     if (results / "frames.csv").is_file():
         return [results]
     if not results.is_dir():
-        raise SonarrecError(f"{results}: no such results folder; `sonarrec run LOG` writes one")
+        raise MissingError(f"{results}: no such results folder; `sonarrec run LOG` writes one")
     logs = sorted(p.parent for p in results.glob("*/frames.csv"))
     finished = {part_of(log) for log in logs}  # beside these a stopped run's part tells nothing new
     logs = [log for log in logs if log not in finished]
@@ -108,7 +118,7 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
     pair = position_pair(path, table)
     position = None if pair is None else plane_position(pair, fan)
     listed = np.isin(table["frame"], frame)
-    names = [str(name) for name in table["method"].categories]
+    names = [printable(str(name)) for name in table["method"].categories]
     # A method of a run of ours that found nothing at all is scored as well.
     expected = METHODS if run.methods is None else run.methods
     methods = [m for m in expected if m in names or run.table]
@@ -117,7 +127,7 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
     ids = np.asarray(landmark_set.ids)
     by_id = np.argsort(ids)
     return LogResults(
-        name=folder.resolve().name,
+        name=shown(folder.resolve().name),
         landmarks=landmark_set,
         fan=fan,
         frame=frame,
@@ -144,16 +154,21 @@ def read_frames(folder: Path) -> Table:
 
 
 def estimate_tables(
-    path: Path, landmarks: LandmarkSet, rows: int | None = None
+    path: Path,
+    landmarks: LandmarkSet,
+    rows: int | None = None,
+    more: Mapping[str, Kind] = MappingProxyType({}),
 ) -> Iterator[tuple[int, Table]]:
     """estimates.csv, whole or at most `rows` rows at a time: (the first row, 0-based; columns).
 
+    more: columns to read beside those that are always read, and what their cells must be.
     Raises SonarrecError, with the line, on a cell that cannot be meant; the rows before it are
     given first.
     """
     columns = estimate_columns(landmarks.ids)
     ids = np.asarray(landmarks.ids)
-    for first, table in read_tables(path, kinds(columns), needed(columns), ESTIMATES_HEADER, rows):
+    wanted = kinds(columns) | dict(more)
+    for first, table in read_tables(path, wanted, needed(columns), ESTIMATES_HEADER, rows):
         known = np.isin(table["landmark"], ids)
         if not known.all():
             row = int(np.argmin(known))

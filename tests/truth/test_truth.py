@@ -262,7 +262,7 @@ def test_no_results(case: Path) -> None:
     (case / "out" / "frames.csv").unlink()
     assert "no results here" in failure(run(case))
     (case / "out").rename(case / "gone")
-    assert "no such results folder" in failure(run(case))
+    assert "no such results folder" in failure(run(case), code=2)
 
 
 def test_estimates_off_the_listed_frames_are_counted_and_said(case: Path) -> None:

@@ -68,7 +68,7 @@ def read_topic(path: Path, topic: str, time: Clock) -> PoseTable:
     ahead, left, x, y, z, w = np.array(rows).T
     yaw = np.degrees(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y**2 + z**2)))
     table = pose_table(topic, {"topic": topic}, np.array(at, np.int64), -yaw, -left, ahead)
-    return replace(table, problems=tuple(problems))
+    return replace(table, problems=tuple(problems), axes="ahead, left")
 
 
 def _channels(log: McapFile, topic: str) -> dict[int, tuple[Decode, tuple[str, ...]]]:
