@@ -170,19 +170,19 @@ def _tests(summary: Summary) -> Iterable[tuple[Any, ...]]:
 def _passes(evaluation: Evaluation, summary: Summary) -> Iterable[tuple[Any, ...]]:
     joined, passes = evaluation.joined, summary.passes
     changed = {s.method: s for s in summary.switches}
-    for followed in summary.followed:
-        switches = changed.get(followed.method)
+    for outcome in summary.outcomes:
+        switches = changed.get(outcome.method)
         for i in range(len(passes.first_frame_index)):
             yield (
                 joined.logs[passes.log_index[i]],
                 joined.ids[passes.landmark_index[i]],
                 int(joined.frame[passes.first_frame_index[i]]),
                 int(joined.frame[passes.last_frame_index[i]]),
-                followed.protocol,
-                followed.method,
-                int(followed.frames[i]),
-                int(followed.right[i]),
-                float(followed.wait[i]),
+                outcome.protocol,
+                outcome.method,
+                int(outcome.frames[i]),
+                int(outcome.right[i]),
+                float(outcome.wait[i]),
                 "" if switches is None else int(switches.ids[i]),
                 "" if switches is None or switches.tracks is None else int(switches.tracks[i]),
             )
