@@ -174,14 +174,14 @@ def _pair_up(
 def _only(log: LogResults, frames: Any) -> LogResults:
     """The results on some of the log's frames, given by number."""
     kept = np.isin(log.frame, frames)
-    mine = kept[log.row]
+    mine = kept[log.frame_index]
     return replace(
         log,
         frame=log.frame[kept],
         timestamp_ns=None if log.timestamp_ns is None else log.timestamp_ns[kept],
         method=log.method[mine],
-        row=(np.cumsum(kept) - 1)[log.row[mine]],
-        landmark=log.landmark[mine],
+        frame_index=(np.cumsum(kept) - 1)[log.frame_index[mine]],
+        landmark_index=log.landmark_index[mine],
         score=log.score[mine],
         declared=log.declared[mine],
         position=None if log.position is None else log.position[mine],

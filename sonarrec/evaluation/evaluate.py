@@ -145,7 +145,7 @@ def _identity(folder: Path, log: LogResults) -> str:
             with (folder / name).open("rb") as file:
                 digest.update(hashlib.file_digest(file, "sha256").digest())
     # Two logs in which nothing was found may be alike; run.toml tells one from the other.
-    if not len(log.row) and not (folder / "run.toml").is_file():
+    if not len(log.frame_index) and not (folder / "run.toml").is_file():
         digest.update(str((folder / "estimates.csv").resolve()).encode())
     return digest.hexdigest()
 

@@ -166,6 +166,6 @@ def _surest(log: ReportedLog) -> list[tuple[int, str]]:
     if found or not len(mine):
         return found
     best = mine[np.argmax(log.results.score[mine])]
-    landmark = log.results.landmarks.ids[log.results.landmark[best]]
+    landmark = log.results.landmarks.ids[log.results.landmark_index[best]]
     text = f"nothing declared; nearest to it ID.{landmark}, score {log.results.score[best]:.2f}"
-    return [(int(log.results.frame[log.results.row[best]]), text)]
+    return [(int(log.results.frame[log.results.frame_index[best]]), text)]

@@ -47,7 +47,7 @@ class ReportedLog:
     def of_method(self, name: str) -> BoolArray:
         """(N,) which estimates are the method's."""
         if name not in self.results.methods:
-            return np.zeros(len(self.results.row), dtype=bool)
+            return np.zeros(len(self.results.frame_index), dtype=bool)
         return np.asarray(self.results.method == self.results.methods.index(name))
 
 
@@ -137,7 +137,7 @@ def _truth_near(log: LogResults, truth: Truth, min_visible: float) -> IntArray |
     joined = join([log], [truth], min_visible)
     if not joined.placed:
         return None
-    every = np.arange(len(log.row))
+    every = np.arange(len(log.frame_index))
     nearest = nearest_truth(joined, every, joined.claim_frame_index, joined.truth_frame_index)
     near = np.full(len(every), -1, dtype=np.int64)
     near[nearest >= 0] = truth.landmark_index[nearest[nearest >= 0]]
@@ -148,11 +148,11 @@ def sightings(log: ReportedLog) -> list[Sighting]:
     """What the tracker declared, in order of first sight: one entry per ID and track."""
     found = log.results
     mine = np.flatnonzero(log.of_method(log.tracker) & found.declared)
-    mine = mine[np.argsort(found.row[mine], kind="stable")]
+    mine = mine[np.argsort(found.frame_index[mine], kind="stable")]
     tracked = follows(log.tracker) and bool((found.object[mine] >= 0).all())
     gathered = Sightings(log.tracker)
     for n in mine.tolist():
-        row, landmark_index = found.row[n], found.landmark[n]
+        row, landmark_index = found.frame_index[n], found.landmark_index[n]
         gathered.declared(
             int(found.frame[row]),
             0 if found.timestamp_ns is None else int(found.timestamp_ns[row]),
@@ -183,8 +183,8 @@ def tracks(log: ReportedLog, most: int) -> tuple[list[Track], int]:
     shown = []
     for n in chosen.tolist():
         at = mine[which == n]
-        at = at[np.unique(found.row[at], return_index=True)[1]]
-        shown.append(Track(int(numbers[n]), at, found.row[at]))
+        at = at[np.unique(found.frame_index[at], return_index=True)[1]]
+        shown.append(Track(int(numbers[n]), at, found.frame_index[at]))
     shown.sort(key=lambda track: (int(track.frame_index[0]), track.number))
     return shown, len(numbers)
 
@@ -198,8 +198,8 @@ def alongside(log: ReportedLog, track: Track, method: str) -> IntArray:
     matched = np.full(len(track.at), -1, dtype=np.int64)
     if found.position is None:
         return matched
-    other = np.flatnonzero(log.of_method(method) & np.isin(found.row, track.frame_index))
-    beside = np.searchsorted(track.frame_index, found.row[other])
+    other = np.flatnonzero(log.of_method(method) & np.isin(found.frame_index, track.frame_index))
+    beside = np.searchsorted(track.frame_index, found.frame_index[other])
     away = np.linalg.norm(found.position[other] - found.position[track.at[beside]], axis=1)
     order = np.argsort(-away, kind="stable")
     order = order[away[order] <= found.landmarks.radius_m]

@@ -36,7 +36,7 @@ class LogResults:
 
     frame: (F,) numbers of the frames processed, rising. timestamp_ns: (F,) or None.
     methods: names; the arrays below have one element per estimate. method: index into methods.
-    row: index into frame. landmark: index into landmarks.ids. score: 0 to 1. declared: bool.
+    frame_index: into frame. landmark_index: into landmarks.ids. score: 0 to 1. declared: bool.
     position: (N, 2) metres in the fan plane, or None where it is not known.
     orientation: (N,) deg, NaN where unknown. object: (N,) a number per candidate or track, -1
     where not told. probability: (N, K + 1), one per ID in the set's order, then none of these;
@@ -53,8 +53,8 @@ class LogResults:
     timestamp_ns: IntArray | None
     methods: tuple[str, ...]
     method: IntArray
-    row: IntArray
-    landmark: IntArray
+    frame_index: IntArray
+    landmark_index: IntArray
     score: FloatArray
     declared: BoolArray
     position: FloatArray | None
@@ -124,8 +124,8 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
         timestamp_ns=frames["timestamp_ns"][order] if "timestamp_ns" in frames else None,
         methods=tuple(methods),
         method=renumber[table["method"].codes[listed]],
-        row=np.searchsorted(frame, table["frame"][listed]),
-        landmark=by_id[np.searchsorted(ids, table["landmark"][listed], sorter=by_id)],
+        frame_index=np.searchsorted(frame, table["frame"][listed]),
+        landmark_index=by_id[np.searchsorted(ids, table["landmark"][listed], sorter=by_id)],
         score=table["score"][listed],
         declared=table["declared"][listed],
         position=None if position is None else position[listed],

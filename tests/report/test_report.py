@@ -548,9 +548,9 @@ def test_truth_beneath_and_estimates_alongside(random_log: Path) -> None:
     assert log.truth_near is not None
     assert found.position is not None
     assert truth.position is not None
-    for n in range(0, len(found.row), 7):
+    for n in range(0, len(found.frame_index), 7):
         best, beneath = found.landmarks.radius_m, -1
-        for t in np.flatnonzero(truth.frame_index == found.row[n]):
+        for t in np.flatnonzero(truth.frame_index == found.frame_index[n]):
             away = np.linalg.norm(found.position[n] - truth.position[t])
             if away <= best:
                 best, beneath = away, truth.landmark_index[t]
@@ -565,7 +565,7 @@ def test_truth_beneath_and_estimates_alongside(random_log: Path) -> None:
         for at, row, matched in zip(
             track.at, track.frame_index, alongside(log, track, "smi"), strict=True
         ):
-            here = smi[found.row[smi] == row]
+            here = smi[found.frame_index[smi] == row]
             away = np.linalg.norm(found.position[here] - found.position[at], axis=1)
             if len(here) and away.min() <= found.landmarks.radius_m:
                 assert matched == here[away.argmin()]
