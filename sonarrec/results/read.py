@@ -22,12 +22,12 @@ from sonarrec.results.columns import (
     needed,
 )
 from sonarrec.results.folders import part_of
-from sonarrec.results.run_file import read_run
+from sonarrec.results.run_file import RunFile, read_run
 from sonarrec.sonar import Sonar
 from sonarrec.tables import Table, cut, line_number, position_pair, read_table, read_tables
 
 METHODS = ("smi", "framework")
-"""The methods that every run of ours holds, also where one of them saw nothing."""
+"""The methods that a run of one preset holds, also where one of them saw nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +43,7 @@ class LogResults:
     None where the columns are missing.
     fan: turns fan pixels into metres; None where nothing states it.
     strays: estimates left out, for they lie on frames that frames.csv does not list.
-    finished: False where run.toml says that the run was cut short.
+    finished: False where run.toml says that the run was cut short. run: that run.toml.
     """
 
     name: str
@@ -63,6 +63,7 @@ class LogResults:
     probability: npt.NDArray[np.float32] | None
     strays: int
     finished: bool
+    run: RunFile
 
 
 def find_logs(results: Path) -> list[Path]:
@@ -109,10 +110,7 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
     position = None if pair is None else plane_position(pair, fan)
     listed = np.isin(table["frame"], frame)
     names = [str(name) for name in table["method"].categories]
-    # A method of a run of ours that found nothing at all is scored as well.
-    expected = METHODS if run.methods is None else run.methods
-    methods = [m for m in expected if m in names or run.table]
-    methods += [m for m in names if m not in methods]
+    methods = _methods(run, names)
     renumber = np.array([methods.index(m) for m in names], dtype=np.int64)
     ids = np.asarray(landmark_set.ids)
     by_id = np.argsort(ids)
@@ -134,7 +132,17 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
         probability=_probability(table, belief_names(landmark_set.ids), listed),
         strays=int(np.count_nonzero(~listed)),
         finished=run.finished,
+        run=run,
     )
+
+
+def _methods(run: RunFile, there: list[str]) -> list[str]:
+    """The methods of a run: those with estimates (there), and those that found nothing at all."""
+    expected = run.methods or ()
+    if run.methods is None and run.table:  # an earlier version did not list them
+        several = len(run.configs) > 1 or any(":" in name for name in there)
+        expected = () if several else METHODS
+    return list(dict.fromkeys((*expected, *there)))
 
 
 def read_frames(folder: Path) -> Table:
