@@ -11,7 +11,8 @@ from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
 from sonarrec.evaluation.compare import compare
-from sonarrec.evaluation.evaluate import Pair, evaluate, evaluate_pairs, read_pairs
+from sonarrec.evaluation.evaluate import evaluate, evaluate_pairs
+from sonarrec.evaluation.pairs import Pair, read_pairs
 from sonarrec.records import SonarrecError
 from tests.evaluation.test_evaluation import (
     TRUTH_HEADER,
@@ -132,7 +133,6 @@ def test_changes_add_up_to_the_counts(tmp_path: Path, seed: int) -> None:
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        ([], "--ground-truth, or --pairs"),
         (["--pairs", "p.csv", "--ground-truth", "p.csv"], "--pairs"),
         (["--ground-truth", "p.csv", "--fail-on-regression", "0.1"], "--compare"),
         (["--ground-truth", "p.csv", "out", "--compare", "a", "b"], "no RESULTS"),
