@@ -11,6 +11,7 @@ import numpy as np
 from sonarrec.geometry import polar_from_plane
 from sonarrec.records import BoolArray, SonarrecError
 from sonarrec.results.read import LogResults
+from sonarrec.truth.in_view import share_in_fan
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import TruthTable
 
@@ -116,11 +117,15 @@ def _outside(case: Matched) -> BoolArray:
     radius = case.log.landmarks.radius_m
     range_m, bearing_deg = polar_from_plane(truth.position)
     aside = bearing_deg - np.clip(bearing_deg, fan.bearing_min_deg, fan.bearing_max_deg)
-    return np.asarray(
+    outside = np.asarray(
         (range_m < fan.range_min_m - radius)
         | (range_m > fan.range_max_m + radius)
         | (np.radians(np.abs(aside)) * range_m > radius)
     )
+    # Exactly, on the floor, of those alone: it takes long.
+    share = share_in_fan(fan, range_m[outside], bearing_deg[outside], radius)
+    outside[outside] = share == 0
+    return outside
 
 
 def left_out(cases: Sequence[Matched], elsewhere: int = 0) -> list[str]:
