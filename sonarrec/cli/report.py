@@ -9,6 +9,7 @@ import click
 
 from sonarrec.cli.options import (
     ANY,
+    FILE,
     INPUT,
     NEW_FILE,
     OUTPUT,
@@ -23,11 +24,26 @@ from sonarrec.cli.options import (
     tell,
     topic_option,
 )
+from sonarrec.records import UsageError
 
 
 @command(short_help="Write results as one HTML page.")
-@click.argument("results", type=ANY, default=Path("sonarrec_out"))
+@click.argument("results", type=ANY, required=False)
 @ground_truth_option("gt.csv; without it nothing is scored.")
+@option(
+    INPUT,
+    "--compare",
+    type=(ANY, ANY),
+    metavar="OLD NEW",
+    help="In place of RESULTS: a page on what got better or worse from OLD to NEW. Truth is given, "
+    "or found beside each log.",
+)
+@option(
+    INPUT,
+    "--pairs",
+    type=FILE,
+    help="With --compare: a CSV of results,ground_truth[,log], the truth of each log.",
+)
 @option(
     INPUT,
     "--log",
@@ -43,11 +59,13 @@ from sonarrec.cli.options import (
     "--method",
     help="Whose sightings and tracks are shown.  [default: framework, or the first preset]",
 )
-@out_option(NEW_FILE, "The page.  [default: RESULTS/report.html]")
+@out_option(NEW_FILE, "The page.  [default: RESULTS/report.html, or NEW/compare.html]")
 @quiet_option
 def report(
-    results: Path,
+    results: Path | None,
     ground_truth: Path | None,
+    compare: tuple[Path, Path] | None,
+    pairs: Path | None,
     recordings: tuple[Path, ...],
     topic: str | None,
     scoring: dict[str, Any],
@@ -67,9 +85,18 @@ def report(
       sonarrec report
       sonarrec report sonarrec_out/pan --log sample_data/pan.mcap
       sonarrec report --ground-truth gt.csv --log pings/ -o report.html
+      sonarrec report --compare before after --ground-truth gt.csv
     """
+    if compare is not None:
+        if results or recordings or topic or method:
+            raise UsageError("--compare takes OLD and NEW and truth; no RESULTS, --log, --method")
+        _compare(*compare, ground_truth, pairs, out, quiet, scoring)
+        return
+    if pairs is not None:
+        raise UsageError("--pairs goes with --compare")
     from sonarrec.report.build import write_report
 
+    results = results or Path("sonarrec_out")
     written = write_report(
         out or results / "report.html",
         results,
@@ -84,5 +111,28 @@ def report(
         size = written.path.stat().st_size / 1e6
         frames = "1 frame" if written.pictures == 1 else f"{written.pictures} frames"
         click.echo(f"{written.path}: {size:.1f} MB, {frames} of the log")
+    if written.unused:
+        leave(PARTLY)
+
+
+def _compare(
+    old: Path,
+    new: Path,
+    ground_truth: Path | None,
+    pairs: Path | None,
+    out: Path | None,
+    quiet: bool,
+    scoring: dict[str, Any],
+) -> None:
+    from sonarrec.evaluation.pairs import read_pairs
+    from sonarrec.report.compare import write_comparison_page
+
+    if pairs is not None and ground_truth is not None:
+        raise UsageError("--pairs names the truth of each log; give no --ground-truth beside it")
+    truth = read_pairs(pairs) if pairs is not None else ground_truth
+    written = write_comparison_page(out or new / "compare.html", old, new, truth, **scoring)
+    tell(written.unused)
+    if not quiet:
+        click.echo(f"{written.path}: {written.path.stat().st_size / 1e6:.2f} MB")
     if written.unused:
         leave(PARTLY)

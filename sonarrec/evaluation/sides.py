@@ -55,6 +55,12 @@ def both_sides(
     for (was, a), (now, b) in together:
         if note := check_one_log(was, a.run, now, b.run):
             notes.append(note)
+        if a.landmarks.ids != b.landmarks.ids:
+            raise SonarrecError(
+                f"{was} and {now}: run with the landmark IDs {', '.join(map(str, a.landmarks.ids))} "
+                f"and {', '.join(map(str, b.landmarks.ids))}; to compare them the same IDs are "
+                "needed, in the same order, or --landmarks"
+            )
         for folder, log in ((was, a), (now, b)):
             if not log.run.table:
                 notes.append(f"{folder}: no run.toml, so its settings are not known")
