@@ -51,19 +51,7 @@ def both_sides(
         for side in (old, new)
     )
     together, unused = _pair_up(old, new, before, after)
-    notes = []
-    for (was, a), (now, b) in together:
-        if note := check_one_log(was, a.run, now, b.run):
-            notes.append(note)
-        if a.landmarks.ids != b.landmarks.ids:
-            raise SonarrecError(
-                f"{was} and {now}: run with the landmark IDs {', '.join(map(str, a.landmarks.ids))} "
-                f"and {', '.join(map(str, b.landmarks.ids))}; to compare them the same IDs are "
-                "needed, in the same order, or --landmarks"
-            )
-        for folder, log in ((was, a), (now, b)):
-            if not log.run.table:
-                notes.append(f"{folder}: no run.toml, so its settings are not known")
+    notes = [line for pair in together for line in _checked(*pair)]
     once = counted_once(*zip(*(b for _, b in together), strict=True))
     together = [together[i] for i in once.kept]
     notes += [*once.notes, *once.unused]
@@ -94,6 +82,23 @@ def both_sides(
         notes=[*dict.fromkeys(notes), *found.notes],
         unused=[*dict.fromkeys(unused), *found.unused],
     )
+
+
+def _checked(old: Read, new: Read) -> list[str]:
+    """What to note of two results to be compared. Raises SonarrecError where they cannot be."""
+    (was, a), (now, b) = old, new
+    note = check_one_log(was, a.run, now, b.run)
+    if a.landmarks.ids != b.landmarks.ids:
+        ids = (", ".join(map(str, log.landmarks.ids)) for log in (a, b))
+        raise SonarrecError(
+            f"{was} and {now}: run with the landmark IDs {' and '.join(ids)}; to compare them the "
+            "same IDs are needed, in the same order, or --landmarks"
+        )
+    unknown = (folder for folder, log in (old, new) if not log.run.table)
+    return [
+        *([note] if note else []),
+        *(f"{folder}: no run.toml, so its settings are not known" for folder in unknown),
+    ]
 
 
 def _pair_up(
