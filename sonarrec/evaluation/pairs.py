@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sonarrec.readers.find import Source, find_log
-from sonarrec.readers.images import MAX_FILE_BYTES
+from sonarrec.readers.images import MAX_FILE_BYTES, is_image
 from sonarrec.records import SonarrecError, UsageError
 from sonarrec.results.read import find_logs
 from sonarrec.results.run_file import Input, read_run
@@ -122,14 +122,16 @@ def _truth_beside(folder: Path, source: Input) -> Path:
 
 def _size(log: Source) -> int:
     """Bytes, counted as for run.toml (`readers.log.Log.digest_source`)."""
-    sizes = []
+    several = log.files != [log.path]
+    total = 0
     for file in log.files:
         try:
-            sizes.append(file.stat().st_size)
+            size = file.stat().st_size
         except OSError:  # of several, one that cannot be read was told by the run
             continue
-    several = log.files != [log.path]
-    return sum(size for size in sizes if not several or size <= MAX_FILE_BYTES)
+        if not (several and is_image(file) and size > MAX_FILE_BYTES):
+            total += size
+    return total
 
 
 def truth_of(pairs: Sequence[Pair], *folders: Path) -> Pair | None:
