@@ -35,7 +35,7 @@ MAY_IMPORT = {
     "tomllib": ("toml",),
     "pandas": ("tables", "results.frames", "report.mistakes"),
     "matplotlib": ("evaluation.plots", "report.charts", "truth.contact_sheet"),
-    "jinja2": ("report.page",),
+    "jinja2": ("report.page", "report.compare"),
     "tomli_w": ("results.write", "simulation.simulate"),
     "cv2": (
         "geometry",

@@ -32,9 +32,18 @@ from sonarrec.records import UsageError
 @ground_truth_option("gt.csv; without it nothing is scored.")
 @option(
     INPUT,
+    "--compare",
+    type=(ANY, ANY),
+    metavar="OLD NEW",
+    help="In place of RESULTS: a page on what got better or worse from OLD to NEW. Truth is given, "
+    "or found beside each log.",
+)
+@option(
+    INPUT,
     "--pairs",
     type=FILE,
-    help="In place of RESULTS and truth: a CSV of results,ground_truth[,log], a row per log.",
+    help="In place of RESULTS and truth: a CSV of results,ground_truth[,log], a row per log. With "
+    "--compare: the truth of each log.",
 )
 @option(
     INPUT,
@@ -52,11 +61,15 @@ from sonarrec.records import UsageError
     "--method",
     help="Whose sightings and tracks are shown.  [default: framework, or the first preset]",
 )
-@out_option(NEW_FILE, "The page.  [default: report.html in RESULTS or beside PAIRS]")
+@out_option(
+    NEW_FILE,
+    "The page.  [default: report.html in RESULTS or beside PAIRS; compare.html in NEW]",
+)
 @quiet_option
 def report(
     results: Path | None,
     ground_truth: Path | None,
+    compare: tuple[Path, Path] | None,
     pairs: Path | None,
     recordings: tuple[Path, ...],
     topic: str | None,
@@ -79,7 +92,13 @@ def report(
       sonarrec report sonarrec_out/pan --log sample_data/pan.mcap
       sonarrec report --ground-truth gt.csv --log pings/ -o report.html
       sonarrec report --pairs pairs.csv --log recordings/
+      sonarrec report --compare before after --ground-truth gt.csv
     """
+    if compare is not None:
+        if results or recordings or topic or method:
+            raise UsageError("--compare takes OLD and NEW and truth; no RESULTS, --log, --method")
+        _compare(*compare, ground_truth, pairs, out, quiet, scoring)
+        return
     if pairs is not None and (ground_truth or results):
         raise UsageError("--pairs names results and truth itself; give neither beside it")
 
@@ -104,5 +123,28 @@ def report(
         shown = f"{written.pictures} picture" + "s" * (written.pictures != 1)
         held = f", {written.held} frames to click" if written.held else ""
         click.echo(f"{written.path}: {size:.1f} MB, {shown}{held}")
+    if written.unused:
+        leave(PARTLY)
+
+
+def _compare(
+    old: Path,
+    new: Path,
+    ground_truth: Path | None,
+    pairs: Path | None,
+    out: Path | None,
+    quiet: bool,
+    scoring: dict[str, Any],
+) -> None:
+    from sonarrec.evaluation.pairs import read_pairs
+    from sonarrec.report.compare import write_comparison_page
+
+    if pairs is not None and ground_truth is not None:
+        raise UsageError("--pairs names the truth of each log; give no --ground-truth beside it")
+    truth = read_pairs(pairs) if pairs is not None else ground_truth
+    written = write_comparison_page(out or new / "compare.html", old, new, truth, **scoring)
+    tell(written.unused)
+    if not quiet:
+        click.echo(f"{written.path}: {written.path.stat().st_size / 1e6:.2f} MB")
     if written.unused:
         leave(PARTLY)

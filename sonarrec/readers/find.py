@@ -61,14 +61,22 @@ class Source:
     """A log that was found but not opened.
 
     name: for the results folder. files: what it consists of, in order. reader: opens it.
-    beside: where its sonar.toml may be.
     """
 
     path: Path
     name: str
     files: list[Path]
     reader: Reader
-    beside: list[Path]
+
+    def beside(self, name: str) -> Path | None:
+        """The file of this name that goes with the log, such as its sonar.toml; None without one.
+
+        Of one file that is NAME.sonar.toml before sonar.toml, both in its folder.
+        """
+        places = [self.files[0].parent / name]
+        if self.files == [self.path]:
+            places.insert(0, self.path.with_name(f"{self.path.stem}.{name}"))
+        return next((place for place in places if place.is_file()), None)
 
     def open(self, topic: str | None = None) -> RawLog:
         """Open it. Raises SonarrecError where it cannot be read."""
@@ -80,7 +88,7 @@ class Source:
 
     def stated_sonar(self, flags: Sonar, sonar_file: Path | None) -> tuple[Sonar, str]:
         """The geometry as file and flags state it, and the name to give it in errors."""
-        file = sonar_file or next((b for b in self.beside if b.is_file()), None)
+        file = sonar_file or self.beside(SONAR_FILE)
         stated = Sonar() if file is None else load_sonar(file)
         return stated.updated(flags), shown(file or self.path)
 
@@ -113,21 +121,18 @@ def _found(path: Path) -> Source:
         files = _glob_images(path)
         if _is_log_file(files[0]):
             return _found(files[0])
-        beside = [files[0].parent / SONAR_FILE]
         name = files[0].parent.resolve().name
     elif path.is_dir():
         files = _folder_images(path)
-        beside = [path / SONAR_FILE]
         name = path.resolve().name
     elif path.is_file():
         files = [path]
-        beside = [path.with_name(f"{path.stem}.sonar.toml"), path.with_name(SONAR_FILE)]
         name = path.stem
     elif path.is_symlink():
         raise SonarrecError(f"{shown(path)}: a link to a file that is not there")
     else:
         raise MissingError(f"{shown(path)}: no such file or folder")
-    return Source(path, _named(name), files, _reader_of(files[0]), beside)
+    return Source(path, _named(name), files, _reader_of(files[0]))
 
 
 def _named(name: str) -> str:

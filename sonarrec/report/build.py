@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from sonarrec.evaluation.evaluate import Evaluation, evaluate, evaluate_pairs, read_pairs
+from sonarrec.evaluation.evaluate import Evaluation, evaluate, evaluate_pairs
+from sonarrec.evaluation.pairs import read_pairs
 from sonarrec.outputs import check_output
 from sonarrec.records import SonarrecError
 from sonarrec.report import frames
@@ -86,10 +87,12 @@ def write_report(
         names = [None] * len(folders)
         truths = [None if ground_truth is None else read_truth(ground_truth)] * len(folders)
     logs = read_logs(folders, truths, names, **scoring, method=method)  # type: ignore[arg-type]
-    if pairs is not None and evaluation is not None:  # which tells equal names apart
+    if evaluation is not None:  # which tells equal names apart, and counts copies of a log once
+        scored = dict(zip(evaluation.folders, evaluation.joined.logs, strict=True))
         logs = [
-            replace(log, results=replace(log.results, name=name))
-            for log, name in zip(logs, evaluation.joined.logs, strict=True)
+            replace(log, results=replace(log.results, name=scored[folder]))
+            for log, folder in zip(logs, folders, strict=True)
+            if folder in scored
         ]
     wrong = {}
     if evaluation is not None:
@@ -214,7 +217,8 @@ def _nearest_to_one(logs: Sequence[ReportedLog]) -> list[Wanted]:
     if best is None:
         return []
     score, log, n = best
-    told = f"Nothing declared; nearest to it ID.{log.ids[log.results.landmark[n]]} ({score:.2f})."
+    landmark = log.ids[log.results.landmark_index[n]]
+    told = f"Nothing declared; nearest to it ID.{landmark} ({score:.2f})."
     return [Wanted(log.results.name, log.tracker, log.frame_of(n), "surest", told)]
 
 

@@ -186,10 +186,10 @@ def timeline(log: ReportedLog) -> list[tuple[int, list[Lane]]]:
             path = bars(axis, log.time, period, there)
             lanes.append(Lane("truth", Chart(told, [Shape(path, None, "bar")]), True))
         for method in order:
-            mine = log.of_method(method) & found.declared & (found.landmark == k)
+            mine = log.of_method(method) & found.declared & (found.landmark_index == k)
             surest = np.zeros(len(found.frame))
-            np.maximum.at(surest, found.row[mine], found.score[mine])
-            claims = int(np.count_nonzero(np.bincount(found.row[mine])))
+            np.maximum.at(surest, found.frame_index[mine], found.score[mine])
+            claims = int(np.count_nonzero(np.bincount(found.frame_index[mine])))
             anything |= claims > 0
             told = f"{method} declares ID.{landmark} in {claims} of {len(surest)} frames"
             path = bars(axis, log.time, period, surest)
@@ -215,8 +215,8 @@ def silent_lanes(log: ReportedLog, silent: Sequence[Track]) -> list[Lane]:
         followed = np.full(len(track.at), FOLLOWED)
         start = log.time[track.frame_index]
         shapes = [Shape(bars(axis, start, period, followed, SILENT_POINTS), None, "bar")]
-        for k in np.unique(found.landmark[track.at]).tolist():
-            height = np.where(found.landmark[track.at] == k, found.score[track.at], 0.0)
+        for k in np.unique(found.landmark_index[track.at]).tolist():
+            height = np.where(found.landmark_index[track.at] == k, found.score[track.at], 0.0)
             path = bars(axis, start, period, height, SILENT_POINTS)
             shapes.append(Shape(path, k, "bar", f"ID.{found.landmarks.ids[k]}"))
         truth = true_landmark(log, track)
@@ -340,7 +340,7 @@ def _panel(log: ReportedLog, track: Track, method: str, at: IntArray) -> TrackPa
     for k in range(len(found.landmarks.ids)):
         claims = np.zeros(len(rows))
         mine = seen.copy()
-        mine[seen] = found.declared[at[seen]] & (found.landmark[at[seen]] == k)
+        mine[seen] = found.declared[at[seen]] & (found.landmark_index[at[seen]] == k)
         claims[track.frame_index[mine] - rows[0]] = 1
         if mine.any():
             strip.append(Shape(bars(axis, log.time[rows] - period / 2, period, claims), k, "bar"))

@@ -49,7 +49,7 @@ class ReportedLog:
 
     def frame_of(self, estimate: int) -> int:
         """The number of an estimate's frame."""
-        return int(self.results.frame[self.results.row[estimate]])
+        return int(self.results.frame[self.results.frame_index[estimate]])
 
     def seconds(self, timestamp_ns: int) -> float:
         """Since the first frame, of a log that tells times."""
@@ -59,7 +59,7 @@ class ReportedLog:
     def of_method(self, name: str) -> BoolArray:
         """(N,) which estimates are the method's."""
         if name not in self.results.methods:
-            return np.zeros(len(self.results.row), dtype=bool)
+            return np.zeros(len(self.results.frame_index), dtype=bool)
         return np.asarray(self.results.method == self.results.methods.index(name))
 
 
@@ -155,7 +155,7 @@ def _truth_near(log: LogResults, truth: Truth, min_visible: float) -> IntArray |
     joined = join([log], [truth], min_visible)
     if not joined.placed:
         return None
-    every = np.arange(len(log.row))
+    every = np.arange(len(log.frame_index))
     nearest = nearest_truth(joined, every, joined.claim_frame_index, joined.truth_frame_index)
     near = np.full(len(every), -1, dtype=np.int64)
     near[nearest >= 0] = truth.landmark_index[nearest[nearest >= 0]]
@@ -182,14 +182,14 @@ def seen(log: ReportedLog) -> list[Seen]:
     """The tracker's passes, in order of first sight."""
     found = log.results
     mine = np.flatnonzero(log.of_method(log.tracker) & found.declared)
-    mine = mine[np.argsort(found.row[mine], kind="stable")]
-    frame, false = found.frame[found.row[mine]], _false(log)
+    mine = mine[np.argsort(found.frame_index[mine], kind="stable")]
+    frame, false = found.frame[found.frame_index[mine]], _false(log)
     shown = []
     for s in log.sightings:
         if s.landmark not in log.ids:
             continue
         here = (frame >= s.first_frame) & (frame <= s.last_frame)
-        here &= found.landmark[mine] == log.ids.index(s.landmark)
+        here &= found.landmark_index[mine] == log.ids.index(s.landmark)
         if s.track is not None:
             here &= found.object[mine] == s.track
         if here.any():
@@ -199,7 +199,7 @@ def seen(log: ReportedLog) -> list[Seen]:
 
 def _seen(log: ReportedLog, sighting: Sighting, at: IntArray, wrong: BoolArray | None) -> Seen:
     """at: (n,) its declarations. wrong: (n,) which are false claims, None where not known."""
-    rows = log.results.row[at]
+    rows = log.results.frame_index[at]
     place = log.results.position
     aside = rows - (rows[0] + rows[-1]) / 2 if place is None else np.arctan2(*place[at].T)
     true_last = np.zeros(len(at), dtype=bool) if wrong is None else wrong
@@ -217,10 +217,10 @@ def _false(log: ReportedLog) -> BoolArray | None:
     if truth is None:
         return None
     if log.truth_near is not None:
-        return np.asarray(log.truth_near != found.landmark)
+        return np.asarray(log.truth_near != found.landmark_index)
     there = np.zeros((len(found.frame), len(found.landmarks.ids)), dtype=bool)
     there[truth.frame_index, truth.landmark_index] = True
-    return ~there[found.row, found.landmark]
+    return ~there[found.frame_index, found.landmark_index]
 
 
 def told_false(log: ReportedLog, estimate: int) -> str:
@@ -264,8 +264,8 @@ def tracks(log: ReportedLog, most: int, most_silent: int) -> Tracks:
         shown = []
         for n in of.tolist():
             at = mine[which == n]
-            at = at[np.unique(found.row[at], return_index=True)[1]]
-            shown.append(Track(int(numbers[n]), at, found.row[at]))
+            at = at[np.unique(found.frame_index[at], return_index=True)[1]]
+            shown.append(Track(int(numbers[n]), at, found.frame_index[at]))
         return sorted(shown, key=lambda track: (int(track.frame_index[0]), track.number))
 
     return Tracks(chosen(told[:most]), len(told), chosen(silent[:most_silent]), len(silent))
@@ -280,8 +280,8 @@ def alongside(log: ReportedLog, track: Track, method: str) -> IntArray:
     matched = np.full(len(track.at), -1, dtype=np.int64)
     if found.position is None:
         return matched
-    other = np.flatnonzero(log.of_method(method) & np.isin(found.row, track.frame_index))
-    beside = np.searchsorted(track.frame_index, found.row[other])
+    other = np.flatnonzero(log.of_method(method) & np.isin(found.frame_index, track.frame_index))
+    beside = np.searchsorted(track.frame_index, found.frame_index[other])
     away = np.linalg.norm(found.position[other] - found.position[track.at[beside]], axis=1)
     order = np.argsort(-away, kind="stable")
     order = order[away[order] <= found.landmarks.radius_m]

@@ -319,7 +319,7 @@ def _track_view(log: ReportedLog, track: Track) -> TrackView:
     ids = found.landmarks.ids
     claims = []
     for k in range(len(ids)):
-        count = int((found.declared[track.at] & (found.landmark[track.at] == k)).sum())
+        count = int((found.declared[track.at] & (found.landmark_index[track.at] == k)).sum())
         if count:
             claims.append(f"ID.{ids[k]} in {count} of {len(track.at)} frames")
     first, last = int(track.frame_index[0]), int(track.frame_index[-1])

@@ -32,12 +32,12 @@ from sonarrec.results.columns import (
     needed,
 )
 from sonarrec.results.folders import part_of
-from sonarrec.results.run_file import read_run
+from sonarrec.results.run_file import RunFile, read_run
 from sonarrec.sonar import Sonar
 from sonarrec.tables import Kind, Table, cut, line_number, position_pair, read_table, read_tables
 
 METHODS = ("smi", "framework")
-"""The methods that every run of ours holds, also where one of them saw nothing."""
+"""The methods that a run of one preset holds, also where one of them saw nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,14 +46,14 @@ class LogResults:
 
     frame: (F,) numbers of the frames processed, rising. timestamp_ns: (F,) or None.
     methods: names; the arrays below have one element per estimate. method: index into methods.
-    row: index into frame. landmark: index into landmarks.ids. score: 0 to 1. declared: bool.
+    frame_index: into frame. landmark_index: into landmarks.ids. score: 0 to 1. declared: bool.
     position: (N, 2) metres in the fan plane, or None where it is not known.
     orientation: (N,) deg, NaN where unknown. object: (N,) a number per candidate or track, -1
     where not told. probability: (N, K + 1), one per ID in the set's order, then none of these;
     None where the columns are missing.
     fan: turns fan pixels into metres; None where nothing states it.
     strays: estimates left out, for they lie on frames that frames.csv does not list.
-    finished: False where run.toml says that the run was cut short.
+    finished: False where run.toml says that the run was cut short. run: that run.toml.
     """
 
     name: str
@@ -63,8 +63,8 @@ class LogResults:
     timestamp_ns: IntArray | None
     methods: tuple[str, ...]
     method: IntArray
-    row: IntArray
-    landmark: IntArray
+    frame_index: IntArray
+    landmark_index: IntArray
     score: FloatArray
     declared: BoolArray
     position: FloatArray | None
@@ -73,6 +73,7 @@ class LogResults:
     probability: npt.NDArray[np.float32] | None
     strays: int
     finished: bool
+    run: RunFile
 
 
 def find_logs(results: Path) -> list[Path]:
@@ -119,10 +120,7 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
     position = None if pair is None else plane_position(pair, fan)
     listed = np.isin(table["frame"], frame)
     names = [printable(str(name)) for name in table["method"].categories]
-    # A method of a run of ours that found nothing at all is scored as well.
-    expected = METHODS if run.methods is None else run.methods
-    methods = [m for m in expected if m in names or run.table]
-    methods += [m for m in names if m not in methods]
+    methods = _methods(run, names)
     renumber = np.array([methods.index(m) for m in names], dtype=np.int64)
     ids = np.asarray(landmark_set.ids)
     by_id = np.argsort(ids)
@@ -134,8 +132,8 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
         timestamp_ns=frames["timestamp_ns"][order] if "timestamp_ns" in frames else None,
         methods=tuple(methods),
         method=renumber[table["method"].codes[listed]],
-        row=np.searchsorted(frame, table["frame"][listed]),
-        landmark=by_id[np.searchsorted(ids, table["landmark"][listed], sorter=by_id)],
+        frame_index=np.searchsorted(frame, table["frame"][listed]),
+        landmark_index=by_id[np.searchsorted(ids, table["landmark"][listed], sorter=by_id)],
         score=table["score"][listed],
         declared=table["declared"][listed],
         position=None if position is None else position[listed],
@@ -144,7 +142,17 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
         probability=_probability(table, belief_names(landmark_set.ids), listed),
         strays=int(np.count_nonzero(~listed)),
         finished=run.finished,
+        run=run,
     )
+
+
+def _methods(run: RunFile, there: list[str]) -> list[str]:
+    """The methods of a run: those with estimates (there), and those that found nothing at all."""
+    expected = run.methods or ()
+    if run.methods is None and run.table:  # an earlier version did not list them
+        several = len(run.configs) > 1 or any(":" in name for name in there)
+        expected = () if several else METHODS
+    return list(dict.fromkeys((*expected, *there)))
 
 
 def read_frames(folder: Path) -> Table:

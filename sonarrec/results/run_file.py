@@ -168,6 +168,7 @@ class Input:
     """[input] of run.toml: the log, and how it was read; None where it does not say."""
 
     name: str | None = None
+    path: str | None = None  # as it was given
     bytes: Count | None = None
     sha256: str | None = None
     topic: str | None = None
