@@ -164,7 +164,7 @@ _PIXELS = {
     ),
 }
 topic_option = option(
-    INPUT, "--topic", help="Channel of an MCAP that holds several image channels."
+    INPUT, "--topic", help="Channel of an MCAP or bag that holds several image channels."
 )
 _TIME = {
     "time": option(
@@ -175,6 +175,24 @@ _TIME = {
         "in the order of log time.  [default: log]",
     )
 }
+
+
+_RECURSIVE = option(
+    INPUT, "--recursive", is_flag=True, help="Of a folder also the logs in all folders below it."
+)
+_FROM_FILE = option(
+    INPUT,
+    "--from-file",
+    type=click.File(encoding="utf-8", errors="surrogateescape"),
+    metavar="LIST",
+    help="Logs in a file, each as LOG on a line of its own; - for standard input. Empty lines and "
+    "those that begin with # are passed over.",
+)
+
+
+def many_logs_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """--recursive and --from-file, of commands that take many logs."""
+    return _RECURSIVE(_FROM_FILE(function))
 
 
 @dataclass(frozen=True, slots=True)

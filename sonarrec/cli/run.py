@@ -5,8 +5,9 @@ from __future__ import annotations
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import IO, TYPE_CHECKING
 
 import click
 
@@ -23,6 +24,7 @@ from sonarrec.cli.options import (
     landmarks_option,
     leave,
     log_options,
+    many_logs_options,
     option,
     out_option,
     progress,
@@ -40,7 +42,8 @@ INTERRUPTED, TERMINATED = 130, 143
 
 
 @command(short_help="Recognise the landmarks in logs.")
-@click.argument("log", nargs=-1, required=True)
+@click.argument("log", nargs=-1)
+@many_logs_options
 @log_options(time=True)
 @landmarks_option
 @option(
@@ -48,13 +51,14 @@ INTERRUPTED, TERMINATED = 130, 143
     "--odometry",
     type=FILE,
     help="CSV of the sonar's poses: timestamp or timestamp_ns, yaw (deg, positive to the right) "
-    "and, where known, x, y (m).  [default: the turn is measured between the images]",
+    "and, where known, x, y (m).  [default: NAME.poses.csv or poses.csv beside the log; without "
+    "one the turn is measured between the images]",
 )
 @option(
     INPUT,
     "--odometry-topic",
     metavar="TOPIC",
-    help="Poses in the MCAP itself: nav_msgs/Odometry or geometry_msgs/PoseStamped.",
+    help="Poses in the MCAP or bag itself: nav_msgs/Odometry or geometry_msgs/PoseStamped.",
 )
 @option(
     INPUT,
@@ -75,6 +79,8 @@ INTERRUPTED, TERMINATED = 130, 143
 @quiet_option
 def run(
     log: tuple[str, ...],
+    recursive: bool,
+    from_file: IO[str] | None,
     log_choice: LogChoice,
     landmarks: str | None,
     odometry: Path | None,
@@ -87,10 +93,11 @@ def run(
 ) -> None:
     """Recognise landmarks in LOG, frame by frame.
 
-    LOG is an MCAP file, a folder of images, a video or a quoted glob of these. The sonar's
-    geometry is read from sonar.toml beside it (NAME.sonar.toml for one file), from --sonar, or
-    from the flags; polar sonar messages tell their own, all but the tilt and the height. Several
-    LOGs are processed one after the other; one that cannot be used does not stop the others.
+    LOG is an MCAP file, a bag of ROS 1 or 2, a folder of images, a video, a folder of logs, or a
+    quoted glob of these. The sonar's geometry is read from sonar.toml beside it (NAME.sonar.toml
+    for one file) or in a folder above, up to the LOG given; from --sonar, or from the flags; polar
+    sonar messages tell their own, all but the tilt and the height. Several logs are processed one
+    after the other; one that cannot be used does not stop the others.
 
     Results are replaced only when the new ones are finished, and not made again where they are up
     to date. A run that is stopped leaves its part in OUT/<log name>.part.
@@ -102,26 +109,31 @@ def run(
       sonarrec run dive.mcap --topic /oculus/ping --tilt-deg 20 --time header
       sonarrec run pings/ --odometry poses.csv --model my.toml
       sonarrec run 'dump/*.png' --preset paper -o results
+      sonarrec run rosbag2_2026_11_20-10_00_00/
+      sonarrec run campaign/ --recursive
+      sonarrec run 'dives/**/*.mcap'
+      sonarrec run --from-file dives.txt
     """
     from sonarrec.pipeline import Used, process, result_names
-    from sonarrec.readers.find import find_logs
+    from sonarrec.readers.many import NamedLog, all_logs
     from sonarrec.results.run_file import Given
 
     if odometry is not None and odometry_topic is not None:
         raise UsageError("--odometry and --odometry-topic: choose one of the two")
     given = Given(**log_choice.arguments(), odometry=odometry, odometry_topic=odometry_topic)
     used = Used(settings.configs(), landmarks, model, settings.file)
-    logs = find_logs(log)
-    names = result_names(logs)
+    logs = all_logs(log, from_file, recursive=recursive)
+    names = result_names([one.path for one in logs])
     ended: dict[str, list[str]] = {"done": [], "up to date": [], "in part": [], "failed": []}
 
-    def one(path: str, name: str | None) -> None:
+    def one(log: NamedLog, name: str | None) -> None:
+        path, used_with = log.path, replace(given, up_to=log.up_to)
         with progress(quiet) as step:
 
             def observe(result: FrameResult, total: int | None) -> None:
                 step(total, f"{result.tracks} tracks in view")
 
-            summary = process(path, out, given, used, observe, name=name, overwrite=overwrite)
+            summary = process(path, out, used_with, used, observe, name=name, overwrite=overwrite)
         tell(summary.problems, summary.notes)
         how = "in part" if summary.problems else "up to date" if summary.up_to_date else "done"
         ended[how].append(path)
@@ -129,14 +141,14 @@ def run(
             _print(summary)
 
     with _stoppable(out):
-        for path, name in zip(logs, names, strict=True):
+        for each, name in zip(logs, names, strict=True):
             try:
-                one(path, name)
+                one(each, name)
             except SonarrecError as error:
                 if len(logs) == 1:
                     raise
                 tell([str(error)])
-                ended["failed"].append(path)
+                ended["failed"].append(each.path)
     failed = ended["failed"]
     if len(logs) > 1 and (failed or not quiet):
         counts = ", ".join(f"{len(paths)} {how}" for how, paths in ended.items() if paths)

@@ -111,6 +111,7 @@ class Given:
     time: Clock | None = None  # which of the log's times names a frame; default, its log time
     odometry: Path | None = None  # a table of the sonar's poses, see readers/poses_csv.py
     odometry_topic: str | None = None  # the topic of the log that has them, in place of a table
+    up_to: Path | None = None  # the folder up to which what lies beside the log is looked for
 
 
 @dataclass(frozen=True, slots=True)
