@@ -154,17 +154,16 @@ class BagFolder:
         self.span: tuple[int, int] | None = None
         files, self._told, self.faults = _listed(path)
         self._parts = [_Part(file) for file in files]
-        known: dict[Channel, int] = {}
         for part in self._parts:
-            self._look_into(part, known)
+            self._look_into(part)
         if not any(part.numbers for part in self._parts):
             reason = f" ({self.faults[0]})" if self.faults else ""
             raise SonarrecError(f"{shown(path)}: no part of this bag can be read{reason}")
         self.whole = all(part.sound for part in self._parts)
         self._count()
 
-    def _look_into(self, part: _Part, known: dict[Channel, int]) -> None:
-        """Note what a part holds. known: the number of each channel of the bag."""
+    def _look_into(self, part: _Part) -> None:
+        """Note what a part holds."""
         try:
             if not part.path.is_file():
                 raise SonarrecError("this part of the bag is missing")
@@ -177,9 +176,8 @@ class BagFolder:
             return
         log.close()
         for number, channel in log.channels.items():
-            part.numbers[number] = known.setdefault(channel, len(known))
+            part.numbers[number] = self._number_of(channel)
             part.found[part.numbers[number]] += log.counts.get(number, 0)
-        self.channels = {number: channel for channel, number in known.items()}
         self.chunks.update(log.chunks)
         self.library = self.library or log.library
         part.faults, part.sound = [*log.faults], log.whole and not log.faults
@@ -188,6 +186,19 @@ class BagFolder:
             part.start, part.end = log.span
             first, last = self.span or log.span
             self.span = min(first, part.start), max(last, part.end)
+
+    def _number_of(self, channel: Channel) -> int:
+        """The bag's number of a part's channel. A part may lack the definition that others have."""
+        alike = ("topic", "schema", "message_encoding")
+        for number, other in self.channels.items():
+            if all(getattr(channel, name) == getattr(other, name) for name in alike):
+                if not other.definition:
+                    self.channels[number] = channel
+                    return number
+                if not channel.definition or channel == other:
+                    return number
+        self.channels[len(self.channels)] = channel
+        return len(self.channels) - 1
 
     def _count(self) -> None:
         """What each part has lost, as far as the counts in metadata.yaml tell."""
