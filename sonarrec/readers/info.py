@@ -22,7 +22,7 @@ Observe = Callable[[int | None], None]
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One channel of an MCAP file. schema, schema_encoding, message_encoding: as the file names
+    """One channel of an MCAP file or a bag. schema, schema_encoding, message_encoding: as the file names
     them, schema empty where there is none. images: its messages are read as sonar images."""
 
     topic: str
@@ -35,8 +35,8 @@ class Channel:
 
 @dataclass(frozen=True, slots=True)
 class Container:
-    """What an MCAP file says of itself. footer: it has one, so it was closed. chunks: how many, by
-    compression. start_ns, end_ns: first and last log time of all channels, None without a message.
+    """What an MCAP file or a bag says of itself. footer: it has one, so it was closed; of a bag all
+    its parts are there and whole. chunks: how many, by compression. start_ns, end_ns: first and last log time of all channels, None without a message.
     """
 
     profile: str
@@ -52,7 +52,7 @@ class Container:
 class Images:
     """One sequence of sonar images: of a channel, or all that a folder or video holds.
 
-    topic: None outside of MCAP. frames: how many there are, None where the container does not
+    topic: None outside of MCAP and bags. frames: how many there are, None where the container does not
     tell. usable: how many `sonarrec run` can use once the geometry is complete, None where they
     were not read. rows, columns, pixels: the commonest size as stored, and the type ("uint8",
     "3 x uint8"). start_ns, end_ns: time of the first and last frame, rate_hz: frames a second
@@ -89,8 +89,8 @@ class Images:
 class LogInfo:
     """What is in one log.
 
-    kind: "MCAP", "video" or "images". size_bytes: of all its files. container: None outside of
-    MCAP. images: each sequence of sonar images; none where nothing can be read. checked: every
+    kind: "MCAP", "video", "images", or that of a bag (`READERS`). size_bytes: of all its files.
+    container: None outside of MCAP and bags. images: each sequence of sonar images; none where nothing can be read. checked: every
     frame was read and every checksum compared. faults: lines about what is wrong with the file as
     a whole.
     """
