@@ -21,6 +21,7 @@ from sonarrec.cli.options import (
     leave,
     log_options,
     many_logs_options,
+    named_logs,
     option,
     progress,
     quiet_option,
@@ -84,12 +85,11 @@ def info(
     """
     from sonarrec import __version__
     from sonarrec.readers.info import describe
-    from sonarrec.readers.many import all_logs
 
     reading = log_choice.arguments()
     tables: list[dict[str, Any]] = []
     useless = faulty = 0
-    logs = all_logs(log, from_file, recursive=recursive)
+    logs = named_logs(log, from_file, recursive)
     if preview is not None:
         _check_preview(preview, [one.path for one in logs])
     for number, (path, up_to) in enumerate((one.path, one.up_to) for one in logs):

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial, wraps
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import IO, Any, NoReturn
 
 import click
 
@@ -193,6 +193,18 @@ _FROM_FILE = option(
 def many_logs_options(function: Callable[..., Any]) -> Callable[..., Any]:
     """--recursive and --from-file, of commands that take many logs."""
     return _RECURSIVE(_FROM_FILE(function))
+
+
+def named_logs(logs: tuple[str, ...], from_file: IO[str] | None, recursive: bool) -> Any:
+    """The NamedLogs of a command that takes many. Raises click's UsageError without any."""
+    from sonarrec.readers.many import all_logs
+
+    if not logs and from_file is None:
+        raise click.UsageError(
+            "Missing argument 'LOG...'; a list serves as well: --from-file LIST",
+            click.get_current_context(),
+        )
+    return all_logs(logs, from_file or (), recursive=recursive)
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,6 +25,7 @@ from sonarrec.cli.options import (
     leave,
     log_options,
     many_logs_options,
+    named_logs,
     option,
     out_option,
     progress,
@@ -36,6 +37,7 @@ from sonarrec.records import FrameResult, SonarrecError, UsageError
 
 if TYPE_CHECKING:
     from sonarrec.pipeline import Summary
+    from sonarrec.readers.many import NamedLog
 
 INTERRUPTED, TERMINATED = 130, 143
 """Exit codes of a run that was stopped by Ctrl-C or SIGTERM."""
@@ -115,14 +117,13 @@ def run(
       sonarrec run --from-file dives.txt
     """
     from sonarrec.pipeline import Used, process, result_names
-    from sonarrec.readers.many import NamedLog, all_logs
     from sonarrec.results.run_file import Given
 
     if odometry is not None and odometry_topic is not None:
         raise UsageError("--odometry and --odometry-topic: choose one of the two")
     given = Given(**log_choice.arguments(), odometry=odometry, odometry_topic=odometry_topic)
     used = Used(settings.configs(), landmarks, model, settings.file)
-    logs = all_logs(log, from_file, recursive=recursive)
+    logs = named_logs(log, from_file, recursive)
     names = result_names([one.path for one in logs])
     ended: dict[str, list[str]] = {"done": [], "up to date": [], "in part": [], "failed": []}
 

@@ -22,8 +22,8 @@ Observe = Callable[[int | None], None]
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One channel of an MCAP file or a bag. schema, schema_encoding, message_encoding: as the file names
-    them, schema empty where there is none. images: its messages are read as sonar images."""
+    """One channel of an MCAP file or a bag. schema, schema_encoding, message_encoding: as the file
+    names them, schema empty where there is none. images: its messages are read as sonar images."""
 
     topic: str
     schema: str
@@ -36,7 +36,8 @@ class Channel:
 @dataclass(frozen=True, slots=True)
 class Container:
     """What an MCAP file or a bag says of itself. footer: it has one, so it was closed; of a bag all
-    its parts are there and whole. chunks: how many, by compression. start_ns, end_ns: first and last log time of all channels, None without a message.
+    its parts are there and whole. chunks: how many, by compression. start_ns, end_ns: first and
+    last log time of all channels, None without a message.
     """
 
     profile: str
@@ -52,8 +53,8 @@ class Container:
 class Images:
     """One sequence of sonar images: of a channel, or all that a folder or video holds.
 
-    topic: None outside of MCAP and bags. frames: how many there are, None where the container does not
-    tell. usable: how many `sonarrec run` can use once the geometry is complete, None where they
+    topic: None outside of MCAP and bags. frames: how many there are, None where the container does
+    not tell. usable: how many `sonarrec run` can use once the geometry is complete, None where they
     were not read. rows, columns, pixels: the commonest size as stored, and the type ("uint8",
     "3 x uint8"). start_ns, end_ns: time of the first and last frame, rate_hz: frames a second
     between them, None where frames carry no time.
@@ -90,9 +91,9 @@ class LogInfo:
     """What is in one log.
 
     kind: "MCAP", "video", "images", or that of a bag (`READERS`). size_bytes: of all its files.
-    container: None outside of MCAP and bags. images: each sequence of sonar images; none where nothing can be read. checked: every
-    frame was read and every checksum compared. faults: lines about what is wrong with the file as
-    a whole.
+    container: None outside of MCAP and bags. images: each sequence of sonar images; none where
+    nothing can be read. checked: every frame was read and every checksum compared. faults: lines
+    about what is wrong with the file as a whole.
     """
 
     path: str

@@ -43,15 +43,14 @@ def find_logs(names: Iterable[str], *, recursive: bool = False) -> list[NamedLog
 
 
 def all_logs(
-    names: Iterable[str], listed: Iterable[str] | None, *, recursive: bool = False
+    names: Iterable[str], listed: Iterable[str] = (), *, recursive: bool = False
 ) -> list[NamedLog]:
     """The logs that arguments and the lines of a list name. Of the list empty lines, and those that
     begin with #, are none. Raises UsageError where no log is named."""
-    lines = (line.strip() for line in listed or ())
+    lines = (line.strip() for line in listed)
     logs = [*names, *(line for line in lines if line and not line.startswith("#"))]
     if not logs:
-        where = "Missing argument 'LOG...'" if listed is None else "--from-file: names no log"
-        raise UsageError(f"{where}; give a log, or a list with --from-file")
+        raise UsageError("--from-file: the list names no log")
     return find_logs(logs, recursive=recursive)
 
 
