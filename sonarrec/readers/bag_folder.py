@@ -21,16 +21,10 @@ from sonarrec.readers.recording import Channel, Message, Recording
 from sonarrec.records import SonarrecError, shown
 
 METADATA = "metadata.yaml"
-STORED = (".mcap", ".db3")
+_ENDINGS = tuple(suffix + end for suffix in (".mcap", ".db3") for end in ("", *PACKINGS))
 _MAX_METADATA_BYTES = 2**24
 _MAX_LOST = 10**6  # of one part: numbers beyond that are not believed
 Open = Callable[[Path], Recording]
-
-
-def part_suffix(path: Path) -> str:
-    """The suffix of a part, without that of its packing: ".mcap" of x_0.mcap.zstd."""
-    suffix = path.suffix.lower()
-    return Path(path.stem).suffix.lower() if suffix in PACKINGS else suffix
 
 
 def is_bag_folder(folder: Path) -> bool:
@@ -42,7 +36,6 @@ def is_bag_folder(folder: Path) -> bool:
         with (folder / METADATA).open("rb") as file:
             if b"rosbag2_bagfile_information" in file.read(2**12):
                 return True
-        return bool(_stored(folder))
     return bool(_numbered(folder))
 
 
@@ -54,7 +47,7 @@ def bag_files(folder: Path) -> list[Path]:
 
 
 def _stored(folder: Path) -> list[Path]:
-    found = [p for p in folder.iterdir() if part_suffix(p) in STORED and p.name[0] != "."]
+    found = [p for p in folder.iterdir() if p.name.lower().endswith(_ENDINGS) and p.name[0] != "."]
     return sorted(found, key=natural_order)
 
 
@@ -285,13 +278,13 @@ class BagFolder:
                     message.problem,
                 )
         for number in channels:
-            held = part.found[number] + part.lost[number]
+            gone = part.found[number] + part.lost[number] - passed[number]
             if part.lost[number]:
                 self.faults.append(
-                    f"{shown(part.path.name)}: {held - passed[number]} messages of "
+                    f"{shown(part.path.name)}: {gone} messages of "
                     f"{self.channels[number].topic} are lost, by the counts in {METADATA}"
                 )
-            for _ in range(held - passed[number]):
+            for _ in range(gone if gone <= _MAX_LOST else 0):
                 yield Message(number, last, None, None)
 
     def _read(self, part: _Part, wanted: Collection[int]) -> Iterator[tuple[int, Message]]:

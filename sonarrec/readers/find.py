@@ -258,7 +258,9 @@ def _folder_images(folder: Path) -> list[Path]:
     if not entries:
         raise SonarrecError(f"{shown(folder)}: the folder is empty")
     files = [e for e in entries if is_image(e)]
-    logs = sorted(filter(is_log_file, entries), key=natural_order)
+    images = set(files)
+    others = [e for e in entries if e not in images]
+    logs = sorted(filter(is_log_file, others), key=natural_order)
     if files and logs:
         raise UsageError(
             f"{shown(folder)}: holds images and {len(logs)} other logs ({shown(logs[0].name)} the "

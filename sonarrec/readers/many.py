@@ -62,7 +62,9 @@ def _named(name: str, recursive: bool) -> list[NamedLog]:
         found = list(_below(path)) if recursive else _in_folder(path)
         return _sorted(found, path) if found != [path] else []
     if glob.has_magic(name) and not path.exists():
-        found = [_whole_bag(match) for match in matches(path)]
+        found = matches(path)
+        bags = {folder for folder in {f.parent for f in found} if is_bag_folder(folder)}
+        found = [f.parent if f.parent in bags and is_log_file(f) else f for f in found]
         logs = {log for log in found if is_log_file(log) or (log.is_dir() and _is_log(log))}
         return _sorted(logs, _fixed(path))
     return []
@@ -80,11 +82,6 @@ def _fixed(pattern: Path) -> Path:
             break
         folder /= part
     return folder
-
-
-def _whole_bag(match: Path) -> Path:
-    """The bag that a file is a part of, else the file."""
-    return match.parent if is_log_file(match) and is_bag_folder(match.parent) else match
 
 
 def _is_log(folder: Path) -> bool:
