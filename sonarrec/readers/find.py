@@ -6,7 +6,7 @@ A further format is one module with a RawLog, or a Recording of messages, and on
 from __future__ import annotations
 
 import glob
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -175,22 +175,17 @@ def companion(log: Path, name: str, up_to: Path | None = None) -> Path | None:
     folder = log if log.is_dir() else log.parent
     places = [folder / own, folder / name]
     if folder == log:
-        places.append(_above(log) / own)
+        places.append((log.parent if log.name not in ("", "..") else log.resolve().parent) / own)
     for above in _folders_up_to(folder, up_to):
         places += [above / own, above / name]
     return next((place for place in places if place.is_file()), None)
 
 
-def _above(folder: Path) -> Path:
-    return folder.resolve().parent if folder.name in ("", "..") else folder.parent
-
-
-def _folders_up_to(folder: Path, up_to: Path | None) -> Iterator[Path]:
+def _folders_up_to(folder: Path, up_to: Path | None) -> list[Path]:
     """The folders above one, up to and with `up_to`; none where it is not below that."""
-    if up_to is not None and up_to.resolve() in folder.resolve().parents:
-        while folder.resolve() != up_to.resolve():
-            folder = _above(folder)
-            yield folder
+    if up_to is None or up_to.resolve() not in folder.resolve().parents:
+        return []
+    return [up_to / above for above in folder.resolve().relative_to(up_to.resolve()).parents]
 
 
 def log_name(path: Path) -> str:
@@ -263,7 +258,7 @@ def _folder_images(folder: Path) -> list[Path]:
     logs = sorted(filter(is_log_file, others), key=natural_order)
     if files and logs:
         raise UsageError(
-            f"{shown(folder)}: holds images and {len(logs)} other logs ({shown(logs[0].name)} the "
+            f"{shown(folder)}: holds images and other logs ({len(logs)}, {shown(logs[0].name)} the "
             f"first); choose with a quoted glob, as '{shown(folder)}/*{files[0].suffix}' or "
             f"'{shown(folder)}/*{logs[0].suffix}'"
         )

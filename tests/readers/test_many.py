@@ -86,7 +86,7 @@ def test_folders_globs_and_lists() -> None:
 def test_images_and_logs_in_one_folder(campaign: Path) -> None:
     shutil.copy(SAMPLE / "pan" / "000000.png", campaign / "map.png")
     told = sonarrec("run", campaign, code=2).stderr
-    assert "holds images and 2 other logs" in told
+    assert "holds images and other logs (2, dive2.mcap the first)" in told
     assert "'campaign/*.png' or 'campaign/*.mcap'" in told
     assert named("campaign/*.mcap") == ["dive2.mcap", "dive10.mcap"]
     (campaign / "map.png").unlink()
