@@ -21,12 +21,13 @@ from sonarrec.cli import main
 from sonarrec.readers import open_log
 from sonarrec.readers import packed as packed_files
 from sonarrec.readers import ros_bag as ros_bags
+from sonarrec.readers.find import find_log
 from sonarrec.readers.mcap import ros
 from sonarrec.readers.mcap.poses import read_topic
 from sonarrec.records import Frame, SonarrecError
-from tests.support.bags import bag, messages, ros1_bag, split_bag
+from tests.support.bags import bag, messages, ros1_bag, ros1_messages, split_bag
 from tests.support.logs import PERIOD_NS, cdr_image, frames, mcap_file
-from tests.support.messages import serialised
+from tests.support.messages import FIELDS, by_rosbags, polar_frames, serialised
 
 SAMPLE = Path(__file__).parents[2] / "sample_data"
 IMAGES = frames(10)
@@ -125,6 +126,18 @@ def test_a_missing_part(storage: str, tmp_path: Path) -> None:
         read(tmp_path / "dive")
 
 
+def test_losses_that_cannot_be_placed(tmp_path: Path) -> None:
+    """Old bags count no messages by file: of two parts that are gone none knows which had what."""
+    files = split_bag(tmp_path / "dive", parts_of(messages(IMAGES), PARTS))
+    told = tmp_path / "dive" / "metadata.yaml"
+    told.write_text(told.read_text().replace("  files:", "  other:"))
+    files[1].unlink()
+    files[2].unlink()
+    found, problems = read(tmp_path / "dive")
+    assert [f.index for f in found] == list(range(6))
+    assert "counts 10 messages of /sonar, the parts hold 6; in which part" in problems[-1]
+
+
 def test_parts_that_overlap_in_time_come_in_the_order_of_time(tmp_path: Path) -> None:
     """A recorder writes what comes in while it opens the next file into either."""
     timed = messages(IMAGES)
@@ -179,6 +192,33 @@ def test_poses_of_a_bag(tmp_path: Path) -> None:
     table = read_topic(tmp_path / "dive", "/pose", "log")
     assert table.at.tolist() == [k * PERIOD_NS for k in range(4)]
     np.testing.assert_allclose(table.pose, [[-15, -2, 1]] * 4)
+
+
+@pytest.mark.parametrize("name", FIELDS)
+def test_every_message_type_from_every_container(name: str, tmp_path: Path) -> None:
+    """The table of message types is one: what an MCAP holds can lie in a bag."""
+    images = polar_frames(3)
+    by_rosbags(name)(tmp_path / "log.mcap", images, "zstd")
+    timed = [(k * PERIOD_NS, serialised(name, FIELDS[name](k, i))) for k, i in enumerate(images)]
+    bag(tmp_path / "one", timed, ".db3", kind=name)
+    bag(tmp_path / "two", timed, ".mcap", "message", kind=name)
+    older = [
+        (k * PERIOD_NS, serialised(name, FIELDS[name](k, i), ros1=True))
+        for k, i in enumerate(images)
+    ]
+    ros1_messages(tmp_path / "log.bag", older, name)
+    expected, *others = (
+        list(find_log(tmp_path / log).open()) for log in ("log.mcap", "one", "two", "log.bag")
+    )
+    assert len(expected) == 3
+    for found in others:
+        for frame, other in zip(expected, found, strict=True):
+            assert frame.pixels is not None
+            assert other.pixels is not None
+            np.testing.assert_array_equal(frame.pixels, other.pixels)
+            assert frame.sonar == other.sonar
+            assert frame.timestamp_ns == other.timestamp_ns
+            assert frame.stamps.header == other.stamps.header
 
 
 @pytest.mark.parametrize(

@@ -82,13 +82,22 @@ def split_bag(
 
 
 def ros1_bag(path: Path, images: Sequence[np.ndarray], compression: str | None = None) -> Path:
+    timed = [
+        (k * PERIOD_NS, serialised(IMAGE, image_fields(k, image), ros1=True))
+        for k, image in enumerate(images)
+    ]
+    return ros1_messages(path, timed, compression=compression)
+
+
+def ros1_messages(
+    path: Path, timed: Timed, kind: str = IMAGE, compression: str | None = None
+) -> Path:
     writer = Ros1Writer(path)
     if compression is not None:
         writer.set_compression(Ros1Writer.CompressionFormat[compression])
     with writer:
-        channel = writer.add_connection("/sonar", IMAGE, typestore=STORES[True])
-        for k, image in enumerate(images):
-            data = serialised(IMAGE, image_fields(k, image), ros1=True)
-            writer.write(channel, k * PERIOD_NS, data)
+        channel = writer.add_connection("/sonar", kind, typestore=STORES[True])
+        for time, data in timed:
+            writer.write(channel, time, data)
     (path.parent / "sonar.toml").write_text(SONAR_TOML)
     return path
