@@ -16,7 +16,7 @@ from sonarrec.readers.packed import PACKINGS, unpacked
 from sonarrec.readers.raw import RawLog
 from sonarrec.readers.recording import Recording
 from sonarrec.readers.video import VIDEO_SUFFIXES, VideoFrames
-from sonarrec.records import SonarrecError, UsageError, shown
+from sonarrec.records import SonarrecError, shown
 from sonarrec.sonar import Sonar, load_sonar
 
 SONAR_FILE = "sonar.toml"
@@ -253,15 +253,7 @@ def _folder_images(folder: Path) -> list[Path]:
     if not entries:
         raise SonarrecError(f"{shown(folder)}: the folder is empty")
     files = [e for e in entries if is_image(e)]
-    images = set(files)
-    others = [e for e in entries if e not in images]
-    logs = sorted(filter(is_log_file, others), key=natural_order)
-    if files and logs:
-        raise UsageError(
-            f"{shown(folder)}: holds images and other logs ({len(logs)}, {shown(logs[0].name)} the "
-            f"first); choose with a quoted glob, as '{shown(folder)}/*{files[0].suffix}' or "
-            f"'{shown(folder)}/*{logs[0].suffix}'"
-        )
+    logs = [] if files else sorted(filter(is_log_file, entries), key=natural_order)
     if logs:
         raise SonarrecError(
             f"{shown(folder)}: a folder of {len(logs)} logs, {shown(logs[0].name)} the first; open "

@@ -11,7 +11,7 @@ from pathlib import Path
 from sonarrec.readers.bag_folder import is_bag_folder
 from sonarrec.readers.find import is_log_file, matches
 from sonarrec.readers.images import is_image, natural_order
-from sonarrec.records import UsageError
+from sonarrec.records import UsageError, shown
 
 RESULTS = "frames.csv"  # a folder with it holds results, and its pictures are no logs
 
@@ -31,6 +31,7 @@ def find_logs(names: Iterable[str], *, recursive: bool = False) -> list[NamedLog
     Of a folder of logs every file and bag in it; recursive: also in the folders below, and every
     folder of images there. Of a glob of logs each that matches; parts of a bag stand for the bag.
     All else is the argument itself: one log, or none, which is told when it is opened.
+    Raises UsageError for a folder that holds images and other logs.
     """
     logs: list[NamedLog] = []
     for name in names:
@@ -92,16 +93,21 @@ def _is_log(folder: Path) -> bool:
 
 
 def _in_folder(folder: Path) -> list[Path]:
-    """The logs of one folder; itself where it holds images, so that it is told what to choose
-    where it holds both."""
-    if any(is_image(e) for e in folder.iterdir()):
-        return [folder]
-    return [
-        entry
-        for entry in folder.iterdir()
-        if entry.name[0] != "."
-        and (is_log_file(entry) or (entry.is_dir() and is_bag_folder(entry)))
-    ]
+    """The logs of one folder: itself where it holds images, else each file and bag in it.
+
+    Raises UsageError where it holds both, for nothing tells which are meant.
+    """
+    entries = [e for e in folder.iterdir() if e.name[0] != "."]
+    image = next((e for e in entries if is_image(e)), None)
+    logs = sorted(filter(is_log_file, entries), key=natural_order)
+    if image is not None and logs:
+        raise UsageError(
+            f"{shown(folder)}: holds images and other logs ({len(logs)}, {shown(logs[0].name)} the "
+            f"first); choose with a quoted glob, as '{shown(folder)}/*{image.suffix}' or "
+            f"'{shown(folder)}/*{logs[0].suffix}'"
+        )
+    bags = [e for e in entries if e.is_dir() and is_bag_folder(e)]
+    return [folder] if image is not None else [*logs, *bags]
 
 
 def _below(folder: Path) -> Iterator[Path]:
