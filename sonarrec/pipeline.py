@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from heapq import nlargest
 from itertools import chain
 from pathlib import Path
@@ -17,7 +17,7 @@ from sonarrec.drawing import disc_width_px
 from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.poses import PoseTable
 from sonarrec.readers import open_log
-from sonarrec.readers.find import find_log
+from sonarrec.readers.find import SONAR_FILE, find_log, log_name
 from sonarrec.readers.log import Log
 from sonarrec.readers.plausible import Plausibility
 from sonarrec.readers.poses_csv import read_poses
@@ -42,6 +42,8 @@ from sonarrec.sonar import Sonar, sonar_from
 
 Presets = str | Config | Sequence[str | Config]
 """One preset by name or as a Config, or several to run side by side."""
+POSES_FILE = "poses.csv"
+"""Poses beside a log, or NAME.poses.csv, which are used where none are given."""
 Observe = Callable[[FrameResult, int | None], None]
 """Told each result and the number of frames, where that is known."""
 
@@ -100,7 +102,7 @@ def run(
 ) -> Summary:
     """Recognise the landmarks in a log and write its results to `out`/<log name>/.
 
-    log: an MCAP file, a folder of images, a glob of images or a video. preset: "default",
+    log: an MCAP file, a bag of ROS, a folder or glob of images, or a video. preset: "default",
     "offline", "paper", a Config, or several of them, side by side. landmarks: a set by name or
     TOML file, default `basin`. model: of `sonarrec calibrate`. sonar: geometry that wins over
     files, such as {"tilt_deg": 20.0} (keys and units of sonar.toml: m, deg). sonar_file: in place
@@ -197,11 +199,13 @@ def process(
     """
     path = Path(path)
     earlier = read_run(used.earlier_run)
-    same_log = earlier.input.name == shown(path.stem)
+    same_log = earlier.input.name == shown(log_name(path))
     given = earlier.lay_under(given, same_log=same_log)
+    given, notes = _with_companions(path, given, again=same_log)
     landmarks = earlier.landmark_set(used.landmarks)
     learned = _model(used, earlier)
-    poses, notes = _poses(path, given, earlier if same_log else read_run(None))
+    poses, more = _poses(path, given, earlier if same_log else read_run(None))
+    notes += more
     with _opened(path, given) as log:
         span = given.frames or (0, None)
         frames = _within(log, span)
@@ -312,7 +316,27 @@ def _opened(path: Path, given: Given) -> Log:
         sonar_file=given.sonar_file,
         topic=given.topic,
         time=given.time or "log",
+        up_to=given.up_to,
     )
+
+
+def _with_companions(path: Path, given: Given, again: bool) -> tuple[Given, list[str]]:
+    """What is given, with the poses that lie beside the log, and a note for each file that was
+    found and is not beside it, or was not asked for.
+
+    again: the run of a run.toml is run again, with the poses it had.
+    """
+    source = find_log(path, given.up_to)
+    notes = []
+    geometry = source.beside(SONAR_FILE)
+    if given.sonar_file is None and geometry != find_log(path).beside(SONAR_FILE):
+        notes.append(f"{path}: its geometry is that of {geometry}")
+    if again or given.odometry is not None or given.odometry_topic is not None:
+        return given, notes
+    poses = source.beside(POSES_FILE)
+    if poses is None:
+        return given, notes
+    return replace(given, odometry=poses), [*notes, f"{path}: its poses are those of {poses}"]
 
 
 def _model(used: Used, earlier: RunFile) -> ModelFile | None:

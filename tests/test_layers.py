@@ -27,9 +27,10 @@ MAY_IMPORT = {
     "click": ("cli",),
     "tqdm": ("cli",),
     "mcap": ("readers.mcap", "simulation.mcap_writer", "overlay.foxglove"),
-    "lz4": ("readers.mcap",),
-    "zstandard": ("readers.mcap",),
-    "rosbags": ("readers.mcap.ros", "simulation.mcap_writer"),
+    "lz4": ("readers.mcap", "readers.ros_bag"),
+    "zstandard": ("readers.mcap", "readers.packed"),
+    "rosbags": ("readers.mcap.ros", "readers.db3", "readers.ros_bag", "simulation.mcap_writer"),
+    "ruamel": ("readers.bag_folder",),
     "google": ("readers.mcap.foxglove",),  # protobuf
     "msgspec": ("toml",),
     "tomllib": ("toml",),
@@ -53,7 +54,7 @@ MAY_IMPORT = {
 """Of each package but numpy the modules that may import it, by how their names begin."""
 # What `sonarrec --help`, `run` and `simulate` load; heavy packages must not come with it.
 LIGHT = ("cli", "pipeline", "simulation.simulate", "readers.mcap.images", "readers.mcap.poses")
-HEAVY = {"pandas", "matplotlib", "scipy", "rosbags", "google"}
+HEAVY = {"pandas", "matplotlib", "scipy", "rosbags", "google", "ruamel"}
 
 Sources = dict[str, str]
 PACKAGE = Path(__file__).parents[1] / "sonarrec"

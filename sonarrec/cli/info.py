@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import click
 
@@ -19,6 +20,8 @@ from sonarrec.cli.options import (
     landmarks_option,
     leave,
     log_options,
+    many_logs_options,
+    named_logs,
     option,
     progress,
     quiet_option,
@@ -32,7 +35,8 @@ if TYPE_CHECKING:
 
 
 @command(short_help="Show what is in a log, and whether it is whole.")
-@click.argument("log", nargs=-1, required=True)
+@click.argument("log", nargs=-1)
+@many_logs_options
 @option(
     INPUT,
     "--quick",
@@ -52,6 +56,8 @@ if TYPE_CHECKING:
 @quiet_option
 def info(
     log: tuple[str, ...],
+    recursive: bool,
+    from_file: IO[str] | None,
     quick: bool,
     log_choice: LogChoice,
     landmarks: str | None,
@@ -61,10 +67,10 @@ def info(
 ) -> None:
     """Show what is in LOG, whether it is whole, and how `run` would read it.
 
-    LOG is an MCAP file, a folder of images, a video or a quoted glob of these. Every frame is
-    read, and every checksum compared, to tell how many frames can be used; --quick leaves that
-    out. A geometry that is not complete is told but no fault. Exit code 3: part of the log cannot
-    be used; 1: nothing can.
+    LOG is an MCAP file, a bag of ROS 1 or 2, a folder of images, a video, a folder of logs, or a
+    quoted glob of these. Every frame is read, and every checksum compared, to tell how many
+    frames can be used; --quick leaves that out. A geometry that is not complete is told but no
+    fault. Exit code 3: part of the log cannot be used; 1: nothing can.
 
     --preview draws range rings, bearings, the near edge of the stated floor and three discs of the
     landmark set onto the first usable frame: what is wrong with a geometry shows at a glance.
@@ -77,19 +83,18 @@ def info(
       sonarrec info --json dive.mcap | jq '.logs[0].images[].usable'
     """
     from sonarrec import __version__
-    from sonarrec.readers.find import find_logs
     from sonarrec.readers.info import describe
 
     reading = log_choice.arguments()
-    if preview is not None:
-        _check_preview(preview, log)
     tables: list[dict[str, Any]] = []
     useless = missing = faulty = 0
-    logs = find_logs(log)
-    for number, path in enumerate(logs):
+    logs = named_logs(log, from_file, recursive)
+    if preview is not None:
+        _check_preview(preview, [one.path for one in logs])
+    for number, (path, up_to) in enumerate((one.path, one.up_to) for one in logs):
         try:
             with progress(quiet) as step:
-                found = describe(path, **reading, quick=quick, observe=step)
+                found = describe(path, **reading, quick=quick, observe=step, up_to=up_to)
         except SonarrecError as error:
             if isinstance(error, UsageError) and not isinstance(error, MissingError):
                 raise
@@ -102,7 +107,7 @@ def info(
         faulty += found.partly
         tables.append(found.as_table())
         if preview is not None:
-            _draw_preview(path, preview, landmarks, reading)
+            _draw_preview(path, preview, landmarks, {**reading, "up_to": up_to})
         if not as_json:
             click.echo("\n".join(["", *lines(found)] if number else lines(found)))
     if as_json:
@@ -113,7 +118,7 @@ def info(
         leave(PARTLY)
 
 
-def _check_preview(preview: Path, logs: tuple[str, ...]) -> None:
+def _check_preview(preview: Path, logs: Sequence[str]) -> None:
     """Raises UsageError where the picture has no place of its own."""
     if len(logs) > 1:
         raise UsageError(f"--preview {preview}: draws one log; {len(logs)} are given")

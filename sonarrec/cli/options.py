@@ -7,7 +7,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial, wraps
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import IO, Any, NoReturn
 
 import click
 
@@ -165,7 +165,7 @@ _PIXELS = {
     ),
 }
 topic_option = option(
-    INPUT, "--topic", help="Channel of an MCAP that holds several image channels."
+    INPUT, "--topic", help="Channel of an MCAP or bag that holds several image channels."
 )
 _TIME = {
     "time": option(
@@ -176,6 +176,36 @@ _TIME = {
         "in the order of log time.  [default: log]",
     )
 }
+
+
+_RECURSIVE = option(
+    INPUT, "--recursive", is_flag=True, help="Of a folder also the logs in all folders below it."
+)
+_FROM_FILE = option(
+    INPUT,
+    "--from-file",
+    type=click.File(encoding="utf-8", errors="surrogateescape"),
+    metavar="LIST",
+    help="Logs in a file, each as LOG on a line of its own; - for standard input. Empty lines and "
+    "those that begin with # are passed over.",
+)
+
+
+def many_logs_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """--recursive and --from-file, of commands that take many logs."""
+    return _RECURSIVE(_FROM_FILE(function))
+
+
+def named_logs(logs: tuple[str, ...], from_file: IO[str] | None, recursive: bool) -> Any:
+    """The NamedLogs of a command that takes many. Raises click's UsageError without any."""
+    from sonarrec.readers.many import all_logs
+
+    if not logs and from_file is None:
+        raise click.UsageError(
+            "Missing argument 'LOG...'; a list serves as well: --from-file LIST",
+            click.get_current_context(),
+        )
+    return all_logs(logs, from_file or (), recursive=recursive)
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,6 +6,7 @@ import json
 import signal
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any
@@ -28,6 +29,8 @@ from sonarrec.cli.options import (
     landmarks_option,
     leave,
     log_options,
+    many_logs_options,
+    named_logs,
     option,
     out_option,
     progress,
@@ -42,13 +45,15 @@ from sonarrec.records import FrameResult, MissingError, SonarrecError, UsageErro
 
 if TYPE_CHECKING:
     from sonarrec.pipeline import Summary
+    from sonarrec.readers.many import NamedLog
 
 INTERRUPTED, TERMINATED = 130, 143
 """Exit codes of a run that was stopped by Ctrl-C or SIGTERM."""
 
 
 @command(short_help="Recognise the landmarks in logs.")
-@click.argument("log", nargs=-1, required=True)
+@click.argument("log", nargs=-1)
+@many_logs_options
 @log_options(time=True)
 @landmarks_option
 @option(
@@ -56,13 +61,14 @@ INTERRUPTED, TERMINATED = 130, 143
     "--odometry",
     type=FILE,
     help="CSV of the sonar's poses: timestamp or timestamp_ns, yaw (deg, positive to the right) "
-    "and, where known, x, y (m).  [default: the turn is measured between the images]",
+    "and, where known, x, y (m).  [default: NAME.poses.csv or poses.csv beside the log; without "
+    "one the turn is measured between the images]",
 )
 @option(
     INPUT,
     "--odometry-topic",
     metavar="TOPIC",
-    help="Poses in the MCAP itself: nav_msgs/Odometry or geometry_msgs/PoseStamped.",
+    help="Poses in the MCAP or bag itself: nav_msgs/Odometry or geometry_msgs/PoseStamped.",
 )
 @frames_option("Recognise only these frames, from A up to, not including, B.")
 @option(
@@ -86,6 +92,8 @@ INTERRUPTED, TERMINATED = 130, 143
 @quiet_option
 def run(
     log: tuple[str, ...],
+    recursive: bool,
+    from_file: IO[str] | None,
     log_choice: LogChoice,
     landmarks: str | None,
     odometry: Path | None,
@@ -101,10 +109,11 @@ def run(
 ) -> None:
     """Recognise landmarks in LOG, frame by frame.
 
-    LOG is an MCAP file, a folder of images, a video or a quoted glob of these. The sonar's
-    geometry is read from sonar.toml beside it (NAME.sonar.toml for one file), from --sonar, or
-    from the flags; polar sonar messages tell their own, all but the tilt and the height. Several
-    LOGs are processed one after the other; one that cannot be used does not stop the others.
+    LOG is an MCAP file, a bag of ROS 1 or 2, a folder of images, a video, a folder of logs, or a
+    quoted glob of these. The sonar's geometry is read from sonar.toml beside it (NAME.sonar.toml
+    for one file) or in a folder above, up to the LOG given; from --sonar, or from the flags; polar
+    sonar messages tell their own, all but the tilt and the height. Several logs are processed one
+    after the other; one that cannot be used does not stop the others.
 
     Results are replaced only when the new ones are finished, and not made again where they are up
     to date. A run that is stopped leaves its part in OUT/<log name>.part.
@@ -116,6 +125,10 @@ def run(
       sonarrec run dive.mcap --topic /oculus/ping --tilt-deg 20 --time header
       sonarrec run pings/ --odometry poses.csv --model my.toml
       sonarrec run 'dump/*.png' --preset paper -o results
+      sonarrec run rosbag2_2026_11_20-10_00_00/
+      sonarrec run campaign/ --recursive
+      sonarrec run 'dives/**/*.mcap'
+      sonarrec run --from-file dives.txt
     """
     from sonarrec.pipeline import Used, process, result_names
     from sonarrec.readers.find import find_logs

@@ -22,8 +22,8 @@ Observe = Callable[[int | None], None]
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One channel of an MCAP file. schema, schema_encoding, message_encoding: as the file names
-    them, schema empty where there is none. images: its messages are read as sonar images."""
+    """One channel of an MCAP file or a bag. schema, schema_encoding, message_encoding: as the file
+    names them, schema empty where there is none. images: its messages are read as sonar images."""
 
     topic: str
     schema: str
@@ -35,8 +35,9 @@ class Channel:
 
 @dataclass(frozen=True, slots=True)
 class Container:
-    """What an MCAP file says of itself. footer: it has one, so it was closed. chunks: how many, by
-    compression. start_ns, end_ns: first and last log time of all channels, None without a message.
+    """What an MCAP file or a bag says of itself. footer: it has one, so it was closed; of a bag all
+    its parts are there and whole. chunks: how many, by compression. start_ns, end_ns: first and
+    last log time of all channels, None without a message.
     """
 
     profile: str
@@ -52,8 +53,8 @@ class Container:
 class Images:
     """One sequence of sonar images: of a channel, or all that a folder or video holds.
 
-    topic: None outside of MCAP. frames: how many there are, None where the container does not
-    tell. usable: how many `sonarrec run` can use once the geometry is complete, None where they
+    topic: None outside of MCAP and bags. frames: how many there are, None where the container does
+    not tell. usable: how many `sonarrec run` can use once the geometry is complete, None where they
     were not read. rows, columns, pixels: the commonest size as stored, and the type ("uint8",
     "3 x uint8"). start_ns, end_ns: time of the first and last frame, rate_hz: frames a second
     between them, None where frames carry no time.
@@ -89,10 +90,10 @@ class Images:
 class LogInfo:
     """What is in one log.
 
-    kind: "MCAP", "video" or "images". size_bytes: of all its files. container: None outside of
-    MCAP. images: each sequence of sonar images; none where nothing can be read. checked: every
-    frame was read and every checksum compared. faults: lines about what is wrong with the file as
-    a whole.
+    kind: "MCAP", "video", "images", or that of a bag (`READERS`). size_bytes: of all its files.
+    container: None outside of MCAP and bags. images: each sequence of sonar images; none where
+    nothing can be read. checked: every frame was read and every checksum compared. faults: lines
+    about what is wrong with the file as a whole.
     """
 
     path: str
@@ -168,25 +169,29 @@ def describe(
     topic: str | None = None,
     quick: bool = False,
     observe: Observe | None = None,
+    up_to: Path | None = None,
 ) -> LogInfo:
-    """What is in a log: a folder or glob of images, a video or an MCAP file.
+    """What is in a log: a folder or glob of images, a video, an MCAP file or a bag of ROS.
 
     sonar, sonar_file: the geometry, as of `open_log`. topic: look at this channel alone.
     quick: look at the first frame only, in place of reading and checking every one.
-    observe: told at each frame how many there are, where that is known.
+    observe: told at each frame how many there are, where that is known. up_to: the folder up to
+    which sonar.toml is looked for.
     Raises SonarrecError where there is no log or its geometry cannot be read, UsageError for a
     topic that is not there.
     """
-    source = find_log(path)
+    source = find_log(path, up_to)
     if topic is not None and not source.reader.has_topics:
-        raise UsageError(f"{shown(path)}: --topic chooses a channel of an MCAP file; this is none")
+        raise UsageError(
+            f"{shown(path)}: --topic chooses a channel of an MCAP or a ROS bag; this is none"
+        )
     flags = sonar or Sonar()
     stated, where = source.stated_sonar(flags, sonar_file)
     container: Container | None = None
     topics: Sequence[str | None] = [None]
     faults: list[str] = []
     if source.reader.has_topics:
-        container, faults = _container(source.path)
+        container, faults = _container(source)
         topics = sorted({c.topic for c in container.channels if c.images})
         if topic is not None and topic not in topics:
             there = ", ".join(map(str, topics)) or "none"
@@ -216,35 +221,27 @@ def _size(file: Path) -> int:
         return 0
 
 
-def _container(path: Path) -> tuple[Container, list[str]]:
-    """An MCAP file's own account of itself, and what is wrong with it at first sight."""
-    from sonarrec.readers.mcap.images import image_decoders, schema_of
-    from sonarrec.readers.mcap.salvage import McapFile
+def _container(source: Source) -> tuple[Container, list[str]]:
+    """A recording's own account of itself, and what is wrong with it at first sight."""
+    from sonarrec.readers.mcap.images import image_decoders
 
-    try:
-        log = McapFile(path)
-    except OSError as error:
-        raise SonarrecError(f"{shown(path)}: cannot be read ({error.strerror})") from None
+    log = source.recording()
     log.close()
     decoders = image_decoders(log)
-    channels = []
-    for channel in sorted(log.channels.values(), key=lambda c: (c.topic, c.id)):
-        schema = schema_of(log, channel)
-        channels.append(
-            Channel(
-                channel.topic,
-                schema.name,
-                schema.encoding,
-                channel.message_encoding,
-                log.counts[channel.id],
-                channel.id in decoders,
-            )
+    channels = [
+        Channel(
+            channel.topic,
+            channel.schema,
+            channel.schema_encoding,
+            channel.message_encoding,
+            log.counts.get(number, 0),
+            number in decoders,
         )
+        for number, channel in sorted(log.channels.items(), key=lambda c: (c[1].topic, c[0]))
+    ]
     start, end = log.span or (None, None)
-    header = log.header
-    profile, library = (header.profile, header.library) if header is not None else ("", "")
     chunks = dict(sorted(log.chunks.items()))
-    return Container(profile, library, log.whole, chunks, start, end, channels), log.faults
+    return Container(log.profile, log.library, log.whole, chunks, start, end, channels), log.faults
 
 
 def _images(

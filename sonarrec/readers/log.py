@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import Any
 
 from sonarrec.readers.fans import FanImages
-from sonarrec.readers.images import MAX_FILE_BYTES
+from sonarrec.readers.images import MAX_FILE_BYTES, is_image
 from sonarrec.readers.raw import RawFrame, RawLog, UnusableError
 from sonarrec.records import Clock, Fan, Frame, SonarrecError, shown
 from sonarrec.sonar import Sonar
@@ -127,9 +127,10 @@ class Log:
     def digest_source(self) -> tuple[int, str]:
         """(size in bytes, SHA-256 in hex) of the log's file.
 
-        Of several images, the sum of their sizes and the hash over each one's name, a zero byte
-        and its contents, in frame order; of one that cannot be read or is too large to be an image
-        the name alone. Raises SonarrecError where the one file of a log cannot be read.
+        Of several images, and of the files of a bag, the sum of their sizes and the hash over each
+        one's name, a zero byte and its contents, in frame order; of one that cannot be read or is
+        too large to be an image the name alone. Raises SonarrecError where the one file of a log
+        cannot be read.
         """
         size, digest = 0, hashlib.sha256()
         for path in self._files:
@@ -137,7 +138,7 @@ class Log:
             if several:
                 digest.update(path.name.encode(errors="surrogateescape") + b"\0")
             try:
-                if several and path.stat().st_size > MAX_FILE_BYTES:
+                if several and is_image(path) and path.stat().st_size > MAX_FILE_BYTES:
                     continue
                 with path.open("rb") as file:
                     while block := file.read(2**20):

@@ -161,6 +161,7 @@ class Given:
     odometry: Path | None = None  # a table of the sonar's poses, see readers/poses_csv.py
     odometry_topic: str | None = None  # the topic of the log that has them, in place of a table
     frames: tuple[int, int | None] | None = None  # only those from the first up to the second
+    up_to: Path | None = None  # the folder up to which what lies beside the log is looked for
 
 
 @dataclass(frozen=True, slots=True)
