@@ -16,7 +16,7 @@ FLOORS = (
     {"geometry"},
     {"recogniser", "readers", "results", "drawing"},
     {"pipeline", "truth", "simulation"},
-    {"evaluation", "overlay", "learning"},
+    {"evaluation", "overlay", "learning", "batch"},
     {"report"},
     {"cli"},
     {"__main__"},
@@ -31,6 +31,7 @@ MAY_IMPORT = {
     "zstandard": ("readers.mcap",),
     "rosbags": ("readers.mcap.ros", "simulation.mcap_writer"),
     "google": ("readers.mcap.foxglove",),  # protobuf
+    "distributed": ("batch.cluster",),
     "msgspec": ("toml",),
     "tomllib": ("toml",),
     "pandas": ("tables", "results.frames", "report.mistakes"),

@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import json
+import os
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from time import monotonic
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from sonarrec import __version__
 from sonarrec.cli.options import (
-    FAILED,
+    BATCH,
     FILE,
     FOLDER,
     INPUT,
     OUTPUT,
-    PARTLY,
     LogChoice,
     SettingsChoice,
     command,
@@ -28,18 +25,14 @@ from sonarrec.cli.options import (
     log_options,
     option,
     out_option,
-    progress,
     quiet_option,
     settings_options,
-    tell,
     verbose_option,
 )
-from sonarrec.cli.passes import as_json as told
-from sonarrec.cli.passes import table
-from sonarrec.records import FrameResult, SonarrecError, UsageError
+from sonarrec.records import UsageError
 
 if TYPE_CHECKING:
-    from sonarrec.pipeline import Summary
+    from sonarrec.batch.task import Task
 
 INTERRUPTED, TERMINATED = 130, 143
 """Exit codes of a run that was stopped by Ctrl-C or SIGTERM."""
@@ -78,6 +71,30 @@ INTERRUPTED, TERMINATED = 130, 143
     is_flag=True,
     help="Do again what is up to date, and replace results of another log of that name.",
 )
+@option(
+    BATCH,
+    "-j",
+    "--jobs",
+    type=click.IntRange(min=1),
+    help="Logs that run side by side, each in a process apart; 1: one after the other, in this "
+    "process.  [default: as many as there are cores]",
+)
+@option(
+    BATCH,
+    "--timeout",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="SECONDS",
+    help="End a log that takes longer.",
+)
+@option(
+    BATCH, "--shard", metavar="I/N", help="Only every N-th log, from the I-th: see help cluster."
+)
+@option(
+    BATCH,
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Run the logs on a Dask cluster, such as tcp://host:8786: see help cluster.",
+)
 @option(OUTPUT, "--json", "as_json", is_flag=True, help="Print one JSON document on stdout.")
 @verbose_option
 @quiet_option
@@ -91,6 +108,10 @@ def run(
     settings: SettingsChoice,
     out: Path,
     overwrite: bool,
+    jobs: int | None,
+    timeout: float | None,
+    shard: str | None,
+    scheduler: str | None,
     as_json: bool,
     verbose: bool,
     quiet: bool,
@@ -113,7 +134,10 @@ def run(
       sonarrec run pings/ --odometry poses.csv --model my.toml
       sonarrec run 'dump/*.png' --preset paper -o results
     """
-    from sonarrec.pipeline import Used, process, result_names
+    from sonarrec.batch.processes import run_apart, run_here
+    from sonarrec.batch.task import Task
+    from sonarrec.cli.run_watch import RunWatch
+    from sonarrec.pipeline import Used, result_names
     from sonarrec.readers.find import find_logs
     from sonarrec.results.run_file import Given
 
@@ -123,80 +147,39 @@ def run(
     used = Used(settings.configs(), landmarks, model, settings.file)
     logs = find_logs(log)
     names = result_names(logs)
-    ended: dict[str, list[str]] = {"done": [], "up to date": [], "in part": [], "failed": []}
-    document: list[dict[str, Any]] = []  # filled where it is asked for
+    tasks = [
+        Task(path, name, str(out), given, used, overwrite)
+        for path, name in zip(logs, names, strict=True)
+    ]
+    tasks = _share(tasks, shard)
+    if not tasks:
+        click.echo("nothing to do in this share", err=True)
+        return
+    jobs = min(jobs or os.cpu_count() or 1, len(tasks))
+    watch = RunWatch(tasks, out, jobs=jobs, quiet=quiet, verbose=verbose, json=as_json)
+    with _stoppable(out), watch:
+        if scheduler is not None:
+            from sonarrec.batch.cluster import run_on_cluster
 
-    def one(i: int, path: str, name: str | None) -> None:
-        begun = monotonic()
-        of = f" ({i + 1} of {len(logs)})" * (len(logs) > 1)
-        with progress(quiet, title=f"{name}{of}") as step:
-
-            def observe(result: FrameResult, total: int | None) -> None:
-                step(total, f"{result.tracks} tracks in view")
-
-            summary = process(path, out, given, used, observe, name=name, overwrite=overwrite)
-        tell(summary.problems, summary.notes)
-        how = "in part" if summary.problems else "up to date" if summary.up_to_date else "done"
-        ended[how].append(path)
-        if verbose:
-            click.echo(f"sonarrec: {path}{of}: {how}, {_counts(summary, begun)}", err=True)
-        if as_json:
-            status = "partial" if summary.problems else "done"
-            document.append({"name": name, "log": path, "status": status} | told(summary))
-        elif not quiet:
-            _print(summary)
-
-    with _one_document(document, as_json), _stoppable(out):
-        for i, (path, name) in enumerate(zip(logs, names, strict=True)):
-            try:
-                one(i, path, name)
-            except KeyboardInterrupt:
-                document.append({"name": name, "log": path, "status": "stopped"})
-                raise
-            except SonarrecError as error:
-                document.append(
-                    {"name": name, "log": path, "status": "failed", "message": str(error)}
-                )
-                if len(logs) == 1:
-                    raise
-                tell([str(error)])
-                ended["failed"].append(path)
-    failed = ended["failed"]
-    if len(logs) > 1 and (failed or not quiet):
-        counts = ", ".join(f"{len(paths)} {how}" for how, paths in ended.items() if paths)
-        to_stderr = bool(failed) or as_json
-        click.echo(counts + (f": {', '.join(failed)}" if failed else ""), err=to_stderr)
-    if len(failed) == len(logs):
-        leave(FAILED)
-    if failed or ended["in part"]:
-        leave(PARTLY)
+            run_on_cluster(tasks, scheduler, watch, timeout)
+        elif jobs > 1 or timeout is not None:
+            run_apart(tasks, jobs, watch, timeout)
+        else:
+            run_here(tasks, watch)
+    if len(logs) == 1 and watch.error is not None:
+        raise watch.error
+    watch.count()
+    leave(watch.exit_code())
 
 
-def _counts(summary: Summary, begun: float) -> str:
-    """begun: when, by the monotonic clock."""
-    seconds = monotonic() - begun
-    return (
-        f"{summary.frames} frames in {seconds:.1f} s, {summary.candidates} candidates, "
-        f"{sum(summary.passes.values())} passes"
-    )
-
-
-def _print(summary: Summary) -> None:
-    frames = f"{summary.frames} frame{'s' * (summary.frames != 1)}"
-    click.echo(f"{summary.folder}: {'up to date, ' * summary.up_to_date}{frames}")
-    for line in [] if summary.up_to_date else table(summary):
-        click.echo(f"  {line}")
-
-
-@contextmanager
-def _one_document(logs: list[dict[str, Any]], wanted: bool) -> Iterator[None]:
-    """Print what is known of each log as JSON, however the logs end."""
-    try:
-        yield
-    finally:
-        if wanted:
-            program = {"name": "sonarrec", "version": __version__}
-            click.echo(json.dumps({"program": program, "logs": logs}, indent=2))
+def _share(tasks: list[Task], shard: str | None) -> list[Task]:
+    """Those of the share I/N; all without one. Raises UsageError."""
+    if shard is None:
+        return tasks
+    i, _, n = shard.partition("/")
+    if not (i.isdecimal() and n.isdecimal() and 1 <= int(i) <= int(n)):
+        raise UsageError(f"--shard {shard}: expected I/N with I from 1 to N, such as 2/8")
+    return tasks[int(i) - 1 :: int(n)]
 
 
 class _Terminated(KeyboardInterrupt):
