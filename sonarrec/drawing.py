@@ -23,6 +23,7 @@ from sonarrec.geometry import (
     slant_range,
 )
 from sonarrec.landmarks import LandmarkSet
+from sonarrec.outputs import marked
 from sonarrec.records import ByteImage, Estimate, Fan, FloatArray, SonarrecError
 
 Colour = tuple[int, int, int]
@@ -231,8 +232,7 @@ def _ray(fan: Fan, bearing_deg: float) -> FloatArray:
 
 def disc_width_px(fan: Fan, landmarks: LandmarkSet) -> float:
     """How wide a disc of the set is, across the line of sight, in the middle of the window."""
-    middle = (fan.range_min_m + fan.range_max_m) / 2
-    column, row = pixel_from_polar(fan, middle, 0.0)
+    column, row = pixel_from_polar(fan, (fan.range_min_m + fan.range_max_m) / 2, 0.0)
     outline = disc_outline(fan, landmarks.radius_m, float(column), float(row))
     return float(np.ptp(outline[:, 0]))
 
@@ -353,7 +353,7 @@ def draw_picture(frame: ByteImage, strip: ByteImage) -> ByteImage:
 def write_png(path: Path, picture: ByteImage) -> None:
     """Write (rows, columns, 3) uint8 BGR. Raises SonarrecError where it cannot be written."""
     try:
-        path.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
+        path.write_bytes(marked(cv2.imencode(".png", picture)[1].tobytes()))
     except OSError as error:
         raise SonarrecError(f"{path}: cannot be written ({error.strerror})") from None
 

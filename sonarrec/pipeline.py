@@ -209,6 +209,8 @@ def process(
             table["model"] = learned.as_table()
         table["input"]["path"] = str(path)
         folder = Path(out) / (name or log.name)
+        if folder.resolve() == path.resolve():
+            raise UsageError(f"{folder}: this is the log itself; choose another --out")
         if not overwrite:
             there = held_results(folder, table)
             if there.up_to_date:

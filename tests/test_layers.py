@@ -11,7 +11,7 @@ import pytest
 
 FLOORS = (
     {"records"},
-    {"toml"},
+    {"toml", "outputs"},
     {"config", "sonar", "landmarks", "poses", "tables"},
     {"geometry"},
     {"recogniser", "readers", "results", "drawing"},

@@ -118,13 +118,9 @@ def _check_preview(preview: Path, logs: tuple[str, ...]) -> None:
         raise UsageError(f"--preview {preview}: draws one log; {len(logs)} are given")
     if preview.suffix.lower() != ".png":
         raise UsageError(f"--preview {preview}: a picture is written as NAME.png")
-    log = Path(logs[0])
-    if log.is_file():
-        taken = preview.resolve() == log.resolve()
-    else:  # a folder of images or a glob
-        taken = preview.parent.resolve() == (log if log.is_dir() else log.parent).resolve()
-    if taken:
-        raise UsageError(f"--preview {preview}: this is the recording itself; write somewhere else")
+    from sonarrec.outputs import check_output
+
+    check_output(preview, "picture", logs)
 
 
 def _draw_preview(path: str, preview: Path, landmarks: str | None, reading: dict[str, Any]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from sonarrec.evaluation.reliability import BINS
 from sonarrec.evaluation.scoring import Scored
 from sonarrec.evaluation.summary import Summary
 from sonarrec.evaluation.uncertainty import Difference, Figure
+from sonarrec.outputs import check_output
 from sonarrec.records import SonarrecError
 
 COUNTS = ("tpr", "fpr", "tp", "tn", "fp", "fn", "total")
@@ -59,6 +60,8 @@ def write_evaluation(
         "reliability.csv": (RELIABILITY, _reliability(summary)),
     }
     pictures = ["roc.png", "roc_by_id.png"]
+    _check_tables(folder, {name: header for name, (header, _) in tables.items()})
+    check_output(folder / "evaluation.json", "JSON")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "evaluation.json").unlink(missing_ok=True)
@@ -88,12 +91,19 @@ def write_comparison(folder: Path, found: Comparison) -> None:
         (c.protocol, c.method, c.log, c.frame, c.landmark, c.verdict, *c.old, *c.new)
         for c in found.frames
     )
+    _check_tables(folder, {"compare.csv": COMPARE, "changes.csv": CHANGES})
     try:
         folder.mkdir(parents=True, exist_ok=True)
         write_table(folder / "compare.csv", COMPARE, rates)
         write_table(folder / "changes.csv", CHANGES, changes)
     except OSError as error:
         raise SonarrecError(f"{folder}: cannot be written ({error})") from None
+
+
+def _check_tables(folder: Path, headers: Mapping[str, Sequence[str]]) -> None:
+    """Raises UsageError where a table of another kind bears one of these names."""
+    for name, header in headers.items():
+        check_output(folder / name, "table", header=",".join(header[:3]))
 
 
 def write_table(path: Path, header: tuple[str, ...], rows: Iterable[tuple[Any, ...]]) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.evaluation.evaluate import Evaluation, evaluate
+from sonarrec.outputs import check_output
 from sonarrec.readers import open_log
 from sonarrec.records import SonarrecError, UsageError
 from sonarrec.report.logs import ReportedLog, read_logs, seen
@@ -54,6 +55,7 @@ def write_report(
     is the one whose sightings and tracks are shown, as in `logs.read_logs`.
     Raises SonarrecError where files cannot be used, read or written.
     """
+    check_output(path, "report", [ground_truth, *recordings])
     sonar = sonar or Sonar()
     evaluation = None
     if ground_truth is not None:

@@ -78,10 +78,17 @@ class Held:
 def held_results(folder: Path, table: dict[str, Any]) -> Held:
     """Hold the finished results in a folder against the run.toml of a run to come.
 
-    Raises SonarrecError where they are of another log: of another path and another SHA-256.
+    Raises SonarrecError where they are of another log, of another path and another SHA-256, or
+    not of this program.
     """
     path = folder / "run.toml"
-    if not all((folder / name).is_file() for name in ("run.toml", *TABLES)):
+    there_are = [name for name in ("run.toml", *TABLES) if (folder / name).is_file()]
+    if there_are and not path.is_file():
+        raise SonarrecError(
+            f"{folder}: holds {there_are[0]}, and no run.toml says that sonarrec wrote it; choose "
+            "another --out, or give --overwrite"
+        )
+    if len(there_are) <= len(TABLES):
         return Held()
     there = read_toml(path)
     source = there.get("input")
