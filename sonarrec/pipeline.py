@@ -67,7 +67,8 @@ MOST_SIGHTINGS = 20
 class Summary:
     """What became of one log.
 
-    folder: where the results are. frames: how many were processed. problems: what could not be
+    folder: where the results are. frames: how many were processed. unusable: how many could not
+    be. problems: what could not be
     used, a line each. notes: what is stated against the log's own messages. candidates: over all
     frames. passes: how many sightings.csv has of each method that follows objects. sightings: of
     each of these the MOST_SIGHTINGS declared in the most frames, in order of first sight.
@@ -76,6 +77,7 @@ class Summary:
 
     folder: Path
     frames: int
+    unusable: int
     candidates: int
     problems: list[str]
     notes: list[str]
@@ -237,6 +239,7 @@ def process(
                 return Summary(
                     folder,
                     there.frames,
+                    there.unusable,
                     there.candidates,
                     there.problems,
                     [],
@@ -260,7 +263,7 @@ def process(
                         writer.write(result, stamps.popleft())
                 raise
             problems = [*log.problems, *recogniser.problems()]
-            writer.finish(problems)
+            writer.finish(problems, log.unusable)
         notes += [*log.notes, *recogniser.notes()]
         doubts = plausibility.contradictions(polar=log.sonar.layout == "polar")
         if not writer.candidates:
@@ -269,7 +272,16 @@ def process(
             look = f"`sonarrec info {shown(path)} --preview FILE.png`, with the same geometry"
             notes.append(f"{shown(path)}: {'; '.join(doubts)}; look at {look}")
         passes, longest = _longest(folder, tracking)
-        return Summary(folder, writer.frames, writer.candidates, problems, notes, passes, longest)
+        return Summary(
+            folder,
+            writer.frames,
+            log.unusable,
+            writer.candidates,
+            problems,
+            notes,
+            passes,
+            longest,
+        )
 
 
 def _within(log: Log, span: tuple[int, int | None]) -> Iterator[Frame]:

@@ -16,7 +16,7 @@ FLOORS = (
     {"geometry"},
     {"recogniser", "readers", "results", "drawing"},
     {"pipeline", "truth", "simulation"},
-    {"evaluation", "overlay", "learning"},
+    {"evaluation", "overlay", "learning", "batch"},
     {"report"},
     {"cli"},
     {"__main__"},
@@ -32,6 +32,7 @@ MAY_IMPORT = {
     "rosbags": ("readers.mcap.ros", "readers.db3", "readers.ros_bag", "simulation.mcap_writer"),
     "ruamel": ("readers.bag_folder",),
     "google": ("readers.mcap.foxglove",),  # protobuf
+    "distributed": ("batch.cluster",),
     "msgspec": ("toml",),
     "tomllib": ("toml",),
     "pandas": ("tables", "results.frames", "report.mistakes"),

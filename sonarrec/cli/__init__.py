@@ -21,6 +21,7 @@ from sonarrec.cli.overlay import overlay
 from sonarrec.cli.report import report
 from sonarrec.cli.run import run
 from sonarrec.cli.simulate import simulate
+from sonarrec.cli.status import status
 from sonarrec.cli.truth import truth
 from sonarrec.records import SonarrecError, UsageError
 
@@ -81,5 +82,17 @@ def main() -> None:
     """
 
 
-for command in (run, info, evaluate, report, overlay, simulate, calibrate, config, truth, help_):
+for command in (
+    run,
+    status,
+    info,
+    evaluate,
+    report,
+    overlay,
+    simulate,
+    calibrate,
+    config,
+    truth,
+    help_,
+):
     main.add_command(command)

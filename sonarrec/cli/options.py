@@ -23,8 +23,8 @@ ANY = click.Path(path_type=Path)
 
 # The groups of --help, in this order.
 INPUT, SCORING, LEARNING, SETTINGS = "Input", "Scoring", "Learning", "Settings"
-GEOMETRY, PIXELS, OUTPUT = "Geometry", "Pixels", "Output"
-_GROUPS = (INPUT, SCORING, LEARNING, SETTINGS, GEOMETRY, PIXELS, OUTPUT)
+GEOMETRY, PIXELS, BATCH, OUTPUT = "Geometry", "Pixels", "Many logs", "Output"
+_GROUPS = (INPUT, SCORING, LEARNING, SETTINGS, GEOMETRY, PIXELS, BATCH, OUTPUT)
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 
@@ -416,6 +416,25 @@ def progress(
             bar.update()
 
         yield step
+
+
+@contextmanager
+def progress_of_logs(quiet: bool, logs: int) -> Iterator[Callable[[float, str], None]]:
+    """A progress bar over logs that run side by side, as `progress`.
+
+    Yields what to call from time to time: at(logs done, with the shares of those that run; note).
+    """
+    from tqdm import tqdm
+
+    layout = "{percentage:3.0f}%|{bar}| {postfix} [{elapsed}<{remaining}]"
+    off = True if quiet else None
+    with tqdm(total=logs, bar_format=layout, leave=False, disable=off) as bar:
+
+        def at(done: float, note: str) -> None:
+            bar.set_postfix_str(note, refresh=False)
+            bar.update(max(done - bar.n, 0))
+
+        yield at
 
 
 def tell(problems: Iterable[str], notes: Iterable[str] = ()) -> None:

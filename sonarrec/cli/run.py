@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-import json
+import os
 import signal
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from time import monotonic
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING
 
 import click
 
-from sonarrec import __version__
 from sonarrec.cli.options import (
-    FAILED,
+    BATCH,
     FILE,
     FOLDER,
     INPUT,
-    MISUSED,
     OUTPUT,
-    PARTLY,
     LogChoice,
     SettingsChoice,
     command,
@@ -33,19 +29,14 @@ from sonarrec.cli.options import (
     named_logs,
     option,
     out_option,
-    progress,
     quiet_option,
     settings_options,
-    tell,
     verbose_option,
 )
-from sonarrec.cli.passes import as_json as told
-from sonarrec.cli.passes import table
-from sonarrec.records import FrameResult, MissingError, SonarrecError, UsageError, shown
+from sonarrec.records import UsageError, shown
 
 if TYPE_CHECKING:
-    from sonarrec.pipeline import Summary
-    from sonarrec.readers.many import NamedLog
+    from sonarrec.batch.task import Task
 
 INTERRUPTED, TERMINATED = 130, 143
 """Exit codes of a run that was stopped by Ctrl-C or SIGTERM."""
@@ -87,6 +78,36 @@ INTERRUPTED, TERMINATED = 130, 143
     is_flag=True,
     help="Do again what is up to date, and replace results of another log of that name.",
 )
+@option(
+    BATCH,
+    "-j",
+    "--jobs",
+    type=click.IntRange(min=1),
+    help="Logs that run side by side, each in a process apart; 1: one after the other, in this "
+    "process.  [default: as many as there are cores]",
+)
+@option(
+    BATCH,
+    "--retry-failed",
+    is_flag=True,
+    help="Only logs that OUT/logs.csv has as failed or partial; these are done anew.",
+)
+@option(
+    BATCH,
+    "--timeout",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="SECONDS",
+    help="End a log that takes longer.",
+)
+@option(
+    BATCH, "--shard", metavar="I/N", help="Only every N-th log, from the I-th: see help cluster."
+)
+@option(
+    BATCH,
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Run the logs on a Dask cluster, such as tcp://host:8786: see help cluster.",
+)
 @option(OUTPUT, "--json", "as_json", is_flag=True, help="Print one JSON document on stdout.")
 @verbose_option
 @quiet_option
@@ -103,6 +124,11 @@ def run(
     settings: SettingsChoice,
     out: Path,
     overwrite: bool,
+    jobs: int | None,
+    retry_failed: bool,
+    timeout: float | None,
+    shard: str | None,
+    scheduler: str | None,
     as_json: bool,
     verbose: bool,
     quiet: bool,
@@ -112,8 +138,8 @@ def run(
     LOG is an MCAP file, a bag of ROS 1 or 2, a folder of images, a video, a folder of logs, or a
     quoted glob of these. The sonar's geometry is read from sonar.toml beside it (NAME.sonar.toml
     for one file) or in a folder above, up to the LOG given; from --sonar, or from the flags; polar
-    sonar messages tell their own, all but the tilt and the height. Several logs are processed one
-    after the other; one that cannot be used does not stop the others.
+    sonar messages tell their own, all but the tilt and the height. Several logs are processed side
+    by side; one that cannot be used does not stop the others.
 
     Results are replaced only when the new ones are finished, and not made again where they are up
     to date. A run that is stopped leaves its part in OUT/<log name>.part.
@@ -130,8 +156,11 @@ def run(
       sonarrec run 'dives/**/*.mcap'
       sonarrec run --from-file dives.txt
     """
-    from sonarrec.pipeline import Used, process, result_names
-    from sonarrec.readers.find import find_logs
+    from sonarrec.batch.logs_table import again
+    from sonarrec.batch.processes import run_apart, run_here
+    from sonarrec.batch.task import Task
+    from sonarrec.cli.run_watch import RunWatch
+    from sonarrec.pipeline import Used, result_names
     from sonarrec.results.run_file import Given, frame_span
 
     if odometry is not None and odometry_topic is not None:
@@ -143,101 +172,44 @@ def run(
         frames=None if frames is None else frame_span(frames),
     )
     used = Used(settings.configs(), landmarks, model, settings.file)
-    logs = find_logs(log)
-    names = result_names(logs)
-    ended = _Ended(len(logs), as_json, verbose=verbose, quiet=quiet)
+    logs = named_logs(log, from_file, recursive)
+    names = result_names([one.path for one in logs])
+    tasks = [
+        Task(one.path, name, str(out), replace(given, up_to=one.up_to), used, overwrite)
+        for one, name in zip(logs, names, strict=True)
+    ]
+    tasks = _share(tasks, shard)
+    if retry_failed:
+        tasks = again(tasks, out)
+    if not tasks:
+        click.echo("nothing to do", err=True)
+        return
+    jobs = min(jobs or os.cpu_count() or 1, len(tasks))
+    watch = RunWatch(tasks, out, jobs=jobs, quiet=quiet, verbose=verbose, json=as_json)
+    folders = [out / task.name for task in tasks if task.name is not None]
+    with _stoppable(folders), watch:
+        if scheduler is not None:
+            from sonarrec.batch.cluster import run_on_cluster
 
-    def one(path: str, name: str | None, title: str) -> Summary:
-        with progress(quiet, title=title) as step:
-
-            def observe(result: FrameResult, total: int | None) -> None:
-                step(total, f"{result.tracks} tracks in view")
-
-            return process(path, out, given, used, observe, name=name, overwrite=overwrite)
-
-    folders = [out / name for name in names if name is not None]
-    with ended.document(), _stoppable(folders):
-        for i, (path, name) in enumerate(zip(logs, names, strict=True)):
-            begun = monotonic()
-            title = f"{name} ({i + 1} of {len(logs)})" if len(logs) > 1 else str(name)
-            try:
-                summary = one(path, name, title)
-            except KeyboardInterrupt:
-                ended.add_failed(path, name, "stopped")
-                raise
-            except SonarrecError as error:
-                ended.add_failed(path, name, "failed", error)
-                if len(logs) == 1:
-                    raise
-                tell([str(error)])
-            else:
-                ended.add(path, name, summary, monotonic() - begun)
-    ended.leave()
+            run_on_cluster(tasks, scheduler, watch, timeout)
+        elif jobs > 1 or timeout is not None:
+            run_apart(tasks, jobs, watch, timeout)
+        else:
+            run_here(tasks, watch)
+    if len(logs) == 1 and watch.error is not None:
+        raise watch.error
+    watch.count()
+    leave(watch.exit_code())
 
 
-class _Ended:
-    """How the logs of one call ended, told as each does and at the end."""
-
-    def __init__(self, logs: int, as_json: bool, *, verbose: bool, quiet: bool) -> None:
-        self._logs, self._as_json = logs, as_json
-        self._verbose, self._quiet = verbose, quiet
-        self._paths: dict[str, list[str]] = {
-            how: [] for how in ("done", "up to date", "in part", "failed")
-        }
-        self._missing = 0
-        self._told: list[dict[str, Any]] = []  # a table per log, where JSON is asked for
-
-    def add(self, path: str, name: str | None, summary: Summary, seconds: float) -> None:
-        """A log that was processed, or was up to date."""
-        tell(summary.problems, summary.notes)
-        how = "in part" if summary.problems else "up to date" if summary.up_to_date else "done"
-        self._paths[how].append(path)
-        if self._verbose:
-            counts = f"{summary.frames} frames in {seconds:.1f} s, {summary.candidates} candidates"
-            passes = sum(summary.passes.values())
-            tell([f"{path} ({self._nth()}): {how}, {counts}, {passes} passes"])
-        if self._as_json:
-            status = "partial" if summary.problems else "done"
-            self._told.append({"name": name, "log": path, "status": status} | told(summary))
-        elif not self._quiet:
-            frames = f"{summary.frames} frame{'s' * (summary.frames != 1)}"
-            click.echo(f"{summary.folder}: {'up to date, ' * summary.up_to_date}{frames}")
-            for line in [] if summary.up_to_date else table(summary):
-                click.echo(f"  {line}")
-
-    def add_failed(
-        self, path: str, name: str | None, status: str, error: SonarrecError | None = None
-    ) -> None:
-        """A log that could not be used, or not to its end."""
-        message = {} if error is None else {"message": str(error)}
-        self._told.append({"name": name, "log": path, "status": status} | message)
-        self._paths["failed"].append(path)
-        self._missing += isinstance(error, MissingError)
-
-    def _nth(self) -> str:
-        return f"{sum(map(len, self._paths.values()))} of {self._logs}"
-
-    @contextmanager
-    def document(self) -> Iterator[None]:
-        """Print what is known of each log as JSON, where it is asked for, however the logs end."""
-        try:
-            yield
-        finally:
-            if self._as_json:
-                program = {"name": "sonarrec", "version": __version__}
-                click.echo(json.dumps({"program": program, "logs": self._told}, indent=2))
-
-    def leave(self) -> None:
-        """Count the logs, where there are several, and end with the exit code they make."""
-        failed = self._paths["failed"]
-        if self._logs > 1 and (failed or not self._quiet):
-            counts = ", ".join(f"{len(paths)} {how}" for how, paths in self._paths.items() if paths)
-            to_stderr = bool(failed) or self._as_json
-            click.echo(counts + (f": {', '.join(failed)}" if failed else ""), err=to_stderr)
-        if len(failed) == self._logs:
-            leave(MISUSED if self._missing == len(failed) else FAILED)
-        if failed or self._paths["in part"]:
-            leave(PARTLY)
+def _share(tasks: list[Task], shard: str | None) -> list[Task]:
+    """Those of the share I/N; all without one. Raises UsageError."""
+    if shard is None:
+        return tasks
+    i, _, n = shard.partition("/")
+    if not (i.isdecimal() and n.isdecimal() and 1 <= int(i) <= int(n)):
+        raise UsageError(f"--shard {shard}: expected I/N with I from 1 to N, such as 2/8")
+    return tasks[int(i) - 1 :: int(n)]
 
 
 class _Terminated(KeyboardInterrupt):

@@ -25,7 +25,8 @@ class Log:
     """A recorded log: one pass of Frames, streamed. Use it as a context manager.
 
     name: of the folder or file, for the results folder. frame_count: frames to come, None where
-    unknown. stated: the geometry as file and flags state it. problems: one line for each thing that
+    unknown. stated: the geometry as file and flags state it. unusable: frames so far that could
+    not be used. problems: one line for each thing that
     could not be used (at most MAX_PROBLEM_LINES, then a count), complete after the pass.
     """
 
@@ -37,6 +38,7 @@ class Log:
         self.name = name
         self.stated = stated
         self.frame_count = raw.frame_count
+        self.unusable = 0
         self.problems: list[str] = []
         self._files = files
         self._raw = raw
@@ -87,7 +89,7 @@ class Log:
         Raises SonarrecError where no frame can be used, or where the bearings in the sonar
         geometry do not match the images.
         """
-        used = skipped = 0
+        used = self.unusable = 0
         frames = _settled(self._raw)
         first = list(islice(frames, SETTLING_FRAMES))
         self._images.settle(first)
@@ -100,14 +102,14 @@ class Log:
                 image, fan = self._images(raw)
                 stamp = self._named(index, raw)
             except UnusableError as error:
-                skipped += 1
-                if skipped <= MAX_PROBLEM_LINES:
+                self.unusable += 1
+                if self.unusable <= MAX_PROBLEM_LINES:
                     self.problems.append(f"{raw.name}: {error}, skipped")
                 continue
             used += 1
             yield Frame(index, stamp, image, fan, raw.stamps)
-        if skipped > MAX_PROBLEM_LINES:
-            self.problems.append(f"{skipped - MAX_PROBLEM_LINES} more frames skipped")
+        if self.unusable > MAX_PROBLEM_LINES:
+            self.problems.append(f"{self.unusable - MAX_PROBLEM_LINES} more frames skipped")
         self.problems.extend(self._raw.faults)
         if not used:
             reason = f" ({self.problems[0]})" if self.problems else ""

@@ -88,6 +88,7 @@ class Held:
 
     up_to_date: bool = False  # the same results, finished
     frames: int = 0
+    unusable: int = 0  # frames
     candidates: int = 0
     problems: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -123,13 +124,18 @@ def held_results(folder: Path, table: dict[str, Any]) -> Held:
             f"{folder}: holds the results of another log ({source.get('path')}); choose another "
             "--out, or give --overwrite"
         )
-    frames, candidates = source.get("frames_processed", 0), source.get("candidates", 0)
     coming.pop("ran_on")
     alike = {k: v for k, v in there.items() if k not in ("finished", "ran_on")} | {
         "input": {k: v for k, v in source.items() if k not in _OF_THE_END} | {"path": mine["path"]}
     }
     if alike == coming:
-        return Held(True, frames, candidates, source.get("problems", []))
+        return Held(
+            True,
+            source.get("frames_processed", 0),
+            source.get("frames_unusable", 0),
+            source.get("candidates", 0),
+            source.get("problems", []),
+        )
     what = "the log has changed" if source.get("sha256") != mine["sha256"] else "other settings"
     return Held(notes=[f"{folder}: results from before are replaced ({what})"])
 

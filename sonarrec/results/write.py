@@ -140,12 +140,15 @@ class ResultsWriter:
         if ended:
             self._sightings.append([c.written(s) for c in SIGHTING_COLUMNS] for s in ended)
 
-    def finish(self, problems: Sequence[str]) -> None:
+    def finish(self, problems: Sequence[str], unusable: int = 0) -> None:
         """Every frame of the log was processed or told of: take the place of what was there.
+
+        unusable: how many frames could not be used.
 
         Raises SonarrecError where the disk takes no more.
         """
         self._run["input"]["frames_processed"] = self.frames
+        self._run["input"]["frames_unusable"] = unusable
         self._run["input"]["candidates"] = self.candidates
         self._run["input"]["problems"] = [shown(problem) for problem in problems]
         try:
