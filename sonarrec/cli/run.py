@@ -81,6 +81,12 @@ INTERRUPTED, TERMINATED = 130, 143
 )
 @option(
     BATCH,
+    "--retry-failed",
+    is_flag=True,
+    help="Only logs that OUT/logs.csv has as failed or partial; these are done anew.",
+)
+@option(
+    BATCH,
     "--timeout",
     type=click.FloatRange(min=0, min_open=True),
     metavar="SECONDS",
@@ -109,6 +115,7 @@ def run(
     out: Path,
     overwrite: bool,
     jobs: int | None,
+    retry_failed: bool,
     timeout: float | None,
     shard: str | None,
     scheduler: str | None,
@@ -134,6 +141,7 @@ def run(
       sonarrec run pings/ --odometry poses.csv --model my.toml
       sonarrec run 'dump/*.png' --preset paper -o results
     """
+    from sonarrec.batch.logs_table import again
     from sonarrec.batch.processes import run_apart, run_here
     from sonarrec.batch.task import Task
     from sonarrec.cli.run_watch import RunWatch
@@ -152,8 +160,10 @@ def run(
         for path, name in zip(logs, names, strict=True)
     ]
     tasks = _share(tasks, shard)
+    if retry_failed:
+        tasks = again(tasks, out)
     if not tasks:
-        click.echo("nothing to do in this share", err=True)
+        click.echo("nothing to do", err=True)
         return
     jobs = min(jobs or os.cpu_count() or 1, len(tasks))
     watch = RunWatch(tasks, out, jobs=jobs, quiet=quiet, verbose=verbose, json=as_json)
