@@ -104,6 +104,12 @@ class LogsTable:
             self.fault = str(error)
 
 
+def again(tasks: Sequence[Task], out: Path) -> list[Task]:
+    """Of tasks those that logs.csv has as failed or done in part, to be done anew."""
+    ended = {row.log for row in read_logs(out / NAME) if row.status in ("failed", "partial")}
+    return [replace(t, overwrite=True) for t in tasks if (t.name or Path(t.path).stem) in ended]
+
+
 @contextmanager
 def _turn(folder: Path) -> Iterator[None]:
     """Wait until nobody else exchanges the file, as far as the file system knows locks."""

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.batch.test_many_logs import command, environment, made, rows, tables
+from tests.support.batch import command, environment, made, rows, tables
 
 DASK = [sys.executable, "-m", "distributed.cli.dask_"]
 

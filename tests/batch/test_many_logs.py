@@ -2,75 +2,16 @@
 
 from __future__ import annotations
 
-import csv
 import json
-import os
 import shutil
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
 import pytest
 
-SAMPLE = Path(__file__).parents[2] / "sample_data" / "pan"
-FRAMES = 6
-BEHAVIOUR = '''
-"""Read by every process at its start: logs of these names misbehave while they are read."""
-import os, signal, sys, time
-if "sonarrec" in "".join(sys.orig_argv):
-    from sonarrec.readers import log
-
-    iterate = log.Log.__iter__
-
-    def misbehave(self):
-        for frame in iterate(self):
-            yield frame
-            if self.name == "hangs":
-                signal.signal(signal.SIGTERM, signal.SIG_IGN)
-                time.sleep(1000)
-            if self.name == "slow":
-                time.sleep(0.2)
-            if self.name == "dies":
-                os.kill(os.getpid(), signal.SIGKILL)
-            if self.name == "raises":
-                raise ZeroDivisionError("a fault of ours")
-
-    log.Log.__iter__ = misbehave
-'''
-
-
-def made(folder: Path, *names: str, frames: int = FRAMES) -> list[Path]:
-    """Logs of a few frames of the sample."""
-    for name in names:
-        (folder / name).mkdir(parents=True)
-        shutil.copy(SAMPLE / "sonar.toml", folder / name)
-        for i in range(frames):
-            shutil.copy(SAMPLE / f"{i:06d}.png", folder / name)
-    return [folder / name for name in names]
-
-
-def environment(folder: Path) -> dict[str, str]:
-    """In which logs misbehave by their names."""
-    home = folder / "behaviour"
-    home.mkdir(exist_ok=True)
-    (home / "sitecustomize.py").write_text(BEHAVIOUR)
-    return os.environ | {"PYTHONPATH": str(home)}
-
-
-def command(*words: str | Path) -> list[str]:
-    return [sys.executable, "-m", "sonarrec", *map(str, words)]
-
-
-def rows(out: Path) -> dict[str, dict[str, str]]:
-    with (out / "logs.csv").open(newline="") as file:
-        return {row["log"]: row for row in csv.DictReader(file)}
-
-
-def tables(folder: Path) -> list[bytes]:
-    names = ("frames.csv", "estimates.csv", "sightings.csv")
-    return [(folder / name).read_bytes() for name in names]
+from tests.support.batch import SAMPLE, command, environment, made, rows, tables
 
 
 def test_a_log_that_dies_hangs_or_raises_costs_itself_only(tmp_path: Path) -> None:
@@ -199,3 +140,25 @@ def test_a_foreign_logs_csv_is_not_replaced(tmp_path: Path) -> None:
     assert "logs.csv line 2: not a row of" in done.stderr
     assert mine.read_text() == "day,diver\n1,me\n"
     assert (tmp_path / "out" / "a" / "frames.csv").is_file()
+
+
+def test_retry_failed_does_those_alone(tmp_path: Path) -> None:
+    logs = made(tmp_path, "a", "cut", "dies", frames=3)
+    (logs[1] / "000001.png").write_bytes(b"not an image")
+    out = tmp_path / "out"
+    call = command("run", *logs, "-o", out)
+    subprocess.run(call, env=environment(tmp_path), capture_output=True)
+    assert {n: row["status"] for n, row in rows(out).items()} == {
+        "a": "done",
+        "cut": "partial",
+        "dies": "failed",
+    }
+    assert rows(out)["cut"]["unusable"] == "1"
+    shutil.copy(SAMPLE / "000001.png", logs[1])
+    kept = (out / "a" / "run.toml").stat().st_mtime_ns
+    done = subprocess.run([*call, "--retry-failed"], capture_output=True, text=True)
+    assert (done.returncode, done.stdout.splitlines()[-1]) == (0, "2 done")
+    assert (out / "a" / "run.toml").stat().st_mtime_ns == kept
+    assert [row["status"] for row in rows(out).values()] == ["done"] * 3
+    done = subprocess.run([*call, "--retry-failed"], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "nothing to do\n")
