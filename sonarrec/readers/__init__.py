@@ -21,7 +21,7 @@ def open_log(
     topic: str | None = None,
     time: Clock = "log",
 ) -> Log:
-    """Open a folder of images, a glob of images, a video or an MCAP file.
+    """Open a folder of images, a glob of images, a video, an MCAP file or a sonar's own file.
 
     sonar: keys that win over those in files, such as {"tilt_deg": 20.0}. sonar_file: in place of
     the sonar.toml beside the log (for a folder or glob `sonar.toml` beside the images; for one file
@@ -43,6 +43,7 @@ def open_log(
     file = None if sonar_file is None else Path(sonar_file)
     resolved, where = source.stated_sonar(sonar_from(sonar), file)
     raw = source.open(topic)
+    resolved = raw.told.sonar.updated(resolved)
     if resolved.layout is None:
         resolved = replace(resolved, layout="polar" if raw.polar else "fan")
     try:
@@ -50,7 +51,7 @@ def open_log(
             resolved.complete(where)
         elif resolved.tilt_deg is None:
             raise SonarrecError(
-                f"{where}: the messages tell the sonar's geometry, all but its tilt; give "
+                f"{where}: the log tells the sonar's geometry, all but its tilt; give "
                 "--tilt-deg (downward), or put tilt_deg under [sonar] into a sonar.toml beside it"
             )
     except SonarrecError:

@@ -10,7 +10,9 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from sonarrec.readers.ddf.frames import DdfFrames
 from sonarrec.readers.images import IMAGE_SUFFIXES, ImageFiles, is_image, natural_order
+from sonarrec.readers.oculus import OculusPings
 from sonarrec.readers.raw import RawLog
 from sonarrec.readers.video import VIDEO_SUFFIXES, VideoFrames
 from sonarrec.records import SonarrecError, shown
@@ -52,6 +54,9 @@ READERS = (
     Reader("image", IMAGE_SUFFIXES, lambda path, _: ImageFiles([path])),
     Reader("video", VIDEO_SUFFIXES, lambda path, _: VideoFrames(path)),
     Reader("MCAP", frozenset({".mcap"}), _open_mcap, has_topics=True),
+    Reader("ARIS", frozenset({".aris"}), lambda path, _: DdfFrames(path)),
+    Reader("DIDSON", frozenset({".ddf"}), lambda path, _: DdfFrames(path)),
+    Reader("Oculus", frozenset({".oculus", ".raw"}), lambda path, _: OculusPings(path)),
 )
 
 

@@ -11,7 +11,7 @@ from sonarrec.readers.mcap.fields import DefinitionError
 from sonarrec.readers.mcap.in_order import MessageReader
 from sonarrec.readers.mcap.messages import READABLE, Decoder, decoder_for
 from sonarrec.readers.mcap.salvage import McapFile
-from sonarrec.readers.raw import RawFrame, UnusableError
+from sonarrec.readers.raw import NOTHING_TOLD, RawFrame, UnusableError
 from sonarrec.records import SonarrecError, Stamps, UsageError, shown
 
 _NO_SCHEMA = Schema(id=0, name="", encoding="", data=b"")
@@ -61,6 +61,7 @@ class McapImages:
         self.topic: str | None = self._log.channels[next(iter(self._decoders))].topic
         self.polar = any(decoder.polar for decoder in self._decoders.values())
         self.faults = self._log.faults
+        self.told = NOTHING_TOLD
         self.frame_count: int | None = sum(self._log.counts[c] for c in self._decoders)
 
     def close(self) -> None:
