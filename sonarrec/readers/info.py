@@ -60,10 +60,11 @@ class Images:
     layout: "fan" or "polar". polar_messages: the messages tell their own geometry. header: what
     else the headers of a sonar's own file tell, by name and unit; empty elsewhere. geometry: its
     keys as stated, or told by the first ping. origins: where each of these, and the layout, is
-    from: "flag", "message", "header", "default" or the name of a file. assumed: keys that nothing states and
-    the values that serve in their place, where the geometry is complete. lacks: the keys that are
-    missing. notes: what was stated against the messages, or cannot be by what the first frames
-    show. problems: one line for each frame that cannot be used (at most 20, then a count).
+    from: "flag", "message", "header", "default" or the name of a file. assumed: keys that nothing
+    states and the values that serve in their place, where the geometry is complete. lacks: the keys
+    that are missing. notes: what was stated against the messages, is not sure, or cannot be by what
+    the first frames show. problems: one line for each frame that cannot be used (at most 20, then a
+    count).
     """
 
     topic: str | None
@@ -91,10 +92,10 @@ class Images:
 class LogInfo:
     """What is in one log.
 
-    kind: "MCAP", "video", "images", or the sonar of its own file ("ARIS", "DIDSON", "Oculus"). size_bytes: of all its files. container: None outside of
-    MCAP. images: each sequence of sonar images; none where nothing can be read. checked: every
-    frame was read and every checksum compared. faults: lines about what is wrong with the file as
-    a whole.
+    kind: "MCAP", "video", "images", or of a sonar's own file "ARIS", "DIDSON" or "Oculus".
+    size_bytes: of all its files. container: None outside of MCAP. images: each sequence of sonar
+    images; none where nothing can be read. checked: every frame was read and every checksum
+    compared. faults: lines about what is wrong with the file as a whole.
     """
 
     path: str

@@ -110,7 +110,7 @@ def read_simple_ping(message: bytes) -> tuple[Ping, Header]:
 
 
 def read_simple_ping_2(message: bytes) -> tuple[Ping, Header]:
-    """OculusSimplePingResult2: heading, pitch, roll, and seconds since the sonar was switched on."""
+    """OculusSimplePingResult2: with heading, pitch, roll, and seconds since switched on."""
     ping, header = _ping(message, _RESULT_2)
     fields = np.frombuffer(message, _RESULT_2, 1)[0]
     for key in ("heading", "pitch", "roll"):

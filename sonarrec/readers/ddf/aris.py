@@ -144,7 +144,7 @@ class Aris:
 
 
 def in_beam_order(samples: np.ndarray, pings: int) -> np.ndarray:
-    """(samples, beams) of a frame as its pings came: ping by ping, of each sample its 16 channels."""
+    """(samples, beams) of a frame that lies ping by ping, of each sample its 16 channels."""
     rows = len(samples)
     came = samples.reshape(pings, rows, len(CHANNELS))
     ordered = np.empty((rows, len(CHANNELS), pings), samples.dtype)

@@ -59,7 +59,8 @@ def lens_bearings_deg(beams: int) -> np.ndarray:
     bearing = np.arange(-30, 30, 0.001)
     width = 96 / beams
     middles = (np.arange(beams) + 0.5) * width + 0.5
-    return np.round(np.interp(middles, 1 + np.polyval(LENS, bearing), bearing), 4)
+    bearings = np.interp(middles, 1 + np.polyval(LENS, bearing), bearing)
+    return np.asarray(np.round(bearings, 4))
 
 
 class Didson:

@@ -91,7 +91,7 @@ class DdfFrames:
         self._shape, self._length = self._frame_shape()
         samples, beams = self._shape
         room = self._file.size - self._start
-        if not 2 <= samples or not 2 <= beams or self._length > MAX_FRAME_BYTES:
+        if min(samples, beams) < 2 or self._length > MAX_FRAME_BYTES:
             raise SonarrecError(
                 f"{where}: damaged: its header states frames of {samples} samples in {beams} beams"
             )
