@@ -17,8 +17,10 @@ class FileBytes:
 
     def at(self, offset: int, count: int) -> bytes:
         """`count` bytes from `offset` on; fewer where the file ends before."""
+        if offset >= self.size:
+            return b""
         self._file.seek(offset)
-        return self._file.read(max(0, min(count, self.size - offset)))
+        return self._file.read(min(count, self.size - offset))
 
     def find(self, mark: bytes, start: int, end: int) -> int | None:
         """Where `mark` next begins at `start` or later and before `end`; None where nowhere."""

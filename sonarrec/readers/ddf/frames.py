@@ -78,9 +78,10 @@ class DdfFrames:
 
     def _open(self, where: str) -> None:
         self._mark = self._file.at(0, 4)
-        layout = LAYOUTS.get(self._mark[3]) if self._mark[:3] == b"DDF" else None
-        if layout is None or len(self._mark) < 4:
-            told = f"DDF_{self._mark[3]:02d}" if self._mark[:3] == b"DDF" else "no DDF file"
+        version = self._mark[3] if len(self._mark) == 4 and self._mark[:3] == b"DDF" else None
+        layout = None if version is None else LAYOUTS.get(version)
+        if layout is None:
+            told = "no DDF file" if version is None else f"DDF_{version:02d}"
             known = ", ".join(f"DDF_{n:02d} ({one.name})" for n, one in LAYOUTS.items())
             raise SonarrecError(f"{where}: {told}, by its first bytes; this reads {known}")
         self._layout = layout
