@@ -87,10 +87,11 @@ def run(
 ) -> None:
     """Recognise landmarks in LOG, frame by frame.
 
-    LOG is an MCAP file, a folder of images, a video or a quoted glob of these. The sonar's
-    geometry is read from sonar.toml beside it (NAME.sonar.toml for one file), from --sonar, or
-    from the flags; polar sonar messages tell their own, all but the tilt and the height. Several
-    LOGs are processed one after the other; one that cannot be used does not stop the others.
+    LOG is an MCAP file, a folder of images, a video, a sonar's own file (.aris, .ddf, .oculus,
+    .raw) or a quoted glob of these. The sonar's geometry is read from sonar.toml beside it
+    (NAME.sonar.toml for one file), from --sonar, or from the flags; polar sonar messages tell
+    their own, all but the tilt and the height, as do sonars' own files. Several LOGs are processed
+    one after the other; one that cannot be used does not stop the others.
 
     Results are replaced only when the new ones are finished, and not made again where they are up
     to date. A run that is stopped leaves its part in OUT/<log name>.part.

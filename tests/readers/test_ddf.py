@@ -6,6 +6,7 @@ import itertools
 import json
 import re
 import struct
+import tracemalloc
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -377,7 +378,8 @@ def test_a_cut_file_is_read_as_far_as_it_goes(kind: str, tmp_path: Path) -> None
         didson_file(path, images, 4)
     whole, _, _ = read(path)
     path.write_bytes(path.read_bytes()[:-2000])
-    found, problems, _ = read(path)
+    found, problems, notes = read(path)
+    assert notes[-1] == f"{path}: its header counts 5 frames, 4 are there"
     assert problems == [f"log.{kind}: cut short: of the last frame 2096 of 4096 bytes are there"]
     for frame, before in zip(found, whole[:4], strict=True):
         np.testing.assert_array_equal(frame.image, before.image)
@@ -454,3 +456,16 @@ def test_quick_info_counts_the_frames() -> None:
     (images,) = info(SAMPLE, "--quick")["images"]
     assert images["frames"] == 6
     assert info(SAMPLE, "--quick")["checked"] is False
+
+
+def test_memory_is_flat(tmp_path: Path) -> None:
+    """Four times the frames take no more memory."""
+    peaks = []
+    for count in (60, 240):
+        path = aris_file(tmp_path / f"{count}.aris", frames(4, 400, 48) * (count // 4))
+        tracemalloc.start()
+        with open_log(path) as log:
+            assert sum(1 for _ in log) == count
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < peaks[0] + 200_000

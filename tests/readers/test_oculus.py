@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -311,3 +312,18 @@ def test_what_cannot_be_opened(name: str, data: bytes, says: str, tmp_path: Path
         read(written(tmp_path / name, data))
     assert "\n" not in str(caught.value)
     sonarrec("info", tmp_path / name, code=1)
+
+
+def test_memory_is_flat(tmp_path: Path) -> None:
+    """Four times the pings take no more memory, though one that is damaged is searched through."""
+    peaks = []
+    for count in (60, 240):
+        damaged = changed(PINGS[0], 10, "I", 2**24)
+        pings = [*PINGS * (count // 6), damaged, PINGS[0]]
+        path = written(tmp_path / f"{count}.raw", b"".join(pings))
+        tracemalloc.start()
+        with open_log(path, sonar=TILT) as log:
+            assert sum(1 for _ in log) == count + 1
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < peaks[0] + 1_100_000  # a block that is searched

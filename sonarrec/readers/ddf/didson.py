@@ -104,9 +104,9 @@ class Didson:
         try:
             whole = datetime(*parts, tzinfo=UTC)  # type: ignore[misc, arg-type]
         except (ValueError, OverflowError):
-            return None, None
+            return None, None  # what the file calls the computer's time is of unsure form
         stamp = int(whole.timestamp()) * 10**9 + min(int(frame["Hundredth"]), 99) * 10**7
-        return stamp, stamp
+        return stamp, None
 
     def told(self, file: np.void, frames: list[np.void]) -> Told:
         """Tilt and frame rate; everything else for `info`."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -103,7 +104,12 @@ class DdfFrames:
             )
         self.frame_count: int | None = room // self._length
         headers = self._headers_all_over()
-        self.told = layout.told(self._header, headers) if headers else Told()
+        told = layout.told(self._header, headers) if headers else Told()
+        stated = int(self._header["FrameCount"])
+        if stated > self.frame_count:  # told as a note: makers advise against believing it
+            missing = f"its header counts {stated} frames, {self.frame_count} are there"
+            told = replace(told, notes=(*told.notes, missing))
+        self.told = told
 
     def _frame_shape(self) -> tuple[tuple[int, int], int]:
         """(samples, beams) of every frame, and its length in bytes.
