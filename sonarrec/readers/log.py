@@ -41,7 +41,8 @@ class Log:
         self._files = files
         self._raw = raw
         self._time = time
-        self._images = FanImages(stated, shown(path))
+        tells = "headers" if raw.told.header else "messages"
+        self._images = FanImages(stated, shown(path), tells)
 
     @property
     def sonar(self) -> Sonar:

@@ -198,6 +198,7 @@ _ITEM = np.dtype(
     }
 )
 _SONAR_ITEM = 10
+_LOOKED_THROUGH = 2 * MAX_FRAME_BYTES  # for the first ping, in a file that may be of another kind
 _Q_COMPRESSED = 1  # of Qt: the length in four bytes, most significant first, then zlib
 
 
@@ -221,19 +222,21 @@ def _next(file: FileBytes, framing: _Framing, start: int, end: int) -> int | Non
     return place
 
 
-def _messages(file: FileBytes, framing: _Framing, start: int) -> Iterator[tuple[int, int, bool]]:
-    """(where, how many bytes, whole) of each message from `start` on, and of what is lost.
+def _messages(
+    file: FileBytes, framing: _Framing, start: int, limit: int
+) -> Iterator[tuple[int, int, bool]]:
+    """(where, how many bytes, whole) of each message from `start` to `limit`, and of what is lost.
 
     A message that is not followed by another, or by the end, has lost bytes if another begins
     inside of it.
     """
     at = start
-    while at < file.size:
+    while at < limit:
         length = framing.length(file.at(at, framing.head))
-        end = file.size if length is None else min(at + length, file.size)
-        whole = length is not None and at + length <= file.size
+        end = limit if length is None else min(at + length, limit)
+        whole = length is not None and at + length <= limit
         followed = whole and (
-            end == file.size or framing.length(file.at(end, framing.head)) is not None
+            end == limit or framing.length(file.at(end, framing.head)) is not None
         )
         if not followed:
             inside = _next(file, framing, at + 1, end)
@@ -278,7 +281,7 @@ class OculusPings:
 
     def _first_header(self, where: str) -> Header:
         problem = ""
-        for _, _, message, reason in self._read(faults=[]):
+        for _, _, message, reason in self._read([], min(self._file.size, _LOOKED_THROUGH)):
             if message is not None:
                 try:
                     return _decoded(message)[1]
@@ -292,7 +295,9 @@ class OculusPings:
         self._file.close()
 
     def __iter__(self) -> Iterator[RawFrame]:
-        for number, (at, time_ns, message, problem) in enumerate(self._read(self.faults)):
+        for number, (at, time_ns, message, problem) in enumerate(
+            self._read(self.faults, self._file.size)
+        ):
             name = f"ping {number} at byte {at}"
             if message is None:
                 yield RawFrame(name, time_ns, None, problem)
@@ -306,13 +311,16 @@ class OculusPings:
             named = ping.stamp_ns if time_ns is None else time_ns
             yield RawFrame(name, named, ping.pixels, None, ping.sonar, stamps)
 
-    def _read(self, faults: list[str]) -> Iterator[tuple[int, int | None, bytes | None, str]]:
+    def _read(
+        self, faults: list[str], limit: int
+    ) -> Iterator[tuple[int, int | None, bytes | None, str]]:
         """(where, time in ns, bytes, problem) of every ping; without bytes where it is damaged.
 
-        faults: is given a line for what belongs to no ping, once all was read.
+        limit: where in the file to stop. faults: is given a line for what belongs to no ping, once
+        all was read.
         """
         passed_over = places = full = 0
-        for at, length, whole in _messages(self._file, self._framing, self._start):
+        for at, length, whole in _messages(self._file, self._framing, self._start, limit):
             if self._framing.length(self._file.at(at, self._framing.head)) is None:
                 passed_over += length
                 places += 1

@@ -265,7 +265,7 @@ def test_what_is_stated_wins_over_the_headers(tmp_path: Path) -> None:
     found, _, notes = read(path, sonar={"tilt_deg": 31.0, "range_max_m": 2.5})
     assert found[0].fan.tilt_deg == 31.0
     assert found[0].fan.range_max_m == 2.5
-    assert notes == [f"{path}: stated against the messages: range_max_m = 2.5 (not 1.821)"]
+    assert notes == [f"{path}: stated against the headers: range_max_m = 2.5 (not 1.821)"]
 
 
 @pytest.mark.parametrize(

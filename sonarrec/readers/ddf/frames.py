@@ -82,9 +82,9 @@ class DdfFrames:
         version = self._mark[3] if len(self._mark) == 4 and self._mark[:3] == b"DDF" else None
         layout = None if version is None else LAYOUTS.get(version)
         if layout is None:
-            told = "no DDF file" if version is None else f"DDF_{version:02d}"
+            what = "no DDF file" if version is None else f"DDF_{version:02d}"
             known = ", ".join(f"DDF_{n:02d} ({one.name})" for n, one in LAYOUTS.items())
-            raise SonarrecError(f"{where}: {told}, by its first bytes; this reads {known}")
+            raise SonarrecError(f"{where}: {what}, by its first bytes; this reads {known}")
         self._layout = layout
         self._start = layout.file_header.itemsize
         if self._file.size < self._start:
