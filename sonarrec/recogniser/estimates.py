@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.followed import Batch
 from sonarrec.recogniser.plane import Plane
-from sonarrec.recogniser.stage3_features import Beliefs
+from sonarrec.recogniser.stage3_features import Beliefs, likeliest, settled
 from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES
 from sonarrec.recogniser.stage3_features.smi import Identification
 from sonarrec.records import BoolArray, Estimate, FloatArray, IntArray
@@ -20,15 +19,9 @@ STEP_DEG = 360 / ANGLES
 POSITION_SHARE = 0.22
 
 
-def likeliest(probabilities: FloatArray) -> tuple[npt.NDArray[np.intp], FloatArray]:
-    """(n,) index of the likeliest ID of (n, K + 1) beliefs, and (n,) the belief in it."""
-    best = probabilities[:, :-1].argmax(axis=1)
-    return best, probabilities[np.arange(len(best)), best]
-
-
 def declared(score: FloatArray | float, threshold: float) -> BoolArray:
     """Whether an ID of this score is declared; the score's shape."""
-    return np.asarray(score) >= threshold
+    return settled(np.asarray(score)) >= threshold
 
 
 class EstimateMaker:

@@ -8,7 +8,8 @@ import numpy as np
 
 from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.recogniser.estimates import declared, likeliest
+from sonarrec.recogniser.estimates import declared
+from sonarrec.recogniser.stage3_features import likeliest
 from sonarrec.records import Estimate, FloatArray, FrameResult
 
 LEAST_BELIEF = 1e-2  # in a logarithm: no single frame rules an ID out for good

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import json
+import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from importlib.metadata import version
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
+
+import numpy as np
 
 from sonarrec import __version__, config
 from sonarrec.geometry import fan_for_image
@@ -59,6 +63,20 @@ def run_table(
             **({} if fan.height_m is None else {"height_m": fan.height_m}),
         },
         "landmarks": landmarks.as_table(),
+        "ran_on": _ran_on(),
+    }
+
+
+def _ran_on() -> dict[str, str]:
+    """What the last digits depend on: the arithmetic's libraries and the processor's instructions.
+
+    numpy's exp and log round otherwise with AVX-512 than without.
+    """
+    instructions = np.show_config(mode="dicts")["SIMD Extensions"]["found"]
+    return {
+        "processor": " ".join([platform.machine(), *instructions]),
+        "numpy": np.__version__,
+        "opencv": version("opencv-python-headless"),
     }
 
 
@@ -92,7 +110,8 @@ def held_results(folder: Path, table: dict[str, Any]) -> Held:
             "--out, or give --overwrite"
         )
     frames, problems = source.get("frames_processed", 0), source.get("problems", [])
-    alike = {k: v for k, v in there.items() if k != "finished"} | {
+    coming.pop("ran_on")
+    alike = {k: v for k, v in there.items() if k not in ("finished", "ran_on")} | {
         "input": {k: v for k, v in source.items() if k in mine} | {"path": mine["path"]}
     }
     if alike == coming:

@@ -11,6 +11,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
+import numpy.typing as npt
+
 from sonarrec.records import BoolArray, FloatArray, Groups
 
 
@@ -46,3 +49,18 @@ class Measurement(Protocol):
         brightness, count: (n, L, ANGLES) from `gather`, of all those groups.
         """
         ...
+
+
+def settled(values: FloatArray) -> FloatArray:
+    """Values to the six digits that the tables have, for choices among them.
+
+    Sums that are equal on paper differ in their last digits, otherwise on each kind of processor:
+    a disc of which half is seen fits two IDs alike, and the first is taken, everywhere.
+    """
+    return np.asarray(np.round(values, 6))
+
+
+def likeliest(probabilities: FloatArray) -> tuple[npt.NDArray[np.intp], FloatArray]:
+    """(n,) index of the likeliest ID of (n, K + 1) beliefs, and (n,) the belief in it."""
+    best = settled(probabilities[:, :-1]).argmax(axis=1)
+    return best, probabilities[np.arange(len(best)), best]

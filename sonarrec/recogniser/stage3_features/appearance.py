@@ -17,7 +17,7 @@ import numpy as np
 from sonarrec.config import Features
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.plane import Plane
-from sonarrec.recogniser.stage3_features import Beliefs
+from sonarrec.recogniser.stage3_features import Beliefs, likeliest
 from sonarrec.recogniser.stage3_features.description import Describer
 from sonarrec.recogniser.stage3_features.shape_matrix import ShapeSampler
 from sonarrec.recogniser.stage3_features.track_matrix import TrackMatrix
@@ -66,7 +66,7 @@ class AppearanceMeasurement:
         positions = np.concatenate([g.positions for g in groups])
         description = self._describe(brightness, count, existence, self._smear(positions))
         probabilities = self._model.probabilities(description.features)
-        best = probabilities[:, :-1].argmax(axis=1)
+        best, _ = likeliest(probabilities)
         at = (np.arange(len(best)), best)
         return Beliefs(probabilities, description.turn[at], description.turn_sigma[at])
 

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sonarrec.landmarks import LandmarkSet
+from sonarrec.recogniser.stage3_features import settled
 from sonarrec.recogniser.stage3_features.expected_symbol import ExpectedSymbols
 from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES, Bands, turned_codes
 from sonarrec.records import BoolArray, FloatArray
@@ -114,7 +115,7 @@ class Describer:
         correlation, cross = self._expected.correlation(
             average[:, lines], count[:, lines] > 0, smear
         )
-        turn = correlation.argmax(axis=1)  # (n, K)
+        turn = settled(correlation).argmax(axis=1)  # (n, K)
         best = correlation[np.arange(objects)[:, None], turn, np.arange(ids)]
         code = self._codes[turn, np.arange(ids)]  # (n, K, ANGLES)
         # The symbol counted from the gap's level, locally, and from the floor: (3, n, ANGLES).
