@@ -340,7 +340,7 @@ class OculusPings:
         if places:
             faults.append(
                 f"{self._name}: {passed_over} bytes in {places} places belong to no message; "
-                "damaged, so frames may be missing there"
+                "damaged, so pings may be missing there, or wrong before them"
             )
         if full:
             faults.append(

@@ -106,7 +106,7 @@ class DdfFrames:
         headers = self._headers_all_over()
         told = layout.told(self._header, headers) if headers else Told()
         stated = int(self._header["FrameCount"])
-        if stated > self.frame_count:  # told as a note: makers advise against believing it
+        if stated > self.frame_count:  # a note: its maker advises against believing it
             missing = f"its header counts {stated} frames, {self.frame_count} are there"
             told = replace(told, notes=(*told.notes, missing))
         self.told = told
@@ -148,7 +148,7 @@ class DdfFrames:
         self._file.close()
 
     def __iter__(self) -> Iterator[RawFrame]:
-        at, number, moved = self._start, 0, False
+        at, number = self._start, 0
         while at < self._file.size:
             left = self._file.size - at
             if left < self._length:
@@ -156,33 +156,39 @@ class DdfFrames:
                     f"{self._name}: cut short: of the last frame {left} of {self._length} bytes "
                     "are there"
                 )
-                break
+                return
+            header, end = self._frame_header(at), at + self._length
+            found = end if self._in_step(end) else self._next_frame(at + 1)
             name = f"frame {number}"
-            header = self._frame_header(at)
-            if header is None and self._frame_header(at + self._length) is None:
-                found = self._next_frame(at)
-                if found is None:
-                    lost = left // self._length
-                    told = f"{self._name}: no frame begins in the last {left} bytes"
-                    self.faults.append(f"{told}; {lost} frames are lost")
-                    break
-                if found != at:
-                    moved = True
-                    lost = max(1, round((found - at) / self._length))
-                    for _ in range(lost):
-                        yield RawFrame(name, None, None)
-                        number += 1
-                    self.faults.append(
-                        f"{self._name}: frame {number - lost}: {found - at} bytes hold no frame; "
-                        f"damaged, about {lost} frames are lost"
-                    )
-                    at = found
-                    continue
-            yield self._frame(name, at, header)
-            at += self._length
-            number += 1
-        if moved:
-            self.faults.append(f"{self._name}: the numbers of later frames may be wrong")
+            if found == end or (found is None and header is not None):
+                yield self._frame(name, at, header)
+                at, number = end, number + 1
+                continue
+            if found is None:
+                self.faults.append(f"{self._name}: no frame begins in the last {left} bytes")
+                return
+            few = f"only {found - at} of its {self._length} bytes are there"
+            many = f"{found - at} bytes up to the next frame, in place of {self._length}"
+            time_ns = None if header is None else self._layout.times(header)[0]
+            yield RawFrame(name, time_ns, None, few if found < end else many)
+            lost = max(1, round((found - at) / self._length))
+            for _ in range(lost - 1):
+                yield RawFrame(name, None, None)
+            if lost > 1:
+                self.faults.append(
+                    f"{self._name}: {lost} frames or so are lost from {name} on; the numbers of "
+                    "later ones may be wrong"
+                )
+            at, number = found, number + lost
+
+    def _in_step(self, at: int) -> bool:
+        """Whether a frame begins where it should, or the one after it does, or the file ends."""
+        if at + self._layout.frame_header.itemsize > self._file.size:
+            return True
+        after = at + self._length
+        return after == self._file.size or any(
+            self._frame_header(place) is not None for place in (at, after)
+        )
 
     def _next_frame(self, start: int) -> int | None:
         """Where the next frame begins that states this file's own size; None where none does."""
