@@ -104,7 +104,8 @@ def run(
 ) -> Summary:
     """Recognise the landmarks in a log and write its results to `out`/<log name>/.
 
-    log: an MCAP file, a bag of ROS, a folder or glob of images, or a video. preset: "default",
+    log: an MCAP file, a bag of ROS, a folder or glob of images, a video or a sonar's own file.
+    preset: "default",
     "offline", "paper", a Config, or several of them, side by side. landmarks: a set by name or
     TOML file, default `basin`. model: of `sonarrec calibrate`. sonar: geometry that wins over
     files, such as {"tilt_deg": 20.0} (keys and units of sonar.toml: m, deg). sonar_file: in place

@@ -67,10 +67,11 @@ def info(
 ) -> None:
     """Show what is in LOG, whether it is whole, and how `run` would read it.
 
-    LOG is an MCAP file, a bag of ROS 1 or 2, a folder of images, a video, a folder of logs, or a
-    quoted glob of these. Every frame is read, and every checksum compared, to tell how many
-    frames can be used; --quick leaves that out. A geometry that is not complete is told but no
-    fault. Exit code 3: part of the log cannot be used; 1: nothing can.
+    LOG is an MCAP file, a bag of ROS 1 or 2, a folder of images, a video, a sonar's own file (ARIS,
+    DIDSON, Oculus), a folder of logs, or a quoted glob of these. Every frame is read, and every
+    checksum compared, to tell how many frames can be used; --quick leaves that out. A geometry that
+    is not complete is told but no fault. Exit code 3: part of the log cannot be used; 1: nothing
+    can.
 
     --preview draws range rings, bearings, the near edge of the stated floor and three discs of the
     landmark set onto the first usable frame: what is wrong with a geometry shows at a glance.
@@ -228,6 +229,7 @@ def _images_lines(images: Images) -> list[str]:
         elif "frame_rate_hz" in images.geometry:
             text += f", {images.geometry['frame_rate_hz']:g} Hz as stated"
         out += _entry("images", [text])
+    out += _entry("header", _header_lines(images))
     out += _entry("geometry", _geometry_lines(images))
     out += _entry("notes", images.notes)
     return out + _entry("problems", images.problems)
@@ -257,9 +259,18 @@ def _geometry_lines(images: Images) -> list[str]:
     return [text for text in out if text]
 
 
+def _header_lines(images: Images) -> list[str]:
+    """What the headers of a sonar's own file tell, but for what it did not measure."""
+    known = {key: value for key, value in images.header.items() if value is not None}
+    sonar = [str(known.pop("sonar"))] if "sonar" in known else []
+    parts = [f"{k} = {v}" if isinstance(v, str) else f"{k} = {v:.6g}" for k, v in known.items()]
+    return sonar + [", ".join(parts[i : i + 3]) for i in range(0, len(parts), 3)]
+
+
 def _origin_lines(images: Images) -> list[str]:
     """Which values are from where, a line for each origin."""
     names = {"flag": "by flag", "message": "told by the messages", "default": "by default"}
+    names["header"] = "told by the headers"
     lines: dict[str, list[str]] = {}
     for key, origin in images.origins.items():
         value = f" = {images.layout}" if key == "layout" and origin == "default" else ""

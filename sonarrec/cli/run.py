@@ -135,11 +135,12 @@ def run(
 ) -> None:
     """Recognise landmarks in LOG, frame by frame.
 
-    LOG is an MCAP file, a bag of ROS 1 or 2, a folder of images, a video, a folder of logs, or a
-    quoted glob of these. The sonar's geometry is read from sonar.toml beside it (NAME.sonar.toml
-    for one file) or in a folder above, up to the LOG given; from --sonar, or from the flags; polar
-    sonar messages tell their own, all but the tilt and the height. Several logs are processed side
-    by side; one that cannot be used does not stop the others.
+    LOG is an MCAP file, a bag of ROS 1 or 2, a folder of images, a video, a sonar's own file
+    (.aris, .ddf, .oculus, .raw), a folder of logs, or a quoted glob of these. The sonar's geometry
+    is read from sonar.toml beside it (NAME.sonar.toml for one file) or in a folder above, up to the
+    LOG given; from --sonar, or from the flags; polar sonar messages tell their own, all but the
+    tilt and the height, as do sonars' own files. Several logs are processed side by side; one that
+    cannot be used does not stop the others.
 
     Results are replaced only when the new ones are finished, and not made again where they are up
     to date. A run that is stopped leaves its part in OUT/<log name>.part.

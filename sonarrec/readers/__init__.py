@@ -22,7 +22,7 @@ def open_log(
     time: Clock = "log",
     up_to: Path | None = None,
 ) -> Log:
-    """Open a folder or glob of images, a video, an MCAP file or a bag of ROS.
+    """Open a folder or glob of images, a video, an MCAP, a bag of ROS or a sonar's own file.
 
     sonar: keys that win over those in files, such as {"tilt_deg": 20.0}. sonar_file: in place of
     the sonar.toml beside the log (for a folder or glob `sonar.toml` beside the images; for one file
@@ -49,6 +49,7 @@ def open_log(
     file = None if sonar_file is None else Path(sonar_file)
     resolved, where = source.stated_sonar(sonar_from(sonar), file)
     raw = source.open(topic)
+    resolved = raw.told.sonar.updated(resolved)
     if resolved.layout is None:
         resolved = replace(resolved, layout="polar" if raw.polar else "fan")
     try:
@@ -56,7 +57,7 @@ def open_log(
             resolved.complete(where)
         elif resolved.tilt_deg is None:
             raise SonarrecError(
-                f"{where}: the messages tell the sonar's geometry, all but its tilt; give "
+                f"{where}: the log tells the sonar's geometry, all but its tilt; give "
                 "--tilt-deg (downward), or put tilt_deg under [sonar] into a sonar.toml beside it"
             )
     except SonarrecError:

@@ -12,7 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sonarrec.readers.bag_folder import bag_files, is_bag_folder
+from sonarrec.readers.ddf.frames import DdfFrames
 from sonarrec.readers.images import IMAGE_SUFFIXES, ImageFiles, is_image, natural_order
+from sonarrec.readers.oculus import OculusPings
 from sonarrec.readers.packed import PACKINGS, unpacked
 from sonarrec.readers.raw import RawLog
 from sonarrec.readers.recording import Recording
@@ -83,6 +85,9 @@ READERS = (
     Reader("ROS 2 bag (SQLite)", frozenset({".db3"}), recording=_db3),
     Reader("ROS 1 bag", frozenset({".bag"}), recording=_ros_bag),
     _BAG_FOLDER,
+    Reader("ARIS", frozenset({".aris"}), lambda files: DdfFrames(files[0])),
+    Reader("DIDSON", frozenset({".ddf"}), lambda files: DdfFrames(files[0])),
+    Reader("Oculus", frozenset({".oculus", ".raw"}), lambda files: OculusPings(files[0])),
 )
 
 

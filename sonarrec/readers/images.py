@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.readers.pixels import decode_image
-from sonarrec.readers.raw import RawFrame, UnusableError
+from sonarrec.readers.raw import NOTHING_TOLD, RawFrame, UnusableError
 from sonarrec.records import shown
 
 MAX_FILE_BYTES = 2**27  # an image of 4096 x 4096 pixels of eight bytes
@@ -61,6 +61,7 @@ class ImageFiles:
         self.topic: str | None = None
         self.polar = False
         self.faults: list[str] = []
+        self.told = NOTHING_TOLD
         self._stamped = all(
             re.fullmatch(r"[0-9]{19}", f.stem) and int(f.stem) < 2**63 for f in self.files
         )

@@ -58,12 +58,14 @@ class Images:
     were not read. rows, columns, pixels: the commonest size as stored, and the type ("uint8",
     "3 x uint8"). start_ns, end_ns: time of the first and last frame, rate_hz: frames a second
     between them, None where frames carry no time.
-    layout: "fan" or "polar". polar_messages: the messages tell their own geometry. geometry: its
+    layout: "fan" or "polar". polar_messages: the messages tell their own geometry. header: what
+    else the headers of a sonar's own file tell, by name and unit; empty elsewhere. geometry: its
     keys as stated, or told by the first ping. origins: where each of these, and the layout, is
-    from: "flag", "message", "default" or the name of a file. assumed: keys that nothing states and
-    the values that serve in their place, where the geometry is complete. lacks: the keys that are
-    missing. notes: what was stated against the messages, or cannot be by what the first frames
-    show. problems: one line for each frame that cannot be used (at most 20, then a count).
+    from: "flag", "message", "header", "default" or the name of a file. assumed: keys that nothing
+    states and the values that serve in their place, where the geometry is complete. lacks: the keys
+    that are missing. notes: what was stated against the messages, is not sure, or cannot be by what
+    the first frames show. problems: one line for each frame that cannot be used (at most 20, then a
+    count).
     """
 
     topic: str | None
@@ -77,6 +79,7 @@ class Images:
     rate_hz: float | None
     layout: str
     polar_messages: bool
+    header: dict[str, str | float | None]
     geometry: dict[str, Any]
     geometry_from: str | None
     origins: dict[str, str]
@@ -90,10 +93,10 @@ class Images:
 class LogInfo:
     """What is in one log.
 
-    kind: "MCAP", "video", "images", or that of a bag (`READERS`). size_bytes: of all its files.
-    container: None outside of MCAP and bags. images: each sequence of sonar images; none where
-    nothing can be read. checked: every frame was read and every checksum compared. faults: lines
-    about what is wrong with the file as a whole.
+    kind: "MCAP", "video", "images", or that of a bag or of a sonar's own file (`READERS`).
+    size_bytes: of all its files. container: None outside of MCAP and bags. images: each sequence of
+    sonar images; none where nothing can be read. checked: every frame was read and every checksum
+    compared. faults: lines about what is wrong with the file as a whole.
     """
 
     path: str
@@ -127,7 +130,7 @@ class _Watched:
         self._raw = raw
         self._observe = observe
         self.frame_count, self.topic = raw.frame_count, raw.topic
-        self.polar, self.faults = raw.polar, raw.faults
+        self.polar, self.faults, self.told = raw.polar, raw.faults, raw.told
         self.frames = self.timed = 0
         self.sizes: Counter[tuple[int, int]] = Counter()
         self.pixels: Counter[str] = Counter()
@@ -171,7 +174,7 @@ def describe(
     observe: Observe | None = None,
     up_to: Path | None = None,
 ) -> LogInfo:
-    """What is in a log: a folder or glob of images, a video, an MCAP file or a bag of ROS.
+    """What is in a log: of images, a video, an MCAP, a bag of ROS or a sonar's own file.
 
     sonar, sonar_file: the geometry, as of `open_log`. topic: look at this channel alone.
     quick: look at the first frame only, in place of reading and checking every one.
@@ -259,7 +262,7 @@ def _images(
     faults of the file that reading it brought up.
     """
     raw = _Watched(source.open(topic), observe)
-    by_user = stated
+    by_user, stated = stated, raw.told.sonar.updated(stated)
     if stated.layout is None:
         stated = replace(stated, layout="polar" if raw.polar else "fan")
     lacks = [key for key in stated.missing() if key == "tilt_deg" or not raw.polar]
@@ -281,7 +284,7 @@ def _images(
     size = raw.sizes.most_common(1)
     geometry = log.sonar.as_table()
     origins = {
-        key: _origin(key, flags, by_user, where, raw.polar) for key in geometry if key not in lacks
+        key: _origin(key, flags, by_user, where, raw) for key in geometry if key not in lacks
     }
     layout = geometry.pop("layout")
     polar = raw.polar or layout == "polar"
@@ -298,6 +301,7 @@ def _images(
         rate_hz=None if quick else raw.rate_hz(),
         layout="polar" if raw.polar else layout,
         polar_messages=raw.polar,
+        header=dict(raw.told.header),
         geometry={key: value for key, value in geometry.items() if key not in lacks},
         geometry_from=where if where != str(source.path) else None,
         origins=origins,
@@ -309,13 +313,15 @@ def _images(
     return images, raw.faults
 
 
-def _origin(key: str, flags: Sonar, stated: Sonar, where: str, polar_messages: bool) -> str:
+def _origin(key: str, flags: Sonar, stated: Sonar, where: str, raw: _Watched) -> str:
     """Where a key's value is from. stated: by file and flags."""
     if getattr(flags, key) is not None:
         return "flag"
     if getattr(stated, key) is not None:
         return where
-    return "message" if polar_messages else "default"
+    if raw.told.header:
+        return "header"
+    return "message" if raw.polar else "default"
 
 
 def _assumed(sonar: Sonar, fan: Fan, polar: bool, timed: int) -> dict[str, Any]:

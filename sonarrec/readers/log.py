@@ -43,7 +43,8 @@ class Log:
         self._files = files
         self._raw = raw
         self._time = time
-        self._images = FanImages(stated, shown(path))
+        tells = "headers" if raw.told.header else "messages"
+        self._images = FanImages(stated, shown(path), tells)
 
     @property
     def sonar(self) -> Sonar:
@@ -67,9 +68,10 @@ class Log:
 
     @property
     def notes(self) -> list[str]:
-        """What is stated against the log's own messages, or was found out; complete after the
-        pass."""
-        return self._images.notes
+        """What is stated against what the log tells, is not sure of that, or was found out;
+        complete after the pass."""
+        told = [f"{shown(self.path)}: {note}" for note in self._raw.told.notes]
+        return told + self._images.notes
 
     def __enter__(self) -> Log:
         return self

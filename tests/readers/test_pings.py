@@ -415,7 +415,7 @@ def test_run_with_the_flags(tmp_path: Path) -> None:
     log = log_of(tmp_path / "log.mcap", pings)
     out = ("--out", tmp_path / "out")
     fault = sonarrec("run", log, *out, code=1).stderr
-    assert fault.startswith(f"sonarrec: {log}: the messages tell")
+    assert fault.startswith(f"sonarrec: {log}: the log tells")
     assert fault.count("\n") == 1
     told = sonarrec("run", log, *out, "--tilt-deg", "20", "--time", "header", code=3).stderr
     assert told.splitlines() == [

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from sonarrec.readers.mcap.fields import DefinitionError
 from sonarrec.readers.mcap.messages import READABLE, Decoder, decoder_for
-from sonarrec.readers.raw import RawFrame, UnusableError
+from sonarrec.readers.raw import NOTHING_TOLD, RawFrame, UnusableError
 from sonarrec.readers.recording import Recording
 from sonarrec.records import SonarrecError, Stamps, UsageError, shown
 
@@ -49,6 +49,7 @@ class ChannelImages:
         self.topic: str | None = log.channels[next(iter(self._decoders))].topic
         self.polar = any(decoder.polar for decoder in self._decoders.values())
         self.faults = log.faults
+        self.told = NOTHING_TOLD
         self.frame_count: int | None = sum(log.counts.get(c, 0) for c in self._decoders)
 
     def close(self) -> None:
