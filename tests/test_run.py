@@ -496,7 +496,7 @@ def test_truth_of_frames_that_were_not_processed() -> None:
 @pytest.mark.usefixtures("work")
 def test_evaluate_without_results() -> None:
     write_truth(str)
-    assert "sonarrec run" in one_line_fault("evaluate", "--ground-truth", "gt.csv")
+    assert "sonarrec run" in one_line_fault("evaluate", "--ground-truth", "gt.csv", code=2)
 
 
 def test_another_programs_results(work: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib import import_module
 from time import monotonic, sleep
 from typing import Any
 
@@ -24,11 +23,12 @@ def run_on_cluster(
     UsageError without the extra `cluster`, or where no scheduler answers.
     """
     try:
-        distributed: Any = import_module("distributed")
+        import distributed
     except ImportError:
         raise UsageError("--scheduler needs pip install 'sonarrec[cluster]'") from None
+    dask: Any = distributed  # it is typed in part only
     try:
-        client = distributed.Client(address, timeout="10s", set_as_default=False)
+        client = dask.Client(address, timeout="10s", set_as_default=False)
     except (OSError, ValueError) as error:
         raise UsageError(f"--scheduler {address}: no scheduler answers there ({error})") from None
     with client:
@@ -38,7 +38,7 @@ def run_on_cluster(
             client.submit(_there, task.absolute(), timeout_s, pure=False, retries=RETRIES): i
             for i, task in enumerate(tasks)
         }
-        for future in distributed.as_completed(list(left), loop=client.loop):
+        for future in dask.as_completed(list(left), loop=client.loop):
             i = left.pop(future)
             if future.status == "finished":
                 watch.ended(i, future.result())

@@ -7,8 +7,11 @@ from pathlib import Path
 from time import monotonic
 from typing import Literal
 
-from sonarrec.pipeline import Observe, Summary, Used, process
+from sonarrec.pipeline import Observe, Summary, planned, process
+from sonarrec.prepared import Used
+from sonarrec.readers.find import log_name
 from sonarrec.records import SonarrecError
+from sonarrec.results.folders import part_of
 from sonarrec.results.run_file import Given
 
 Status = Literal["waiting", "running", "done", "partial", "failed"]
@@ -69,6 +72,20 @@ class Outcome:
         problems = self.summary.problems if self.summary else []
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         return problems[0] + more if problems else ""
+
+
+def plan(task: Task) -> str:
+    """What `do` would do, and why; nothing is written. Raises SonarrecError as it would."""
+    path = Path(task.path)
+    folder = Path(task.out) / (task.name or log_name(path))
+    if task.overwrite:
+        return "done anew (asked for)"
+    held = planned(path, task.out, task.given, task.used, name=task.name)
+    if held.up_to_date:
+        return "up to date"
+    if held.why:
+        return f"done anew ({held.why})"
+    return "done anew (it was stopped before its end)" if part_of(folder).exists() else "new"
 
 
 def do(task: Task, observe: Observe | None = None) -> Outcome:

@@ -14,10 +14,12 @@ import click
 
 from sonarrec.cli.options import (
     BATCH,
+    FAILED,
     FILE,
     FOLDER,
     INPUT,
     OUTPUT,
+    PARTLY,
     LogChoice,
     SettingsChoice,
     command,
@@ -33,7 +35,7 @@ from sonarrec.cli.options import (
     settings_options,
     verbose_option,
 )
-from sonarrec.records import UsageError, shown
+from sonarrec.records import SonarrecError, UsageError, shown
 
 if TYPE_CHECKING:
     from sonarrec.batch.task import Task
@@ -94,6 +96,12 @@ INTERRUPTED, TERMINATED = 130, 143
 )
 @option(
     BATCH,
+    "--dry-run",
+    is_flag=True,
+    help="Print what would be done with each log, and why; do nothing.",
+)
+@option(
+    BATCH,
     "--timeout",
     type=click.FloatRange(min=0, min_open=True),
     metavar="SECONDS",
@@ -126,6 +134,7 @@ def run(
     overwrite: bool,
     jobs: int | None,
     retry_failed: bool,
+    dry_run: bool,
     timeout: float | None,
     shard: str | None,
     scheduler: str | None,
@@ -161,7 +170,8 @@ def run(
     from sonarrec.batch.processes import run_apart, run_here
     from sonarrec.batch.task import Task
     from sonarrec.cli.run_watch import RunWatch
-    from sonarrec.pipeline import Used, result_names
+    from sonarrec.pipeline import result_names
+    from sonarrec.prepared import Used
     from sonarrec.results.run_file import Given, frame_span
 
     if odometry is not None and odometry_topic is not None:
@@ -185,6 +195,9 @@ def run(
     if not tasks:
         click.echo("nothing to do", err=True)
         return
+    if dry_run:
+        _plan(tasks)
+        return
     jobs = min(jobs or os.cpu_count() or 1, len(tasks))
     watch = RunWatch(tasks, out, jobs=jobs, quiet=quiet, verbose=verbose, json=as_json)
     folders = [out / task.name for task in tasks if task.name is not None]
@@ -201,6 +214,21 @@ def run(
         raise watch.error
     watch.count()
     leave(watch.exit_code())
+
+
+def _plan(tasks: list[Task]) -> None:
+    from sonarrec.batch.task import plan
+
+    faults = 0
+    for task in tasks:
+        try:
+            what = plan(task)
+        except SonarrecError as error:
+            faults += 1
+            what = f"fails ({error})"
+        click.echo(f"{task.path}: {what}")
+    if faults:
+        leave(FAILED if faults == len(tasks) else PARTLY)
 
 
 def _share(tasks: list[Task], shard: str | None) -> list[Task]:

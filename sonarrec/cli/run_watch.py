@@ -54,8 +54,8 @@ class RunWatch(Watch):
     def __exit__(self, *_: object) -> None:
         self._bars.close()
         self._table.write()
-        if self._table.fault:
-            tell([self._table.fault])
+        if self._table.fault and all(o.status != "failed" for o in self._outcomes.values()):
+            tell([self._table.fault])  # else it is told already: the disk is full
         if self._json:
             program = {"name": "sonarrec", "version": __version__}
             logs = [self._document(i) for i in range(len(self._tasks))]

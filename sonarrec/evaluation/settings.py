@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import json
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from sonarrec.results.run_file import RunFile
+from sonarrec.results.run_file import RunFile, flat
 
 NOT_STATED = "not stated"
 _LONGEST = 60
 # What may differ between runs of one log with the same settings, or is told elsewhere.
 _PASSED_OVER = {
     *("finished", "program.name", "program.methods", "input.name", "input.path", "input.bytes"),
-    *("input.sha256", "input.frames_processed", "input.problems"),
+    *("input.sha256", "input.frames_processed", "input.frames_unusable", "input.candidates"),
+    *("input.problems", "ran_on.processor", "ran_on.numpy", "ran_on.opencv"),
 }
 
 
@@ -39,26 +40,15 @@ def changed_settings(runs: Iterable[tuple[str, RunFile, RunFile]]) -> list[Setti
     for name, before, after in runs:
         if not before.table or not after.table:
             continue
-        old, new = (dict(_flat(run.table)) for run in (before, after))
+        old, new = (_told(run) for run in (before, after))
         for key in dict.fromkeys((*old, *new)):
             if old.get(key) != new.get(key) and not _is_echo(key, old, new):
                 found[key, *_texts(old, new, key)].append(name)
     return [SettingChange(*change, tuple(logs)) for change, logs in found.items()]
 
 
-def _flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """(dotted key, value) of everything that is no table."""
-    for key, value in table.items():
-        name = f"{prefix}{key}"
-        if name == "config":
-            several = isinstance(value, list)
-            for n, config in enumerate(value if several else [value]):
-                preset = f"{config.get('preset', n)}: " if several else ""
-                yield from _flat(config, preset)
-        elif isinstance(value, Mapping):
-            yield from _flat(value, f"{name}.")
-        elif name not in _PASSED_OVER:
-            yield name, value
+def _told(run: RunFile) -> dict[str, Any]:
+    return {key: value for key, value in flat(run.table) if key not in _PASSED_OVER}
 
 
 def _is_echo(key: str, old: Mapping[str, Any], new: Mapping[str, Any]) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import platform
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -91,10 +91,10 @@ class Held:
     unusable: int = 0  # frames
     candidates: int = 0
     problems: list[str] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
+    why: str = ""  # other results of this log are there: in what they differ
 
 
-_OF_THE_END = ("frames_processed", "candidates", "problems")
+_OF_THE_END = ("frames_processed", "frames_unusable", "candidates", "problems")
 """Keys of [input] that only a finished run has."""
 
 
@@ -136,8 +136,30 @@ def held_results(folder: Path, table: dict[str, Any]) -> Held:
             source.get("candidates", 0),
             source.get("problems", []),
         )
-    what = "the log has changed" if source.get("sha256") != mine["sha256"] else "other settings"
-    return Held(notes=[f"{folder}: results from before are replaced ({what})"])
+    if source.get("sha256") != mine["sha256"]:
+        return Held(why="the log has changed")
+    before, after = dict(flat(alike)), dict(flat(coming))
+    keys = [key for key in {**after, **before} if before.get(key) != after.get(key)]
+    more = f" and {len(keys) - 3} more" if len(keys) > 3 else ""
+    return Held(why=f"other settings: {', '.join(keys[:3])}{more}")
+
+
+def flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """(dotted key, value) of everything in a run.toml that is no table.
+
+    Settings are named as --set names them; of several presets with the preset in front.
+    """
+    for key, value in table.items():
+        name = f"{prefix}{key}"
+        if name == "config":
+            several = isinstance(value, list)
+            for n, one in enumerate(value if several else [value]):
+                preset = f"{one.get('preset', n)}: " if several else ""
+                yield from flat(one, preset)
+        elif isinstance(value, Mapping):
+            yield from flat(value, f"{name}.")
+        else:
+            yield name, value
 
 
 def frame_span(text: str) -> tuple[int, int | None]:

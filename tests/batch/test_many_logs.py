@@ -162,3 +162,25 @@ def test_retry_failed_does_those_alone(tmp_path: Path) -> None:
     assert [row["status"] for row in rows(out).values()] == ["done"] * 3
     done = subprocess.run([*call, "--retry-failed"], capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "nothing to do\n")
+
+
+def test_a_dry_run_says_what_would_be_done_and_does_nothing(tmp_path: Path) -> None:
+    logs = made(tmp_path, "a", "b", "c", frames=3)
+    (logs[2] / "sonar.toml").write_text("[sonar]\nlayout = 3\n")
+    out = tmp_path / "out"
+
+    def told(*more: str) -> list[str]:
+        call = command("run", *logs, "-o", out, *more)
+        done = subprocess.run(call, capture_output=True, text=True)
+        return [line.partition(": ")[2] for line in done.stdout.splitlines()]
+
+    assert told("--dry-run")[:2] == ["new", "new"]
+    assert told("--dry-run")[2].startswith("fails (")
+    assert not out.exists()
+    subprocess.run(command("run", logs[0], "-o", out, "-q"), check=True)
+    before = sorted((p, p.stat().st_mtime_ns) for p in out.rglob("*"))
+    assert told("--dry-run")[:2] == ["up to date", "new"]
+    assert told("--dry-run", "--overwrite")[:2] == ["done anew (asked for)"] * 2
+    changed = told("--dry-run", "--set", "features.declare=.9", "--seed", "3")
+    assert changed[0] == "done anew (other settings: seed, features.declare)"
+    assert sorted((p, p.stat().st_mtime_ns) for p in out.rglob("*")) == before

@@ -262,7 +262,7 @@ def test_the_table_is_bounded_and_says_how_many_more(tmp_path: Path) -> None:
     assert passes == {"framework": 30}
     assert [s.frames_declared for s in kept] == list(range(11, 31))
     assert len(kept) == MOST_SIGHTINGS
-    summary = Summary(tmp_path / "dive", 1200, 1200, [], [], passes, kept)
+    summary = Summary(tmp_path / "dive", 1200, 0, 1200, [], [], passes, kept)
     lines = table(summary)
     assert len(lines) == MOST_SIGHTINGS + 2
     assert "UTC" in lines[0]
