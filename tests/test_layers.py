@@ -16,7 +16,7 @@ FLOORS = (
     {"geometry"},
     {"recogniser", "readers", "results", "drawing"},
     {"pipeline", "truth", "simulation"},
-    {"evaluation", "overlay", "learning"},
+    {"evaluation", "overlay", "learning", "mapping"},
     {"report"},
     {"cli"},
     {"__main__"},
@@ -34,7 +34,7 @@ MAY_IMPORT = {
     "msgspec": ("toml",),
     "tomllib": ("toml",),
     "pandas": ("tables", "results.frames", "report.mistakes"),
-    "matplotlib": ("evaluation.plots", "report.charts", "truth.contact_sheet"),
+    "matplotlib": ("evaluation.plots", "mapping.picture", "report.charts", "truth.contact_sheet"),
     "jinja2": ("report.page",),
     "tomli_w": ("results.write", "simulation.simulate"),
     "cv2": (

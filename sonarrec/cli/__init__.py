@@ -12,6 +12,7 @@ from sonarrec.cli.config import config
 from sonarrec.cli.evaluate import evaluate
 from sonarrec.cli.help import help_
 from sonarrec.cli.info import info
+from sonarrec.cli.map import map_
 from sonarrec.cli.overlay import overlay
 from sonarrec.cli.report import report
 from sonarrec.cli.run import run
@@ -46,5 +47,8 @@ def main() -> None:
     """
 
 
-for command in (run, info, evaluate, report, overlay, simulate, calibrate, config, truth, help_):
+for command in (
+    *(run, info, evaluate, report, overlay, map_, simulate, calibrate),
+    *(config, truth, help_),
+):
     main.add_command(command)

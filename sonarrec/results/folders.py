@@ -16,7 +16,15 @@ from typing import IO
 from sonarrec.records import SonarrecError, UsageError
 
 PART = ".part"
-OURS = ("frames.csv", "estimates.csv", "sightings.csv", "run.toml", "evaluation", "report.html")
+OURS = (
+    "frames.csv",
+    "estimates.csv",
+    "sightings.csv",
+    "run.toml",
+    "evaluation",
+    "map",
+    "report.html",
+)
 """What a run replaces, and what was made from it. All else in a results folder is the user's."""
 
 
