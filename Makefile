@@ -4,7 +4,7 @@ BIN := .venv/bin
 SAMPLE := sample_data/pan
 
 .PHONY: test lint demo bench memory fuzz paper paper-world paper-choices \
-	paper-prediction scenes ablation study model regression clean
+	paper-prediction scenes ablation study maps model regression clean
 
 .venv/program: pyproject.toml  # what a user needs
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
@@ -57,6 +57,9 @@ ablation: .venv/installed  # the default with one idea at a time put back
 
 study: .venv/installed  # the paper's scene thirty times over: intervals and tests
 	$(BIN)/python -m tests.studies.study
+
+maps: .venv/installed  # maps of simulated vehicle runs, and what they do for the path
+	$(BIN)/python -m tests.studies.maps
 
 model: .venv/installed  # the built-in appearance model, from simulated recordings (minutes)
 	$(BIN)/python -m sonarrec.learning.built_in

@@ -96,7 +96,7 @@ def map_(
     from sonarrec.mapping.tables import Origin, lines
     from sonarrec.mapping.write import write_all
 
-    folders = results or (Path("sonarrec_out"),)
+    folders = tuple(dict.fromkeys(results)) or (Path("sonarrec_out"),)
     if out is None:
         if len(folders) > 1:
             raise UsageError("several RESULTS: give the folder of their map with --out")

@@ -17,6 +17,7 @@ from sonarrec.mapping.passes import (
     LEAST_PLACE_M,
     LEAST_TURN_DEG,
     SAME_FRAMES,
+    TURN_SIGMA_DEG,
     periods_of,
 )
 from sonarrec.mapping.tables import write_table
@@ -95,7 +96,7 @@ def _of_pass(site: SiteMap, number: int, g: int, k: int) -> FloatArray:
     least = [
         np.hypot(LEAST_PLACE_M, HEIGHT_SIGMA_M * floor_depth(log.fan) / ground),
         np.degrees(LEAST_PLACE_M / ground),
-        np.full(len(row), LEAST_TURN_DEG),
+        np.full(len(row), math.hypot(LEAST_TURN_DEG, TURN_SIGMA_DEG)),
     ]
     sigma = np.sqrt(len(row) * (share * own**2 + np.square(least)))
     same = np.ones(len(row))
@@ -174,7 +175,6 @@ def write_g2o(path: Path, site: SiteMap, found: Factors, graph: Graph) -> None:
     for n, one in enumerate(site.landmarks):
         turn = 0.0 if math.isnan(one.turn_deg) else math.radians(one.turn_deg - 90)
         lines.append(_vertex(graph.first_landmark + n, [one.place[1], -one.place[0], turn]))
-    lines += [f"FIX {first}" for first, some in zip(graph.first, poses, strict=True) if len(some)]
     for log, rows, first, some in zip(site.logs, graph.rows, graph.first, poses, strict=True):
         for n in range(len(rows) - 1):
             step, covariance = _step(log, rows[n], rows[n + 1], some[n], some[n + 1])
@@ -194,6 +194,8 @@ def write_g2o(path: Path, site: SiteMap, found: Factors, graph: Graph) -> None:
         pose = graph.vertex(int(found.log[n]), int(found.row[n]))
         information = np.linalg.inv(errors @ errors.T)
         lines.append(_edge(pose, graph.first_landmark + int(found.number[n]), seen, information))
+    # Last, for GTSAM reads no farther than such a line.
+    lines += [f"FIX {first}" for first, some in zip(graph.first, poses, strict=True) if len(some)]
     path.write_text("\n".join([*lines, ""]), encoding="utf-8")
 
 

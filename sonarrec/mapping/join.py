@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.mapping.passes import HEIGHT_SIGMA_M, Passes, periods_of
+from sonarrec.mapping.passes import HEIGHT_SIGMA_M, TURN_SIGMA_DEG, Passes, periods_of
 from sonarrec.mapping.path import SonarPath
 from sonarrec.records import BoolArray, FloatArray, IntArray
 
@@ -171,7 +171,7 @@ def _placed(pool: _Pool, group: Sequence[int]) -> Landmark:
     """The landmark that passes of it tell: each weighed by what it and the path add in error.
 
     Within a log against its first pass, whose own error of the path they have in common; the logs
-    have none. The error of the height is one for all.
+    have none. The error of the height is one for all, and a share of the orientation's.
     """
     parts = []
     for log in np.unique(pool.log[group]).tolist():
@@ -196,7 +196,7 @@ def _placed(pool: _Pool, group: Sequence[int]) -> Landmark:
         place=place,
         covariance=covariance,
         turn_deg=turn,
-        turn_sigma_deg=float(np.sqrt(variance)),
+        turn_sigma_deg=float(np.hypot(np.sqrt(variance), TURN_SIGMA_DEG)),
         members=tuple((int(pool.log[i]), int(pool.index[i])) for i in group),
     )
 

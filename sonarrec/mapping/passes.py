@@ -27,9 +27,11 @@ ROWS = 20_000
 # variance that all its frames have in common, and over how many frames the rest is one error.
 COMMON_SHARE = 0.5
 SAME_FRAMES = 6.0
-# What no frame's own error tells, of one pass: the ring is not even, the sonar heaves.
+# What no frame's own error tells. Of one pass: the ring is not even, the sonar heaves.
 LEAST_PLACE_M = 0.002
 LEAST_TURN_DEG = 1.0
+TURN_SIGMA_DEG = 1.5
+"""Of all passes of a landmark alike: how its symbol looks through the beam."""
 HEIGHT_SIGMA_M = 0.015
 """Standard error of the height above the floor as stated. One for all passes, it moves what is
 seen from one side one way however often it is seen."""

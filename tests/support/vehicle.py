@@ -28,11 +28,12 @@ from sonarrec.simulation.random_scenes import random_scene
 from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene, scene_fan, scene_sonar
 from sonarrec.simulation.simulate import render
 
-SPEED_M_S = 0.3
+SPEED_M_S = 0.35
 RATE_HZ = 4.0
 CENTRE = (0.0, 8.0)
 """Of every course: the floor is drawn about the origin, and reaches from near it to far beyond."""
-LAPS = 2
+LAPS = 3
+RANGE_BINS = 256
 KINDS = ("plain", "fading", "low_contrast", "ring_widths")
 """Of random scene, one after the other: whose picture and landmarks the runs have."""
 HEIGHT_ERROR_M = 0.02
@@ -58,7 +59,7 @@ class VehicleRun:
         return [Pose(*row) for row in values.tolist()]
 
 
-def vehicle_run(seed: int, laps: int = LAPS, landmarks: int = 8) -> VehicleRun:
+def vehicle_run(seed: int, laps: int = LAPS, landmarks: int = 10) -> VehicleRun:
     """A course in the shape of a racetrack, driven `laps` times, with landmarks that lie in view.
 
     Of each ID there are two; of one of them the two lie near each other.
@@ -68,7 +69,7 @@ def vehicle_run(seed: int, laps: int = LAPS, landmarks: int = 8) -> VehicleRun:
     time = np.arange(len(path)) / RATE_HZ
     drawn = random_scene(seed, KINDS[seed % len(KINDS)])
     off = round(rng.uniform(-HEIGHT_ERROR_M, HEIGHT_ERROR_M), 4)
-    sonar = replace(drawn.sonar, height_error_m=off)
+    sonar = replace(drawn.sonar, height_error_m=off, range_bins=RANGE_BINS)
     things = _things(rng, drawn, path, landmarks)
     scene = replace(
         drawn,
@@ -94,7 +95,7 @@ def vehicle_run(seed: int, laps: int = LAPS, landmarks: int = 8) -> VehicleRun:
 
 def _course(rng: np.random.Generator, laps: int) -> FloatArray:
     """(N, 3) yaw (deg), x, y: two straights and two half circles, clockwise, and a wander."""
-    straight, radius = rng.uniform(1.5, 2.5), rng.uniform(1.2, 1.5)
+    straight, radius = rng.uniform(0.8, 1.4), rng.uniform(1.2, 1.4)
     lap = 2 * straight + 2 * math.pi * radius
     along = np.arange(0, laps * lap, SPEED_M_S / RATE_HZ)
     at = along % lap
@@ -119,15 +120,16 @@ def _things(
 ) -> list[PlacedLandmark | PlacedObject]:
     """Landmarks and other discs ahead of places of the path, none on another.
 
-    They look like those drawn for the scene. The last landmark has the ID of the first, and lies
-    beside it.
+    They look like those drawn for the scene. The first landmark lies ahead of where the vehicle
+    sets out; the last has its ID, and lies beside it.
     """
     apart = 3 * drawn.landmark_set.radius_m
     taken: list[tuple[float, float]] = []
 
     def free(beside: tuple[float, float] | None = None) -> tuple[float, float]:
         while True:
-            (yaw, x, y), spread = path[rng.integers(len(path))], 8.0
+            # The first lies ahead of where the vehicle sets out.
+            (yaw, x, y), spread = path[rng.integers(len(path)) if taken else 0], 8.0
             away = rng.uniform(1.6, 2.8)
             if beside is not None:
                 (x, y), away, spread = beside, rng.uniform(apart, apart + 0.3), 180.0
