@@ -29,7 +29,7 @@ MAY_IMPORT = {
     "mcap": ("readers.mcap", "simulation.mcap_writer", "overlay.foxglove"),
     "lz4": ("readers.mcap",),
     "zstandard": ("readers.mcap",),
-    "rosbags": ("readers.mcap.ros", "simulation.mcap_writer"),
+    "rosbags": ("readers.mcap.ros", "simulation.mcap_writer", "overlay.detections"),
     "google": ("readers.mcap.foxglove",),  # protobuf
     "msgspec": ("toml",),
     "tomllib": ("toml",),

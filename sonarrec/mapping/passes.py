@@ -28,9 +28,9 @@ ROWS = 20_000
 COMMON_SHARE = 0.5
 SAME_FRAMES = 6.0
 # What no frame's own error tells. Of one pass: the ring is not even, the sonar heaves.
-LEAST_PLACE_M = 0.002
+LEAST_PLACE_M = 0.003
 LEAST_TURN_DEG = 1.0
-TURN_SIGMA_DEG = 1.5
+TURN_SIGMA_DEG = 2.7
 """Of all passes of a landmark alike: how its symbol looks through the beam."""
 HEIGHT_SIGMA_M = 0.015
 """Standard error of the height above the floor as stated. One for all passes, it moves what is

@@ -120,17 +120,18 @@ def _things(
 ) -> list[PlacedLandmark | PlacedObject]:
     """Landmarks and other discs ahead of places of the path, none on another.
 
-    They look like those drawn for the scene. The first landmark lies ahead of where the vehicle
-    sets out; the last has its ID, and lies beside it.
+    They look like those drawn for the scene. The first three landmarks lie ahead of where the
+    vehicle sets out; the last has the ID of the first, and lies beside it.
     """
     apart = 3 * drawn.landmark_set.radius_m
     taken: list[tuple[float, float]] = []
 
     def free(beside: tuple[float, float] | None = None) -> tuple[float, float]:
         while True:
-            # The first lies ahead of where the vehicle sets out.
-            (yaw, x, y), spread = path[rng.integers(len(path)) if taken else 0], 8.0
-            away = rng.uniform(1.6, 2.8)
+            # The first three lie ahead of where the vehicle sets out.
+            begins = len(taken) < 3
+            (yaw, x, y), spread = path[0 if begins else rng.integers(len(path))], 8.0
+            away = rng.uniform(1.6, 3.2 if begins else 2.8)
             if beside is not None:
                 (x, y), away, spread = beside, rng.uniform(apart, apart + 0.3), 180.0
             angle = math.radians(yaw + rng.uniform(-spread, spread))
