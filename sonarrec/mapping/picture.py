@@ -60,8 +60,8 @@ def draw_map(path: Path, site: SiteMap) -> None:
             axes.plot(*np.array([place, tip]).T, color=colour, linewidth=2, zorder=3)
         axes.annotate(
             f"ID.{one.id}  ({number})",
-            (float(place[0]), float(place[1])),
-            xytext=(9, 9),
+            tuple((place + 0.75 * site.landmark_set.radius_m).tolist()),
+            xytext=(2, 2),
             textcoords="offset points",
             fontsize=9,
             color="black",
