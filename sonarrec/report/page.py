@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -149,7 +150,22 @@ def render(
         seen_pictures=[p for p in pictures if not p.wanted.is_mistake],
         mistake_pictures=[p for p in pictures if p.wanted.is_mistake],
         unused=unused,
+        map_picture=_map_picture(logs),
     )
+
+
+def _map_picture(logs: Sequence[ReportedLog]) -> str | None:
+    """The picture that `sonarrec map` left beside the results, as a data URI; None without one.
+
+    Of one log that of its folder; of several that of the folder that holds them.
+    """
+    folders = {
+        log.run.path.parent if len(logs) == 1 else log.run.path.parent.parent for log in logs
+    }
+    picture = folders.pop() / "map" / "map.png"
+    if folders or not picture.is_file():
+        return None
+    return "data:image/png;base64," + base64.b64encode(picture.read_bytes()).decode()
 
 
 def _scores(tracker: str, evaluation: Evaluation) -> Scores:

@@ -3,6 +3,7 @@ other programs read the files."""
 
 from __future__ import annotations
 
+import base64
 import csv
 import json
 import math
@@ -604,3 +605,14 @@ def test_an_origin_on_earth() -> None:
     found = Origin(0.0, 0.0, 0.0).on_earth(np.array([[0.0, 1852.0], [1852.0, 0.0]]))
     assert found[0] == pytest.approx([0, 1 / 60], rel=0.006)
     assert found[1] == pytest.approx([1 / 60, 0], rel=0.006)
+
+
+def test_the_report_shows_the_map(mapped: Path) -> None:
+    page = mapped.parent / "report.html"
+    sonarrec("report", mapped.parent)
+    picture = base64.b64encode((mapped / "map.png").read_bytes()).decode()
+    assert f'src="data:image/png;base64,{picture}"' in page.read_text()
+    for path in mapped.iterdir():
+        path.unlink()
+    sonarrec("report", mapped.parent)
+    assert "image/png" not in page.read_text()
