@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -92,8 +93,7 @@ def map_(
       sonarrec map sonarrec_out/dive --drift 0.1,5 --origin 54.3233,10.1394,87
     """
     from sonarrec.mapping.build import make_map
-    from sonarrec.mapping.path import Drift
-    from sonarrec.mapping.tables import Origin, lines
+    from sonarrec.mapping.tables import lines
     from sonarrec.mapping.write import write_all
 
     folders = tuple(dict.fromkeys(results)) or (Path("sonarrec_out"),)
@@ -101,14 +101,8 @@ def map_(
         if len(folders) > 1:
             raise UsageError("several RESULTS: give the folder of their map with --out")
         out = folders[0] / "map"
-    on_earth = None if origin is None else Origin(*_numbers("--origin", origin, 3))
-    if on_earth is not None and not (
-        abs(on_earth.latitude_deg) < 90 and abs(on_earth.longitude_deg) <= 180
-    ):
-        raise UsageError(f"--origin {origin}: latitude within -90 to 90, longitude -180 to 180")
-    drifts = None if drift is None else Drift(*_numbers("--drift", drift, 2))
-    if drifts is not None and min(drifts.place_m, drifts.yaw_deg) < 0:
-        raise UsageError(f"--drift {drift}: standard errors are not negative")
+    on_earth = None if origin is None else _origin(origin)
+    drifts = None if drift is None else _drift(drift)
     site = make_map(
         folders,
         odometry=odometry,
@@ -129,10 +123,28 @@ def map_(
         leave(PARTLY)
 
 
+def _origin(text: str) -> Any:
+    """The Origin of LAT,LON,HEADING. Raises UsageError where it cannot be meant."""
+    from sonarrec.mapping.tables import Origin
+
+    origin = Origin(*_numbers("--origin", text, 3))
+    if not (abs(origin.latitude_deg) < 90 and abs(origin.longitude_deg) <= 180):
+        raise UsageError(f"--origin {text}: latitude within -90 to 90, longitude -180 to 180")
+    return origin
+
+
+def _drift(text: str) -> Any:
+    """The Drift of M,DEG. Raises UsageError where it cannot be meant."""
+    from sonarrec.mapping.path import Drift
+
+    drift = Drift(*_numbers("--drift", text, 2))
+    if min(drift.place_m, drift.yaw_deg) < 0:
+        raise UsageError(f"--drift {text}: standard errors are not negative")
+    return drift
+
+
 def _numbers(flag: str, text: str, count: int) -> list[float]:
     """The numbers of M,DEG or the like. Raises UsageError where they cannot be meant."""
-    import math
-
     try:
         found = [float(number) for number in text.split(",")]
     except ValueError:

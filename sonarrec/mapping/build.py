@@ -16,7 +16,7 @@ from sonarrec.mapping.poses_of_run import poses_of_run
 from sonarrec.poses import PoseTable
 from sonarrec.records import Fan, SonarrecError, UsageError
 from sonarrec.results.read import find_logs
-from sonarrec.results.run_file import read_run
+from sonarrec.results.run_file import RunFile, read_run
 from sonarrec.results.stream import choose_method
 from sonarrec.sonar import Sonar
 from sonarrec.tables import Kind, read_table
@@ -30,13 +30,17 @@ to the right, ahead and to the right round, as it looked before."""
 
 @dataclass(frozen=True, slots=True)
 class MappedLog:
-    """One log of a map. seen: its declared estimates, which its passes refer to."""
+    """One log of a map.
+
+    seen: its declared estimates, which its passes refer to. ros_axes: as of a SiteMap.
+    """
 
     name: str
     path: SonarPath
     seen: Seen
     on_floor: LogPasses
     fan: Fan
+    ros_axes: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,41 +82,31 @@ def make_map(
     logs: list[MappedLog] = []
     problems: list[str] = []
     notes: list[str] = []
-    sets: list[LandmarkSet] = []
-    ros = []
+    landmark_set: LandmarkSet | None = None
     for folder in folders:
         try:
             run = read_run(folder / "run.toml")
-            sets.append(run.landmark_set(landmarks))
-            if sets[-1].as_table() != sets[0].as_table():
+            own = run.landmark_set(landmarks)
+            landmark_set = landmark_set or own
+            if own.as_table() != landmark_set.as_table():
                 raise SonarrecError(
-                    f"{folder}: landmark set {sets[-1].name!r}, not {sets[0].name!r} as the others"
-                )
-            fan = run.fan(sonar)
-            if fan is None:
-                raise SonarrecError(
-                    f"{folder}: no geometry in run.toml; give it with --sonar or its flags"
+                    f"{folder}: landmark set {own.name!r}, not {landmark_set.name!r} as the others"
                 )
             poses = poses_of_run(folder, run, odometry)
             path, said = _path(folder, poses, drift or Drift())
+            ros = poses is not None and "topic" in poses.source
+            logs.append(_mapped(folder, run, path, ros, own, method, sonar))
             notes += said
-            chosen = choose_method(folder / "estimates.csv", method)
-            seen = read_seen(folder / "estimates.csv", chosen, sets[-1], fan, path.frame)
-            passes = find_passes(seen, path, sets[-1], fan)
-            left_out = len(seen.row) - len(passes.order)
-            if left_out:
+            if left_out := len(logs[-1].seen.row) - len(logs[-1].on_floor.passes.order):
                 problems.append(
-                    f"{folder}: {left_out} of {len(seen.row)} declared estimates left out: no pose "
-                    "is known in their frames"
+                    f"{folder}: {left_out} of {len(logs[-1].seen.row)} declared estimates left "
+                    "out: no pose is known in their frames"
                 )
-            name = folder.resolve().name
-            logs.append(MappedLog(name, path, seen, LogPasses(name, path, passes), fan))
-            ros.append(poses is not None and "topic" in poses.source)
         except SonarrecError as error:
             if len(folders) == 1:
                 raise
             problems.append(str(error))
-    if not logs:
+    if landmark_set is None or not logs:
         raise SonarrecError("\n".join(["no log can be mapped", *problems]))
     if len(logs) > 1 and not all(log.path.told for log in logs):
         alone = ", ".join(log.name for log in logs if not log.path.told)
@@ -120,8 +114,28 @@ def make_map(
             f"without poses each log has a frame of its own ({alone}): give poses with "
             "--odometry, or map the logs one by one"
         )
-    found = join([log.on_floor for log in logs], sets[0], least_frames)
-    return SiteMap(sets[0], found, logs, problems, notes, all(ros))
+    found = join([log.on_floor for log in logs], landmark_set, least_frames)
+    return SiteMap(landmark_set, found, logs, problems, notes, all(log.ros_axes for log in logs))
+
+
+def _mapped(
+    folder: Path,
+    run: RunFile,
+    path: SonarPath,
+    ros_axes: bool,
+    landmarks: LandmarkSet,
+    method: str | None,
+    sonar: Sonar | None,
+) -> MappedLog:
+    """The passes of one log along its path."""
+    fan = run.fan(sonar)
+    if fan is None:
+        raise SonarrecError(f"{folder}: no geometry in run.toml; give it with --sonar or its flags")
+    table = folder / "estimates.csv"
+    seen = read_seen(table, choose_method(table, method), landmarks, fan, path.frame)
+    passes = find_passes(seen, path, landmarks, fan)
+    name = folder.resolve().name
+    return MappedLog(name, path, seen, LogPasses(name, path, passes), fan, ros_axes)
 
 
 def _path(folder: Path, poses: PoseTable | None, drift: Drift) -> tuple[SonarPath, list[str]]:
