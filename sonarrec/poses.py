@@ -43,6 +43,18 @@ class PoseTable:
         """Whether the pose at a time is told: from the first row to the last, and in no gap."""
         return self._at(time_ns) is not None
 
+    def at_times(self, times_ns: npt.NDArray[np.int64]) -> FloatArray:
+        """(N, 3) the poses at (N,) times, as `pose` has them; NaN where they are not told."""
+        after = np.clip(np.searchsorted(self.at, times_ns), 1, len(self.at) - 1)
+        step = (self.at[after] - self.at[after - 1]).astype(float)
+        share = ((times_ns - self.at[after - 1]) / step)[:, None]
+        found = self.pose[after - 1] * (1 - share) + self.pose[after] * share
+        exact = (share[:, 0] == 0) | (share[:, 0] == 1)
+        told = (
+            (times_ns >= self.at[0]) & (times_ns <= self.at[-1]) & ((step <= self.gap_ns) | exact)
+        )
+        return np.where(told[:, None], found, np.nan)
+
     def motion(self, before_ns: int, now_ns: int) -> Motion | None:
         """How the sonar moved between two times; None where either is not covered."""
         before, now = self._at(before_ns), self._at(now_ns)

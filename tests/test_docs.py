@@ -235,5 +235,14 @@ def test_the_columns_listed_are_the_columns_written(
         assert listed == header, name
 
 
+def test_the_columns_of_a_map_are_those_listed() -> None:
+    from sonarrec.mapping.factors import FACTOR_COLUMNS
+    from sonarrec.mapping.tables import MAP_COLUMNS, PASS_COLUMNS
+
+    assert listed_columns("map", "map.csv") == [*MAP_COLUMNS]
+    assert listed_columns("map", "passes.csv") == [*PASS_COLUMNS]
+    assert listed_columns("map", "factors.csv") == [*FACTOR_COLUMNS]
+
+
 def test_the_readme_is_at_most_200_lines() -> None:
     assert len(README.read_text(encoding="utf-8").splitlines()) <= 200

@@ -17,7 +17,7 @@ FLOORS = (
     {"recogniser", "readers", "results", "drawing"},
     {"prepared", "truth", "simulation"},
     {"pipeline"},
-    {"evaluation", "overlay", "learning", "batch"},
+    {"evaluation", "overlay", "learning", "batch", "mapping"},
     {"report"},
     {"cli"},
     {"__main__"},
@@ -30,14 +30,17 @@ MAY_IMPORT = {
     "mcap": ("readers.mcap", "simulation.mcap_writer", "overlay.foxglove"),
     "lz4": ("readers.mcap", "readers.ros_bag"),
     "zstandard": ("readers.mcap", "readers.packed"),
-    "rosbags": ("readers.mcap.ros", "readers.db3", "readers.ros_bag", "simulation.mcap_writer"),
+    "rosbags": (
+        *("readers.mcap.ros", "readers.db3", "readers.ros_bag"),
+        *("simulation.mcap_writer", "overlay.detections"),
+    ),
     "ruamel": ("readers.bag_folder",),
     "google": ("readers.mcap.foxglove",),  # protobuf
     "distributed": ("batch.cluster",),
     "msgspec": ("toml",),
     "tomllib": ("toml",),
     "pandas": ("tables", "results.frames", "report.mistakes"),
-    "matplotlib": ("evaluation.plots", "report.charts", "truth.contact_sheet"),
+    "matplotlib": ("evaluation.plots", "mapping.picture", "report.charts", "truth.contact_sheet"),
     "jinja2": ("report.page", "report.compare"),
     "tomli_w": ("results.write", "simulation.simulate"),
     "cv2": (

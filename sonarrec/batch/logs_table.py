@@ -86,8 +86,8 @@ class LogsTable:
     def write(self) -> None:
         """Write the rows as they are now, as far as the disk takes them: see `fault`."""
         self.fault, self._written = None, monotonic()
-        if len(self._rows) == 1 and not self._path.parent.exists():
-            return  # nothing came of the one log: leave nothing behind
+        if len(self._rows) == 1 and not (self._rows[0].frames or self._rows[0].status == "done"):
+            return  # nothing came of the one log, so far: leave nothing behind
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             with _turn(self._path.parent):

@@ -16,6 +16,7 @@ from sonarrec.cli.config import config
 from sonarrec.cli.evaluate import evaluate
 from sonarrec.cli.help import help_
 from sonarrec.cli.info import info
+from sonarrec.cli.map import map_
 from sonarrec.cli.options import tell
 from sonarrec.cli.overlay import overlay
 from sonarrec.cli.report import report
@@ -83,16 +84,7 @@ def main() -> None:
 
 
 for command in (
-    run,
-    status,
-    info,
-    evaluate,
-    report,
-    overlay,
-    simulate,
-    calibrate,
-    config,
-    truth,
-    help_,
+    *(run, status, info, evaluate, report, overlay, map_, simulate, calibrate),
+    *(config, truth, help_),
 ):
     main.add_command(command)

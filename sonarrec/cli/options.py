@@ -254,6 +254,10 @@ def log_options(*, pixels: bool = True, time: bool = False) -> Decorator:
     return _as_one("log_choice", options, LogChoice)
 
 
+# The geometry alone, as the Sonar `sonar`, where no log is opened.
+geometry_options = _as_one("sonar", _GEOMETRY, lambda values: LogChoice(values).sonar_without_log())
+
+
 # Results and truth
 
 landmarks_option = option(

@@ -8,6 +8,7 @@ import click
 
 from sonarrec.cli.options import (
     ANY,
+    NEW_FILE,
     OUTPUT,
     PARTLY,
     LogChoice,
@@ -31,7 +32,20 @@ from sonarrec.records import UsageError
 @log_options(pixels=False)
 @landmarks_option
 @ground_truth_option("gt.csv, drawn dashed.")
-@option(OUTPUT, "--mcap", type=ANY, metavar="OUT", help="Annotations for Foxglove.")
+@option(
+    OUTPUT,
+    "--mcap",
+    type=ANY,
+    metavar="OUT",
+    help="Annotations and detections, for Foxglove and ROS 2.",
+)
+@option(
+    OUTPUT,
+    "--foxglove-layout",
+    type=NEW_FILE,
+    metavar="OUT.json",
+    help="Layout for Foxglove that shows them, with --mcap.",
+)
 @option(OUTPUT, "--video", type=ANY, metavar="OUT.mp4", help="The frames drawn, as MPEG-4.")
 @option(
     OUTPUT, "--images", type=ANY, metavar="DIR", help="The frames drawn, as DIR/000000.png, ..."
@@ -47,6 +61,7 @@ def overlay(
     landmarks: str | None,
     ground_truth: Path | None,
     mcap: Path | None,
+    foxglove_layout: Path | None,
     video: Path | None,
     images: Path | None,
     method: str | None,
@@ -62,8 +77,9 @@ def overlay(
 
     \b
     --mcap    Open it in Foxglove together with LOG, show /sonarrec/annotations in the
-              Image panel. Of polar logs, and of logs that are no MCAP, it also holds the
-              fan images, /sonarrec/fan.
+              Image panel, or import the layout. /sonarrec/detections has what is declared
+              as vision_msgs/Detection3DArray for ROS 2. Of polar logs, and of logs that are
+              no MCAP, it also holds the fan images, /sonarrec/fan.
     --video   MPEG-4 Part 2, for VLC, mpv and most desktop players. For browsers:
               ffmpeg -i OUT.mp4 -c:v libx264 -pix_fmt yuv420p WEB.mp4
 
@@ -76,13 +92,15 @@ def overlay(
     from sonarrec.overlay.overlay import Targets, write_overlay
     from sonarrec.results.run_file import frame_span
 
+    if foxglove_layout is not None and mcap is None:
+        raise UsageError("--foxglove-layout is for the file of --mcap; give both")
     targets = {"--mcap": mcap, "--video": video, "--images": images}
     if not any(targets.values()):
         raise UsageError("nothing to write: give --mcap OUT, --video OUT.mp4 or --images DIR")
     with progress(quiet) as step:
         done = write_overlay(
             log,
-            Targets(mcap, video, images),
+            Targets(mcap, video, images, foxglove_layout),
             results=results,
             method=method,
             span=(0, None) if frames is None else frame_span(frames),

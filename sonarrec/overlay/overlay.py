@@ -24,7 +24,8 @@ from sonarrec.drawing import (
 )
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.outputs import Kind, check_output
-from sonarrec.overlay.foxglove_mcap import FoxgloveFile
+from sonarrec.overlay.foxglove_layout import write_layout
+from sonarrec.overlay.foxglove_mcap import FAN_TOPIC, FoxgloveFile
 from sonarrec.overlay.video import ImageFolder, VideoFile
 from sonarrec.readers import open_log
 from sonarrec.readers.log import Log
@@ -40,11 +41,13 @@ from sonarrec.truth.table import read_truth
 
 @dataclass(frozen=True, slots=True)
 class Targets:
-    """What to write: an MCAP file for Foxglove, an MP4, a folder of PNGs; None: not that."""
+    """What to write: an MCAP file for Foxglove and ROS 2, an MP4, a folder of PNGs, Foxglove's
+    layout for the MCAP file; None: not that."""
 
     mcap: Path | None = None
     video: Path | None = None
     images: Path | None = None
+    layout: Path | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +89,7 @@ def write_overlay(
         "overlay": targets.mcap,
         "video": targets.video,
         "picture": targets.images,
+        "JSON": targets.layout,
     }
     for kind, target in outputs.items():
         # A folder of pictures is checked picture by picture.
@@ -170,6 +174,9 @@ def _open_targets(
         unseen = first.stamps.log is None or log.sonar.layout == "polar" or bool(log.sonar.flip)
         annotations = FoxgloveFile(targets.mcap, landmarks, with_images=unseen)
         stack.enter_context(annotations)
+        if targets.layout is not None:
+            topic = None if unseen else log.reading().get("topic")
+            write_layout(targets.layout, topic or FAN_TOPIC)
     if targets.video is not None:
         video = VideoFile(targets.video, _frame_rate(results, log.sonar))
         pictures.append(stack.enter_context(video))

@@ -191,10 +191,16 @@ def render(
     methods = evaluation.joined.methods if evaluation else logs[0].results.methods
     colours = list(landmark_colours(landmarks.ids).values())
     scores = None if evaluation is None else _scores(logs[0].tracker, evaluation, wrong)
+    map_picture = _map_picture(logs)
     return environment.get_template("report.html").render(
         version=__version__,
         title=", ".join(log.results.name for log in logs[:3]) + (", ..." if logs[3:] else ""),
-        contents=_contents(scores is not None, bool(scores and scores.others), len(logs) > 1),
+        contents=_contents(
+            scores is not None,
+            bool(scores and scores.others),
+            several=len(logs) > 1,
+            mapped=map_picture is not None,
+        ),
         few=FEW,
         pass_gap=PASS_GAP,
         light_colours=[darkened(colour) for colour in colours],
@@ -219,10 +225,25 @@ def render(
         most_megabytes=MOST_BYTES / 1e6,
         script=script,
         script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
+        map_picture=map_picture,
     )
 
 
-def _contents(scored: bool, figures: bool, several: bool) -> dict[str, str]:
+def _map_picture(logs: Sequence[ReportedLog]) -> str | None:
+    """The picture that `sonarrec map` left beside the results, as a data URI; None without one.
+
+    Of one log that of its folder; of several that of the folder that holds them.
+    """
+    folders = {
+        log.run.path.parent if len(logs) == 1 else log.run.path.parent.parent for log in logs
+    }
+    picture = folders.pop() / "map" / "map.png"
+    if folders or not picture.is_file():
+        return None
+    return "data:image/png;base64," + base64.b64encode(picture.read_bytes()).decode()
+
+
+def _contents(scored: bool, figures: bool, several: bool, mapped: bool) -> dict[str, str]:
     """The sections by name, in the page's order, and their headings."""
     seen = {"seen": "What was seen, when and how surely"}
     rates = {"rates": "Rates at the operating point"} if scored else {}
@@ -234,6 +255,7 @@ def _contents(scored: bool, figures: bool, several: bool) -> dict[str, str]:
         **({"figures": "Figures and tests"} if figures else {}),
         **({"curves": "Curves", "mistakes": "Mistakes, the worst first"} if scored else {}),
         "tracks": "Probability over time, per track",
+        **({"map": "Map"} if mapped else {}),
         "settings": "Settings",
     }
 

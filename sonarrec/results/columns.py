@@ -62,9 +62,13 @@ def estimate_columns(ids: Sequence[int]) -> tuple[Column[Estimate], ...]:
         Column("landmark", lambda _, e: e.landmark, "whole", needed=True),
         Column("score", lambda _, e: f"{e.score:.6f}", "number", needed=True),
         Column("declared", lambda _, e: int(e.declared), "flag", needed=True),
-        Column("range_sigma_m", lambda _, e: f"{e.range_sigma_m:.4f}"),
-        Column("bearing_sigma_deg", lambda _, e: f"{e.bearing_sigma_deg:.3f}"),
-        Column("orientation_sigma_deg", lambda _, e: f"{e.orientation_sigma_deg:.1f}"),
+        Column("range_sigma_m", lambda _, e: f"{e.range_sigma_m:.4f}", "blank or number"),
+        Column("bearing_sigma_deg", lambda _, e: f"{e.bearing_sigma_deg:.3f}", "blank or number"),
+        Column(
+            "orientation_sigma_deg",
+            lambda _, e: f"{e.orientation_sigma_deg:.1f}",
+            "blank or number",
+        ),
     )
 
 

@@ -17,7 +17,7 @@ from sonarrec.records import SonarrecError, UsageError
 
 PART = ".part"
 TABLES = ("frames.csv", "estimates.csv", "sightings.csv")
-OURS = (*TABLES, "run.toml", "evaluation", "report.html", "compare.html")
+OURS = (*TABLES, "run.toml", "evaluation", "map", "report.html", "compare.html")
 """What a run replaces, and what was made from it. All else in a results folder is the user's."""
 
 

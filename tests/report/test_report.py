@@ -501,12 +501,13 @@ def test_a_false_claim_is_called_one(results: Path, tmp_path: Path) -> None:
 
 def test_a_table_of_pairs(results: Path, tmp_path: Path) -> None:
     """Each log against its own truth, its recording found by name in a folder of them."""
-    for name in ("a", "b"):
-        shutil.copytree(results, tmp_path / name / "pan")
-    shutil.copytree(SAMPLE, tmp_path / "logs" / "day1" / "pan")
+    shutil.copytree(results, tmp_path / "a" / "pan")
+    for day in ("day1", "day2"):
+        shutil.copytree(SAMPLE, tmp_path / "logs" / day / "pan")
+    other = tmp_path / "logs" / "day2" / "pan"
+    (other / "000127.png").unlink()
+    sonarrec("run", other, "-o", tmp_path / "b")
     gt = SAMPLE / "gt.csv"
-    kept = (results / "estimates.csv").read_text().splitlines()
-    (tmp_path / "b" / "pan" / "estimates.csv").write_text("\n".join(kept[:-3]) + "\n")
     (tmp_path / "pairs.csv").write_text(
         f"results,ground_truth,log\na/pan,{gt},one\nb/pan,{gt},two\n"
     )
@@ -784,7 +785,7 @@ def test_a_track_never_declared_is_seen_though_its_score_is_nothing() -> None:
         time=np.arange(10.0),
         truth_near=None,
         results=SimpleNamespace(
-            landmark=np.array([0, 0, 1, 1]),
+            landmark_index=np.array([0, 0, 1, 1]),
             score=np.array([0.0, 0.0, 0.4, 0.0]),
             landmarks=SimpleNamespace(ids=(1, 2)),
         ),
