@@ -511,7 +511,7 @@ def test_a_table_of_pairs(results: Path, tmp_path: Path) -> None:
     (tmp_path / "pairs.csv").write_text(
         f"results,ground_truth,log\na/pan,{gt},one\nb/pan,{gt},two\n"
     )
-    sonarrec("report", "--pairs", tmp_path / "pairs.csv", "--log", tmp_path / "logs")
+    sonarrec("report", "--pairs", tmp_path / "pairs.csv", "--log", tmp_path / "logs", code=3)
     page = Page(tmp_path / "report.html")
     assert [row[0] for row in page.tables["Per log, protocol strict"][2:]] == ["one", "two"]
     assert [log["name"] for log in held_frames(tmp_path / "report.html")] == ["one", "two"]
