@@ -8,6 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from sonarrec.config import Config
@@ -16,13 +17,22 @@ from sonarrec.drawing import disc_width_px
 from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.poses import PoseTable
 from sonarrec.readers import open_log
-from sonarrec.readers.find import find_log
+from sonarrec.readers.find import find_log, log_name
 from sonarrec.readers.log import Log
 from sonarrec.readers.plausible import Plausibility
 from sonarrec.readers.poses_csv import read_poses
 from sonarrec.recogniser.side_by_side import SideBySide
 from sonarrec.recogniser.stage3_features.model import ModelFile, model_from_table, read_model
-from sonarrec.records import Clock, Fan, Frame, FrameResult, SonarrecError, Stamps, UsageError
+from sonarrec.records import (
+    Clock,
+    Fan,
+    Frame,
+    FrameResult,
+    Origin,
+    SonarrecError,
+    Stamps,
+    UsageError,
+)
 from sonarrec.results.folders import folder_names
 from sonarrec.results.run_file import Given, RunFile, held_results, read_run, run_table
 from sonarrec.results.sightings import Sightings
@@ -143,13 +153,19 @@ class Recogniser:
         yield from recogniser.recognise(chain([first], left))
 
 
-def result_names(logs: Sequence[str | Path]) -> list[str | None]:
+def result_names(
+    logs: Sequence[str | Path], fetched: Mapping[int, Path] = MappingProxyType({})
+) -> list[str | None]:
     """The name of each log's results, no two alike; None where the log cannot be found.
 
+    fetched: by the number of a log on a server its path there.
     Raises UsageError where nothing tells two logs apart.
     """
     places: dict[int, tuple[str, Path]] = {}
     for i, log in enumerate(logs):
+        if i in fetched:
+            places[i] = log_name(fetched[i]), fetched[i]
+            continue
         with suppress(SonarrecError):  # said when its turn comes
             source = find_log(log)
             one = source.path if source.path.exists() else source.files[0].parent
@@ -167,13 +183,15 @@ def process(
     *,
     name: str | None = None,
     overwrite: bool = False,
+    origin: Origin | None = None,
 ) -> Summary:
     """Run one log and write `out`/<name>/, by default under the log's own name.
 
+    origin: where a log that was fetched is from; run.toml and every line say that, not `path`.
     The same results are not made again, and those of another log not replaced, but with overwrite.
     Raises SonarrecError for input or settings that cannot be used.
     """
-    path = Path(path)
+    path, told = Path(path), origin.told if origin else str
     earlier = read_run(used.earlier_run)
     same_log = earlier.input.name == path.stem
     given = earlier.lay_under(given, same_log=same_log)
@@ -195,7 +213,7 @@ def process(
             table["odometry"] = dict(poses.source)
         if learned is not None:
             table["model"] = learned.as_table()
-        table["input"]["path"] = str(path)
+        table["input"]["path"] = origin.url if origin else str(path)
         folder = Path(out) / (name or log.name)
         if not overwrite:
             there = held_results(folder, table)
@@ -212,7 +230,7 @@ def process(
                     sighting.add(result)
                 if observe is not None:
                     observe(result, log.frame_count)
-            problems = [*log.problems, *recogniser.problems()]
+            problems = [told(line) for line in (*log.problems, *recogniser.problems())]
             writer.finish(problems)
         notes += [*log.notes, *recogniser.notes()]
         doubts = plausibility.contradictions(polar=log.sonar.layout == "polar")
@@ -221,6 +239,7 @@ def process(
         if doubts:
             look = f"`sonarrec info {path} --preview FILE.png`, with the same geometry"
             notes.append(f"{path}: {'; '.join(doubts)}; look at {look}")
+        notes = [told(note) for note in notes]
         return Summary(folder, writer.frames, problems, notes, _lines(sightings))
 
 

@@ -15,6 +15,7 @@ FLOORS = (
     {"config", "sonar", "landmarks", "poses", "tables"},
     {"geometry"},
     {"recogniser", "readers", "results", "drawing"},
+    {"remote"},
     {"pipeline", "truth", "simulation"},
     {"evaluation", "overlay", "learning"},
     {"report"},
@@ -36,6 +37,10 @@ MAY_IMPORT = {
     "pandas": ("tables", "results.frames", "report.mistakes"),
     "matplotlib": ("evaluation.plots", "report.charts", "truth.contact_sheet"),
     "jinja2": ("report.page",),
+    "fsspec": ("remote.store",),
+    "aiohttp": ("remote.store",),
+    "sshfs": ("remote.store",),
+    "platformdirs": ("remote.cache",),
     "tomli_w": ("results.write", "simulation.simulate"),
     "cv2": (
         "geometry",
@@ -52,8 +57,22 @@ MAY_IMPORT = {
 }
 """Of each package but numpy the modules that may import it, by how their names begin."""
 # What `sonarrec --help`, `run` and `simulate` load; heavy packages must not come with it.
-LIGHT = ("cli", "pipeline", "simulation.simulate", "readers.mcap.images", "readers.mcap.poses")
-HEAVY = {"pandas", "matplotlib", "scipy", "rosbags", "google"}
+LIGHT = (
+    "cli",
+    "pipeline",
+    "remote.run",
+    "simulation.simulate",
+    "readers.mcap.images",
+    "readers.mcap.poses",
+)
+    "cli",
+    "pipeline",
+    "remote.run",
+    "simulation.simulate",
+    "readers.mcap.images",
+    "readers.mcap.poses",
+)
+HEAVY = {"pandas", "matplotlib", "scipy", "rosbags", "google", "fsspec", "platformdirs"}
 
 Sources = dict[str, str]
 PACKAGE = Path(__file__).parents[1] / "sonarrec"

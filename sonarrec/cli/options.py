@@ -20,6 +20,21 @@ NEW_FILE = click.Path(dir_okay=False, path_type=Path)
 FOLDER = click.Path(file_okay=False, path_type=Path)
 ANY = click.Path(path_type=Path)
 
+
+class _OrUrl(click.Path):
+    """A local path as of click.Path, or a URL as text."""
+
+    def convert(self, value: Any, *told: Any) -> Any:
+        from sonarrec.remote.urls import is_url
+
+        return str(value) if is_url(value) else super().convert(value, *told)
+
+
+FILE_OR_URL = _OrUrl(exists=True, dir_okay=False, path_type=Path)
+NEW_FILE_OR_URL = _OrUrl(dir_okay=False, path_type=Path)
+FOLDER_OR_URL = _OrUrl(file_okay=False, path_type=Path)
+ANY_OR_URL = _OrUrl(path_type=Path)
+
 # The groups of --help, in this order.
 INPUT, SCORING, LEARNING, SETTINGS = "Input", "Scoring", "Learning", "Settings"
 GEOMETRY, PIXELS, OUTPUT = "Geometry", "Pixels", "Output"
@@ -223,6 +238,45 @@ def log_options(*, pixels: bool = True, time: bool = False) -> Decorator:
     return _as_one("log_choice", options, LogChoice)
 
 
+# What lies on servers
+
+_CACHE = {
+    "cache_folder": option(
+        INPUT,
+        "--cache",
+        "cache_folder",
+        type=FOLDER,
+        help="Where logs and results of s3://, gs://, https:// and sftp:// are kept once they are "
+        "fetched.  [default: sonarrec in the user's cache folder]",
+    ),
+    "cache_size": option(
+        INPUT,
+        "--cache-size",
+        metavar="SIZE",
+        default="20GB",
+        show_default=True,
+        help="What the cache may hold; the least recently used goes first.",
+    ),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class CacheChoice:
+    """The cache by the flags; made where it is needed."""
+
+    values: Mapping[str, Any]
+
+    def cache(self) -> Any:
+        """The Cache. Raises UsageError for a size that is none."""
+        from sonarrec.remote.cache import Cache, default_folder, size_bytes
+
+        size = size_bytes(self.values["cache_size"])
+        return Cache((self.values["cache_folder"] or default_folder()).resolve(), size)
+
+
+cache_options = _as_one("cache", _CACHE, CacheChoice)
+
+
 # Results and truth
 
 landmarks_option = option(
@@ -351,6 +405,24 @@ quiet_option = option(
 def out_option(kind: click.Path, text: str, **told: Any) -> Decorator:
     """-o, --out; text: what it names."""
     return option(OUTPUT, "-o", "--out", type=kind, help=text, **told)
+
+
+@contextmanager
+def fetching(quiet: bool, name: str) -> Iterator[Callable[[int, int | None], None]]:
+    """A progress bar over the bytes of a log that is waited for, as `progress`.
+
+    Yields what to call as they come: step(came, of how many or None).
+    """
+    from tqdm import tqdm
+
+    silent = True if quiet else None
+    with tqdm(desc=f"fetch {name}", unit="B", unit_scale=True, leave=False, disable=silent) as bar:
+
+        def step(came: int, of: int | None) -> None:
+            bar.total = of
+            bar.update(came - bar.n)
+
+        yield step
 
 
 @contextmanager

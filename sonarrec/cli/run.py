@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,13 +13,16 @@ import click
 from sonarrec.cli.options import (
     FAILED,
     FILE,
-    FOLDER,
+    FOLDER_OR_URL,
     INPUT,
     OUTPUT,
     PARTLY,
+    CacheChoice,
     LogChoice,
     SettingsChoice,
+    cache_options,
     command,
+    fetching,
     landmarks_option,
     leave,
     log_options,
@@ -64,8 +67,12 @@ INTERRUPTED, TERMINATED = 130, 143
 )
 @settings_options
 @out_option(
-    FOLDER, "Results go to OUT/<log name>.", default=Path("sonarrec_out"), show_default=True
+    FOLDER_OR_URL,
+    "Results go to OUT/<log name>; OUT may be of s3://, gs:// or sftp://.",
+    default=Path("sonarrec_out"),
+    show_default=True,
 )
+@cache_options
 @option(
     OUTPUT,
     "--overwrite",
@@ -81,7 +88,8 @@ def run(
     odometry_topic: str | None,
     model: Path | None,
     settings: SettingsChoice,
-    out: Path,
+    out: Path | str,
+    cache: CacheChoice,
     overwrite: bool,
     quiet: bool,
 ) -> None:
@@ -91,6 +99,7 @@ def run(
     geometry is read from sonar.toml beside it (NAME.sonar.toml for one file), from --sonar, or
     from the flags; polar sonar messages tell their own, all but the tilt and the height. Several
     LOGs are processed one after the other; one that cannot be used does not stop the others.
+    A LOG may be on a server: s3://, gs://, https:// or sftp:// (`sonarrec help remote`).
 
     Results are replaced only when the new ones are finished, and not made again where they are up
     to date. A run that is stopped leaves its part in OUT/<log name>.part.
@@ -105,33 +114,48 @@ def run(
     """
     from sonarrec.pipeline import Used, process, result_names
     from sonarrec.readers.find import find_logs
+    from sonarrec.remote.run import Elsewhere
     from sonarrec.results.run_file import Given
 
     if odometry is not None and odometry_topic is not None:
         raise UsageError("--odometry and --odometry-topic: choose one of the two")
     given = Given(**log_choice.arguments(), odometry=odometry, odometry_topic=odometry_topic)
     used = Used(settings.configs(), landmarks, model, settings.file)
-    logs = find_logs(log)
-    names = result_names(logs)
+    elsewhere = Elsewhere(find_logs(log), out, cache.cache)
+    logs = elsewhere.logs
+    names = result_names(logs, elsewhere.paths)
     ended: dict[str, list[str]] = {"done": [], "up to date": [], "in part": [], "failed": []}
 
-    def one(path: str, name: str | None) -> None:
-        with progress(quiet) as step:
+    def one(number: int, path: str, name: str | None) -> None:
+        with ExitStack() as held:
+            with fetching(quiet, path) as came:
+                at, origin = held.enter_context(elsewhere.log(number, came))
+            told = held.enter_context(elsewhere.results(name))
+            with progress(quiet) as step:
 
-            def observe(result: FrameResult, total: int | None) -> None:
-                step(total, f"{result.tracks} tracks in view")
+                def observe(result: FrameResult, total: int | None) -> None:
+                    step(total, f"{result.tracks} tracks in view")
 
-            summary = process(path, out, given, used, observe, name=name, overwrite=overwrite)
-        tell(summary.problems, summary.notes)
+                summary = process(
+                    at,
+                    elsewhere.out,
+                    given,
+                    used,
+                    observe,
+                    name=name,
+                    overwrite=overwrite,
+                    origin=origin,
+                )
+        tell(map(told, summary.problems), map(told, summary.notes))
         how = "in part" if summary.problems else "up to date" if summary.up_to_date else "done"
         ended[how].append(path)
         if not quiet:
-            _print(summary)
+            _print(summary, told(str(summary.folder)))
 
-    with _stoppable(out):
-        for path, name in zip(logs, names, strict=True):
+    with _stoppable(elsewhere.out), elsewhere:
+        for number, (path, name) in enumerate(zip(logs, names, strict=True)):
             try:
-                one(path, name)
+                one(number, path, name)
             except SonarrecError as error:
                 if len(logs) == 1:
                     raise
@@ -147,9 +171,9 @@ def run(
         leave(PARTLY)
 
 
-def _print(summary: Summary) -> None:
+def _print(summary: Summary, folder: str) -> None:
     frames = f"{summary.frames} frame{'s' * (summary.frames != 1)}"
-    click.echo(f"{summary.folder}: {'up to date, ' * summary.up_to_date}{frames}")
+    click.echo(f"{folder}: {'up to date, ' * summary.up_to_date}{frames}")
     for line in summary.sightings:
         click.echo(f"  {line}")
 

@@ -133,11 +133,24 @@ def _matches(pattern: Path) -> list[Path]:
     return [Path(m) for m in glob.glob(str(pattern), recursive=True)]  # noqa: PTH207
 
 
+def names_a_log(name: str) -> bool:
+    """Whether a file of this name is a log by itself: of a known kind, and no image."""
+    suffix = Path(name).suffix.lower()
+    return any(suffix in r.suffixes for r in READERS if r.kind != "image")
+
+
+def names_an_image(name: str) -> bool:
+    """Whether a file of this name is taken for an image."""
+    return Path(name).suffix.lower() in IMAGE_SUFFIXES and not name.startswith(".")
+
+
+def log_name(path: Path) -> str:
+    """The name of a log: a folder's own, a file's without its ending."""
+    return path.resolve().name if path.is_dir() else path.stem
+
+
 def _is_log_file(path: Path) -> bool:
-    """Whether a path is a file that is a log by itself: of a known kind, and no image."""
-    suffix = path.suffix.lower()
-    of_kind = any(suffix in r.suffixes for r in READERS if r.kind != "image")
-    return of_kind and path.is_file()
+    return names_a_log(path.name) and path.is_file()
 
 
 def _glob_images(pattern: Path) -> list[Path]:

@@ -1,0 +1,443 @@
+"""Logs, tables and results fetched into the cache: one by itself, or the next while one is used.
+
+In the cache the files lie as they lie on the server, so that what belongs to a log is found beside
+it there too, and a line that names a file is told with the server's name of it.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING
+
+from sonarrec.readers.find import names_a_log, names_an_image
+from sonarrec.readers.images import natural_order
+from sonarrec.records import Origin, SonarrecError
+from sonarrec.remote.cache import Cache, Entry, NoRoomError, key_of
+from sonarrec.remote.urls import Url, parse_url
+
+if TYPE_CHECKING:
+    from sonarrec.remote.store import Item, Store
+
+COMPANIONS = ("sonar.toml", "poses.csv", "gt.csv")
+"""What belongs to a log: these, and each as NAME.sonar.toml and so on."""
+BAG = "metadata.yaml"  # a folder with it is one log
+RESULTS = ("run.toml", "frames.csv", "estimates.csv", "estimates.parquet")
+"""What is read of results. run.toml is uploaded last: without it they are not finished."""
+_AT_ONCE = 8  # files of a folder
+Told = Callable[[int, int | None], None]
+"""Told, as they come, how many bytes came and how many there are to come, None where unknown."""
+
+
+def _untold(_came: int, _all: int | None) -> None:
+    pass
+
+
+@dataclass(frozen=True, slots=True)
+class RemoteLog:
+    """A log on a server: a file, a folder, or a glob of images. up_to: the folder that was given
+    and holds it, up to which what belongs to it is looked for."""
+
+    url: Url
+    up_to: Url | None = None
+
+    @property
+    def path(self) -> Path:
+        """As if the server were a disk: what results are named by. Of a glob its folder."""
+        url = _fixed(self.url) if _is_glob(self.url) else self.url
+        host = url.front.partition("://")[2].rpartition("@")[2]
+        return Path("/", host, url.path.strip("/"))
+
+
+class Fetched:
+    """A log or results in the cache, which stay there until they are given back.
+
+    path: the file, folder or glob to open. origin: where it is from, for run.toml and every line.
+    up_to: the folder up to which what belongs to it is looked for.
+    """
+
+    def __init__(self, path: Path, origin: Origin, up_to: Path | None) -> None:
+        self.path, self.origin, self.up_to = path, origin, up_to
+
+
+def find(text: str, *, recursive: bool = False) -> list[RemoteLog]:
+    """The logs that a URL names, in natural order: one, those of a folder, those that match a glob.
+
+    A folder of images or a bag is one log, and so are the images that match. Of a server that does
+    not answer the URL itself is the log, which is told when its turn comes.
+    Raises UsageError where the URL cannot be meant.
+    """
+    url = parse_url(text)
+    try:
+        return _found(url, recursive)
+    except SonarrecError:
+        return [RemoteLog(url)]
+
+
+def _found(url: Url, recursive: bool) -> list[RemoteLog]:
+    from sonarrec.remote.store import Store
+
+    if _is_glob(url):
+        logs = [item.url for item in Store(url).glob(url) if names_a_log(item.url.name)]
+        up_to = _fixed(url)
+    elif _is_file(url):
+        return [RemoteLog(url)]
+    else:
+        logs, up_to = list(_below(Store(url), url, recursive)), url
+    if not logs or [log.path.rstrip("/") for log in logs] == [url.path.rstrip("/")]:
+        return [RemoteLog(url)]
+    logs.sort(key=lambda log: natural_order(Path(log.path)))
+    return [RemoteLog(log, up_to) for log in logs]
+
+
+def _below(store: Store, folder: Url, recursive: bool) -> Iterator[Url]:
+    files, folders = store.listing(folder)
+    names = [item.url.name for item in files]
+    if BAG in names or any(map(names_an_image, names)):
+        yield folder
+        return
+    if "frames.csv" in names:  # results, whose pictures are no logs
+        return
+    yield from (item.url for item in files if names_a_log(item.url.name))
+    for name in folders:
+        if name[0] != ".":
+            below = list(_below(store, folder.child(name), recursive)) if recursive else []
+            yield from below
+
+
+def _is_file(url: Url) -> bool:
+    return not url.path.endswith("/") and (names_a_log(url.name) or names_an_image(url.name))
+
+
+def _is_glob(url: Url) -> bool:
+    marks = "*[" if url.is_web else "*?["
+    return any(mark in url.path for mark in marks)
+
+
+def _fixed(url: Url) -> Url:
+    """The folder in front of the first wildcard."""
+    while _is_glob(url):
+        url = url.parent
+    return url
+
+
+def _wanted(log: RemoteLog, store: Store) -> tuple[Url, str, list[Item]]:
+    """(the folder that all of it lies in, the log's name there, its files and companions)."""
+    from sonarrec.remote.store import MissingError
+
+    url = log.url
+    if _is_file(url):
+        item = store.item(url)
+        if item is None:
+            raise MissingError(f"{url.shown}: no such file, or no access to it")
+        folder, items, root = url.parent, [item], log.up_to or url.parent
+    else:
+        folder = _fixed(url) if _is_glob(url) else url
+        root = log.up_to or folder.parent
+        if _is_glob(url):
+            items = [i for i in store.glob(url) if names_an_image(i.url.name)]
+            pattern = url.name
+            items = [i for i in items if fnmatchcase(i.url.name, pattern)]
+        else:
+            files, _ = store.listing(url)
+            kept = (*COMPANIONS, BAG)
+            items = [i for i in files if _belongs(i.url.name, kept)]
+        if not any(names_a_log(i.url.name) or names_an_image(i.url.name) for i in items):
+            raise SonarrecError(f"{url.shown}: no log and no image here")
+    items += _companions(log, store, folder, root, {str(i.url) for i in items})
+    return root, _relative(url, root), items
+
+
+def _belongs(name: str, kept: tuple[str, ...]) -> bool:
+    return names_a_log(name) or names_an_image(name) or name in kept or name.endswith(COMPANIONS)
+
+
+def _companions(
+    log: RemoteLog, store: Store, folder: Url, root: Url, there: set[str]
+) -> list[Item]:
+    """What belongs to the log and is there, in its folder and in those above up to `root`.
+
+    Above a folder that was given itself only that which bears its name.
+    """
+    stem = _stem(log)
+    own = [f"{stem}.{name}" for name in COMPANIONS]
+    places = [(folder, [*own, *COMPANIONS])]
+    while folder.path.strip("/") != root.path.strip("/"):
+        folder = folder.parent
+        places.append((folder, own if log.up_to is None else [*own, *COMPANIONS]))
+    urls = [place.child(name) for place, names in places for name in names]
+    found = [store.companion(url) for url in urls if str(url) not in there]
+    return [item for item in found if item is not None]
+
+
+def _stem(log: RemoteLog) -> str:
+    from sonarrec.readers.find import log_name
+
+    return log_name(log.path) if _is_file(log.url) else log.path.name
+
+
+def _relative(url: Url, root: Url) -> str:
+    """A place below `root`. Raises SonarrecError where it is no name for a local file."""
+    relative = url.path.removeprefix(root.path).strip("/")
+    parts = PurePosixPath(relative).parts
+    if not parts or {".", ".."} & set(relative.split("/")) or "\\" in relative or "\0" in relative:
+        raise SonarrecError(f"{url.shown}: a name that cannot be kept in a local folder")
+    return relative
+
+
+# Into the cache
+
+
+@contextmanager
+def fetched(
+    log: RemoteLog | str, cache: Cache, told: Told = _untold, stop: threading.Event | None = None
+) -> Iterator[Fetched]:
+    """A log in the cache, fetched where it is not there or has changed, kept while it is used.
+
+    Any process or thread may call it, also for the same log at once: it is fetched once.
+    told: called as bytes come. stop: set, it ends what is under way.
+    Raises SonarrecError where it cannot be fetched. A SonarrecError raised inside is told with
+    the server's names in place of those in the cache.
+    """
+    log = log if isinstance(log, RemoteLog) else RemoteLog(parse_url(log))
+    with _held(log, cache, told, stop or threading.Event()) as found, found.origin.translated():
+        yield found
+
+
+@contextmanager
+def _held(
+    log: RemoteLog, cache: Cache, told: Told, stop: threading.Event, *, wait: bool = True
+) -> Iterator[Fetched]:
+    """wait: for room that other logs in use take, instead of NoRoomError."""
+    from sonarrec.remote.store import Store
+
+    root, name, items = _wanted(log, Store(log.url, stop))
+    with _kept(log.url.shown, root, items, cache, told, stop, wait) as entry:
+        origin = Origin(log.url.shown, str(entry.files), root.place.rstrip("/"))
+        yield Fetched(entry.files / name, origin, entry.files if log.up_to else None)
+
+
+@contextmanager
+def fetched_results(text: str, cache: Cache) -> Iterator[Fetched]:
+    """The finished results at a URL, of one log or of several, as `fetched`.
+
+    Raises SonarrecError where there is none: run.toml, which is uploaded last, is missing.
+    """
+    from sonarrec.remote.store import Store
+
+    url = parse_url(text)
+    store = Store(url)
+    items, unfinished = _finished(store, url)
+    if not items:
+        below = [_finished(store, url.child(n)) for n in store.listing(url)[1]]
+        items = [item for found, _ in below for item in found]
+        unfinished = unfinished or any(half for _, half in below)
+    if not items:
+        why = "their upload is not finished: run.toml is missing" if unfinished else "none here"
+        raise SonarrecError(f"{url.shown}: no results to read ({why})")
+    root = url.parent
+    with _kept(url.shown, root, items, cache, _untold, threading.Event(), True) as entry:
+        origin = Origin(url.shown, str(entry.files), root.place.rstrip("/"))
+        with origin.translated():
+            yield Fetched(entry.files / _relative(url, root), origin, None)
+
+
+def _finished(store: Store, folder: Url) -> tuple[list[Item], bool]:
+    """(the tables of finished results in a folder, whether there are some that are not)."""
+    files, _ = store.listing(folder)
+    names = {item.url.name for item in files}
+    there = [item for item in files if item.url.name in RESULTS]
+    if "run.toml" in names and "frames.csv" in names:
+        return there, False
+    return [], bool(there)
+
+
+@contextmanager
+def _kept(
+    url: str,
+    root: Url,
+    items: Sequence[Item],
+    cache: Cache,
+    told: Told,
+    stop: threading.Event,
+    wait: bool,
+) -> Iterator[Entry]:
+    """The entry with just these files, held: as it is where they are there, else fetched."""
+    key = key_of(f"{url} {root.shown}")
+    # Of a name that comes twice, by a glob or an index page, the one file.
+    names = {_relative(item.url, root): item for item in items}
+    renewed = False
+    while True:
+        with cache.hold(key, alone=False, stop=stop) as entry:
+            if _is_whole(entry, names, renewed):
+                yield entry
+                return
+        with cache.hold(key, alone=True, stop=stop) as entry:
+            if not _is_whole(entry, names, renewed):
+                try:
+                    _fill(entry, url, names, cache, told, stop)
+                except NoRoomError:
+                    if not wait:
+                        raise
+                    stop.wait(1.0)
+                    continue
+            renewed = True
+
+
+def _is_whole(entry: Entry, names: dict[str, Item], renewed: bool) -> bool:
+    """Whether an entry holds these very files. renewed: those of which the server tells too little
+    to know were fetched just now."""
+    have = entry.about().get("files", {})
+    if have.keys() != names.keys():
+        return False
+    return all(_is_there(entry, have, name, item, renewed) for name, item in names.items())
+
+
+def _is_there(
+    entry: Entry, have: dict[str, list[object]], name: str, item: Item, renewed: bool
+) -> bool:
+    path = entry.files / name
+    if have.get(name) != [item.size, item.tag] or not path.is_file():
+        return False
+    if item.size is not None and path.stat().st_size != item.size:
+        return False
+    return item.known or renewed
+
+
+def _fill(
+    entry: Entry,
+    url: str,
+    names: dict[str, Item],
+    cache: Cache,
+    told: Told,
+    stop: threading.Event,
+) -> None:
+    """Fetch what is not there, and delete what is there no more. Raises SonarrecError."""
+    have = entry.about().get("files", {})
+    have = {
+        n: h for n, h in have.items() if n in names and _is_there(entry, have, n, names[n], False)
+    }
+    sizes = [item.size for item in names.values()]
+    about = {"url": url, "bytes": sum(size or 0 for size in sizes), "files": have}
+    cache.make_room(entry, about)
+    for path in sorted(entry.files.rglob("*")):
+        relative = path.relative_to(entry.files).as_posix()
+        if path.is_file() and relative not in have and path.suffix != ".part":
+            path.unlink()
+    lacks = [name for name in names if name not in have]
+    total = None if None in sizes else sum(names[n].size or 0 for n in lacks)
+    came, lock = [0], threading.Lock()
+
+    def count(more: int) -> None:
+        with lock:
+            came[0] += more
+            told(came[0], total)
+
+    def one(name: str) -> None:
+        from sonarrec.remote.store import Store
+
+        item = names[name]
+        Store(item.url, stop).fetch(item, entry.files / name, count)
+        with lock:
+            have[name] = [item.size, item.tag]
+            if len(lacks) == 1:
+                entry.write(about)
+
+    if len(lacks) == 1:
+        one(lacks[0])
+    else:
+        with ThreadPoolExecutor(_AT_ONCE) as threads:
+            try:
+                list(threads.map(one, lacks))
+            except BaseException:
+                threads.shutdown(wait=False, cancel_futures=True)
+                raise
+    held = sum(p.stat().st_size for p in entry.files.rglob("*") if p.is_file())
+    entry.write({**about, "bytes": held, "files": have})
+
+
+class Ahead:
+    """The logs of a run one after another: the next one is fetched while one is used."""
+
+    def __init__(self, logs: Sequence[RemoteLog | None], cache: Cache) -> None:
+        """logs: those of the run in order, None for one that is local."""
+        self._logs = [(number, log) for number, log in enumerate(logs) if log is not None]
+        self._cache = cache
+        self._stop = threading.Event()
+        self._next: _UnderWay | None = None
+
+    def close(self) -> None:
+        """End what is under way."""
+        self._stop.set()
+        if self._next is not None:
+            self._next.give_back()
+
+    @contextmanager
+    def log(self, number: int, told: Told = _untold) -> Iterator[Fetched | None]:
+        """The log of this number in the cache, until it is done with; None for a local one.
+
+        told: called as the bytes that are waited for come. Raises SonarrecError as `fetched`.
+        """
+        mine = next((log for n, log in self._logs if n == number), None)
+        following = next(((n, log) for n, log in self._logs if n > number), None)
+        with ExitStack() as held:
+            here = None
+            if mine is not None:
+                here = self._taken(number, mine, told, held)
+                held.enter_context(here.origin.translated())
+            if following is not None and self._next is None:
+                self._next = _UnderWay(*following, self._cache, self._stop)
+            yield here
+
+    def _taken(self, number: int, log: RemoteLog, told: Told, held: ExitStack) -> Fetched:
+        under_way = self._next
+        if under_way is not None and under_way.number == number:
+            self._next = None
+            held.callback(under_way.give_back)
+            found = under_way.wait(told)
+            if found is not None:
+                return found
+        return held.enter_context(_held(log, self._cache, told, self._stop))
+
+
+class _UnderWay:
+    """A log that a thread fetches, and holds until it is given back."""
+
+    def __init__(self, number: int, log: RemoteLog, cache: Cache, stop: threading.Event) -> None:
+        self.number = number
+        self._came: tuple[int, int | None] = 0, None
+        self._found: Fetched | None = None
+        self._error: BaseException | None = None
+        self._held = ExitStack()
+        self._stop = stop
+        # A daemon: a run that is stopped does not wait for a block that is on its way.
+        self._thread = threading.Thread(target=self._fetch, args=(log, cache), daemon=True)
+        self._thread.start()
+
+    def _fetch(self, log: RemoteLog, cache: Cache) -> None:
+        def told(came: int, of: int | None) -> None:
+            self._came = came, of
+
+        try:
+            self._found = self._held.enter_context(_held(log, cache, told, self._stop, wait=False))
+        except BaseException as error:  # raised where the log is waited for
+            self._error = error
+
+    def wait(self, told: Told) -> Fetched | None:
+        """The log once it is there; None where there was no room beside the log before."""
+        while self._thread.is_alive():
+            self._thread.join(0.1)
+            told(*self._came)
+        if self._error is not None and not isinstance(self._error, NoRoomError):
+            raise self._error
+        return self._found
+
+    def give_back(self) -> None:
+        """Others may take its room. What is still on its way ends by itself once stopped."""
+        if not self._thread.is_alive():
+            self._held.close()
