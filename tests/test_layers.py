@@ -65,13 +65,6 @@ LIGHT = (
     "readers.mcap.images",
     "readers.mcap.poses",
 )
-    "cli",
-    "pipeline",
-    "remote.run",
-    "simulation.simulate",
-    "readers.mcap.images",
-    "readers.mcap.poses",
-)
 HEAVY = {"pandas", "matplotlib", "scipy", "rosbags", "google", "fsspec", "platformdirs"}
 
 Sources = dict[str, str]

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from sonarrec.cli.options import (
-    ANY,
+    ANY_OR_URL,
     FILE,
+    FILE_OR_URL,
     INPUT,
     OUTPUT,
     PARTLY,
     SCORING,
+    CacheChoice,
+    cache_options,
     command,
     ground_truth_option,
     leave,
@@ -25,10 +29,13 @@ from sonarrec.cli.options import (
 )
 from sonarrec.records import UsageError
 
+if TYPE_CHECKING:
+    from sonarrec.remote.run import Here
+
 
 @command(short_help="Score results against ground truth, or compare two.")
-@click.argument("results", type=ANY, required=False)
-@ground_truth_option("gt.csv, which says what was where.")
+@click.argument("results", type=ANY_OR_URL, required=False)
+@ground_truth_option("gt.csv, which says what was where.", kind=FILE_OR_URL)
 @option(
     INPUT,
     "--pairs",
@@ -38,7 +45,7 @@ from sonarrec.records import UsageError
 @option(
     INPUT,
     "--compare",
-    type=(ANY, ANY),
+    type=(ANY_OR_URL, ANY_OR_URL),
     metavar="OLD NEW",
     help="In place of RESULTS: what got better or worse from OLD to NEW, frame by frame.",
 )
@@ -65,24 +72,29 @@ from sonarrec.records import UsageError
     help="Print both protocols' figures, per ID and per log.",
 )
 @option(OUTPUT, "--det", is_flag=True, help="Draw det.png, the detection error trade-off, too.")
-@out_option(ANY, "Folder for the files.  [default: evaluation in RESULTS, in NEW or beside PAIRS]")
+@out_option(
+    ANY_OR_URL, "Folder for the files.  [default: evaluation in RESULTS, in NEW or beside PAIRS]"
+)
+@cache_options
 @quiet_option
 def evaluate(
-    results: Path | None,
-    ground_truth: Path | None,
+    results: Path | str | None,
+    ground_truth: Path | str | None,
     pairs: Path | None,
-    compare: tuple[Path, Path] | None,
+    compare: tuple[Path | str, Path | str] | None,
     band: float | None,
     unit: Any,
     scoring: dict[str, Any],
     details: bool,
     det: bool,
-    out: Path | None,
+    out: Path | str | None,
+    cache: CacheChoice,
     quiet: bool,
 ) -> None:
     """Score RESULTS against ground truth: rates, ROC, intervals and tests, per method and ID.
 
-    RESULTS is the folder of one log, or one that holds several (default: sonarrec_out). The
+    RESULTS is the folder of one log, or one that holds several (default: sonarrec_out); it and the
+    truth may be on a server (`sonarrec help remote`). The
     geometry matters only where positions are in pixels and run.toml does not tell it. Files go
     to RESULTS/evaluation. Intervals and tests take whole passes of a landmark through the view,
     or whole logs, for independent, never frames.
@@ -100,35 +112,60 @@ def evaluate(
         raise UsageError("--compare takes OLD and NEW; give no RESULTS beside it")
     if band is not None and compare is None:
         raise UsageError("--fail-on-regression goes with --compare")
-    if ground_truth is not None and compare is not None:
-        _compare(*compare, ground_truth, out or compare[1] / "evaluation", band, quiet, scoring)
-        return
+    if ground_truth is None and pairs is None:
+        raise UsageError("nothing to score against: give --ground-truth, or --pairs")
+    from sonarrec.remote.run import Here, inside
 
+    with ExitStack() as held:  # what was written is uploaded as it closes, so nothing leaves inside
+        here = Here(held, cache.cache)
+        truth = here.file(ground_truth)
+        if truth is not None and compare is not None:
+            old, new = map(here.results, compare)
+            folder = here.output(out or inside(compare[1], "evaluation"))
+            code = _compare(old, new, truth, folder, band, quiet, scoring, here)
+        else:
+            code = _evaluate(results, truth, pairs, out, unit, scoring, details, det, quiet, here)
+    if code:
+        leave(code)
+
+
+def _evaluate(
+    results: Path | str | None,
+    truth: Path | None,
+    pairs: Path | None,
+    out: Path | str | None,
+    unit: Any,
+    scoring: dict[str, Any],
+    details: bool,
+    det: bool,
+    quiet: bool,
+    here: Here,
+) -> int:
+    """The exit code."""
     from sonarrec.evaluation import tabulate, write
     from sonarrec.evaluation.evaluate import evaluate as score
     from sonarrec.evaluation.evaluate import evaluate_pairs, read_pairs
     from sonarrec.evaluation.summary import summarise
+    from sonarrec.remote.run import inside
 
-    if ground_truth is not None:
+    if truth is not None:
         results = results or Path("sonarrec_out")
-        found = score(results, ground_truth, **scoring)
-        folder = out or results / "evaluation"
-    elif pairs is not None:
-        found = evaluate_pairs(read_pairs(pairs), **scoring)
-        folder = out or pairs.parent / "evaluation"
+        found = score(here.results(results), truth, **scoring)
+        folder = here.output(out or inside(results, "evaluation"))
     else:
-        raise UsageError("nothing to score against: give --ground-truth, or --pairs")
+        assert pairs is not None
+        found = evaluate_pairs(read_pairs(pairs), **scoring)
+        folder = here.output(out or pairs.parent / "evaluation")
     summary = summarise(found, unit)
     written = write.write_evaluation(folder, found, summary, det)
-    tell(found.unused)
+    tell(map(here.told, found.unused))
     if not quiet:
         click.echo(tabulate.screen(found))
         click.echo(tabulate.summary_screen(found, summary, details))
         for note in (*found.notes, *summary.notes):
-            click.echo(f"note: {note}")
-        click.echo(f"{folder}: {', '.join(written)}")
-    if found.unused:
-        leave(PARTLY)
+            click.echo(f"note: {here.told(note)}")
+        click.echo(f"{here.told(str(folder))}: {', '.join(written)}")
+    return PARTLY if found.unused else 0
 
 
 def _compare(
@@ -139,16 +176,17 @@ def _compare(
     band: float | None,
     quiet: bool,
     scoring: dict[str, Any],
-) -> None:
+    here: Here,
+) -> int:
+    """The exit code."""
     from sonarrec.evaluation import compare, write
 
     found = compare.compare(old, new, ground_truth, **scoring)
     write.write_comparison(folder, found)
-    tell(found.unused)
+    tell(map(here.told, found.unused))
     if not quiet:
         click.echo(compare.screen(found))
-        click.echo(f"{folder}: compare.csv, changes.csv")
+        click.echo(f"{here.told(str(folder))}: compare.csv, changes.csv")
     regressions = [] if band is None else found.regressions(band)
     tell(f"worse: {line}" for line in regressions)
-    if regressions or found.unused:
-        leave(1 if regressions else PARTLY)
+    return 1 if regressions else PARTLY if found.unused else 0

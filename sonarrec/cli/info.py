@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import ExitStack
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,8 +15,11 @@ from sonarrec.cli.options import (
     NEW_FILE,
     OUTPUT,
     PARTLY,
+    CacheChoice,
     LogChoice,
+    cache_options,
     command,
+    fetching,
     landmarks_option,
     leave,
     log_options,
@@ -50,6 +54,7 @@ _YEAR_2000_NS = 946_684_800 * 10**9
     help="Draw the first usable frame under the stated geometry, with discs of the set to scale.",
 )
 @option(OUTPUT, "--json", "as_json", is_flag=True, help="Print JSON. Keys: sonarrec help info.")
+@cache_options
 @quiet_option
 def info(
     log: tuple[str, ...],
@@ -58,6 +63,7 @@ def info(
     landmarks: str | None,
     preview: Path | None,
     as_json: bool,
+    cache: CacheChoice,
     quiet: bool,
 ) -> None:
     """Show what is in LOG, whether it is whole, and how `run` would read it.
@@ -65,7 +71,7 @@ def info(
     LOG is an MCAP file, a folder of images, a video or a quoted glob of these. Every frame is
     read, and every checksum compared, to tell how many frames can be used; --quick leaves that
     out. A geometry that is not complete is told but no fault. Exit code 3: part of the log cannot
-    be used; 1: nothing can.
+    be used; 1: nothing can. LOG may be on a server (`sonarrec help remote`).
 
     --preview draws range rings, bearings, the near edge of the stated floor and three discs of the
     landmark set onto the first usable frame: what is wrong with a geometry shows at a glance.
@@ -80,31 +86,40 @@ def info(
     from sonarrec import __version__
     from sonarrec.readers.find import find_logs
     from sonarrec.readers.info import describe
+    from sonarrec.remote.run import Elsewhere
 
     reading = log_choice.arguments()
     if preview is not None:
         _check_preview(preview, log)
     tables: list[dict[str, Any]] = []
     useless = faulty = 0
-    logs = find_logs(log)
+    elsewhere = Elsewhere(find_logs(log), Path(), cache.cache)
+    click.get_current_context().with_resource(elsewhere)
+    logs = elsewhere.logs
     for number, path in enumerate(logs):
-        try:
-            with progress(quiet) as step:
-                found = describe(path, **reading, quick=quick, observe=step)
-        except UsageError:
-            raise
-        except SonarrecError as error:
-            useless += 1
-            tables.append({"path": path, "error": str(error)})
-            tell([str(error)])
-            continue
-        useless += found.nothing
-        faulty += found.partly
-        tables.append(found.as_table())
-        if preview is not None:
-            _draw_preview(path, preview, landmarks, reading)
-        if not as_json:
-            click.echo("\n".join(["", *lines(found)] if number else lines(found)))
+        with ExitStack() as held:
+            origin = None
+            try:
+                with fetching(quiet, path) as came:
+                    at, origin = held.enter_context(elsewhere.log(number, came))
+                with progress(quiet) as step:
+                    found = describe(at, **reading, quick=quick, observe=step)
+            except UsageError:
+                raise
+            except SonarrecError as error:
+                line = origin.told(str(error)) if origin else str(error)
+                useless += 1
+                tables.append({"path": path, "error": line})
+                tell([line])
+                continue
+            found = found.fetched_from(origin) if origin else found
+            useless += found.nothing
+            faulty += found.partly
+            tables.append(found.as_table())
+            if preview is not None:
+                _draw_preview(at, preview, landmarks, reading)
+            if not as_json:
+                click.echo("\n".join(["", *lines(found)] if number else lines(found)))
     if as_json:
         click.echo(json.dumps({"version": __version__, "logs": tables}, indent=2))
     if useless == len(logs):
@@ -128,7 +143,9 @@ def _check_preview(preview: Path, logs: tuple[str, ...]) -> None:
         raise UsageError(f"--preview {preview}: this is the recording itself; write somewhere else")
 
 
-def _draw_preview(path: str, preview: Path, landmarks: str | None, reading: dict[str, Any]) -> None:
+def _draw_preview(
+    path: Path, preview: Path, landmarks: str | None, reading: dict[str, Any]
+) -> None:
     """Write the first usable frame under its geometry. Raises SonarrecError where there is none."""
     from sonarrec.drawing import draw_preview, write_png
     from sonarrec.landmarks import load_landmarks

@@ -287,10 +287,10 @@ landmarks_option = option(
 )
 
 
-def ground_truth_option(text: str, required: bool = False) -> Decorator:
-    """--ground-truth; text: what it is for."""
+def ground_truth_option(text: str, required: bool = False, kind: click.Path = FILE) -> Decorator:
+    """--ground-truth; text: what it is for. kind: FILE_OR_URL where it may be on a server."""
     text = f"{text} Columns: sonarrec help truth."
-    return option(INPUT, "--ground-truth", type=FILE, required=required, help=text)
+    return option(INPUT, "--ground-truth", type=kind, required=required, help=text)
 
 
 _SCORING = {

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import click
 
 from sonarrec.cli.options import (
-    ANY,
+    ANY_OR_URL,
+    FILE_OR_URL,
     INPUT,
-    NEW_FILE,
+    NEW_FILE_OR_URL,
     OUTPUT,
     PARTLY,
+    CacheChoice,
+    cache_options,
     command,
     ground_truth_option,
     leave,
@@ -26,13 +30,13 @@ from sonarrec.cli.options import (
 
 
 @command(short_help="Write results as one HTML page.")
-@click.argument("results", type=ANY, default=Path("sonarrec_out"))
-@ground_truth_option("gt.csv; without it nothing is scored.")
+@click.argument("results", type=ANY_OR_URL, default=Path("sonarrec_out"))
+@ground_truth_option("gt.csv; without it nothing is scored.", kind=FILE_OR_URL)
 @option(
     INPUT,
     "--log",
     "recordings",
-    type=ANY,
+    type=ANY_OR_URL,
     multiple=True,
     help="The log that RESULTS came from, for frames on the page; once for each of several.",
 )
@@ -43,16 +47,18 @@ from sonarrec.cli.options import (
     "--method",
     help="Whose sightings and tracks are shown.  [default: framework, or the first preset]",
 )
-@out_option(NEW_FILE, "The page.  [default: RESULTS/report.html]")
+@out_option(NEW_FILE_OR_URL, "The page.  [default: RESULTS/report.html]")
+@cache_options
 @quiet_option
 def report(
-    results: Path,
-    ground_truth: Path | None,
-    recordings: tuple[Path, ...],
+    results: Path | str,
+    ground_truth: Path | str | None,
+    recordings: tuple[Path | str, ...],
     topic: str | None,
     scoring: dict[str, Any],
     method: str | None,
-    out: Path | None,
+    out: Path | str | None,
+    cache: CacheChoice,
     quiet: bool,
 ) -> None:
     """Write RESULTS as one HTML page that needs nothing else: no network, no other file.
@@ -68,21 +74,24 @@ def report(
       sonarrec report sonarrec_out/pan --log sample_data/pan.mcap
       sonarrec report --ground-truth gt.csv --log pings/ -o report.html
     """
+    from sonarrec.remote.run import Here, inside
     from sonarrec.report.build import write_report
 
-    written = write_report(
-        out or results / "report.html",
-        results,
-        ground_truth=ground_truth,
-        recordings=recordings,
-        topic=topic,
-        method=method,
-        **scoring,
-    )
-    tell(written.unused)
-    if not quiet:
-        size = written.path.stat().st_size / 1e6
-        frames = "1 frame" if written.pictures == 1 else f"{written.pictures} frames"
-        click.echo(f"{written.path}: {size:.1f} MB, {frames} of the log")
+    with ExitStack() as held:  # the page is uploaded as it closes
+        here = Here(held, cache.cache)
+        written = write_report(
+            here.output(out or inside(results, "report.html"), "report.html"),
+            here.results(results),
+            ground_truth=here.file(ground_truth),
+            recordings=[here.log(recording) for recording in recordings],
+            topic=topic,
+            method=method,
+            **scoring,
+        )
+        tell(map(here.told, written.unused))
+        if not quiet:
+            size = written.path.stat().st_size / 1e6
+            frames = "1 frame" if written.pictures == 1 else f"{written.pictures} frames"
+            click.echo(f"{here.told(str(written.path))}: {size:.1f} MB, {frames} of the log")
     if written.unused:
         leave(PARTLY)

@@ -128,14 +128,9 @@ def _fixed(url: Url) -> Url:
 
 def _wanted(log: RemoteLog, store: Store) -> tuple[Url, str, list[Item]]:
     """(the folder that all of it lies in, the log's name there, its files and companions)."""
-    from sonarrec.remote.store import MissingError
-
     url = log.url
     if _is_file(url):
-        item = store.item(url)
-        if item is None:
-            raise MissingError(f"{url.shown}: no such file, or no access to it")
-        folder, items, root = url.parent, [item], log.up_to or url.parent
+        folder, items, root = url.parent, [store.file(url)], log.up_to or url.parent
     else:
         folder = _fixed(url) if _is_glob(url) else url
         root = log.up_to or folder.parent
@@ -223,6 +218,19 @@ def _held(
 
 
 @contextmanager
+def fetched_file(text: str, cache: Cache) -> Iterator[Fetched]:
+    """One file, such as a table of truth, as `fetched`."""
+    from sonarrec.remote.store import Store
+
+    url = parse_url(text)
+    items, root = [Store(url).file(url)], url.parent
+    with _kept(url.shown, root, items, cache, _untold, threading.Event(), True) as entry:
+        origin = Origin(url.shown, str(entry.files), root.place.rstrip("/"))
+        with origin.translated():
+            yield Fetched(entry.files / _relative(url, root), origin, None)
+
+
+@contextmanager
 def fetched_results(text: str, cache: Cache) -> Iterator[Fetched]:
     """The finished results at a URL, of one log or of several, as `fetched`.
 
@@ -268,7 +276,7 @@ def _kept(
     wait: bool,
 ) -> Iterator[Entry]:
     """The entry with just these files, held: as it is where they are there, else fetched."""
-    key = key_of(f"{url} {root.shown}")
+    key = key_of(f"{url.rstrip('/')} {root.shown}")
     # Of a name that comes twice, by a glob or an index page, the one file.
     names = {_relative(item.url, root): item for item in items}
     renewed = False

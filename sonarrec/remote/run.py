@@ -1,15 +1,24 @@
-"""The logs and the results of one run, wherever each of them lies."""
+"""What commands read and write, wherever each of it lies."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 from sonarrec.records import Origin
 from sonarrec.remote.cache import Cache
-from sonarrec.remote.fetch import Ahead, RemoteLog, Told, find
+from sonarrec.remote.fetch import (
+    Ahead,
+    Fetched,
+    RemoteLog,
+    Told,
+    fetched,
+    fetched_file,
+    fetched_results,
+    find,
+)
 from sonarrec.remote.urls import is_url
 
 if TYPE_CHECKING:
@@ -74,3 +83,57 @@ class Elsewhere:
             if self._box is not None and name is not None:
                 held.enter_context(self._box.results(name))
             yield str if self._box is None else self._box.origin.told
+
+
+class Here:
+    """What one command reads and writes, fetched into the cache or uploaded where it is a URL.
+
+    All of it is held until the stack is closed, which is when what was written is uploaded; every
+    method raises SonarrecError, and gives a local path back as it is.
+    """
+
+    def __init__(self, held: ExitStack, cache: Callable[[], Cache]) -> None:
+        self._held, self._cache = held, cache
+        self._origins: list[Origin] = []
+
+    def results(self, place: Path | str) -> Path:
+        """The folder of results, of one log or of several."""
+        if not is_url(place):
+            return Path(place)
+        return self._enter(fetched_results(str(place), self._cache()))
+
+    def file(self, place: Path | str | None) -> Path | None:
+        """A file that may be given, such as a table of truth."""
+        if place is None or not is_url(place):
+            return None if place is None else Path(place)
+        return self._enter(fetched_file(str(place), self._cache()))
+
+    def log(self, place: Path | str) -> Path:
+        """What to open of a log."""
+        return self._enter(fetched(str(place), self._cache())) if is_url(place) else Path(place)
+
+    def output(self, place: Path | str, name: str = "") -> Path:
+        """Where to write a folder, or the file of this name."""
+        if not is_url(place):
+            return Path(place)
+        from sonarrec.remote.upload import uploaded  # with fsspec, only where needed
+
+        path, origin = self._held.enter_context(uploaded(str(place), name))
+        self._origins.append(origin)
+        return path
+
+    def _enter(self, opening: AbstractContextManager[Fetched]) -> Path:
+        found = self._held.enter_context(opening)
+        self._origins.append(found.origin)
+        return found.path
+
+    def told(self, text: str) -> str:
+        """A line with the server's names in place of the local ones."""
+        for origin in self._origins:
+            text = origin.told(text)
+        return text
+
+
+def inside(place: Path | str, name: str) -> Path | str:
+    """A name in a folder, local or not."""
+    return f"{str(place).rstrip('/')}/{name}" if is_url(place) else Path(place) / name

@@ -113,17 +113,23 @@ class Store:
 
     def item(self, url: Url) -> Item | None:
         """The file at a URL; None where there is none, or none for us."""
+        try:
+            return self.file(url)
+        except (MissingError, RefusedError):
+            return None
 
-        def ask() -> Item | None:
+    def file(self, url: Url) -> Item:
+        """The file at a URL. Raises MissingError, RefusedError, SonarrecError."""
+
+        def ask() -> Item:
             with self._told(url):
                 given = {"refresh": True} if url.scheme == "s3" else {}
                 found = self._fs.info(self._path(url), **given)
-            return _item(url, found) if found.get("type") != "directory" else None
+            if found.get("type") == "directory":
+                raise MissingError(f"{url.shown}: a folder, no file")
+            return _item(url, found)
 
-        try:
-            return self._again(ask)
-        except (MissingError, RefusedError):
-            return None
+        return self._again(ask, url)
 
     def companion(self, url: Url) -> Item | None:
         """As `item`; a page that a web server gives for any name is none."""
@@ -250,7 +256,9 @@ class Store:
         size = part.stat().st_size
         if item.size is not None and size != item.size:
             raise BrokenError(f"{size} of {item.size} bytes came")
-        if item.md5 is not None and _md5(part) != item.md5 and not self._otherwise(item):
+        if item.md5 is not None and _md5(part) == item.md5:
+            return
+        if item.md5 is not None and not self._otherwise(item):
             part.unlink()
             told(-size)
             raise BrokenError("its checksum is not the server's")
@@ -350,7 +358,9 @@ class Store:
 def writable(url: Url) -> Url:
     """The URL itself. Raises UsageError where results cannot be written there."""
     if url.is_web:
-        raise UsageError(f"{url.shown}: results are not written to a web server; use s3, gs, sftp")
+        raise UsageError(
+            f"{url.shown}: a web server takes no results; give --out, local or s3, gs, sftp"
+        )
     return url
 
 
