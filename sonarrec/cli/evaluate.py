@@ -158,14 +158,15 @@ def _evaluate(
         folder = here.output(out or pairs.parent / "evaluation")
     summary = summarise(found, unit)
     written = write.write_evaluation(folder, found, summary, det)
-    tell(map(here.told, found.unused))
+    unused = [*here.unused, *map(here.told, found.unused)]
+    tell(unused)
     if not quiet:
         click.echo(tabulate.screen(found))
         click.echo(tabulate.summary_screen(found, summary, details))
         for note in (*found.notes, *summary.notes):
             click.echo(f"note: {here.told(note)}")
         click.echo(f"{here.told(str(folder))}: {', '.join(written)}")
-    return PARTLY if found.unused else 0
+    return PARTLY if unused else 0
 
 
 def _compare(
@@ -183,10 +184,11 @@ def _compare(
 
     found = compare.compare(old, new, ground_truth, **scoring)
     write.write_comparison(folder, found)
-    tell(map(here.told, found.unused))
+    unused = [*here.unused, *map(here.told, found.unused)]
+    tell(unused)
     if not quiet:
         click.echo(compare.screen(found))
         click.echo(f"{here.told(str(folder))}: compare.csv, changes.csv")
     regressions = [] if band is None else found.regressions(band)
     tell(f"worse: {line}" for line in regressions)
-    return 1 if regressions else PARTLY if found.unused else 0
+    return 1 if regressions else PARTLY if unused else 0

@@ -88,10 +88,11 @@ def report(
             method=method,
             **scoring,
         )
-        tell(map(here.told, written.unused))
+        unused = [*here.unused, *map(here.told, written.unused)]
+        tell(unused)
         if not quiet:
             size = written.path.stat().st_size / 1e6
             frames = "1 frame" if written.pictures == 1 else f"{written.pictures} frames"
             click.echo(f"{here.told(str(written.path))}: {size:.1f} MB, {frames} of the log")
-    if written.unused:
+    if unused:
         leave(PARTLY)

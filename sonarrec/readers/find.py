@@ -6,6 +6,7 @@ A further format is one module with a RawLog and one row in READERS.
 from __future__ import annotations
 
 import glob
+import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -125,7 +126,9 @@ def _found(path: Path) -> Source:
     elif path.is_symlink():
         raise SonarrecError(f"{shown(path)}: a link to a file that is not there")
     else:
-        raise SonarrecError(f"{shown(path)}: no such file or folder")
+        server = re.match(r"[A-Za-z][A-Za-z0-9+.-]+:/", str(path))
+        only = "; from servers only run, info, evaluate and report read" if server else ""
+        raise SonarrecError(f"{shown(path)}: no such file or folder{only}")
     return Source(path, shown(name) or "log", files, _reader_of(files[0]), beside)
 
 

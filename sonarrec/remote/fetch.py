@@ -29,7 +29,6 @@ COMPANIONS = ("sonar.toml", "poses.csv", "gt.csv")
 BAG = "metadata.yaml"  # a folder with it is one log
 RESULTS = ("run.toml", "frames.csv", "estimates.csv", "estimates.parquet")
 """What is read of results. run.toml is uploaded last: without it they are not finished."""
-_AT_ONCE = 8  # files of a folder
 Told = Callable[[int, int | None], None]
 """Told, as they come, how many bytes came and how many there are to come, None where unknown."""
 
@@ -54,15 +53,19 @@ class RemoteLog:
         return Path("/", host, url.path.strip("/"))
 
 
+@dataclass(frozen=True, slots=True)
 class Fetched:
     """A log or results in the cache, which stay there until they are given back.
 
     path: the file, folder or glob to open. origin: where it is from, for run.toml and every line.
-    up_to: the folder up to which what belongs to it is looked for.
+    up_to: the folder up to which what belongs to it is looked for. unused: a line for each part
+    that was left out.
     """
 
-    def __init__(self, path: Path, origin: Origin, up_to: Path | None) -> None:
-        self.path, self.origin, self.up_to = path, origin, up_to
+    path: Path
+    origin: Origin
+    up_to: Path | None = None
+    unused: tuple[str, ...] = ()
 
 
 def find(text: str, *, recursive: bool = False) -> list[RemoteLog]:
@@ -111,7 +114,8 @@ def _below(store: Store, folder: Url, recursive: bool) -> Iterator[Url]:
 
 
 def _is_file(url: Url) -> bool:
-    return not url.path.endswith("/") and (names_a_log(url.name) or names_an_image(url.name))
+    named = names_a_log(url.name) or names_an_image(url.name)
+    return named and not url.path.endswith("/") and not _is_glob(url)
 
 
 def _is_glob(url: Url) -> bool:
@@ -144,6 +148,7 @@ def _wanted(log: RemoteLog, store: Store) -> tuple[Url, str, list[Item]]:
             items = [i for i in files if _belongs(i.url.name, kept)]
         if not any(names_a_log(i.url.name) or names_an_image(i.url.name) for i in items):
             raise SonarrecError(f"{url.shown}: no log and no image here")
+        items = store.described(items)
     items += _companions(log, store, folder, root, {str(i.url) for i in items})
     return root, _relative(url, root), items
 
@@ -227,7 +232,7 @@ def fetched_file(text: str, cache: Cache) -> Iterator[Fetched]:
     with _kept(url.shown, root, items, cache, _untold, threading.Event(), True) as entry:
         origin = Origin(url.shown, str(entry.files), root.place.rstrip("/"))
         with origin.translated():
-            yield Fetched(entry.files / _relative(url, root), origin, None)
+            yield Fetched(entry.files / _relative(url, root), origin)
 
 
 @contextmanager
@@ -240,19 +245,25 @@ def fetched_results(text: str, cache: Cache) -> Iterator[Fetched]:
 
     url = parse_url(text)
     store = Store(url)
+    folders = [url]
     items, unfinished = _finished(store, url)
+    if not items and not unfinished:
+        folders = [url.child(name) for name in store.listing(url)[1]]
+    found = [(folder, *_finished(store, folder)) for folder in folders]
+    items = [item for _, finished, _ in found for item in finished]
+    unused = [
+        f"{folder.shown}: left out, for its upload is not finished (run.toml comes last)"
+        for folder, _, unfinished in found
+        if unfinished
+    ]
     if not items:
-        below = [_finished(store, url.child(n)) for n in store.listing(url)[1]]
-        items = [item for found, _ in below for item in found]
-        unfinished = unfinished or any(half for _, half in below)
-    if not items:
-        why = "their upload is not finished: run.toml is missing" if unfinished else "none here"
-        raise SonarrecError(f"{url.shown}: no results to read ({why})")
-    root = url.parent
+        why = unused[0] if unused else f"{url.shown}: holds no results of `sonarrec run`"
+        raise SonarrecError(why)
+    items, root = store.described(items), url.parent
     with _kept(url.shown, root, items, cache, _untold, threading.Event(), True) as entry:
         origin = Origin(url.shown, str(entry.files), root.place.rstrip("/"))
         with origin.translated():
-            yield Fetched(entry.files / _relative(url, root), origin, None)
+            yield Fetched(entry.files / _relative(url, root), origin, None, tuple(unused))
 
 
 def _finished(store: Store, folder: Url) -> tuple[list[Item], bool]:
@@ -326,6 +337,8 @@ def _fill(
     stop: threading.Event,
 ) -> None:
     """Fetch what is not there, and delete what is there no more. Raises SonarrecError."""
+    from sonarrec.remote.store import AT_ONCE, Store
+
     have = entry.about().get("files", {})
     have = {
         n: h for n, h in have.items() if n in names and _is_there(entry, have, n, names[n], False)
@@ -347,8 +360,6 @@ def _fill(
             told(came[0], total)
 
     def one(name: str) -> None:
-        from sonarrec.remote.store import Store
-
         item = names[name]
         Store(item.url, stop).fetch(item, entry.files / name, count)
         with lock:
@@ -359,7 +370,7 @@ def _fill(
     if len(lacks) == 1:
         one(lacks[0])
     else:
-        with ThreadPoolExecutor(_AT_ONCE) as threads:
+        with ThreadPoolExecutor(AT_ONCE) as threads:
             try:
                 list(threads.map(one, lacks))
             except BaseException:

@@ -89,12 +89,14 @@ class Here:
     """What one command reads and writes, fetched into the cache or uploaded where it is a URL.
 
     All of it is held until the stack is closed, which is when what was written is uploaded; every
-    method raises SonarrecError, and gives a local path back as it is.
+    method raises SonarrecError, and gives a local path back as it is. unused: a line for each part
+    that could not be fetched.
     """
 
     def __init__(self, held: ExitStack, cache: Callable[[], Cache]) -> None:
         self._held, self._cache = held, cache
         self._origins: list[Origin] = []
+        self.unused: list[str] = []
 
     def results(self, place: Path | str) -> Path:
         """The folder of results, of one log or of several."""
@@ -125,6 +127,7 @@ class Here:
     def _enter(self, opening: AbstractContextManager[Fetched]) -> Path:
         found = self._held.enter_context(opening)
         self._origins.append(found.origin)
+        self.unused += found.unused
         return found.path
 
     def told(self, text: str) -> str:

@@ -11,6 +11,7 @@ import os
 import re
 import threading
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +28,7 @@ except ImportError:
 
 AGAIN = 3  # times that a broken transfer is tried again
 PAUSE_S = 1.0  # before the first of them; twice as long before each further one
+AT_ONCE = 8  # files of a folder
 BLOCK_BYTES = 2**24  # asked for at once: what is lost when a transfer breaks off
 _INSTALL = "pip install 'sonarrec[remote]'"
 T = TypeVar("T")
@@ -178,6 +180,13 @@ class Store:
                 items.append(_item(Url(pattern.scheme, pattern.front, at, pattern.query), one))
         return items
 
+    def described(self, items: list[Item]) -> list[Item]:
+        """The same with size and tag, which the index pages of web servers do not tell."""
+        if not items or not items[0].url.is_web:
+            return items
+        with ThreadPoolExecutor(AT_ONCE) as threads:
+            return list(threads.map(self.file, [item.url for item in items]))
+
     # Fetched
 
     def fetch(self, item: Item, to: Path, told: Callable[[int], None] = lambda _: None) -> Item:
@@ -258,15 +267,14 @@ class Store:
             raise BrokenError(f"{size} of {item.size} bytes came")
         if item.md5 is not None and _md5(part) == item.md5:
             return
-        if item.md5 is not None and not self._otherwise(item):
-            part.unlink()
-            told(-size)
-            raise BrokenError("its checksum is not the server's")
         now = self.item(item.url)
-        if now is None or (now.size, now.tag) != (item.size, item.tag):
+        changed = now is None or (now.size, now.tag) != (item.size, item.tag)
+        if changed or (item.md5 is not None and not self._otherwise(item)):
             part.unlink()
             told(-size)
-            raise SonarrecError(f"{item.url.shown}: changed while it was fetched; run again")
+            if changed:
+                raise SonarrecError(f"{item.url.shown}: changed while it was fetched; run again")
+            raise BrokenError("its checksum is not the server's")
 
     def _otherwise(self, item: Item) -> bool:
         """Whether S3 encrypted it, so that the ETag is no MD5."""

@@ -1,7 +1,8 @@
-"""Real servers on loopback, started by a test: HTTP in several tempers, and S3."""
+"""Real servers on loopback, started by a test: HTTP in several moods, and SFTP."""
 
 from __future__ import annotations
 
+import asyncio
 import re
 import threading
 from collections.abc import Iterator
@@ -11,6 +12,8 @@ from http import HTTPStatus
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
+
+import asyncssh
 
 
 @dataclass
@@ -28,7 +31,6 @@ class Web:
     tags: bool = True
     broken: int = 0
     wrong_md5: bool = False
-    slow: threading.Event | None = None
     port: int = 0
     asked: list[tuple[str, str, str]] = field(default_factory=list)
 
@@ -43,6 +45,7 @@ class Web:
 
 @contextmanager
 def web_server(folder: Path, **how: Any) -> Iterator[Web]:
+    """A web server over a folder; how: fields of Web."""
     web = Web(folder, **how)
 
     class Handler(SimpleHTTPRequestHandler):
@@ -92,8 +95,6 @@ def web_server(folder: Path, **how: Any) -> Iterator[Web]:
             self.end_headers()
             if not body:
                 return
-            if web.slow is not None:
-                web.slow.wait(10)
             if web.broken and len(data) > 1000:
                 web.broken -= 1
                 data = data[: len(data) // 2]
@@ -113,3 +114,43 @@ def web_server(folder: Path, **how: Any) -> Iterator[Web]:
         server.shutdown()
         thread.join()
         server.server_close()
+
+
+@contextmanager
+def sftp_server(folder: Path, home: Path, password: str) -> Iterator[int]:
+    """A real SFTP server over a folder, for user `ann`; its key is in home/.ssh/known_hosts.
+
+    Gives its port. asyncssh is on both sides, for sshfs rests on it.
+    """
+    key = asyncssh.generate_private_key("ssh-ed25519")
+    loop = asyncio.new_event_loop()
+
+    class Login(asyncssh.SSHServer):
+        def begin_auth(self, _: str) -> bool:
+            return True
+
+        def password_auth_supported(self) -> bool:
+            return True
+
+        def validate_password(self, username: str, given: str) -> bool:
+            return (username, given) == ("ann", password)
+
+    def served(channel: Any) -> asyncssh.SFTPServer:
+        return asyncssh.SFTPServer(channel, chroot=str(folder).encode())
+
+    listening = asyncssh.listen(
+        "127.0.0.1", 0, server_host_keys=[key], server_factory=Login, sftp_factory=served
+    )
+    server = loop.run_until_complete(listening)
+    port = server.get_port()
+    (home / ".ssh").mkdir(parents=True)
+    public = key.export_public_key().decode()
+    (home / ".ssh" / "known_hosts").write_text(f"[127.0.0.1]:{port} {public}")
+    thread = threading.Thread(target=loop.run_forever)
+    thread.start()
+    try:
+        yield port
+    finally:
+        loop.call_soon_threadsafe(server.close)
+        loop.call_soon_threadsafe(loop.stop)
+        thread.join()
