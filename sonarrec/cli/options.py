@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial, wraps
 from pathlib import Path
@@ -411,14 +411,19 @@ def out_option(kind: click.Path, text: str, **told: Any) -> Decorator:
 def fetching(quiet: bool, name: str) -> Iterator[Callable[[int, int | None], None]]:
     """A progress bar over the bytes of a log that is waited for, as `progress`.
 
-    Yields what to call as they come: step(came, of how many or None).
+    Yields what to call as they come: step(came, of how many or None). Without a call, no bar.
     """
     from tqdm import tqdm
 
-    silent = True if quiet else None
-    with tqdm(desc=f"fetch {name}", unit="B", unit_scale=True, leave=False, disable=silent) as bar:
+    with ExitStack() as held:
+        bar: Any = None
 
         def step(came: int, of: int | None) -> None:
+            nonlocal bar
+            if bar is None:
+                told = {"desc": f"fetch {name}", "unit": "B", "unit_scale": True}
+                silent = True if quiet else None
+                bar = held.enter_context(tqdm(**told, leave=False, disable=silent))
             bar.total = of
             bar.update(came - bar.n)
 

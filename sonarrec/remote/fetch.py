@@ -29,6 +29,7 @@ COMPANIONS = ("sonar.toml", "poses.csv", "gt.csv")
 BAG = "metadata.yaml"  # a folder with it is one log
 RESULTS = ("run.toml", "frames.csv", "estimates.csv", "estimates.parquet")
 """What is read of results. run.toml is uploaded last: without it they are not finished."""
+_LARGE = 2**20  # bytes of a file that is written down at once, lest it be fetched anew after a kill
 Told = Callable[[int, int | None], None]
 """Told, as they come, how many bytes came and how many there are to come, None where unknown."""
 
@@ -337,7 +338,7 @@ def _fill(
     stop: threading.Event,
 ) -> None:
     """Fetch what is not there, and delete what is there no more. Raises SonarrecError."""
-    from sonarrec.remote.store import AT_ONCE, Store
+    from sonarrec.remote.store import AT_ONCE, StoppedError, Store
 
     have = entry.about().get("files", {})
     have = {
@@ -346,15 +347,17 @@ def _fill(
     sizes = [item.size for item in names.values()]
     about = {"url": url, "bytes": sum(size or 0 for size in sizes), "files": have}
     cache.make_room(entry, about)
+    parts = {f"{name}.{item.identity}.part" for name, item in names.items()}  # to go on with
     for path in sorted(entry.files.rglob("*")):
-        relative = path.relative_to(entry.files).as_posix()
-        if path.is_file() and relative not in have and path.suffix != ".part":
+        if path.is_file() and path.relative_to(entry.files).as_posix() not in {*have, *parts}:
             path.unlink()
     lacks = [name for name in names if name not in have]
     total = None if None in sizes else sum(names[n].size or 0 for n in lacks)
-    came, lock = [0], threading.Lock()
+    came, lock, given_up = [0], threading.Lock(), threading.Event()
 
     def count(more: int) -> None:
+        if given_up.is_set():
+            raise StoppedError(f"{url}: given up")
         with lock:
             came[0] += more
             told(came[0], total)
@@ -364,18 +367,18 @@ def _fill(
         Store(item.url, stop).fetch(item, entry.files / name, count)
         with lock:
             have[name] = [item.size, item.tag]
-            if len(lacks) == 1:
+            if (item.size or 0) >= _LARGE:
                 entry.write(about)
 
-    if len(lacks) == 1:
-        one(lacks[0])
-    else:
-        with ThreadPoolExecutor(AT_ONCE) as threads:
-            try:
-                list(threads.map(one, lacks))
-            except BaseException:
-                threads.shutdown(wait=False, cancel_futures=True)
-                raise
+    with ThreadPoolExecutor(min(AT_ONCE, max(1, len(lacks)))) as threads:
+        try:
+            list(threads.map(one, lacks))
+        except BaseException:
+            given_up.set()
+            threads.shutdown(cancel_futures=True)
+            raise
+        finally:
+            entry.write(about)
     held = sum(p.stat().st_size for p in entry.files.rglob("*") if p.is_file())
     entry.write({**about, "bytes": held, "files": have})
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -213,6 +214,30 @@ def test_what_serves_a_campaign_is_found_above(site: Path, cache: Cache) -> None
             assert log.up_to is not None
             assert (log.up_to / "sonar.toml").exists()
             assert log.path == log.up_to / "day1" / "a.mcap"
+
+
+def test_of_several_files_those_that_came_are_kept(
+    site: Path, cache: Cache, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(store, "AT_ONCE", 1)
+    for k in range(4):
+        noise(site / f"pings/{k}.png", 2000)
+    with web_server(site) as web:
+        fetch, done = store.Store.fetch, []
+
+        def dies(self: store.Store, item: store.Item, *given: Any) -> store.Item:
+            if len(done) == 2:
+                raise SonarrecError("the disk is full")
+            done.append(item.url.name)
+            return fetch(self, item, *given)
+
+        with monkeypatch.context() as patched:
+            patched.setattr(store.Store, "fetch", dies)
+            with pytest.raises(SonarrecError, match="full"), fetched(f"{web.url}/pings", cache):
+                pass
+        with fetched(f"{web.url}/pings", cache) as log:
+            assert len(list(log.path.iterdir())) == 4
+        assert [len(web.gets(f"{k}.png")) for k in range(4)] == [1] * 4
 
 
 # The cache
