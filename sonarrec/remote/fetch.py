@@ -7,8 +7,8 @@ it there too, and a line that names a file is told with the server's name of it.
 from __future__ import annotations
 
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -370,17 +370,42 @@ def _fill(
             if (item.size or 0) >= _LARGE:
                 entry.write(about)
 
-    with ThreadPoolExecutor(min(AT_ONCE, max(1, len(lacks)))) as threads:
-        try:
-            list(threads.map(one, lacks))
-        except BaseException:
-            given_up.set()
-            threads.shutdown(cancel_futures=True)
-            raise
-        finally:
-            entry.write(about)
+    try:
+        _at_once(one, lacks, AT_ONCE)
+    except BaseException:
+        given_up.set()
+        raise
+    finally:
+        entry.write(about)
     held = sum(p.stat().st_size for p in entry.files.rglob("*") if p.is_file())
     entry.write({**about, "bytes": held, "files": have})
+
+
+def _at_once(one: Callable[[str], None], names: Sequence[str], most: int) -> None:
+    """Call it for each name, `most` at a time, until one of them raises, which is raised.
+
+    By daemons, not by an executor: a run that is stopped does not wait for what is on its way.
+    """
+    left, errors = deque(names), list[BaseException]()
+
+    def work() -> None:
+        while left and not errors:
+            try:
+                name = left.popleft()
+            except IndexError:  # another thread was quicker
+                return
+            try:
+                one(name)
+            except BaseException as error:  # raised below
+                errors.append(error)
+
+    threads = [threading.Thread(target=work, daemon=True) for _ in names[:most]]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    if errors:
+        raise errors[0]
 
 
 class Ahead:
@@ -418,25 +443,36 @@ class Ahead:
 
     def _taken(self, number: int, log: RemoteLog, told: Told, held: ExitStack) -> Fetched:
         under_way = self._next
-        if under_way is not None and under_way.number == number:
+        if under_way is None or under_way.number != number:
+            under_way = _UnderWay(number, log, self._cache, self._stop, wait=True)
+        else:
             self._next = None
-            held.callback(under_way.give_back)
-            found = under_way.wait(told)
-            if found is not None:
-                return found
-        return held.enter_context(_held(log, self._cache, told, self._stop))
+        held.callback(under_way.give_back)
+        found = under_way.wait(told)
+        if found is None:  # there was no room beside the log before
+            return self._taken(number, log, told, held)
+        return found
 
 
 class _UnderWay:
     """A log that a thread fetches, and holds until it is given back."""
 
-    def __init__(self, number: int, log: RemoteLog, cache: Cache, stop: threading.Event) -> None:
+    def __init__(
+        self,
+        number: int,
+        log: RemoteLog,
+        cache: Cache,
+        stop: threading.Event,
+        *,
+        wait: bool = False,
+    ) -> None:
+        """wait: for room that logs in use take."""
         self.number = number
         self._came: tuple[int, int | None] = 0, None
         self._found: Fetched | None = None
         self._error: BaseException | None = None
         self._held = ExitStack()
-        self._stop = stop
+        self._stop, self._wait = stop, wait
         # A daemon: a run that is stopped does not wait for a block that is on its way.
         self._thread = threading.Thread(target=self._fetch, args=(log, cache), daemon=True)
         self._thread.start()
@@ -446,7 +482,9 @@ class _UnderWay:
             self._came = came, of
 
         try:
-            self._found = self._held.enter_context(_held(log, cache, told, self._stop, wait=False))
+            self._found = self._held.enter_context(
+                _held(log, cache, told, self._stop, wait=self._wait)
+            )
         except BaseException as error:  # raised where the log is waited for
             self._error = error
 

@@ -163,9 +163,16 @@ def test_evaluate_and_report_read_results_there_and_put_theirs_beside(
     assert scored.exit_code == 0, scored.stderr
     assert "s3://dives/out/evaluation: confusion.csv" in scored.stdout
     assert "out/evaluation/evaluation.json" in keys(s3)
-    page = sonarrec("report", "s3://dives/out", "--log", "s3://dives/day/a.mcap")
+    page = sonarrec(
+        "report",
+        "s3://dives/out",
+        *("--ground-truth", "s3://dives/gt.csv", "--log", "s3://dives/day/a.mcap"),
+    )
     assert page.exit_code == 0, page.stderr
     assert page.stdout.startswith("s3://dives/out/report.html: ")
+    for key in ("report.html", "evaluation/evaluation.json"):
+        text = s3.get_object(Bucket="dives", Key=f"out/{key}")["Body"].read().decode()
+        assert str(tmp_path) not in text
     s3.delete_object(Bucket="dives", Key="out/b/run.toml")
     partly = sonarrec("report", "s3://dives/out", "-o", "page.html")
     assert partly.exit_code == 3
