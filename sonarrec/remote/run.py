@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 from sonarrec.records import Origin
+from sonarrec.remote.ahead import Ahead
 from sonarrec.remote.cache import Cache
 from sonarrec.remote.fetch import (
-    Ahead,
     Fetched,
     RemoteLog,
     Told,

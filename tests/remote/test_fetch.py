@@ -12,8 +12,9 @@ import pytest
 
 from sonarrec.records import SonarrecError
 from sonarrec.remote import store
+from sonarrec.remote.ahead import Ahead
 from sonarrec.remote.cache import Cache, size_bytes
-from sonarrec.remote.fetch import Ahead, RemoteLog, fetched, find
+from sonarrec.remote.fetch import RemoteLog, fetched, find
 from sonarrec.remote.urls import parse_url
 from tests.support.logs import SONAR_TOML
 from tests.support.servers import web_server
