@@ -21,11 +21,9 @@ if TYPE_CHECKING:
 # OpenCV reads it when it is loaded: an image file whose header states more than 4096 x 4096 pixels
 # is refused, before room is made for it.
 os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(2**24))
-# The same bytes on every number of cores and under any such setting of the user's: numpy's BLAS
-# splits a sum among its threads, and Intel's routines in OpenCV round otherwise than OpenCV's own.
-# Both are read when the libraries are loaded; products as small as ours gain nothing by threads.
+# The same bytes whatever the user has set: numpy's BLAS splits a sum among its threads. It reads
+# this when it is loaded; products as small as ours gain nothing by threads.
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
-os.environ["OPENCV_IPP"] = "disabled"
 
 __version__ = version("sonarrec")
 

@@ -1,1 +1,6 @@
 """Stages 1 to 3 over the frames of one log: fan images in, estimates out."""
+
+import cv2
+
+# Intel's routines in OpenCV round otherwise than its own, and otherwise on each processor.
+cv2.ipp.setUseIPP(False)
