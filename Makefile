@@ -4,7 +4,7 @@ BIN := .venv/bin
 SAMPLE := sample_data/pan
 
 .PHONY: test lint demo bench memory fuzz paper paper-world paper-choices \
-	paper-prediction scenes ablation study model regression clean
+	paper-prediction scenes ablation study model regression kills clean
 
 .venv/program: pyproject.toml  # what a user needs
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
@@ -37,6 +37,9 @@ memory: .venv/installed  # peak memory of reading 1 GB logs in the shapes that c
 
 fuzz: .venv/installed  # 2,000 damaged logs through `sonarrec info` and `sonarrec run`
 	$(BIN)/python -m tests.studies.fuzz --files 2000
+
+kills: .venv/installed  # forty runs stopped at random moments by three signals
+	$(BIN)/python -m tests.studies.kills
 
 paper: paper-world paper-choices paper-prediction  # the paper's comparison, in three parts
 

@@ -35,6 +35,10 @@ class UsageError(SonarrecError):
     """A setting or option that cannot be meant (exit code 2, as click's own usage errors)."""
 
 
+class MissingError(UsageError):
+    """An input that is not there."""
+
+
 def shown(name: object) -> str:
     """A file's name as text for a line or a table: bytes that are no UTF-8 become \\xe9."""
     return str(name).encode(errors="surrogateescape").decode(errors="backslashreplace")

@@ -222,13 +222,14 @@ def test_the_columns_listed_are_the_columns_written(
     log = str(sample / "pan" / "00000*.png")
     run(shlex.join(["sonarrec", "run", log, "-o", "short", "-q"]), tmp_path)
     written = {path.name: path for path in (results / "pan" / "evaluation").glob("*.csv")}
-    (folder,) = (tmp_path / "short").iterdir()
+    (folder,) = (path for path in (tmp_path / "short").iterdir() if path.is_dir())
     written |= {path.name: path for path in folder.glob("*.csv")}
+    written["logs.csv"] = tmp_path / "short" / "logs.csv"
     assert {"frames.csv", "estimates.csv", "confusion.csv", "changes.csv"} <= set(written)
     for name, path in written.items():
         with path.open(newline="", encoding="utf-8") as file:
             header = next(csv.reader(file))
-        listed = listed_columns("results", name)
+        listed = listed_columns("status" if name == "logs.csv" else "results", name)
         if "p_1 ... p_K" in listed:
             place = listed.index("p_1 ... p_K")
             listed[place : place + 1] = ["p_1", "p_2", "p_3", "p_4"]

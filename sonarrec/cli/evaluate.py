@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,12 +36,15 @@ if TYPE_CHECKING:
 
 @command(short_help="Score results against ground truth, or compare two.")
 @click.argument("results", type=ANY_OR_URL, required=False)
-@ground_truth_option("gt.csv, which says what was where.", kind=FILE_OR_URL)
+@ground_truth_option(
+    "gt.csv, in place of the NAME.gt.csv or gt.csv beside each log.", kind=FILE_OR_URL
+)
 @option(
     INPUT,
     "--pairs",
     type=FILE,
-    help="In place of RESULTS and truth: a CSV of results,ground_truth[,log], a row per log.",
+    help="In place of RESULTS and truth: a CSV of results,ground_truth[,log], a row per log. "
+    "With --compare: the truth of each log.",
 )
 @option(
     INPUT,
@@ -72,6 +76,13 @@ if TYPE_CHECKING:
     help="Print both protocols' figures, per ID and per log.",
 )
 @option(OUTPUT, "--det", is_flag=True, help="Draw det.png, the detection error trade-off, too.")
+@option(
+    OUTPUT,
+    "--json",
+    "as_json",
+    is_flag=True,
+    help="Print evaluation.json (compare.json with --compare), and nothing else, on stdout.",
+)
 @out_option(
     ANY_OR_URL, "Folder for the files.  [default: evaluation in RESULTS, in NEW or beside PAIRS]"
 )
@@ -87,82 +98,90 @@ def evaluate(
     scoring: dict[str, Any],
     details: bool,
     det: bool,
+    as_json: bool,
     out: Path | str | None,
     cache: CacheChoice,
     quiet: bool,
 ) -> None:
     """Score RESULTS against ground truth: rates, ROC, intervals and tests, per method and ID.
 
-    RESULTS is the folder of one log, or one that holds several (default: sonarrec_out); it and the
-    truth may be on a server (`sonarrec help remote`). The
-    geometry matters only where positions are in pixels and run.toml does not tell it. Files go
-    to RESULTS/evaluation. Intervals and tests take whole passes of a landmark through the view,
-    or whole logs, for independent, never frames.
+    RESULTS is the folder of one log, or one that holds several (default: sonarrec_out). Truth is
+    found beside each log, or given; both may be on a server (`sonarrec help remote`). The geometry
+    matters only where positions are in pixels and run.toml does not tell it. Files go to
+    RESULTS/evaluation. Intervals and tests take whole passes of a landmark through the view, or
+    whole logs, for independent, never frames.
 
     \b
     Examples:
-      sonarrec evaluate --ground-truth sample_data/pan.gt.csv sonarrec_out/pan
+      sonarrec evaluate sonarrec_out/pan
       sonarrec evaluate --ground-truth gt.csv sonarrec_out/log_7 --min-visible 0.5
       sonarrec evaluate --pairs pairs.csv --details
       sonarrec evaluate --ground-truth gt.csv --compare before after --fail-on-regression 0.02
     """
-    if pairs is not None and (ground_truth or results or compare):
+    if pairs is not None and (ground_truth or results):
         raise UsageError("--pairs names results and truth itself; give neither beside it")
     if compare is not None and results is not None:
         raise UsageError("--compare takes OLD and NEW; give no RESULTS beside it")
     if band is not None and compare is None:
         raise UsageError("--fail-on-regression goes with --compare")
-    if ground_truth is None and pairs is None:
-        raise UsageError("nothing to score against: give --ground-truth, or --pairs")
-    from sonarrec.remote.run import Here, inside
+    from sonarrec.remote.run import Here
 
     with ExitStack() as held:  # what was written is uploaded as it closes, so nothing leaves inside
         here = Here(held, cache.cache)
         truth = here.file(ground_truth)
-        if truth is not None and compare is not None:
-            old, new = map(here.results, compare)
-            folder = here.output(out or inside(compare[1], "evaluation"))
-            code = _compare(old, new, truth, folder, band, quiet, scoring, here)
+        if compare is not None:
+            code = _compare(compare, truth, pairs, out, band, as_json, quiet, scoring, here)
         else:
-            code = _evaluate(results, truth, pairs, out, unit, scoring, details, det, quiet, here)
+            shown = _Shown(details, as_json, quiet)
+            code = _score(results, truth, pairs, out, unit, det, shown, scoring, here)
     if code:
         leave(code)
 
 
-def _evaluate(
+@dataclass(frozen=True, slots=True)
+class _Shown:
+    """What goes to stdout."""
+
+    details: bool
+    as_json: bool
+    quiet: bool
+
+
+def _score(
     results: Path | str | None,
-    truth: Path | None,
+    ground_truth: Path | None,
     pairs: Path | None,
     out: Path | str | None,
     unit: Any,
-    scoring: dict[str, Any],
-    details: bool,
     det: bool,
-    quiet: bool,
+    shown: _Shown,
+    scoring: dict[str, Any],
     here: Here,
 ) -> int:
     """The exit code."""
     from sonarrec.evaluation import tabulate, write
     from sonarrec.evaluation.evaluate import evaluate as score
-    from sonarrec.evaluation.evaluate import evaluate_pairs, read_pairs
+    from sonarrec.evaluation.evaluate import evaluate_pairs
+    from sonarrec.evaluation.pairs import read_pairs
     from sonarrec.evaluation.summary import summarise
     from sonarrec.remote.run import inside
 
-    if truth is not None:
-        results = results or Path("sonarrec_out")
-        found = score(here.results(results), truth, **scoring)
-        folder = here.output(out or inside(results, "evaluation"))
-    else:
-        assert pairs is not None
+    if pairs is not None:
         found = evaluate_pairs(read_pairs(pairs), **scoring)
         folder = here.output(out or pairs.parent / "evaluation")
+    else:
+        results = results or Path("sonarrec_out")
+        found = score(here.results(results), ground_truth, **scoring)
+        folder = here.output(out or inside(results, "evaluation"))
     summary = summarise(found, unit)
     written = write.write_evaluation(folder, found, summary, det)
     unused = [*here.unused, *map(here.told, found.unused)]
     tell(unused)
-    if not quiet:
+    if shown.as_json:
+        click.echo(here.told(write.json_text(write.as_json(found, summary))), nl=False)
+    elif not shown.quiet:
         click.echo(tabulate.screen(found))
-        click.echo(tabulate.summary_screen(found, summary, details))
+        click.echo(tabulate.summary_screen(found, summary, shown.details))
         for note in (*found.notes, *summary.notes):
             click.echo(f"note: {here.told(note)}")
         click.echo(f"{here.told(str(folder))}: {', '.join(written)}")
@@ -170,25 +189,35 @@ def _evaluate(
 
 
 def _compare(
-    old: Path,
-    new: Path,
-    ground_truth: Path,
-    folder: Path,
+    sides: tuple[Path | str, Path | str],
+    ground_truth: Path | None,
+    pairs: Path | None,
+    out: Path | str | None,
     band: float | None,
+    as_json: bool,
     quiet: bool,
     scoring: dict[str, Any],
     here: Here,
 ) -> int:
     """The exit code."""
     from sonarrec.evaluation import compare, write
+    from sonarrec.evaluation.pairs import read_pairs
+    from sonarrec.remote.run import inside
 
-    found = compare.compare(old, new, ground_truth, **scoring)
-    write.write_comparison(folder, found)
+    truth = read_pairs(pairs) if pairs is not None else ground_truth
+    old, new = map(here.results, sides)
+    found = compare.compare(old, new, truth, **scoring)
+    folder = here.output(out or inside(sides[1], "evaluation"))
+    written = write.write_comparison(folder, found)
     unused = [*here.unused, *map(here.told, found.unused)]
     tell(unused)
-    if not quiet:
+    if as_json:
+        click.echo(here.told(write.json_text(write.comparison_as_json(found))), nl=False)
+    elif not quiet:
         click.echo(compare.screen(found))
-        click.echo(f"{here.told(str(folder))}: compare.csv, changes.csv")
+        for note in found.notes:
+            click.echo(f"note: {here.told(note)}")
+        click.echo(f"{here.told(str(folder))}: {', '.join(written)}")
     regressions = [] if band is None else found.regressions(band)
     tell(f"worse: {line}" for line in regressions)
     return 1 if regressions else PARTLY if unused else 0

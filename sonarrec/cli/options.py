@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial, wraps
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import IO, Any, NoReturn
 
 import click
 
 from sonarrec.records import Clock, UsageError
 
 FAILED = 1  # exit code: nothing could be used
+MISUSED = 2  # exit code: an option cannot be meant, or an input is not there
 PARTLY = 3  # exit code: finished, but part of the input could not be used
 FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 NEW_FILE = click.Path(dir_okay=False, path_type=Path)
@@ -37,8 +38,8 @@ ANY_OR_URL = _OrUrl(path_type=Path)
 
 # The groups of --help, in this order.
 INPUT, SCORING, LEARNING, SETTINGS = "Input", "Scoring", "Learning", "Settings"
-GEOMETRY, PIXELS, OUTPUT = "Geometry", "Pixels", "Output"
-_GROUPS = (INPUT, SCORING, LEARNING, SETTINGS, GEOMETRY, PIXELS, OUTPUT)
+GEOMETRY, PIXELS, BATCH, OUTPUT = "Geometry", "Pixels", "Many logs", "Output"
+_GROUPS = (INPUT, SCORING, LEARNING, SETTINGS, GEOMETRY, PIXELS, BATCH, OUTPUT)
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 
@@ -179,7 +180,7 @@ _PIXELS = {
     ),
 }
 topic_option = option(
-    INPUT, "--topic", help="Channel of an MCAP that holds several image channels."
+    INPUT, "--topic", help="Channel of an MCAP or bag that holds several image channels."
 )
 _TIME = {
     "time": option(
@@ -190,6 +191,39 @@ _TIME = {
         "in the order of log time.  [default: log]",
     )
 }
+
+
+_RECURSIVE = option(
+    INPUT, "--recursive", is_flag=True, help="Of a folder also the logs in all folders below it."
+)
+_FROM_FILE = option(
+    INPUT,
+    "--from-file",
+    type=click.File(encoding="utf-8", errors="surrogateescape"),
+    metavar="LIST",
+    help="Logs in a file, each as LOG on a line of its own; - for standard input. Empty lines and "
+    "those that begin with # are passed over.",
+)
+
+
+def many_logs_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """--recursive and --from-file, of commands that take many logs."""
+    return _RECURSIVE(_FROM_FILE(function))
+
+
+def named_logs(logs: tuple[str, ...], from_file: IO[str] | None, recursive: bool) -> Any:
+    """The logs of a command that takes many, NamedLogs and, of servers, RemoteLogs.
+
+    Raises click's UsageError without any.
+    """
+    from sonarrec.remote.run import all_logs
+
+    if not logs and from_file is None:
+        raise click.UsageError(
+            "Missing argument 'LOG...'; a list serves as well: --from-file LIST",
+            click.get_current_context(),
+        )
+    return all_logs(logs, from_file or (), recursive=recursive)
 
 
 @dataclass(frozen=True, slots=True)
@@ -285,6 +319,12 @@ landmarks_option = option(
     help="Landmark set: a built-in name or a TOML file.  "
     "[default: that of run.toml where one is read, else basin]",
 )
+
+
+def frames_option(text: str) -> Decorator:
+    """--frames; text: what becomes of these frames."""
+    text = f"{text} Either may be left out."
+    return option(INPUT, "--frames", metavar="A:B", help=text)
 
 
 def ground_truth_option(text: str, required: bool = False, kind: click.Path = FILE) -> Decorator:
@@ -402,6 +442,11 @@ quiet_option = option(
 )
 
 
+verbose_option = option(
+    OUTPUT, "-v", "--verbose", is_flag=True, help="A line on stderr for each log that is finished."
+)
+
+
 def out_option(kind: click.Path, text: str, **told: Any) -> Decorator:
     """-o, --out; text: what it names."""
     return option(OUTPUT, "-o", "--out", type=kind, help=text, **told)
@@ -431,14 +476,17 @@ def fetching(quiet: bool, name: str) -> Iterator[Callable[[int, int | None], Non
 
 
 @contextmanager
-def progress(quiet: bool, total: int | None = None) -> Iterator[Callable[..., None]]:
+def progress(
+    quiet: bool, total: int | None = None, title: str | None = None
+) -> Iterator[Callable[..., None]]:
     """A progress bar over frames on stderr; silent when quiet and where stderr is no terminal.
 
-    Yields what to call after each frame: step(total=None, note="").
+    title: what stands before it. Yields what to call after each frame: step(total=None, note="").
     """
     from tqdm import tqdm
 
-    with tqdm(total=total, unit="frame", leave=False, disable=True if quiet else None) as bar:
+    off = True if quiet else None
+    with tqdm(total=total, desc=title, unit="frame", leave=False, disable=off) as bar:
 
         def step(total: int | None = None, note: str = "") -> None:
             if total is not None:
@@ -450,12 +498,32 @@ def progress(quiet: bool, total: int | None = None) -> Iterator[Callable[..., No
         yield step
 
 
+@contextmanager
+def progress_of_logs(quiet: bool, logs: int) -> Iterator[Callable[[float, str], None]]:
+    """A progress bar over logs that run side by side, as `progress`.
+
+    Yields what to call from time to time: at(logs done, with the shares of those that run; note).
+    """
+    from tqdm import tqdm
+
+    layout = "{percentage:3.0f}%|{bar}| {postfix} [{elapsed}<{remaining}]"
+    off = True if quiet else None
+    with tqdm(total=logs, bar_format=layout, leave=False, disable=off) as bar:
+
+        def at(done: float, note: str) -> None:
+            bar.set_postfix_str(note, refresh=False)
+            bar.update(max(done - bar.n, 0))
+
+        yield at
+
+
 def tell(problems: Iterable[str], notes: Iterable[str] = ()) -> None:
-    """Notes and problems, a line each, on stderr."""
-    for note in notes:
-        click.echo(f"sonarrec: note: {note}", err=True)
-    for problem in problems:
-        click.echo(f"sonarrec: {problem}", err=True)
+    """Notes and problems, a line each, on stderr; where nobody can read it, nothing is lost."""
+    with suppress(OSError):
+        for note in notes:
+            click.echo(f"sonarrec: note: {note}", err=True)
+        for problem in problems:
+            click.echo(f"sonarrec: {problem}", err=True)
 
 
 def leave(code: int) -> NoReturn:

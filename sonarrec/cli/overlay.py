@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import click
@@ -13,6 +12,7 @@ from sonarrec.cli.options import (
     PARTLY,
     LogChoice,
     command,
+    frames_option,
     ground_truth_option,
     landmarks_option,
     leave,
@@ -37,12 +37,7 @@ from sonarrec.records import UsageError
     OUTPUT, "--images", type=ANY, metavar="DIR", help="The frames drawn, as DIR/000000.png, ..."
 )
 @option(OUTPUT, "--method", help="Method of estimates.csv.  [default: framework]")
-@option(
-    OUTPUT,
-    "--frames",
-    metavar="A:B",
-    help="From frame A up to, not including, B; either may be left out.",
-)
+@frames_option("Draw only these frames, from A up to, not including, B.")
 @option(OUTPUT, "--grid", is_flag=True, help="Range rings and bearings in videos and images.")
 @quiet_option
 def overlay(
@@ -79,6 +74,7 @@ def overlay(
       sonarrec overlay log.mcap results/log --images shots --frames 100:120 --method smi
     """
     from sonarrec.overlay.overlay import Targets, write_overlay
+    from sonarrec.results.run_file import frame_span
 
     targets = {"--mcap": mcap, "--video": video, "--images": images}
     if not any(targets.values()):
@@ -89,7 +85,7 @@ def overlay(
             Targets(mcap, video, images),
             results=results,
             method=method,
-            span=_span(frames),
+            span=(0, None) if frames is None else frame_span(frames),
             ground_truth=ground_truth,
             landmarks=landmarks,
             **log_choice.arguments(),
@@ -102,16 +98,3 @@ def overlay(
             click.echo(f"{target}: {done.frames} frames, {done.method}")
     if done.problems:
         leave(PARTLY)
-
-
-def _span(text: str | None) -> tuple[int, int | None]:
-    """(first, one past the last or None) of "A:B", either of which may be left out."""
-    match = re.fullmatch(r"(\d*):(\d*)", text or ":")
-    if match is None:
-        raise UsageError(f"--frames: expected A:B, two frame numbers, not {text!r}")
-    first, end = int(match[1] or 0), int(match[2]) if match[2] else None
-    if end is not None and end <= first:
-        raise UsageError(
-            f"--frames {text}: there is no frame from {first} up to, not including, {end}"
-        )
-    return first, end

@@ -25,6 +25,7 @@ from sonarrec.drawing import (
     pixel_unit,
 )
 from sonarrec.landmarks import LandmarkSet
+from sonarrec.outputs import OVERLAY_LIBRARY
 from sonarrec.readers.mcap.foxglove import json_schema
 from sonarrec.records import Estimate, FloatArray, Frame, SonarrecError
 
@@ -47,7 +48,7 @@ class FoxgloveFile:
         try:
             self._file = path.open("wb")
             self._writer = Writer(self._file, compression=CompressionType.ZSTD)
-            self._writer.start(library="sonarrec")
+            self._writer.start(library=OVERLAY_LIBRARY)
         except OSError as error:
             raise SonarrecError(f"{path}: cannot be written ({error.strerror})") from None
         self._annotations = self._channel(ANNOTATIONS_TOPIC, "foxglove.ImageAnnotations")

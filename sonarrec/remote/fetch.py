@@ -7,27 +7,28 @@ it there too, and a line that names a file is told with the server's name of it.
 from __future__ import annotations
 
 import threading
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
-from sonarrec.readers.find import names_a_log, names_an_image
-from sonarrec.readers.images import natural_order
-from sonarrec.records import Origin, SonarrecError
+from sonarrec.readers.bag_folder import METADATA, are_parts
+from sonarrec.readers.find import log_name, names_a_log
+from sonarrec.readers.images import names_an_image, natural_order
+from sonarrec.records import MissingError, Origin, SonarrecError, UsageError
 from sonarrec.remote.cache import Cache, Entry, NoRoomError, key_of
 from sonarrec.remote.urls import Url, parse_url
+from sonarrec.results.folders import TABLES
 
 if TYPE_CHECKING:
     from sonarrec.remote.store import Item, Store
 
 COMPANIONS = ("sonar.toml", "poses.csv", "gt.csv")
 """What belongs to a log: these, and each as NAME.sonar.toml and so on."""
-BAG = "metadata.yaml"  # a folder with it is one log
-RESULTS = ("run.toml", "frames.csv", "estimates.csv", "estimates.parquet")
+RESULTS = ("run.toml", *TABLES)
 """What is read of results. run.toml is uploaded last: without it they are not finished."""
 _LARGE = 2**20  # bytes of a file that is written down at once, lest it be fetched anew after a kill
 Told = Callable[[int, int | None], None]
@@ -49,9 +50,19 @@ class RemoteLog:
     @property
     def path(self) -> Path:
         """As if the server were a disk: what results are named by. Of a glob its folder."""
-        url = _fixed(self.url) if _is_glob(self.url) else self.url
+        url = _fixed(self.url)
         host = url.front.partition("://")[2].rpartition("@")[2]
         return Path("/", host, url.path.strip("/"))
+
+    @property
+    def shown(self) -> str:
+        """The URL for lines and files, without its secrets."""
+        return self.url.shown
+
+    @property
+    def name(self) -> str:
+        """Of its results."""
+        return log_name(self.path) if _is_file(self.url) else self.path.name
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,11 +85,15 @@ def find(text: str, *, recursive: bool = False) -> list[RemoteLog]:
 
     A folder of images or a bag is one log, and so are the images that match. Of a server that does
     not answer the URL itself is the log, which is told when its turn comes.
-    Raises UsageError where the URL cannot be meant.
+    Raises UsageError where the URL cannot be meant, or a folder holds images and other logs.
     """
     url = parse_url(text)
     try:
         return _found(url, recursive)
+    except MissingError:
+        return [RemoteLog(url)]
+    except UsageError:
+        raise
     except SonarrecError:
         return [RemoteLog(url)]
 
@@ -87,7 +102,7 @@ def _found(url: Url, recursive: bool) -> list[RemoteLog]:
     from sonarrec.remote.store import Store
 
     if _is_glob(url):
-        logs = [item.url for item in Store(url).glob(url) if names_a_log(item.url.name)]
+        logs = _bags_as_one(Store(url), url)
         up_to = _fixed(url)
     elif _is_file(url):
         return [RemoteLog(url)]
@@ -99,13 +114,35 @@ def _found(url: Url, recursive: bool) -> list[RemoteLog]:
     return [RemoteLog(log, up_to) for log in logs]
 
 
+def _bags_as_one(store: Store, pattern: Url) -> list[Url]:
+    """The logs that match, parts of a bag as the bag."""
+    matching = [item.url for item in store.glob(pattern) if names_a_log(item.url.name)]
+    names = defaultdict[Url, list[str]](list)
+    for url in matching:
+        names[url.parent].append(url.name)
+    bags = {
+        folder
+        for folder, inside in names.items()
+        if are_parts(inside, folder.name) or store.companion(folder.child(METADATA))
+    }
+    logs = (url.parent if url.parent in bags else url for url in matching)
+    return list(dict.fromkeys(logs))
+
+
 def _below(store: Store, folder: Url, recursive: bool) -> Iterator[Url]:
     files, folders = store.listing(folder)
     names = [item.url.name for item in files]
-    if BAG in names or any(map(names_an_image, names)):
+    if "frames.csv" in names:  # results, whose pictures are no logs
+        return
+    if METADATA in names or are_parts(names, folder.name):
         yield folder
         return
-    if "frames.csv" in names:  # results, whose pictures are no logs
+    if any(map(names_an_image, names)):
+        if any(map(names_a_log, names)):
+            raise UsageError(
+                f"{folder.shown}: holds images and other logs; choose with a quoted glob"
+            )
+        yield folder
         return
     yield from (item.url for item in files if names_a_log(item.url.name))
     for name in folders:
@@ -125,7 +162,7 @@ def _is_glob(url: Url) -> bool:
 
 
 def _fixed(url: Url) -> Url:
-    """The folder in front of the first wildcard."""
+    """The folder in front of the first wildcard; without one the URL itself."""
     while _is_glob(url):
         url = url.parent
     return url
@@ -137,7 +174,7 @@ def _wanted(log: RemoteLog, store: Store) -> tuple[Url, str, list[Item]]:
     if _is_file(url):
         folder, items, root = url.parent, [store.file(url)], log.up_to or url.parent
     else:
-        folder = _fixed(url) if _is_glob(url) else url
+        folder = _fixed(url)
         root = log.up_to or folder.parent
         if _is_glob(url):
             items = [i for i in store.glob(url) if names_an_image(i.url.name)]
@@ -145,7 +182,7 @@ def _wanted(log: RemoteLog, store: Store) -> tuple[Url, str, list[Item]]:
             items = [i for i in items if fnmatchcase(i.url.name, pattern)]
         else:
             files, _ = store.listing(url)
-            kept = (*COMPANIONS, BAG)
+            kept = (*COMPANIONS, METADATA)
             items = [i for i in files if _belongs(i.url.name, kept)]
         if not any(names_a_log(i.url.name) or names_an_image(i.url.name) for i in items):
             raise SonarrecError(f"{url.shown}: no log and no image here")
@@ -165,8 +202,7 @@ def _companions(
 
     Above a folder that was given itself only that which bears its name.
     """
-    stem = _stem(log)
-    own = [f"{stem}.{name}" for name in COMPANIONS]
+    own = [f"{log.name}.{name}" for name in COMPANIONS]
     places = [(folder, [*own, *COMPANIONS])]
     while folder.path.strip("/") != root.path.strip("/"):
         folder = folder.parent
@@ -174,12 +210,6 @@ def _companions(
     urls = [place.child(name) for place, names in places for name in names]
     found = [store.companion(url) for url in urls if str(url) not in there]
     return [item for item in found if item is not None]
-
-
-def _stem(log: RemoteLog) -> str:
-    from sonarrec.readers.find import log_name
-
-    return log_name(log.path) if _is_file(log.url) else log.path.name
 
 
 def _relative(url: Url, root: Url) -> str:
@@ -221,6 +251,20 @@ def hold(
     with _kept(log.url.shown, root, items, cache, told, stop, wait) as entry:
         origin = Origin(log.url.shown, str(entry.files), root.place.rstrip("/"))
         yield Fetched(entry.files / name, origin, entry.files if log.up_to else None)
+
+
+def fetch_ahead(log: RemoteLog, cache: Cache) -> None:
+    """Fetch a log meanwhile, where there is room beside those in use, for `fetched` to find.
+
+    What fails is told by `fetched`.
+    """
+
+    def fetch() -> None:
+        with suppress(Exception), hold(log, cache, untold, threading.Event(), wait=False):
+            pass
+
+    # A daemon: a run that is stopped does not wait for a block that is on its way.
+    threading.Thread(target=fetch, daemon=True).start()
 
 
 @contextmanager

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import unquote
 
-from sonarrec.records import SonarrecError, UsageError, shown
+from sonarrec.records import MissingError, SonarrecError, UsageError, shown
 from sonarrec.remote.urls import Url
 
 try:
@@ -32,10 +32,6 @@ AT_ONCE = 8  # files of a folder
 BLOCK_BYTES = 2**24  # asked for at once: what is lost when a transfer breaks off
 _INSTALL = "pip install 'sonarrec[remote]'"
 T = TypeVar("T")
-
-
-class MissingError(SonarrecError):
-    """There is nothing at a URL."""
 
 
 class RefusedError(SonarrecError):

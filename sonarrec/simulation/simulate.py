@@ -399,9 +399,13 @@ def write_recording(
                 tilt_deg=sonar.tilt_deg, height_m=sonar.height_m, frame_rate_hz=sonar.frame_rate_hz
             )
     folder, prefix = (out.parent, f"{out.stem}.") if single else (out, "")
-    in_use = out.exists() if single else out.is_dir() and any(out.iterdir())
-    if in_use:
-        raise SonarrecError(f"{out}: already exists and is not empty; choose another --out")
+    names = [out.name] if single else [""]
+    names += [
+        f"{prefix}{name}" for name in ("gt.csv", "scene.toml", "sonar.toml", "landmarks.toml")
+    ]
+    for path in (folder / name for name in names):
+        if path.is_file() or (path.is_dir() and (single or any(path.iterdir()))):
+            raise SonarrecError(f"{path}: already exists and is not empty; choose another --out")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with (folder / f"{prefix}gt.csv").open("w", newline="", encoding="utf-8") as file:

@@ -656,8 +656,8 @@ def test_a_run_that_was_cut_short(work: Path) -> None:
         ("--video o.gif", 2, "o.gif: a video is written as NAME.mp4"),
         ("--video none/o.mp4", 1, "none/o.mp4: cannot be written"),
         ("--mcap none/o.mcap", 1, "none/o.mcap: cannot be written"),
-        ("--images log", 2, "log: this is the recording itself"),
-        ("--images log/sonar.toml", 1, "log/sonar.toml: cannot be made"),
+        ("--images log", 2, "log/000000.png: would be a part of the recording itself"),
+        ("--images log/sonar.toml", 2, "log/sonar.toml: would be a part of the recording"),
         ("--mcap o.mcap --frames 3", 2, "--frames: expected A:B"),
         ("--mcap o.mcap --frames 3:3", 2, "no frame from 3 up to, not including, 3"),
         ("--mcap o.mcap --frames 9:", 2, "no frame lies in --frames 9:"),
@@ -700,7 +700,7 @@ def test_full_disk(target: str, count: int, work: Path) -> None:
 
 
 def test_no_such_log(work: Path) -> None:
-    told = sonarrec("overlay", "nowhere.mcap", "--mcap", "o.mcap", code=1)
+    told = sonarrec("overlay", "nowhere.mcap", "--mcap", "o.mcap", code=2)
     assert told.stderr == "sonarrec: nowhere.mcap: no such file or folder\n"
     assert not (work / "o.mcap").exists()
 

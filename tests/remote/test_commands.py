@@ -18,7 +18,7 @@ from tests.support.logs import cdr_image, frames, image_folder, mcap_file
 from tests.support.servers import web_server
 
 Sonarrec = Callable[..., Result]
-TABLES = ("estimates.csv", "frames.csv", "run.toml")
+TABLES = ("estimates.csv", "frames.csv", "run.toml", "sightings.csv")
 
 
 @pytest.fixture
@@ -83,7 +83,7 @@ def test_one_that_fails_costs_itself_only(sonarrec: Sonarrec) -> None:
         "sonarrec: s3://dives/day/none.mcap: nothing is there",
         "2 done, 1 failed: s3://dives/day/none.mcap",
     ]
-    assert sonarrec("run", "s3://dives/day/none.mcap").exit_code == 1
+    assert sonarrec("run", "s3://dives/day/none.mcap").exit_code == 2  # as of a local one
 
 
 def test_faults_name_the_server(sonarrec: Sonarrec, s3: Any, day: Path) -> None:
@@ -105,8 +105,10 @@ def test_results_go_to_a_server_and_are_up_to_date_there(
     result = sonarrec("run", str(day / "a.mcap"), "s3://dives/day/b.mcap", *out)
     assert result.exit_code == 0
     assert "s3://dives/out/a: 6 frames" in result.stdout
-    assert keys(s3)[3:] == [f"out/{log}/{table}" for log in "ab" for table in TABLES]
-    assert not list((tmp_path / "cache" / "out").rglob("*.csv"))
+    assert keys(s3)[3:] == [*(f"out/{log}/{t}" for log in "ab" for t in TABLES), "out/logs.csv"]
+    status = sonarrec("status", "s3://dives/out")
+    assert status.stdout.startswith("2 logs: 2 done\n12 frames, ")
+    assert not list((tmp_path / "cache" / "out").rglob("estimates.csv"))
     assert sonarrec("run", str(day / "a.mcap"), *out).stdout == (
         "s3://dives/out/a: up to date, 6 frames\n"
     )
@@ -146,8 +148,8 @@ def test_a_partial_upload_is_no_result_and_is_finished_by_the_next_run(
     assert "s3://dives/out/a: left out, for its upload is not finished" in told.stderr
     again = sonarrec(*run, "--seed", "1")
     assert again.stdout == "s3://dives/out/a: up to date, 6 frames\n"
-    assert [k for k in keys(s3) if k.startswith("out/")] == [f"out/a/{t}" for t in TABLES]
-    assert not list(waits.parent.rglob("*.csv"))
+    assert [k for k in keys(s3) if k.startswith("out/a/")] == [f"out/a/{t}" for t in TABLES]
+    assert not waits.exists()
 
 
 @pytest.mark.usefixtures("day")
@@ -193,7 +195,9 @@ def test_logs_of_equal_names_are_told_apart(sonarrec: Sonarrec, s3: Any, day: Pa
     upload(s3, day / "b.mcap", "night/a.mcap")
     upload(s3, day / "sonar.toml", "night/sonar.toml")
     assert sonarrec("run", "s3://dives/day/a.mcap", "s3://dives/night/a.mcap", "-q").exit_code == 0
-    assert sorted(p.name for p in Path("sonarrec_out").iterdir()) == ["day-a", "night-a"]
+    assert sorted(p.name for p in Path("sonarrec_out").iterdir()) == [
+        *("day-a", "logs.csv", "night-a")
+    ]
 
 
 @pytest.mark.usefixtures("day")

@@ -12,9 +12,8 @@ import pytest
 
 from sonarrec.records import SonarrecError
 from sonarrec.remote import store
-from sonarrec.remote.ahead import Ahead
 from sonarrec.remote.cache import Cache, size_bytes
-from sonarrec.remote.fetch import RemoteLog, fetched, find
+from sonarrec.remote.fetch import RemoteLog, fetch_ahead, fetched, find
 from sonarrec.remote.urls import parse_url
 from tests.support.logs import SONAR_TOML
 from tests.support.servers import web_server
@@ -317,52 +316,32 @@ def test_sizes() -> None:
 # Ahead
 
 
-def test_the_next_log_comes_while_one_is_used(site: Path, cache: Cache) -> None:
-    for n in range(3):
-        noise(site / f"{n}.mcap", seed=n)
+def test_a_log_that_was_fetched_ahead_is_not_fetched_again(site: Path, cache: Cache) -> None:
+    noise(site / "a.mcap")
     with web_server(site) as web:
-        logs = [RemoteLog(parse_url(f"{web.url}/{n}.mcap")) for n in range(3)]
-        ahead = Ahead([logs[0], None, *logs[1:]], cache)
-        with ahead.log(0) as first:
-            assert first is not None
-            for _ in range(200):
-                if web.gets("1.mcap"):
-                    break
-                time.sleep(0.01)
-            assert [len(web.gets(f"{n}.mcap")) for n in range(3)] == [1, 1, 0]
-        with ahead.log(1) as local:
-            assert local is None
-        for n in (2, 3):
-            with ahead.log(n) as log:
-                assert log is not None
-                assert log.path.read_bytes() == (site / f"{n - 1}.mcap").read_bytes()
-        ahead.close()
-        assert [len(web.gets(f"{n}.mcap")) for n in range(3)] == [1, 1, 1]
+        log = RemoteLog(parse_url(f"{web.url}/a.mcap"))
+        fetch_ahead(log, cache)
+        for _ in range(200):
+            if web.gets("a.mcap"):
+                break
+            time.sleep(0.01)
+        with fetched(log, cache) as found:  # waits until it is whole
+            assert found.path.read_bytes() == (site / "a.mcap").read_bytes()
+        assert len(web.gets("a.mcap")) == 1
 
 
-def test_one_that_does_not_fit_beside_the_log_in_use_waits(site: Path, tmp_path: Path) -> None:
+def test_one_that_does_not_fit_beside_the_log_in_use_comes_later(
+    site: Path, tmp_path: Path
+) -> None:
     cache = Cache(tmp_path / "cache", 60_000)
     for n in range(2):
         noise(site / f"{n}.mcap", seed=n)
     with web_server(site) as web:
-        ahead = Ahead([RemoteLog(parse_url(f"{web.url}/{n}.mcap")) for n in range(2)], cache)
-        for n in range(2):
-            with ahead.log(n) as log:
-                assert log is not None
-                assert log.path.read_bytes() == (site / f"{n}.mcap").read_bytes()
-                time.sleep(0.2)
-        ahead.close()
-
-
-def test_one_that_fails_is_told_when_its_turn_comes(site: Path, cache: Cache) -> None:
-    noise(site / "0.mcap")
-    noise(site / "2.mcap")
-    with web_server(site) as web:
-        ahead = Ahead([RemoteLog(parse_url(f"{web.url}/{n}.mcap")) for n in range(3)], cache)
-        with ahead.log(0) as log:
-            assert log is not None
-        with pytest.raises(SonarrecError, match=r"1\.mcap: nothing is there"), ahead.log(1):
-            pass
-        with ahead.log(2) as log:
-            assert log is not None
-        ahead.close()
+        logs = [RemoteLog(parse_url(f"{web.url}/{n}.mcap")) for n in range(2)]
+        with fetched(logs[0], cache) as first:
+            fetch_ahead(logs[1], cache)
+            time.sleep(0.2)
+            assert first.path.read_bytes() == (site / "0.mcap").read_bytes()
+            assert not web.gets("1.mcap")
+        with fetched(logs[1], cache) as second:
+            assert second.path.read_bytes() == (site / "1.mcap").read_bytes()

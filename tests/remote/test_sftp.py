@@ -11,6 +11,7 @@ from sonarrec.records import SonarrecError
 from sonarrec.remote.cache import Cache
 from sonarrec.remote.fetch import fetched, fetched_results, find
 from sonarrec.remote.upload import Outbox
+from sonarrec.remote.urls import parse_url
 from tests.support.servers import sftp_server
 
 PASSWORD = "hidden-word"
@@ -45,7 +46,7 @@ def test_logs_come_with_what_lies_beside_them(url: str, disk: Path, cache: Cache
 
 
 def test_results_go_there_and_come_back(url: str, disk: Path, cache: Cache) -> None:
-    box = Outbox(f"{url}/out/new", cache)
+    box = Outbox(parse_url(f"{url}/out/new"), cache)
     for text in ("first", "second"):
         with box.results("a"):
             for name in ("run.toml", "frames.csv", "estimates.csv"):

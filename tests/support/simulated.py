@@ -20,7 +20,8 @@ import numpy as np
 from tqdm import tqdm
 
 from sonarrec.config import Config
-from sonarrec.evaluation.evaluate import Evaluation, Pair, evaluate_pairs
+from sonarrec.evaluation.evaluate import Evaluation, evaluate_pairs
+from sonarrec.evaluation.pairs import Pair
 from sonarrec.geometry import polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.recogniser import FRAMEWORK, SMI
