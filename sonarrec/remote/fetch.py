@@ -90,11 +90,9 @@ def find(text: str, *, recursive: bool = False) -> list[RemoteLog]:
     url = parse_url(text)
     try:
         return _found(url, recursive)
-    except MissingError:
-        return [RemoteLog(url)]
-    except UsageError:
-        raise
-    except SonarrecError:
+    except SonarrecError as error:
+        if isinstance(error, UsageError) and not isinstance(error, MissingError):
+            raise
         return [RemoteLog(url)]
 
 
@@ -139,9 +137,7 @@ def _below(store: Store, folder: Url, recursive: bool) -> Iterator[Url]:
         return
     if any(map(names_an_image, names)):
         if any(map(names_a_log, names)):
-            raise UsageError(
-                f"{folder.shown}: holds images and other logs; choose with a quoted glob"
-            )
+            raise UsageError(f"{folder.shown}: holds images and other logs; choose by a glob")
         yield folder
         return
     yield from (item.url for item in files if names_a_log(item.url.name))

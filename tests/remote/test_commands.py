@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 import tomllib
@@ -113,7 +114,10 @@ def test_results_go_to_a_server_and_are_up_to_date_there(
         "s3://dives/out/a: up to date, 6 frames\n"
     )
     replaced = sonarrec("run", str(day / "a.mcap"), "--seed", "1", *out)
-    assert "s3://dives/out/a: results from before are replaced (other settings)" in replaced.stderr
+    assert (
+        "s3://dives/out/a: results from before are replaced (other settings: seed)"
+        in replaced.stderr
+    )
     table = s3.get_object(Bucket="dives", Key="out/a/run.toml")["Body"].read().decode()
     assert tomllib.loads(table)["config"]["seed"] == 1
     small_mcap(tmp_path / "other" / "a.mcap", seed=7)
@@ -180,6 +184,40 @@ def test_evaluate_and_report_read_results_there_and_put_theirs_beside(
     assert partly.exit_code == 3
     assert "s3://dives/out/b: left out" in partly.stderr
     assert Path("page.html").exists()
+
+
+@pytest.mark.usefixtures("day")
+def test_with_one_job_the_results_are_those_of_several(sonarrec: Sonarrec) -> None:
+    logs = [f"s3://dives/day/{n}.mcap" for n in "ab"]
+    for out, jobs in (("one", "1"), ("two", "2")):
+        assert sonarrec("run", *logs, "-o", out, "-j", jobs).exit_code == 0
+    for table in ("a/estimates.csv", "b/estimates.csv", "b/frames.csv"):
+        assert Path("one", table).read_bytes() == Path("two", table).read_bytes()
+
+
+def test_json_has_the_sightings_that_were_uploaded(
+    sonarrec: Sonarrec, day: Path, tmp_path: Path
+) -> None:
+    there = sonarrec("run", str(day / "a.mcap"), "-o", "s3://dives/out", "--json")
+    here = sonarrec("run", str(day / "a.mcap"), "-o", str(tmp_path / "out"), "--json")
+    (far,), (near,) = (json.loads(told.stdout)["logs"] for told in (there, here))
+    assert far.pop("folder") == "s3://dives/out/a"
+    near.pop("folder")
+    assert far == near
+
+
+def test_a_dry_run_uploads_nothing(sonarrec: Sonarrec, s3: Any, day: Path) -> None:
+    run = ["run", str(day / "a.mcap"), "s3://dives/day/b.mcap", "-o", "s3://dives/out"]
+    before = keys(s3)
+    told = sonarrec(*run, "--dry-run")
+    assert told.stdout.splitlines() == [f"{day}/a.mcap: new", "s3://dives/day/b.mcap: new"]
+    assert keys(s3) == before
+    assert sonarrec(*run, "-q").exit_code == 0
+    assert {
+        line.rpartition(": ")[2] for line in sonarrec(*run, "--dry-run").stdout.splitlines()
+    } == {"up to date"}
+    failed = sonarrec(*run, "--retry-failed")
+    assert failed.stderr == "nothing to do\n"
 
 
 @pytest.mark.usefixtures("day")
