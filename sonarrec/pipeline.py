@@ -31,6 +31,7 @@ from sonarrec.records import (
     UsageError,
     shown,
 )
+from sonarrec.remote.fetch import RemoteLog
 from sonarrec.results.folders import folder_names
 from sonarrec.results.run_file import Given, Held, held_results
 from sonarrec.results.sightings import Sighting, Sightings
@@ -154,13 +155,16 @@ class Recogniser:
         yield from recogniser.recognise(chain([first], left))
 
 
-def result_names(logs: Sequence[str | Path]) -> list[str | None]:
+def result_names(logs: Sequence[str | Path | RemoteLog]) -> list[str | None]:
     """The name of each log's results, no two alike; None where the log cannot be found.
 
     Raises UsageError where nothing tells two logs apart.
     """
     places: dict[int, tuple[str, Path]] = {}
     for i, log in enumerate(logs):
+        if isinstance(log, RemoteLog):
+            places[i] = log.name, log.path
+            continue
         with suppress(SonarrecError):  # said when its turn comes
             source = find_log(log)
             one = source.path if source.path.exists() else source.files[0].parent
@@ -184,6 +188,7 @@ def process(
     The same results are not made again, and those of another log not replaced, but with overwrite.
     Raises SonarrecError for input or settings that cannot be used.
     """
+    told = given.origin.told if given.origin else str
     with prepared(Path(path), Path(out), given, used, name) as it:
         if not overwrite:
             held = held_results(it.folder, it.table)
@@ -194,9 +199,10 @@ def process(
         plausibility, sightings = Plausibility(), Sightings(it.fan, it.poses)
         with ResultsWriter(it.folder, it.landmarks, it.table, sightings) as writer:
             _recognise(it, writer, plausibility, observe)
-            problems = [*it.log.problems, *it.recogniser.problems()]
+            problems = [told(line) for line in (*it.log.problems, *it.recogniser.problems())]
             writer.finish(problems, it.log.unusable)
         it.notes.extend([*it.log.notes, *it.recogniser.notes(), *_doubts(it, writer, plausibility)])
+        it.notes[:] = map(told, it.notes)
         return Summary(
             it.folder,
             writer.frames,

@@ -89,7 +89,7 @@ def prepared(
             source,
             log.reading(),
         )
-        table["input"]["path"] = shown(path)
+        table["input"]["path"] = given.origin.url if given.origin else shown(path)
         if given.frames is not None:
             table["input"]["frames"] = _told(span)
         if poses is not None:

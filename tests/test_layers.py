@@ -15,6 +15,7 @@ FLOORS = (
     {"config", "sonar", "landmarks", "poses", "tables"},
     {"geometry"},
     {"recogniser", "readers", "results", "drawing"},
+    {"remote"},
     {"prepared", "truth", "simulation"},
     {"pipeline"},
     {"evaluation", "overlay", "learning", "batch", "mapping"},
@@ -41,6 +42,10 @@ MAY_IMPORT = {
     "tomllib": ("toml",),
     "pandas": ("tables", "results.frames", "report.mistakes"),
     "matplotlib": ("evaluation.plots", "mapping.picture", "report.charts", "truth.contact_sheet"),
+    "fsspec": ("remote.store",),
+    "aiohttp": ("remote.store",),
+    "sshfs": ("remote.store",),
+    "platformdirs": ("remote.cache",),
     "jinja2": ("report.page", "report.compare"),
     "tomli_w": ("results.write", "simulation.simulate"),
     "cv2": (
@@ -58,8 +63,18 @@ MAY_IMPORT = {
 }
 """Of each package but numpy the modules that may import it, by how their names begin."""
 # What `sonarrec --help`, `run` and `simulate` load; heavy packages must not come with it.
-LIGHT = ("cli", "pipeline", "simulation.simulate", "readers.mcap.images", "readers.mcap.poses")
-HEAVY = {"pandas", "matplotlib", "scipy", "rosbags", "google", "ruamel"}
+LIGHT = (
+    "cli",
+    "pipeline",
+    "remote.run",
+    "simulation.simulate",
+    "readers.mcap.images",
+    "readers.mcap.poses",
+)
+HEAVY = {
+    *("pandas", "matplotlib", "scipy", "rosbags", "google", "ruamel"),
+    *("fsspec", "platformdirs", "distributed"),
+}
 
 Sources = dict[str, str]
 PACKAGE = Path(__file__).parents[1] / "sonarrec"

@@ -19,6 +19,7 @@ from typing import IO, Any
 
 from sonarrec.batch.task import Outcome, Task, do
 from sonarrec.records import FrameResult, SonarrecError
+from sonarrec.remote.fetch import fetch_ahead
 
 GRACE_S = 10.0
 """How long a process may take to write down what it has after SIGTERM, before SIGKILL."""
@@ -161,12 +162,15 @@ class Watch:
     def frames(self, i: int, done: int, total: int | None) -> None:
         """So many frames of task i are done; told from time to time."""
 
+    def fetching(self, i: int, came: int, total: int | None) -> None:
+        """So many bytes of the log of task i came; told of a log of this process only."""
+
     def ended(self, i: int, outcome: Outcome) -> None:
         """Task i has ended."""
 
 
 def run_here(tasks: list[Task], watch: Watch) -> None:
-    """Run tasks one after the other in this process."""
+    """Run tasks one after the other in this process; the next log on a server comes meanwhile."""
     for i, task in enumerate(tasks):
         done = 0
 
@@ -174,9 +178,18 @@ def run_here(tasks: list[Task], watch: Watch) -> None:
             nonlocal done
             done += 1
             watch.frames(i, done, total)
+            if done == 1:
+                _fetch_next(tasks[i + 1 :])
 
         watch.begun(i)
-        watch.ended(i, do(task, observe))
+        watch.ended(i, do(task, observe, partial(watch.fetching, i)))
+
+
+def _fetch_next(tasks: list[Task]) -> None:
+    for far in (task.elsewhere for task in tasks):
+        if far is not None and far.log is not None:
+            fetch_ahead(far.log, far.cache)
+            return
 
 
 def run_apart(tasks: list[Task], jobs: int, watch: Watch, timeout_s: float | None = None) -> None:

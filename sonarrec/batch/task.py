@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import monotonic
@@ -11,6 +13,8 @@ from sonarrec.pipeline import Observe, Summary, planned, process
 from sonarrec.prepared import Used
 from sonarrec.readers.find import log_name
 from sonarrec.records import SonarrecError
+from sonarrec.remote.fetch import Told, fetched, untold
+from sonarrec.remote.run import Elsewhere
 from sonarrec.results.folders import part_of
 from sonarrec.results.run_file import Given
 
@@ -21,12 +25,13 @@ Status = Literal["waiting", "running", "done", "partial", "failed"]
 class Task:
     """A log to run; it can be pickled, and handed to another process or machine."""
 
-    path: str
+    path: str  # of a log on a server its URL without secrets
     name: str | None  # of its results, see pipeline.result_names
-    out: str
+    out: str  # where they are made
     given: Given
     used: Used
     overwrite: bool = False
+    elsewhere: Elsewhere | None = None  # what of it lies on servers
 
     def absolute(self) -> Task:
         """The same for a process that works in another folder."""
@@ -61,6 +66,7 @@ class Outcome:
     status: Status  # `partial`: part of the log could not be used
     seconds: float = 0.0  # taken by the log
     summary: Summary | None = None  # None where it failed
+    folder: str = ""  # where its results are now: a path, or a URL
     error: SonarrecError | None = None  # what failed, where it did
     fault: str = ""  # the traceback of a fault of our own, where its process could print one
 
@@ -76,11 +82,11 @@ class Outcome:
 
 def plan(task: Task) -> str:
     """What `do` would do, and why; nothing is written. Raises SonarrecError as it would."""
-    path = Path(task.path)
-    folder = Path(task.out) / (task.name or log_name(path))
     if task.overwrite:
         return "done anew (asked for)"
-    held = planned(path, task.out, task.given, task.used, name=task.name)
+    with _at_hand(task, upload=False) as (path, given, _):
+        folder = Path(task.out) / (task.name or log_name(path))
+        held = planned(path, task.out, given, task.used, name=task.name)
     if held.up_to_date:
         return "up to date"
     if held.why:
@@ -88,19 +94,54 @@ def plan(task: Task) -> str:
     return "done anew (it was stopped before its end)" if part_of(folder).exists() else "new"
 
 
-def do(task: Task, observe: Observe | None = None) -> Outcome:
-    """Run a task in this process. What the input lacks is an outcome; our own faults are raised."""
+def do(task: Task, observe: Observe | None = None, fetching: Told = untold) -> Outcome:
+    """Run a task in this process. What the input lacks is an outcome; our own faults are raised.
+
+    fetching: told as the bytes of a log on a server come.
+    """
     begun = monotonic()
     try:
-        summary = process(
-            Path(task.path),
-            task.out,
-            task.given,
-            task.used,
-            observe,
-            name=task.name,
-            overwrite=task.overwrite,
-        )
+        with _at_hand(task, fetching) as (path, given, told):
+            summary = process(
+                path,
+                task.out,
+                given,
+                task.used,
+                observe,
+                name=task.name,
+                overwrite=task.overwrite,
+            )
     except SonarrecError as error:
         return Outcome("failed", monotonic() - begun, error=error)
-    return Outcome("partial" if summary.problems else "done", monotonic() - begun, summary)
+    summary = replace(
+        summary,
+        problems=[told(line) for line in summary.problems],
+        notes=[told(line) for line in summary.notes],
+    )
+    status: Status = "partial" if summary.problems else "done"
+    return Outcome(status, monotonic() - begun, summary, told(str(summary.folder)))
+
+
+@contextmanager
+def _at_hand(
+    task: Task, fetching: Told = untold, *, upload: bool = True
+) -> Iterator[tuple[Path, Given, Callable[[str], str]]]:
+    """What to open, what is given of it, and what puts a server's names into a line.
+
+    A log on a server is in the cache meanwhile; results for one are uploaded at the end.
+    """
+    far = task.elsewhere
+    path, given = Path(task.path), task.given
+    told: Callable[[str], str] = str
+    with ExitStack() as held:
+        if far is not None and far.log is not None:
+            found = held.enter_context(fetched(far.log, far.cache, fetching))
+            path, given = found.path, replace(given, up_to=found.up_to, origin=found.origin)
+        if far is not None and far.out is not None:
+            from sonarrec.remote.upload import Outbox  # with fsspec, only where needed
+
+            box = Outbox(far.out, far.cache)
+            told = box.origin.told
+            if task.name is not None:
+                held.enter_context(box.results(task.name, upload=upload))
+        yield path, given, told

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from sonarrec.cli.bars import progress
 from sonarrec.cli.options import (
     LEARNING,
     NEW_FILE,
@@ -19,7 +20,6 @@ from sonarrec.cli.options import (
     log_options,
     option,
     out_option,
-    progress,
     quiet_option,
     settings_options,
     tell,

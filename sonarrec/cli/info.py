@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from contextlib import ExitStack, nullcontext
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 import click
 
+from sonarrec.cli.bars import fetching, progress
 from sonarrec.cli.options import (
     INPUT,
     NEW_FILE,
@@ -23,15 +25,18 @@ from sonarrec.cli.options import (
     many_logs_options,
     named_logs,
     option,
-    progress,
     quiet_option,
     tell,
 )
+from sonarrec.cli.options_remote import CacheChoice, cache_options
 from sonarrec.cli.passes import YEAR_2000_NS
 from sonarrec.records import MissingError, SonarrecError, UsageError
 
 if TYPE_CHECKING:
     from sonarrec.readers.info import Channel, Container, Images, LogInfo
+    from sonarrec.readers.many import NamedLog
+    from sonarrec.records import Origin
+    from sonarrec.remote.fetch import RemoteLog
 
 
 @command(short_help="Show what is in a log, and whether it is whole.")
@@ -53,6 +58,7 @@ if TYPE_CHECKING:
     help="Draw the first usable frame under the stated geometry, with discs of the set to scale.",
 )
 @option(OUTPUT, "--json", "as_json", is_flag=True, help="Print JSON. Keys: sonarrec help info.")
+@cache_options
 @quiet_option
 def info(
     log: tuple[str, ...],
@@ -63,6 +69,7 @@ def info(
     landmarks: str | None,
     preview: Path | None,
     as_json: bool,
+    cache: CacheChoice,
     quiet: bool,
 ) -> None:
     """Show what is in LOG, whether it is whole, and how `run` would read it.
@@ -71,7 +78,7 @@ def info(
     DIDSON, Oculus), a folder of logs, or a quoted glob of these. Every frame is read, and every
     checksum compared, to tell how many frames can be used; --quick leaves that out. A geometry that
     is not complete is told but no fault. Exit code 3: part of the log cannot be used; 1: nothing
-    can.
+    can. LOG may be on a server (`sonarrec help remote`).
 
     --preview draws range rings, bearings, the near edge of the stated floor and three discs of the
     landmark set onto the first usable frame: what is wrong with a geometry shows at a glance.
@@ -84,39 +91,70 @@ def info(
       sonarrec info --json dive.mcap | jq '.logs[0].images[].usable'
     """
     from sonarrec import __version__
-    from sonarrec.readers.info import describe
 
-    reading = log_choice.arguments()
     tables: list[dict[str, Any]] = []
     useless = missing = faulty = 0
     logs = named_logs(log, from_file, recursive)
+    names = [_name(one) for one in logs]
     if preview is not None:
-        _check_preview(preview, [one.path for one in logs])
-    for number, (path, up_to) in enumerate((one.path, one.up_to) for one in logs):
-        try:
-            with progress(quiet) as step:
-                found = describe(path, **reading, quick=quick, observe=step, up_to=up_to)
-        except SonarrecError as error:
-            if isinstance(error, UsageError) and not isinstance(error, MissingError):
-                raise
-            useless += 1
-            missing += isinstance(error, MissingError)
-            tables.append({"path": path, "error": str(error)})
-            tell([str(error)])
-            continue
-        useless += found.nothing
-        faulty += found.partly
-        tables.append(found.as_table())
-        if preview is not None:
-            _draw_preview(path, preview, landmarks, {**reading, "up_to": up_to})
-        if not as_json:
-            click.echo("\n".join(["", *lines(found)] if number else lines(found)))
+        _check_preview(preview, names)
+    for number, (name, one) in enumerate(zip(names, logs, strict=True)):
+        reading = log_choice.arguments()
+        with ExitStack() as held:
+            try:
+                path, reading["up_to"], origin = _at_hand(one, cache, quiet, held)
+                found = _described(path, reading, origin, quick, quiet)
+            except SonarrecError as error:
+                if isinstance(error, UsageError) and not isinstance(error, MissingError):
+                    raise
+                useless += 1
+                missing += isinstance(error, MissingError)
+                tables.append({"path": name, "error": str(error)})
+                tell([str(error)])
+                continue
+            useless += found.nothing
+            faulty += found.partly
+            tables.append(found.as_table())
+            if preview is not None:
+                _draw_preview(path, preview, landmarks, reading)
+            if not as_json:
+                click.echo("\n".join(["", *lines(found)] if number else lines(found)))
     if as_json:
         click.echo(json.dumps({"version": __version__, "logs": tables}, indent=2))
     if useless == len(logs):
         leave(2 if missing == useless else 1)
     if useless or faulty:
         leave(PARTLY)
+
+
+def _name(log: NamedLog | RemoteLog) -> str:
+    from sonarrec.readers.many import NamedLog
+
+    return log.path if isinstance(log, NamedLog) else log.shown
+
+
+def _at_hand(
+    log: NamedLog | RemoteLog, cache: CacheChoice, quiet: bool, held: ExitStack
+) -> tuple[str, Path | None, Origin | None]:
+    """(what to open, up to where what belongs to it lies, where it was fetched from)."""
+    from sonarrec.readers.many import NamedLog
+    from sonarrec.remote.fetch import fetched
+
+    if isinstance(log, NamedLog):
+        return log.path, log.up_to, None
+    with fetching(quiet, log.shown) as came:
+        found = held.enter_context(fetched(log, cache.cache(), came))
+    return str(found.path), found.up_to, found.origin
+
+
+def _described(
+    path: str, reading: dict[str, Any], origin: Origin | None, quick: bool, quiet: bool
+) -> LogInfo:
+    from sonarrec.readers.info import describe
+
+    with progress(quiet) as step, origin.translated() if origin else nullcontext():
+        found = describe(path, **reading, quick=quick, observe=step)
+    return found.fetched_from(origin) if origin else found
 
 
 def _check_preview(preview: Path, logs: Sequence[str]) -> None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial, wraps
 from pathlib import Path
@@ -20,6 +20,7 @@ FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 NEW_FILE = click.Path(dir_okay=False, path_type=Path)
 FOLDER = click.Path(file_okay=False, path_type=Path)
 ANY = click.Path(path_type=Path)
+
 
 # The groups of --help, in this order.
 INPUT, SCORING, LEARNING, SETTINGS = "Input", "Scoring", "Learning", "Settings"
@@ -62,7 +63,7 @@ def option(group: str, *names: str, **told: Any) -> Decorator:
     return click.option(*names, cls=GroupedOption, group=group, **told)
 
 
-def _as_one(
+def as_one(
     argument: str, options: Mapping[str, Decorator], make: Callable[[dict[str, Any]], Any]
 ) -> Decorator:
     """Add options, and hand their values to the command as the one argument `argument`."""
@@ -197,8 +198,11 @@ def many_logs_options(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def named_logs(logs: tuple[str, ...], from_file: IO[str] | None, recursive: bool) -> Any:
-    """The NamedLogs of a command that takes many. Raises click's UsageError without any."""
-    from sonarrec.readers.many import all_logs
+    """The logs of a command that takes many, NamedLogs and, of servers, RemoteLogs.
+
+    Raises click's UsageError without any.
+    """
+    from sonarrec.remote.run import all_logs
 
     if not logs and from_file is None:
         raise click.UsageError(
@@ -251,13 +255,11 @@ def log_options(*, pixels: bool = True, time: bool = False) -> Decorator:
     options = (
         {"topic": topic_option} | (_TIME if time else {}) | _GEOMETRY | (_PIXELS if pixels else {})
     )
-    return _as_one("log_choice", options, LogChoice)
+    return as_one("log_choice", options, LogChoice)
 
 
 # The geometry alone, as the Sonar `sonar`, where no log is opened.
-geometry_options = _as_one("sonar", _GEOMETRY, lambda values: LogChoice(values).sonar_without_log())
-
-
+geometry_options = as_one("sonar", _GEOMETRY, lambda values: LogChoice(values).sonar_without_log())
 # Results and truth
 
 landmarks_option = option(
@@ -274,10 +276,10 @@ def frames_option(text: str) -> Decorator:
     return option(INPUT, "--frames", metavar="A:B", help=text)
 
 
-def ground_truth_option(text: str, required: bool = False) -> Decorator:
-    """--ground-truth; text: what it is for."""
+def ground_truth_option(text: str, required: bool = False, kind: click.Path = FILE) -> Decorator:
+    """--ground-truth; text: what it is for. kind: FILE_OR_URL where it may be on a server."""
     text = f"{text} Columns: sonarrec help truth."
-    return option(INPUT, "--ground-truth", type=FILE, required=required, help=text)
+    return option(INPUT, "--ground-truth", type=kind, required=required, help=text)
 
 
 _SCORING = {
@@ -307,7 +309,7 @@ def _scoring(values: dict[str, Any]) -> dict[str, Any]:
 
 
 # --min-visible, --tolerance, --landmarks and the geometry, as one `scoring`: keyword arguments.
-scoring_options = _as_one("scoring", _SCORING | _GEOMETRY, _scoring)
+scoring_options = as_one("scoring", _SCORING | _GEOMETRY, _scoring)
 
 
 # Settings
@@ -375,7 +377,7 @@ class SettingsChoice:
         return chosen
 
 
-settings_options = _as_one("settings", _SETTINGS, SettingsChoice)
+settings_options = as_one("settings", _SETTINGS, SettingsChoice)
 
 
 # What goes out
@@ -397,48 +399,6 @@ verbose_option = option(
 def out_option(kind: click.Path, text: str, **told: Any) -> Decorator:
     """-o, --out; text: what it names."""
     return option(OUTPUT, "-o", "--out", type=kind, help=text, **told)
-
-
-@contextmanager
-def progress(
-    quiet: bool, total: int | None = None, title: str | None = None
-) -> Iterator[Callable[..., None]]:
-    """A progress bar over frames on stderr; silent when quiet and where stderr is no terminal.
-
-    title: what stands before it. Yields what to call after each frame: step(total=None, note="").
-    """
-    from tqdm import tqdm
-
-    off = True if quiet else None
-    with tqdm(total=total, desc=title, unit="frame", leave=False, disable=off) as bar:
-
-        def step(total: int | None = None, note: str = "") -> None:
-            if total is not None:
-                bar.total = total
-            if note:
-                bar.set_postfix_str(note, refresh=False)
-            bar.update()
-
-        yield step
-
-
-@contextmanager
-def progress_of_logs(quiet: bool, logs: int) -> Iterator[Callable[[float, str], None]]:
-    """A progress bar over logs that run side by side, as `progress`.
-
-    Yields what to call from time to time: at(logs done, with the shares of those that run; note).
-    """
-    from tqdm import tqdm
-
-    layout = "{percentage:3.0f}%|{bar}| {postfix} [{elapsed}<{remaining}]"
-    off = True if quiet else None
-    with tqdm(total=logs, bar_format=layout, leave=False, disable=off) as bar:
-
-        def at(done: float, note: str) -> None:
-            bar.set_postfix_str(note, refresh=False)
-            bar.update(max(done - bar.n, 0))
-
-        yield at
 
 
 def tell(problems: Iterable[str], notes: Iterable[str] = ()) -> None:

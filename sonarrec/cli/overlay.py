@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from sonarrec.cli.bars import progress
 from sonarrec.cli.options import (
     ANY,
     NEW_FILE,
@@ -19,7 +20,6 @@ from sonarrec.cli.options import (
     leave,
     log_options,
     option,
-    progress,
     quiet_option,
     tell,
 )

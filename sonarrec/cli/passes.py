@@ -16,8 +16,11 @@ YEAR_2000_NS = 946_684_800 * 10**9
 """A time from here on is taken for one of the calendar."""
 
 
-def table(summary: Summary) -> list[str]:
-    """Lines to print: the passes by method, and how many more there are in sightings.csv."""
+def table(summary: Summary, folder: str) -> list[str]:
+    """Lines to print: the passes by method, and how many more there are in sightings.csv.
+
+    folder: where that is.
+    """
     lines: list[str] = []
     for method, count in summary.passes.items():
         lines += [f"{method}:"] if len(summary.passes) > 1 else []
@@ -32,7 +35,7 @@ def table(summary: Summary) -> list[str]:
         )
         lines += [_row(s, dated) for s in shown]
         if count > len(shown):
-            where = summary.folder / "sightings.csv"
+            where = f"{folder}/sightings.csv"
             lines.append(f"these are the longest; {count - len(shown)} more in {where}")
     return lines
 
@@ -59,16 +62,19 @@ def _utc(time_ns: int) -> str:
     return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%d %H:%M:%S}.{rest // 10**7:02d}"
 
 
-def as_json(summary: Summary) -> dict[str, Any]:
-    """What --json tells of a log that was run; `sightings` holds all of every method."""
+def as_json(summary: Summary, folder: str, sightings: Path) -> dict[str, Any]:
+    """What --json tells of a log that was run; `sightings` holds all of every method.
+
+    folder: where its results are. sightings: their sightings.csv.
+    """
     from sonarrec.results.sightings_file import sightings_in
 
     return {
-        "folder": str(summary.folder),
+        "folder": folder,
         "up_to_date": summary.up_to_date,
         "frames": summary.frames,
         "candidates": summary.candidates,
-        "sightings": [_plain(s) for s in sightings_in(Path(summary.folder) / "sightings.csv")],
+        "sightings": [_plain(s) for s in sightings_in(sightings)],
         "problems": summary.problems,
         "notes": summary.notes,
     }

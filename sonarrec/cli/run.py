@@ -16,7 +16,6 @@ from sonarrec.cli.options import (
     BATCH,
     FAILED,
     FILE,
-    FOLDER,
     INPUT,
     OUTPUT,
     PARTLY,
@@ -35,10 +34,17 @@ from sonarrec.cli.options import (
     settings_options,
     verbose_option,
 )
+from sonarrec.cli.options_remote import FOLDER_OR_URL, CacheChoice, cache_options
 from sonarrec.records import SonarrecError, UsageError, shown
 
 if TYPE_CHECKING:
+    from sonarrec.batch.processes import Watch
     from sonarrec.batch.task import Task
+    from sonarrec.prepared import Used
+    from sonarrec.readers.many import NamedLog
+    from sonarrec.remote.fetch import RemoteLog
+    from sonarrec.remote.upload import Outbox
+    from sonarrec.results.run_file import Given
 
 INTERRUPTED, TERMINATED = 130, 143
 """Exit codes of a run that was stopped by Ctrl-C or SIGTERM."""
@@ -72,7 +78,7 @@ INTERRUPTED, TERMINATED = 130, 143
 )
 @settings_options
 @out_option(
-    FOLDER, "Results go to OUT/<log name>.", default=Path("sonarrec_out"), show_default=True
+    FOLDER_OR_URL, "Results go to OUT/<log name>.", default=Path("sonarrec_out"), show_default=True
 )
 @option(
     OUTPUT,
@@ -117,6 +123,7 @@ INTERRUPTED, TERMINATED = 130, 143
     help="Run the logs on a Dask cluster, such as tcp://host:8786: see help cluster.",
 )
 @option(OUTPUT, "--json", "as_json", is_flag=True, help="Print one JSON document on stdout.")
+@cache_options
 @verbose_option
 @quiet_option
 def run(
@@ -130,7 +137,7 @@ def run(
     frames: str | None,
     model: Path | None,
     settings: SettingsChoice,
-    out: Path,
+    out: Path | str,
     overwrite: bool,
     jobs: int | None,
     retry_failed: bool,
@@ -139,6 +146,7 @@ def run(
     shard: str | None,
     scheduler: str | None,
     as_json: bool,
+    cache: CacheChoice,
     verbose: bool,
     quiet: bool,
 ) -> None:
@@ -149,7 +157,8 @@ def run(
     is read from sonar.toml beside it (NAME.sonar.toml for one file) or in a folder above, up to the
     LOG given; from --sonar, or from the flags; polar sonar messages tell their own, all but the
     tilt and the height, as do sonars' own files. Several logs are processed side by side; one that
-    cannot be used does not stop the others.
+    cannot be used does not stop the others. LOG and OUT may be on a server (`sonarrec help
+    remote`).
 
     Results are replaced only when the new ones are finished, and not made again where they are up
     to date. A run that is stopped leaves its part in OUT/<log name>.part.
@@ -165,12 +174,9 @@ def run(
       sonarrec run campaign/ --recursive
       sonarrec run 'dives/**/*.mcap'
       sonarrec run --from-file dives.txt
+      sonarrec run s3://dives/2026-11-20/ -o s3://dives/results
     """
-    from sonarrec.batch.logs_table import again
-    from sonarrec.batch.processes import run_apart, run_here
-    from sonarrec.batch.task import Task
     from sonarrec.cli.run_watch import RunWatch
-    from sonarrec.pipeline import result_names
     from sonarrec.prepared import Used
     from sonarrec.results.run_file import Given, frame_span
 
@@ -184,14 +190,11 @@ def run(
     )
     used = Used(settings.configs(), landmarks, model, settings.file)
     logs = named_logs(log, from_file, recursive)
-    names = result_names([one.path for one in logs])
-    tasks = [
-        Task(one.path, name, str(out), replace(given, up_to=one.up_to), used, overwrite)
-        for one, name in zip(logs, names, strict=True)
-    ]
-    tasks = _share(tasks, shard)
+    box = _outbox(out, cache)
+    out = Path(out) if box is None else box.folder
+    tasks = _share(_tasks(logs, out, given, used, overwrite, box, cache), shard)
     if retry_failed:
-        tasks = again(tasks, out)
+        tasks = _again(tasks, out, box)
     if not tasks:
         click.echo("nothing to do", err=True)
         return
@@ -199,21 +202,76 @@ def run(
         _plan(tasks)
         return
     jobs = min(jobs or os.cpu_count() or 1, len(tasks))
-    watch = RunWatch(tasks, out, jobs=jobs, quiet=quiet, verbose=verbose, json=as_json)
+    watch = RunWatch(tasks, out, box, jobs=jobs, quiet=quiet, verbose=verbose, json=as_json)
     folders = [out / task.name for task in tasks if task.name is not None]
     with _stoppable(folders), watch:
-        if scheduler is not None:
-            from sonarrec.batch.cluster import run_on_cluster
-
-            run_on_cluster(tasks, scheduler, watch, timeout)
-        elif jobs > 1 or timeout is not None:
-            run_apart(tasks, jobs, watch, timeout)
-        else:
-            run_here(tasks, watch)
+        _run(tasks, watch, jobs, timeout, scheduler)
     if len(logs) == 1 and watch.error is not None:
         raise watch.error
     watch.count()
     leave(watch.exit_code())
+
+
+def _run(
+    tasks: list[Task], watch: Watch, jobs: int, timeout: float | None, scheduler: str | None
+) -> None:
+    from sonarrec.batch.processes import run_apart, run_here
+
+    if scheduler is not None:
+        from sonarrec.batch.cluster import run_on_cluster
+
+        run_on_cluster(tasks, scheduler, watch, timeout)
+    elif jobs > 1 or timeout is not None:
+        run_apart(tasks, jobs, watch, timeout)
+    else:
+        run_here(tasks, watch)
+
+
+def _outbox(out: Path | str, cache: CacheChoice) -> Outbox | None:
+    """What uploads results, where OUT is on a server."""
+    from sonarrec.remote.urls import is_url, parse_url
+
+    if not is_url(out):
+        return None
+    from sonarrec.remote.upload import Outbox  # with fsspec, only where needed
+
+    return Outbox(parse_url(out), cache.cache())
+
+
+def _tasks(
+    logs: Sequence[NamedLog | RemoteLog],
+    out: Path,
+    given: Given,
+    used: Used,
+    overwrite: bool,
+    box: Outbox | None,
+    cache: CacheChoice,
+) -> list[Task]:
+    from sonarrec.batch.task import Task
+    from sonarrec.pipeline import result_names
+    from sonarrec.remote.fetch import RemoteLog
+    from sonarrec.remote.run import Elsewhere
+
+    tasks = []
+    names = result_names([one if isinstance(one, RemoteLog) else one.path for one in logs])
+    for one, name in zip(logs, names, strict=True):
+        remote = one if isinstance(one, RemoteLog) else None
+        far = None
+        if remote or box:
+            far = Elsewhere(cache.cache(), remote, box.url if box else None)
+        path, up_to = (one.shown, None) if isinstance(one, RemoteLog) else (one.path, one.up_to)
+        known = replace(given, up_to=up_to)
+        tasks.append(Task(path, name, str(out), known, used, overwrite, far))
+    return tasks
+
+
+def _again(tasks: list[Task], out: Path, box: Outbox | None) -> list[Task]:
+    """Of tasks those that logs.csv has as failed or partial."""
+    from sonarrec.batch.logs_table import NAME, again
+
+    if box is not None:
+        box.fetch(NAME)
+    return again(tasks, out)
 
 
 def _plan(tasks: list[Task]) -> None:

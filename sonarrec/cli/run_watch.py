@@ -7,18 +7,22 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from time import monotonic
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from sonarrec import __version__
-from sonarrec.batch.logs_table import LogsTable
+from sonarrec.batch.logs_table import NAME, LogsTable
 from sonarrec.batch.processes import Watch
 from sonarrec.batch.task import Outcome, Task
-from sonarrec.cli.options import FAILED, MISUSED, PARTLY, progress, progress_of_logs, tell
+from sonarrec.cli.bars import fetching, progress, progress_of_logs
+from sonarrec.cli.options import FAILED, MISUSED, PARTLY, tell
 from sonarrec.cli.passes import as_json, table
 from sonarrec.pipeline import Summary
 from sonarrec.records import MissingError, SonarrecError
+
+if TYPE_CHECKING:
+    from sonarrec.remote.upload import Outbox
 
 MOST_SHOWN = 10
 """Logs of a call whose passes are printed; of more `sonarrec status` and the tables tell."""
@@ -28,9 +32,18 @@ class RunWatch(Watch):
     """Prints what becomes of the logs of a call, and keeps logs.csv. A context manager."""
 
     def __init__(
-        self, tasks: Sequence[Task], out: Path, *, jobs: int, quiet: bool, verbose: bool, json: bool
+        self,
+        tasks: Sequence[Task],
+        out: Path,
+        box: Outbox | None,
+        *,
+        jobs: int,
+        quiet: bool,
+        verbose: bool,
+        json: bool,
     ) -> None:
-        """jobs: how many run side by side."""
+        """out: where results are made. box: what uploads them. jobs: how many run side by side."""
+        self._box = box
         self._tasks = tasks
         self._table = LogsTable(out, tasks)
         self._out, self._jobs = out, jobs
@@ -42,6 +55,7 @@ class RunWatch(Watch):
         self._begun = monotonic()
         self._bars = ExitStack()
         self._step: Callable[..., None] | None = None  # of the bar of the one log that runs
+        self._came: Callable[[int, int | None], None] | None = None  # of the bytes of that log
         self._at: Callable[[float, str], None] | None = None  # of the bar over logs
 
     def __enter__(self) -> RunWatch:
@@ -51,9 +65,12 @@ class RunWatch(Watch):
             self._at = self._bars.enter_context(bar)
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: object, *_: object) -> None:
         self._bars.close()
-        self._table.write()
+        if self._box is None or kind is not None:  # a run that is stopped waits for no server
+            self._table.write()
+        else:
+            self._upload_table(self._box)
         if self._table.fault and all(o.status != "failed" for o in self._outcomes.values()):
             tell([self._table.fault])  # else it is told already: the disk is full
         if self._json:
@@ -61,17 +78,41 @@ class RunWatch(Watch):
             logs = [self._document(i) for i in range(len(self._tasks))]
             click.echo(json.dumps({"program": program, "logs": logs}, indent=2))
 
+    def _upload_table(self, box: Outbox) -> None:
+        """logs.csv beside the results, with the rows of calls from elsewhere."""
+        try:
+            box.fetch(NAME)
+            self._table.write()
+            box.put(NAME)
+        except SonarrecError as error:
+            self._table.write()
+            tell([str(error)])
+
     def begun(self, i: int) -> None:
         self._table.begun(i)
         self._running[i] = 0, None
         if self._at is None:
             self._bars.close()
-            bar = progress(self._quiet, title=f"{self._tasks[i].name}{self._of(i)}")
-            self._step = self._bars.enter_context(bar)
+            self._step = self._came = None
+            far = self._tasks[i].elsewhere
+            if far is None or far.log is None:
+                self._open_bar(i)
+
+    def _open_bar(self, i: int) -> None:
+        bar = progress(self._quiet, title=f"{self._tasks[i].name}{self._of(i)}")
+        self._step = self._bars.enter_context(bar)
+
+    def fetching(self, i: int, came: int, total: int | None) -> None:
+        if self._came is None:
+            self._came = self._bars.enter_context(fetching(self._quiet, self._tasks[i].path))
+        self._came(came, total)
 
     def frames(self, i: int, done: int, total: int | None) -> None:
         self._running[i] = done, total
         self._table.frames(i, done)
+        if self._at is None and self._step is None:
+            self._bars.close()  # of the bytes
+            self._open_bar(i)
         if self._step is not None:
             self._step(total)
         self._move()
@@ -121,7 +162,8 @@ class RunWatch(Watch):
             return
         line = ", ".join(f"{len(paths)} {how}" for how, paths in counts.items() if paths)
         if len(failed) > MOST_SHOWN:
-            line += f"; `sonarrec status {self._out}` lists them"
+            out = self._box.origin.url if self._box else self._out
+            line += f"; `sonarrec status {out}` lists them"
         elif failed:
             line += f": {', '.join(failed)}"
         click.echo(line, err=bool(failed) or self._json)
@@ -166,8 +208,8 @@ class RunWatch(Watch):
             if summary is None or self._quiet or self._json or len(self._tasks) > MOST_SHOWN:
                 continue
             frames = f"{summary.frames} frame{'s' * (summary.frames != 1)}"
-            click.echo(f"{summary.folder}: {'up to date, ' * summary.up_to_date}{frames}")
-            for line in [] if summary.up_to_date else table(summary):
+            click.echo(f"{outcome.folder}: {'up to date, ' * summary.up_to_date}{frames}")
+            for line in [] if summary.up_to_date else table(summary, outcome.folder):
                 click.echo(f"  {line}")
 
     def _document(self, i: int) -> dict[str, Any]:
@@ -178,7 +220,15 @@ class RunWatch(Watch):
         told["status"] = outcome.status
         if outcome.summary is None:
             return told | {"message": outcome.message}
-        return told | as_json(outcome.summary)
+        sightings = outcome.summary.folder / "sightings.csv"
+        if self._box is None:
+            return told | as_json(outcome.summary, outcome.folder, sightings)
+        held = f".{task.name}.sightings.csv"  # what was made is gone once it is uploaded
+        self._box.fetch(f"{task.name}/sightings.csv", held)
+        try:
+            return told | as_json(outcome.summary, outcome.folder, self._box.folder / held)
+        finally:
+            (self._box.folder / held).unlink(missing_ok=True)
 
 
 def _how(outcome: Outcome) -> str:

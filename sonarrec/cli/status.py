@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
 from time import time
@@ -11,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sonarrec.cli.options import FOLDER, OUTPUT, command, option
+from sonarrec.cli.options import OUTPUT, command, option
+from sonarrec.cli.options_remote import FOLDER_OR_URL, CacheChoice, cache_options
 from sonarrec.records import UsageError
 
 if TYPE_CHECKING:
@@ -19,22 +21,32 @@ if TYPE_CHECKING:
 
 
 @command(short_help="How far a run over many logs is, and what failed.")
-@click.argument("out", type=FOLDER, default=Path("sonarrec_out"))
+@click.argument("out", type=FOLDER_OR_URL, default=Path("sonarrec_out"))
 @option(OUTPUT, "--json", "as_json", is_flag=True, help="Print one JSON document on stdout.")
-def status(out: Path, as_json: bool) -> None:
+@cache_options
+def status(out: Path | str, as_json: bool, cache: CacheChoice) -> None:
     """Print how many logs of OUT (default sonarrec_out) are done, and which failed and why.
 
     It reads OUT/logs.csv, which `sonarrec run` keeps while it runs: so it also serves from another
-    terminal, and from another machine that sees the folder.
+    terminal, and from another machine that sees the folder. A run whose OUT is on a server uploads
+    it at its end.
 
     \b
     Examples:
       sonarrec status
       sonarrec status results --json
     """
-    from sonarrec.batch.logs_table import NAME, read_logs
+    from sonarrec.remote.run import Here, inside
 
-    path = out / NAME
+    with ExitStack() as held:
+        path = Here(held, cache.cache).file(inside(out, "logs.csv"))
+        assert path is not None
+        _tell(path, out, as_json)
+
+
+def _tell(path: Path, out: Path | str, as_json: bool) -> None:
+    from sonarrec.batch.logs_table import read_logs
+
     if not path.is_file():
         raise UsageError(f"{path}: no such file; `sonarrec run -o {out}` writes it")
     rows = read_logs(path)

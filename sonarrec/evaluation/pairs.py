@@ -10,6 +10,7 @@ from pathlib import Path
 from sonarrec.readers.find import Source, find_log
 from sonarrec.readers.images import MAX_FILE_BYTES, is_image
 from sonarrec.records import SonarrecError, UsageError
+from sonarrec.remote.urls import is_url
 from sonarrec.results.read import find_logs
 from sonarrec.results.run_file import Input, read_run
 from sonarrec.tables import line_number, read_header, read_table
@@ -103,6 +104,8 @@ def _truth_beside(folder: Path, source: Input) -> Path:
     """
     if source.path is None:
         raise SonarrecError(f"{folder}: no ground truth: run.toml does not tell where the log is")
+    if is_url(source.path):
+        raise SonarrecError(f"{folder}: no ground truth: its log is on a server, {source.path}")
     try:
         log = find_log(source.path)
     except SonarrecError as error:

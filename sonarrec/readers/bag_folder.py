@@ -9,7 +9,7 @@ from __future__ import annotations
 import heapq
 import re
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path, PurePosixPath
@@ -39,6 +39,15 @@ def is_bag_folder(folder: Path) -> bool:
     return bool(_numbered(folder))
 
 
+def are_parts(names: Iterable[str], folder: str) -> bool:
+    """Whether all logs among the names of a folder's files are named as a recorder names parts."""
+    stems = {match[1] if (match := _numbers(n)) else None for n in names if _is_stored(n)}
+    if len(stems) != 1:
+        return False
+    stem = stems.pop()
+    return stem is not None and (stem == folder or stem.startswith("rosbag2_"))
+
+
 def bag_files(folder: Path) -> list[Path]:
     """What a bag consists of, in order: metadata.yaml, and the parts that are there."""
     head = folder / METADATA
@@ -47,22 +56,21 @@ def bag_files(folder: Path) -> list[Path]:
 
 
 def _stored(folder: Path) -> list[Path]:
-    found = [p for p in folder.iterdir() if p.name.lower().endswith(_ENDINGS) and p.name[0] != "."]
-    return sorted(found, key=natural_order)
+    return sorted((p for p in folder.iterdir() if _is_stored(p.name)), key=natural_order)
+
+
+def _is_stored(name: str) -> bool:
+    return name.lower().endswith(_ENDINGS) and name[0] != "."
 
 
 def _numbered(folder: Path) -> list[Path]:
     """The parts by their names alone; none where one of the logs is not named so."""
     found = _stored(folder)
-    stems = {match[1] if (match := _numbers(p)) else None for p in found}
-    if len(stems) != 1 or None in stems:
-        return []
-    stem = stems.pop() or ""
-    return found if stem == folder.resolve().name or stem.startswith("rosbag2_") else []
+    return found if are_parts((p.name for p in found), folder.resolve().name) else []
 
 
-def _numbers(part: Path) -> re.Match[str] | None:
-    return re.match(r"(.*)_([0-9]{1,9})\.[^_]*$", part.name)
+def _numbers(part: str) -> re.Match[str] | None:
+    return re.match(r"(.*)_([0-9]{1,9})\.[^_]*$", part)
 
 
 def _listed(folder: Path) -> tuple[list[Path], dict[str, Any], list[str]]:
@@ -77,7 +85,7 @@ def _listed(folder: Path) -> tuple[list[Path], dict[str, Any], list[str]]:
         return parts, told, lines
     parts = _numbered(folder) or _stored(folder)
     lines = [] if problem is None else [f"{METADATA}: {problem}; the parts are read by their names"]
-    numbers = [int(match[2]) for p in parts if (match := _numbers(p))]
+    numbers = [int(match[2]) for p in parts if (match := _numbers(p.name))]
     for before, after in pairwise([-1, *numbers] if len(numbers) == len(parts) else []):
         if after > before + 1:
             which = f"{before + 1}" + f" to {after - 1}" * (after > before + 2)
@@ -94,8 +102,8 @@ def _there(part: Path) -> Path:
 
 def _follows(path: Path, parts: list[Path]) -> bool:
     """Whether a file is named as the parts are."""
-    stems = {match[1] for p in parts if (match := _numbers(p))}
-    return (match := _numbers(path)) is not None and match[1] in stems
+    stems = {match[1] for p in parts if (match := _numbers(p.name))}
+    return (match := _numbers(path.name)) is not None and match[1] in stems
 
 
 def _metadata(file: Path) -> tuple[dict[str, Any], str | None]:

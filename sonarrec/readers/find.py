@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import glob
 import os
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -202,9 +203,14 @@ def log_name(path: Path) -> str:
     return path.name[: len(path.name) - len(ending)] if ending else path.name
 
 
+def names_a_log(name: str) -> bool:
+    """Whether a file of this name is a log by itself: of a known kind, and no image."""
+    return any(r.ending(name) for r in READERS if r is not _IMAGES)
+
+
 def is_log_file(path: Path) -> bool:
-    """Whether a path is a file that is a log by itself: of a known kind, and no image."""
-    return any(r.ending(path.name) for r in READERS if r is not _IMAGES) and path.is_file()
+    """Whether a path is a file that is a log by itself."""
+    return names_a_log(path.name) and path.is_file()
 
 
 def matches(pattern: Path) -> list[Path]:
@@ -232,7 +238,9 @@ def _found(path: Path, up_to: Path | None) -> Source:
     elif path.is_symlink():
         raise SonarrecError(f"{shown(path)}: a link to a file that is not there")
     else:
-        raise MissingError(f"{shown(path)}: no such file or folder")
+        server = re.match(r"[A-Za-z][A-Za-z0-9+.-]+:/", str(path))
+        only = "; from servers only run, info, evaluate and report read" if server else ""
+        raise MissingError(f"{shown(path)}: no such file or folder{only}")
     reader = reader or _reader_of(path)
     return Source(path, _named(name), files, reader, up_to)
 

@@ -23,12 +23,17 @@ def natural_order(path: Path) -> tuple[list[tuple[int, int, str]], str]:
     return [(0, int(p), "") if p.isdecimal() else (1, 0, p) for p in parts], str(path)
 
 
+def names_an_image(name: str) -> bool:
+    """Whether a file of this name is taken for an image: of a known suffix, and not hidden."""
+    return Path(name).suffix.lower() in IMAGE_SUFFIXES and not name.startswith(".")
+
+
 def is_image(path: Path) -> bool:
     """Whether a path is taken for an image: a known suffix, not hidden, and a file.
 
     A link to a file that is not there is an image that cannot be read: it keeps its number.
     """
-    if path.suffix.lower() not in IMAGE_SUFFIXES or path.name.startswith("."):
+    if not names_an_image(path.name):
         return False
     try:
         return stat.S_ISREG(path.stat().st_mode)

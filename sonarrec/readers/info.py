@@ -14,7 +14,7 @@ from sonarrec.readers.find import Source, find_log
 from sonarrec.readers.log import Log
 from sonarrec.readers.plausible import Plausibility
 from sonarrec.readers.raw import RawFrame, RawLog
-from sonarrec.records import Fan, SonarrecError, UsageError, shown
+from sonarrec.records import Fan, Origin, SonarrecError, UsageError, shown
 from sonarrec.sonar import Sonar, sonar_from_table
 
 Observe = Callable[[int | None], None]
@@ -111,6 +111,24 @@ class LogInfo:
     def as_table(self) -> dict[str, Any]:
         """For JSON: every field by its name."""
         return asdict(self)
+
+    def fetched_from(self, origin: Origin) -> LogInfo:
+        """The same of a log that was fetched, with the server's names."""
+
+        def told(lines: list[str]) -> list[str]:
+            return [origin.told(line) for line in lines]
+
+        images = [
+            replace(
+                one,
+                geometry_from=one.geometry_from and origin.told(one.geometry_from),
+                origins={key: origin.told(where) for key, where in one.origins.items()},
+                notes=told(one.notes),
+                problems=told(one.problems),
+            )
+            for one in self.images
+        ]
+        return replace(self, path=origin.url, images=images, faults=told(self.faults))
 
     @property
     def nothing(self) -> bool:

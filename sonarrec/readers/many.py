@@ -43,16 +43,16 @@ def find_logs(names: Iterable[str], *, recursive: bool = False) -> list[NamedLog
     return logs
 
 
-def all_logs(
-    names: Iterable[str], listed: Iterable[str] = (), *, recursive: bool = False
-) -> list[NamedLog]:
-    """The logs that arguments and the lines of a list name. Of the list empty lines, and those that
-    begin with #, are none. Raises UsageError where no log is named."""
+def named(names: Iterable[str], listed: Iterable[str]) -> list[str]:
+    """Arguments, and the lines of a list: empty ones, and those that begin with #, are none.
+
+    Raises UsageError where no log is named.
+    """
     lines = (line.strip() for line in listed)
     logs = [*names, *(line for line in lines if line and not line.startswith("#"))]
     if not logs:
         raise UsageError("--from-file: the list names no log")
-    return find_logs(logs, recursive=recursive)
+    return logs
 
 
 def _named(name: str, recursive: bool) -> list[NamedLog]:

@@ -17,7 +17,7 @@ import numpy as np
 from sonarrec import __version__, config
 from sonarrec.geometry import fan_for_image
 from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
-from sonarrec.records import Clock, Fan, SonarrecError, UsageError
+from sonarrec.records import Clock, Fan, Origin, SonarrecError, UsageError
 from sonarrec.results.folders import TABLES
 from sonarrec.sonar import Sonar, sonar_from_table
 from sonarrec.toml import Count, checked, read_toml, types_of
@@ -190,6 +190,7 @@ class Given:
     odometry_topic: str | None = None  # the topic of the log that has them, in place of a table
     frames: tuple[int, int | None] | None = None  # only those from the first up to the second
     up_to: Path | None = None  # the folder up to which what lies beside the log is looked for
+    origin: Origin | None = None  # where a log that was fetched is from; run.toml says that
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,8 +12,9 @@ from click.testing import CliRunner, Result
 from sonarrec.cli import main
 from sonarrec.pipeline import result_names
 from sonarrec.readers.find import companion, find_log
-from sonarrec.readers.many import all_logs, find_logs
+from sonarrec.readers.many import find_logs
 from sonarrec.records import SonarrecError, UsageError
+from sonarrec.remote.run import all_logs
 from tests.support.bags import bag, messages, split_bag
 from tests.support.logs import SONAR_TOML, frames, image_folder, mcap_file
 
