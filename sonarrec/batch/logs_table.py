@@ -30,7 +30,7 @@ class Row:
     frames: int = 0  # processed
     unusable: int = 0  # frames of the log that could not be used
     seconds: float = 0.0  # that its last run took
-    declared: int = 0  # passes in sightings.csv, over all methods
+    declared: int = 0  # passes in sightings.csv of the methods that follow objects
     message: str = ""  # what could not be used, or why it failed
 
 
