@@ -263,11 +263,11 @@ def test_the_table_is_bounded_and_says_how_many_more(tmp_path: Path) -> None:
     assert [s.frames_declared for s in kept] == list(range(11, 31))
     assert len(kept) == MOST_SIGHTINGS
     summary = Summary(tmp_path / "dive", 1200, 0, 1200, [], [], passes, kept)
-    lines = table(summary)
+    lines = table(summary, summary.folder)
     assert len(lines) == MOST_SIGHTINGS + 2
     assert "UTC" in lines[0]
     assert "10 more in" in lines[-1]
     one = replace(kept[0], start_ns=start + 25 * 10**7)
-    assert "2023-11-14 22:13:20.25" in table(replace(summary, sightings=[one]))[1]
+    assert "2023-11-14 22:13:20.25" in table(replace(summary, sightings=[one]), summary.folder)[1]
     none = replace(summary, passes={"framework": 0}, sightings=[])
-    assert table(none) == ["no landmark declared"]
+    assert table(none, none.folder) == ["no landmark declared"]
