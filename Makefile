@@ -4,7 +4,7 @@ BIN := .venv/bin
 SAMPLE := sample_data/pan
 
 .PHONY: test lint demo bench memory fuzz paper paper-world paper-choices \
-	paper-prediction scenes worlds ablation study model regression clean
+	paper-prediction scenes worlds ablation study maps model regression kills scale clean
 
 .venv/program: pyproject.toml  # what a user needs
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
@@ -38,6 +38,12 @@ memory: .venv/installed  # peak memory of reading 1 GB logs in the shapes that c
 fuzz: .venv/installed  # 2,000 damaged logs through `sonarrec info` and `sonarrec run`
 	$(BIN)/python -m tests.studies.fuzz --files 2000
 
+scale: .venv/installed  # a thousand logs, killed and on a cluster; how cost grows (half an hour)
+	$(BIN)/python -m tests.studies.scale
+
+kills: .venv/installed  # forty runs stopped at random moments by three signals
+	$(BIN)/python -m tests.studies.kills
+
 paper: paper-world paper-choices paper-prediction  # the paper's comparison, in three parts
 
 paper-world: .venv/installed  # worlds in which SMI meets Table 4; writes worlds.toml
@@ -60,6 +66,9 @@ ablation: .venv/installed  # the default with one idea at a time put back
 
 study: .venv/installed  # the paper's scene thirty times over: intervals and tests
 	$(BIN)/python -m tests.studies.study
+
+maps: .venv/installed  # maps of simulated vehicle runs, and what they do for the path
+	$(BIN)/python -m tests.studies.maps
 
 model: .venv/installed  # the built-in appearance model, from simulated recordings (minutes)
 	$(BIN)/python -m sonarrec.learning.built_in

@@ -23,6 +23,7 @@ from sonarrec.geometry import (
     slant_range,
 )
 from sonarrec.landmarks import LandmarkSet
+from sonarrec.outputs import marked
 from sonarrec.records import ByteImage, Estimate, Fan, FloatArray, SonarrecError
 
 Colour = tuple[int, int, int]
@@ -133,13 +134,17 @@ def probability(estimate: Estimate, landmarks: LandmarkSet) -> float:
     return float(estimate.probabilities[landmarks.ids.index(estimate.landmark)])
 
 
-def caption(estimate: Estimate, landmarks: LandmarkSet) -> str:
-    """What is written at an object: "ID.3  0.97", with "?" undeclared, "" for none of these."""
+def caption(estimate: Estimate, landmarks: LandmarkSet, *, score: bool = False) -> str:
+    """What is written at an object: "ID.3  0.97", with "?" undeclared, "" for none of these.
+
+    score: the number is the score, as in tables of results, in place of the probability.
+    """
+    number = estimate.score if score else probability(estimate, landmarks)
     if estimate.declared:
-        return f"ID.{estimate.landmark}  {probability(estimate, landmarks):.2f}"
+        return f"ID.{estimate.landmark}  {number:.2f}"
     if np.argmax(estimate.probabilities) == len(landmarks.ids):
         return ""
-    return f"ID.{estimate.landmark}?  {probability(estimate, landmarks):.2f}"
+    return f"ID.{estimate.landmark}?  {number:.2f}"
 
 
 def enlargement(fan: Fan) -> int:
@@ -156,12 +161,13 @@ def draw_frame(
     paths: Mapping[int, FloatArray] | None = None,
     truth: Sequence[Mark] = (),
     grid: bool = False,
+    score: bool = False,
 ) -> ByteImage:
     """The frame with an outline, ID and probability for every estimate: one method's (Figure 13).
 
     image: (fan.rows, fan.columns) uint8. estimates: declared ones in the ID's colour, others thin
     and grey. paths: as `trails` gives them. truth: dashed white. grid: range rings and bearings
-    below all that.
+    below all that. score: scores in place of probabilities.
     Returns (rows, columns, 3) uint8 BGR, both sides `enlargement` times the fan's.
     """
     pen = _pen_on(image, fan)
@@ -176,7 +182,7 @@ def draw_frame(
         outline = disc_outline(fan, landmarks.radius_m, e.x_px, e.y_px)
         pen.line(outline, colour, 2 if e.declared else 1, closed=True)
         around = disc_outline(fan, AROUND * landmarks.radius_m, e.x_px, e.y_px)
-        pen.label(caption(e, landmarks), around, colour)
+        pen.label(caption(e, landmarks, score=score), around, colour)
     for mark in truth:
         outline = disc_outline(fan, AROUND * landmarks.radius_m, mark.x_px, mark.y_px)
         pen.dashes(outline, TRUTH)
@@ -231,8 +237,7 @@ def _ray(fan: Fan, bearing_deg: float) -> FloatArray:
 
 def disc_width_px(fan: Fan, landmarks: LandmarkSet) -> float:
     """How wide a disc of the set is, across the line of sight, in the middle of the window."""
-    middle = (fan.range_min_m + fan.range_max_m) / 2
-    column, row = pixel_from_polar(fan, middle, 0.0)
+    column, row = pixel_from_polar(fan, (fan.range_min_m + fan.range_max_m) / 2, 0.0)
     outline = disc_outline(fan, landmarks.radius_m, float(column), float(row))
     return float(np.ptp(outline[:, 0]))
 
@@ -353,7 +358,7 @@ def draw_picture(frame: ByteImage, strip: ByteImage) -> ByteImage:
 def write_png(path: Path, picture: ByteImage) -> None:
     """Write (rows, columns, 3) uint8 BGR. Raises SonarrecError where it cannot be written."""
     try:
-        path.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
+        path.write_bytes(marked(cv2.imencode(".png", picture)[1].tobytes()))
     except OSError as error:
         raise SonarrecError(f"{path}: cannot be written ({error.strerror})") from None
 

@@ -51,6 +51,15 @@ class LandmarkSet:
         symbol = (radius >= self.symbol[0]) & (radius <= self.symbol[1])
         return np.asarray(np.where(ring, 1.0, np.where(symbol, on, 0.0)))
 
+    def periods_deg(self) -> FloatArray:
+        """(K,) the smallest turn, in deg, that leaves each ID's symbol as it was; 360 mostly."""
+        count = len(self.sectors[0])
+        turns = [
+            next(n for n in range(1, count + 1) if code[n:] + code[:n] == code)
+            for code in self.sectors
+        ]
+        return np.asarray(turns, dtype=float) * (360 / count)
+
     def as_table(self) -> dict[str, Any]:
         """The set as plain TOML values, as load_landmarks reads them."""
         return {

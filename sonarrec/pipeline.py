@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from heapq import nlargest
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -14,18 +15,27 @@ from sonarrec.config import Config
 from sonarrec.config import preset as config_of
 from sonarrec.drawing import disc_width_px
 from sonarrec.landmarks import LandmarkSet, load_landmarks
-from sonarrec.poses import PoseTable
-from sonarrec.readers import open_log
+from sonarrec.prepared import Prepared, Used, prepared
 from sonarrec.readers.find import find_log
 from sonarrec.readers.log import Log
 from sonarrec.readers.plausible import Plausibility
-from sonarrec.readers.poses_csv import read_poses
 from sonarrec.recogniser.side_by_side import SideBySide
-from sonarrec.recogniser.stage3_features.model import ModelFile, model_from_table, read_model
-from sonarrec.records import Clock, Fan, Frame, FrameResult, SonarrecError, Stamps, UsageError
+from sonarrec.recogniser.stage3_features.model import read_model
+from sonarrec.records import (
+    Clock,
+    Fan,
+    Frame,
+    FrameResult,
+    SonarrecError,
+    Stamps,
+    UsageError,
+    shown,
+)
+from sonarrec.remote.fetch import RemoteLog
 from sonarrec.results.folders import folder_names
-from sonarrec.results.run_file import Given, RunFile, held_results, read_run, run_table
-from sonarrec.results.sightings import Sightings
+from sonarrec.results.run_file import Given, Held, held_results
+from sonarrec.results.sightings import Sighting, Sightings
+from sonarrec.results.sightings_file import sightings_in
 from sonarrec.results.write import ResultsWriter
 from sonarrec.sonar import Sonar, sonar_from
 
@@ -35,31 +45,30 @@ Observe = Callable[[FrameResult, int | None], None]
 """Told each result and the number of frames, where that is known."""
 
 
-@dataclass(frozen=True, slots=True)
-class Used:
-    """What a log is run with."""
-
-    configs: Sequence[Config]  # several: side by side, each under its own method name
-    landmarks: str | Path | None = None  # a set by name or file; default: the earlier run's, basin
-    model: Path | None = None  # of appearance; default: the earlier run's, else the built-in one
-    earlier_run: Path | None = None  # a run.toml that serves where nothing else is given; a plain
-    # file of settings has nothing that does, and changes nothing
+MOST_SIGHTINGS = 20
+"""Kept of each method in a Summary; sightings.csv has all."""
 
 
 @dataclass(frozen=True, slots=True)
 class Summary:
     """What became of one log.
 
-    folder: where the results are. frames: how many were processed. problems: what could not be
-    used, a line each. notes: what is stated against the log's own messages. sightings: what was
-    declared, in lines to print. up_to_date: these very results were there, so nothing was done.
+    folder: where the results are. frames: how many were processed. unusable: how many could not
+    be. problems: what could not be
+    used, a line each. notes: what is stated against the log's own messages. candidates: over all
+    frames. passes: how many sightings.csv has of each method that follows objects. sightings: of
+    each of these the MOST_SIGHTINGS declared in the most frames, in order of first sight.
+    up_to_date: these very results were there, so nothing was done.
     """
 
     folder: Path
     frames: int
+    unusable: int
+    candidates: int
     problems: list[str]
     notes: list[str]
-    sightings: list[str]
+    passes: dict[str, int]
+    sightings: list[Sighting]
     up_to_date: bool = False
 
 
@@ -75,20 +84,22 @@ def run(
     topic: str | None = None,
     time: Clock | None = None,
     odometry: str | Path | None = None,
+    frames: tuple[int, int | None] | None = None,
     overwrite: bool = False,
     observe: Observe | None = None,
 ) -> Summary:
     """Recognise the landmarks in a log and write its results to `out`/<log name>/.
 
-    log: an MCAP file, a folder of images, a glob of images or a video. preset: "default",
-    "offline", "paper", a Config, or several of them, side by side. landmarks: a set by name or
-    TOML file, default `basin`. model: of `sonarrec calibrate`. sonar: geometry that wins over
-    files, such as {"tilt_deg": 20.0} (keys and units of sonar.toml: m, deg). sonar_file: in place
-    of the sonar.toml beside the log. topic: the image channel of an MCAP. time: which time of an
-    MCAP's messages names a frame, "log" (default), "publish" or "header". odometry: CSV of the
-    sonar's poses. overwrite: do again what is up to date, and replace the results of another log of
-    that name. observe: called after each frame with its FrameResult and the number of frames
-    (None where unknown).
+    log: an MCAP file, a bag of ROS, a folder or glob of images, a video or a sonar's own file.
+    preset: "default", "offline", "paper", a Config, or several of them, side by side. landmarks: a
+    set by name or TOML file, default `basin`. model: of `sonarrec calibrate`. sonar: geometry that
+    wins over files, such as {"tilt_deg": 20.0} (keys and units of sonar.toml: m, deg). sonar_file:
+    in place of the sonar.toml beside the log. topic: the image channel of an MCAP. time: which time
+    of an MCAP's messages names a frame, "log" (default), "publish" or "header". odometry: CSV of
+    the sonar's poses. frames: only those from the first number up to, not including, the second, if
+    there is one; they keep their numbers. overwrite: do again what is up to date, and replace the
+    results of another log of that name. observe: called after each frame with its FrameResult and
+    the number of frames (None where unknown).
 
     Raises SonarrecError for input or settings that cannot be used; what was written stays.
     """
@@ -98,6 +109,7 @@ def run(
         topic=topic,
         time=time,
         odometry=_path(odometry),
+        frames=frames,
     )
     used = Used(_configs(preset), landmarks, _path(model))
     return process(log, out, given, used, observe, overwrite=overwrite)
@@ -143,13 +155,16 @@ class Recogniser:
         yield from recogniser.recognise(chain([first], left))
 
 
-def result_names(logs: Sequence[str | Path]) -> list[str | None]:
+def result_names(logs: Sequence[str | Path | RemoteLog]) -> list[str | None]:
     """The name of each log's results, no two alike; None where the log cannot be found.
 
     Raises UsageError where nothing tells two logs apart.
     """
     places: dict[int, tuple[str, Path]] = {}
     for i, log in enumerate(logs):
+        if isinstance(log, RemoteLog):
+            places[i] = log.name, log.path
+            continue
         with suppress(SonarrecError):  # said when its turn comes
             source = find_log(log)
             one = source.path if source.path.exists() else source.files[0].parent
@@ -173,136 +188,112 @@ def process(
     The same results are not made again, and those of another log not replaced, but with overwrite.
     Raises SonarrecError for input or settings that cannot be used.
     """
-    path = Path(path)
-    earlier = read_run(used.earlier_run)
-    same_log = earlier.input.name == path.stem
-    given = earlier.lay_under(given, same_log=same_log)
-    landmarks = earlier.landmark_set(used.landmarks)
-    learned = _model(used, earlier)
-    poses, notes = _poses(path, given, earlier if same_log else read_run(None))
-    with _opened(path, given) as log:
-        frames = iter(log)
-        first = next(frames)  # raises where there is no usable frame
-        recogniser = SideBySide(
-            used.configs, first.fan, landmarks, learned.model if learned else None, poses
-        )
-        source = (log.name, *log.digest_source())
-        methods = recogniser.methods
-        table = run_table(
-            used.configs, methods, log.stated, first.fan, landmarks, source, log.reading()
-        )
-        if poses is not None:
-            table["odometry"] = dict(poses.source)
-        if learned is not None:
-            table["model"] = learned.as_table()
-        table["input"]["path"] = str(path)
-        folder = Path(out) / (name or log.name)
+    told = given.origin.told if given.origin else str
+    with prepared(Path(path), Path(out), given, used, name) as it:
         if not overwrite:
-            there = held_results(folder, table)
-            if there.up_to_date:
-                return Summary(folder, there.frames, there.problems, [], [], up_to_date=True)
-            notes += there.notes
-        sightings = [Sightings(method) for method in recogniser.tracking]
-        plausibility, candidates = Plausibility(), 0
-        with ResultsWriter(folder, landmarks, table) as writer:
-            for result, stamps in _results(recogniser, chain([first], frames), plausibility):
-                writer.write(result, stamps)
-                candidates += result.candidates
-                for sighting in sightings:
-                    sighting.add(result)
-                if observe is not None:
-                    observe(result, log.frame_count)
-            problems = [*log.problems, *recogniser.problems()]
-            writer.finish(problems)
-        notes += [*log.notes, *recogniser.notes()]
-        doubts = plausibility.contradictions(polar=log.sonar.layout == "polar")
-        if not candidates:
-            doubts.append(_no_candidate(writer.frames, first.fan, landmarks))
-        if doubts:
-            look = f"`sonarrec info {path} --preview FILE.png`, with the same geometry"
-            notes.append(f"{path}: {'; '.join(doubts)}; look at {look}")
-        return Summary(folder, writer.frames, problems, notes, _lines(sightings))
+            held = held_results(it.folder, it.table)
+            if held.up_to_date:
+                return _held(it, held)
+            if held.why:
+                it.notes.append(f"{it.folder}: results from before are replaced ({held.why})")
+        plausibility, sightings = Plausibility(), Sightings(it.fan, it.poses)
+        with ResultsWriter(it.folder, it.landmarks, it.table, sightings) as writer:
+            _recognise(it, writer, plausibility, observe)
+            problems = [told(line) for line in (*it.log.problems, *it.recogniser.problems())]
+            writer.finish(problems, it.log.unusable)
+        it.notes.extend([*it.log.notes, *it.recogniser.notes(), *_doubts(it, writer, plausibility)])
+        it.notes[:] = map(told, it.notes)
+        return Summary(
+            it.folder,
+            writer.frames,
+            it.log.unusable,
+            writer.candidates,
+            problems,
+            it.notes,
+            *_longest(it.folder, it.recogniser.tracking),
+        )
 
 
-def _results(
-    recogniser: SideBySide, frames: Iterable[Frame], plausibility: Plausibility
-) -> Iterator[tuple[FrameResult, Stamps]]:
-    """Every frame's result, and the log's times of that frame."""
-    stamps = deque[Stamps]()  # of the frames whose results are waited for
+def planned(
+    path: str | Path, out: str | Path, given: Given, used: Used, *, name: str | None = None
+) -> Held:
+    """What `process` would find in the place of its results; nothing is written.
 
-    def stamped() -> Iterator[Frame]:
-        for frame in frames:
-            stamps.append(frame.stamps)
-            plausibility.look(frame)
-            yield frame
-
-    for result in recogniser.recognise(stamped()):
-        yield result, stamps.popleft()
+    Raises SonarrecError as `process`.
+    """
+    with prepared(Path(path), Path(out), given, used, name) as it:
+        return held_results(it.folder, it.table)
 
 
-def _no_candidate(frames: int, fan: Fan, landmarks: LandmarkSet) -> str:
-    width = disc_width_px(fan, landmarks)
-    of = f"a disc of {landmarks.name} would be {width:.0f} px wide here"
-    return f"0 candidates in {frames} frames: {of}"
-
-
-def _opened(path: Path, given: Given) -> Log:
-    return open_log(
-        path,
-        sonar=given.sonar,
-        sonar_file=given.sonar_file,
-        topic=given.topic,
-        time=given.time or "log",
+def _held(it: Prepared, held: Held) -> Summary:
+    """The results that are there already."""
+    return Summary(
+        it.folder,
+        held.frames,
+        held.unusable,
+        held.candidates,
+        held.problems,
+        [],
+        *_longest(it.folder, it.recogniser.tracking),
+        up_to_date=True,
     )
 
 
-def _model(used: Used, earlier: RunFile) -> ModelFile | None:
-    """The appearance model of the file, else of the earlier run; None for the built-in one."""
-    if used.model is None:
-        return None if earlier.model is None else model_from_table(earlier.model, str(earlier.path))
-    learned = read_model(used.model)
-    if all(c.features.measurement == "single" for c in used.configs):
-        raise UsageError(
-            f"--model {used.model}: only features.measurement = track uses a model, and this "
-            "preset measures single frames by the published one"
-        )
-    return learned
+def _recognise(
+    it: Prepared, writer: ResultsWriter, plausibility: Plausibility, observe: Observe | None
+) -> None:
+    """Every frame through the recogniser and into the tables, also those before an interrupt."""
+    stamps = deque[Stamps]()  # of the frames whose results are waited for
+    try:
+        for result in it.recogniser.recognise(_noted(it.frames, stamps, plausibility)):
+            writer.write(result, stamps.popleft())
+            if observe is not None:
+                observe(result, it.frame_count)
+    except BaseException:  # Ctrl-C as well: keep what is there
+        if not writer.full:
+            for result in it.recogniser.waiting():
+                writer.write(result, stamps.popleft())
+        raise
 
 
-def _poses(path: Path, given: Given, earlier: RunFile) -> tuple[PoseTable | None, list[str]]:
-    """The poses of a topic of the log, else of a table; None without either. With what to note.
-
-    earlier: the run of this log that is run again. Raises UsageError where it had a table of poses
-    that is not given again.
-    """
-    topic = given.odometry_topic
-    if earlier.odometry and given.odometry is None and topic is None:
-        topic = earlier.odometry.get("topic")
-        if topic is None:
-            raise UsageError(
-                f"{earlier.path}: that run used the odometry {earlier.odometry.get('name')}; "
-                "give it again with --odometry"
-            )
-    if topic is not None:
-        from sonarrec.readers.mcap.poses import read_topic  # with its decompressors, where needed
-
-        poses = read_topic(path, topic, given.time or "log")
-    elif given.odometry is not None:
-        poses = read_poses(given.odometry)
-    else:
-        return None, []
-    if earlier.odometry and earlier.odometry != poses.source:
-        return poses, [f"{earlier.path}: that run used another odometry than {poses.name}"]
-    return poses, []
+def _noted(
+    frames: Iterable[Frame], stamps: deque[Stamps], plausibility: Plausibility
+) -> Iterator[Frame]:
+    """The frames as they are, their times and what they show noted."""
+    for frame in frames:
+        stamps.append(frame.stamps)
+        plausibility.look(frame)
+        yield frame
 
 
-def _lines(sightings: Sequence[Sightings]) -> list[str]:
-    """What each method declared, the methods by their names where there are several."""
-    lines: list[str] = []
-    for sighting in sightings:
-        lines += [f"{sighting.method}:"] if len(sightings) > 1 else []
-        lines += sighting.table()
-    return lines
+def _doubts(it: Prepared, writer: ResultsWriter, plausibility: Plausibility) -> list[str]:
+    """A note where the pictures contradict the geometry, or hold no candidate at all."""
+    doubts = plausibility.contradictions(polar=it.log.sonar.layout == "polar")
+    if not writer.candidates:
+        width = disc_width_px(it.fan, it.landmarks)
+        of = f"a disc of {it.landmarks.name} would be {width:.0f} px wide here"
+        frames = f"{writer.frames} frame{'s' * (writer.frames != 1)}"
+        doubts.append(f"0 candidates in {frames}: {of}")
+    path = shown(it.log.path)
+    look = f"`sonarrec info {path} --preview FILE.png`, with the same geometry"
+    return [f"{path}: {'; '.join(doubts)}; look at {look}"] if doubts else []
+
+
+def _longest(folder: Path, methods: Sequence[str]) -> tuple[dict[str, int], list[Sighting]]:
+    """`passes` and `sightings` of a Summary; methods: those that follow objects."""
+    passes = dict.fromkeys(methods, 0)
+
+    def seen(method: str) -> Iterator[Sighting]:
+        for sighting in sightings_in(folder / "sightings.csv"):
+            if sighting.method == method:
+                passes[method] += 1
+                yield sighting
+
+    kept: list[Sighting] = []
+    for method in methods:
+        longest = nlargest(MOST_SIGHTINGS, seen(method), key=lambda s: s.frames_declared)
+        kept += sorted(longest, key=lambda s: (s.first_frame, s.last_frame))
+    return passes, kept
 
 
 def _configs(presets: Presets) -> list[Config]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +28,7 @@ class PoseTable:
     positive to the right (clockwise seen from above) and without jumps of 360, then x and y, the
     place on the floor in m, y ahead and x to the right of a sonar whose yaw is 0. gap_ns: across a
     longer time between two rows nobody measured. problems: a line for each row that could not be
-    used.
+    used. axes: what its own x and y are where yaw is 0; `pose` has right and ahead in any case.
     """
 
     name: str
@@ -36,10 +37,23 @@ class PoseTable:
     pose: FloatArray
     gap_ns: float
     problems: tuple[str, ...] = ()
+    axes: Literal["right, ahead", "ahead, left"] = "right, ahead"
 
     def covers(self, time_ns: int) -> bool:
         """Whether the pose at a time is told: from the first row to the last, and in no gap."""
         return self._at(time_ns) is not None
+
+    def at_times(self, times_ns: npt.NDArray[np.int64]) -> FloatArray:
+        """(N, 3) the poses at (N,) times, as `pose` has them; NaN where they are not told."""
+        after = np.clip(np.searchsorted(self.at, times_ns), 1, len(self.at) - 1)
+        step = (self.at[after] - self.at[after - 1]).astype(float)
+        share = ((times_ns - self.at[after - 1]) / step)[:, None]
+        found = self.pose[after - 1] * (1 - share) + self.pose[after] * share
+        exact = (share[:, 0] == 0) | (share[:, 0] == 1)
+        told = (
+            (times_ns >= self.at[0]) & (times_ns <= self.at[-1]) & ((step <= self.gap_ns) | exact)
+        )
+        return np.where(told[:, None], found, np.nan)
 
     def motion(self, before_ns: int, now_ns: int) -> Motion | None:
         """How the sonar moved between two times; None where either is not covered."""
@@ -50,6 +64,19 @@ class PoseTable:
         heading = math.radians(before[0])
         cos, sin = math.cos(heading), math.sin(heading)
         return Motion(pan_deg, right * cos - ahead * sin, right * sin + ahead * cos)
+
+    def place(self, time_ns: int, right_m: float, ahead_m: float) -> tuple[float, float] | None:
+        """(x, y) in m, by the table's own axes, of what lies so far to the right and ahead.
+
+        None where no pose is told.
+        """
+        pose = self._at(time_ns)
+        if pose is None:
+            return None
+        yaw_deg, x, y = pose.tolist()
+        cos, sin = math.cos(math.radians(yaw_deg)), math.sin(math.radians(yaw_deg))
+        right, ahead = x + right_m * cos + ahead_m * sin, y - right_m * sin + ahead_m * cos
+        return (ahead, -right) if self.axes == "ahead, left" else (right, ahead)
 
     def _at(self, time_ns: int) -> FloatArray | None:
         """(3,) the pose at a time, None where it is not told."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Literal
 
@@ -33,9 +35,38 @@ class UsageError(SonarrecError):
     """A setting or option that cannot be meant (exit code 2, as click's own usage errors)."""
 
 
+class MissingError(UsageError):
+    """An input that is not there."""
+
+
 def shown(name: object) -> str:
     """A file's name as text for a line or a table: bytes that are no UTF-8 become \\xe9."""
     return str(name).encode(errors="surrogateescape").decode(errors="backslashreplace")
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Where files in a local folder are from.
+
+    url: of the log or the results, as given, without what is secret. here: the local folder.
+    there: the folder of the server that it stands for.
+    """
+
+    url: str
+    here: str
+    there: str
+
+    def told(self, text: str) -> str:
+        """A line with the server's names in place of the local ones."""
+        return text.replace(self.here, self.there)
+
+    @contextmanager
+    def translated(self) -> Iterator[None]:
+        """A SonarrecError raised inside is told with the server's names."""
+        try:
+            yield
+        except SonarrecError as error:
+            raise type(error)(self.told(str(error))) from None
 
 
 @dataclass(frozen=True, slots=True)

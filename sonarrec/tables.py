@@ -59,6 +59,13 @@ def read_table(
     return table
 
 
+def read_header(path: Path, expected: str) -> list[str]:
+    """The names of all columns. Raises SonarrecError where the file is no table."""
+    _check_shape(path)
+    table = _parsed(path, expected, lambda: pd.read_csv(path, nrows=0, **_OPTIONS))
+    return [str(column).strip() for column in table.columns]
+
+
 def read_tables(
     path: Path,
     kinds: Mapping[str, Kind],

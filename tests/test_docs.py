@@ -2,7 +2,8 @@
 
 In README.md and sonarrec/help/*.md a line `$ COMMAND` of a code block is run, in order, in a fresh
 copy of the sample data. Lines under it are what it prints, in order, `...` standing for anything.
-`$ cat FILE` of a file that is not there yet makes it.
+`$ cat FILE` of a file that is not there yet makes it. A command that names a server is not run
+here: tests/remote has servers.
 """
 
 from __future__ import annotations
@@ -110,7 +111,7 @@ def test_commands_in_order_print_what_is_shown(
         words = command.split()
         if words[0] == "cat" and not Path(words[1]).exists():
             Path(words[1]).write_text("\n".join(shown) + "\n", encoding="utf-8")
-        elif words[0] != "make":
+        elif words[0] != "make" and "://" not in command:
             printed = run(command, tmp_path)
             pattern = ".*".join(
                 "\n" + ".*".join(re.escape(part) for part in line.split("..."))
@@ -221,17 +222,27 @@ def test_the_columns_listed_are_the_columns_written(
     log = str(sample / "pan" / "00000*.png")
     run(shlex.join(["sonarrec", "run", log, "-o", "short", "-q"]), tmp_path)
     written = {path.name: path for path in (results / "pan" / "evaluation").glob("*.csv")}
-    (folder,) = (tmp_path / "short").iterdir()
+    (folder,) = (path for path in (tmp_path / "short").iterdir() if path.is_dir())
     written |= {path.name: path for path in folder.glob("*.csv")}
+    written["logs.csv"] = tmp_path / "short" / "logs.csv"
     assert {"frames.csv", "estimates.csv", "confusion.csv", "changes.csv"} <= set(written)
     for name, path in written.items():
         with path.open(newline="", encoding="utf-8") as file:
             header = next(csv.reader(file))
-        listed = listed_columns("results", name)
+        listed = listed_columns("status" if name == "logs.csv" else "results", name)
         if "p_1 ... p_K" in listed:
             place = listed.index("p_1 ... p_K")
             listed[place : place + 1] = ["p_1", "p_2", "p_3", "p_4"]
         assert listed == header, name
+
+
+def test_the_columns_of_a_map_are_those_listed() -> None:
+    from sonarrec.mapping.factors import FACTOR_COLUMNS
+    from sonarrec.mapping.tables import MAP_COLUMNS, PASS_COLUMNS
+
+    assert listed_columns("map", "map.csv") == [*MAP_COLUMNS]
+    assert listed_columns("map", "passes.csv") == [*PASS_COLUMNS]
+    assert listed_columns("map", "factors.csv") == [*FACTOR_COLUMNS]
 
 
 def test_the_readme_is_at_most_200_lines() -> None:

@@ -212,8 +212,8 @@ def test_info_uses_the_landmark_set_given(tmp_path: Path) -> None:
 def test_a_preview_has_a_place_of_its_own(tmp_path: Path) -> None:
     log = image_folder(tmp_path / "log", frames(2))
     for arguments, told in (
-        ((log, "--preview", log / "p.png"), "this is the recording itself"),
-        ((log / "frame0.png", "--preview", log / "frame0.png"), "this is the recording itself"),
+        ((log, "--preview", log / "p.png"), "a part of the recording itself"),
+        ((log / "frame0.png", "--preview", log / "frame0.png"), "this command reads it"),
         ((log, log, "--preview", tmp_path / "p.png"), "draws one log; 2 are given"),
         ((log, "--preview", tmp_path / "p.jpg"), "written as NAME.png"),
     ):

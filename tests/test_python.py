@@ -90,7 +90,8 @@ def test_frame_by_frame_is_what_a_run_writes(tmp_path: Path) -> None:
         assert [r.index for r in found] == written.frames.frame.tolist()
         scores = [e.score for r in found for e in r.estimates]
         np.testing.assert_allclose(scores, written.estimates.score, atol=5.1e-7)
-    assert written.sightings is None
+    assert written.sightings is not None
+    assert set(written.sightings.method) <= set(written.estimates.method)
     with pytest.raises(UsageError, match="needs frames"):
         list(sonarrec.Recogniser(fan).recognise())
 

@@ -291,7 +291,7 @@ def test_every_command_has_an_example() -> None:
 
 
 def test_missing_path(work: Path) -> None:
-    assert "no such file or folder" in one_line_fault("run", "nowhere")
+    assert "no such file or folder" in one_line_fault("run", "nowhere", code=2)
     assert not (work / "sonarrec_out").exists()
 
 
@@ -496,7 +496,7 @@ def test_truth_of_frames_that_were_not_processed() -> None:
 @pytest.mark.usefixtures("work")
 def test_evaluate_without_results() -> None:
     write_truth(str)
-    assert "sonarrec run" in one_line_fault("evaluate", "--ground-truth", "gt.csv")
+    assert "sonarrec run" in one_line_fault("evaluate", "--ground-truth", "gt.csv", code=2)
 
 
 def test_another_programs_results(work: Path) -> None:

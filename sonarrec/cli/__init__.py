@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import errno
+import io
+import os
+import sys
 from typing import Any
 
 import click
@@ -12,22 +16,55 @@ from sonarrec.cli.config import config
 from sonarrec.cli.evaluate import evaluate
 from sonarrec.cli.help import help_
 from sonarrec.cli.info import info
+from sonarrec.cli.map import map_
+from sonarrec.cli.options import tell
 from sonarrec.cli.overlay import overlay
 from sonarrec.cli.report import report
 from sonarrec.cli.run import run
 from sonarrec.cli.simulate import simulate
+from sonarrec.cli.status import status
 from sonarrec.cli.truth import truth
 from sonarrec.records import SonarrecError, UsageError
 
+UNWRITTEN = {errno.ENOSPC, errno.EFBIG, errno.EDQUOT, errno.EIO, errno.EBADF}
+
 
 class _Program(click.Group):
+    def main(self, *arguments: Any, **told: Any) -> Any:
+        _open_streams()
+        return super().main(*arguments, **told)
+
     def invoke(self, ctx: click.Context) -> Any:
         """Faults of the input become one line; our own bugs keep their traceback."""
         try:
             return super().invoke(ctx)
         except SonarrecError as error:
-            click.echo(f"sonarrec: {error}", err=True)
+            tell([str(error)])
             ctx.exit(2 if isinstance(error, UsageError) else 1)
+        except OSError as error:
+            if error.filename is not None or error.errno not in UNWRITTEN:
+                raise
+            # Every file is written under its name, so this is stdout. What waits in it goes where
+            # it cannot fail again.
+            tell([f"stdout: cannot be written ({error.strerror})"])
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+            ctx.exit(1)
+
+
+def _open_streams() -> None:
+    """stdout and stderr that take every character, also where they are closed.
+
+    A closed one is opened on nothing: else the next file that is opened, such as a table of
+    results, would stand in its place and take what libraries print.
+    """
+    while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
+        pass
+    os.close(number)
+    sys.stdout = sys.stdout or open(1, "w", closefd=False)  # noqa: SIM115
+    sys.stderr = sys.stderr or open(2, "w", closefd=False)  # noqa: SIM115
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
 
 
 @click.group(
@@ -46,5 +83,8 @@ def main() -> None:
     """
 
 
-for command in (run, info, evaluate, report, overlay, simulate, calibrate, config, truth, help_):
+for command in (
+    *(run, status, info, evaluate, report, overlay, map_, simulate, calibrate),
+    *(config, truth, help_),
+):
     main.add_command(command)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from sonarrec.cli.bars import progress
 from sonarrec.cli.options import (
     LEARNING,
     NEW_FILE,
@@ -19,7 +20,6 @@ from sonarrec.cli.options import (
     log_options,
     option,
     out_option,
-    progress,
     quiet_option,
     settings_options,
     tell,
@@ -67,9 +67,11 @@ def calibrate(
     """
     from sonarrec.landmarks import load_landmarks
     from sonarrec.learning.calibrate import learn
+    from sonarrec.outputs import check_output
 
     if not out.parent.is_dir():
         raise UsageError(f"--out {out}: there is no folder {out.parent}")
+    check_output(out, "model", [*log, ground_truth])
     config = settings.config()
     with progress(quiet) as step:
         lesson = learn(

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from sonarrec.cli.options import (
-    ANY,
     FILE,
     INPUT,
     OUTPUT,
@@ -23,22 +24,29 @@ from sonarrec.cli.options import (
     scoring_options,
     tell,
 )
+from sonarrec.cli.options_remote import ANY_OR_URL, FILE_OR_URL, CacheChoice, cache_options
 from sonarrec.records import UsageError
+
+if TYPE_CHECKING:
+    from sonarrec.remote.run import Here
 
 
 @command(short_help="Score results against ground truth, or compare two.")
-@click.argument("results", type=ANY, required=False)
-@ground_truth_option("gt.csv, which says what was where.")
+@click.argument("results", type=ANY_OR_URL, required=False)
+@ground_truth_option(
+    "gt.csv, in place of the NAME.gt.csv or gt.csv beside each log.", kind=FILE_OR_URL
+)
 @option(
     INPUT,
     "--pairs",
     type=FILE,
-    help="In place of RESULTS and truth: a CSV of results,ground_truth[,log], a row per log.",
+    help="In place of RESULTS and truth: a CSV of results,ground_truth[,log], a row per log. "
+    "With --compare: the truth of each log.",
 )
 @option(
     INPUT,
     "--compare",
-    type=(ANY, ANY),
+    type=(ANY_OR_URL, ANY_OR_URL),
     metavar="OLD NEW",
     help="In place of RESULTS: what got better or worse from OLD to NEW, frame by frame.",
 )
@@ -65,90 +73,148 @@ from sonarrec.records import UsageError
     help="Print both protocols' figures, per ID and per log.",
 )
 @option(OUTPUT, "--det", is_flag=True, help="Draw det.png, the detection error trade-off, too.")
-@out_option(ANY, "Folder for the files.  [default: evaluation in RESULTS, in NEW or beside PAIRS]")
+@option(
+    OUTPUT,
+    "--json",
+    "as_json",
+    is_flag=True,
+    help="Print evaluation.json (compare.json with --compare), and nothing else, on stdout.",
+)
+@out_option(
+    ANY_OR_URL, "Folder for the files.  [default: evaluation in RESULTS, in NEW or beside PAIRS]"
+)
+@cache_options
 @quiet_option
 def evaluate(
-    results: Path | None,
-    ground_truth: Path | None,
+    results: Path | str | None,
+    ground_truth: Path | str | None,
     pairs: Path | None,
-    compare: tuple[Path, Path] | None,
+    compare: tuple[Path | str, Path | str] | None,
     band: float | None,
     unit: Any,
     scoring: dict[str, Any],
     details: bool,
     det: bool,
-    out: Path | None,
+    as_json: bool,
+    out: Path | str | None,
+    cache: CacheChoice,
     quiet: bool,
 ) -> None:
     """Score RESULTS against ground truth: rates, ROC, intervals and tests, per method and ID.
 
-    RESULTS is the folder of one log, or one that holds several (default: sonarrec_out). The
-    geometry matters only where positions are in pixels and run.toml does not tell it. Files go
-    to RESULTS/evaluation. Intervals and tests take whole passes of a landmark through the view,
-    or whole logs, for independent, never frames.
+    RESULTS is the folder of one log, or one that holds several (default: sonarrec_out). Truth is
+    found beside each log, or given; both may be on a server (`sonarrec help remote`). The geometry
+    matters only where positions are in pixels and run.toml does not tell it. Files go to
+    RESULTS/evaluation. Intervals and tests take whole passes of a landmark through the view, or
+    whole logs, for independent, never frames.
 
     \b
     Examples:
-      sonarrec evaluate --ground-truth sample_data/pan.gt.csv sonarrec_out/pan
+      sonarrec evaluate sonarrec_out/pan
       sonarrec evaluate --ground-truth gt.csv sonarrec_out/log_7 --min-visible 0.5
       sonarrec evaluate --pairs pairs.csv --details
       sonarrec evaluate --ground-truth gt.csv --compare before after --fail-on-regression 0.02
     """
-    if pairs is not None and (ground_truth or results or compare):
+    if pairs is not None and (ground_truth or results):
         raise UsageError("--pairs names results and truth itself; give neither beside it")
     if compare is not None and results is not None:
         raise UsageError("--compare takes OLD and NEW; give no RESULTS beside it")
     if band is not None and compare is None:
         raise UsageError("--fail-on-regression goes with --compare")
-    if ground_truth is not None and compare is not None:
-        _compare(*compare, ground_truth, out or compare[1] / "evaluation", band, quiet, scoring)
-        return
+    from sonarrec.remote.run import Here
 
+    with ExitStack() as held:  # what was written is uploaded as it closes, so nothing leaves inside
+        here = Here(held, cache.cache)
+        truth = here.file(ground_truth)
+        if compare is not None:
+            code = _compare(compare, truth, pairs, out, band, as_json, quiet, scoring, here)
+        else:
+            shown = _Shown(details, as_json, quiet)
+            code = _score(results, truth, pairs, out, unit, det, shown, scoring, here)
+    if code:
+        leave(code)
+
+
+@dataclass(frozen=True, slots=True)
+class _Shown:
+    """What goes to stdout."""
+
+    details: bool
+    as_json: bool
+    quiet: bool
+
+
+def _score(
+    results: Path | str | None,
+    ground_truth: Path | None,
+    pairs: Path | None,
+    out: Path | str | None,
+    unit: Any,
+    det: bool,
+    shown: _Shown,
+    scoring: dict[str, Any],
+    here: Here,
+) -> int:
+    """The exit code."""
     from sonarrec.evaluation import tabulate, write
     from sonarrec.evaluation.evaluate import evaluate as score
-    from sonarrec.evaluation.evaluate import evaluate_pairs, read_pairs
+    from sonarrec.evaluation.evaluate import evaluate_pairs
+    from sonarrec.evaluation.pairs import read_pairs
     from sonarrec.evaluation.summary import summarise
+    from sonarrec.remote.run import inside
 
-    if ground_truth is not None:
-        results = results or Path("sonarrec_out")
-        found = score(results, ground_truth, **scoring)
-        folder = out or results / "evaluation"
-    elif pairs is not None:
+    if pairs is not None:
         found = evaluate_pairs(read_pairs(pairs), **scoring)
-        folder = out or pairs.parent / "evaluation"
+        folder = here.output(out or pairs.parent / "evaluation")
     else:
-        raise UsageError("nothing to score against: give --ground-truth, or --pairs")
+        results = results or Path("sonarrec_out")
+        found = score(here.results(results), ground_truth, **scoring)
+        folder = here.output(out or inside(results, "evaluation"))
     summary = summarise(found, unit)
     written = write.write_evaluation(folder, found, summary, det)
-    tell(found.unused)
-    if not quiet:
+    unused = [*here.unused, *map(here.told, found.unused)]
+    tell(unused)
+    if shown.as_json:
+        click.echo(here.told(write.json_text(write.as_json(found, summary))), nl=False)
+    elif not shown.quiet:
         click.echo(tabulate.screen(found))
-        click.echo(tabulate.summary_screen(found, summary, details))
+        click.echo(tabulate.summary_screen(found, summary, shown.details))
         for note in (*found.notes, *summary.notes):
-            click.echo(f"note: {note}")
-        click.echo(f"{folder}: {', '.join(written)}")
-    if found.unused:
-        leave(PARTLY)
+            click.echo(f"note: {here.told(note)}")
+        click.echo(f"{here.told(str(folder))}: {', '.join(written)}")
+    return PARTLY if unused else 0
 
 
 def _compare(
-    old: Path,
-    new: Path,
-    ground_truth: Path,
-    folder: Path,
+    sides: tuple[Path | str, Path | str],
+    ground_truth: Path | None,
+    pairs: Path | None,
+    out: Path | str | None,
     band: float | None,
+    as_json: bool,
     quiet: bool,
     scoring: dict[str, Any],
-) -> None:
+    here: Here,
+) -> int:
+    """The exit code."""
     from sonarrec.evaluation import compare, write
+    from sonarrec.evaluation.pairs import read_pairs
+    from sonarrec.remote.run import inside
 
-    found = compare.compare(old, new, ground_truth, **scoring)
-    write.write_comparison(folder, found)
-    tell(found.unused)
-    if not quiet:
+    truth = read_pairs(pairs) if pairs is not None else ground_truth
+    old, new = map(here.results, sides)
+    found = compare.compare(old, new, truth, **scoring)
+    folder = here.output(out or inside(sides[1], "evaluation"))
+    written = write.write_comparison(folder, found)
+    unused = [*here.unused, *map(here.told, found.unused)]
+    tell(unused)
+    if as_json:
+        click.echo(here.told(write.json_text(write.comparison_as_json(found))), nl=False)
+    elif not quiet:
         click.echo(compare.screen(found))
-        click.echo(f"{folder}: compare.csv, changes.csv")
+        for note in found.notes:
+            click.echo(f"note: {here.told(note)}")
+        click.echo(f"{here.told(str(folder))}: {', '.join(written)}")
     regressions = [] if band is None else found.regressions(band)
     tell(f"worse: {line}" for line in regressions)
-    if regressions or found.unused:
-        leave(1 if regressions else PARTLY)
+    return 1 if regressions else PARTLY if unused else 0

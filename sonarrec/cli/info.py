@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
+from contextlib import ExitStack, nullcontext
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import click
 
+from sonarrec.cli.bars import fetching, progress
 from sonarrec.cli.options import (
     INPUT,
     NEW_FILE,
@@ -19,21 +22,26 @@ from sonarrec.cli.options import (
     landmarks_option,
     leave,
     log_options,
+    many_logs_options,
+    named_logs,
     option,
-    progress,
     quiet_option,
     tell,
 )
-from sonarrec.records import SonarrecError, UsageError
+from sonarrec.cli.options_remote import CacheChoice, cache_options
+from sonarrec.cli.passes import YEAR_2000_NS
+from sonarrec.records import MissingError, SonarrecError, UsageError
 
 if TYPE_CHECKING:
     from sonarrec.readers.info import Channel, Container, Images, LogInfo
-
-_YEAR_2000_NS = 946_684_800 * 10**9
+    from sonarrec.readers.many import NamedLog
+    from sonarrec.records import Origin
+    from sonarrec.remote.fetch import RemoteLog
 
 
 @command(short_help="Show what is in a log, and whether it is whole.")
-@click.argument("log", nargs=-1, required=True)
+@click.argument("log", nargs=-1)
+@many_logs_options
 @option(
     INPUT,
     "--quick",
@@ -50,22 +58,27 @@ _YEAR_2000_NS = 946_684_800 * 10**9
     help="Draw the first usable frame under the stated geometry, with discs of the set to scale.",
 )
 @option(OUTPUT, "--json", "as_json", is_flag=True, help="Print JSON. Keys: sonarrec help info.")
+@cache_options
 @quiet_option
 def info(
     log: tuple[str, ...],
+    recursive: bool,
+    from_file: IO[str] | None,
     quick: bool,
     log_choice: LogChoice,
     landmarks: str | None,
     preview: Path | None,
     as_json: bool,
+    cache: CacheChoice,
     quiet: bool,
 ) -> None:
     """Show what is in LOG, whether it is whole, and how `run` would read it.
 
-    LOG is an MCAP file, a folder of images, a video or a quoted glob of these. Every frame is
-    read, and every checksum compared, to tell how many frames can be used; --quick leaves that
-    out. A geometry that is not complete is told but no fault. Exit code 3: part of the log cannot
-    be used; 1: nothing can.
+    LOG is an MCAP file, a bag of ROS 1 or 2, a folder of images, a video, a sonar's own file (ARIS,
+    DIDSON, Oculus), a folder of logs, or a quoted glob of these. Every frame is read, and every
+    checksum compared, to tell how many frames can be used; --quick leaves that out. A geometry that
+    is not complete is told but no fault. Exit code 3: part of the log cannot be used; 1: nothing
+    can. LOG may be on a server (`sonarrec help remote`).
 
     --preview draws range rings, bearings, the near edge of the stated floor and three discs of the
     landmark set onto the first usable frame: what is wrong with a geometry shows at a glance.
@@ -78,54 +91,81 @@ def info(
       sonarrec info --json dive.mcap | jq '.logs[0].images[].usable'
     """
     from sonarrec import __version__
-    from sonarrec.readers.find import find_logs
-    from sonarrec.readers.info import describe
 
-    reading = log_choice.arguments()
-    if preview is not None:
-        _check_preview(preview, log)
     tables: list[dict[str, Any]] = []
-    useless = faulty = 0
-    logs = find_logs(log)
-    for number, path in enumerate(logs):
-        try:
-            with progress(quiet) as step:
-                found = describe(path, **reading, quick=quick, observe=step)
-        except UsageError:
-            raise
-        except SonarrecError as error:
-            useless += 1
-            tables.append({"path": path, "error": str(error)})
-            tell([str(error)])
-            continue
-        useless += found.nothing
-        faulty += found.partly
-        tables.append(found.as_table())
-        if preview is not None:
-            _draw_preview(path, preview, landmarks, reading)
-        if not as_json:
-            click.echo("\n".join(["", *lines(found)] if number else lines(found)))
+    useless = missing = faulty = 0
+    logs = named_logs(log, from_file, recursive)
+    names = [_name(one) for one in logs]
+    if preview is not None:
+        _check_preview(preview, names)
+    for number, (name, one) in enumerate(zip(names, logs, strict=True)):
+        reading = log_choice.arguments()
+        with ExitStack() as held:
+            try:
+                path, reading["up_to"], origin = _at_hand(one, cache, quiet, held)
+                found = _described(path, reading, origin, quick, quiet)
+            except SonarrecError as error:
+                if isinstance(error, UsageError) and not isinstance(error, MissingError):
+                    raise
+                useless += 1
+                missing += isinstance(error, MissingError)
+                tables.append({"path": name, "error": str(error)})
+                tell([str(error)])
+                continue
+            useless += found.nothing
+            faulty += found.partly
+            tables.append(found.as_table())
+            if preview is not None:
+                _draw_preview(path, preview, landmarks, reading)
+            if not as_json:
+                click.echo("\n".join(["", *lines(found)] if number else lines(found)))
     if as_json:
         click.echo(json.dumps({"version": __version__, "logs": tables}, indent=2))
     if useless == len(logs):
-        leave(1)
+        leave(2 if missing == useless else 1)
     if useless or faulty:
         leave(PARTLY)
 
 
-def _check_preview(preview: Path, logs: tuple[str, ...]) -> None:
+def _name(log: NamedLog | RemoteLog) -> str:
+    from sonarrec.readers.many import NamedLog
+
+    return log.path if isinstance(log, NamedLog) else log.shown
+
+
+def _at_hand(
+    log: NamedLog | RemoteLog, cache: CacheChoice, quiet: bool, held: ExitStack
+) -> tuple[str, Path | None, Origin | None]:
+    """(what to open, up to where what belongs to it lies, where it was fetched from)."""
+    from sonarrec.readers.many import NamedLog
+    from sonarrec.remote.fetch import fetched
+
+    if isinstance(log, NamedLog):
+        return log.path, log.up_to, None
+    with fetching(quiet, log.shown) as came:
+        found = held.enter_context(fetched(log, cache.cache(), came))
+    return str(found.path), found.up_to, found.origin
+
+
+def _described(
+    path: str, reading: dict[str, Any], origin: Origin | None, quick: bool, quiet: bool
+) -> LogInfo:
+    from sonarrec.readers.info import describe
+
+    with progress(quiet) as step, origin.translated() if origin else nullcontext():
+        found = describe(path, **reading, quick=quick, observe=step)
+    return found.fetched_from(origin) if origin else found
+
+
+def _check_preview(preview: Path, logs: Sequence[str]) -> None:
     """Raises UsageError where the picture has no place of its own."""
     if len(logs) > 1:
         raise UsageError(f"--preview {preview}: draws one log; {len(logs)} are given")
     if preview.suffix.lower() != ".png":
         raise UsageError(f"--preview {preview}: a picture is written as NAME.png")
-    log = Path(logs[0])
-    if log.is_file():
-        taken = preview.resolve() == log.resolve()
-    else:  # a folder of images or a glob
-        taken = preview.parent.resolve() == (log if log.is_dir() else log.parent).resolve()
-    if taken:
-        raise UsageError(f"--preview {preview}: this is the recording itself; write somewhere else")
+    from sonarrec.outputs import check_output
+
+    check_output(preview, "picture", logs)
 
 
 def _draw_preview(path: str, preview: Path, landmarks: str | None, reading: dict[str, Any]) -> None:
@@ -227,6 +267,7 @@ def _images_lines(images: Images) -> list[str]:
         elif "frame_rate_hz" in images.geometry:
             text += f", {images.geometry['frame_rate_hz']:g} Hz as stated"
         out += _entry("images", [text])
+    out += _entry("header", _header_lines(images))
     out += _entry("geometry", _geometry_lines(images))
     out += _entry("notes", images.notes)
     return out + _entry("problems", images.problems)
@@ -256,9 +297,18 @@ def _geometry_lines(images: Images) -> list[str]:
     return [text for text in out if text]
 
 
+def _header_lines(images: Images) -> list[str]:
+    """What the headers of a sonar's own file tell, but for what it did not measure."""
+    known = {key: value for key, value in images.header.items() if value is not None}
+    sonar = [str(known.pop("sonar"))] if "sonar" in known else []
+    parts = [f"{k} = {v}" if isinstance(v, str) else f"{k} = {v:.6g}" for k, v in known.items()]
+    return sonar + [", ".join(parts[i : i + 3]) for i in range(0, len(parts), 3)]
+
+
 def _origin_lines(images: Images) -> list[str]:
     """Which values are from where, a line for each origin."""
     names = {"flag": "by flag", "message": "told by the messages", "default": "by default"}
+    names["header"] = "told by the headers"
     lines: dict[str, list[str]] = {}
     for key, origin in images.origins.items():
         value = f" = {images.layout}" if key == "layout" and origin == "default" else ""
@@ -273,6 +323,6 @@ def _origin_lines(images: Images) -> list[str]:
 
 def _moment(time_ns: int) -> str:
     """A time as a date where it can be one, else in seconds."""
-    if time_ns < _YEAR_2000_NS:
+    if time_ns < YEAR_2000_NS:
         return f"clock at {time_ns / 1e9:.3f} s"
     return f"{datetime.fromtimestamp(time_ns // 10**9, UTC):%Y-%m-%d %H:%M:%S} UTC"

@@ -2,28 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial, wraps
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import IO, Any, NoReturn
 
 import click
 
 from sonarrec.records import Clock, UsageError
 
 FAILED = 1  # exit code: nothing could be used
+MISUSED = 2  # exit code: an option cannot be meant, or an input is not there
 PARTLY = 3  # exit code: finished, but part of the input could not be used
 FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 NEW_FILE = click.Path(dir_okay=False, path_type=Path)
 FOLDER = click.Path(file_okay=False, path_type=Path)
 ANY = click.Path(path_type=Path)
 
+
 # The groups of --help, in this order.
 INPUT, SCORING, LEARNING, SETTINGS = "Input", "Scoring", "Learning", "Settings"
-GEOMETRY, PIXELS, OUTPUT = "Geometry", "Pixels", "Output"
-_GROUPS = (INPUT, SCORING, LEARNING, SETTINGS, GEOMETRY, PIXELS, OUTPUT)
+GEOMETRY, PIXELS, BATCH, OUTPUT = "Geometry", "Pixels", "Many logs", "Output"
+_GROUPS = (INPUT, SCORING, LEARNING, SETTINGS, GEOMETRY, PIXELS, BATCH, OUTPUT)
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 
@@ -61,7 +63,7 @@ def option(group: str, *names: str, **told: Any) -> Decorator:
     return click.option(*names, cls=GroupedOption, group=group, **told)
 
 
-def _as_one(
+def as_one(
     argument: str, options: Mapping[str, Decorator], make: Callable[[dict[str, Any]], Any]
 ) -> Decorator:
     """Add options, and hand their values to the command as the one argument `argument`."""
@@ -164,7 +166,7 @@ _PIXELS = {
     ),
 }
 topic_option = option(
-    INPUT, "--topic", help="Channel of an MCAP that holds several image channels."
+    INPUT, "--topic", help="Channel of an MCAP or bag that holds several image channels."
 )
 _TIME = {
     "time": option(
@@ -175,6 +177,39 @@ _TIME = {
         "in the order of log time.  [default: log]",
     )
 }
+
+
+_RECURSIVE = option(
+    INPUT, "--recursive", is_flag=True, help="Of a folder also the logs in all folders below it."
+)
+_FROM_FILE = option(
+    INPUT,
+    "--from-file",
+    type=click.File(encoding="utf-8", errors="surrogateescape"),
+    metavar="LIST",
+    help="Logs in a file, each as LOG on a line of its own; - for standard input. Empty lines and "
+    "those that begin with # are passed over.",
+)
+
+
+def many_logs_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """--recursive and --from-file, of commands that take many logs."""
+    return _RECURSIVE(_FROM_FILE(function))
+
+
+def named_logs(logs: tuple[str, ...], from_file: IO[str] | None, recursive: bool) -> Any:
+    """The logs of a command that takes many, NamedLogs and, of servers, RemoteLogs.
+
+    Raises click's UsageError without any.
+    """
+    from sonarrec.remote.run import all_logs
+
+    if not logs and from_file is None:
+        raise click.UsageError(
+            "Missing argument 'LOG...'; a list serves as well: --from-file LIST",
+            click.get_current_context(),
+        )
+    return all_logs(logs, from_file or (), recursive=recursive)
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,9 +255,11 @@ def log_options(*, pixels: bool = True, time: bool = False) -> Decorator:
     options = (
         {"topic": topic_option} | (_TIME if time else {}) | _GEOMETRY | (_PIXELS if pixels else {})
     )
-    return _as_one("log_choice", options, LogChoice)
+    return as_one("log_choice", options, LogChoice)
 
 
+# The geometry alone, as the Sonar `sonar`, where no log is opened.
+geometry_options = as_one("sonar", _GEOMETRY, lambda values: LogChoice(values).sonar_without_log())
 # Results and truth
 
 landmarks_option = option(
@@ -233,10 +270,16 @@ landmarks_option = option(
 )
 
 
-def ground_truth_option(text: str, required: bool = False) -> Decorator:
-    """--ground-truth; text: what it is for."""
+def frames_option(text: str) -> Decorator:
+    """--frames; text: what becomes of these frames."""
+    text = f"{text} Either may be left out."
+    return option(INPUT, "--frames", metavar="A:B", help=text)
+
+
+def ground_truth_option(text: str, required: bool = False, kind: click.Path = FILE) -> Decorator:
+    """--ground-truth; text: what it is for. kind: FILE_OR_URL where it may be on a server."""
     text = f"{text} Columns: sonarrec help truth."
-    return option(INPUT, "--ground-truth", type=FILE, required=required, help=text)
+    return option(INPUT, "--ground-truth", type=kind, required=required, help=text)
 
 
 _SCORING = {
@@ -266,7 +309,7 @@ def _scoring(values: dict[str, Any]) -> dict[str, Any]:
 
 
 # --min-visible, --tolerance, --landmarks and the geometry, as one `scoring`: keyword arguments.
-scoring_options = _as_one("scoring", _SCORING | _GEOMETRY, _scoring)
+scoring_options = as_one("scoring", _SCORING | _GEOMETRY, _scoring)
 
 
 # Settings
@@ -334,7 +377,7 @@ class SettingsChoice:
         return chosen
 
 
-settings_options = _as_one("settings", _SETTINGS, SettingsChoice)
+settings_options = as_one("settings", _SETTINGS, SettingsChoice)
 
 
 # What goes out
@@ -348,37 +391,23 @@ quiet_option = option(
 )
 
 
+verbose_option = option(
+    OUTPUT, "-v", "--verbose", is_flag=True, help="A line on stderr for each log that is finished."
+)
+
+
 def out_option(kind: click.Path, text: str, **told: Any) -> Decorator:
     """-o, --out; text: what it names."""
     return option(OUTPUT, "-o", "--out", type=kind, help=text, **told)
 
 
-@contextmanager
-def progress(quiet: bool, total: int | None = None) -> Iterator[Callable[..., None]]:
-    """A progress bar over frames on stderr; silent when quiet and where stderr is no terminal.
-
-    Yields what to call after each frame: step(total=None, note="").
-    """
-    from tqdm import tqdm
-
-    with tqdm(total=total, unit="frame", leave=False, disable=True if quiet else None) as bar:
-
-        def step(total: int | None = None, note: str = "") -> None:
-            if total is not None:
-                bar.total = total
-            if note:
-                bar.set_postfix_str(note, refresh=False)
-            bar.update()
-
-        yield step
-
-
 def tell(problems: Iterable[str], notes: Iterable[str] = ()) -> None:
-    """Notes and problems, a line each, on stderr."""
-    for note in notes:
-        click.echo(f"sonarrec: note: {note}", err=True)
-    for problem in problems:
-        click.echo(f"sonarrec: {problem}", err=True)
+    """Notes and problems, a line each, on stderr; where nobody can read it, nothing is lost."""
+    with suppress(OSError):
+        for note in notes:
+            click.echo(f"sonarrec: note: {note}", err=True)
+        for problem in problems:
+            click.echo(f"sonarrec: {problem}", err=True)
 
 
 def leave(code: int) -> NoReturn:

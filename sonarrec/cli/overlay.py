@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import click
 
+from sonarrec.cli.bars import progress
 from sonarrec.cli.options import (
     ANY,
+    NEW_FILE,
     OUTPUT,
     PARTLY,
     LogChoice,
     command,
+    frames_option,
     ground_truth_option,
     landmarks_option,
     leave,
     log_options,
     option,
-    progress,
     quiet_option,
     tell,
 )
@@ -31,18 +32,26 @@ from sonarrec.records import UsageError
 @log_options(pixels=False)
 @landmarks_option
 @ground_truth_option("gt.csv, drawn dashed.")
-@option(OUTPUT, "--mcap", type=ANY, metavar="OUT", help="Annotations for Foxglove.")
+@option(
+    OUTPUT,
+    "--mcap",
+    type=ANY,
+    metavar="OUT",
+    help="Annotations and detections, for Foxglove and ROS 2.",
+)
+@option(
+    OUTPUT,
+    "--foxglove-layout",
+    type=NEW_FILE,
+    metavar="OUT.json",
+    help="Layout for Foxglove that shows them, with --mcap.",
+)
 @option(OUTPUT, "--video", type=ANY, metavar="OUT.mp4", help="The frames drawn, as MPEG-4.")
 @option(
     OUTPUT, "--images", type=ANY, metavar="DIR", help="The frames drawn, as DIR/000000.png, ..."
 )
 @option(OUTPUT, "--method", help="Method of estimates.csv.  [default: framework]")
-@option(
-    OUTPUT,
-    "--frames",
-    metavar="A:B",
-    help="From frame A up to, not including, B; either may be left out.",
-)
+@frames_option("Draw only these frames, from A up to, not including, B.")
 @option(OUTPUT, "--grid", is_flag=True, help="Range rings and bearings in videos and images.")
 @quiet_option
 def overlay(
@@ -52,6 +61,7 @@ def overlay(
     landmarks: str | None,
     ground_truth: Path | None,
     mcap: Path | None,
+    foxglove_layout: Path | None,
     video: Path | None,
     images: Path | None,
     method: str | None,
@@ -67,8 +77,9 @@ def overlay(
 
     \b
     --mcap    Open it in Foxglove together with LOG, show /sonarrec/annotations in the
-              Image panel. Of polar logs, and of logs that are no MCAP, it also holds the
-              fan images, /sonarrec/fan.
+              Image panel, or import the layout. /sonarrec/detections has what is declared
+              as vision_msgs/Detection3DArray for ROS 2. Of polar logs, and of logs that are
+              no MCAP, it also holds the fan images, /sonarrec/fan.
     --video   MPEG-4 Part 2, for VLC, mpv and most desktop players. For browsers:
               ffmpeg -i OUT.mp4 -c:v libx264 -pix_fmt yuv420p WEB.mp4
 
@@ -79,17 +90,20 @@ def overlay(
       sonarrec overlay log.mcap results/log --images shots --frames 100:120 --method smi
     """
     from sonarrec.overlay.overlay import Targets, write_overlay
+    from sonarrec.results.run_file import frame_span
 
+    if foxglove_layout is not None and mcap is None:
+        raise UsageError("--foxglove-layout is for the file of --mcap; give both")
     targets = {"--mcap": mcap, "--video": video, "--images": images}
     if not any(targets.values()):
         raise UsageError("nothing to write: give --mcap OUT, --video OUT.mp4 or --images DIR")
     with progress(quiet) as step:
         done = write_overlay(
             log,
-            Targets(mcap, video, images),
+            Targets(mcap, video, images, foxglove_layout),
             results=results,
             method=method,
-            span=_span(frames),
+            span=(0, None) if frames is None else frame_span(frames),
             ground_truth=ground_truth,
             landmarks=landmarks,
             **log_choice.arguments(),
@@ -102,16 +116,3 @@ def overlay(
             click.echo(f"{target}: {done.frames} frames, {done.method}")
     if done.problems:
         leave(PARTLY)
-
-
-def _span(text: str | None) -> tuple[int, int | None]:
-    """(first, one past the last or None) of "A:B", either of which may be left out."""
-    match = re.fullmatch(r"(\d*):(\d*)", text or ":")
-    if match is None:
-        raise UsageError(f"--frames: expected A:B, two frame numbers, not {text!r}")
-    first, end = int(match[1] or 0), int(match[2]) if match[2] else None
-    if end is not None and end <= first:
-        raise UsageError(
-            f"--frames {text}: there is no frame from {first} up to, not including, {end}"
-        )
-    return first, end

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from sonarrec.cli.options import (
-    ANY,
+    FILE,
     INPUT,
-    NEW_FILE,
     OUTPUT,
     PARTLY,
     command,
@@ -23,18 +24,45 @@ from sonarrec.cli.options import (
     tell,
     topic_option,
 )
+from sonarrec.cli.options_remote import (
+    ANY_OR_URL,
+    FILE_OR_URL,
+    NEW_FILE_OR_URL,
+    CacheChoice,
+    cache_options,
+)
+from sonarrec.records import UsageError
+
+if TYPE_CHECKING:
+    from sonarrec.remote.run import Here
 
 
 @command(short_help="Write results as one HTML page.")
-@click.argument("results", type=ANY, default=Path("sonarrec_out"))
-@ground_truth_option("gt.csv; without it nothing is scored.")
+@click.argument("results", type=ANY_OR_URL, required=False)
+@ground_truth_option("gt.csv; without it nothing is scored.", kind=FILE_OR_URL)
+@option(
+    INPUT,
+    "--compare",
+    type=(ANY_OR_URL, ANY_OR_URL),
+    metavar="OLD NEW",
+    help="In place of RESULTS: a page on what got better or worse from OLD to NEW. Truth is given, "
+    "or found beside each log.",
+)
+@option(
+    INPUT,
+    "--pairs",
+    type=FILE,
+    help="In place of RESULTS and truth: a CSV of results,ground_truth[,log], a row per log. With "
+    "--compare: the truth of each log.",
+)
 @option(
     INPUT,
     "--log",
     "recordings",
-    type=ANY,
+    type=ANY_OR_URL,
     multiple=True,
-    help="The log that RESULTS came from, for frames on the page; once for each of several.",
+    help="The log that RESULTS came from, for frames on the page; once for each of several, or a "
+    "folder that holds them.",
 )
 @topic_option
 @scoring_options
@@ -43,46 +71,112 @@ from sonarrec.cli.options import (
     "--method",
     help="Whose sightings and tracks are shown.  [default: framework, or the first preset]",
 )
-@out_option(NEW_FILE, "The page.  [default: RESULTS/report.html]")
+@out_option(
+    NEW_FILE_OR_URL,
+    "The page.  [default: report.html in RESULTS or beside PAIRS; compare.html in NEW]",
+)
+@cache_options
 @quiet_option
 def report(
-    results: Path,
-    ground_truth: Path | None,
-    recordings: tuple[Path, ...],
+    results: Path | str | None,
+    ground_truth: Path | str | None,
+    compare: tuple[Path | str, Path | str] | None,
+    pairs: Path | None,
+    recordings: tuple[Path | str, ...],
     topic: str | None,
     scoring: dict[str, Any],
     method: str | None,
-    out: Path | None,
+    out: Path | str | None,
+    cache: CacheChoice,
     quiet: bool,
 ) -> None:
     """Write RESULTS as one HTML page that needs nothing else: no network, no other file.
 
     RESULTS is the folder of one log, or one that holds several (default: sonarrec_out). The page
     shows what was seen, when and how surely, and the probabilities along each track; with ground
-    truth also the paper's tables, the ROC and the worst mistakes; with the log also its frames.
-    The geometry matters only where run.toml does not tell it.
+    truth also the paper's tables, the ROC and the worst mistakes; with the log also its frames,
+    of which a click on a bar, a track or a mistake shows the one meant.
+    The geometry matters only where run.toml does not tell it. All of these, and the page, may be on
+    a server (`sonarrec help remote`).
 
     \b
     Examples:
       sonarrec report
       sonarrec report sonarrec_out/pan --log sample_data/pan.mcap
       sonarrec report --ground-truth gt.csv --log pings/ -o report.html
+      sonarrec report --pairs pairs.csv --log recordings/
+      sonarrec report --compare before after --ground-truth gt.csv
     """
+    if compare is not None and (results or recordings or topic or method):
+        raise UsageError("--compare takes OLD and NEW and truth; no RESULTS, --log, --method")
+    if pairs is not None and (ground_truth or results) and compare is None:
+        raise UsageError("--pairs names results and truth itself; give neither beside it")
+    if pairs is not None and ground_truth is not None:
+        raise UsageError("--pairs names the truth of each log; give no --ground-truth beside it")
+
+    from sonarrec.remote.run import Here
+
+    with ExitStack() as held:  # the page is uploaded as it closes
+        here = Here(held, cache.cache)
+        truth = here.file(ground_truth)
+        if compare is not None:
+            unused, told = _compare(compare, truth, pairs, out, scoring, here)
+        else:
+            given = {"topic": topic, "method": method, **scoring}
+            unused, told = _report(results, truth, pairs, recordings, out, given, here)
+        unused = [*here.unused, *map(here.told, unused)]
+        tell(unused)
+        if not quiet:
+            click.echo(here.told(told))
+    if unused:
+        leave(PARTLY)
+
+
+def _report(
+    results: Path | str | None,
+    ground_truth: Path | None,
+    pairs: Path | None,
+    recordings: tuple[Path | str, ...],
+    out: Path | str | None,
+    given: dict[str, Any],
+    here: Here,
+) -> tuple[Sequence[str], str]:
+    """Write the page; what could not be used, and what to print."""
+    from sonarrec.remote.run import inside
     from sonarrec.report.build import write_report
 
+    results = None if pairs else results or Path("sonarrec_out")
+    beside = pairs.parent if pairs else results
+    assert beside is not None
     written = write_report(
-        out or results / "report.html",
-        results,
+        here.output(out or inside(beside, "report.html"), "report.html"),
+        None if results is None else here.results(results),
         ground_truth=ground_truth,
-        recordings=recordings,
-        topic=topic,
-        method=method,
-        **scoring,
+        pairs=pairs,
+        recordings=[here.log(recording) for recording in recordings],
+        **given,
     )
-    tell(written.unused)
-    if not quiet:
-        size = written.path.stat().st_size / 1e6
-        frames = "1 frame" if written.pictures == 1 else f"{written.pictures} frames"
-        click.echo(f"{written.path}: {size:.1f} MB, {frames} of the log")
-    if written.unused:
-        leave(PARTLY)
+    size = written.path.stat().st_size / 1e6
+    shown = f"{written.pictures} picture" + "s" * (written.pictures != 1)
+    held = f", {written.held} frames to click" if written.held else ""
+    return written.unused, f"{written.path}: {size:.1f} MB, {shown}{held}"
+
+
+def _compare(
+    sides: tuple[Path | str, Path | str],
+    ground_truth: Path | None,
+    pairs: Path | None,
+    out: Path | str | None,
+    scoring: dict[str, Any],
+    here: Here,
+) -> tuple[Sequence[str], str]:
+    """Write the page; what could not be used, and what to print."""
+    from sonarrec.evaluation.pairs import read_pairs
+    from sonarrec.remote.run import inside
+    from sonarrec.report.compare import write_comparison_page
+
+    truth = read_pairs(pairs) if pairs is not None else ground_truth
+    page = here.output(out or inside(sides[1], "compare.html"), "compare.html")
+    old, new = map(here.results, sides)
+    written = write_comparison_page(page, old, new, truth, **scoring)
+    return written.unused, f"{written.path}: {written.path.stat().st_size / 1e6:.2f} MB"

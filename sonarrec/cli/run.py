@@ -2,45 +2,57 @@
 
 from __future__ import annotations
 
+import os
 import signal
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import IO, TYPE_CHECKING
 
 import click
 
 from sonarrec.cli.options import (
+    BATCH,
     FAILED,
     FILE,
-    FOLDER,
     INPUT,
     OUTPUT,
     PARTLY,
     LogChoice,
     SettingsChoice,
     command,
+    frames_option,
     landmarks_option,
     leave,
     log_options,
+    many_logs_options,
+    named_logs,
     option,
     out_option,
-    progress,
     quiet_option,
     settings_options,
-    tell,
+    verbose_option,
 )
-from sonarrec.records import FrameResult, SonarrecError, UsageError
+from sonarrec.cli.options_remote import FOLDER_OR_URL, CacheChoice, cache_options
+from sonarrec.records import SonarrecError, UsageError, shown
 
 if TYPE_CHECKING:
-    from sonarrec.pipeline import Summary
+    from sonarrec.batch.processes import Watch
+    from sonarrec.batch.task import Task
+    from sonarrec.prepared import Used
+    from sonarrec.readers.many import NamedLog
+    from sonarrec.remote.fetch import RemoteLog
+    from sonarrec.remote.upload import Outbox
+    from sonarrec.results.run_file import Given
 
 INTERRUPTED, TERMINATED = 130, 143
 """Exit codes of a run that was stopped by Ctrl-C or SIGTERM."""
 
 
 @command(short_help="Recognise the landmarks in logs.")
-@click.argument("log", nargs=-1, required=True)
+@click.argument("log", nargs=-1)
+@many_logs_options
 @log_options(time=True)
 @landmarks_option
 @option(
@@ -48,14 +60,16 @@ INTERRUPTED, TERMINATED = 130, 143
     "--odometry",
     type=FILE,
     help="CSV of the sonar's poses: timestamp or timestamp_ns, yaw (deg, positive to the right) "
-    "and, where known, x, y (m).  [default: the turn is measured between the images]",
+    "and, where known, x, y (m).  [default: NAME.poses.csv or poses.csv beside the log; without "
+    "one the turn is measured between the images]",
 )
 @option(
     INPUT,
     "--odometry-topic",
     metavar="TOPIC",
-    help="Poses in the MCAP itself: nav_msgs/Odometry or geometry_msgs/PoseStamped.",
+    help="Poses in the MCAP or bag itself: nav_msgs/Odometry or geometry_msgs/PoseStamped.",
 )
+@frames_option("Recognise only these frames, from A up to, not including, B.")
 @option(
     INPUT,
     "--model",
@@ -64,7 +78,7 @@ INTERRUPTED, TERMINATED = 130, 143
 )
 @settings_options
 @out_option(
-    FOLDER, "Results go to OUT/<log name>.", default=Path("sonarrec_out"), show_default=True
+    FOLDER_OR_URL, "Results go to OUT/<log name>.", default=Path("sonarrec_out"), show_default=True
 )
 @option(
     OUTPUT,
@@ -72,25 +86,79 @@ INTERRUPTED, TERMINATED = 130, 143
     is_flag=True,
     help="Do again what is up to date, and replace results of another log of that name.",
 )
+@option(
+    BATCH,
+    "-j",
+    "--jobs",
+    type=click.IntRange(min=1),
+    help="Logs that run side by side, each in a process apart; 1: one after the other, in this "
+    "process.  [default: as many as there are cores]",
+)
+@option(
+    BATCH,
+    "--retry-failed",
+    is_flag=True,
+    help="Only logs that OUT/logs.csv has as failed or partial; these are done anew.",
+)
+@option(
+    BATCH,
+    "--dry-run",
+    is_flag=True,
+    help="Print what would be done with each log, and why; do nothing.",
+)
+@option(
+    BATCH,
+    "--timeout",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="SECONDS",
+    help="End a log that takes longer.",
+)
+@option(
+    BATCH, "--shard", metavar="I/N", help="Only every N-th log, from the I-th: see help cluster."
+)
+@option(
+    BATCH,
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Run the logs on a Dask cluster, such as tcp://host:8786: see help cluster.",
+)
+@option(OUTPUT, "--json", "as_json", is_flag=True, help="Print one JSON document on stdout.")
+@cache_options
+@verbose_option
 @quiet_option
 def run(
     log: tuple[str, ...],
+    recursive: bool,
+    from_file: IO[str] | None,
     log_choice: LogChoice,
     landmarks: str | None,
     odometry: Path | None,
     odometry_topic: str | None,
+    frames: str | None,
     model: Path | None,
     settings: SettingsChoice,
-    out: Path,
+    out: Path | str,
     overwrite: bool,
+    jobs: int | None,
+    retry_failed: bool,
+    dry_run: bool,
+    timeout: float | None,
+    shard: str | None,
+    scheduler: str | None,
+    as_json: bool,
+    cache: CacheChoice,
+    verbose: bool,
     quiet: bool,
 ) -> None:
     """Recognise landmarks in LOG, frame by frame.
 
-    LOG is an MCAP file, a folder of images, a video or a quoted glob of these. The sonar's
-    geometry is read from sonar.toml beside it (NAME.sonar.toml for one file), from --sonar, or
-    from the flags; polar sonar messages tell their own, all but the tilt and the height. Several
-    LOGs are processed one after the other; one that cannot be used does not stop the others.
+    LOG is an MCAP file, a bag of ROS 1 or 2, a folder of images, a video, a sonar's own file
+    (.aris, .ddf, .oculus, .raw), a folder of logs, or a quoted glob of these. The sonar's geometry
+    is read from sonar.toml beside it (NAME.sonar.toml for one file) or in a folder above, up to the
+    LOG given; from --sonar, or from the flags; polar sonar messages tell their own, all but the
+    tilt and the height, as do sonars' own files. Several logs are processed side by side; one that
+    cannot be used does not stop the others. LOG and OUT may be on a server (`sonarrec help
+    remote`).
 
     Results are replaced only when the new ones are finished, and not made again where they are up
     to date. A run that is stopped leaves its part in OUT/<log name>.part.
@@ -102,56 +170,133 @@ def run(
       sonarrec run dive.mcap --topic /oculus/ping --tilt-deg 20 --time header
       sonarrec run pings/ --odometry poses.csv --model my.toml
       sonarrec run 'dump/*.png' --preset paper -o results
+      sonarrec run rosbag2_2026_11_20-10_00_00/
+      sonarrec run campaign/ --recursive
+      sonarrec run 'dives/**/*.mcap'
+      sonarrec run --from-file dives.txt
+      sonarrec run s3://dives/2026-11-20/ -o s3://dives/results
     """
-    from sonarrec.pipeline import Used, process, result_names
-    from sonarrec.readers.find import find_logs
-    from sonarrec.results.run_file import Given
+    from sonarrec.cli.run_watch import RunWatch
+    from sonarrec.prepared import Used
+    from sonarrec.results.run_file import Given, frame_span
 
     if odometry is not None and odometry_topic is not None:
         raise UsageError("--odometry and --odometry-topic: choose one of the two")
-    given = Given(**log_choice.arguments(), odometry=odometry, odometry_topic=odometry_topic)
+    given = Given(
+        **log_choice.arguments(),
+        odometry=odometry,
+        odometry_topic=odometry_topic,
+        frames=None if frames is None else frame_span(frames),
+    )
     used = Used(settings.configs(), landmarks, model, settings.file)
-    logs = find_logs(log)
-    names = result_names(logs)
-    ended: dict[str, list[str]] = {"done": [], "up to date": [], "in part": [], "failed": []}
-
-    def one(path: str, name: str | None) -> None:
-        with progress(quiet) as step:
-
-            def observe(result: FrameResult, total: int | None) -> None:
-                step(total, f"{result.tracks} tracks in view")
-
-            summary = process(path, out, given, used, observe, name=name, overwrite=overwrite)
-        tell(summary.problems, summary.notes)
-        how = "in part" if summary.problems else "up to date" if summary.up_to_date else "done"
-        ended[how].append(path)
-        if not quiet:
-            _print(summary)
-
-    with _stoppable(out):
-        for path, name in zip(logs, names, strict=True):
-            try:
-                one(path, name)
-            except SonarrecError as error:
-                if len(logs) == 1:
-                    raise
-                tell([str(error)])
-                ended["failed"].append(path)
-    failed = ended["failed"]
-    if len(logs) > 1 and (failed or not quiet):
-        counts = ", ".join(f"{len(paths)} {how}" for how, paths in ended.items() if paths)
-        click.echo(counts + (f": {', '.join(failed)}" if failed else ""), err=bool(failed))
-    if len(failed) == len(logs):
-        leave(FAILED)
-    if failed or ended["in part"]:
-        leave(PARTLY)
+    logs = named_logs(log, from_file, recursive)
+    box = _outbox(out, cache)
+    out = Path(out) if box is None else box.folder
+    tasks = _share(_tasks(logs, out, given, used, overwrite, box, cache), shard)
+    if retry_failed:
+        tasks = _again(tasks, out, box)
+    if not tasks:
+        click.echo("nothing to do", err=True)
+        return
+    if dry_run:
+        _plan(tasks)
+        return
+    jobs = min(jobs or os.cpu_count() or 1, len(tasks))
+    watch = RunWatch(tasks, out, box, jobs=jobs, quiet=quiet, verbose=verbose, json=as_json)
+    folders = [out / task.name for task in tasks if task.name is not None]
+    with _stoppable(folders), watch:
+        _run(tasks, watch, jobs, timeout, scheduler)
+    if len(logs) == 1 and watch.error is not None:
+        raise watch.error
+    watch.count()
+    leave(watch.exit_code())
 
 
-def _print(summary: Summary) -> None:
-    frames = f"{summary.frames} frame{'s' * (summary.frames != 1)}"
-    click.echo(f"{summary.folder}: {'up to date, ' * summary.up_to_date}{frames}")
-    for line in summary.sightings:
-        click.echo(f"  {line}")
+def _run(
+    tasks: list[Task], watch: Watch, jobs: int, timeout: float | None, scheduler: str | None
+) -> None:
+    from sonarrec.batch.processes import run_apart, run_here
+
+    if scheduler is not None:
+        from sonarrec.batch.cluster import run_on_cluster
+
+        run_on_cluster(tasks, scheduler, watch, timeout)
+    elif jobs > 1 or timeout is not None:
+        run_apart(tasks, jobs, watch, timeout)
+    else:
+        run_here(tasks, watch)
+
+
+def _outbox(out: Path | str, cache: CacheChoice) -> Outbox | None:
+    """What uploads results, where OUT is on a server."""
+    from sonarrec.remote.urls import is_url, parse_url
+
+    if not is_url(out):
+        return None
+    from sonarrec.remote.upload import Outbox  # with fsspec, only where needed
+
+    return Outbox(parse_url(out), cache.cache())
+
+
+def _tasks(
+    logs: Sequence[NamedLog | RemoteLog],
+    out: Path,
+    given: Given,
+    used: Used,
+    overwrite: bool,
+    box: Outbox | None,
+    cache: CacheChoice,
+) -> list[Task]:
+    from sonarrec.batch.task import Task
+    from sonarrec.pipeline import result_names
+    from sonarrec.remote.fetch import RemoteLog
+    from sonarrec.remote.run import Elsewhere
+
+    tasks = []
+    names = result_names([one if isinstance(one, RemoteLog) else one.path for one in logs])
+    for one, name in zip(logs, names, strict=True):
+        remote = one if isinstance(one, RemoteLog) else None
+        far = None
+        if remote or box:
+            far = Elsewhere(cache.cache(), remote, box.url if box else None)
+        path, up_to = (one.shown, None) if isinstance(one, RemoteLog) else (one.path, one.up_to)
+        known = replace(given, up_to=up_to)
+        tasks.append(Task(path, name, str(out), known, used, overwrite, far))
+    return tasks
+
+
+def _again(tasks: list[Task], out: Path, box: Outbox | None) -> list[Task]:
+    """Of tasks those that logs.csv has as failed or partial."""
+    from sonarrec.batch.logs_table import NAME, again
+
+    if box is not None:
+        box.fetch(NAME)
+    return again(tasks, out)
+
+
+def _plan(tasks: list[Task]) -> None:
+    from sonarrec.batch.task import plan
+
+    faults = 0
+    for task in tasks:
+        try:
+            what = plan(task)
+        except SonarrecError as error:
+            faults += 1
+            what = f"fails ({error})"
+        click.echo(f"{task.path}: {what}")
+    if faults:
+        leave(FAILED if faults == len(tasks) else PARTLY)
+
+
+def _share(tasks: list[Task], shard: str | None) -> list[Task]:
+    """Those of the share I/N; all without one. Raises UsageError."""
+    if shard is None:
+        return tasks
+    i, _, n = shard.partition("/")
+    if not (i.isdecimal() and n.isdecimal() and 1 <= int(i) <= int(n)):
+        raise UsageError(f"--shard {shard}: expected I/N with I from 1 to N, such as 2/8")
+    return tasks[int(i) - 1 :: int(n)]
 
 
 class _Terminated(KeyboardInterrupt):
@@ -159,7 +304,7 @@ class _Terminated(KeyboardInterrupt):
 
 
 @contextmanager
-def _stoppable(out: Path) -> Iterator[None]:
+def _stoppable(folders: Sequence[Path]) -> Iterator[None]:
     """SIGTERM stops as Ctrl-C does: what is written stays whole, and a line says where it is."""
 
     def stop(*_: object) -> None:
@@ -169,9 +314,9 @@ def _stoppable(out: Path) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt as error:
-        from sonarrec.results.folders import PART
+        from sonarrec.results.folders import part_of
 
-        parts = ", ".join(str(p) for p in sorted(out.glob(f"*{PART}")))
+        parts = ", ".join(shown(part_of(f)) for f in folders if part_of(f).is_dir())
         kept = f"; the frames before are in {parts}" if parts else ""
         click.echo(f"sonarrec: stopped{kept}", err=True)
         leave(TERMINATED if isinstance(error, _Terminated) else INTERRUPTED)

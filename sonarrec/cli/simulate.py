@@ -6,16 +6,8 @@ from pathlib import Path
 
 import click
 
-from sonarrec.cli.options import (
-    ANY,
-    INPUT,
-    OUTPUT,
-    command,
-    option,
-    out_option,
-    progress,
-    quiet_option,
-)
+from sonarrec.cli.bars import progress
+from sonarrec.cli.options import ANY, INPUT, OUTPUT, command, option, out_option, quiet_option
 from sonarrec.records import UsageError
 
 

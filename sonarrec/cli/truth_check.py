@@ -74,10 +74,12 @@ def check(
       sonarrec truth check gt_proposed.csv pings/ --sheet look.png --max-pan 10
     """
     from sonarrec.landmarks import load_landmarks
+    from sonarrec.outputs import check_output
     from sonarrec.readers import open_log
     from sonarrec.truth.check import check_truth
     from sonarrec.truth.contact_sheet import draw_contact_sheet
 
+    check_output(sheet, "picture", [ground_truth, log])
     landmark_set = load_landmarks(landmarks or "basin")
     reopen = partial(open_log, log, **log_choice.arguments())
     with reopen() as opened:

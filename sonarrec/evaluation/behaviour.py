@@ -16,7 +16,7 @@ from sonarrec.records import FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True)
-class Followed:
+class PassOutcomes:
     """How one method did in each of P passes under one protocol."""
 
     protocol: str
@@ -61,7 +61,7 @@ class Switched:
     tracks: FloatArray | None = None
 
 
-def follow(scored: Scored, joined: Joined, passes: Passes) -> Followed:
+def pass_outcomes(scored: Scored, joined: Joined, passes: Passes) -> PassOutcomes:
     """Each pass of a landmark under one method."""
     claimed = np.zeros(len(joined.truth_frame_index), dtype=bool)
     claimed[scored.truth[_right_claims(scored)]] = True
@@ -73,7 +73,7 @@ def follow(scored: Scored, joined: Joined, passes: Passes) -> Followed:
     lasting = frame > wrong_last[number]
     settled = np.full(count, np.inf)
     np.minimum.at(settled, number[lasting], frame[lasting])
-    return Followed(
+    return PassOutcomes(
         protocol=scored.protocol,
         method=scored.method,
         frames=np.bincount(number, minlength=count),
@@ -83,15 +83,15 @@ def follow(scored: Scored, joined: Joined, passes: Passes) -> Followed:
 
 
 def wait_counts(
-    followed: Sequence[Followed], joined: Joined, passes: Passes, units: Units
+    outcomes: Sequence[PassOutcomes], joined: Joined, passes: Passes, units: Units
 ) -> Iterator[Counted]:
     """Frames to a lasting right ID over passes, per ID and in all.
 
     A pass in which it never comes counts as infinite.
     """
-    edges = np.unique(np.concatenate([[np.inf], *(f.wait for f in followed)]))
+    edges = np.unique(np.concatenate([[np.inf], *(f.wait for f in outcomes)]))
     unit = _unit_of_pass(passes, units)
-    for one in followed:
+    for one in outcomes:
         for name, mine in by_landmark(joined, passes.landmark_index):
             labels = (one.protocol, one.method, name)
             yield spread_count(labels, one.wait[mine], unit[mine], units.count, edges)

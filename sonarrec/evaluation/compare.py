@@ -4,30 +4,32 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sonarrec.evaluation import metrics
+from sonarrec.evaluation.behaviour import pass_outcomes
 from sonarrec.evaluation.counted import Counted, rate_counts
 from sonarrec.evaluation.evaluate import Evaluation, check_options, pool
 from sonarrec.evaluation.joined import Joined
 from sonarrec.evaluation.metrics import BY_NAME, MAIN
-from sonarrec.evaluation.passes import find_passes, find_units
+from sonarrec.evaluation.pairs import Pair
+from sonarrec.evaluation.passes import Passes, find_passes, find_units
 from sonarrec.evaluation.scoring import Scored
+from sonarrec.evaluation.settings import SettingChange
+from sonarrec.evaluation.sides import Sides, both_sides
+from sonarrec.evaluation.summary import UNITS
 from sonarrec.evaluation.uncertainty import (
     Difference,
     bootstrap_weights,
     coin_tosses,
     differences,
 )
-from sonarrec.records import SonarrecError, printable
-from sonarrec.results.read import LogResults, find_logs, read_log
+from sonarrec.records import printable
 from sonarrec.sonar import Sonar
-from sonarrec.truth.match import match_truth
-from sonarrec.truth.table import read_truth
 
 FRAMES_FREE = 2
 """Frames that may turn worse whatever the band: two of 24 are no trend, though they are .083."""
@@ -81,17 +83,47 @@ class FrameChange:
 
 
 @dataclass(frozen=True, slots=True)
+class PassChange:
+    """A pass of a landmark through the view in which one method has more right frames, or fewer."""
+
+    protocol: str
+    method: str
+    log: str
+    landmark: int
+    first_frame: int
+    last_frame: int
+    frames: int
+    """With the landmark whole in view."""
+    old: int
+    new: int
+    """Those of them in which it was claimed."""
+
+
+@dataclass(frozen=True, slots=True)
 class Comparison:
     """What `compare` found."""
 
+    old: str
+    new: str
+    """The folders as given."""
+    logs: tuple[str, ...]
+    frames_compared: int
+    units: str
+    """How many, and of what, intervals and tests rest on."""
+    landmarks: tuple[int, ...]
+    settings: tuple[SettingChange, ...]
+    """What differs in how the results were made."""
     rates: tuple[RateChange, ...]
     frames: tuple[FrameChange, ...]
+    passes: tuple[PassChange, ...]
     differences: tuple[Difference, ...]
-    """New less old, in total, with interval and p-value."""
+    """New less old, per ID and in total, with interval and p-value."""
     lost: tuple[str, ...]
     """Methods that only the old results have."""
     gained: tuple[str, ...]
     """Methods that only the new results have."""
+    notes: tuple[str, ...]
+    """Worth knowing."""
     unused: tuple[str, ...]
     """Input that could not be used, one line each."""
 
@@ -115,7 +147,7 @@ def _told(rate: float) -> str:
 def compare(
     old: Path,
     new: Path,
-    ground_truth: Path,
+    ground_truth: Path | Sequence[Pair] | None = None,
     *,
     min_visible: float = 0.9,
     tolerance_s: float | None = None,
@@ -124,81 +156,29 @@ def compare(
 ) -> Comparison:
     """Compare two results folders, each of one log or of several, on the frames both hold.
 
-    Logs go together by name, or where each side has one log. The other arguments are those of
-    `evaluate.evaluate`. Raises SonarrecError where files cannot be used or nothing is in common.
+    Logs go together by name or SHA-256, or where each side has one log. ground_truth: one table,
+    or pairs, of which each log takes that of its results; None: the truth beside each log. The
+    other arguments are those of `evaluate.evaluate`. Raises SonarrecError where files cannot be
+    used, logs differ or nothing is in common.
     """
     check_options(min_visible, tolerance_s)
-    table = read_truth(ground_truth)
-    sides = [[read_log(f, landmarks, sonar) for f in find_logs(side)] for side in (old, new)]
-    pairs, unused = _pair_up(old, new, *sides)
-    if len(pairs) > 1 and table.log is None:
-        raise SonarrecError(
-            f"{ground_truth}: {new} holds {len(pairs)} logs, so the truth needs a log column that "
-            "names their folders; or give the folders of one log"
-        )
-    cut = []
-    for a, b in pairs:
-        common = np.intersect1d(a.frame, b.frame)
-        if not len(common):
-            raise SonarrecError(f"{b.name}: {old} and {new} have no frame in common")
-        for side, log in ((old, a), (new, b)):
-            alone = len(log.frame) - len(common)
-            if alone:
-                unused.append(f"{log.name}: {alone} frames are in {side} only; not compared")
-        cut.append((_only(a, common), _only(replace(b, name=a.name), common)))
-    truths = [match_truth(table, b, tolerance_s) for _, b in cut]
-    before = pool([a for a, _ in cut], truths, min_visible)
-    after = pool([b for _, b in cut], truths, min_visible)
-    return _compared(before, after, tuple(unused))
+    sides = both_sides(old, new, ground_truth, tolerance_s, landmarks, sonar)
+    before, after = (pool(cases, min_visible) for cases in (sides.before, sides.after))
+    return _compared((str(old), str(new)), before, after, sides)
 
 
-def _pair_up(
-    old: Path, new: Path, before: list[LogResults], after: list[LogResults]
-) -> tuple[list[tuple[LogResults, LogResults]], list[str]]:
-    if len(before) == len(after) == 1:
-        return [(replace(before[0], name=after[0].name), after[0])], []
-    by_name = {log.name: log for log in before}
-    pairs = [(by_name[log.name], log) for log in after if log.name in by_name]
-    if not pairs:
-        raise SonarrecError(f"{old} and {new} have no log of one name")
-    common = {b.name for _, b in pairs}
-    unused = [
-        f"{log.name}: is in {side} only; not compared"
-        for side, logs in ((old, before), (new, after))
-        for log in logs
-        if log.name not in common
-    ]
-    return pairs, unused
-
-
-def _only(log: LogResults, frames: Any) -> LogResults:
-    """The results on some of the log's frames, given by number."""
-    kept = np.isin(log.frame, frames)
-    mine = kept[log.row]
-    return replace(
-        log,
-        frame=log.frame[kept],
-        timestamp_ns=None if log.timestamp_ns is None else log.timestamp_ns[kept],
-        method=log.method[mine],
-        row=(np.cumsum(kept) - 1)[log.row[mine]],
-        landmark=log.landmark[mine],
-        score=log.score[mine],
-        declared=log.declared[mine],
-        position=None if log.position is None else log.position[mine],
-        orientation=log.orientation[mine],
-        object=log.object[mine],
-        probability=None if log.probability is None else log.probability[mine],
-    )
-
-
-def _compared(before: Evaluation, after: Evaluation, unused: tuple[str, ...]) -> Comparison:
+def _compared(
+    names: tuple[str, str], before: Evaluation, after: Evaluation, sides: Sides
+) -> Comparison:
     joined = after.joined
-    units = find_units(joined, find_passes(joined))
+    passes = find_passes(joined)
+    units = find_units(joined, passes)
     rng = np.random.default_rng(0)
     weights, tosses = bootstrap_weights(units.count, rng), coin_tosses(units.count, rng)
     olds = {(s.protocol, s.method): s for s in before.scored}
     rates: list[RateChange] = []
     frames: list[FrameChange] = []
+    of_passes: list[PassChange] = []
     found: list[Difference] = []
     for b in after.scored:
         a = olds.get((b.protocol, b.method))
@@ -206,16 +186,27 @@ def _compared(before: Evaluation, after: Evaluation, unused: tuple[str, ...]) ->
             old, new = rate_counts(a, units), rate_counts(b, units)
             rates += _rate_changes(old, new)
             frames += _frame_changes(a, b, joined)
-            before_all, after_all = (metrics.tally(metrics.rates, side[-1]) for side in (old, new))
-            found += differences(before_all, after_all, weights, tosses)
+            of_passes += _pass_changes(a, b, joined, passes)
+            for was, now in zip(old, new, strict=True):
+                was_tally, now_tally = (metrics.tally(metrics.rates, side) for side in (was, now))
+                found += differences(was_tally, now_tally, weights, tosses)
     ours, theirs = before.joined.methods, after.joined.methods
     return Comparison(
+        old=names[0],
+        new=names[1],
+        logs=joined.logs,
+        frames_compared=len(joined.frame),
+        units=f"{units.count} {UNITS[units.kind]}",
+        landmarks=joined.ids,
+        settings=tuple(sides.settings),
         rates=tuple(rates),
         frames=tuple(frames),
+        passes=tuple(of_passes),
         differences=tuple(found),
         lost=tuple(m for m in ours if m not in theirs),
         gained=tuple(m for m in theirs if m not in ours),
-        unused=unused,
+        notes=tuple(map(printable, sides.notes)),
+        unused=tuple(map(printable, sides.unused)),
     )
 
 
@@ -247,9 +238,27 @@ def _frame_changes(a: Scored, b: Scored, joined: Joined) -> Iterable[FrameChange
         )
 
 
+def _pass_changes(a: Scored, b: Scored, joined: Joined, passes: Passes) -> Iterable[PassChange]:
+    old, new = (pass_outcomes(scored, joined, passes) for scored in (a, b))
+    for i in np.flatnonzero(old.right != new.right).tolist():
+        yield PassChange(
+            protocol=a.protocol,
+            method=a.method,
+            log=joined.logs[passes.log_index[i]],
+            landmark=joined.ids[passes.landmark_index[i]],
+            first_frame=int(joined.frame[passes.first_frame_index[i]]),
+            last_frame=int(joined.frame[passes.last_frame_index[i]]),
+            frames=int(new.frames[i]),
+            old=int(old.right[i]),
+            new=int(new.right[i]),
+        )
+
+
 def screen(found: Comparison, most: int = 12) -> str:
-    """Totals before and after with their tests, then the longest runs of changed frames."""
-    tests = {(d.protocol, d.b, d.name): d for d in found.differences}
+    """What the runs were made with differently, totals with their tests, then the longest runs of
+    changed frames."""
+    whole = (d for d in found.differences if d.landmark_text == "total")
+    tests = {(d.protocol, d.b, d.name): d for d in whole}
     totals: dict[str, list[str]] = {}
     few = ""
     for r in found.rates:
@@ -261,7 +270,8 @@ def screen(found: Comparison, most: int = 12) -> str:
                 text += "" if math.isnan(test.p) else f" (p = {test.p:.2g})"
                 few = test.note.removesuffix(": no test") if math.isnan(test.p) else few
             totals.setdefault(f"{r.method}, {r.protocol}", []).append(text)
-    lines = [f"{name}: {', '.join(texts)}" for name, texts in totals.items()]
+    lines = [*settings_lines(found, most)]
+    lines += [f"{name}: {', '.join(texts)}" for name, texts in totals.items()]
     if few:
         lines.append(f"no p-values: {few}")
     lines += [f"{method}: only in the old results" for method in found.lost]
@@ -271,26 +281,38 @@ def screen(found: Comparison, most: int = 12) -> str:
         f"frames and IDs: {verdicts.count('better')} better, {verdicts.count('worse')} worse, "
         f"{verdicts.count('other')} otherwise changed"
     )
-    runs = sorted(_runs(found.frames), key=lambda run: -len(run))
+    runs = frame_runs(found.frames)
     for run in runs[:most]:
         first, last = run[0], run[-1]
         span = f"frame {first.frame}" if len(run) == 1 else f"frames {first.frame}-{last.frame}"
         lines.append(
             f"  {first.verdict}: {first.log} {span}, {first.method}, {first.protocol}, "
-            f"ID.{first.landmark}: {_outcome(first.old)} -> {_outcome(first.new)}"
+            f"ID.{first.landmark}: {outcome(first.old)} -> {outcome(first.new)}"
         )
     if len(runs) > most:
         lines.append(f"  and {len(runs) - most} more runs; changes.csv has all")
     return "\n".join(map(printable, lines))
 
 
-def _outcome(counts: tuple[int, int, int]) -> str:
+def settings_lines(found: Comparison, most: int = 12) -> Iterable[str]:
+    """What differs in how the results were made; of some of several logs their names."""
+    for change in found.settings[:most]:
+        logs = "" if len(change.logs) == len(found.logs) else f" ({', '.join(change.logs)})"
+        yield f"{change.key}: {change.old} -> {change.new}{logs}"
+    if len(found.settings) > most:
+        yield f"and {len(found.settings) - most} more settings; compare.json has all"
+    if not found.settings and not any("settings are not known" in note for note in found.notes):
+        yield "settings, version and landmark set: the same"
+
+
+def outcome(counts: tuple[int, int, int]) -> str:
+    """TP, FP, FN of one frame and ID in words."""
     named = [n for n, c in zip(("TP", "FP", "FN"), counts, strict=True) for _ in range(c)]
     return " + ".join(named) or "TN"
 
 
-def _runs(changes: Iterable[FrameChange]) -> list[list[FrameChange]]:
-    """Equal changes in neighbouring frames, put together."""
+def frame_runs(changes: Iterable[FrameChange]) -> list[list[FrameChange]]:
+    """Equal changes in neighbouring frames, put together; the longest first."""
 
     def key(c: FrameChange) -> tuple[Any, ...]:
         return c.protocol, c.method, c.log, c.landmark, c.old, c.new
@@ -301,4 +323,4 @@ def _runs(changes: Iterable[FrameChange]) -> list[list[FrameChange]]:
             runs[-1].append(change)
         else:
             runs.append([change])
-    return runs
+    return sorted(runs, key=lambda run: -len(run))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,14 +9,16 @@ from pathlib import Path
 
 import numpy as np
 
+from sonarrec.evaluation.fit import Matched, fit, left_out, matched
 from sonarrec.evaluation.joined import Joined, join
+from sonarrec.evaluation.pairs import Pair, found_beside, found_where, one_log
+from sonarrec.evaluation.same import counted_once
 from sonarrec.evaluation.scoring import PROTOCOLS, Scored, score
 from sonarrec.records import SonarrecError, UsageError, printable
 from sonarrec.results.read import LogResults, find_logs, read_log
 from sonarrec.sonar import Sonar
-from sonarrec.tables import line_number, read_table
-from sonarrec.truth.match import Truth, match_truth
-from sonarrec.truth.table import TruthTable, read_truth
+from sonarrec.truth.match import Truth
+from sonarrec.truth.table import read_truth
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +26,8 @@ class Evaluation:
     """What `evaluate` found."""
 
     joined: Joined
+    folders: tuple[Path, ...]
+    """Of each log of `joined`, as given."""
     scored: tuple[Scored, ...]
     """Every method under every protocol."""
     min_visible: float
@@ -34,20 +37,9 @@ class Evaluation:
     """Input that could not be used, one line each."""
 
 
-@dataclass(frozen=True, slots=True)
-class Pair:
-    """The results folder of one log and the truth that goes with it."""
-
-    results: Path
-    ground_truth: Path
-    log: str | None = None
-    """The log's name, where the folder's own is not wanted; the log column of the truth is matched
-    with it."""
-
-
 def evaluate(
     results: str | Path,
-    ground_truth: str | Path,
+    ground_truth: str | Path | None = None,
     *,
     min_visible: float = 0.9,
     tolerance_s: float | None = None,
@@ -55,6 +47,9 @@ def evaluate(
     sonar: Sonar | None = None,
 ) -> Evaluation:
     """Score a results folder (of one log, or of several) against gt.csv.
+
+    Without ground_truth the NAME.gt.csv, or gt.csv, beside each log is taken.
+    Of several results of one recording the first counts.
 
     A claim is an estimate that is declared (operating point) or whose score reaches the
     threshold (curves). A landmark with visible >= min_visible is a positive.
@@ -74,20 +69,45 @@ def evaluate(
 
     Raises SonarrecError where files cannot be used or have no frame in common.
     """
-    results, ground_truth = Path(results), Path(ground_truth)
+    results = Path(results)
     check_options(min_visible, tolerance_s)
-    table = read_truth(ground_truth)
     folders = find_logs(results)
-    logs = [read_log(folder, landmarks, sonar) for folder in folders]
-    if len(logs) > 1 and table.log is None:
+    if ground_truth is None:
+        return _beside(folders, min_visible, tolerance_s, landmarks, sonar)
+    table = read_truth(Path(ground_truth))
+    named = [read_log(folder, landmarks, sonar) for folder in folders]
+    once = counted_once(folders, named)
+    if len(once.kept) > 1 and table.log is None:
+        names = ", ".join(named[i].name for i in once.kept)
         raise SonarrecError(
-            f"{ground_truth}: {results} holds {len(logs)} logs "
-            f"({', '.join(log.name for log in logs)}), so the truth needs a log column that "
-            "names their folders; or give the folder of one log"
+            f"{ground_truth}: {results} holds {len(once.kept)} logs ({names}), so the truth needs "
+            "a log column that names their folders; or give the folder of one log"
         )
-    truths = [match_truth(table, log, tolerance_s) for log in logs]
-    unused = _unused(table, logs, truths, single=folders == [results])
-    return pool(logs, truths, min_visible, unused)
+    found = fit([matched(folders[i], table, named[i], tolerance_s) for i in once.kept])
+    elsewhere = 0
+    if table.log is not None and folders != [results]:
+        elsewhere = int(np.count_nonzero(~np.isin(table.log, [log.name for log in named])))
+    unused = [*found.unused, *left_out(found.usable, elsewhere), *once.unused]
+    return pool(found.usable, min_visible, [*once.notes, *found.notes], unused)
+
+
+def _beside(
+    folders: list[Path],
+    min_visible: float,
+    tolerance_s: float | None,
+    landmarks: str | None,
+    sonar: Sonar | None,
+) -> Evaluation:
+    """Each log with the truth that lies beside it."""
+    pairs, without = found_beside(folders)
+    found = evaluate_pairs(
+        pairs, min_visible=min_visible, tolerance_s=tolerance_s, landmarks=landmarks, sonar=sonar
+    )
+    return replace(
+        found,
+        notes=(*(printable(found_where(pair)) for pair in pairs), *found.notes),
+        unused=(*map(printable, without), *found.unused),
+    )
 
 
 def evaluate_pairs(
@@ -106,71 +126,27 @@ def evaluate_pairs(
     if not pairs:
         raise SonarrecError("no pair of results and ground truth to score")
     tables = {path: read_truth(path) for path in {pair.ground_truth for pair in pairs}}
-    logs: list[LogResults] = []
-    truths: list[Truth] = []
-    unused: list[str] = []
-    seen: dict[str, Path] = {}
-    for pair in pairs:
-        folders = find_logs(pair.results)
-        if folders != [pair.results]:
-            raise SonarrecError(
-                f"{pair.results}: holds {len(folders)} logs; give each a row of its own"
-            )
-        log = read_log(pair.results, landmarks, sonar)
-        log = log if pair.log is None else replace(log, name=pair.log)
-        table = tables[pair.ground_truth]
-        logs.append(log)
-        truths.append(match_truth(table, log, tolerance_s))
-        unused += _unused(table, logs[-1:], truths[-1:], single=True)
-        first = seen.setdefault(_identity(pair.results, log), pair.results)
-        if first is not pair.results:
-            raise SonarrecError(
-                f"{pair.results}: the same results as {first}, once more; pooled they would count "
-                "as two independent logs, so name each log once"
-            )
-    names = [log.name for log in logs]
-    if len(set(names)) < len(names):
-        logs = [
-            log if names.count(log.name) == 1 else replace(log, name=str(pair.results))
-            for log, pair in zip(logs, pairs, strict=True)
-        ]
-    return pool(logs, truths, min_visible, unused)
-
-
-def _identity(folder: Path, log: LogResults) -> str:
-    """Tells results from others by what the files hold: a link, or a copy, is the same."""
-    digest = hashlib.sha256()
-    for name in ("run.toml", "frames.csv", "estimates.csv"):
-        if (folder / name).is_file():
-            with (folder / name).open("rb") as file:
-                digest.update(hashlib.file_digest(file, "sha256").digest())
-    # Two logs in which nothing was found may be alike; run.toml tells one from the other.
-    if not len(log.row) and not (folder / "run.toml").is_file():
-        digest.update(str((folder / "estimates.csv").resolve()).encode())
-    return digest.hexdigest()
-
-
-def read_pairs(path: Path) -> list[Pair]:
-    """Read a table of pairs: columns results, ground_truth and, if wanted, log.
-
-    Paths are taken from the folder of the table. Raises SonarrecError where it cannot be used.
-    """
-    columns = ("results", "ground_truth")
-    table = read_table(path, dict.fromkeys((*columns, "log"), "text"), columns, ",".join(columns))
-    logs = [str(log) for log in table["log"]] if "log" in table else [None] * len(table["results"])
-    for row, names in enumerate(zip(*(table[c] for c in columns), strict=True)):
-        for name in map(str, names):
-            try:
-                (path.parent / name).stat()
-            except (FileNotFoundError, NotADirectoryError):
-                continue  # told where it is read
-            except (OSError, ValueError) as error:  # too long, or with a NUL byte
-                where = f"{path} line {line_number(path, row)}"
-                raise SonarrecError(f"{where}: no path, {name[:40]!r} ({error})"[:300]) from None
-    return [
-        Pair(path.parent / str(results), path.parent / str(truth), log)
-        for results, truth, log in zip(*(table[c] for c in columns), logs, strict=True)
+    named = [_named(pair, landmarks, sonar) for pair in pairs]
+    once = counted_once([pair.results for pair in pairs], named)
+    cases = [
+        matched(pairs[i].results, tables[pairs[i].ground_truth], named[i], tolerance_s)
+        for i in once.kept
     ]
+    found = fit(cases)
+    unused = [*found.unused, *(line for case in found.usable for line in left_out([case]))]
+    names = [case.log.name for case in found.usable]
+    told_apart = [
+        case
+        if names.count(case.log.name) == 1
+        else replace(case, log=replace(case.log, name=str(case.folder)))
+        for case in found.usable
+    ]
+    return pool(told_apart, min_visible, [*once.notes, *found.notes], [*unused, *once.unused])
+
+
+def _named(pair: Pair, landmarks: str | None, sonar: Sonar | None) -> LogResults:
+    log = read_log(one_log(pair.results), landmarks, sonar)
+    return log if pair.log is None else replace(log, name=pair.log)
 
 
 def check_options(min_visible: float, tolerance_s: float | None) -> None:
@@ -182,15 +158,17 @@ def check_options(min_visible: float, tolerance_s: float | None) -> None:
 
 
 def pool(
-    logs: Sequence[LogResults],
-    truths: Sequence[Truth],
+    cases: Sequence[Matched],
     min_visible: float,
+    notes: Sequence[str] = (),
     unused: Sequence[str] = (),
 ) -> Evaluation:
     """Score logs that were read, each with its truth, as one.
 
+    notes, unused: what is to be told besides.
     Raises SonarrecError where their landmark IDs differ, or where they name no method.
     """
+    logs, truths = [case.log for case in cases], [case.truth for case in cases]
     for log in logs:
         if set(log.landmarks.ids) != set(logs[0].landmarks.ids):
             raise SonarrecError(
@@ -198,55 +176,19 @@ def pool(
                 "cannot be pooled; evaluate them one by one, or give --landmarks"
             )
     joined = join(logs, truths, min_visible)
-    notes = _notes(joined, logs, truths)
+    notes = [*notes, *_notes(joined, logs, truths)]
     scored = tuple(
         score(joined, m, protocol)
         for m in range(len(joined.methods))
         for protocol in PROTOCOLS
         if protocol == "paper" or joined.placed
     )
-    return Evaluation(joined, scored, min_visible, notes, tuple(map(printable, unused)))
+    told = tuple(map(printable, notes)), tuple(map(printable, unused))
+    folders = tuple(case.folder for case in cases)
+    return Evaluation(joined, folders, scored, min_visible, *told)
 
 
-def _unused(
-    table: TruthTable, logs: list[LogResults], truths: list[Truth], single: bool
-) -> tuple[str, ...]:
-    """One line per part of the input that was left out; SonarrecError where no truth is left."""
-    said = []
-    rows = sum(t.rows for t in truths)
-    elsewhere = len(table.at) - rows
-    lost = sum(t.unprocessed for t in truths) + (0 if single else elsewhere)
-    frames = sum(len(log.frame) for log in logs)
-    if len(table.at) and not rows:
-        raise SonarrecError(
-            f"{table.path}: its log column names none of {', '.join(log.name for log in logs)}"
-        )
-    if rows and not any(len(t.frame_index) for t in truths):
-        raise SonarrecError(
-            f"{table.path}: none of its {rows} rows ({table.key} {table.at.min()} to "
-            f"{table.at.max()}) lies on a processed frame ({frames} frames, "
-            f"{logs[0].frame[0]} to {logs[-1].frame[-1]}); is this the truth of another log?"
-        )
-    if lost:
-        said.append(
-            f"{table.path}: {lost} of {len(table.at)} rows lie on frames that were not processed; "
-            f"they are not scored (the {frames} frames processed are)"
-        )
-    for log in logs:
-        if not log.finished:
-            said.append(
-                f"{log.name}: the run was cut short (run.toml says finished = false); "
-                f"only its {len(log.frame)} frames are scored"
-            )
-        if log.strays:
-            said.append(
-                f"{log.name}: {log.strays} estimates lie on frames that frames.csv does not list; "
-                "they are not scored"
-            )
-    return tuple(said)
-
-
-def _notes(joined: Joined, logs: Sequence[LogResults], truths: Sequence[Truth]) -> tuple[str, ...]:
+def _notes(joined: Joined, logs: Sequence[LogResults], truths: Sequence[Truth]) -> list[str]:
     notes = []
     if not joined.methods:
         raise SonarrecError(f"{', '.join(joined.logs)}: estimates.csv names no method to score")
@@ -278,4 +220,4 @@ def _notes(joined: Joined, logs: Sequence[LogResults], truths: Sequence[Truth]) 
     for i, n in zip(joined.ids, positives, strict=True):
         if not n:
             notes.append(f"ID.{i} is never in view: its TPR is 0/0 and says nothing")
-    return tuple(map(printable, notes))
+    return notes

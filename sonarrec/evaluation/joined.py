@@ -97,7 +97,7 @@ def _frames_and_claims(
     """The fields of Joined that one log's results give, with its own frames' indices."""
     of_id = np.array([ids.index(i) for i in log.landmarks.ids])
     of_method = np.array([methods.index(m) for m in log.methods], dtype=int)
-    n, k = len(log.row), len(ids)
+    n, k = len(log.frame_index), len(ids)
     probability = log.probability
     if probability is None:
         probability = np.full((n, k + 1), np.nan, dtype=np.float32)
@@ -105,8 +105,8 @@ def _frames_and_claims(
         "frame": log.frame,
         "seconds": np.full(len(log.frame), _seconds_per_frame(log)),
         "method_index": of_method[log.method],
-        "claim_frame_index": log.row,
-        "claim_landmark_index": of_id[log.landmark],
+        "claim_frame_index": log.frame_index,
+        "claim_landmark_index": of_id[log.landmark_index],
         "claim_position": _known(log.position, (n, 2)),
         "claim_orientation": log.orientation,
         "claim_object": log.object,
@@ -140,7 +140,7 @@ def _is_placed(log: LogResults, truth: Truth) -> bool:
     """Whether positions are known wherever both sides have something."""
     if not len(truth.frame_index):
         return True
-    return truth.position is not None and (log.position is not None or not len(log.row))
+    return truth.position is not None and (log.position is not None or not len(log.frame_index))
 
 
 def _turn_deg(sectors: IntArray) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 
 from sonarrec.evaluation.behaviour import (
     FalseClaims,
-    Followed,
+    PassOutcomes,
     Switched,
     Switches,
     false_claim_counts,
@@ -42,7 +42,7 @@ class Case:
     joined: Joined
     passes: Passes
     units: Units
-    followed: tuple[Followed, ...]
+    outcomes: tuple[PassOutcomes, ...]
     """As `scored`."""
     nearest: IntArray | None
     """(N,) of behaviour.on_truth; None where positions are not known."""
@@ -60,7 +60,7 @@ def rates(case: Case) -> Iterable[Counted]:
 
 def waits(case: Case) -> Iterable[Counted]:
     """Of a Spread of frames to a lasting right ID, under every protocol."""
-    return wait_counts(case.followed, case.joined, case.passes, case.units)
+    return wait_counts(case.outcomes, case.joined, case.passes, case.units)
 
 
 def false_claims(case: Case) -> Iterable[Counted]:

@@ -13,7 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from sonarrec.evaluation.curves import macro_curve
-from sonarrec.evaluation.reliability import BINS, Reliability
+from sonarrec.evaluation.reliability import BINS, FEW, Reliability
 from sonarrec.evaluation.roc import Point, fpr_end, roc
 from sonarrec.evaluation.scoring import PROTOCOLS, Scored
 from sonarrec.records import FloatArray
@@ -22,7 +22,6 @@ from sonarrec.records import FloatArray
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 STYLES = ("-", "--", "-.", ":")
 MARKERS = ("s", "D")
-FEW = 20  # estimates: a share of fewer wanders too far to be read
 
 
 def _figure(
@@ -188,7 +187,8 @@ def draw_reliability(path: Path, curves: Sequence[Reliability]) -> None:
         axes.plot([0, 1], [0, 1], ":", color="0.5", label="perfectly calibrated")
         few = top.count < FEW
         label = f"most probable; hollow: fewer than {FEW}"
-        axes.plot(top.mean, top.right, "o-", color=COLOURS[0], lw=1, label=label)
+        held = np.where(few, np.nan, top.right)
+        axes.plot(top.mean, held, "o-", color=COLOURS[0], lw=1, label=label)
         axes.plot(top.mean[few], top.right[few], "o", color="white", mec=COLOURS[0])
         axes.set(title=top.method, xlim=(0, 1), ylim=(0, 1.02))
         axes.grid(color="0.9")

@@ -14,6 +14,8 @@ from sonarrec.evaluation.passes import Units
 from sonarrec.records import BoolArray, FloatArray, IntArray
 
 BINS = 10
+FEW = 10
+"""Estimates in a step from which its share is worth a line: one of fewer wanders too far."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from sonarrec.evaluation import metrics
-from sonarrec.evaluation.behaviour import Followed, Switches, follow, on_truth, switches
+from sonarrec.evaluation.behaviour import PassOutcomes, Switches, on_truth, pass_outcomes, switches
 from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.evaluation.passes import Passes, UnitKind, Units, find_passes, find_units
 from sonarrec.evaluation.reliability import Reliability, reliability
@@ -43,7 +43,7 @@ class Summary:
     """Per protocol, method and landmark_text, by metric."""
     differences: tuple[Difference, ...]
     """Of every two methods, in total."""
-    followed: tuple[Followed, ...]
+    outcomes: tuple[PassOutcomes, ...]
     """Per protocol and method."""
     switches: tuple[Switches, ...]
     """Per method; empty where positions are not known."""
@@ -75,7 +75,7 @@ def summarise(evaluation: Evaluation, unit: UnitKind | None = None, seed: int = 
         joined=joined,
         passes=passes,
         units=units,
-        followed=tuple(follow(scored, joined, passes) for scored in evaluation.scored),
+        outcomes=tuple(pass_outcomes(scored, joined, passes) for scored in evaluation.scored),
         nearest=nearest,
         switches=() if nearest is None else tuple(switches(joined, nearest, passes)),
     )
@@ -111,7 +111,7 @@ def summarise(evaluation: Evaluation, unit: UnitKind | None = None, seed: int = 
             for a, b in combinations(group, 2)
             for difference in differences(a, b, weights, tosses)
         ),
-        followed=case.followed,
+        outcomes=case.outcomes,
         switches=case.switches,
         reliability=tuple(curves),
         notes=_notes(evaluation, units, figures),

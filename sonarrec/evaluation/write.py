@@ -5,12 +5,12 @@ from __future__ import annotations
 import csv
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from sonarrec.evaluation.compare import Comparison
+from sonarrec.evaluation.compare import Comparison, RateChange
 from sonarrec.evaluation.curves import Count, macro_curve
 from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.evaluation.plots import draw_det, draw_reliability, draw_roc, draw_roc_by_id
@@ -18,6 +18,7 @@ from sonarrec.evaluation.reliability import BINS
 from sonarrec.evaluation.scoring import Scored
 from sonarrec.evaluation.summary import Summary
 from sonarrec.evaluation.uncertainty import Difference, Figure
+from sonarrec.outputs import check_output
 from sonarrec.records import SonarrecError
 
 COUNTS = ("tpr", "fpr", "tp", "tn", "fp", "fn", "total")
@@ -48,7 +49,7 @@ def write_evaluation(
     evaluation.json goes last, so where it stands the others are whole.
     Raises SonarrecError where they cannot be written.
     """
-    text = json.dumps(as_json(evaluation, summary), indent=2, allow_nan=False)
+    text = json_text(as_json(evaluation, summary))
     tables = {
         "confusion.csv": (CONFUSION, _confusion(evaluation)),
         "per_log.csv": (("log", *CONFUSION), _per_log(evaluation)),
@@ -59,6 +60,8 @@ def write_evaluation(
         "reliability.csv": (RELIABILITY, _reliability(summary)),
     }
     pictures = ["roc.png", "roc_by_id.png"]
+    _check_tables(folder, {name: header for name, (header, _) in tables.items()})
+    check_output(folder / "evaluation.json", "JSON")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "evaluation.json").unlink(missing_ok=True)
@@ -72,14 +75,17 @@ def write_evaluation(
         if summary.reliability:
             draw_reliability(folder / "reliability.png", summary.reliability)
             pictures.append("reliability.png")
-        (folder / "evaluation.json").write_text(text + "\n", encoding="utf-8")
+        (folder / "evaluation.json").write_text(text, encoding="utf-8")
     except OSError as error:
         raise SonarrecError(f"{folder}: cannot be written ({error})") from None
     return (*tables, *pictures, "evaluation.json")
 
 
-def write_comparison(folder: Path, found: Comparison) -> None:
-    """Write compare.csv and changes.csv; raises SonarrecError where they cannot be written."""
+def write_comparison(folder: Path, found: Comparison) -> tuple[str, ...]:
+    """Write compare.csv, changes.csv and compare.json; returns their names.
+
+    Raises SonarrecError where they cannot be written.
+    """
     rates = (
         (r.protocol, r.method, r.landmark_text, r.rate, r.old, r.new, r.worse, r.of)
         for r in found.rates
@@ -88,12 +94,22 @@ def write_comparison(folder: Path, found: Comparison) -> None:
         (c.protocol, c.method, c.log, c.frame, c.landmark, c.verdict, *c.old, *c.new)
         for c in found.frames
     )
+    _check_tables(folder, {"compare.csv": COMPARE, "changes.csv": CHANGES})
     try:
         folder.mkdir(parents=True, exist_ok=True)
         write_table(folder / "compare.csv", COMPARE, rates)
         write_table(folder / "changes.csv", CHANGES, changes)
+        text = json_text(comparison_as_json(found))
+        (folder / "compare.json").write_text(text, encoding="utf-8")
     except OSError as error:
         raise SonarrecError(f"{folder}: cannot be written ({error})") from None
+    return ("compare.csv", "changes.csv", "compare.json")
+
+
+def _check_tables(folder: Path, headers: Mapping[str, Sequence[str]]) -> None:
+    """Raises UsageError where a table of another kind bears one of these names."""
+    for name, header in headers.items():
+        check_output(folder / name, "table", header=",".join(header[:3]))
 
 
 def write_table(path: Path, header: tuple[str, ...], rows: Iterable[tuple[Any, ...]]) -> None:
@@ -170,19 +186,19 @@ def _tests(summary: Summary) -> Iterable[tuple[Any, ...]]:
 def _passes(evaluation: Evaluation, summary: Summary) -> Iterable[tuple[Any, ...]]:
     joined, passes = evaluation.joined, summary.passes
     changed = {s.method: s for s in summary.switches}
-    for followed in summary.followed:
-        switches = changed.get(followed.method)
+    for outcome in summary.outcomes:
+        switches = changed.get(outcome.method)
         for i in range(len(passes.first_frame_index)):
             yield (
                 joined.logs[passes.log_index[i]],
                 joined.ids[passes.landmark_index[i]],
                 int(joined.frame[passes.first_frame_index[i]]),
                 int(joined.frame[passes.last_frame_index[i]]),
-                followed.protocol,
-                followed.method,
-                int(followed.frames[i]),
-                int(followed.right[i]),
-                float(followed.wait[i]),
+                outcome.protocol,
+                outcome.method,
+                int(outcome.frames[i]),
+                int(outcome.right[i]),
+                float(outcome.wait[i]),
                 "" if switches is None else int(switches.ids[i]),
                 "" if switches is None or switches.tracks is None else int(switches.tracks[i]),
             )
@@ -197,15 +213,21 @@ def _reliability(summary: Summary) -> Iterable[tuple[Any, ...]]:
             )
 
 
+def json_text(document: dict[str, Any]) -> str:
+    """A JSON document as it is written and printed."""
+    return json.dumps(document, indent=2, allow_nan=False) + "\n"
+
+
 def as_json(evaluation: Evaluation, summary: Summary) -> dict[str, Any]:
     """evaluation.json: what was scored, how, every count and figure; 0/0 and infinite are null."""
     joined = evaluation.joined
     methods: dict[str, Any] = {}
+    per_log: dict[str, Any] = {log: {} for log in joined.logs}
+    names = [*map(str, joined.ids), "total"]
     for s in evaluation.scored:
-        methods.setdefault(s.method, {})[s.protocol] = {
-            name: {key: _known(v) for key, v in zip(COUNTS, _counts(count), strict=True)}
-            for name, count in _cells(s)
-        }
+        methods.setdefault(s.method, {})[s.protocol] = _named_counts(*zip(*_cells(s), strict=True))
+        for log, counts in zip(joined.logs, s.counts_per_log(joined), strict=True):
+            per_log[log].setdefault(s.method, {})[s.protocol] = _named_counts(names, counts)
     return {
         "logs": list(joined.logs),
         "frames": len(joined.frame),
@@ -217,6 +239,7 @@ def as_json(evaluation: Evaluation, summary: Summary) -> dict[str, Any]:
         "unit": summary.units.kind,
         "units": summary.units.count,
         "methods": methods,
+        "per_log": per_log,
         "figures": [_record(figure) for figure in summary.figures],
         "differences": [_record(difference) for difference in summary.differences],
         "notes": [*evaluation.notes, *summary.notes],
@@ -224,7 +247,36 @@ def as_json(evaluation: Evaluation, summary: Summary) -> dict[str, Any]:
     }
 
 
-def _record(record: Figure | Difference) -> dict[str, Any]:
+def _named_counts(names: Sequence[str], counts: Sequence[Count]) -> dict[str, Any]:
+    return {
+        name: {key: _known(v) for key, v in zip(COUNTS, _counts(count), strict=True)}
+        for name, count in zip(names, counts, strict=True)
+    }
+
+
+def comparison_as_json(found: Comparison) -> dict[str, Any]:
+    """compare.json: what was compared and how it was made, rates, tests, passes; 0/0 is null."""
+    verdicts = [change.verdict for change in found.frames]
+    return {
+        "old": found.old,
+        "new": found.new,
+        "logs": list(found.logs),
+        "frames": found.frames_compared,
+        "landmarks": list(found.landmarks),
+        "units": found.units,
+        "settings": [asdict(change) for change in found.settings],
+        "rates": [_record(rate) | {"worse_by": _known(rate.worse)} for rate in found.rates],
+        "differences": [_record(difference) for difference in found.differences],
+        "passes": [asdict(change) for change in found.passes],
+        "frames_and_ids": {name: verdicts.count(name) for name in ("better", "worse", "other")},
+        "lost": list(found.lost),
+        "gained": list(found.gained),
+        "notes": list(found.notes),
+        "unused": list(found.unused),
+    }
+
+
+def _record(record: Figure | Difference | RateChange) -> dict[str, Any]:
     return {key.removesuffix("_text"): _known(v) for key, v in asdict(record).items()}
 
 

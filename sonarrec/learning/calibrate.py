@@ -12,6 +12,7 @@ from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.learning.fit import fit
 from sonarrec.learning.samples import Samples, Tracks, describe, label
+from sonarrec.outputs import MODEL_MARK
 from sonarrec.readers import open_log
 from sonarrec.recogniser.stage3_features.model import AppearanceModel, load_model
 from sonarrec.records import Clock, FloatArray, Frame, SonarrecError, UsageError
@@ -69,7 +70,7 @@ class Lesson:
         """The model as a file, with what it was learned from as comments."""
         head = [
             "Log odds of an ID against 'none of these' = bias + the curves of all features.",
-            "Made by `sonarrec calibrate`:",
+            f"{MODEL_MARK}:",
             *self.told(),
         ]
         return "".join(f"# {line}\n" for line in head) + self.model.as_toml()

@@ -1,4 +1,5 @@
-"""Writes what is drawn as an MCAP file that Foxglove shows on top of the recording."""
+"""Writes what is drawn as an MCAP file that Foxglove shows on top of the recording, and what was
+declared as detections for ROS 2."""
 
 from __future__ import annotations
 
@@ -25,11 +26,14 @@ from sonarrec.drawing import (
     pixel_unit,
 )
 from sonarrec.landmarks import LandmarkSet
+from sonarrec.outputs import OVERLAY_LIBRARY
+from sonarrec.overlay import detections
 from sonarrec.readers.mcap.foxglove import json_schema
 from sonarrec.records import Estimate, FloatArray, Frame, SonarrecError
 
 ANNOTATIONS_TOPIC = "/sonarrec/annotations"
 FAN_TOPIC = "/sonarrec/fan"
+DETECTIONS_TOPIC = "/sonarrec/detections"
 LINE_LOOP, LINE_STRIP, LINE_LIST = 2, 3, 4
 
 
@@ -47,11 +51,13 @@ class FoxgloveFile:
         try:
             self._file = path.open("wb")
             self._writer = Writer(self._file, compression=CompressionType.ZSTD)
-            self._writer.start(library="sonarrec")
+            self._writer.start(library=OVERLAY_LIBRARY)
         except OSError as error:
             raise SonarrecError(f"{path}: cannot be written ({error.strerror})") from None
         self._annotations = self._channel(ANNOTATIONS_TOPIC, "foxglove.ImageAnnotations")
         self._images = self._channel(FAN_TOPIC, "foxglove.CompressedImage") if with_images else None
+        schema = self._writer.register_schema(detections.NAME, "ros2msg", detections.definition())
+        self._detections = self._writer.register_channel(DETECTIONS_TOPIC, "cdr", schema)
 
     def write(
         self,
@@ -65,18 +71,23 @@ class FoxgloveFile:
         # Foxglove pairs annotations with the image whose own stamp is the same to the nanosecond.
         stamp = logged if frame.stamps.header is None else frame.stamps.header
         if self._images is not None:
-            self._add(self._images, image_message(frame, stamp), logged)
+            self._add(self._images, _json(image_message(frame, stamp)), logged)
         message = annotations_message(frame, stamp, self._landmarks, estimates, paths, truth)
-        self._add(self._annotations, message, logged)
+        self._add(self._annotations, _json(message), logged)
+        self._add(
+            self._detections,
+            detections.detections_message(frame.fan, stamp, self._landmarks, estimates),
+            logged,
+        )
 
     def _channel(self, topic: str, message: str) -> int:
         data = json.dumps(json_schema(message)).encode()
         number = self._writer.register_schema(message, "jsonschema", data)
         return self._writer.register_channel(topic, "json", number)
 
-    def _add(self, channel: int, message: Mapping[str, Any], log_time: int) -> None:
+    def _add(self, channel: int, message: bytes, log_time: int) -> None:
         try:
-            self._writer.add_message(channel, log_time, json.dumps(message).encode(), log_time)
+            self._writer.add_message(channel, log_time, message, log_time)
         except OSError as error:
             raise SonarrecError(f"{self._path}: cannot be written ({error.strerror})") from None
 
@@ -171,6 +182,10 @@ def image_message(frame: Frame, stamp_ns: int) -> dict[str, Any]:
         "data": base64.b64encode(png).decode(),
         "format": "png",
     }
+
+
+def _json(message: Mapping[str, Any]) -> bytes:
+    return json.dumps(message).encode()
 
 
 def _time(stamp_ns: int) -> dict[str, int]:

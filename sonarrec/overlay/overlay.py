@@ -23,11 +23,13 @@ from sonarrec.drawing import (
     trails,
 )
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.overlay.foxglove_mcap import FoxgloveFile
+from sonarrec.outputs import Kind, check_output
+from sonarrec.overlay.foxglove_layout import write_layout
+from sonarrec.overlay.foxglove_mcap import FAN_TOPIC, FoxgloveFile
 from sonarrec.overlay.video import ImageFolder, VideoFile
 from sonarrec.readers import open_log
 from sonarrec.readers.log import Log
-from sonarrec.records import Estimate, Fan, Frame, SonarrecError, UsageError
+from sonarrec.records import Estimate, Fan, Frame, MissingError, SonarrecError, UsageError
 from sonarrec.results.read import read_frames, read_log
 from sonarrec.results.run_file import Given, read_run
 from sonarrec.results.same_log import check_same_log, last_frame
@@ -39,11 +41,13 @@ from sonarrec.truth.table import read_truth
 
 @dataclass(frozen=True, slots=True)
 class Targets:
-    """What to write: an MCAP file for Foxglove, an MP4, a folder of PNGs; None: not that."""
+    """What to write: an MCAP file for Foxglove and ROS 2, an MP4, a folder of PNGs, Foxglove's
+    layout for the MCAP file; None: not that."""
 
     mcap: Path | None = None
     video: Path | None = None
     images: Path | None = None
+    layout: Path | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +85,18 @@ def write_overlay(
     UsageError where an option cannot be meant.
     """
     path = Path(path)
-    _spare_the_log(path, targets)
+    outputs: dict[Kind, Path | None] = {
+        "overlay": targets.mcap,
+        "video": targets.video,
+        "picture": targets.images,
+        "JSON": targets.layout,
+    }
+    for kind, target in outputs.items():
+        # A folder of pictures is checked picture by picture.
+        if target is not None and not (kind == "picture" and target.is_dir()):
+            check_output(target, kind, [path, ground_truth])
+        elif target is not None:
+            check_output(target / "000000.png", kind, [path])
     folder = _results_folder(path, results)
     run = read_run(folder / "run.toml")
     landmark_set = run.landmark_set(landmarks)
@@ -159,6 +174,9 @@ def _open_targets(
         unseen = first.stamps.log is None or log.sonar.layout == "polar" or bool(log.sonar.flip)
         annotations = FoxgloveFile(targets.mcap, landmarks, with_images=unseen)
         stack.enter_context(annotations)
+        if targets.layout is not None:
+            topic = None if unseen else log.reading().get("topic")
+            write_layout(targets.layout, topic or FAN_TOPIC)
     if targets.video is not None:
         video = VideoFile(targets.video, _frame_rate(results, log.sonar))
         pictures.append(stack.enter_context(video))
@@ -167,20 +185,10 @@ def _open_targets(
     return annotations, pictures
 
 
-def _spare_the_log(path: Path, targets: Targets) -> None:
-    """Raises UsageError where a target would overwrite the recording or mix with its images."""
-    for target in (targets.mcap, targets.video, targets.images):
-        if target is None:
-            continue
-        folder = path if path.is_dir() or path.is_file() else path.parent
-        if target.resolve() in (path.resolve(), folder.resolve()):
-            raise UsageError(f"{target}: this is the recording itself; write somewhere else")
-
-
 def _results_folder(path: Path, results: Path) -> Path:
     """The log's own folder of results. Raises SonarrecError where there is none."""
     if not path.exists() and not glob.has_magic(str(path)):
-        raise SonarrecError(f"{path}: no such file or folder")
+        raise MissingError(f"{path}: no such file or folder")
     if path.is_dir():
         name = path.resolve().name
     else:

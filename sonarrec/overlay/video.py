@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
 import cv2
 
 from sonarrec.drawing import write_png
+from sonarrec.outputs import VIDEO_MARK, check_output
 from sonarrec.records import ByteImage, SonarrecError, UsageError
 
 
@@ -54,6 +56,8 @@ class VideoFile:
         if self._video is None:
             return
         self._video.release()
+        with suppress(OSError), self._path.open("ab") as file:
+            file.write(VIDEO_MARK)
         if kind is None:
             # OpenCV tells of no failed write.
             written = cv2.VideoCapture(str(self._path)).get(cv2.CAP_PROP_FRAME_COUNT)
@@ -76,5 +80,8 @@ class ImageFolder:
             raise SonarrecError(f"{folder}: cannot be made ({error.strerror})") from None
 
     def write(self, number: int, picture: ByteImage) -> None:
-        """Write one picture, (rows, columns, 3) uint8 BGR. Raises SonarrecError where it fails."""
-        write_png(self._folder / f"{number:06d}.png", picture)
+        """Write one picture, (rows, columns, 3) uint8 BGR. Raises SonarrecError where it fails,
+        UsageError where a picture of another kind is there."""
+        path = self._folder / f"{number:06d}.png"
+        check_output(path, "picture")
+        write_png(path, picture)

@@ -20,29 +20,36 @@ def open_log(
     sonar_file: str | Path | None = None,
     topic: str | None = None,
     time: Clock = "log",
+    up_to: Path | None = None,
 ) -> Log:
-    """Open a folder of images, a glob of images, a video or an MCAP file.
+    """Open a folder or glob of images, a video, an MCAP, a bag of ROS or a sonar's own file.
 
     sonar: keys that win over those in files, such as {"tilt_deg": 20.0}. sonar_file: in place of
     the sonar.toml beside the log (for a folder or glob `sonar.toml` beside the images; for one file
-    `NAME.sonar.toml`, else `sonar.toml` in its folder). topic: the image channel of an MCAP file.
-    time: which of the times in it names a frame; frames come in the order of log time whatever it
-    is.
+    `NAME.sonar.toml`, else `sonar.toml` in its folder). topic: the image channel of an MCAP file or
+    a bag. time: which of the times in it names a frame; frames come in the order of log time
+    whatever it is. up_to: the folder up to which sonar.toml is looked for where none lies beside
+    the log.
     Raises SonarrecError where the log or its geometry cannot be used, UsageError where the topic
     or time cannot be meant.
     """
-    source = find_log(path)
+    source = find_log(path, up_to)
     if topic is not None and not source.reader.has_topics:
-        raise UsageError(f"{shown(path)}: --topic chooses a channel of an MCAP file; this is none")
+        raise UsageError(
+            f"{shown(path)}: --topic chooses a channel of an MCAP or a ROS bag; this is none"
+        )
     if time not in get_args(Clock):
         raise UsageError(
             f"{shown(path)}: time is {time!r}, not one of {', '.join(get_args(Clock))}"
         )
     if time != "log" and not source.reader.has_topics:
-        raise UsageError(f"{shown(path)}: --time chooses a clock of an MCAP file; this is none")
+        raise UsageError(
+            f"{shown(path)}: --time chooses a clock of an MCAP or a ROS bag; this is none"
+        )
     file = None if sonar_file is None else Path(sonar_file)
     resolved, where = source.stated_sonar(sonar_from(sonar), file)
     raw = source.open(topic)
+    resolved = raw.told.sonar.updated(resolved)
     if resolved.layout is None:
         resolved = replace(resolved, layout="polar" if raw.polar else "fan")
     try:
@@ -50,7 +57,7 @@ def open_log(
             resolved.complete(where)
         elif resolved.tilt_deg is None:
             raise SonarrecError(
-                f"{where}: the messages tell the sonar's geometry, all but its tilt; give "
+                f"{where}: the log tells the sonar's geometry, all but its tilt; give "
                 "--tilt-deg (downward), or put tilt_deg under [sonar] into a sonar.toml beside it"
             )
     except SonarrecError:

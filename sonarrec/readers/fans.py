@@ -38,14 +38,15 @@ class FanImages:
     before the first frame. notes: lines on what was stated against the messages, or found out.
     """
 
-    def __init__(self, stated: Sonar, where: str) -> None:
+    def __init__(self, stated: Sonar, where: str, tells: str = "messages") -> None:
         """stated: by the user; complete where frames do not tell their geometry. where: names it
-        in errors."""
+        in errors. tells: what of the log it is that tells the rest."""
         self.sonar = stated
         self._stated = stated
         self.fan: Fan | None = None
         self.notes: list[str] = []
         self._where = where
+        self._tells = tells
         self._scales: dict[np.dtype[Any], GreyScale] = {}  # one for each type of pixel
         self._shape: tuple[int, ...] | None = None
         self._told: PingGeometry | None = None
@@ -183,7 +184,8 @@ class FanImages:
             )
         if against and not self._told_against:
             self._told_against = True
-            self.notes.append(f"{self._where}: stated against the messages: {', '.join(against)}")
+            line = f"{self._where}: stated against the {self._tells}: {', '.join(against)}"
+            self.notes.append(line)
         return sonar, to_fan
 
 

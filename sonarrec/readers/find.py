@@ -1,57 +1,94 @@
-"""Which log is at a path, and what opens it.
+"""Which log is at a path, what opens it, and what lies beside it.
 
-A further format is one module with a RawLog and one row in READERS.
+A further format is one module with a RawLog, or a Recording of messages, and one row in READERS.
 """
 
 from __future__ import annotations
 
 import glob
-from collections.abc import Callable, Iterable
+import os
+import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from sonarrec.readers.bag_folder import bag_files, is_bag_folder
+from sonarrec.readers.ddf.frames import DdfFrames
 from sonarrec.readers.images import IMAGE_SUFFIXES, ImageFiles, is_image, natural_order
+from sonarrec.readers.oculus import OculusPings
+from sonarrec.readers.packed import PACKINGS, unpacked
 from sonarrec.readers.raw import RawLog
+from sonarrec.readers.recording import Recording
 from sonarrec.readers.video import VIDEO_SUFFIXES, VideoFrames
-from sonarrec.records import SonarrecError, shown
+from sonarrec.records import MissingError, SonarrecError, shown
 from sonarrec.sonar import Sonar, load_sonar
 
 SONAR_FILE = "sonar.toml"
-_BAG = (
-    "a bag of ROS {ros} is not read; make an MCAP file of it: "
-    "rosbags-convert --src {{name}} --dst {{name}}.converted --dst-storage mcap"
-)
-_PACKED = "a compressed file is not read; unpack it first: {tool} {{name}}"
-CONVERTED = {
-    ".db3": _BAG.format(ros=2).replace("--src {name}", "--src the folder of {name}"),
-    ".bag": _BAG.format(ros=1),
-    ".zst": _PACKED.format(tool="zstd -d"),
-    ".gz": _PACKED.format(tool="gunzip"),
-    ".lz4": _PACKED.format(tool="lz4 -d"),
-}
-"""By the end of a name: what to do, in a line."""
+_UNPACK = {".gz": "gunzip", ".bz2": "bunzip2", ".xz": "unxz", ".zst": "zstd -d", ".lz4": "lz4 -d"}
+"""What unpacks a file that is not read as it is, by its suffix."""
 
 
-def _open_mcap(path: Path, topic: str | None) -> RawLog:
-    from sonarrec.readers.mcap.images import McapImages  # with its decompressors, only where needed
+def _mcap(path: Path, at: Path) -> Recording:
+    from sonarrec.readers.mcap.container import McapRecording  # with its decompressors, if needed
 
-    return McapImages(path, topic)
+    return McapRecording(path, at)
+
+
+def _db3(path: Path, at: Path) -> Recording:
+    from sonarrec.readers.db3 import Db3Recording  # with rosbags, where needed
+
+    return Db3Recording(path, at)
+
+
+def _ros_bag(path: Path, at: Path) -> Recording:
+    from sonarrec.readers.ros_bag import RosBag  # with rosbags, where needed
+
+    return RosBag(path, at)
+
+
+def _bag_folder(path: Path, _: Path) -> Recording:
+    from sonarrec.readers.bag_folder import BagFolder
+
+    return BagFolder(path, open_recording)
 
 
 @dataclass(frozen=True, slots=True)
 class Reader:
-    """One kind of file: its suffixes and how it is opened, with the topic chosen or None."""
+    """One kind of log: how its names end, and what opens it.
+
+    open: of a list of files. recording: of one file of messages, with the place of its bytes, which
+    is another where it was packed; those are read by topic, and may be packed.
+    """
 
     kind: str
     suffixes: frozenset[str]
-    open: Callable[[Path, str | None], RawLog]
-    has_topics: bool = False
+    open: Callable[[list[Path]], RawLog] | None = None
+    recording: Callable[[Path, Path], Recording] | None = None
+
+    @property
+    def has_topics(self) -> bool:
+        """Whether a channel can be chosen."""
+        return self.recording is not None
+
+    def ending(self, name: str) -> str | None:
+        """How a name of this kind ends, None where it is of another."""
+        packings = ("", *PACKINGS) if self.has_topics else ("",)
+        endings = (suffix + packing for suffix in self.suffixes for packing in packings)
+        return next((e for e in endings if name.lower().endswith(e)), None)
 
 
+_IMAGES = Reader("image", IMAGE_SUFFIXES, ImageFiles)
+_BAG_FOLDER = Reader("ROS 2 bag", frozenset(), recording=_bag_folder)
 READERS = (
-    Reader("image", IMAGE_SUFFIXES, lambda path, _: ImageFiles([path])),
-    Reader("video", VIDEO_SUFFIXES, lambda path, _: VideoFrames(path)),
-    Reader("MCAP", frozenset({".mcap"}), _open_mcap, has_topics=True),
+    _IMAGES,
+    Reader("video", VIDEO_SUFFIXES, lambda files: VideoFrames(files[0])),
+    Reader("MCAP", frozenset({".mcap"}), recording=_mcap),
+    Reader("ROS 2 bag (SQLite)", frozenset({".db3"}), recording=_db3),
+    Reader("ROS 1 bag", frozenset({".bag"}), recording=_ros_bag),
+    _BAG_FOLDER,
+    Reader("ARIS", frozenset({".aris"}), lambda files: DdfFrames(files[0])),
+    Reader("DIDSON", frozenset({".ddf"}), lambda files: DdfFrames(files[0])),
+    Reader("Oculus", frozenset({".oculus", ".raw"}), lambda files: OculusPings(files[0])),
 )
 
 
@@ -59,101 +96,178 @@ READERS = (
 class Source:
     """A log that was found but not opened.
 
-    name: for the results folder. files: what it consists of, in order. reader: opens it.
-    beside: where its sonar.toml may be.
+    name: for the results folder. files: what it consists of, in order. reader: opens it. up_to: the
+    last folder above in which what belongs to it is looked for, None to look beside it only.
     """
 
     path: Path
     name: str
     files: list[Path]
     reader: Reader
-    beside: list[Path]
+    up_to: Path | None = None
+
+    def beside(self, name: str) -> Path | None:
+        """The file that belongs to the log, such as its sonar.toml; None without one."""
+        at = self.path if self.path.exists() else self.files[0].parent  # a glob of images
+        return companion(at, name, self.up_to)
 
     def open(self, topic: str | None = None) -> RawLog:
         """Open it. Raises SonarrecError where it cannot be read."""
+        if self.reader.open is None:
+            from sonarrec.readers.mcap.images import ChannelImages
+
+            return ChannelImages(self.recording(), topic)
         try:
-            one_file = self.files == [self.path]
-            return self.reader.open(self.path, topic) if one_file else ImageFiles(self.files)
+            return self.reader.open(self.files)
         except OSError as error:
             raise SonarrecError(f"{shown(self.path)}: cannot be read ({error.strerror})") from None
 
+    def recording(self) -> Recording:
+        """Open it as messages on channels. Raises SonarrecError where it cannot be read."""
+        assert self.reader.recording is not None
+        # A glob that matches one file is that file; a bag is its folder.
+        one = self.path if self.reader is _BAG_FOLDER else self.files[0]
+        return _recording(self.reader, one)
+
     def stated_sonar(self, flags: Sonar, sonar_file: Path | None) -> tuple[Sonar, str]:
         """The geometry as file and flags state it, and the name to give it in errors."""
-        file = sonar_file or next((b for b in self.beside if b.is_file()), None)
+        file = sonar_file or self.beside(SONAR_FILE)
         stated = Sonar() if file is None else load_sonar(file)
         return stated.updated(flags), shown(file or self.path)
 
 
-def find_log(path: str | Path) -> Source:
-    """The log at a path, or of a glob. Raises SonarrecError where there is none, or several."""
+def open_recording(path: Path) -> Recording:
+    """Open one file of messages. Raises SonarrecError where it is none or cannot be read."""
+    reader = _reader_of(path)
+    if reader.recording is None:
+        raise SonarrecError(f"{shown(path)}: no file of messages")
+    return _recording(reader, path)
+
+
+def _recording(reader: Reader, path: Path) -> Recording:
+    assert reader.recording is not None
+    try:
+        if path.is_dir():
+            return reader.recording(path, path)
+        with unpacked(path) as (at, problem):
+            recording = reader.recording(path, at)
+    except OSError as error:
+        raise SonarrecError(f"{shown(path)}: cannot be read ({error.strerror})") from None
+    if problem is not None:
+        recording.fault(problem)
+    return recording
+
+
+def find_log(path: str | Path, up_to: Path | None = None) -> Source:
+    """The log at a path, or of a glob.
+
+    up_to: the folder up to which its sonar.toml is looked for, by default beside it only.
+    Raises SonarrecError where there is none, or several.
+    """
     path = Path(path)
     try:
-        return _found(path)
+        return _found(path, up_to)
     except OSError as error:  # a name beyond every limit, a folder without permission
         raise SonarrecError(f"{shown(path)[:200]}: cannot be read ({error.strerror})") from None
 
 
-def find_logs(names: Iterable[str]) -> list[str]:
-    """The logs that the arguments of a command name: of a glob of MCAP files or videos each that
-    matches, of all else the argument itself."""
-    logs: list[str] = []
-    for name in names:
-        try:
-            is_glob = glob.has_magic(name) and not Path(name).exists()
-            found = [m for m in _matches(Path(name)) if _is_log_file(m)] if is_glob else []
-            logs += [str(m) for m in sorted(found, key=natural_order)] or [name]
-        except OSError:  # told when it is opened
-            logs.append(name)
-    return logs
+def companion(log: Path, name: str, up_to: Path | None = None) -> Path | None:
+    """The file `name` that belongs to a log, None without one.
+
+    That is LOG.name before name, beside a file or inside a folder; then, of a folder, LOG.name
+    beside it; then both in the folders above. log: a file or folder. up_to: the last folder above
+    to look into, by default none. Raises OSError where a folder cannot be read.
+    """
+    own = f"{log_name(log)}.{name}"
+    folder = log if log.is_dir() else log.parent
+    places = [folder / own, folder / name]
+    if folder == log:
+        places.append((log.parent if log.name not in ("", "..") else log.resolve().parent) / own)
+    for above in _folders_up_to(folder, up_to):
+        places += [above / own, above / name]
+    return next((place for place in places if place.is_file()), None)
 
 
-def _found(path: Path) -> Source:
-    if not path.exists() and glob.has_magic(str(path)):
-        files = _glob_images(path)
-        if _is_log_file(files[0]):
-            return _found(files[0])
-        beside = [files[0].parent / SONAR_FILE]
-        name = files[0].parent.resolve().name
-    elif path.is_dir():
-        files = _folder_images(path)
-        beside = [path / SONAR_FILE]
-        name = path.resolve().name
-    elif path.is_file():
-        files = [path]
-        beside = [path.with_name(f"{path.stem}.sonar.toml"), path.with_name(SONAR_FILE)]
-        name = path.stem
-    elif path.is_symlink():
-        raise SonarrecError(f"{shown(path)}: a link to a file that is not there")
-    else:
-        raise SonarrecError(f"{shown(path)}: no such file or folder")
-    return Source(path, shown(name) or "log", files, _reader_of(files[0]), beside)
+def _folders_up_to(folder: Path, up_to: Path | None) -> list[Path]:
+    """The folders above one, up to and with `up_to`; none where it is not below that."""
+    if up_to is None or up_to.resolve() not in folder.resolve().parents:
+        return []
+    return [up_to / above for above in folder.resolve().relative_to(up_to.resolve()).parents]
 
 
-def _matches(pattern: Path) -> list[Path]:
+def log_name(path: Path) -> str:
+    """The name of a log: a folder's own, a file's without its ending: x of x.mcap.zst."""
+    if path.is_dir():
+        return path.resolve().name
+    ending = next((e for r in READERS if (e := r.ending(path.name)) is not None), path.suffix)
+    return path.name[: len(path.name) - len(ending)] if ending else path.name
+
+
+def names_a_log(name: str) -> bool:
+    """Whether a file of this name is a log by itself: of a known kind, and no image."""
+    return any(r.ending(name) for r in READERS if r is not _IMAGES)
+
+
+def is_log_file(path: Path) -> bool:
+    """Whether a path is a file that is a log by itself."""
+    return names_a_log(path.name) and path.is_file()
+
+
+def matches(pattern: Path) -> list[Path]:
+    """What a glob matches; ** stands for any folders."""
     return [Path(m) for m in glob.glob(str(pattern), recursive=True)]  # noqa: PTH207
 
 
-def _is_log_file(path: Path) -> bool:
-    """Whether a path is a file that is a log by itself: of a known kind, and no image."""
-    suffix = path.suffix.lower()
-    of_kind = any(suffix in r.suffixes for r in READERS if r.kind != "image")
-    return of_kind and path.is_file()
+def _found(path: Path, up_to: Path | None) -> Source:
+    reader = None
+    if not path.exists() and glob.has_magic(str(path)):
+        files = _glob_images(path)
+        if is_log_file(files[0]):
+            return _found(files[0], up_to)
+        name = files[0].parent.resolve().name
+        reader = _IMAGES
+    elif path.is_dir():
+        name = path.resolve().name
+        if is_bag_folder(path):
+            files, reader = bag_files(path), _BAG_FOLDER
+        else:
+            files, reader = _folder_images(path), _IMAGES
+    elif path.is_file():
+        files = [path]
+        name = log_name(path)
+    elif path.is_symlink():
+        raise SonarrecError(f"{shown(path)}: a link to a file that is not there")
+    else:
+        server = re.match(r"[A-Za-z][A-Za-z0-9+.-]+:/", str(path))
+        only = "; from servers only run, info, evaluate and report read" if server else ""
+        raise MissingError(f"{shown(path)}: no such file or folder{only}")
+    reader = reader or _reader_of(path)
+    return Source(path, _named(name), files, reader, up_to)
+
+
+def _named(name: str) -> str:
+    """What results of a file or folder of this name are called, by a name that the disk takes."""
+    try:
+        os.fsencode(text := shown(name))
+    except UnicodeEncodeError:  # a locale without the letter: the bytes as they are
+        text = name
+    return "log" if text in ("", ".", "..") else text
 
 
 def _glob_images(pattern: Path) -> list[Path]:
     """The images that match, else the one log that does."""
-    matches = _matches(pattern)
-    if not matches:
+    found = matches(pattern)
+    if not found:
         raise SonarrecError(f"{shown(pattern)}: no file matches this pattern")
-    logs = sorted(filter(_is_log_file, matches), key=natural_order)
-    files = logs or [m for m in matches if is_image(m)]
+    logs = sorted(filter(is_log_file, found), key=natural_order)
+    files = logs or [m for m in found if is_image(m)]
     if len(logs) > 1:
         raise SonarrecError(
             f"{shown(pattern)}: matches {len(logs)} logs, {shown(logs[0].name)} the first; "
             "open each by itself"
         )
     if not files:
-        raise SonarrecError(f"{shown(pattern)}: matches no image, video or MCAP file")
+        raise SonarrecError(f"{shown(pattern)}: matches no image, video, MCAP or ROS bag")
     return sorted(files, key=natural_order)
 
 
@@ -162,25 +276,34 @@ def _folder_images(folder: Path) -> list[Path]:
     if not entries:
         raise SonarrecError(f"{shown(folder)}: the folder is empty")
     files = [e for e in entries if is_image(e)]
+    logs = [] if files else sorted(filter(is_log_file, entries), key=natural_order)
+    if logs:
+        raise SonarrecError(
+            f"{shown(folder)}: a folder of {len(logs)} logs, {shown(logs[0].name)} the first; open "
+            "each by itself"
+        )
     if not files:
         hint = next((h for e in sorted(entries) if (h := _hint(e))), None)
         raise SonarrecError(
-            f"{shown(folder)}: no image in this folder ({', '.join(sorted(IMAGE_SUFFIXES))}); "
-            + (hint or "give a video or MCAP file by its name")
+            f"{shown(folder)}: no log and no image in this folder "
+            f"({', '.join(sorted(IMAGE_SUFFIXES))}); "
+            + (hint or "--recursive looks into the folders below")
         )
     return sorted(files, key=natural_order)
 
 
 def _hint(path: Path) -> str | None:
-    """What to do about a file of a kind that is not read but can be made into one that is."""
-    ending = next((e for e in CONVERTED if path.name.lower().endswith(e)), None)
-    return None if ending is None else CONVERTED[ending].format(name=shown(path.name))
+    """What to do about a file that is packed in a way that is not read."""
+    tool = _UNPACK.get(path.suffix.lower())
+    if tool is None:
+        return None
+    return f"this compressed file is not read; unpack it first: {tool} {shown(path.name)}"
 
 
 def _reader_of(path: Path) -> Reader:
     for reader in READERS:
-        if path.suffix.lower() in reader.suffixes:
-            if reader.kind != "image" and not path.stat().st_size:
+        if reader.ending(path.name) is not None:
+            if reader is not _IMAGES and not path.stat().st_size:
                 raise SonarrecError(f"{shown(path)}: the file is empty (zero bytes)")
             return reader
     if (hint := _hint(path)) is not None:
@@ -188,5 +311,5 @@ def _reader_of(path: Path) -> Reader:
     known = ", ".join(s for reader in READERS for s in sorted(reader.suffixes))
     raise SonarrecError(
         f"{shown(path)}: not a kind of log this program reads "
-        f"(a folder of images, or a file: {known})"
+        f"(a folder of images or a ROS 2 bag, or a file: {known})"
     )

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.readers.pixels import decode_image
-from sonarrec.readers.raw import RawFrame, UnusableError
+from sonarrec.readers.raw import NOTHING_TOLD, RawFrame, UnusableError
 from sonarrec.records import shown
 
 MAX_FILE_BYTES = 2**27  # an image of 4096 x 4096 pixels of eight bytes
@@ -23,12 +23,17 @@ def natural_order(path: Path) -> tuple[list[tuple[int, int, str]], str]:
     return [(0, int(p), "") if p.isdecimal() else (1, 0, p) for p in parts], str(path)
 
 
+def names_an_image(name: str) -> bool:
+    """Whether a file of this name is taken for an image: of a known suffix, and not hidden."""
+    return Path(name).suffix.lower() in IMAGE_SUFFIXES and not name.startswith(".")
+
+
 def is_image(path: Path) -> bool:
     """Whether a path is taken for an image: a known suffix, not hidden, and a file.
 
     A link to a file that is not there is an image that cannot be read: it keeps its number.
     """
-    if path.suffix.lower() not in IMAGE_SUFFIXES or path.name.startswith("."):
+    if not names_an_image(path.name):
         return False
     try:
         return stat.S_ISREG(path.stat().st_mode)
@@ -61,6 +66,7 @@ class ImageFiles:
         self.topic: str | None = None
         self.polar = False
         self.faults: list[str] = []
+        self.told = NOTHING_TOLD
         self._stamped = all(
             re.fullmatch(r"[0-9]{19}", f.stem) and int(f.stem) < 2**63 for f in self.files
         )

@@ -14,7 +14,7 @@ from sonarrec.readers.find import Source, find_log
 from sonarrec.readers.log import Log
 from sonarrec.readers.plausible import Plausibility
 from sonarrec.readers.raw import RawFrame, RawLog
-from sonarrec.records import Fan, SonarrecError, UsageError, shown
+from sonarrec.records import Fan, Origin, SonarrecError, UsageError, shown
 from sonarrec.sonar import Sonar, sonar_from_table
 
 Observe = Callable[[int | None], None]
@@ -22,8 +22,8 @@ Observe = Callable[[int | None], None]
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One channel of an MCAP file. schema, schema_encoding, message_encoding: as the file names
-    them, schema empty where there is none. images: its messages are read as sonar images."""
+    """One channel of an MCAP file or a bag. schema, schema_encoding, message_encoding: as the file
+    names them, schema empty where there is none. images: its messages are read as sonar images."""
 
     topic: str
     schema: str
@@ -35,8 +35,9 @@ class Channel:
 
 @dataclass(frozen=True, slots=True)
 class Container:
-    """What an MCAP file says of itself. footer: it has one, so it was closed. chunks: how many, by
-    compression. start_ns, end_ns: first and last log time of all channels, None without a message.
+    """What an MCAP file or a bag says of itself. footer: it has one, so it was closed; of a bag all
+    its parts are there and whole. chunks: how many, by compression. start_ns, end_ns: first and
+    last log time of all channels, None without a message.
     """
 
     profile: str
@@ -52,17 +53,19 @@ class Container:
 class Images:
     """One sequence of sonar images: of a channel, or all that a folder or video holds.
 
-    topic: None outside of MCAP. frames: how many there are, None where the container does not
-    tell. usable: how many `sonarrec run` can use once the geometry is complete, None where they
+    topic: None outside of MCAP and bags. frames: how many there are, None where the container does
+    not tell. usable: how many `sonarrec run` can use once the geometry is complete, None where they
     were not read. rows, columns, pixels: the commonest size as stored, and the type ("uint8",
     "3 x uint8"). start_ns, end_ns: time of the first and last frame, rate_hz: frames a second
     between them, None where frames carry no time.
-    layout: "fan" or "polar". polar_messages: the messages tell their own geometry. geometry: its
+    layout: "fan" or "polar". polar_messages: the messages tell their own geometry. header: what
+    else the headers of a sonar's own file tell, by name and unit; empty elsewhere. geometry: its
     keys as stated, or told by the first ping. origins: where each of these, and the layout, is
-    from: "flag", "message", "default" or the name of a file. assumed: keys that nothing states and
-    the values that serve in their place, where the geometry is complete. lacks: the keys that are
-    missing. notes: what was stated against the messages, or cannot be by what the first frames
-    show. problems: one line for each frame that cannot be used (at most 20, then a count).
+    from: "flag", "message", "header", "default" or the name of a file. assumed: keys that nothing
+    states and the values that serve in their place, where the geometry is complete. lacks: the keys
+    that are missing. notes: what was stated against the messages, is not sure, or cannot be by what
+    the first frames show. problems: one line for each frame that cannot be used (at most 20, then a
+    count).
     """
 
     topic: str | None
@@ -76,6 +79,7 @@ class Images:
     rate_hz: float | None
     layout: str
     polar_messages: bool
+    header: dict[str, str | float | None]
     geometry: dict[str, Any]
     geometry_from: str | None
     origins: dict[str, str]
@@ -89,10 +93,10 @@ class Images:
 class LogInfo:
     """What is in one log.
 
-    kind: "MCAP", "video" or "images". size_bytes: of all its files. container: None outside of
-    MCAP. images: each sequence of sonar images; none where nothing can be read. checked: every
-    frame was read and every checksum compared. faults: lines about what is wrong with the file as
-    a whole.
+    kind: "MCAP", "video", "images", or that of a bag or of a sonar's own file (`READERS`).
+    size_bytes: of all its files. container: None outside of MCAP and bags. images: each sequence of
+    sonar images; none where nothing can be read. checked: every frame was read and every checksum
+    compared. faults: lines about what is wrong with the file as a whole.
     """
 
     path: str
@@ -107,6 +111,24 @@ class LogInfo:
     def as_table(self) -> dict[str, Any]:
         """For JSON: every field by its name."""
         return asdict(self)
+
+    def fetched_from(self, origin: Origin) -> LogInfo:
+        """The same of a log that was fetched, with the server's names."""
+
+        def told(lines: list[str]) -> list[str]:
+            return [origin.told(line) for line in lines]
+
+        images = [
+            replace(
+                one,
+                geometry_from=one.geometry_from and origin.told(one.geometry_from),
+                origins={key: origin.told(where) for key, where in one.origins.items()},
+                notes=told(one.notes),
+                problems=told(one.problems),
+            )
+            for one in self.images
+        ]
+        return replace(self, path=origin.url, images=images, faults=told(self.faults))
 
     @property
     def nothing(self) -> bool:
@@ -126,7 +148,7 @@ class _Watched:
         self._raw = raw
         self._observe = observe
         self.frame_count, self.topic = raw.frame_count, raw.topic
-        self.polar, self.faults = raw.polar, raw.faults
+        self.polar, self.faults, self.told = raw.polar, raw.faults, raw.told
         self.frames = self.timed = 0
         self.sizes: Counter[tuple[int, int]] = Counter()
         self.pixels: Counter[str] = Counter()
@@ -168,25 +190,29 @@ def describe(
     topic: str | None = None,
     quick: bool = False,
     observe: Observe | None = None,
+    up_to: Path | None = None,
 ) -> LogInfo:
-    """What is in a log: a folder or glob of images, a video or an MCAP file.
+    """What is in a log: of images, a video, an MCAP, a bag of ROS or a sonar's own file.
 
     sonar, sonar_file: the geometry, as of `open_log`. topic: look at this channel alone.
     quick: look at the first frame only, in place of reading and checking every one.
-    observe: told at each frame how many there are, where that is known.
+    observe: told at each frame how many there are, where that is known. up_to: the folder up to
+    which sonar.toml is looked for.
     Raises SonarrecError where there is no log or its geometry cannot be read, UsageError for a
     topic that is not there.
     """
-    source = find_log(path)
+    source = find_log(path, up_to)
     if topic is not None and not source.reader.has_topics:
-        raise UsageError(f"{shown(path)}: --topic chooses a channel of an MCAP file; this is none")
+        raise UsageError(
+            f"{shown(path)}: --topic chooses a channel of an MCAP or a ROS bag; this is none"
+        )
     flags = sonar or Sonar()
     stated, where = source.stated_sonar(flags, sonar_file)
     container: Container | None = None
     topics: Sequence[str | None] = [None]
     faults: list[str] = []
     if source.reader.has_topics:
-        container, faults = _container(source.path)
+        container, faults = _container(source)
         topics = sorted({c.topic for c in container.channels if c.images})
         if topic is not None and topic not in topics:
             there = ", ".join(map(str, topics)) or "none"
@@ -216,35 +242,27 @@ def _size(file: Path) -> int:
         return 0
 
 
-def _container(path: Path) -> tuple[Container, list[str]]:
-    """An MCAP file's own account of itself, and what is wrong with it at first sight."""
-    from sonarrec.readers.mcap.images import image_decoders, schema_of
-    from sonarrec.readers.mcap.salvage import McapFile
+def _container(source: Source) -> tuple[Container, list[str]]:
+    """A recording's own account of itself, and what is wrong with it at first sight."""
+    from sonarrec.readers.mcap.images import image_decoders
 
-    try:
-        log = McapFile(path)
-    except OSError as error:
-        raise SonarrecError(f"{shown(path)}: cannot be read ({error.strerror})") from None
+    log = source.recording()
     log.close()
     decoders = image_decoders(log)
-    channels = []
-    for channel in sorted(log.channels.values(), key=lambda c: (c.topic, c.id)):
-        schema = schema_of(log, channel)
-        channels.append(
-            Channel(
-                channel.topic,
-                schema.name,
-                schema.encoding,
-                channel.message_encoding,
-                log.counts[channel.id],
-                channel.id in decoders,
-            )
+    channels = [
+        Channel(
+            channel.topic,
+            channel.schema,
+            channel.schema_encoding,
+            channel.message_encoding,
+            log.counts.get(number, 0),
+            number in decoders,
         )
+        for number, channel in sorted(log.channels.items(), key=lambda c: (c[1].topic, c[0]))
+    ]
     start, end = log.span or (None, None)
-    header = log.header
-    profile, library = (header.profile, header.library) if header is not None else ("", "")
     chunks = dict(sorted(log.chunks.items()))
-    return Container(profile, library, log.whole, chunks, start, end, channels), log.faults
+    return Container(log.profile, log.library, log.whole, chunks, start, end, channels), log.faults
 
 
 def _images(
@@ -262,7 +280,7 @@ def _images(
     faults of the file that reading it brought up.
     """
     raw = _Watched(source.open(topic), observe)
-    by_user = stated
+    by_user, stated = stated, raw.told.sonar.updated(stated)
     if stated.layout is None:
         stated = replace(stated, layout="polar" if raw.polar else "fan")
     lacks = [key for key in stated.missing() if key == "tilt_deg" or not raw.polar]
@@ -284,7 +302,7 @@ def _images(
     size = raw.sizes.most_common(1)
     geometry = log.sonar.as_table()
     origins = {
-        key: _origin(key, flags, by_user, where, raw.polar) for key in geometry if key not in lacks
+        key: _origin(key, flags, by_user, where, raw) for key in geometry if key not in lacks
     }
     layout = geometry.pop("layout")
     polar = raw.polar or layout == "polar"
@@ -301,6 +319,7 @@ def _images(
         rate_hz=None if quick else raw.rate_hz(),
         layout="polar" if raw.polar else layout,
         polar_messages=raw.polar,
+        header=dict(raw.told.header),
         geometry={key: value for key, value in geometry.items() if key not in lacks},
         geometry_from=where if where != str(source.path) else None,
         origins=origins,
@@ -312,13 +331,15 @@ def _images(
     return images, raw.faults
 
 
-def _origin(key: str, flags: Sonar, stated: Sonar, where: str, polar_messages: bool) -> str:
+def _origin(key: str, flags: Sonar, stated: Sonar, where: str, raw: _Watched) -> str:
     """Where a key's value is from. stated: by file and flags."""
     if getattr(flags, key) is not None:
         return "flag"
     if getattr(stated, key) is not None:
         return where
-    return "message" if polar_messages else "default"
+    if raw.told.header:
+        return "header"
+    return "message" if raw.polar else "default"
 
 
 def _assumed(sonar: Sonar, fan: Fan, polar: bool, timed: int) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import Any
 
 from sonarrec.readers.fans import FanImages
-from sonarrec.readers.images import MAX_FILE_BYTES
+from sonarrec.readers.images import MAX_FILE_BYTES, is_image
 from sonarrec.readers.raw import RawFrame, RawLog, UnusableError
 from sonarrec.records import Clock, Fan, Frame, SonarrecError, shown
 from sonarrec.sonar import Sonar
@@ -25,7 +25,8 @@ class Log:
     """A recorded log: one pass of Frames, streamed. Use it as a context manager.
 
     name: of the folder or file, for the results folder. frame_count: frames to come, None where
-    unknown. stated: the geometry as file and flags state it. problems: one line for each thing that
+    unknown. stated: the geometry as file and flags state it. unusable: frames so far that could
+    not be used. problems: one line for each thing that
     could not be used (at most MAX_PROBLEM_LINES, then a count), complete after the pass.
     """
 
@@ -37,11 +38,13 @@ class Log:
         self.name = name
         self.stated = stated
         self.frame_count = raw.frame_count
+        self.unusable = 0
         self.problems: list[str] = []
         self._files = files
         self._raw = raw
         self._time = time
-        self._images = FanImages(stated, shown(path))
+        tells = "headers" if raw.told.header else "messages"
+        self._images = FanImages(stated, shown(path), tells)
 
     @property
     def sonar(self) -> Sonar:
@@ -65,9 +68,10 @@ class Log:
 
     @property
     def notes(self) -> list[str]:
-        """What is stated against the log's own messages, or was found out; complete after the
-        pass."""
-        return self._images.notes
+        """What is stated against what the log tells, is not sure of that, or was found out;
+        complete after the pass."""
+        told = [f"{shown(self.path)}: {note}" for note in self._raw.told.notes]
+        return told + self._images.notes
 
     def __enter__(self) -> Log:
         return self
@@ -87,7 +91,7 @@ class Log:
         Raises SonarrecError where no frame can be used, or where the bearings in the sonar
         geometry do not match the images.
         """
-        used = skipped = 0
+        used = self.unusable = 0
         frames = _settled(self._raw)
         first = list(islice(frames, SETTLING_FRAMES))
         self._images.settle(first)
@@ -100,14 +104,14 @@ class Log:
                 image, fan = self._images(raw)
                 stamp = self._named(index, raw)
             except UnusableError as error:
-                skipped += 1
-                if skipped <= MAX_PROBLEM_LINES:
+                self.unusable += 1
+                if self.unusable <= MAX_PROBLEM_LINES:
                     self.problems.append(f"{raw.name}: {error}, skipped")
                 continue
             used += 1
             yield Frame(index, stamp, image, fan, raw.stamps)
-        if skipped > MAX_PROBLEM_LINES:
-            self.problems.append(f"{skipped - MAX_PROBLEM_LINES} more frames skipped")
+        if self.unusable > MAX_PROBLEM_LINES:
+            self.problems.append(f"{self.unusable - MAX_PROBLEM_LINES} more frames skipped")
         self.problems.extend(self._raw.faults)
         if not used:
             reason = f" ({self.problems[0]})" if self.problems else ""
@@ -127,9 +131,10 @@ class Log:
     def digest_source(self) -> tuple[int, str]:
         """(size in bytes, SHA-256 in hex) of the log's file.
 
-        Of several images, the sum of their sizes and the hash over each one's name, a zero byte
-        and its contents, in frame order; of one that cannot be read or is too large to be an image
-        the name alone. Raises SonarrecError where the one file of a log cannot be read.
+        Of several images, and of the files of a bag, the sum of their sizes and the hash over each
+        one's name, a zero byte and its contents, in frame order; of one that cannot be read or is
+        too large to be an image the name alone. Raises SonarrecError where the one file of a log
+        cannot be read.
         """
         size, digest = 0, hashlib.sha256()
         for path in self._files:
@@ -137,7 +142,7 @@ class Log:
             if several:
                 digest.update(path.name.encode(errors="surrogateescape") + b"\0")
             try:
-                if several and path.stat().st_size > MAX_FILE_BYTES:
+                if several and is_image(path) and path.stat().st_size > MAX_FILE_BYTES:
                     continue
                 with path.open("rb") as file:
                     while block := file.read(2**20):

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 
-from sonarrec.records import NO_STAMPS, Stamps
-from sonarrec.sonar import PingGeometry
+from sonarrec.records import NO_STAMPS, FloatArray, Stamps
+from sonarrec.sonar import MIN_WINDOW_M, PingGeometry, Sonar
+
+MAX_FRAME_BYTES = 48 * 2**20  # an image of 4096 x 4096 pixels of three bytes
 
 
 class UnusableError(Exception):
@@ -48,11 +50,27 @@ class RawFrame:
     stamps: Stamps = NO_STAMPS
 
 
+@dataclass(frozen=True, slots=True)
+class Told:
+    """What the headers of a sonar's own file say of the log as a whole.
+
+    sonar: of its geometry what the pings leave open (tilt). header: every value worth knowing, by
+    its name and unit, None where the sonar measured none. notes: what of all this is not sure.
+    """
+
+    sonar: Sonar = field(default_factory=Sonar)
+    header: Mapping[str, str | float | None] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+NOTHING_TOLD = Told()
+
+
 class RawLog(Protocol):
     """One opened log: a single pass over its frames, in time order, one in memory at a time.
 
     frame_count: frames to come, None where unknown before the end. topic: the channel read, None
-    where there are none. polar: its frames tell their own geometry.
+    where there are none. polar: its frames tell their own geometry. told: by its headers.
     faults: lines about what is wrong with the log as a whole, complete after the pass.
     """
 
@@ -60,7 +78,37 @@ class RawLog(Protocol):
     topic: str | None
     polar: bool
     faults: list[str]
+    told: Told
 
     def __iter__(self) -> Iterator[RawFrame]: ...
 
     def close(self) -> None: ...
+
+
+def ping_geometry(ranges_m: FloatArray, bearings_deg: FloatArray) -> PingGeometry:
+    """The geometry of a ping from the middles of its bins and beams.
+
+    Raises UnusableError where they are no window in front of a sonar.
+    """
+    steps = np.diff(ranges_m)
+    if len(ranges_m) < 2 or ranges_m[0] < 0 or not np.all(steps > 0):
+        raise UnusableError("ranges do not rise from bin to bin")
+    if ranges_m[-1] - ranges_m[0] < MIN_WINDOW_M:
+        raise UnusableError(f"a window of {ranges_m[-1] - ranges_m[0]:g} m")
+    turns = np.diff(bearings_deg)
+    if len(bearings_deg) < 2 or not (np.all(turns > 0) or np.all(turns < 0)):
+        raise UnusableError("bearings do not run one way from beam to beam")
+    if np.abs(bearings_deg).max() >= 90:
+        raise UnusableError("bearings of 90 deg and more")
+    even = np.linspace(ranges_m[0], ranges_m[-1], len(ranges_m))
+    first = last = even[1] - even[0]
+    ranges = None
+    if np.abs(ranges_m - even).max() > first / 64:  # resampling does not resolve less
+        first, last = steps[0], steps[-1]
+        ranges = tuple(ranges_m.tolist())
+    return PingGeometry(
+        range_min_m=max(float(ranges_m[0] - first / 2), 0.0),
+        range_max_m=float(ranges_m[-1] + last / 2),
+        bearings_deg=tuple(bearings_deg.tolist()),
+        ranges_m=ranges,
+    )

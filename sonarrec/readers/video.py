@@ -8,7 +8,7 @@ from pathlib import Path
 
 import cv2
 
-from sonarrec.readers.raw import RawFrame
+from sonarrec.readers.raw import NOTHING_TOLD, RawFrame
 from sonarrec.records import SonarrecError, shown
 
 VIDEO_SUFFIXES = frozenset({".avi", ".mp4", ".mkv"})
@@ -40,6 +40,7 @@ class VideoFrames:
         self.topic: str | None = None
         self.polar = False
         self.faults: list[str] = []
+        self.told = NOTHING_TOLD
 
     def __iter__(self) -> Iterator[RawFrame]:
         index, last_ns = 0, -1

@@ -270,7 +270,15 @@ class FloorPlane(Plane):
 
 
 def working_plane(kind: str, fan: Fan, radius_m: float, disc_radius_px: float) -> Plane:
-    """The plane of this kind, "fan" or "floor"; the rest as FloorPlane."""
+    """The plane of this kind, "fan" or "floor"; the rest as FloorPlane.
+
+    Raises SonarrecError for a disc that no image can hold, or as FloorPlane.
+    """
+    if radius_m > fan.range_max_m:
+        raise SonarrecError(
+            f"landmark set: a disc of radius_m = {radius_m:g} is larger than what this sonar sees, "
+            f"range_max_m = {fan.range_max_m:g}; correct one of them"
+        )
     if kind == "fan":
         return FanPlane(fan, radius_m)
     return FloorPlane(fan, radius_m, disc_radius_px)

@@ -57,7 +57,7 @@ class SideBySide:
         """The results in the log's order, each when it is final.
 
         Whatever breaks the frames off is raised when the results of those before it are out, but
-        for those that wait to be revised.
+        for those that wait to be revised: see `waiting`.
         """
         for results in together(self._recognisers, frames):
             for hindsight, result in zip(self._hindsight, results, strict=True):
@@ -66,6 +66,10 @@ class SideBySide:
             self._pending.append(results)
             if len(self._pending) > self._lag:
                 yield self._final()
+        yield from self.waiting()
+
+    def waiting(self) -> Iterator[FrameResult]:
+        """The results that wait to be revised, as they are seen now; to call when frames end."""
         while self._pending:
             yield self._final()
 
@@ -80,6 +84,7 @@ class SideBySide:
     def _final(self) -> FrameResult:
         results = [
             result if hindsight is None else hindsight.revised(result)
-            for hindsight, result in zip(self._hindsight, self._pending.popleft(), strict=True)
+            for hindsight, result in zip(self._hindsight, self._pending[0], strict=True)
         ]
+        self._pending.popleft()  # not before: Ctrl-C may come in between
         return replace(results[0], estimates=tuple(e for r in results for e in r.estimates))

@@ -2,42 +2,48 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from sonarrec.evaluation.evaluate import Evaluation, evaluate
-from sonarrec.readers import open_log
-from sonarrec.records import SonarrecError, UsageError
-from sonarrec.report.logs import ReportedLog, read_logs, sightings
-from sonarrec.report.mistakes import episodes, told
-from sonarrec.report.page import render
-from sonarrec.report.pictures import Picture, Wanted, draw
-from sonarrec.results.run_file import Given
+from sonarrec.evaluation.evaluate import Evaluation, evaluate, evaluate_pairs
+from sonarrec.evaluation.pairs import read_pairs
+from sonarrec.outputs import check_output
+from sonarrec.records import SonarrecError
+from sonarrec.report import frames
+from sonarrec.report.logs import ReportedLog, Seen, read_logs, seen, told_false
+from sonarrec.report.mistakes import Episode, episodes, told
+from sonarrec.report.page import MOST_MISTAKES, Drawn, render
+from sonarrec.report.pictures import Picture, Wanted
+from sonarrec.report.recordings import match_recordings, open_recording
+from sonarrec.results.read import find_logs
 from sonarrec.sonar import Sonar
-from sonarrec.truth.table import read_truth
+from sonarrec.truth.table import TruthTable, read_truth
 
-MOST_SEEN = 3
+MOST_SEEN = 6
 MOST_MISTAKEN = 6
 """Pictures of sightings, and of each method's mistakes: each adds some 60 kB to the page."""
 
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What was written. unused: one line for each part of the input that could not be used."""
+    """What was written. pictures: of the log's frames; held: frames shown on a click. unused: one
+    line for each part of the input that could not be used."""
 
     path: Path
     pictures: int
+    held: int
     unused: tuple[str, ...]
 
 
 def write_report(
     path: Path,
-    results: Path,
+    results: Path | None = None,
     *,
     ground_truth: Path | None = None,
+    pairs: Path | None = None,
     recordings: Sequence[Path] = (),
     min_visible: float = 0.9,
     tolerance_s: float | None = None,
@@ -48,41 +54,59 @@ def write_report(
 ) -> Report:
     """Write the report on a results folder (of one log or of several) to `path`.
 
-    recordings: the logs that the results came from, told apart by their names; without them the
-    page has no frames. The other arguments are those of `evaluation.evaluate.evaluate`; topic
-    chooses the channel of an MCAP recording, where run.toml does not tell it; method
-    is the one whose sightings and tracks are shown, as in `logs.read_logs`.
+    pairs: in place of results and ground_truth, a table of them as for `evaluate_pairs`.
+    recordings: the logs that the results came from, or folders with such logs, told apart by
+    their names; without them the page has no frames. The other arguments are those of
+    `evaluation.evaluate.evaluate`; topic chooses the channel of an MCAP recording, where run.toml
+    does not tell it; method is the one whose sightings and tracks are shown, as in
+    `logs.read_logs`.
     Raises SonarrecError where files cannot be used, read or written.
     """
+    check_output(path, "report", [ground_truth, pairs, *recordings])
     sonar = sonar or Sonar()
-    evaluation = None
-    if ground_truth is not None:
-        evaluation = evaluate(
-            results,
-            ground_truth,
-            min_visible=min_visible,
-            tolerance_s=tolerance_s,
-            landmarks=landmarks,
-            sonar=sonar,
-        )
-    logs = read_logs(
-        results,
-        None if ground_truth is None else read_truth(ground_truth),
-        min_visible=min_visible,
-        tolerance_s=tolerance_s,
-        landmarks=landmarks,
-        sonar=sonar,
-        method=method,
-    )
-    pictures = _draw_all(logs, evaluation, recordings, sonar, topic)
+    scoring = {
+        "min_visible": min_visible,
+        "tolerance_s": tolerance_s,
+        "landmarks": landmarks,
+        "sonar": sonar,
+    }
+    evaluation: Evaluation | None = None
+    names: list[str | None]
+    truths: list[TruthTable | None]
+    if pairs is not None:
+        rows = read_pairs(pairs)
+        evaluation = evaluate_pairs(rows, **scoring)  # type: ignore[arg-type]
+        folders, names = [row.results for row in rows], [row.log for row in rows]
+        tables = {file: read_truth(file) for file in {row.ground_truth for row in rows}}
+        truths = [*(tables[row.ground_truth] for row in rows)]
+    else:
+        assert results is not None
+        if ground_truth is not None:
+            evaluation = evaluate(results, ground_truth, **scoring)  # type: ignore[arg-type]
+        folders = find_logs(results)
+        names = [None] * len(folders)
+        truths = [None if ground_truth is None else read_truth(ground_truth)] * len(folders)
+    logs = read_logs(folders, truths, names, **scoring, method=method)  # type: ignore[arg-type]
+    if evaluation is not None:  # which tells equal names apart, and counts copies of a log once
+        scored = dict(zip(evaluation.folders, evaluation.joined.logs, strict=True))
+        logs = [
+            replace(log, results=replace(log.results, name=scored[folder]))
+            for log, folder in zip(logs, folders, strict=True)
+            if folder in scored
+        ]
+    wrong = {}
+    if evaluation is not None:
+        wrong = {method: episodes(evaluation, method) for method in evaluation.joined.methods}
+    drawn, missing = _draw_all(logs, evaluation, wrong, recordings, sonar, topic)
     unused = evaluation.unused if evaluation is not None else tuple(_left_out(logs))
-    page = render(logs, evaluation, ground_truth, pictures, unused)
+    unused = (*unused, *missing)
+    page = render(logs, evaluation, wrong, pairs or ground_truth, drawn, unused)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(page, encoding="utf-8")
     except OSError as error:
         raise SonarrecError(f"{path}: cannot be written ({error.strerror})") from None
-    return Report(path, len(pictures), unused)
+    return Report(path, len(drawn.pictures), sum(len(s.frames) for s in drawn.shown), unused)
 
 
 def _left_out(logs: Sequence[ReportedLog]) -> Iterator[str]:
@@ -104,68 +128,109 @@ def _left_out(logs: Sequence[ReportedLog]) -> Iterator[str]:
 def _draw_all(
     logs: Sequence[ReportedLog],
     evaluation: Evaluation | None,
+    wrong: Mapping[str, Sequence[Episode]],
     recordings: Sequence[Path],
     sonar: Sonar,
     topic: str | None,
-) -> list[Picture]:
-    """The frames worth seeing of the logs whose recordings were given."""
-    sources = dict(_matched(logs, path) for path in recordings)
-    wanted = _wanted([log for log in logs if log.results.name in sources], evaluation)
-    drawn: dict[Wanted, Picture] = {}
-    for log in logs:
-        mine = [w for w in wanted if w.log == log.results.name]
-        if mine:
-            given = log.run.lay_under(Given(sonar, topic=topic), same_log=True)
-            source, time = sources[log.results.name], given.time or "log"
-            with open_log(source, sonar=given.sonar, topic=given.topic, time=time) as recording:
-                drawn |= draw(recording, log, mine)
-    return [drawn[w] for w in wanted]
+) -> tuple[Drawn, list[str]]:
+    """The frames worth seeing of the logs whose recordings were given; what was not found."""
+    sources, missing = match_recordings(logs, recordings, sonar, topic)
+    there = [log for log in logs if log.results.name in sources]
+    passes = [(log, s) for log in there for s in seen(log)]
+    wanted = [*_seen(there, passes), *_mistaken(evaluation, wrong, sources)]
+    held = frames.choose(there, _told(passes, wrong, wanted))
+    pictures: dict[Wanted, Picture] = {}
+    shown: list[frames.ShownLog] = []
+    for log in there:
+        name = log.results.name
+        mine = [w for w in wanted if w.log == name]
+        with open_recording(sources[name], log, sonar, topic) as recording:
+            found, part = frames.take(recording, log, mine, held[name], _share(held))
+        pictures |= found
+        shown.append(part)
+    return Drawn([pictures[w] for w in wanted], shown), missing
 
 
-def _matched(logs: Sequence[ReportedLog], path: Path) -> tuple[str, Path]:
-    """(name of the log whose recording this is, path); the only log's whatever its name."""
-    names = [log.results.name for log in logs]
-    if len(names) == 1:
-        return names[0], path
-    for name in (path.resolve().name, path.stem):
-        if name in names:
-            return name, path
-    raise UsageError(f"--log {path}: no results bear this name; there are {', '.join(names)}")
+def _share(held: Mapping[str, Sequence[int]]) -> int:
+    """Bytes for each frame held."""
+    return frames.MOST_BYTES // max(1, sum(map(len, held.values())))
 
 
-def _wanted(logs: Sequence[ReportedLog], evaluation: Evaluation | None) -> list[Wanted]:
-    """Of each sighting the surest frame, in order of time; of each mistake the worst, in order."""
-    seen = [
-        Wanted(log.results.name, log.tracker, frame, f"Frame {frame}: {text}", is_mistake=False)
-        for log in logs
-        for frame, text in _surest(log)[: max(1, MOST_SEEN // len(logs))]
+def _told(
+    passes: Sequence[tuple[ReportedLog, Seen]],
+    wrong: Mapping[str, Sequence[Episode]],
+    wanted: Sequence[Wanted],
+) -> Iterator[tuple[str, int]]:
+    """(log, frame) of all that the page names, the most telling first."""
+    yield from ((w.log, w.frame) for w in wanted)
+    yield from ((log.results.name, log.frame_of(s.surest)) for log, s in passes)
+    for found in wrong.values():
+        yield from ((e.log, e.worst) for e in found[:MOST_MISTAKES])
+    for log, s in passes:
+        yield log.results.name, s.sighting.first_frame
+        yield log.results.name, s.sighting.last_frame
+
+
+def _seen(logs: Sequence[ReportedLog], seen: Sequence[tuple[ReportedLog, Seen]]) -> list[Wanted]:
+    """The surest frame of each declared landmark, then the sightings of the fewest frames."""
+    if logs and not seen:
+        return _nearest_to_one(logs)
+
+    def sure(one: tuple[ReportedLog, Seen]) -> tuple[float, bool, int]:
+        log, s = one
+        # Of scores that print alike a true one, then the longest sighting, not the first.
+        return -round(log.results.score[s.surest], 2), s.is_false, -s.sighting.frames_declared
+
+    best = {
+        k: min((one for one in seen if one[1].sighting.landmark == k), key=sure)
+        for k in sorted({s.sighting.landmark for _, s in seen})
+    }
+    left = [one for one in seen if not any(one is b for b in best.values())]
+    rare = sorted(left, key=lambda one: one[1].sighting.frames_declared)
+    return [
+        *(_wanted(log, s, "surest", "") for log, s in best.values()),
+        *(
+            _wanted(log, s, "rarest", f", declared in {s.sighting.frames_declared} frames")
+            for log, s in rare[: max(0, MOST_SEEN - len(best))]
+        ),
     ]
-    wanted = seen[:MOST_SEEN]
-    if evaluation is None:
-        return wanted
-    names = {log.results.name for log in logs}
-    for method in evaluation.joined.methods:
-        found = [e for e in episodes(evaluation, method) if e.log in names]
-        wanted += [
-            Wanted(
-                e.log,
-                method,
-                e.worst,
-                f"Frame {e.worst}: {told(e, evaluation.joined)}",
-                is_mistake=True,
-            )
-            for e in found[:MOST_MISTAKEN]
-        ]
-    return wanted
 
 
-def _surest(log: ReportedLog) -> list[tuple[int, str]]:
-    """(frame, what is seen there) of each sighting; without any, of what came nearest to one."""
-    found = [(s.surest, f"ID.{s.landmark}, score {s.best_score:.2f}") for s in sightings(log)]
-    mine = np.flatnonzero(log.of_method(log.tracker))
-    if found or not len(mine):
-        return found
-    best = mine[np.argmax(log.results.score[mine])]
-    landmark = log.results.landmarks.ids[log.results.landmark[best]]
-    text = f"nothing declared; nearest to it ID.{landmark}, score {log.results.score[best]:.2f}"
-    return [(int(log.results.frame[log.results.row[best]]), text)]
+def _wanted(log: ReportedLog, seen: Seen, group: str, more: str) -> Wanted:
+    score, frame = log.results.score[seen.surest], log.frame_of(seen.surest)
+    wrong = f"False claim: {told_false(log, seen.surest)}." if seen.is_false else ""
+    more = more.replace(" 1 frames", " 1 frame")
+    caption = f"ID.{seen.sighting.landmark} ({score:.2f}){more}."
+    return Wanted(log.results.name, log.tracker, frame, group, caption, wrong)
+
+
+def _nearest_to_one(logs: Sequence[ReportedLog]) -> list[Wanted]:
+    """Where nothing was declared: what came nearest to it."""
+    best: tuple[float, ReportedLog, int] | None = None
+    for log in logs:
+        mine = np.flatnonzero(log.of_method(log.tracker))
+        if len(mine):
+            n = int(mine[np.argmax(log.results.score[mine])])
+            score = float(log.results.score[n])
+            if best is None or score > best[0]:
+                best = score, log, n
+    if best is None:
+        return []
+    score, log, n = best
+    landmark = log.ids[log.results.landmark_index[n]]
+    told = f"Nothing declared; nearest to it ID.{landmark} ({score:.2f})."
+    return [Wanted(log.results.name, log.tracker, log.frame_of(n), "surest", told)]
+
+
+def _mistaken(
+    evaluation: Evaluation | None,
+    wrong: Mapping[str, Sequence[Episode]],
+    sources: Mapping[str, Path],
+) -> list[Wanted]:
+    """The worst frame of the worst mistakes, per method."""
+    return [
+        Wanted(e.log, method, e.worst, "mistake", "", f"{told(e, evaluation.joined)}.")
+        for method, found in wrong.items()
+        for e in [e for e in found if e.log in sources][:MOST_MISTAKEN]
+        if evaluation is not None
+    ]

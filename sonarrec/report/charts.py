@@ -15,12 +15,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
-from sonarrec.evaluation.reliability import Reliability
+from sonarrec.evaluation.reliability import FEW, Reliability
 from sonarrec.evaluation.roc import roc as evaluation_roc
 from sonarrec.evaluation.scoring import Scored
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.records import FloatArray, IntArray
-from sonarrec.report.logs import ReportedLog, Track, alongside
+from sonarrec.report.logs import ReportedLog, Track, alongside, true_landmark
 
 WIDTH, HEIGHT = 2000, 1000
 STYLES = 4
@@ -69,6 +69,8 @@ class Chart:
     x_ticks: list[Tick] = field(default_factory=list)
     y_ticks: list[Tick] = field(default_factory=list)
     dots: list[Dot] = field(default_factory=list)
+    x_label: str = ""
+    y_label: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,13 +126,15 @@ def thinned(y: FloatArray, most: int = MOST_POINTS) -> IntArray:
     return np.unique(np.concatenate([start + low, start + high]))
 
 
-def bars(axis: Axis, start: FloatArray, width: float, height: FloatArray) -> str:
+def bars(
+    axis: Axis, start: FloatArray, width: float, height: FloatArray, most: int = MOST_POINTS
+) -> str:
     """A path of one bar per value above 0, from the bottom up.
 
-    start: (n,) left edges, rising. height: (n,) 0 to 1. Where there are too many to tell apart,
+    start: (n,) left edges, rising. height: (n,) 0 to 1. Where there are more than `most`,
     neighbours become one bar of the tallest one's height; neighbours of one height touch.
     """
-    size = -(-len(start) // MOST_POINTS)
+    size = -(-len(start) // most)
     first = np.arange(0, len(start), size)
     last = np.minimum(first + size, len(start)) - 1
     top = np.rint(np.maximum.reduceat(height, first) * HEIGHT).astype(int)
@@ -156,7 +160,7 @@ def time_axis(log: ReportedLog) -> tuple[Axis, float]:
 
 @dataclass(frozen=True, slots=True)
 class Lane:
-    """One row of the timeline: what truth or a method says of one ID."""
+    """One row of a timeline: what truth or a method says of one ID, or of one track."""
 
     name: str
     chart: Chart
@@ -182,10 +186,10 @@ def timeline(log: ReportedLog) -> list[tuple[int, list[Lane]]]:
             path = bars(axis, log.time, period, there)
             lanes.append(Lane("truth", Chart(told, [Shape(path, None, "bar")]), True))
         for method in order:
-            mine = log.of_method(method) & found.declared & (found.landmark == k)
+            mine = log.of_method(method) & found.declared & (found.landmark_index == k)
             surest = np.zeros(len(found.frame))
-            np.maximum.at(surest, found.row[mine], found.score[mine])
-            claims = int(np.count_nonzero(np.bincount(found.row[mine])))
+            np.maximum.at(surest, found.frame_index[mine], found.score[mine])
+            claims = int(np.count_nonzero(np.bincount(found.frame_index[mine])))
             anything |= claims > 0
             told = f"{method} declares ID.{landmark} in {claims} of {len(surest)} frames"
             path = bars(axis, log.time, period, surest)
@@ -193,6 +197,34 @@ def timeline(log: ReportedLog) -> list[tuple[int, list[Lane]]]:
         if anything:
             rows.append((k, lanes))
     return rows
+
+
+FOLLOWED = 0.15
+"""Height of what tells only that a track was followed."""
+SILENT_POINTS = 100
+"""Of one track's row among those never declared."""
+
+
+def silent_lanes(log: ReportedLog, silent: Sequence[Track]) -> list[Lane]:
+    """A row per track that was never declared: a low grey bar where it was followed, and bars as
+    high as the score of its best guess, in the colour of that ID."""
+    axis, period = time_axis(log)
+    found = log.results
+    lanes = []
+    for track in silent:
+        followed = np.full(len(track.at), FOLLOWED)
+        start = log.time[track.frame_index]
+        shapes = [Shape(bars(axis, start, period, followed, SILENT_POINTS), None, "bar")]
+        for k in np.unique(found.landmark_index[track.at]).tolist():
+            height = np.where(found.landmark_index[track.at] == k, found.score[track.at], 0.0)
+            path = bars(axis, start, period, height, SILENT_POINTS)
+            shapes.append(Shape(path, k, "bar", f"ID.{found.landmarks.ids[k]}"))
+        truth = true_landmark(log, track)
+        best = float(found.score[track.at].max())
+        told = f"track {track.number}, {len(track.at)} frames, best score {best:.2f}"
+        name = f"{track.number}" + ("" if truth is None else f" (on ID.{truth})")
+        lanes.append(Lane(name, Chart(told, shapes), truth is not None))
+    return lanes
 
 
 def roc(scored: Sequence[Scored], k: int | None = None) -> Chart:
@@ -211,35 +243,49 @@ def roc(scored: Sequence[Scored], k: int | None = None) -> Chart:
         if np.isfinite([point.fpr, point.tpr]).all()
     ]
     told = "; ".join(point.label for point, _, _ in marks)
-    return Chart(told, shapes, axis.ticks(5), UNIT.ticks(5), dots)
+    return Chart(told, shapes, axis.ticks(5), UNIT.ticks(5), dots, "FPR", "TPR")
 
 
 def reliability(found: Reliability, method: int) -> Chart:
     """How often what a method says is so, against how sure it says it is, over its estimates.
 
     method: index, for the colour. Bars: how many estimates there are in each step, against the
-    fullest one.
+    fullest one. The line breaks at steps of fewer than FEW estimates: a share of so few says
+    next to nothing; their dots are hollow.
     """
     step = 1 / len(found.count)
     share = found.count / max(1, int(found.count.max()))
-    line = np.isfinite(found.mean)
+    some = found.count > 0
+    enough = found.count >= FEW
     told = [
-        f"said {said:.2f}, so in {right:.2f} of {count}"
-        for said, right, count in zip(
-            found.mean[line], found.right[line], found.count[line], strict=True
+        f"said {said:.2f}, so in {right:.2f} of {count}" + ("" if many else ", too few to tell")
+        for said, right, count, many in zip(
+            found.mean[some], found.right[some], found.count[some], enough[some], strict=True
         )
     ]
     ends = np.array([0.0, 1.0])
     shapes = [
         Shape(bars(UNIT, np.arange(len(share)) * step, step, share), None, "bar faint"),
         Shape(polyline(ends, ends), None, "line thin"),
-        Shape(polyline(found.mean[line], found.right[line]), method, label=found.method),
+        Shape(
+            polyline(found.mean, np.where(enough, found.right, np.nan)), method, label=found.method
+        ),
     ]
     dots = [
-        Dot(100 * float(x), 100 * float(y), label, method)
-        for x, y, label in zip(found.mean[line], found.right[line], told, strict=True)
+        Dot(100 * float(x), 100 * float(y), label, method, "dot" if many else "few")
+        for x, y, label, many in zip(
+            found.mean[some], found.right[some], told, enough[some], strict=True
+        )
     ]
-    return Chart(f"{found.method}: {'; '.join(told)}", shapes, UNIT.ticks(5), UNIT.ticks(5), dots)
+    return Chart(
+        f"{found.method}: {'; '.join(told)}",
+        shapes,
+        UNIT.ticks(5),
+        UNIT.ticks(5),
+        dots,
+        "probability stated",
+        "share that was so",
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,7 +295,6 @@ class TrackPanel:
     method: str
     chart: Chart
     declared: Chart
-    frames: int
 
 
 def track_axis(log: ReportedLog, track: Track) -> Axis:
@@ -295,7 +340,7 @@ def _panel(log: ReportedLog, track: Track, method: str, at: IntArray) -> TrackPa
     for k in range(len(found.landmarks.ids)):
         claims = np.zeros(len(rows))
         mine = seen.copy()
-        mine[seen] = found.declared[at[seen]] & (found.landmark[at[seen]] == k)
+        mine[seen] = found.declared[at[seen]] & (found.landmark_index[at[seen]] == k)
         claims[track.frame_index[mine] - rows[0]] = 1
         if mine.any():
             strip.append(Shape(bars(axis, log.time[rows] - period / 2, period, claims), k, "bar"))
@@ -308,7 +353,6 @@ def _panel(log: ReportedLog, track: Track, method: str, at: IntArray) -> TrackPa
             y_ticks=UNIT.ticks(2),
         ),
         declared=Chart(f"frames in which {method} declares an ID", strip),
-        frames=count,
     )
 
 

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from sonarrec.evaluation.joined import join, nearest_truth
 from sonarrec.records import BoolArray, FloatArray, IntArray, SonarrecError, UsageError
-from sonarrec.results.read import LogResults, find_logs, read_log
+from sonarrec.results.read import LogResults, read_log
 from sonarrec.results.run_file import RunFile, read_run
-from sonarrec.results.sightings import Sighting, Sightings
+from sonarrec.results.sightings import Sighting, follows
+from sonarrec.results.sightings_file import read_sightings
 from sonarrec.sonar import Sonar
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import TruthTable
@@ -38,6 +39,17 @@ class ReportedLog:
     disc diameter; None without truth or positions."""
     in_view: BoolArray | None
     """(F, K) which landmarks count as in view; None without truth."""
+    sightings: list[Sighting]
+    """Of the tracker, in order of first sight."""
+
+    @property
+    def ids(self) -> tuple[int, ...]:
+        """The landmark set's."""
+        return self.results.landmarks.ids
+
+    def frame_of(self, estimate: int) -> int:
+        """The number of an estimate's frame."""
+        return int(self.results.frame[self.results.frame_index[estimate]])
 
     def seconds(self, timestamp_ns: int) -> float:
         """Since the first frame, of a log that tells times."""
@@ -47,7 +59,7 @@ class ReportedLog:
     def of_method(self, name: str) -> BoolArray:
         """(N,) which estimates are the method's."""
         if name not in self.results.methods:
-            return np.zeros(len(self.results.row), dtype=bool)
+            return np.zeros(len(self.results.frame_index), dtype=bool)
         return np.asarray(self.results.method == self.results.methods.index(name))
 
 
@@ -64,8 +76,9 @@ class Track:
 
 
 def read_logs(
-    results: Path,
-    truth: TruthTable | None,
+    folders: Sequence[Path],
+    truths: Sequence[TruthTable | None],
+    names: Sequence[str | None],
     *,
     min_visible: float,
     tolerance_s: float | None,
@@ -73,32 +86,31 @@ def read_logs(
     sonar: Sonar,
     method: str | None,
 ) -> list[ReportedLog]:
-    """Read every log of a results folder.
+    """Read the results of each log, with the truth that goes with it.
 
-    method: the one to follow; None for the framework, or the first that follows objects.
+    names: of the logs, None for the folder's own; the log column of a truth is matched with it.
+    method: the one to follow; None for the framework, or the first that follows
+    objects.
     Raises SonarrecError where files cannot be used, UsageError where no log has the method.
     """
     logs = []
-    for folder in find_logs(results):
+    for folder, truth, name in zip(folders, truths, names, strict=True):
         found = read_log(folder, landmarks, sonar)
+        found = found if name is None else replace(found, name=name)
         matched = None if truth is None else match_truth(truth, found, tolerance_s)
         follow = method or _tracker(found.methods)
-        logs.append(_reported(folder, found, matched, min_visible, follow))
+        passes = [s for s in read_sightings(folder, landmarks, sonar) if s.method == follow]
+        logs.append(_reported(folder, found, matched, min_visible, follow, passes))
     for log in logs:
         if log.results.landmarks.ids != logs[0].results.landmarks.ids:
             raise SonarrecError(
-                f"{results}: logs {logs[0].results.name} and {log.results.name} were run with "
-                "different landmark IDs; report them one by one, or give --landmarks"
+                f"logs {logs[0].results.name} and {log.results.name} were run with different "
+                "landmark IDs; report them one by one, or give --landmarks"
             )
     there = dict.fromkeys(name for log in logs for name in log.results.methods)
     if method is not None and method not in there:
-        raise UsageError(f"{results}: no method {method!r}; there is {', '.join(there)}")
+        raise UsageError(f"{folders[0]}: no method {method!r}; there is {', '.join(there)}")
     return logs
-
-
-def follows(method: str) -> bool:
-    """Whether the method's object numbers mean the same object from one frame to the next."""
-    return method.partition(":")[0] != "smi"
 
 
 def _tracker(methods: Sequence[str]) -> str:
@@ -109,7 +121,12 @@ def _tracker(methods: Sequence[str]) -> str:
 
 
 def _reported(
-    folder: Path, log: LogResults, truth: Truth | None, min_visible: float, tracker: str
+    folder: Path,
+    log: LogResults,
+    truth: Truth | None,
+    min_visible: float,
+    tracker: str,
+    passes: Sequence[Sighting],
 ) -> ReportedLog:
     time, clock = log.frame.astype(float), "frame"
     stamps = log.timestamp_ns
@@ -130,6 +147,7 @@ def _reported(
         clock=clock,
         truth_near=None if truth is None else _truth_near(log, truth, min_visible),
         in_view=in_view,
+        sightings=sorted(passes, key=lambda s: (s.first_frame, s.last_frame)),
     )
 
 
@@ -137,56 +155,120 @@ def _truth_near(log: LogResults, truth: Truth, min_visible: float) -> IntArray |
     joined = join([log], [truth], min_visible)
     if not joined.placed:
         return None
-    every = np.arange(len(log.row))
+    every = np.arange(len(log.frame_index))
     nearest = nearest_truth(joined, every, joined.claim_frame_index, joined.truth_frame_index)
     near = np.full(len(every), -1, dtype=np.int64)
     near[nearest >= 0] = truth.landmark_index[nearest[nearest >= 0]]
     return near
 
 
-def sightings(log: ReportedLog) -> list[Sighting]:
-    """What the tracker declared, in order of first sight: one entry per ID and track."""
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """A sighting, and what truth says of it. n declarations, indices into the estimates."""
+
+    sighting: Sighting
+    at: IntArray
+    """(n,) in frame order."""
+    surest: int
+    """The declaration of the best score; of scores that print alike a true one, then that nearest
+    to the middle of the fan (of the pass, where positions are not known)."""
+    right: int | None
+    """Declarations that are no false claims; None: truth is not known."""
+    is_false: bool
+    """Whether the surest is a false claim, where that is known."""
+
+
+def seen(log: ReportedLog) -> list[Seen]:
+    """The tracker's passes, in order of first sight."""
     found = log.results
     mine = np.flatnonzero(log.of_method(log.tracker) & found.declared)
-    mine = mine[np.argsort(found.row[mine], kind="stable")]
-    tracked = follows(log.tracker) and bool((found.object[mine] >= 0).all())
-    gathered = Sightings(log.tracker)
-    for n in mine.tolist():
-        row, landmark_index = found.row[n], found.landmark[n]
-        gathered.declared(
-            int(found.frame[row]),
-            0 if found.timestamp_ns is None else int(found.timestamp_ns[row]),
-            found.landmarks.ids[landmark_index],
-            int(found.object[n]) if tracked else None,
-            float(found.score[n]),
-            None if log.truth_near is None else bool(log.truth_near[n] == landmark_index),
-        )
-    return gathered.found()
+    mine = mine[np.argsort(found.frame_index[mine], kind="stable")]
+    frame, false = found.frame[found.frame_index[mine]], _false(log)
+    shown = []
+    for s in log.sightings:
+        if s.landmark not in log.ids:
+            continue
+        here = (frame >= s.first_frame) & (frame <= s.last_frame)
+        here &= found.landmark_index[mine] == log.ids.index(s.landmark)
+        if s.track is not None:
+            here &= found.object[mine] == s.track
+        if here.any():
+            shown.append(_seen(log, s, mine[here], None if false is None else false[mine[here]]))
+    return shown
 
 
-def tracks(log: ReportedLog, most: int) -> tuple[list[Track], int]:
-    """The tracks most worth showing, in order of first sight, and how many there are in all.
+def _seen(log: ReportedLog, sighting: Sighting, at: IntArray, wrong: BoolArray | None) -> Seen:
+    """at: (n,) its declarations. wrong: (n,) which are false claims, None where not known."""
+    rows = log.results.frame_index[at]
+    place = log.results.position
+    aside = rows - (rows[0] + rows[-1]) / 2 if place is None else np.arctan2(*place[at].T)
+    true_last = np.zeros(len(at), dtype=bool) if wrong is None else wrong
+    best = np.lexsort((np.abs(aside), true_last, -log.results.score[at].round(2)))[0]
+    right = None if wrong is None else int((~wrong).sum())
+    return Seen(sighting, at, int(at[best]), right, bool(true_last[best]))
 
-    Those that are declared, or truly lie on a landmark, in the most frames; then the longest.
+
+def _false(log: ReportedLog) -> BoolArray | None:
+    """(N,) whether each estimate, if declared, is a false claim; None where truth is not known.
+
+    What is only partly in view counts as there.
     """
+    found, truth = log.results, log.truth
+    if truth is None:
+        return None
+    if log.truth_near is not None:
+        return np.asarray(log.truth_near != found.landmark_index)
+    there = np.zeros((len(found.frame), len(found.landmarks.ids)), dtype=bool)
+    there[truth.frame_index, truth.landmark_index] = True
+    return ~there[found.frame_index, found.landmark_index]
+
+
+def told_false(log: ReportedLog, estimate: int) -> str:
+    """What is wrong with a declaration that is a false claim, in words."""
+    if log.truth_near is None:
+        return "the landmark is not in view"
+    beneath = int(log.truth_near[estimate])
+    return "no landmark lies there" if beneath < 0 else f"it is ID.{log.ids[beneath]}"
+
+
+@dataclass(frozen=True, slots=True)
+class Tracks:
+    """The tracks worth showing, each in order of first sight, and how many there are in all."""
+
+    declared: list[Track]
+    """Those of which the tracker declared anything."""
+    declared_in_all: int
+    silent: list[Track]
+    """Those that it never declared."""
+    silent_in_all: int
+
+
+def tracks(log: ReportedLog, most: int, most_silent: int) -> Tracks:
+    """Of each kind at most so many: those that are declared, or truly lie on a landmark, in the
+    most frames; then the longest."""
     found = log.results
     if found.probability is None or not follows(log.tracker):
-        return [], 0
+        return Tracks([], 0, [], 0)
     mine = np.flatnonzero(log.of_method(log.tracker) & (found.object >= 0))
     numbers, which = np.unique(found.object[mine], return_inverse=True)
+    claims = np.bincount(which, weights=found.declared[mine], minlength=len(numbers))
     telling = found.declared[mine]
     if log.truth_near is not None:
         telling = telling | (log.truth_near[mine] >= 0)
     worth = np.bincount(which, weights=telling, minlength=len(numbers))
     length = np.bincount(which, minlength=len(numbers))
-    chosen = np.lexsort((-length, -worth))[:most]
-    shown = []
-    for n in chosen.tolist():
-        at = mine[which == n]
-        at = at[np.unique(found.row[at], return_index=True)[1]]
-        shown.append(Track(int(numbers[n]), at, found.row[at]))
-    shown.sort(key=lambda track: (int(track.frame_index[0]), track.number))
-    return shown, len(numbers)
+    order = np.lexsort((-length, -worth))
+    told, silent = order[claims[order] > 0], order[claims[order] == 0]
+
+    def chosen(of: IntArray) -> list[Track]:
+        shown = []
+        for n in of.tolist():
+            at = mine[which == n]
+            at = at[np.unique(found.frame_index[at], return_index=True)[1]]
+            shown.append(Track(int(numbers[n]), at, found.frame_index[at]))
+        return sorted(shown, key=lambda track: (int(track.frame_index[0]), track.number))
+
+    return Tracks(chosen(told[:most]), len(told), chosen(silent[:most_silent]), len(silent))
 
 
 def alongside(log: ReportedLog, track: Track, method: str) -> IntArray:
@@ -198,8 +280,8 @@ def alongside(log: ReportedLog, track: Track, method: str) -> IntArray:
     matched = np.full(len(track.at), -1, dtype=np.int64)
     if found.position is None:
         return matched
-    other = np.flatnonzero(log.of_method(method) & np.isin(found.row, track.frame_index))
-    beside = np.searchsorted(track.frame_index, found.row[other])
+    other = np.flatnonzero(log.of_method(method) & np.isin(found.frame_index, track.frame_index))
+    beside = np.searchsorted(track.frame_index, found.frame_index[other])
     away = np.linalg.norm(found.position[other] - found.position[track.at[beside]], axis=1)
     order = np.argsort(-away, kind="stable")
     order = order[away[order] <= found.landmarks.radius_m]

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
+import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +21,18 @@ from sonarrec.evaluation import cells
 from sonarrec.evaluation.curves import Count
 from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.evaluation.plots import COLOURS
+from sonarrec.evaluation.reliability import FEW
 from sonarrec.evaluation.summary import UNITS, summarise
 from sonarrec.evaluation.uncertainty import LEVEL
 from sonarrec.report import charts
-from sonarrec.report.logs import ReportedLog, Track, sightings, tracks, true_landmark
-from sonarrec.report.mistakes import Episode, episodes, protocol_of_mistakes, told
+from sonarrec.report.frames import MOST_BYTES, ShownLog
+from sonarrec.report.logs import ReportedLog, Seen, Track, seen, tracks, true_landmark
+from sonarrec.report.mistakes import Episode, protocol_of_mistakes, told
 from sonarrec.report.pictures import Picture
-from sonarrec.results.sightings import Sighting
+from sonarrec.results.sightings import PASS_GAP, Sighting
 
 MOST_TRACKS = 12
+MOST_SILENT = 40
 MOST_SIGHTINGS = 40
 MOST_MISTAKES = 20
 
@@ -38,10 +45,43 @@ class TrackView:
     claims: str
     frames: str
     times: str
-    ticks: list[charts.Tick]
+    axis: charts.Axis
     truth: int | None
     strip: charts.Chart | None
     panels: list[charts.TrackPanel]
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """A column of what was measured in each sighting."""
+
+    head: str
+    name: str
+    """A field of Sighting."""
+    digits: int
+    error: str = ""
+    """The field of its standard error, "" without."""
+
+    def value(self, of: Sighting) -> str:
+        """As told, "" where not known."""
+        return self._told(of, self.name)
+
+    def sigma(self, of: Sighting) -> str:
+        """Its standard error as told, "" where not known."""
+        return self._told(of, self.error) if self.error else ""
+
+    def _told(self, of: Sighting, name: str) -> str:
+        value = float(getattr(of, name))
+        return "" if np.isnan(value) else f"{value:.{self.digits}f}"
+
+
+MEASURED = (
+    Measured("range, m", "range_m", 3, "range_sigma_m"),
+    Measured("bearing, deg", "bearing_deg", 1, "bearing_sigma_deg"),
+    Measured("orientation, deg", "orientation_deg", 0, "orientation_sigma_deg"),
+    Measured("x, m", "x_m", 2),
+    Measured("y, m", "y_m", 2),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,13 +92,29 @@ class LogView:
     facts: list[tuple[str, str]]
     problems: list[str]
     timeline: list[tuple[int, list[charts.Lane]]]
-    time_ticks: list[charts.Tick]
+    axis: charts.Axis
+    """Of time, over the whole log."""
     unseen: list[int]
-    sightings: list[Sighting]
+    sightings: list[Seen]
     sightings_left: int
+    measured: list[Measured]
+    """Columns that any sighting fills."""
+    in_utc: bool
+    """Whether the log's times count from 1970."""
     tracks: list[TrackView]
     tracks_in_all: int
+    silent: list[charts.Lane]
+    """Tracks that were never declared, on the log's time axis."""
+    silent_in_all: int
     settings: list[tuple[str, list[tuple[str, str]]]]
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """What the recordings add to the page: pictures in the order to be shown, frames to click."""
+
+    pictures: list[Picture] = field(default_factory=list)
+    shown: list[ShownLog] = field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,14 +164,15 @@ class Scores:
 
 def render(
     logs: Sequence[ReportedLog],
-    evaluation: Evaluation | None = None,
-    truth: Path | None = None,
-    pictures: Sequence[Picture] = (),
-    unused: Sequence[str] = (),
+    evaluation: Evaluation | None,
+    wrong: Mapping[str, Sequence[Episode]],
+    truth: Path | None,
+    drawn: Drawn,
+    unused: Sequence[str],
 ) -> str:
     """The whole page as HTML.
 
-    evaluation, truth: None where there is no ground truth. pictures: in the order to be shown.
+    evaluation, truth: None where there is no ground truth. wrong: of each method its mistakes.
     unused: one line for each part of the input that could not be used.
     """
     environment = Environment(
@@ -127,13 +184,25 @@ def render(
     )
     environment.globals["number"] = _number
     environment.globals["span"] = _span
+    environment.globals["time_of_day"] = _time_of_day
+    script = (files("sonarrec.report") / "report.js").read_text(encoding="utf-8")
     landmarks = logs[0].results.landmarks
     most_tracks = MOST_TRACKS if len(logs) == 1 else max(1, 2 * MOST_TRACKS // len(logs))
     methods = evaluation.joined.methods if evaluation else logs[0].results.methods
     colours = list(landmark_colours(landmarks.ids).values())
+    scores = None if evaluation is None else _scores(logs[0].tracker, evaluation, wrong)
+    map_picture = _map_picture(logs)
     return environment.get_template("report.html").render(
         version=__version__,
         title=", ".join(log.results.name for log in logs[:3]) + (", ..." if logs[3:] else ""),
+        contents=_contents(
+            scores is not None,
+            bool(scores and scores.others),
+            several=len(logs) > 1,
+            mapped=map_picture is not None,
+        ),
+        few=FEW,
+        pass_gap=PASS_GAP,
         light_colours=[darkened(colour) for colour in colours],
         dark_colours=["#{:02x}{:02x}{:02x}".format(*colour) for colour in colours],
         method_colours=[COLOURS[n % len(COLOURS)] for n in range(len(methods))],
@@ -145,14 +214,59 @@ def render(
         tracker=logs[0].tracker,
         truth=None if truth is None else truth.name,
         evaluation=evaluation,
-        scores=None if evaluation is None else _scores(logs[0].tracker, evaluation),
-        seen_pictures=[p for p in pictures if not p.wanted.is_mistake],
-        mistake_pictures=[p for p in pictures if p.wanted.is_mistake],
+        scores=scores,
+        surest=[p for p in drawn.pictures if p.wanted.group == "surest"],
+        rarest=[p for p in drawn.pictures if p.wanted.group == "rarest"],
+        mistake_pictures=[p for p in drawn.pictures if p.wanted.group == "mistake"],
         unused=unused,
+        held={shown.name: n for n, shown in enumerate(drawn.shown)},
+        shown=drawn.shown,
+        shown_json=_json(drawn.shown),
+        most_megabytes=MOST_BYTES / 1e6,
+        script=script,
+        script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
+        map_picture=map_picture,
     )
 
 
-def _scores(tracker: str, evaluation: Evaluation) -> Scores:
+def _map_picture(logs: Sequence[ReportedLog]) -> str | None:
+    """The picture that `sonarrec map` left beside the results, as a data URI; None without one.
+
+    Of one log that of its folder; of several that of the folder that holds them.
+    """
+    folders = {
+        log.run.path.parent if len(logs) == 1 else log.run.path.parent.parent for log in logs
+    }
+    picture = folders.pop() / "map" / "map.png"
+    if folders or not picture.is_file():
+        return None
+    return "data:image/png;base64," + base64.b64encode(picture.read_bytes()).decode()
+
+
+def _contents(scored: bool, figures: bool, several: bool, mapped: bool) -> dict[str, str]:
+    """The sections by name, in the page's order, and their headings."""
+    seen = {"seen": "What was seen, when and how surely"}
+    rates = {"rates": "Rates at the operating point"} if scored else {}
+    return {
+        # Of one log the page begins with what was seen, of several with how well it went.
+        **(rates | seen if several else seen | rates),
+        "sightings": "Sightings",
+        **({"tables": "The paper's tables"} if scored else {}),
+        **({"figures": "Figures and tests"} if figures else {}),
+        **({"curves": "Curves", "mistakes": "Mistakes, the worst first"} if scored else {}),
+        "tracks": "Probability over time, per track",
+        **({"map": "Map"} if mapped else {}),
+        "settings": "Settings",
+    }
+
+
+def _json(shown: Sequence[ShownLog]) -> str:
+    """As text that stays text within a script element."""
+    text = json.dumps([asdict(log) for log in shown], separators=(",", ":"), allow_nan=False)
+    return text.replace("<", "\\u003c")
+
+
+def _scores(tracker: str, evaluation: Evaluation, wrong: Mapping[str, Sequence[Episode]]) -> Scores:
     summary, joined = summarise(evaluation), evaluation.joined
     protocols = cells.protocols(evaluation)
     tables = [cells.paper_table(s, thousands=",") for s in evaluation.scored]
@@ -174,26 +288,31 @@ def _scores(tracker: str, evaluation: Evaluation) -> Scores:
             for r in summary.reliability
             if r.landmark_text == "top"
         ],
-        mistakes=_mistakes(tracker, evaluation),
+        mistakes=_mistakes(tracker, evaluation, wrong),
     )
 
 
 def _log_view(log: ReportedLog, most_tracks: int) -> LogView:
-    found = sightings(log)
-    shown, in_all = tracks(log, most_tracks)
+    found = seen(log)
+    found_tracks = tracks(log, most_tracks, MOST_SILENT)
+    stamps = log.results.timestamp_ns
     rows = charts.timeline(log)
-    seen = {k for k, _ in rows}
+    drawn = {k for k, _ in rows}
     return LogView(
         log=log,
         facts=list(_facts(log)),
         problems=list(log.run.input.problems),
         timeline=rows,
-        time_ticks=charts.time_axis(log)[0].ticks(),
-        unseen=[i for k, i in enumerate(log.results.landmarks.ids) if k not in seen],
+        axis=charts.time_axis(log)[0],
+        unseen=[i for k, i in enumerate(log.results.landmarks.ids) if k not in drawn],
         sightings=found[:MOST_SIGHTINGS],
         sightings_left=len(found[MOST_SIGHTINGS:]),
-        tracks=[_track_view(log, track) for track in shown],
-        tracks_in_all=in_all,
+        measured=[m for m in MEASURED if any(m.value(s.sighting) for s in found)],
+        in_utc=stamps is not None and _is_utc(int(stamps[0])),
+        tracks=[_track_view(log, track) for track in found_tracks.declared],
+        tracks_in_all=found_tracks.declared_in_all,
+        silent=charts.silent_lanes(log, found_tracks.silent),
+        silent_in_all=found_tracks.silent_in_all,
         settings=list(settings_tables(log.run.table)),
     )
 
@@ -205,7 +324,7 @@ def _facts(log: ReportedLog) -> Iterator[tuple[str, str]]:
     if log.clock == "s" and len(log.time) > 1:
         axis, period = charts.time_axis(log)
         yield "length", f"{axis.high - axis.low:,.1f} s at {1 / period:.3g} Hz"
-    if found.timestamp_ns is not None and found.timestamp_ns[0] > 10**17:  # years after 1970
+    if found.timestamp_ns is not None and _is_utc(int(found.timestamp_ns[0])):
         start = datetime.fromtimestamp(int(found.timestamp_ns[0]) // 10**9, UTC)
         yield "start", f"{start:%Y-%m-%d %H:%M:%S} UTC"
     if found.fan is not None:
@@ -222,7 +341,7 @@ def _track_view(log: ReportedLog, track: Track) -> TrackView:
     ids = found.landmarks.ids
     claims = []
     for k in range(len(ids)):
-        count = int((found.declared[track.at] & (found.landmark[track.at] == k)).sum())
+        count = int((found.declared[track.at] & (found.landmark_index[track.at] == k)).sum())
         if count:
             claims.append(f"ID.{ids[k]} in {count} of {len(track.at)} frames")
     first, last = int(track.frame_index[0]), int(track.frame_index[-1])
@@ -231,7 +350,7 @@ def _track_view(log: ReportedLog, track: Track) -> TrackView:
         claims=", ".join(claims),
         frames=_span(int(found.frame[first]), int(found.frame[last])),
         times=f"{log.time[first]:.1f} to {log.time[last]:.1f} s" if log.clock == "s" else "",
-        ticks=charts.track_axis(log, track).ticks(),
+        axis=charts.track_axis(log, track),
         truth=true_landmark(log, track),
         strip=charts.truth_strip(log, track),
         panels=charts.track_panels(log, track),
@@ -286,17 +405,27 @@ def _curves(
     return found
 
 
-def _mistakes(tracker: str, evaluation: Evaluation) -> list[Mistakes]:
+def _mistakes(
+    tracker: str, evaluation: Evaluation, wrong: Mapping[str, Sequence[Episode]]
+) -> list[Mistakes]:
     found = []
     for method in sorted(evaluation.joined.methods, key=lambda m: m != tracker):
         count = cells.of(evaluation, method, protocol_of_mistakes(evaluation)).count()
-        wrong = episodes(evaluation, method)
         shown = []
-        for episode in wrong[:MOST_MISTAKES]:
+        for episode in wrong[method][:MOST_MISTAKES]:
             frames = _span(episode.first, episode.last)
             shown.append(MistakeView(episode, told(episode, evaluation.joined), frames))
-        found.append(Mistakes(method, count, shown, len(wrong) - len(shown)))
+        found.append(Mistakes(method, count, shown, len(wrong[method]) - len(shown)))
     return found
+
+
+def _is_utc(timestamp_ns: int) -> bool:
+    """Whether a time counts from 1970: it is years after."""
+    return timestamp_ns > 10**17
+
+
+def _time_of_day(timestamp_ns: int) -> str:
+    return f"{datetime.fromtimestamp(timestamp_ns // 10**9, UTC):%H:%M:%S} UTC"
 
 
 def _span(first: int, last: int) -> str:

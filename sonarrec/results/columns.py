@@ -1,12 +1,14 @@
-"""The columns of frames.csv and estimates.csv, each once: its name, how it is written and read."""
+"""The columns of the three tables, each once: its name, how it is written and read."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 from sonarrec.records import Estimate, FrameResult, Stamps
+from sonarrec.results.sightings import Sighting
 
 if TYPE_CHECKING:
     from sonarrec.tables import Kind  # with pandas, which a run does not need
@@ -60,9 +62,13 @@ def estimate_columns(ids: Sequence[int]) -> tuple[Column[Estimate], ...]:
         Column("landmark", lambda _, e: e.landmark, "whole", needed=True),
         Column("score", lambda _, e: f"{e.score:.6f}", "number", needed=True),
         Column("declared", lambda _, e: int(e.declared), "flag", needed=True),
-        Column("range_sigma_m", lambda _, e: f"{e.range_sigma_m:.4f}"),
-        Column("bearing_sigma_deg", lambda _, e: f"{e.bearing_sigma_deg:.3f}"),
-        Column("orientation_sigma_deg", lambda _, e: f"{e.orientation_sigma_deg:.1f}"),
+        Column("range_sigma_m", lambda _, e: f"{e.range_sigma_m:.4f}", "blank or number"),
+        Column("bearing_sigma_deg", lambda _, e: f"{e.bearing_sigma_deg:.3f}", "blank or number"),
+        Column(
+            "orientation_sigma_deg",
+            lambda _, e: f"{e.orientation_sigma_deg:.1f}",
+            "blank or number",
+        ),
     )
 
 
@@ -73,6 +79,56 @@ def belief_names(ids: Sequence[int]) -> list[str]:
 
 def _belief(name: str, k: int) -> Column[Estimate]:
     return Column(name, lambda _, e: f"{e.probabilities[k]:.6f}", "share")
+
+
+@dataclass(frozen=True, slots=True)
+class SightingColumn:
+    """One column of sightings.csv, named as the Sighting's own field.
+
+    digits: behind the point of a number; None: a whole number or a name, as it is. blank: an
+    empty cell stands for a track or a number that is not known.
+    """
+
+    name: str
+    digits: int | None = None
+    blank: bool = False
+
+    def written(self, sighting: Sighting) -> object:
+        """The cell."""
+        value = getattr(sighting, self.name)
+        if self.digits is None:
+            return value
+        return "" if math.isnan(value) else f"{value:.{self.digits}f}"
+
+    def read(self, cell: str) -> object:
+        """The value of a cell. Raises ValueError where it cannot be meant."""
+        if self.name == "method":
+            return cell
+        if self.blank and not cell:
+            return None if self.digits is None else math.nan
+        return int(cell) if self.digits is None else float(cell)
+
+
+SIGHTING_COLUMNS = (
+    SightingColumn("method"),
+    SightingColumn("landmark"),
+    SightingColumn("track", blank=True),
+    SightingColumn("first_frame"),
+    SightingColumn("last_frame"),
+    SightingColumn("start_ns"),
+    SightingColumn("end_ns"),
+    SightingColumn("frames_declared"),
+    SightingColumn("mean_score", 6),
+    SightingColumn("best_score", 6),
+    SightingColumn("range_m", 4, blank=True),
+    SightingColumn("bearing_deg", 3, blank=True),
+    SightingColumn("orientation_deg", 1, blank=True),
+    SightingColumn("range_sigma_m", 4, blank=True),
+    SightingColumn("bearing_sigma_deg", 3, blank=True),
+    SightingColumn("orientation_sigma_deg", 1, blank=True),
+    SightingColumn("x_m", 4, blank=True),
+    SightingColumn("y_m", 4, blank=True),
+)
 
 
 def kinds(columns: Iterable[Column[Part]]) -> dict[str, Kind]:

@@ -16,7 +16,8 @@ from typing import IO
 from sonarrec.records import SonarrecError, UsageError
 
 PART = ".part"
-OURS = ("frames.csv", "estimates.csv", "sightings.csv", "run.toml", "evaluation", "report.html")
+TABLES = ("frames.csv", "estimates.csv", "sightings.csv")
+OURS = (*TABLES, "run.toml", "evaluation", "map", "report.html", "compare.html")
 """What a run replaces, and what was made from it. All else in a results folder is the user's."""
 
 
@@ -50,6 +51,10 @@ def _named(name: str, place: Path, depth: int) -> str:
     return "-".join([*folders[len(folders) - min(depth, len(folders)) :], name])
 
 
+class LockedError(SonarrecError):
+    """Another run writes into the folder."""
+
+
 def part_of(folder: Path) -> Path:
     """Where a run writes before it takes the place of `folder`."""
     return folder.with_name(folder.name + PART)
@@ -58,7 +63,7 @@ def part_of(folder: Path) -> Path:
 def lock(folder: Path) -> IO[bytes]:
     """Hold `folder` for this run until the file is closed: see `release`.
 
-    Raises SonarrecError where another run writes there now.
+    Raises LockedError where another run writes there now.
     """
     file = _lock_file(folder).open("wb")
     try:
@@ -69,7 +74,7 @@ def lock(folder: Path) -> IO[bytes]:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
         file.close()
-        raise SonarrecError(
+        raise LockedError(
             f"{folder}: another run writes here now; wait for it, or choose another --out"
         ) from None
     return file

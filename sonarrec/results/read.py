@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
 
 from sonarrec.geometry import plane_position
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import BoolArray, Fan, FloatArray, IntArray, SonarrecError
+from sonarrec.records import (
+    BoolArray,
+    Fan,
+    FloatArray,
+    IntArray,
+    MissingError,
+    SonarrecError,
+    printable,
+    shown,
+)
 from sonarrec.results.columns import (
     ESTIMATES_HEADER,
     FRAME_COLUMNS,
@@ -22,12 +32,12 @@ from sonarrec.results.columns import (
     needed,
 )
 from sonarrec.results.folders import part_of
-from sonarrec.results.run_file import read_run
+from sonarrec.results.run_file import RunFile, read_run
 from sonarrec.sonar import Sonar
-from sonarrec.tables import Table, cut, line_number, position_pair, read_table, read_tables
+from sonarrec.tables import Kind, Table, cut, line_number, position_pair, read_table, read_tables
 
 METHODS = ("smi", "framework")
-"""The methods that every run of ours holds, also where one of them saw nothing."""
+"""The methods that a run of one preset holds, also where one of them saw nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,14 +46,14 @@ class LogResults:
 
     frame: (F,) numbers of the frames processed, rising. timestamp_ns: (F,) or None.
     methods: names; the arrays below have one element per estimate. method: index into methods.
-    row: index into frame. landmark: index into landmarks.ids. score: 0 to 1. declared: bool.
+    frame_index: into frame. landmark_index: into landmarks.ids. score: 0 to 1. declared: bool.
     position: (N, 2) metres in the fan plane, or None where it is not known.
     orientation: (N,) deg, NaN where unknown. object: (N,) a number per candidate or track, -1
     where not told. probability: (N, K + 1), one per ID in the set's order, then none of these;
     None where the columns are missing.
     fan: turns fan pixels into metres; None where nothing states it.
     strays: estimates left out, for they lie on frames that frames.csv does not list.
-    finished: False where run.toml says that the run was cut short.
+    finished: False where run.toml says that the run was cut short. run: that run.toml.
     """
 
     name: str
@@ -53,8 +63,8 @@ class LogResults:
     timestamp_ns: IntArray | None
     methods: tuple[str, ...]
     method: IntArray
-    row: IntArray
-    landmark: IntArray
+    frame_index: IntArray
+    landmark_index: IntArray
     score: FloatArray
     declared: BoolArray
     position: FloatArray | None
@@ -63,6 +73,7 @@ class LogResults:
     probability: npt.NDArray[np.float32] | None
     strays: int
     finished: bool
+    run: RunFile
 
 
 def find_logs(results: Path) -> list[Path]:
@@ -70,7 +81,7 @@ def find_logs(results: Path) -> list[Path]:
     if (results / "frames.csv").is_file():
         return [results]
     if not results.is_dir():
-        raise SonarrecError(f"{results}: no such results folder; `sonarrec run LOG` writes one")
+        raise MissingError(f"{results}: no such results folder; `sonarrec run LOG` writes one")
     logs = sorted(p.parent for p in results.glob("*/frames.csv"))
     finished = {part_of(log) for log in logs}  # beside these a stopped run's part tells nothing new
     logs = [log for log in logs if log not in finished]
@@ -108,24 +119,21 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
     pair = position_pair(path, table)
     position = None if pair is None else plane_position(pair, fan)
     listed = np.isin(table["frame"], frame)
-    names = [str(name) for name in table["method"].categories]
-    # A method of a run of ours that found nothing at all is scored as well.
-    expected = METHODS if run.methods is None else run.methods
-    methods = [m for m in expected if m in names or run.table]
-    methods += [m for m in names if m not in methods]
+    names = [printable(str(name)) for name in table["method"].categories]
+    methods = _methods(run, names)
     renumber = np.array([methods.index(m) for m in names], dtype=np.int64)
     ids = np.asarray(landmark_set.ids)
     by_id = np.argsort(ids)
     return LogResults(
-        name=folder.resolve().name,
+        name=shown(folder.resolve().name),
         landmarks=landmark_set,
         fan=fan,
         frame=frame,
         timestamp_ns=frames["timestamp_ns"][order] if "timestamp_ns" in frames else None,
         methods=tuple(methods),
         method=renumber[table["method"].codes[listed]],
-        row=np.searchsorted(frame, table["frame"][listed]),
-        landmark=by_id[np.searchsorted(ids, table["landmark"][listed], sorter=by_id)],
+        frame_index=np.searchsorted(frame, table["frame"][listed]),
+        landmark_index=by_id[np.searchsorted(ids, table["landmark"][listed], sorter=by_id)],
         score=table["score"][listed],
         declared=table["declared"][listed],
         position=None if position is None else position[listed],
@@ -134,7 +142,17 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
         probability=_probability(table, belief_names(landmark_set.ids), listed),
         strays=int(np.count_nonzero(~listed)),
         finished=run.finished,
+        run=run,
     )
+
+
+def _methods(run: RunFile, there: list[str]) -> list[str]:
+    """The methods of a run: those with estimates (there), and those that found nothing at all."""
+    expected = run.methods or ()
+    if run.methods is None and run.table:  # an earlier version did not list them
+        several = len(run.configs) > 1 or any(":" in name for name in there)
+        expected = () if several else METHODS
+    return list(dict.fromkeys((*expected, *there)))
 
 
 def read_frames(folder: Path) -> Table:
@@ -144,16 +162,21 @@ def read_frames(folder: Path) -> Table:
 
 
 def estimate_tables(
-    path: Path, landmarks: LandmarkSet, rows: int | None = None
+    path: Path,
+    landmarks: LandmarkSet,
+    rows: int | None = None,
+    more: Mapping[str, Kind] = MappingProxyType({}),
 ) -> Iterator[tuple[int, Table]]:
     """estimates.csv, whole or at most `rows` rows at a time: (the first row, 0-based; columns).
 
+    more: columns to read beside those that are always read, and what their cells must be.
     Raises SonarrecError, with the line, on a cell that cannot be meant; the rows before it are
     given first.
     """
     columns = estimate_columns(landmarks.ids)
     ids = np.asarray(landmarks.ids)
-    for first, table in read_tables(path, kinds(columns), needed(columns), ESTIMATES_HEADER, rows):
+    wanted = kinds(columns) | dict(more)
+    for first, table in read_tables(path, wanted, needed(columns), ESTIMATES_HEADER, rows):
         known = np.isin(table["landmark"], ids)
         if not known.all():
             row = int(np.argmin(known))

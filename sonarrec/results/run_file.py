@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -16,7 +17,8 @@ import numpy as np
 from sonarrec import __version__, config
 from sonarrec.geometry import fan_for_image
 from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
-from sonarrec.records import Clock, Fan, SonarrecError
+from sonarrec.records import Clock, Fan, Origin, SonarrecError, UsageError
+from sonarrec.results.folders import TABLES
 from sonarrec.sonar import Sonar, sonar_from_table
 from sonarrec.toml import Count, checked, read_toml, types_of
 
@@ -86,17 +88,30 @@ class Held:
 
     up_to_date: bool = False  # the same results, finished
     frames: int = 0
+    unusable: int = 0  # frames
+    candidates: int = 0
     problems: list[str] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
+    why: str = ""  # other results of this log are there: in what they differ
+
+
+_OF_THE_END = ("frames_processed", "frames_unusable", "candidates", "problems")
+"""Keys of [input] that only a finished run has."""
 
 
 def held_results(folder: Path, table: dict[str, Any]) -> Held:
     """Hold the finished results in a folder against the run.toml of a run to come.
 
-    Raises SonarrecError where they are of another log: of another path and another SHA-256.
+    Raises SonarrecError where they are of another log, of another path and another SHA-256, or
+    not of this program.
     """
     path = folder / "run.toml"
-    if not path.is_file() or not (folder / "frames.csv").is_file():
+    there_are = [name for name in ("run.toml", *TABLES) if (folder / name).is_file()]
+    if there_are and not path.is_file():
+        raise SonarrecError(
+            f"{folder}: holds {there_are[0]}, and no run.toml says that sonarrec wrote it; choose "
+            "another --out, or give --overwrite"
+        )
+    if len(there_are) <= len(TABLES):
         return Held()
     there = read_toml(path)
     source = there.get("input")
@@ -109,15 +124,58 @@ def held_results(folder: Path, table: dict[str, Any]) -> Held:
             f"{folder}: holds the results of another log ({source.get('path')}); choose another "
             "--out, or give --overwrite"
         )
-    frames, problems = source.get("frames_processed", 0), source.get("problems", [])
     coming.pop("ran_on")
     alike = {k: v for k, v in there.items() if k not in ("finished", "ran_on")} | {
-        "input": {k: v for k, v in source.items() if k in mine} | {"path": mine["path"]}
+        "input": {k: v for k, v in source.items() if k not in _OF_THE_END} | {"path": mine["path"]}
     }
     if alike == coming:
-        return Held(True, frames, problems)
-    what = "the log has changed" if source.get("sha256") != mine["sha256"] else "other settings"
-    return Held(notes=[f"{folder}: results from before are replaced ({what})"])
+        return Held(
+            True,
+            source.get("frames_processed", 0),
+            source.get("frames_unusable", 0),
+            source.get("candidates", 0),
+            source.get("problems", []),
+        )
+    if source.get("sha256") != mine["sha256"]:
+        return Held(why="the log has changed")
+    before, after = dict(flat(alike)), dict(flat(coming))
+    keys = [key for key in {**after, **before} if before.get(key) != after.get(key)]
+    more = f" and {len(keys) - 3} more" if len(keys) > 3 else ""
+    return Held(why=f"other settings: {', '.join(keys[:3])}{more}")
+
+
+def flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """(dotted key, value) of everything in a run.toml that is no table.
+
+    Settings are named as --set names them; of several presets with the preset in front.
+    """
+    for key, value in table.items():
+        name = f"{prefix}{key}"
+        if name == "config":
+            several = isinstance(value, list)
+            for n, one in enumerate(value if several else [value]):
+                preset = f"{one.get('preset', n)}: " if several else ""
+                yield from flat(one, preset)
+        elif isinstance(value, Mapping):
+            yield from flat(value, f"{name}.")
+        else:
+            yield name, value
+
+
+def frame_span(text: str) -> tuple[int, int | None]:
+    """(first, one past the last or None) of "A:B", either of which may be left out.
+
+    Raises UsageError where the text is something else, or no frame can lie there.
+    """
+    match = re.fullmatch(r"([0-9]{0,18}):([0-9]{0,18})", text)
+    if match is None:
+        raise UsageError(f"--frames: expected A:B, two frame numbers, not {text[:60]!r}")
+    first, end = int(match[1] or 0), int(match[2]) if match[2] else None
+    if end is not None and end <= first:
+        raise UsageError(
+            f"--frames {text}: there is no frame from {first} up to, not including, {end}"
+        )
+    return first, end
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,6 +188,9 @@ class Given:
     time: Clock | None = None  # which of the log's times names a frame; default, its log time
     odometry: Path | None = None  # a table of the sonar's poses, see readers/poses_csv.py
     odometry_topic: str | None = None  # the topic of the log that has them, in place of a table
+    frames: tuple[int, int | None] | None = None  # only those from the first up to the second
+    up_to: Path | None = None  # the folder up to which what lies beside the log is looked for
+    origin: Origin | None = None  # where a log that was fetched is from; run.toml says that
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,10 +198,12 @@ class Input:
     """[input] of run.toml: the log, and how it was read; None where it does not say."""
 
     name: str | None = None
+    path: str | None = None  # as it was given
     bytes: Count | None = None
     sha256: str | None = None
     topic: str | None = None
     time: Clock | None = None
+    frames: str | None = None
     problems: tuple[str, ...] = ()
 
 
@@ -170,14 +233,18 @@ class RunFile:
     def lay_under(self, given: Given, *, same_log: bool) -> Given:
         """What is given, and where it says nothing the run's geometry.
 
-        same_log: the run's topic and time serve as well.
+        same_log: the run's topic, time and frames serve as well.
         """
         return replace(
             given,
             sonar=given.sonar if given.sonar_file else self.sonar().updated(given.sonar),
             topic=given.topic or (self.input.topic if same_log else None),
             time=given.time or (self.input.time if same_log else None),
+            frames=given.frames or (self._frames() if same_log else None),
         )
+
+    def _frames(self) -> tuple[int, int | None] | None:
+        return None if self.input.frames is None else frame_span(self.input.frames)
 
     def fan(self, given: Sonar | None = None) -> Fan | None:
         """The fan that pixel positions refer to; None where its scale and apex are not stated."""

@@ -47,3 +47,26 @@ def check_same_log(log: RecordedLog, folder: Path, run: RunFile) -> None:
 def last_frame(folder: Path) -> int:
     """The number of the last frame that was processed, -1 without any."""
     return int(read_frames(folder)["frame"].max(initial=-1))
+
+
+def check_one_log(old: Path, before: RunFile, new: Path, after: RunFile) -> str | None:
+    """Raise SonarrecError where two results folders are of different logs, or of two topics.
+
+    Returns a note where a run.toml does not tell the log's SHA-256, so that only frame numbers say
+    which frame is which; else None.
+    """
+    a, b = before.input, after.input
+    if not a.sha256 or not b.sha256:
+        without = " and ".join(str(f) for f, i in ((old, a), (new, b)) if not i.sha256)
+        return f"{without}: no SHA-256 of the log in run.toml; frames go together by number"
+    if (a.sha256, a.topic) != (b.sha256, b.topic):
+        names = (
+            f"{i.name} (SHA-256 {i.sha256[:12]}...{f', topic {i.topic}' if i.topic else ''})"
+            for i in (a, b)
+            if i.sha256
+        )
+        raise SonarrecError(
+            f"{old} and {new}: results of different logs, {' and '.join(names)}; compare results "
+            "of one log"
+        )
+    return None

@@ -1,87 +1,173 @@
-"""Which track declared what, and when: the end of a run, the head of a report."""
+"""Which track declared what, and when: one sighting per pass, gathered from frame to frame."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, field
 
-from sonarrec.records import FrameResult
+from sonarrec.geometry import ground_range
+from sonarrec.poses import PoseTable
+from sonarrec.records import Estimate, Fan
+
+PASS_GAP = 10
+"""Frames without a declaration after which a pass has ended."""
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class Sighting:
-    """One landmark as one track declared it."""
+    """One pass: a landmark as one track of one method declared it; a row of sightings.csv.
 
-    landmark: int  # ID
-    track: int | None  # None: of a method without tracks
-    first_frame: int  # number in the log, as last_frame and surest
+    method: its name. landmark: ID. track: None of a method that follows no objects. first_frame,
+    last_frame: numbers in the log, of the first and the last declaration, and start_ns, end_ns
+    their times. frames_declared: how many frames have a declaration. mean_score, best_score: over
+    the declarations, 0 to 1. range_m: mean slant range. bearing_deg: mean, positive to the right.
+    orientation_deg: mean direction, 0 to 360. range_sigma_m, bearing_sigma_deg,
+    orientation_sigma_deg: standard error of one frame's estimate, root mean square over the
+    declarations. x_m, y_m: mean place on the floor in the poses' frame. NaN where not known.
+    """
+
+    method: str
+    landmark: int
+    track: int | None
+    first_frame: int
     last_frame: int
     start_ns: int
     end_ns: int
+    frames_declared: int
+    mean_score: float
     best_score: float
-    surest: int  # the frame of the best score
-    right: int | None  # declarations with the landmark's truth beneath; None: truth not known
-    frames_declared: int = 0
-    declarations: int = 0  # more than frames where a frame has several
-    total_score: float = 0.0
+    range_m: float
+    bearing_deg: float
+    orientation_deg: float
+    range_sigma_m: float
+    bearing_sigma_deg: float
+    orientation_sigma_deg: float
+    x_m: float
+    y_m: float
 
-    @property
-    def mean_score(self) -> float:
-        """Of all declarations."""
-        return self.total_score / self.declarations
+
+def follows(method: str) -> bool:
+    """Whether the method's object numbers mean the same object from one frame to the next."""
+    return method.partition(":")[0] != "smi"
+
+
+@dataclass(slots=True)
+class _Mean:
+    """Of the values that are known."""
+
+    total: float = 0.0
+    count: int = 0
+
+    def add(self, value: float) -> None:
+        if not math.isnan(value):
+            self.total += value
+            self.count += 1
+
+    def value(self) -> float:
+        return self.total / self.count if self.count else math.nan
+
+
+@dataclass(slots=True)
+class _Pass:
+    """A pass that has not ended, as `Sighting`; means: one per name that is a mean there."""
+
+    method: str
+    landmark: int
+    track: int | None
+    first_frame: int
+    start_ns: int
+    last_frame: int = -1
+    end_ns: int = 0
+    frames_declared: int = 0
+    best_score: float = 0.0
+    means: dict[str, _Mean] = field(default_factory=dict)
+
+    def add(
+        self, frame: int, timestamp_ns: int, estimate: Estimate, place: tuple[float, float]
+    ) -> None:
+        self.frames_declared += frame != self.last_frame
+        self.last_frame, self.end_ns = frame, timestamp_ns
+        self.best_score = max(self.best_score, estimate.score)
+        turn = math.radians(estimate.orientation_deg)
+        for name, value in (
+            ("score", estimate.score),
+            ("range", estimate.range_m),
+            ("bearing", estimate.bearing_deg),
+            ("cos", math.cos(turn)),
+            ("sin", math.sin(turn)),
+            ("range_sigma", estimate.range_sigma_m**2),
+            ("bearing_sigma", estimate.bearing_sigma_deg**2),
+            ("orientation_sigma", estimate.orientation_sigma_deg**2),
+            ("x", place[0]),
+            ("y", place[1]),
+        ):
+            self.means.setdefault(name, _Mean()).add(value)
+
+    def ended(self) -> Sighting:
+        mean = {name: mean.value() for name, mean in self.means.items()}
+        return Sighting(
+            method=self.method,
+            landmark=self.landmark,
+            track=self.track,
+            first_frame=self.first_frame,
+            last_frame=self.last_frame,
+            start_ns=self.start_ns,
+            end_ns=self.end_ns,
+            frames_declared=self.frames_declared,
+            mean_score=mean["score"],
+            best_score=self.best_score,
+            range_m=mean["range"],
+            bearing_deg=mean["bearing"],
+            orientation_deg=math.degrees(math.atan2(mean["sin"], mean["cos"])) % 360,
+            range_sigma_m=math.sqrt(mean["range_sigma"]),
+            bearing_sigma_deg=math.sqrt(mean["bearing_sigma"]),
+            orientation_sigma_deg=math.sqrt(mean["orientation_sigma"]),
+            x_m=mean["x"],
+            y_m=mean["y"],
+        )
 
 
 class Sightings:
-    """Gathers which landmarks one method declared, when and how surely. Frames come in order."""
+    """Gathers the passes of all methods, in memory that holds those that have not ended."""
 
-    def __init__(self, method: str) -> None:
-        self.method = method
-        self._found: dict[tuple[int, int | None], Sighting] = {}
+    def __init__(self, fan: Fan | None = None, poses: PoseTable | None = None) -> None:
+        """fan and poses: where the sonar looked from; without both no place on the floor."""
+        self._fan, self._poses = fan, poses
+        self._open: dict[tuple[str, int, int | None], _Pass] = {}
 
-    def add(self, result: FrameResult) -> None:
-        """Take in one frame's declared estimates."""
-        for e in result.estimates:
-            if e.method == self.method and e.declared:
-                self.declared(result.index, result.timestamp_ns, e.landmark, e.object, e.score)
+    def add(self, frame: int, timestamp_ns: int, estimates: Iterable[Estimate]) -> list[Sighting]:
+        """Take in the next frame; the passes that had ended before it, in order of their ends."""
+        ended = [p for p in self._open.values() if frame - p.last_frame > PASS_GAP]
+        for one in ended:
+            del self._open[one.method, one.landmark, one.track]
+        for e in estimates:
+            if not e.declared:
+                continue
+            track = e.object if follows(e.method) and e.object >= 0 else None
+            key = e.method, e.landmark, track
+            if key not in self._open:
+                self._open[key] = _Pass(*key, frame, timestamp_ns)
+            self._open[key].add(frame, timestamp_ns, e, self._place(timestamp_ns, e))
+        return _in_order(ended)
 
-    def declared(
-        self,
-        frame: int,
-        timestamp_ns: int,
-        landmark: int,
-        track: int | None,
-        score: float,
-        right: bool | None = None,
-    ) -> None:
-        """Take in one declaration; right: whether the truth is the same, where it is known."""
-        sighting = self._found.get((landmark, track))
-        if sighting is None:
-            unjudged = None if right is None else 0
-            sighting = Sighting(landmark, track, frame, -1, timestamp_ns, 0, -1.0, frame, unjudged)
-            self._found[landmark, track] = sighting
-        sighting.frames_declared += frame != sighting.last_frame
-        sighting.last_frame, sighting.end_ns = frame, timestamp_ns
-        sighting.declarations += 1
-        sighting.total_score += score
-        if sighting.right is not None:
-            sighting.right += bool(right)
-        if score > sighting.best_score:
-            sighting.best_score, sighting.surest = score, frame
+    def rest(self) -> list[Sighting]:
+        """The passes that last to the end, which they end."""
+        ended = [*self._open.values()]
+        self._open.clear()
+        return _in_order(ended)
 
-    def found(self) -> list[Sighting]:
-        """One per landmark and track, in order of first sight."""
-        return sorted(
-            self._found.values(), key=lambda s: (s.first_frame, -1 if s.track is None else s.track)
-        )
-
-    def table(self) -> list[str]:
-        """Lines to print, one per landmark and track, in order of first sight."""
-        if not self._found:
-            return ["no landmark declared"]
-        lines = ["landmark  track  frames         from s      to s  declared  best score"]
-        for s in self.found():
-            span = f"{s.first_frame}-{s.last_frame}"
-            lines.append(
-                f"{s.landmark:>8}  {s.track:>5}  {span:<11} {s.start_ns / 1e9:>9.2f} "
-                f"{s.end_ns / 1e9:>9.2f}  {s.frames_declared:>8}  {s.best_score:>10.3f}"
+    def _place(self, timestamp_ns: int, estimate: Estimate) -> tuple[float, float]:
+        """x and y (m) on the floor in the poses' frame, NaN where not known."""
+        found = None
+        if self._fan is not None and self._poses is not None:
+            away = float(ground_range(self._fan, estimate.range_m))
+            bearing = math.radians(estimate.bearing_deg)
+            found = self._poses.place(
+                timestamp_ns, away * math.sin(bearing), away * math.cos(bearing)
             )
-        return lines
+        return found or (math.nan, math.nan)
+
+
+def _in_order(passes: list[_Pass]) -> list[Sighting]:
+    return [p.ended() for p in sorted(passes, key=lambda p: (p.last_frame, p.first_frame))]

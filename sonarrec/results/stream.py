@@ -80,6 +80,16 @@ def _estimates(
     objects = table["object"][mine] if "object" in table else np.full(len(mine), -1)
     existence = table["existence"][mine] if "existence" in table else np.ones(len(mine))
     beliefs = _beliefs(table, landmarks)[mine]
+    blank = np.full(len(table["frame"]), np.nan)
+    orientation, *sigmas = (
+        table.get(name, blank)[mine]
+        for name in (
+            "orientation_deg",
+            "range_sigma_m",
+            "bearing_sigma_deg",
+            "orientation_sigma_deg",
+        )
+    )
     for n, row in enumerate(mine.tolist()):
         if math.isnan(x_px[n]):
             raise SonarrecError(
@@ -96,12 +106,15 @@ def _estimates(
                 y_px=float(y_px[n]),
                 range_m=float(range_m[n]),
                 bearing_deg=float(bearing_deg[n]),
-                orientation_deg=math.nan,
+                orientation_deg=float(orientation[n]),
                 existence=1.0 if math.isnan(existence[n]) else float(existence[n]),
                 probabilities=beliefs[n],
                 landmark=int(table["landmark"][row]),
                 score=float(table["score"][row]),
                 declared=bool(table["declared"][row]),
+                range_sigma_m=float(sigmas[0][n]),
+                bearing_sigma_deg=float(sigmas[1][n]),
+                orientation_sigma_deg=float(sigmas[2][n]),
             ),
         )
 
@@ -109,18 +122,19 @@ def _estimates(
 def _places(table: Table, fan: Fan) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """x_px, y_px, range_m and bearing_deg, (rows,) each, NaN where neither pair is told.
 
-    Pixels go first: what is drawn lies where the table has it.
+    Either pair as the table has it; one that is not told from the other.
     """
     blank = np.full(len(table["frame"]), np.nan)
     x_px, y_px, range_m, bearing_deg = (table.get(name, blank) for name in POSITION_KINDS)
     in_pixels = np.isfinite(x_px) & np.isfinite(y_px)
+    in_polar = np.isfinite(range_m) & np.isfinite(bearing_deg)
     drawn = pixel_from_polar(fan, range_m, bearing_deg)
     measured = polar_from_pixel(fan, x_px, y_px)
     return (
         np.where(in_pixels, x_px, drawn[0]),
         np.where(in_pixels, y_px, drawn[1]),
-        np.where(in_pixels, measured[0], range_m),
-        np.where(in_pixels, measured[1], bearing_deg),
+        np.where(in_polar, range_m, measured[0]),
+        np.where(in_polar, bearing_deg, measured[1]),
     )
 
 

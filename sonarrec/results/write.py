@@ -1,4 +1,4 @@
-"""Results onto disk as they come: frames.csv, estimates.csv and run.toml."""
+"""Results onto disk as they come: frames.csv, estimates.csv, sightings.csv and run.toml."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import io
 import os
 import shutil
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -14,18 +15,21 @@ from typing import Any, Self
 import tomli_w
 
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import NO_STAMPS, FrameResult, SonarrecError, Stamps
-from sonarrec.results.columns import FRAME_COLUMNS, estimate_columns
+from sonarrec.records import NO_STAMPS, FrameResult, SonarrecError, Stamps, shown
+from sonarrec.results.columns import FRAME_COLUMNS, SIGHTING_COLUMNS, estimate_columns
 from sonarrec.results.folders import exchange, lock, part_of, release, restore
+from sonarrec.results.sightings import Sighting, Sightings
 
 
 class _Table:
     """A CSV file that holds whole frames at any moment, also where the process is killed."""
 
     def __init__(self, path: Path, header: Sequence[str]) -> None:
-        self._file = path.open("wb", buffering=0)
+        new = path.with_name(f".{path.name}.new")
+        self._file = new.open("wb", buffering=0)
         self._size = 0
         self.append([header])
+        new.rename(path)  # where it stands it has a header
 
     def append(self, rows: Iterable[Sequence[object]]) -> None:
         """Add the rows of a frame, all or none. Raises OSError where the disk takes no more."""
@@ -36,10 +40,20 @@ class _Table:
         try:
             while data:
                 data = data[self._file.write(data) :]
-        except OSError:
-            self._file.truncate(self._size)
+        except BaseException:  # the disk is full, or Ctrl-C
+            self.cut(self._size)
             raise
         self._size = self._file.tell()
+
+    def cut(self, size: int) -> None:
+        """Take back what was appended since the file had this size."""
+        self._file.seek(self._file.truncate(size))
+        self._size = size
+
+    @property
+    def size(self) -> int:
+        """Bytes written."""
+        return self._size
 
     def close(self, *, sync: bool = False) -> None:
         if sync:
@@ -51,15 +65,24 @@ class ResultsWriter:
     """Appends one log's results as they come, into `<folder>.part` until all are there.
 
     `finish` puts them in the place of `folder`. Without it, the part stays: its run.toml says
-    `finished = false`, its tables hold whole frames, and `folder` is as it was.
+    `finished = false`, its tables hold whole frames, and `folder` is as it was. sightings.csv has
+    the passes that ended; of a run that was killed not those that were under way.
     """
 
-    def __init__(self, folder: Path, landmarks: LandmarkSet, run: dict[str, Any]) -> None:
-        """run: the tables of run.toml.
+    def __init__(
+        self,
+        folder: Path,
+        landmarks: LandmarkSet,
+        run: dict[str, Any],
+        sightings: Sightings | None = None,
+    ) -> None:
+        """run: the tables of run.toml. sightings: what gathers them, new.
 
         Raises SonarrecError where the folder cannot be written, or another run writes there.
         """
-        self.frames = 0
+        self.frames = self.candidates = 0
+        self.full = False  # the disk took no more: nothing can be written any longer
+        self._gathered = sightings or Sightings()
         self._folder = folder
         self._part = part_of(folder)
         self._run = run
@@ -77,13 +100,17 @@ class ResultsWriter:
             self._write_run(finished=False)
             self._estimates = _Table(self._part / "estimates.csv", [c.name for c in self._columns])
             self._frames = _Table(self._part / "frames.csv", [c.name for c in FRAME_COLUMNS])
+            self._sightings = _Table(
+                self._part / "sightings.csv", [c.name for c in SIGHTING_COLUMNS]
+            )
         except OSError as error:
             release(folder, self._lock)
             raise self._unwritable(error) from None
 
     def _unwritable(self, error: OSError) -> SonarrecError:
         return SonarrecError(
-            f"{self._folder}: cannot write results here ({error.strerror}); choose another --out"
+            f"{shown(self._folder)}: cannot write results here ({error.strerror}); "
+            "choose another --out"
         )
 
     def write(self, result: FrameResult, stamps: Stamps = NO_STAMPS) -> None:
@@ -91,24 +118,42 @@ class ResultsWriter:
 
         Raises SonarrecError where the disk takes no more.
         """
+        before = self.frames, self._estimates.size, self._frames.size
         try:
             # A frame that frames.csv lists has all its estimates.
             self._estimates.append(
                 [c.written(result, e) for c in self._columns] for e in result.estimates
             )
             self._frames.append([[c.written(result, stamps) for c in FRAME_COLUMNS]])
-        except OSError as error:
-            raise self._fault(error) from None
-        self.frames += 1
+            self.frames += 1
+            self.candidates += result.candidates
+            self._seen(self._gathered.add(result.index, result.timestamp_ns, result.estimates))
+        except BaseException as error:
+            if self.frames == before[0]:  # not all of the frame is there
+                self._estimates.cut(before[1])
+                self._frames.cut(before[2])
+            if isinstance(error, OSError):
+                raise self._fault(error) from None
+            raise
 
-    def finish(self, problems: Sequence[str]) -> None:
+    def _seen(self, ended: Sequence[Sighting]) -> None:
+        if ended:
+            self._sightings.append([c.written(s) for c in SIGHTING_COLUMNS] for s in ended)
+
+    def finish(self, problems: Sequence[str], unusable: int = 0) -> None:
         """Every frame of the log was processed or told of: take the place of what was there.
+
+        unusable: how many frames could not be used.
 
         Raises SonarrecError where the disk takes no more.
         """
         self._run["input"]["frames_processed"] = self.frames
-        self._run["input"]["problems"] = list(problems)
+        self._run["input"]["frames_unusable"] = unusable
+        self._run["input"]["candidates"] = self.candidates
+        self._run["input"]["problems"] = [shown(problem) for problem in problems]
         try:
+            self._seen(self._gathered.rest())
+            self._sightings.close(sync=True)
             self._estimates.close(sync=True)
             self._frames.close(sync=True)
             self._write_run(finished=True)
@@ -117,8 +162,9 @@ class ResultsWriter:
             raise self._fault(error) from None
 
     def _fault(self, error: OSError) -> SonarrecError:
+        self.full = True
         return SonarrecError(
-            f"{self._part}: cannot write results ({error.strerror}); it holds the "
+            f"{shown(self._part)}: cannot write results ({error.strerror}); it holds the "
             f"{self.frames} frames before"
         )
 
@@ -141,8 +187,10 @@ class ResultsWriter:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._estimates.close()
-        self._frames.close()
+        with suppress(OSError, ValueError):  # the disk is full; all is written and closed
+            self._seen(self._gathered.rest())
+        for table in (self._estimates, self._frames, self._sightings):
+            table.close()
         if not self.frames and self._part.is_dir():
             shutil.rmtree(self._part, ignore_errors=True)  # it holds nothing
         release(self._folder, self._lock)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
@@ -272,15 +272,19 @@ def _truth(
     return tuple(landmarks), tuple(distractors)
 
 
-def render(scene: Scene) -> Iterator[SimulatedFrame]:
+def render(
+    scene: Scene, path: Sequence[Pose] | None = None, ground: Scene | None = None
+) -> Iterator[SimulatedFrame]:
     """Render the scene's frames in order. The same scene gives the same bytes.
 
-    Raises SonarrecError where the scene contradicts itself.
+    path: the sonar's pose in every frame, in place of the scene's motion: a vehicle's. ground: the
+    scene whose window and sweep, seen from the floor's origin, hold all the floor that the path
+    shows; default, the scene itself. Raises SonarrecError where the scene contradicts itself.
     """
     check_scene(scene, scene.name)
     fan = scene_fan(scene)
-    path = poses(scene)
-    world = World(scene, np.random.default_rng([scene.seed, 1]))
+    path = poses(scene) if path is None else path
+    world = World(ground or scene, np.random.default_rng([scene.seed, 1]))
     receiver = _Receiver(scene, np.random.default_rng([scene.seed, 3]))
     picture = _Picture(scene, fan)
     noise_rng = np.random.default_rng([scene.seed, 4])
@@ -409,9 +413,13 @@ def write_recording(
                 tilt_deg=sonar.tilt_deg, height_m=sonar.height_m, frame_rate_hz=sonar.frame_rate_hz
             )
     folder, prefix = (out.parent, f"{out.stem}.") if single else (out, "")
-    in_use = out.exists() if single else out.is_dir() and any(out.iterdir())
-    if in_use:
-        raise SonarrecError(f"{out}: already exists and is not empty; choose another --out")
+    names = [out.name] if single else [""]
+    names += [
+        f"{prefix}{name}" for name in ("gt.csv", "scene.toml", "sonar.toml", "landmarks.toml")
+    ]
+    for path in (folder / name for name in names):
+        if path.is_file() or (path.is_dir() and (single or any(path.iterdir()))):
+            raise SonarrecError(f"{path}: already exists and is not empty; choose another --out")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with (folder / f"{prefix}gt.csv").open("w", newline="", encoding="utf-8") as file:

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from sonarrec.drawing import Colour, disc_outline, landmark_colours
+from sonarrec.outputs import PICTURE_MARK
 from sonarrec.records import ByteImage, FloatArray, Frame, IntArray, SonarrecError
 from sonarrec.truth.check import CheckedTruth
 
@@ -169,6 +170,6 @@ def _draw(
             axes.text(x, y + SIDE + 10, caption, color=ink, fontsize=8, va="center")
     axes.set(xlim=(0, width), ylim=(height, 0), aspect="auto")
     try:
-        figure.savefig(out, format="png", facecolor=_GROUND)
+        figure.savefig(out, format="png", facecolor=_GROUND, metadata=PICTURE_MARK)
     except OSError as error:
         raise SonarrecError(f"{out}: cannot be written ({error.strerror})") from None

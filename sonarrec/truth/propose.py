@@ -76,7 +76,7 @@ def propose(
                     log.name,
                     track.number,
                     track.landmark,
-                    (int(log.frame[track.row[0]]), int(log.frame[track.row[-1]])),
+                    (int(log.frame[track.frame_index[0]]), int(log.frame[track.frame_index[-1]])),
                     len(found),
                     sum(row[-1] == FILLED_IN for row in found),
                     track.best_score,
@@ -95,7 +95,7 @@ class _Track:
 
     number: int
     landmark: int
-    row: np.ndarray  # index into LogResults.frame, rising
+    frame_index: np.ndarray  # into LogResults.frame, rising
     range_m: FloatArray
     bearing_deg: FloatArray
     best_score: float
@@ -115,14 +115,14 @@ def _tracks(folder: Path, log: LogResults, method: str, min_score: float) -> lis
             f"{path}: a track is told by object, range_m and bearing_deg (or x_px, y_px); "
             "not every row has them"
         )
-    mine = mine[np.lexsort((log.row[mine], log.object[mine]))]
+    mine = mine[np.lexsort((log.frame_index[mine], log.object[mine]))]
     _, starts = np.unique(log.object[mine], return_index=True)
     tracks = []
     for one in np.split(mine, starts[1:]):
         declared = one[log.declared[one]]
         if not len(declared):
             continue
-        landmarks, counts = np.unique(log.landmark[declared], return_counts=True)
+        landmarks, counts = np.unique(log.landmark_index[declared], return_counts=True)
         ids = [log.landmarks.ids[k] for k in landmarks]
         best = float(log.score[one].max())
         left_out = ""
@@ -132,7 +132,7 @@ def _tracks(folder: Path, log: LogResults, method: str, min_score: float) -> lis
             left_out = f"declared in {counts.max()} frames only"
         elif best < min_score:
             left_out = f"best score below {min_score:g}"
-        row, first = np.unique(log.row[one], return_index=True)
+        row, first = np.unique(log.frame_index[one], return_index=True)
         range_m, bearing_deg = polar_from_plane(log.position[one[first]])
         number, landmark = int(log.object[one[0]]), ids[int(counts.argmax())]
         track = _Track(number, landmark, row, range_m, bearing_deg, best, left_out)
@@ -152,15 +152,15 @@ def _rows(
     taken: floor positions proposed so far per (frame, ID), to which these are added; where they
     meet, a second track is on one disc and gives no row.
     """
-    short = [np.arange(a, b) for a, b in pairwise(track.row) if b - a <= max_gap + 1]
-    at = np.unique(np.concatenate([track.row, *short]))
-    range_m = np.interp(at, track.row, track.range_m)
-    bearing_deg = np.interp(at, track.row, track.bearing_deg)
+    short = [np.arange(a, b) for a, b in pairwise(track.frame_index) if b - a <= max_gap + 1]
+    at = np.unique(np.concatenate([track.frame_index, *short]))
+    range_m = np.interp(at, track.frame_index, track.range_m)
+    bearing_deg = np.interp(at, track.frame_index, track.bearing_deg)
     x, y = pixel_from_polar(fan, range_m, bearing_deg)
     visible = share_in_fan(fan, range_m, bearing_deg, log.landmarks.radius_m)
     floor, turn = ground_range(fan, range_m), np.radians(bearing_deg)
     place = np.column_stack([floor * np.sin(turn), floor * np.cos(turn)])
-    source = np.where(np.isin(at, track.row), "tracked", FILLED_IN)
+    source = np.where(np.isin(at, track.frame_index), "tracked", FILLED_IN)
     rows: list[tuple[object, ...]] = []
     for n, frame in enumerate(log.frame[at].tolist()):
         others = taken.setdefault((frame, track.landmark), [])

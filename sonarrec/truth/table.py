@@ -11,9 +11,32 @@ from typing import Any
 import numpy as np
 
 from sonarrec.records import FloatArray, IntArray, SonarrecError
-from sonarrec.tables import POSITION_KINDS, Kind, line_number, position_pair, read_table
+from sonarrec.tables import (
+    POSITION_KINDS,
+    Kind,
+    line_number,
+    position_pair,
+    read_header,
+    read_table,
+)
 
 HEADER = "frame,landmark,x_px,y_px,visible"
+_PIXELS = "x_px,y_px (pixels of the fan image)"
+_POLAR = "range_m,bearing_deg (slant range in m; deg, positive to the right)"
+_LOOK_ALIKE = {
+    _PIXELS: (
+        *("x", "y", "u", "v", "col", "row", "column", "px", "py", "cx", "cy", "xc", "yc"),
+        *("x_pixel", "y_pixel", "x_pixels", "y_pixels", "pixel_x", "pixel_y", "xpx", "ypx"),
+        *("x_center", "y_center", "center_x", "center_y", "x_centre", "y_centre", "centre_x"),
+        "centre_y",
+    ),
+    _POLAR: (
+        *("range", "r", "rho", "slant_range", "slant_range_m", "range_metres", "range_meters"),
+        *("distance", "distance_m", "rangem", "bearing", "bearing_rad", "bearing_degrees"),
+        *("azimuth", "azimuth_deg", "theta", "angle", "angle_deg", "x_m", "y_m", "z_m"),
+    ),
+}
+"""Names in lower case that others give to positions, by what they should be here."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +58,8 @@ class TruthTable:
     """As tables.position_pair gives it; None without positions."""
     orientation: FloatArray | None
     """(R,) deg, NaN where blank; None without the column."""
+    not_read: tuple[str, ...]
+    """Columns that look like positions, beside those that are read."""
 
 
 def read_truth(path: Path) -> TruthTable:
@@ -63,7 +88,8 @@ def read_truth(path: Path) -> TruthTable:
 def read_rows(path: Path) -> TruthTable:
     """Read gt.csv as it is written: `visible` of any value, and rows that repeat others.
 
-    Raises SonarrecError on wrong columns and on a cell that is no number.
+    Raises SonarrecError on wrong columns, on a cell that is no number, and where columns look like
+    positions but none is read.
     """
     kinds: dict[str, Kind] = {
         "frame": "whole",
@@ -83,6 +109,13 @@ def read_rows(path: Path) -> TruthTable:
     visible = table.get("visible", np.ones(len(table["landmark"])))
     visible = np.where(np.isnan(visible), 1.0, visible)
     position = position_pair(path, table)
+    alike = _look_alike(read_header(path, HEADER))
+    if alike and position is None:
+        told = "; ".join(f"{', '.join(names)}: expected {right}" for right, names in alike.items())
+        raise SonarrecError(
+            f"{path}: no position can be read from the columns {told}; both columns of one pair "
+            "are needed. Rename them, or drop them to score protocol paper alone"
+        )
     return TruthTable(
         path=path,
         key=key,
@@ -92,7 +125,20 @@ def read_rows(path: Path) -> TruthTable:
         log=table.get("log"),
         position=position,
         orientation=table.get("orientation_deg"),
+        not_read=tuple(name for names in alike.values() for name in names),
     )
+
+
+def _look_alike(header: Sequence[str]) -> dict[str, list[str]]:
+    """Columns that look like positions and are not read, by what they should be called."""
+    found: dict[str, list[str]] = {}
+    for right, names in _LOOK_ALIKE.items():
+        pair = right.partition(" ")[0].split(",")
+        # One of a pair is of no use; a pair left blank is no mistake.
+        read = pair if all(name in header for name in pair) else []
+        alike = [n for n in header if n.lower().replace(" ", "_") in (*names, *pair)]
+        found[right] = [n for n in alike if n not in read]
+    return {right: names for right, names in found.items() if names}
 
 
 def repeated_rows(table: TruthTable) -> IntArray:

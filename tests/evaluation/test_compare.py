@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,8 @@ from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
 from sonarrec.evaluation.compare import compare
-from sonarrec.evaluation.evaluate import Pair, evaluate, evaluate_pairs, read_pairs
+from sonarrec.evaluation.evaluate import evaluate, evaluate_pairs
+from sonarrec.evaluation.pairs import Pair, read_pairs
 from sonarrec.records import SonarrecError
 from tests.evaluation.test_evaluation import (
     TRUTH_HEADER,
@@ -129,10 +131,132 @@ def test_changes_add_up_to_the_counts(tmp_path: Path, seed: int) -> None:
             assert moved == getattr(b, name) - getattr(a, name)
 
 
+RUN = """finished = true
+[program]
+version = "{version}"
+methods = ["m"]
+[input]
+name = "pan"
+path = "somewhere/pan.mcap"
+bytes = 7
+sha256 = "{digest}"
+topic = "/sonar"
+[config]
+preset = "default"
+seed = 0
+[config.features]
+declare = {declare}
+[landmarks]
+name = "{name}"
+radius_m = {radius}
+ring = [0.8, 1.0]
+symbol = [0.0, 0.6]
+[[landmarks.landmark]]
+id = 1
+sectors = [1, 0, 0, 0]
+[[landmarks.landmark]]
+id = 2
+sectors = [1, 0, 1, 0]
+"""
+MADE = {"version": "1", "digest": "0" * 64, "declare": 0.75, "name": "basin", "radius": 0.15}
+
+
+def made(folder: Path, **other: object) -> None:
+    (folder / "run.toml").write_text(RUN.format(**MADE | other))
+
+
+def test_what_the_runs_were_made_with_differently(sides: tuple[Path, Path, Path]) -> None:
+    old, new, truth = sides
+    made(old)
+    made(new)
+    arguments = ["--ground-truth", truth, "--compare", old, new]
+    assert command(*arguments).stdout.startswith("settings, version and landmark set: the same\n")
+    made(new, version="2", declare=0.9, name="big", radius=0.2)
+    lines = command(*arguments).stdout.splitlines()
+    assert lines[:4] == [
+        "program.version: 1 -> 2",
+        "features.declare: 0.75 -> 0.9",
+        "landmarks.name: basin -> big",
+        "landmarks.radius_m: 0.15 -> 0.2",
+    ]
+    told = json.loads(command(*arguments, "--json").stdout)
+    assert told == json.loads((new / "evaluation" / "compare.json").read_text())
+    assert told["settings"][1] == {
+        "key": "features.declare", "old": "0.75", "new": "0.9", "logs": ["out"],
+    }  # fmt: skip
+    assert told["frames_and_ids"] == {"better": 4, "worse": 20, "other": 0}
+    (passes,) = [p for p in told["passes"] if p["protocol"] == "strict"]
+    assert (passes["first_frame"], passes["last_frame"]) == (5, 24)
+    assert (passes["old"], passes["new"], passes["frames"]) == (20, 10, 20)
+
+
+@pytest.mark.parametrize(("key", "value"), [("digest", "1" * 64), ("topic", "/other")])
+def test_results_of_different_logs_are_refused(
+    sides: tuple[Path, Path, Path], key: str, value: str
+) -> None:
+    old, new, truth = sides
+    made(old)
+    made(new)
+    text = (new / "run.toml").read_text()
+    was = MADE["digest"] if key == "digest" else "/sonar"
+    (new / "run.toml").write_text(text.replace(f'"{was}"', f'"{value}"'))
+    done = command("--ground-truth", truth, "--compare", old, new, code=1)
+    (line,) = done.stderr.splitlines()
+    assert f"{old} and {new}: results of different logs, pan (SHA-256 0000" in line
+    assert done.stdout == ""
+    assert not (new / "evaluation").exists()
+
+
+def test_without_a_sha256_frames_go_together_by_number_and_it_is_said(
+    sides: tuple[Path, Path, Path],
+) -> None:
+    old, new, truth = sides
+    made(new)
+    arguments = ["--ground-truth", truth, "--compare", old, new]
+    said = command(*arguments, code=1).stderr  # the built-in set has four IDs
+    assert "run with the landmark IDs 1, 2, 3, 4 and 1, 2; to compare them the same" in said
+    output = command(*arguments, "--landmarks", "basin").stdout
+    assert f"note: {old}: no SHA-256 of the log in run.toml; frames go together by number" in output
+    assert f"note: {old}: no run.toml, so its settings are not known" in output
+    assert "the same" not in output
+
+
+def several(folder: Path, digests: dict[str, str], right: dict[str, set[int]]) -> Path:
+    """Results of several logs under their names, of the recordings with these digests."""
+    for name, digest in digests.items():
+        out, _ = write_case(folder / f"{name}.case", FRAMES, claims(right[name]), [])
+        made(out, digest=digest)
+        (folder / "results").mkdir(exist_ok=True)
+        out.rename(folder / "results" / name)
+    return folder / "results"
+
+
+def test_several_logs_each_with_a_truth_of_its_own(tmp_path: Path) -> None:
+    """Logs go together by SHA-256 where their names differ; linked copies count once."""
+    a, b = "a" * 64, "b" * 64
+    right = {"x": {5, 6}, "y": {5, 6}}
+    old = several(tmp_path / "old", {"x": a, "y": b}, right)
+    right = {"day-x": {5}, "y": {5, 6, 7}}
+    new = several(tmp_path / "new", {"day-x": a, "y": b}, right)
+    (new / "copy").symlink_to(new / "day-x")
+    for name in ("x", "y"):
+        write_csv(tmp_path / f"{name}.csv", TRUTH_HEADER, TRUTH)
+    rows = [(f"old/results/{name}", f"{name}.csv") for name in ("x", "y")]
+    write_csv(tmp_path / "pairs.csv", ("results", "ground_truth"), rows)
+    done = command("--pairs", tmp_path / "pairs.csv", "--compare", old, new)
+    assert "frames and IDs: 2 better, 2 worse" in done.stdout
+    assert "which counts once" in done.stdout
+    told = json.loads((new / "evaluation" / "compare.json").read_text())
+    assert len(told["logs"]) == 2
+    assert told["frames"] == 2 * len(FRAMES)
+    write_csv(tmp_path / "pairs.csv", ("results", "ground_truth"), rows[:1])
+    done = command("--pairs", tmp_path / "pairs.csv", "--compare", old, new, code=3)
+    assert "new/results/y: the pairs name no truth for it; not compared" in done.stderr
+
+
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        ([], "--ground-truth, or --pairs"),
         (["--pairs", "p.csv", "--ground-truth", "p.csv"], "--pairs"),
         (["--ground-truth", "p.csv", "--fail-on-regression", "0.1"], "--compare"),
         (["--ground-truth", "p.csv", "out", "--compare", "a", "b"], "no RESULTS"),

@@ -176,7 +176,8 @@ def test_rules(tmp_path: Path, what, truth, claims, paper, strict) -> None:
         [7],
         # Another ID's estimate makes sure that the method is there, and counts for that ID alone.
         [(7, "m", 2.5, 9.0, 2, 0.5, 0)] + [(7, "m", *c, 1, 0.9, 1) for c in claims],
-        [(7, 1, *place, visible) for place, visible in truth],
+        # A truth without any row is refused.
+        [(7, 1, *place, visible) for place, visible in truth] + [(7, 4, 2.5, -9.0, 1)],
     )
     found = evaluate(results, gt)
     assert counts(scored(found, "paper"), 0) == paper, what

@@ -13,7 +13,8 @@ from mcap.reader import NonSeekingReader
 from mcap.writer import CompressionType, IndexType, Writer
 
 from sonarrec.readers import open_log
-from sonarrec.readers.mcap.images import McapImages
+from sonarrec.readers.mcap.container import McapRecording
+from sonarrec.readers.mcap.images import ChannelImages
 from sonarrec.records import Frame, SonarrecError
 from tests.support.hard_logs import HardLog, message, record
 from tests.support.logs import PERIOD_NS, SONAR_TOML, cdr_image, frames
@@ -181,7 +182,7 @@ def test_a_recording_that_changes_while_it_is_read(
 ) -> None:
     path = tmp_path / "log.mcap"
     data = unchecked(path, compression=compression)
-    reader = McapImages(path)
+    reader = ChannelImages(McapRecording(path))
     try:
         passed = iter(reader)
         next(passed)
@@ -205,7 +206,7 @@ def test_times_that_fall_by_the_hundred_thousand(tmp_path: Path) -> None:
     count = 20_000
     with HardLog(path) as log:
         log.chunk(((count - n, b"") for n in range(count)), indexed=False)
-    reader = McapImages(path)
+    reader = ChannelImages(McapRecording(path))
     tracemalloc.start()
     start = time.process_time()
     stamps = [frame.timestamp_ns for frame in reader]

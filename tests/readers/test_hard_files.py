@@ -154,16 +154,15 @@ def test_a_quoted_glob_of_logs(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "says"),
     [
-        ("dive.db3", "rosbags-convert --src "),
-        ("dive.bag", "rosbags-convert --src dive.bag "),
-        ("dive.mcap.zst", "zstd -d dive.mcap.zst"),
-        ("bag/dive_0.db3", "rosbags-convert --src "),
+        ("dive.mcap.gz", "gunzip dive.mcap.gz"),
+        ("dive.bag.xz", "unxz dive.bag.xz"),
+        ("dives/dive_0.mcap.gz", "gunzip dive_0.mcap.gz"),
     ],
 )
-def test_what_can_be_converted_is_told_how(name: str, says: str, tmp_path: Path) -> None:
+def test_what_can_be_unpacked_is_told_how(name: str, says: str, tmp_path: Path) -> None:
     path = tmp_path / name
     path.parent.mkdir(exist_ok=True)
-    path.write_bytes(b"SQLite")
+    path.write_bytes(b"packed")
     log = path.parent if "/" in name else path
     for command in ("run", "info"):
         told = CliRunner().invoke(main, [command, str(log)])

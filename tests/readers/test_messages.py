@@ -99,8 +99,8 @@ def estimates_of_folder(tmp_path_factory: pytest.TempPathFactory) -> Estimates:
             path = tmp_path_factory.mktemp("folder")
             folder = image_folder(path / "log", images)
             (folder / "sonar.toml").write_text(toml)
-            run_log(folder, path, preset=config.preset("default"))
-            done[toml] = (path / "log" / "estimates.csv").read_bytes()
+            run_log(folder, path / "out", preset=config.preset("default"))
+            done[toml] = (path / "out" / "log" / "estimates.csv").read_bytes()
         return done[toml]
 
     return estimates

@@ -14,7 +14,8 @@ from click.testing import CliRunner, Result
 from sonarrec import config
 from sonarrec.cli import main
 from sonarrec.geometry import PolarToFan, polar_from_pixel
-from sonarrec.pipeline import Used, process
+from sonarrec.pipeline import process
+from sonarrec.prepared import Used
 from sonarrec.readers import open_log
 from sonarrec.readers.fans import FanImages, looks_beam_major
 from sonarrec.readers.raw import RawFrame, UnusableError
@@ -415,7 +416,7 @@ def test_run_with_the_flags(tmp_path: Path) -> None:
     log = log_of(tmp_path / "log.mcap", pings)
     out = ("--out", tmp_path / "out")
     fault = sonarrec("run", log, *out, code=1).stderr
-    assert fault.startswith(f"sonarrec: {log}: the messages tell")
+    assert fault.startswith(f"sonarrec: {log}: the log tells")
     assert fault.count("\n") == 1
     told = sonarrec("run", log, *out, "--tilt-deg", "20", "--time", "header", code=3).stderr
     assert told.splitlines() == [

@@ -11,8 +11,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import cv2
+import lz4.frame
 import numpy as np
 import pytest
+import zstandard
 
 from sonarrec.geometry import PolarToFan
 from sonarrec.readers import open_log
@@ -20,6 +22,7 @@ from sonarrec.readers.log import MAX_PROBLEM_LINES
 from sonarrec.records import Frame, SonarrecError, UsageError
 from sonarrec.simulation.mcap_writer import SCHEMAS, McapImageWriter, is_polar
 from sonarrec.sonar import Sonar, load_sonar
+from tests.support.bags import bag, messages, ros1_bag, split_bag
 from tests.support.logs import PERIOD_NS, SONAR_TOML, cdr_image, frames, image_folder, mcap_file
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
@@ -55,12 +58,12 @@ def theirs(**options: object) -> Maker:
     )
 
 
-def rosbags_message(path: Path, images: list[np.ndarray]) -> Path:
+def by_rosbags(path: Path, images: list[np.ndarray]) -> Path:
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE)
     types = store.types
-    messages = []
+    told = []
     for k, image in enumerate(images):
         message = types["sensor_msgs/msg/Image"](
             header=types["std_msgs/msg/Header"](
@@ -74,8 +77,8 @@ def rosbags_message(path: Path, images: list[np.ndarray]) -> Path:
             data=image.ravel(),
         )
         data = bytes(store.serialize_cdr(message, "sensor_msgs/msg/Image", little_endian=k % 2 > 0))
-        messages.append(("/a", k * PERIOD_NS, data))
-    return mcap_file(path / "log.mcap", messages)
+        told.append(("/a", k * PERIOD_NS, data))
+    return mcap_file(path / "log.mcap", told)
 
 
 def lossless_video(suffix: str) -> Maker:
@@ -95,6 +98,38 @@ def lossless_video(suffix: str) -> Maker:
     return make
 
 
+def as_bag(storage: str, compressed: str | None = None) -> Maker:
+    return lambda path, images: bag(path / "log", messages(images), storage, compressed)
+
+
+def as_parts(storage: str, compressed: str | None = None, told: bool = True) -> Maker:
+    """A bag of three parts."""
+
+    def make(path: Path, images: list[np.ndarray]) -> Path:
+        timed = messages(images)
+        split_bag(path / "log", [timed[:2], timed[2:3], timed[3:]], storage, compressed)
+        if not told:
+            (path / "log" / "metadata.yaml").unlink()
+        return path / "log"
+
+    return make
+
+
+def packed(end: str, make: Maker = theirs()) -> Maker:  # noqa: B008
+    """A file that was compressed as a whole."""
+
+    def packed_file(path: Path, images: list[np.ndarray]) -> Path:
+        file = make(path, images)
+        data = file.read_bytes()
+        file.unlink()
+        packed = file.with_name(file.name + end)
+        zstd = zstandard.ZstdCompressor()
+        packed.write_bytes(lz4.frame.compress(data) if end == ".lz4" else zstd.compress(data))
+        return packed
+
+    return packed_file
+
+
 # A new format is one row here.
 SAME_FRAMES: dict[str, Maker] = {
     "png": folder(".png"),
@@ -108,12 +143,30 @@ SAME_FRAMES: dict[str, Maker] = {
     "png, alpha": folder(".png", lambda i: cv2.cvtColor(i, cv2.COLOR_GRAY2BGRA)),
     "avi": lossless_video(".avi"),
     "mkv": lossless_video(".mkv"),
+    "mcap.zst": packed(".zst"),
+    "mcap.lz4": packed(".lz4"),
+    "bag, ROS 1": lambda path, images: ros1_bag(path / "log.bag", images),
+    "bag, ROS 1, bz2": lambda path, images: ros1_bag(path / "log.bag", images, "BZ2"),
+    "bag, ROS 1, lz4": lambda path, images: ros1_bag(path / "log.bag", images, "LZ4"),
+    "bag, ROS 1, zst": packed(".zst", lambda path, images: ros1_bag(path / "log.bag", images)),
+    "bag, db3": as_bag(".db3"),
+    "bag, db3, by file": as_bag(".db3", "file"),
+    "bag, db3, by message": as_bag(".db3", "message"),
+    "bag, mcap": as_bag(".mcap"),
+    "bag, mcap, by file": as_bag(".mcap", "file"),
+    "bag, mcap, by message": as_bag(".mcap", "message"),
+    "bag, mcap, by storage": as_bag(".mcap", "storage"),
+    "bag, mcap, parts": as_parts(".mcap"),
+    "bag, mcap, parts, by file": as_parts(".mcap", "file"),
+    "bag, mcap, parts, no metadata": as_parts(".mcap", told=False),
+    "bag, db3, parts": as_parts(".db3"),
+    "bag, db3, parts, by message, no metadata": as_parts(".db3", "message", told=False),
     "mcap, no chunks": theirs(chunked=False),
     "mcap, no chunks, no index": theirs(chunked=False, indexed=False),
     "mcap, no index": theirs(indexed=False),
     "mcap, dotted schema": theirs(schema="sensor_msgs.msg.Image"),
     "mcap, short schema": theirs(schema="sensor_msgs/Image"),
-    "mcap, rosbags, both byte orders": rosbags_message,
+    "mcap, rosbags, both byte orders": by_rosbags,
     "mcap, mono16": ours("sensor_msgs/msg/Image", "zstd", scale=257),
     **{
         f"mcap, {schema}, {compression}": ours(schema, compression)

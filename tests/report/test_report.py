@@ -1,66 +1,44 @@
-"""The report: its numbers against the evaluation's, its drawing against brute force, its page in
-a real browser."""
+"""The report: its numbers against the evaluation's, its drawing against brute force."""
 
 from __future__ import annotations
 
+import base64
 import csv
+import hashlib
+import json
 import re
 import shutil
 import tomllib
 from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
+import cv2
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sonarrec.cli import main
 from sonarrec.drawing import landmark_colours
 from sonarrec.evaluation.evaluate import evaluate
+from sonarrec.evaluation.reliability import Reliability
 from sonarrec.evaluation.scoring import PROTOCOLS, score
 from sonarrec.evaluation.summary import summarise
 from sonarrec.landmarks import load_landmarks
-from sonarrec.report import charts
-from sonarrec.report.logs import ReportedLog, alongside, read_logs, sightings, tracks
+from sonarrec.report import charts, frames
+from sonarrec.report.logs import ReportedLog, Track, alongside, read_logs, seen, tracks
 from sonarrec.report.mistakes import episodes, told
 from sonarrec.report.page import darkened, settings_tables
 from sonarrec.sonar import Sonar
 from sonarrec.truth.table import read_truth
+from tests.support.browser import contrast
+from tests.support.command import SAMPLE, sonarrec
 
-ROOT = Path(__file__).resolve().parents[2]
-SAMPLE = ROOT / "sample_data" / "pan"
 IDS = (1, 2, 3, 4)
-
-
-def sonarrec(*arguments: str | Path, code: int = 0) -> Result:
-    """One command; a traceback or another exit code than `code` fails the test."""
-    result = CliRunner().invoke(main, [str(a) for a in arguments])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    assert result.exit_code == code, result.output
-    return result
-
-
-@pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The sample log, run."""
-    out = tmp_path_factory.mktemp("results")
-    sonarrec("run", SAMPLE, "--out", out, "-q")
-    return out / "pan"
-
-
-@pytest.fixture(scope="module")
-def pages(results: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """The sample log's report with everything, and with nothing but the results."""
-    folder = tmp_path_factory.mktemp("pages")
-    scored = ("--ground-truth", SAMPLE / "gt.csv", "--log", SAMPLE)
-    sonarrec("report", results, *scored, "-o", folder / "full.html")
-    sonarrec("report", results, "-o", folder / "bare.html")
-    return {name: folder / f"{name}.html" for name in ("full", "bare")}
 
 
 class Page(HTMLParser):
@@ -139,18 +117,26 @@ def test_figures_are_the_summarys(pages: dict[str, Path], results: Path) -> None
         assert note in page.text
 
 
-def test_nothing_is_fetched_and_nothing_runs(pages: dict[str, Path]) -> None:
-    for path in pages.values():
+def test_nothing_is_fetched_and_one_script_runs(pages: dict[str, Path]) -> None:
+    """That one is the page's own, by the hash that its policy asks for; without frames none."""
+    for name, path in pages.items():
         page = Page(path)
         names = {name for name, _ in page.elements}
-        assert not names & {"script", "link", "iframe", "object", "embed", "base"}
+        assert not names & {"link", "iframe", "object", "embed", "base"}
+        text = path.read_text(encoding="utf-8")
+        running = re.findall(r"<script>(.*?)</script>", text, re.DOTALL)
+        assert len(running) == (name == "full")
+        assert sum(name == "script" for name, _ in page.elements) == 2 * len(running)
+        policy = next(str(a["content"]) for _, a in page.elements if "http-equiv" in a)
+        digests = [base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in running]
+        assert re.findall(r"'sha256-(.*?)'", policy) == digests
         for _, attributes in page.elements:
             for key, value in attributes.items():
                 assert not key.startswith("on")
                 if key in ("src", "href", "srcset", "data", "poster"):
                     assert value is not None
                     assert value.startswith(("#", "data:image/"))
-        text = path.read_text(encoding="utf-8")
+        text = text.replace('"http://www.w3.org/2000/svg"', "")  # a name, not an address
         assert "http://" not in text
         assert "https://" not in text
         assert "url(" not in text
@@ -183,7 +169,7 @@ def test_without_truth_and_log_the_page_says_so(pages: dict[str, Path]) -> None:
     assert "the log itself was not given (--log)" in page.text
     assert "TPR" not in page.text
     assert not [name for name, _ in page.elements if name == "img"]
-    seen = page.tables["Declared by framework, in order of first sight"]
+    seen = page.tables["Declared by framework, a row per pass, in order of first sight"]
     assert {row[0] for row in seen[1:]} == {"ID.1", "ID.3"}
 
 
@@ -253,7 +239,7 @@ def test_odd_results(tmp_path: Path, name: str, truth: str | None) -> None:
     if result.exit_code == 1:  # told in one line, as by evaluate
         assert isinstance(result.exception, SystemExit)
         assert result.stderr.startswith("sonarrec: ")
-        assert (truth is not None and name == "no estimate") or name == "one frame"
+        assert truth == "" or (truth is not None and name == "no estimate") or name == "one frame"
         return
     assert isinstance(result.exception, SystemExit | None), result.exception
     page = Page(tmp_path / "report.html")
@@ -277,7 +263,7 @@ def test_a_landmark_set_of_nine_ids(tmp_path: Path) -> None:
     )
     sonarrec("report", tmp_path, "--landmarks", landmarks)
     page = Page(tmp_path / "report.html")
-    assert len(page.tables["Declared by framework, in order of first sight"]) == 10
+    assert len(page.tables["Declared by framework, a row per pass, in order of first sight"]) == 10
     assert "Never" not in page.text
 
 
@@ -285,6 +271,8 @@ def test_several_logs(results: Path, tmp_path: Path) -> None:
     root = tmp_path / "out"
     for name in ("first", "pan"):
         shutil.copytree(results, root / name)
+    run = root / "first" / "run.toml"  # as if of another recording: one counts once
+    run.write_text(re.sub('sha256 = "[0-9a-f]*"', f'sha256 = "{"0" * 64}"', run.read_text()))
     rows = (SAMPLE / "gt.csv").read_text().splitlines()
     with (tmp_path / "gt.csv").open("w") as file:
         file.write(f"log,{rows[0]}\n")
@@ -303,7 +291,7 @@ def test_several_logs(results: Path, tmp_path: Path) -> None:
     )
     assert len([n for n, _ in page.elements if n == "img"]) > 6
     other = sonarrec("report", root, "--log", tmp_path, code=2)
-    assert "there are first, pan" in other.stderr
+    assert "neither one of these logs nor holds any: first, pan" in other.stderr
 
 
 def test_logs_of_different_landmark_sets_are_refused(results: Path, tmp_path: Path) -> None:
@@ -401,7 +389,7 @@ def test_a_log_without_sightings(results: Path, tmp_path: Path) -> None:
     sonarrec("report", tmp_path / "pan", "--log", SAMPLE)
     page = Page(tmp_path / "pan" / "report.html")
     assert "No landmark was declared." in page.text
-    assert "nothing declared; nearest to it ID." in page.text
+    assert "Nothing declared; nearest to it ID." in page.text
     assert len([name for name, _ in page.elements if name == "img"]) == 1
 
 
@@ -409,6 +397,143 @@ def test_no_results_is_one_line(tmp_path: Path) -> None:
     fault = sonarrec("report", tmp_path, code=1).stderr
     assert fault.startswith("sonarrec: ")
     assert "no results here" in fault
+
+
+def held_frames(path: Path) -> list[dict[str, Any]]:
+    """What the page holds to be shown on a click, per log."""
+    (text,) = re.findall(
+        r'<script type="application/json" id="frames">(.*?)</script>', path.read_text()
+    )
+    found: list[dict[str, Any]] = json.loads(text)
+    return found
+
+
+def test_frames_held_are_the_logs(pages: dict[str, Path], results: Path) -> None:
+    """All of a short log; each with its time, its truth and what every method says in it."""
+    (log,) = held_frames(pages["full"])
+    assert (log["name"], log["unit"], log["methods"]) == ("pan", "s", ["smi", "framework"])
+    assert [f["frame"] for f in log["frames"]] == list(range(128))
+    declared: dict[tuple[int, str], list[str]] = {}
+    with (results / "estimates.csv").open(newline="") as file:
+        for row in csv.DictReader(file):
+            if row["declared"] == "1":
+                label = f"ID.{row['landmark']}  {float(row['score']):.2f}"
+                declared.setdefault((int(row["frame"]), row["method"]), []).append(label)
+    truth = read_truth(SAMPLE / "gt.csv")
+    for f in log["frames"]:
+        assert f["at"] == f["frame"] / 4
+        for method, said in zip(log["methods"], f["said"], strict=True):
+            labels = sorted(o["label"] for o in said if o["declared"])
+            assert labels == sorted(declared.get((f["frame"], method), []))
+        assert len(f["truth"]) == np.count_nonzero(truth.at == f["frame"])
+        data = base64.b64decode(f["image"].removeprefix("data:image/webp;base64,"))
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
+        source = cv2.imread(str(SAMPLE / f"{f['frame']:06d}.png"), cv2.IMREAD_GRAYSCALE)
+        assert image is not None
+        assert source is not None
+        assert list(image.shape[::-1]) == f["size"] == [191, 256]
+        assert np.corrcoef(image.ravel(), source.ravel())[0, 1] > 0.97
+
+
+def test_outlines_lie_where_the_table_has_them(pages: dict[str, Path], results: Path) -> None:
+    (log,) = held_frames(pages["full"])
+    with (results / "estimates.csv").open(newline="") as file:
+        for row in csv.DictReader(file):
+            if row["declared"] == "1":
+                of_method = log["frames"][int(row["frame"])]["said"][
+                    log["methods"].index(row["method"])
+                ]
+                # Pixel centres are whole numbers in the table, halves on the page.
+                place = np.array([float(row["x_px"]), float(row["y_px"])]) + 0.5
+                away = [np.linalg.norm(np.array(o["ellipse"][:2]) - place) for o in of_method]
+                assert min(away) < 1
+
+
+@pytest.mark.parametrize("most", [3, 40, 250])
+def test_which_frames_are_held(results: Path, most: int) -> None:
+    """The wanted first, in their order; of the rest as many as there is room for, spread out."""
+    logs = [reported(results, SAMPLE / "gt.csv")]
+    wanted = [("pan", 99), ("pan", 5), ("other", 1), ("pan", 99), ("pan", 6), ("pan", 7)]
+    found = frames.choose(logs, wanted, most)["pan"]
+    assert len(found) == min(most, 128)
+    assert found == sorted(set(found))
+    assert {99, 5, 6} <= set(found)
+    if most == 40:
+        assert max(np.diff(found)) <= 6
+
+
+def test_frames_held_take_no_more_than_stated() -> None:
+    """Of noise, which no coder makes small."""
+    noise = np.random.default_rng(0).integers(0, 256, (900, 700), dtype=np.uint8)
+    for most in (400, 3000, 15_000):
+        source = frames._within(noise, most)
+        assert len(source) <= most
+        assert source.startswith("data:image/webp;base64,")
+
+
+def test_a_false_claim_is_called_one(results: Path, tmp_path: Path) -> None:
+    """Under an ID that lies nowhere: the picture says so. Of alike scores the true one is shown."""
+    shutil.copytree(results, tmp_path / "pan")
+    (tmp_path / "pan" / "sightings.csv").unlink()
+    with (results / "estimates.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    for row in rows:  # the first of all sightings is false, and as sure as any
+        if row["method"] == "framework" and row["declared"] == "0" and row["frame"] == "4":
+            row |= {"declared": "1", "landmark": "1", "score": "1.0"}
+        if row["method"] == "framework" and row["declared"] == "0" and row["frame"] == "9":
+            row |= {"declared": "1", "landmark": "2", "score": "0.8"}
+    with (tmp_path / "pan" / "estimates.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    truth = ("--ground-truth", SAMPLE / "gt.csv")
+    sonarrec("report", tmp_path / "pan", *truth, "--log", SAMPLE, "-o", tmp_path / "x.html")
+    text = re.sub(r"\s+", " ", Page(tmp_path / "x.html").text)
+    surest = text[text.index("The surest frame of each landmark") : text.index("The rarest")]
+    told = re.findall(r"Frame (\d+): ID.(\d) \((.*?)\).*?(False claim: .*?\.|(?=Frame)|$)", surest)
+    assert [(i, score, false) for _, i, score, false in told] == [
+        ("1", "1.00", ""),
+        ("2", "0.80", "False claim: no landmark lies there."),
+        ("3", "1.00", ""),
+    ]
+    assert "declared in 1 frame. False claim: no landmark lies there." in text
+
+
+def test_a_table_of_pairs(results: Path, tmp_path: Path) -> None:
+    """Each log against its own truth, its recording found by name in a folder of them."""
+    shutil.copytree(results, tmp_path / "a" / "pan")
+    for day in ("day1", "day2"):
+        shutil.copytree(SAMPLE, tmp_path / "logs" / day / "pan")
+    other = tmp_path / "logs" / "day2" / "pan"
+    (other / "000127.png").unlink()
+    sonarrec("run", other, "-o", tmp_path / "b")
+    gt = SAMPLE / "gt.csv"
+    (tmp_path / "pairs.csv").write_text(
+        f"results,ground_truth,log\na/pan,{gt},one\nb/pan,{gt},two\n"
+    )
+    sonarrec("report", "--pairs", tmp_path / "pairs.csv", "--log", tmp_path / "logs", code=3)
+    page = Page(tmp_path / "report.html")
+    assert [row[0] for row in page.tables["Per log, protocol strict"][2:]] == ["one", "two"]
+    assert [log["name"] for log in held_frames(tmp_path / "report.html")] == ["one", "two"]
+    both = sonarrec("report", results, "--pairs", tmp_path / "pairs.csv", code=2)
+    assert "give neither beside it" in both.stderr
+
+
+def test_a_folder_of_logs(results: Path, tmp_path: Path) -> None:
+    """By name, and of equal names by SHA-256; what is missing is told."""
+    shutil.copytree(results, tmp_path / "out" / "pan")
+    shutil.copytree(results, tmp_path / "out" / "gone")
+    run = tmp_path / "out" / "gone" / "run.toml"
+    run.write_text(re.sub(r'(name|path) = ".*pan"', r'\1 = "gone"', run.read_text()))
+    other = tmp_path / "logs" / "day1" / "pan"
+    shutil.copytree(SAMPLE, other)
+    (other / "000127.png").unlink()
+    shutil.copytree(SAMPLE, tmp_path / "logs" / "day2" / "pan")
+    told = sonarrec("report", tmp_path / "out", "--log", tmp_path / "logs", code=3)
+    assert "no log of the name gone in it; the page has no frames of it" in told.stderr
+    assert "no log of the name gone" in Page(tmp_path / "out" / "report.html").text
+    (log,) = held_frames(tmp_path / "out" / "report.html")
+    assert (log["name"], log["in_all"]) == ("pan", 128)
 
 
 def test_a_long_log_stays_a_small_page(tmp_path: Path) -> None:
@@ -433,7 +558,7 @@ def test_a_long_log_stays_a_small_page(tmp_path: Path) -> None:
     sonarrec("report", tmp_path, "--ground-truth", tmp_path / "gt.csv")
     assert (tmp_path / "report.html").stat().st_size < 1e6
     text = Page(tmp_path / "report.html").text
-    assert "12 of 300 tracks" in text
+    assert "12 of 300 tracks that were declared" in text
     assert "later sightings left out" in text
     assert "lesser groups of mistakes left out" in text
 
@@ -476,8 +601,9 @@ def random_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def reported(folder: Path, truth: Path | None = None) -> ReportedLog:
     return read_logs(
-        folder,
-        read_truth(truth or folder / "gt.csv"),
+        [folder],
+        [read_truth(truth or folder / "gt.csv")],
+        [None],
         min_visible=0.9,
         tolerance_s=None,
         landmarks=None,
@@ -548,15 +674,16 @@ def test_truth_beneath_and_estimates_alongside(random_log: Path) -> None:
     assert log.truth_near is not None
     assert found.position is not None
     assert truth.position is not None
-    for n in range(0, len(found.row), 7):
+    for n in range(0, len(found.frame_index), 7):
         best, beneath = found.landmarks.radius_m, -1
-        for t in np.flatnonzero(truth.frame_index == found.row[n]):
+        for t in np.flatnonzero(truth.frame_index == found.frame_index[n]):
             away = np.linalg.norm(found.position[n] - truth.position[t])
             if away <= best:
                 best, beneath = away, truth.landmark_index[t]
         assert log.truth_near[n] == beneath
-    shown, in_all = tracks(log, most=3)
-    assert (len(shown), in_all) == (3, 4)
+    chosen = tracks(log, most=3, most_silent=0)
+    shown = chosen.declared
+    assert (len(shown), chosen.declared_in_all, chosen.silent_in_all) == (3, 4, 0)
     assert {track.number for track in shown} < {100, 101, 102, 103}
     smi = np.flatnonzero(log.of_method("smi"))
     for track in shown:
@@ -565,7 +692,7 @@ def test_truth_beneath_and_estimates_alongside(random_log: Path) -> None:
         for at, row, matched in zip(
             track.at, track.frame_index, alongside(log, track, "smi"), strict=True
         ):
-            here = smi[found.row[smi] == row]
+            here = smi[found.frame_index[smi] == row]
             away = np.linalg.norm(found.position[here] - found.position[at], axis=1)
             if len(here) and away.min() <= found.landmarks.radius_m:
                 assert matched == here[away.argmin()]
@@ -581,22 +708,27 @@ def test_sightings_of_the_sample(results: Path) -> None:
             if row["method"] == "framework" and row["declared"] == "1":
                 key = (int(row["landmark"]), int(row["object"]))
                 claims.setdefault(key, []).append((int(row["frame"]), float(row["score"])))
-    found = sightings(reported(results, SAMPLE / "gt.csv"))
-    assert {(s.landmark, s.track) for s in found} == set(claims)
-    assert {s.landmark for s in found} == {1, 3}
-    for s in found:
+    reported_log = reported(results, SAMPLE / "gt.csv")
+    found = seen(reported_log)
+    assert {(one.sighting.landmark, one.sighting.track) for one in found} == set(claims)
+    assert {one.sighting.landmark for one in found} == {1, 3}
+    assert len(found) == 3  # landmark 1 goes and comes back
+    for one in found:
+        s = one.sighting
         assert s.track is not None
-        frames, scores = zip(*claims[s.landmark, s.track], strict=True)
+        here = [c for c in claims[s.landmark, s.track] if s.first_frame <= c[0] <= s.last_frame]
+        frames, scores = zip(*here, strict=True)
         assert (s.first_frame, s.last_frame, s.frames_declared) == (
             min(frames),
             max(frames),
             len(frames),
         )
         assert s.best_score == max(scores)
-        assert s.mean_score == pytest.approx(np.mean(scores))
-        assert scores[frames.index(s.surest)] == s.best_score
-        assert s.right is not None
-        assert 0 <= s.right <= s.declarations
+        assert s.mean_score == pytest.approx(np.mean(scores), abs=1e-6)
+        surest = reported_log.frame_of(one.surest)
+        assert round(scores[frames.index(surest)], 2) == round(s.best_score, 2)
+        assert one.right is not None
+        assert 0 <= one.right <= len(one.at) == len(here)
 
 
 # The drawing
@@ -630,6 +762,43 @@ def test_lines_break_where_nothing_was_seen() -> None:
         [(1500, 500), (1500, 500)],
     ]
     assert charts.polyline(x, np.full(5, np.nan)) == ""
+
+
+def test_no_line_through_a_step_of_few_estimates() -> None:
+    """Nor through an empty one; its dot is hollow, and what it tells says so."""
+    count = np.array([0, 9, 10, 400, 3, 12, 15, 0, 11, 1])
+    mean = np.where(count, np.arange(10) / 10 + 0.05, np.nan)
+    right = np.where(count, 0.5, np.nan)
+    chart = charts.reliability(Reliability("mine", "top", count, mean, right), 0)
+    (line,) = [s.path for s in chart.shapes if s.label == "mine"]
+    columns = [[x for x, _ in part] for part in drawn_points(line)]
+    assert columns == [[500, 700], [1100, 1300], [1700, 1700]]
+    hollow = [dot.x for dot in chart.dots if dot.kind == "few"]
+    assert hollow == pytest.approx([15, 45, 95])
+    assert all(("too few" in d.label) == (d.kind == "few") for d in chart.dots)
+    assert len(chart.dots) == 8
+
+
+def test_a_track_never_declared_is_seen_though_its_score_is_nothing() -> None:
+    """Grey where it was followed; above it, where the score is worth a bar, in the ID's colour."""
+    log = SimpleNamespace(
+        time=np.arange(10.0),
+        truth_near=None,
+        results=SimpleNamespace(
+            landmark_index=np.array([0, 0, 1, 1]),
+            score=np.array([0.0, 0.0, 0.4, 0.0]),
+            landmarks=SimpleNamespace(ids=(1, 2)),
+        ),
+    )
+    track = Track(7, np.arange(4), np.array([2, 3, 4, 5]))
+    (lane,) = charts.silent_lanes(cast(ReportedLog, log), [track])
+    followed, first, second = (painted(shape.path) for shape in lane.chart.shapes)
+    assert (followed[400:1200] == 150).all()
+    assert not followed[:400].any()
+    assert not followed[1200:].any()
+    assert not first.any()
+    assert (second[800:1000] == 400).all()
+    assert np.count_nonzero(second) == 200
 
 
 def painted(path: str) -> np.ndarray:
@@ -716,118 +885,3 @@ def test_colours_stand_out_on_white() -> None:
         assert contrast([int(dark[n : n + 2], 16) for n in (1, 3, 5)], white) >= 3
         if contrast(list(colour), white) > 3.2:
             assert dark == "#{:02x}{:02x}{:02x}".format(*colour)
-
-
-# In a browser
-
-SCREENS = [(width, scheme) for width in (1280, 400) for scheme in ("light", "dark")]
-FAULTS = """
-const shown = e => e.checkVisibility() && !e.closest('.scroll');
-return {
-  broken: [...document.images].filter(i => !(i.complete && i.naturalWidth)).length,
-  pictures: document.images.length,
-  wide: document.documentElement.scrollWidth - window.innerWidth,
-  outside: [...document.body.querySelectorAll('*')]
-    .filter(e => shown(e) && !e.closest('svg'))
-    .filter(e => e.getBoundingClientRect().right > window.innerWidth + 1)
-    .map(e => e.outerHTML.slice(0, 80)),
-};"""
-# Of every element that holds text itself: its colour and that of the page behind it, as sRGB.
-COLOURS = """
-const canvas = document.createElement('canvas').getContext('2d', {willReadFrequently: true});
-const rgb = c => { canvas.fillStyle = c; canvas.fillRect(0, 0, 1, 1);
-                   return [...canvas.getImageData(0, 0, 1, 1).data]; };
-const page = rgb(getComputedStyle(document.body).backgroundColor);
-const text = new Set([...document.body.querySelectorAll('*')]
-  .filter(e => e.checkVisibility())
-  .filter(e => [...e.childNodes].some(n => n.nodeType === 3 && n.data.trim()))
-  .map(e => getComputedStyle(e).color));
-const drawn = new Set([...document.querySelectorAll('.sheet path, .disc path')].map(e => {
-  const style = getComputedStyle(e); return style.fill === 'none' ? style.stroke : style.fill; }));
-return [page, [...text].map(rgb), [...drawn].map(rgb)];"""
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """Headless Chromium, driven by its own driver; nothing is downloaded to have them."""
-    chromium = shutil.which("chromium") or shutil.which("google-chrome")
-    driver = shutil.which("chromedriver")
-    if chromium is None or driver is None:
-        pytest.skip("no chromium and chromedriver on the PATH")
-    from selenium import webdriver
-    from selenium.webdriver.chrome.service import Service
-
-    options = webdriver.ChromeOptions()
-    options.binary_location = chromium
-    profile = tmp_path_factory.mktemp("profile")
-    for flag in (
-        "headless",
-        "no-sandbox",
-        "disable-gpu",
-        "disable-quic",
-        "no-first-run",
-        "disable-background-networking",
-        "disable-component-update",
-        "disable-sync",
-        "hide-scrollbars",
-        f"user-data-dir={profile}",
-    ):
-        options.add_argument(f"--{flag}")
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    with webdriver.Chrome(options=options, service=Service(driver)) as chrome:
-        yield chrome
-
-
-def look(browser: Any, page: Path, width: int, scheme: str) -> dict[str, Any]:
-    """What is wrong with a page on a screen; `console` is what the browser complains of."""
-    screen = {"width": width, "height": 800, "deviceScaleFactor": 1, "mobile": False}
-    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", screen)
-    media = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
-    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", media)
-    browser.get_log("browser")
-    browser.get(page.as_uri())
-    # What is folded away has to fit as well.
-    browser.execute_script("document.querySelectorAll('details').forEach(d => d.open = true)")
-    return {**browser.execute_script(FAULTS), "console": browser.get_log("browser")}
-
-
-def contrast(a: list[int], b: list[int]) -> float:
-    """WCAG 2 contrast ratio of two sRGB colours, 1 to 21."""
-    linear = [
-        np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
-        for c in (np.array(a[:3]) / 255, np.array(b[:3]) / 255)
-    ]
-    high, low = sorted((float(c @ (0.2126, 0.7152, 0.0722)) for c in linear), reverse=True)
-    return (high + 0.05) / (low + 0.05)
-
-
-@pytest.mark.parametrize(("width", "scheme"), SCREENS)
-@pytest.mark.parametrize("name", ["full", "bare"])
-def test_in_a_browser(
-    browser: Any, pages: dict[str, Path], name: str, width: int, scheme: str
-) -> None:
-    found = look(browser, pages[name], width, scheme)
-    assert found["console"] == []
-    assert found["broken"] == 0
-    assert (found["pictures"] > 6) == (name == "full")
-    assert found["wide"] <= 0
-    assert found["outside"] == []
-    page, text, drawn = browser.execute_script(COLOURS)
-    assert (sum(page[:3]) > 600) == (scheme == "light")
-    # WCAG 2 AA: 4.5 for text, 3 for what is drawn.
-    assert min(contrast(colour, page) for colour in text) >= 4.5
-    assert min(contrast(colour, page) for colour in drawn) >= 3
-
-
-def test_the_browser_would_tell(browser: Any, tmp_path: Path) -> None:
-    """The check itself: a page with every fault is found out."""
-    bad = tmp_path / "bad.html"
-    bad.write_text(
-        "<!doctype html><html><body><script>nothing.here()</script>"
-        "<img src='data:image/png;base64,AAAA'><p style='width: 900px'>wide</p></body></html>"
-    )
-    found = look(browser, bad, 400, "light")
-    assert any("nothing is not defined" in line["message"] for line in found["console"])
-    assert found["broken"] == 1
-    assert found["wide"] > 0
-    assert len(found["outside"]) == 1

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 import os
 import resource
 import shutil
 import signal
 import subprocess
-import sys
 import time
-import tomllib
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -20,6 +18,7 @@ from hypothesis import strategies as st
 from sonarrec.records import UsageError
 from sonarrec.results.folders import exchange, folder_names, part_of, restore
 from sonarrec.results.read import find_logs
+from tests.support.kills import assert_readable, command, finished, frames, held, stop_at_random
 
 SAMPLE = Path(__file__).parents[2] / "sample_data" / "pan"
 FRAMES = 40
@@ -29,10 +28,6 @@ def sonarrec(*words: str | Path, code: int = 0) -> subprocess.CompletedProcess[s
     done = subprocess.run(command(*words), capture_output=True, text=True)
     assert done.returncode == code, done.stdout + done.stderr
     return done
-
-
-def command(*words: str | Path) -> list[str]:
-    return [sys.executable, "-m", "sonarrec", *map(str, words)]
 
 
 @pytest.fixture(scope="module")
@@ -53,23 +48,6 @@ def shorter(log: Path, to: Path, frames: int = 3) -> Path:
     for i in range(frames):
         shutil.copy(log / f"{i:06d}.png", to)
     return to
-
-
-def frames(folder: Path) -> list[int]:
-    """The frames of both tables, whole ones only; fails where a row is torn."""
-    tables = {}
-    for name in ("frames.csv", "estimates.csv"):
-        text = (folder / name).read_text()
-        assert text.endswith("\n"), f"{name} is torn"
-        rows = list(csv.reader(text.splitlines()))
-        assert {len(r) for r in rows} == {len(rows[0])}, f"{name} has rows of unequal length"
-        tables[name] = [int(r[0]) for r in rows[1:]]
-    assert set(tables["estimates.csv"]) <= {*tables["frames.csv"], len(tables["frames.csv"])}
-    return tables["frames.csv"]
-
-
-def finished(folder: Path) -> bool:
-    return bool(tomllib.loads((folder / "run.toml").read_text())["finished"])
 
 
 paths = st.lists(
@@ -141,7 +119,7 @@ def test_other_settings_replace_results_and_what_was_made_of_them(
     (out / "short" / "evaluation" / "confusion.csv").touch()
     (out / "short" / "notes.txt").write_text("mine")
     done = sonarrec("run", "-q", short, "-o", out, "--set", "features.declare=.9")
-    assert "results from before are replaced (other settings)" in done.stderr
+    assert "results from before are replaced (other settings: features.declare)" in done.stderr
     assert not (out / "short" / "evaluation").exists()
     assert (out / "short" / "notes.txt").read_text() == "mine"
     assert not list(out.glob(".*"))
@@ -185,26 +163,31 @@ def test_a_stopped_run_leaves_its_part_and_the_old_results(
     assert not part.exists()
 
 
-def test_killed_at_any_moment_nothing_is_lost(log: Path, tmp_path: Path) -> None:
-    """At moments spread over the whole run, its start and its end."""
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_results_that_wait_to_be_revised_are_kept(log: Path, tmp_path: Path, number: int) -> None:
+    """`offline` waits for 240 frames, more than the log has: none is out before the end."""
+    many = tmp_path / "many"
+    many.mkdir()
+    shutil.copy(log / "sonar.toml", many)
+    for i in range(200):
+        (many / f"{i:06d}.png").symlink_to(log / f"{i % FRAMES:06d}.png")
     out = tmp_path / "out"
-    short = shorter(log, tmp_path / "dive", 12)
-    sonarrec("run", "-q", short, "-o", out)
-    whole = {n: (out / "dive" / n).read_bytes() for n in ("frames.csv", "estimates.csv")}
-    begun = time.monotonic()
-    sonarrec("run", "-q", short, "-o", out, "--overwrite")
-    seconds = time.monotonic() - begun
-    for moment in range(8):
-        process = subprocess.Popen(command("run", "-q", short, "-o", out, "--overwrite"))
-        time.sleep(seconds * (moment + 4) / 12)
-        process.kill()
-        process.wait()
-        restore(out / "dive")  # as the next run does
-        assert finished(out / "dive")
-        assert {n: (out / "dive" / n).read_bytes() for n in whole} == whole
-        part = part_of(out / "dive")
-        if (part / "estimates.csv").is_file() and (part / "frames.csv").is_file():
-            frames(part)
+    process = subprocess.Popen(command("run", "-q", many, "-o", out, "--preset", "offline"))
+    part = part_of(out / "many")
+    until(lambda: (part / "frames.csv").is_file())
+    time.sleep(0.3)
+    process.send_signal(number)
+    assert process.wait(timeout=60) == 128 + number
+    kept = frames(part)
+    assert kept == list(range(len(kept)))
+    assert 4 < len(kept) < 200
+
+
+def test_stopped_at_random_moments_nothing_is_lost(log: Path, tmp_path: Path) -> None:
+    """Twelve of the forty of `make kills`."""
+    parts, finished_runs = stop_at_random(log, tmp_path / "out", 12)
+    assert parts
+    assert finished_runs < 12
 
 
 @pytest.mark.parametrize("size", [100, 6_000, 15_000])
@@ -231,6 +214,45 @@ def test_a_full_disk_is_one_line_and_costs_no_frame(log: Path, tmp_path: Path, s
     if size > 10_000:
         assert f"{part}: " in line
         assert 0 < len(frames(part)) < FRAMES
+        assert f"the {len(frames(part))} frames before" in line
+        assert not finished(part)
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Callable[[int], Path]]:
+    """Mounts a file system of so many bytes; skips where this user may not."""
+    folder = tmp_path / "small"
+    folder.mkdir()
+    mounted = []
+
+    def mount(size: int) -> Path:
+        words = ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(folder)]
+        if shutil.which("mount") is None or subprocess.run(words, capture_output=True).returncode:
+            pytest.skip("this user may mount no file system")
+        mounted.append(folder)
+        return folder
+
+    yield mount
+    for one in mounted:
+        subprocess.run(["umount", str(one)], check=True)
+
+
+@pytest.mark.parametrize("pages", [10, 12, 14, 18])
+def test_a_full_file_system_is_one_line_and_costs_no_frame(
+    log: Path, tmp_path: Path, small_disk: Callable[[int], Path], pages: int
+) -> None:
+    out = small_disk(4096 * pages)
+    sonarrec("run", "-q", shorter(log, tmp_path / "dive"), "-o", out)
+    old = held(out / "dive")
+    done = sonarrec("run", "-q", log, "-o", out, "--overwrite", code=1)
+    [line] = done.stderr.splitlines()
+    assert "cannot write results" in line
+    assert "No space left on device" in line
+    assert held(out / "dive") == old
+    assert finished(out / "dive")
+    part = part_of(out / "dive")
+    if part.exists():
+        assert_readable(part)
         assert f"the {len(frames(part))} frames before" in line
         assert not finished(part)
 

@@ -13,7 +13,6 @@ from sonarrec.landmarks import landmarks_from_table, load_landmarks
 from sonarrec.records import Estimate, FrameResult, SonarrecError, Stamps
 from sonarrec.results.columns import estimate_columns
 from sonarrec.results.run_file import run_table
-from sonarrec.results.sightings import Sightings
 from sonarrec.results.write import ResultsWriter
 from sonarrec.sonar import Sonar, load_sonar, sonar_from_table
 from tests.support.drawn import make_fan
@@ -188,15 +187,3 @@ def test_a_folder_that_cannot_be_written_is_one_line(tmp_path, taken):
     assert "\n" not in str(caught.value)
     assert str(folder) in str(caught.value)
     assert "--out" in str(caught.value)
-
-
-def test_sightings_tell_what_was_declared_when_and_how_surely():
-    seen = Sightings("framework")
-    seen.add(result(3, estimate(score=0.6), estimate(method="smi", landmark=4)))
-    seen.add(result(4, estimate(score=0.9), estimate(object=8, landmark=2, declared=False)))
-    seen.add(result(9, estimate(score=0.7), estimate(object=5, landmark=3, score=0.8)))
-    head, first, second = seen.table()
-    assert head.split()[:2] == ["landmark", "track"]
-    assert first.split() == ["1", "3", "3-9", "0.75", "2.25", "3", "0.900"]
-    assert second.split() == ["3", "5", "9-9", "2.25", "2.25", "1", "0.800"]
-    assert Sightings("framework").table() == ["no landmark declared"]

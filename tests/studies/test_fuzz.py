@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
-from tests.studies.fuzz import run_all
+import pytest
+
+from tests.studies.fuzz import SONARS, run_all
 
 
 def test_damaged_files_end_with_an_exit_code() -> None:
     failures, summary = run_all(75)
+    assert not failures, summary
+
+
+@pytest.mark.parametrize("form", SONARS)
+def test_damaged_files_of_sonars_end_with_an_exit_code(form: str) -> None:
+    failures, summary = run_all(25, form=form)
     assert not failures, summary

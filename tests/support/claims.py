@@ -62,4 +62,4 @@ def joined(
 def evaluated(case: Joined) -> Evaluation:
     """Every method under both protocols."""
     scored = tuple(score(case, m, p) for m in range(len(case.methods)) for p in PROTOCOLS)
-    return Evaluation(case, scored, 0.9, (), ())
+    return Evaluation(case, (), scored, 0.9, (), ())

@@ -20,17 +20,19 @@ import numpy as np
 from tqdm import tqdm
 
 from sonarrec.config import Config
-from sonarrec.evaluation.evaluate import Evaluation, Pair, evaluate_pairs
+from sonarrec.evaluation.evaluate import Evaluation, pool
+from sonarrec.evaluation.fit import matched
 from sonarrec.geometry import polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.recogniser import FRAMEWORK, SMI
 from sonarrec.recogniser.side_by_side import SideBySide
 from sonarrec.records import Estimate, Fan, Frame
+from sonarrec.results.read import read_log
 from sonarrec.results.run_file import run_table
 from sonarrec.results.write import ResultsWriter
 from sonarrec.simulation.scene import Scene, scene_fan, scene_sonar
 from sonarrec.simulation.simulate import LandmarkTruth, render
-from sonarrec.truth.table import write_truth
+from sonarrec.truth.table import read_truth, write_truth
 from tests.studies.baseline import METHOD, HoughSmi, MajorityTracks
 
 PROCESSES = 2
@@ -104,8 +106,14 @@ def recognise_all(jobs: Sequence[Job]) -> None:
 
 
 def score(folders: Sequence[Path]) -> Evaluation:
-    """What `recognise` wrote, pooled, by the project's own evaluation; all of the same IDs."""
-    return evaluate_pairs([Pair(folder, folder / "gt.csv") for folder in folders])
+    """What `recognise` wrote, pooled, by the project's own evaluation; all of the same IDs.
+
+    Also of recordings without a landmark alone, which the command takes for a wrong truth.
+    """
+    cases = [
+        matched(folder, read_truth(folder / "gt.csv"), read_log(folder), None) for folder in folders
+    ]
+    return pool(cases, min_visible=0.9)
 
 
 class HoughRival:

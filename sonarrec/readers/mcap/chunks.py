@@ -204,9 +204,9 @@ def _inflated(file: BinaryIO, chunk: ChunkHead) -> Iterator[bytes]:
     end = chunk.data_start + chunk.present
     try:
         if chunk.compression == "zstd":
-            yield from _inflated_zstd(pieces_of(file, chunk.data_start, end))
+            yield from inflated_zstd(pieces_of(file, chunk.data_start, end))
         elif chunk.compression == "lz4":
-            yield from _inflated_lz4(file, chunk.data_start, end, chunk.cut)
+            yield from inflated_lz4(file, chunk.data_start, end, chunk.cut)
         else:
             raise DamagedError(f"has the unknown compression {chunk.compression!r}")
     except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError) as error:
@@ -223,7 +223,11 @@ class _Source:
         return next(self._pieces, b"")
 
 
-def _inflated_zstd(stored: Iterator[bytes]) -> Iterator[bytes]:
+def inflated_zstd(stored: Iterator[bytes]) -> Iterator[bytes]:
+    """What zstd frames inflate to, a MiB at a time; of cut ones what is whole.
+
+    Raises zstandard.ZstdError where they cannot be inflated.
+    """
     # Of a block that is cut nothing can be had: its sequences are coded from its end backwards.
     decoder = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW_BYTES)
     with decoder.stream_reader(_Source(stored), read_across_frames=True) as reader:  # type: ignore[arg-type]
@@ -239,11 +243,19 @@ _LZ4_REACH = 2**16  # how far back a match may reach, also into the blocks befor
 _LZ4_BLOCK_BYTES = {4: 2**16, 5: 2**18, 6: 2**20, 7: 2**22}
 
 
-def _inflated_lz4(file: BinaryIO, start: int, end: int, cut: bool) -> Iterator[bytes]:
+def inflated_lz4(file: BinaryIO, start: int, end: int, cut: bool) -> Iterator[bytes]:
+    """What the LZ4 frames between two places of a file inflate to, in pieces of at most some 16 MB.
+
+    cut: the last may be; then all that is there of it is given. Raises RuntimeError or DamagedError
+    where they cannot be inflated.
+    """
     decoder = lz4.frame.LZ4FrameDecompressor()
-    history = b""
+    history, at = b"", start
     for piece in pieces_of(file, start, end, _LZ4_PIECE):
+        at += len(piece)
         while piece:
+            if decoder.eof:  # another frame
+                decoder, history, start = lz4.frame.LZ4FrameDecompressor(), b"", at - len(piece)
             inflated = decoder.decompress(piece)
             yield inflated
             if cut:

@@ -1,37 +1,25 @@
-"""Reads the image channel of an MCAP file in log-time order."""
+"""Reads the image channel of a recording in log-time order."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
-
-from mcap.records import Channel, Schema
 
 from sonarrec.readers.mcap.fields import DefinitionError
-from sonarrec.readers.mcap.in_order import MessageReader
 from sonarrec.readers.mcap.messages import READABLE, Decoder, decoder_for
-from sonarrec.readers.mcap.salvage import McapFile
-from sonarrec.readers.raw import RawFrame, UnusableError
+from sonarrec.readers.raw import NOTHING_TOLD, RawFrame, UnusableError
+from sonarrec.readers.recording import Recording
 from sonarrec.records import SonarrecError, Stamps, UsageError, shown
 
-_NO_SCHEMA = Schema(id=0, name="", encoding="", data=b"")
 
-
-def schema_of(log: McapFile, channel: Channel) -> Schema:
-    """The schema of a channel, one without a name where it has none."""
-    return log.schemas.get(channel.schema_id, _NO_SCHEMA)
-
-
-def image_decoders(log: McapFile) -> dict[int, Decoder]:
+def image_decoders(log: Recording) -> dict[int, Decoder]:
     """A decoder for every channel of sonar images.
 
-    What speaks against a definition that cannot be used is added to the file's faults.
+    What speaks against a definition that cannot be used is added to the recording's faults.
     """
     decoders: dict[int, Decoder] = {}
     made: dict[tuple[str, str, bytes, str], Decoder | None] = {}  # channels may share a schema
-    for channel in log.channels.values():
-        schema = schema_of(log, channel)
-        key = schema.name, schema.encoding, schema.data, channel.message_encoding
+    for number, channel in log.channels.items():
+        key = channel.schema, channel.schema_encoding, channel.definition, channel.message_encoding
         if key not in made:
             try:
                 made[key] = decoder_for(*key)
@@ -39,36 +27,37 @@ def image_decoders(log: McapFile) -> dict[int, Decoder]:
                 made[key] = None
                 log.fault(f"the definition of {channel.topic} cannot be used ({error})")
         if (decoder := made[key]) is not None:
-            decoders[channel.id] = decoder
+            decoders[number] = decoder
     return decoders
 
 
-class McapImages:
+class ChannelImages:
     """The messages of one image topic, decoded, in log-time order."""
 
-    def __init__(self, path: Path, topic: str | None = None) -> None:
-        """Choose the channel: the only image topic, or `topic`.
+    def __init__(self, log: Recording, topic: str | None = None) -> None:
+        """Choose the channel: the only image topic, or `topic`. The recording is closed with it.
 
-        Raises SonarrecError where the file is no MCAP or has no image channel, UsageError where
-        several image topics ask for a choice or the topic chosen is none of them.
+        Raises SonarrecError where it has no image channel, UsageError where several image topics
+        ask for a choice or the topic chosen is none of them.
         """
-        self._log = McapFile(path)
+        self._log = log
         try:
-            self._decoders = _choose(self._log, topic)
+            self._decoders = _choose(log, topic)
         except BaseException:
-            self._log.close()
+            log.close()
             raise
-        self.topic: str | None = self._log.channels[next(iter(self._decoders))].topic
+        self.topic: str | None = log.channels[next(iter(self._decoders))].topic
         self.polar = any(decoder.polar for decoder in self._decoders.values())
-        self.faults = self._log.faults
-        self.frame_count: int | None = sum(self._log.counts[c] for c in self._decoders)
+        self.faults = log.faults
+        self.told = NOTHING_TOLD
+        self.frame_count: int | None = sum(log.counts.get(c, 0) for c in self._decoders)
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the recording."""
         self._log.close()
 
     def __iter__(self) -> Iterator[RawFrame]:
-        for number, message in enumerate(MessageReader(self._log, self._decoders)):
+        for number, message in enumerate(self._log.messages(self._decoders)):
             name = f"message {number} of {self._log.channels[message.channel].topic}"
             if message.data is None:
                 yield RawFrame(name, message.log_time, None, message.problem)
@@ -82,14 +71,13 @@ class McapImages:
                 yield RawFrame(name, message.log_time, ping.pixels, None, ping.sonar, stamps)
 
 
-def _choose(log: McapFile, topic: str | None) -> dict[int, Decoder]:
+def _choose(log: Recording, topic: str | None) -> dict[int, Decoder]:
     """The decoder of every channel of the chosen topic."""
     decoders = image_decoders(log)
     topics = sorted({log.channels[c].topic for c in decoders})
     if not topics:
         there = sorted(
-            f"{c.topic} ({schema_of(log, c).name or 'no schema'}, "
-            f"{c.message_encoding or 'no encoding'})"
+            f"{c.topic} ({c.schema or 'no schema'}, {c.message_encoding or 'no encoding'})"
             for c in log.channels.values()
         )
         damage = f" ({log.faults[0]})" if log.faults else ""

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Collection, Iterable, Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,21 +24,8 @@ from sonarrec.readers.mcap.in_chunk import (
     scan,
 )
 from sonarrec.readers.mcap.salvage import CHUNK, MESSAGE_HEAD, McapFile
+from sonarrec.readers.recording import MAX_MESSAGE_BYTES, Message
 from sonarrec.records import SonarrecError, shown
-
-MAX_MESSAGE_BYTES = 48 * 2**20  # an image of 4096 x 4096 pixels of three bytes
-
-
-@dataclass(frozen=True, slots=True)
-class Message:
-    """One message. Times in ns. data: None where it cannot be read, and `problem` says why;
-    without a problem it went with a damaged chunk, which the file's faults tell once."""
-
-    channel: int
-    log_time: int
-    publish_time: int
-    data: memoryview | None
-    problem: str | None = None
 
 
 def _rising(places: Iterable[Place]) -> Iterator[Place]:

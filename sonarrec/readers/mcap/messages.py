@@ -7,16 +7,17 @@ fields come out of the bytes (CDR, ROS 1, JSON, protobuf, flatbuffers) is kept a
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from sonarrec.readers.mcap.decode import Decode, fields_decoder
 from sonarrec.readers.mcap.fields import Fields
+from sonarrec.readers.oculus import oculus_geometry, oculus_samples
 from sonarrec.readers.pixels import decode_image, raw_pixels
-from sonarrec.readers.raw import Ping, UnusableError
+from sonarrec.readers.raw import Ping, UnusableError, ping_geometry
 from sonarrec.records import FloatArray
-from sonarrec.sonar import MIN_WINDOW_M, PingGeometry
+from sonarrec.sonar import PingGeometry
 
 # What each message means
 
@@ -90,42 +91,13 @@ def _fan_bearings(directions: FloatArray) -> FloatArray:
     return _left_to_right(np.degrees(np.arctan2(directions[:, across], ahead)))
 
 
-def _geometry(ranges_m: FloatArray, bearings_deg: FloatArray) -> PingGeometry:
-    """The geometry of a ping from the middles of its bins and beams.
-
-    Raises UnusableError where they are no window in front of a sonar.
-    """
-    steps = np.diff(ranges_m)
-    if len(ranges_m) < 2 or ranges_m[0] < 0 or not np.all(steps > 0):
-        raise UnusableError("ranges do not rise from bin to bin")
-    if ranges_m[-1] - ranges_m[0] < MIN_WINDOW_M:
-        raise UnusableError(f"a window of {ranges_m[-1] - ranges_m[0]:g} m")
-    turns = np.diff(bearings_deg)
-    if len(bearings_deg) < 2 or not (np.all(turns > 0) or np.all(turns < 0)):
-        raise UnusableError("bearings do not run one way from beam to beam")
-    if np.abs(bearings_deg).max() >= 90:
-        raise UnusableError("bearings of 90 deg and more")
-    even = np.linspace(ranges_m[0], ranges_m[-1], len(ranges_m))
-    first = last = even[1] - even[0]
-    ranges = None
-    if np.abs(ranges_m - even).max() > first / 64:  # resampling does not resolve less
-        first, last = steps[0], steps[-1]
-        ranges = tuple(ranges_m.tolist())
-    return PingGeometry(
-        range_min_m=max(float(ranges_m[0] - first / 2), 0.0),
-        range_max_m=float(ranges_m[-1] + last / 2),
-        bearings_deg=tuple(bearings_deg.tolist()),
-        ranges_m=ranges,
-    )
-
-
 def read_projected_sonar_image(message: Fields) -> Ping:
     """marine_acoustic_msgs/ProjectedSonarImage: a direction per beam, a range per bin."""
     image = message.inner("image")
     bearings = _fan_bearings(message.vectors("beam_directions"))
     ranges = message.numbers("ranges")
     pixels = _samples(image, len(ranges), _beam_count(image, bearings))
-    return Ping(pixels, message.stamp_ns(), _geometry(ranges, bearings))
+    return Ping(pixels, message.stamp_ns(), ping_geometry(ranges, bearings))
 
 
 def read_raw_sonar_image(message: Fields) -> Ping:
@@ -139,20 +111,12 @@ def read_raw_sonar_image(message: Fields) -> Ping:
     bins = message.whole("samples_per_beam")
     pixels = _samples(image, bins, _beam_count(image, bearings))
     ranges = (message.whole("sample0") + np.arange(bins)) * speed / (2 * rate)
-    return Ping(pixels, message.stamp_ns(), _geometry(ranges, bearings))
+    return Ping(pixels, message.stamp_ns(), ping_geometry(ranges, bearings))
 
 
 def _oculus_geometry(message: Fields, bins: int, beams: int) -> PingGeometry:
-    """Bearings in hundredths of a degree; bins of one length from the sonar on."""
-    bearings = message.numbers("bearings") / 100
-    if len(bearings) != beams:
-        raise UnusableError(f"{beams} beams with {len(bearings)} bearings")
     resolution = message.number("range_resolution")
-    if resolution <= 0:
-        raise UnusableError(f"range resolution {resolution:g} m")
-    ranges = (np.arange(bins) + 0.5) * resolution
-    # Rows of an image: which axis is which need not be found out.
-    return replace(_geometry(ranges, bearings), beam_order="range-major")
+    return oculus_geometry(message.numbers("bearings"), resolution, bins, beams)
 
 
 def read_oculus_ping(message: Fields) -> Ping:
@@ -167,20 +131,11 @@ def read_oculus_interfaces_ping(message: Fields) -> Ping:
     """oculus_interfaces/Ping: rows may begin with a gain, by whose root they are divided."""
     bins, beams, step = (message.whole(k) for k in ("n_ranges", "n_beams", "step"))
     size = message.whole("sample_size")
-    if size not in (1, 2, 4):
-        raise UnusableError(f"samples of {size} bytes")
     data = message.octets("ping_data")
-    head = 4 if message.whole("has_gains") else 0
-    row = head + beams * size
-    if len(data) != bins * step or step < row:  # as with images, a wrong step is not believed
-        step = row
-    if not bins or not beams or len(data) != bins * step:
-        raise UnusableError(f"{beams} beams of {bins} samples do not fit {len(data)} bytes")
-    rows = np.frombuffer(data, np.uint8).reshape(bins, step)
-    pixels = np.ascontiguousarray(rows[:, head:row]).view(f"<u{size}")
-    if head:
-        gains = np.ascontiguousarray(rows[:, :head]).view("<u4")
-        pixels = (pixels / np.sqrt(np.maximum(gains, 1))).astype(np.float32)
+    gains = message.whole("has_gains") != 0
+    if len(data) != bins * step:  # as with images, a wrong step is not believed
+        step = 0
+    pixels = oculus_samples(data, bins, beams, size, gains=gains, step=step)
     return Ping(pixels, message.stamp_ns(), _oculus_geometry(message, bins, beams))
 
 

@@ -1,4 +1,4 @@
-"""Reads a pose topic of an MCAP file: `sonarrec run --odometry-topic`."""
+"""Reads a pose topic of a recording: `sonarrec run --odometry-topic`."""
 
 from __future__ import annotations
 
@@ -8,14 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.poses import PoseTable, pose_table
+from sonarrec.readers.find import find_log
 from sonarrec.readers.log import MAX_PROBLEM_LINES
 from sonarrec.readers.mcap.decode import Decode, fields_decoder
 from sonarrec.readers.mcap.fields import DefinitionError, Fields
-from sonarrec.readers.mcap.images import schema_of
-from sonarrec.readers.mcap.in_order import Message, MessageReader
 from sonarrec.readers.mcap.messages import message_type
-from sonarrec.readers.mcap.salvage import McapFile
 from sonarrec.readers.raw import UnusableError
+from sonarrec.readers.recording import Message, Recording
 from sonarrec.records import Clock, SonarrecError, UsageError, shown
 
 # Where the pose is inside each message.
@@ -34,15 +33,16 @@ def read_topic(path: Path, topic: str, time: Clock) -> PoseTable:
     Raises SonarrecError where the file or too few of its messages can be used, UsageError where
     the topic cannot be meant.
     """
-    if path.suffix.lower() != ".mcap":
+    source = find_log(path)
+    if not source.reader.has_topics:
         raise UsageError(
-            f"{shown(path)}: --odometry-topic names a channel of an MCAP file; this is none"
+            f"{shown(path)}: --odometry-topic names a channel of an MCAP or a ROS bag; this is none"
         )
     at, rows, problems = [], [], []
-    log = McapFile(path)
+    log = source.recording()
     try:
         channels = _channels(log, topic)
-        for number, message in enumerate(MessageReader(log, channels)):
+        for number, message in enumerate(log.messages(channels)):
             try:
                 if message.data is None:
                     if message.problem is None:
@@ -68,29 +68,29 @@ def read_topic(path: Path, topic: str, time: Clock) -> PoseTable:
     ahead, left, x, y, z, w = np.array(rows).T
     yaw = np.degrees(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y**2 + z**2)))
     table = pose_table(topic, {"topic": topic}, np.array(at, np.int64), -yaw, -left, ahead)
-    return replace(table, problems=tuple(problems))
+    return replace(table, problems=tuple(problems), axes="ahead, left")
 
 
-def _channels(log: McapFile, topic: str) -> dict[int, tuple[Decode, tuple[str, ...]]]:
+def _channels(log: Recording, topic: str) -> dict[int, tuple[Decode, tuple[str, ...]]]:
     """Of every channel of a pose topic its decoder, and where the pose is inside its messages."""
-    kinds = {c.id: message_type(schema_of(log, c).name) for c in log.channels.values()}
-    poses = [c for c in log.channels.values() if kinds[c.id] in POSES]
+    kinds = {number: message_type(c.schema) for number, c in log.channels.items()}
+    poses = {number: c for number, c in log.channels.items() if kinds[number] in POSES}
     chosen: dict[int, tuple[Decode, tuple[str, ...]]] = {}
-    for channel in poses:
+    for number, channel in poses.items():
         if channel.topic == topic:
-            kind, schema = kinds[channel.id], schema_of(log, channel)
+            kind = kinds[number]
             try:
                 decode = fields_decoder(
-                    kind, schema.encoding, schema.data, channel.message_encoding
+                    kind, channel.schema_encoding, channel.definition, channel.message_encoding
                 )
             except DefinitionError as error:
                 raise SonarrecError(
                     f"{shown(log.path)}: the definition of {topic} cannot be used ({error})"
                 ) from None
             if decode is not None:
-                chosen[channel.id] = decode, POSES[kind]
+                chosen[number] = decode, POSES[kind]
     if not chosen:
-        topics = sorted({c.topic for c in poses} - {topic})
+        topics = sorted({c.topic for c in poses.values()} - {topic})
         there = f"there is {', '.join(topics)}" if topics else f"this reads {', '.join(POSES)}"
         raise UsageError(f"{shown(log.path)}: no pose topic {topic!r}; {there}")
     return chosen

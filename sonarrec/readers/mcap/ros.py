@@ -16,13 +16,16 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import zstandard
 from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from sonarrec.readers.mcap.chunks import inflated_zstd
 from sonarrec.readers.mcap.fields import DefinitionError
 from sonarrec.readers.raw import UnusableError
+from sonarrec.readers.recording import MAX_MESSAGE_BYTES
 
 _MAX_DEFINITION_BYTES = 2**18
 _MAX_FIELDS = 1000  # of a message and all inside: of those read here the largest has some 50
@@ -47,6 +50,7 @@ _OCTETS = (Nodetype.SEQUENCE, ((Nodetype.BASE, ("uint8", 0)), 0))
 _EMPTY = [("structure_needs_at_least_one_member", (Nodetype.BASE, ("uint8", 0)))]
 _NUMPY = {"byte": "uint8", "char": "uint8"}
 _WIDE = {"float64": "d", "int64": "q", "uint64": "Q"}
+_ZSTD = b"\x28\xb5\x2f\xfd"  # what a zstd frame begins with, and no CDR message
 # Second byte of the encapsulation header: plain CDR and plain XCDR2, big- and little-endian.
 _CDR_KINDS = {0: ("be", False), 1: ("le", False), 6: ("be", True), 7: ("le", True)}
 
@@ -137,6 +141,8 @@ class RosDecoder:
         """
         if self._ros1:
             return self._layouts[""].fields("deserialize_ros1", message)
+        if message[:4] == _ZSTD:  # a bag that was compressed message by message
+            message = _inflated(message)
         if len(message) < 4 or message[0] != 0 or message[1] not in _CDR_KINDS:
             raise UnusableError("malformed message (no CDR header)")
         order, narrow = _CDR_KINDS[message[1]]
@@ -268,6 +274,19 @@ class _Layout:
         fields = [(f"f{k}", kind) for k, kind in enumerate(kinds)]
         self._store.fielddefs[name] = ([], fields or _EMPTY)
         self._store.types[name] = counted
+
+
+def _inflated(message: memoryview) -> memoryview:
+    """A message that was compressed by itself. Raises UnusableError where it does not inflate."""
+    out = bytearray()
+    try:
+        for piece in inflated_zstd(iter([bytes(message)])):
+            out += piece
+            if len(out) > MAX_MESSAGE_BYTES:
+                raise UnusableError(f"inflates to more than {MAX_MESSAGE_BYTES} bytes")
+    except zstandard.ZstdError:
+        raise UnusableError("malformed message (does not inflate)") from None
+    return memoryview(bytes(out))
 
 
 def _joined(halves: str, whole: str, values: tuple[int, int]) -> Any:

@@ -70,8 +70,11 @@ class McapFile:
     times do not go back.
     """
 
-    def __init__(self, path: Path) -> None:
-        """Raises SonarrecError where the file is no MCAP, OSError where it cannot be read."""
+    def __init__(self, path: Path, at: Path | None = None) -> None:
+        """path: what to call it; at: where its bytes are, if not there.
+
+        Raises SonarrecError where the file is no MCAP, OSError where it cannot be read.
+        """
         self.path = path
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
@@ -86,7 +89,7 @@ class McapFile:
         self._statistics: Statistics | None = None
         self._strange: Counter[str] = Counter()
         self._data_end: tuple[int, int] | None = None  # position and checksum
-        self.file = path.open("rb")
+        self.file = (at or path).open("rb")
         self.store = ChunkStore(self.file)
         try:
             self.size = self._end = self.file.seek(0, 2)

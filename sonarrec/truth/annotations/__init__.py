@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from sonarrec.records import SonarrecError
+from sonarrec.records import MissingError, SonarrecError
 from sonarrec.truth.annotations import coco, cvat, labelme, mot
 from sonarrec.truth.annotations.shapes import Annotations
 
@@ -38,7 +38,7 @@ def read_annotations(path: Path, name: str | None = None) -> tuple[str, Annotati
     Returns the format's name as well. Raises SonarrecError where the file cannot be understood.
     """
     if not path.exists():
-        raise SonarrecError(f"{path}: no such file or folder")
+        raise MissingError(f"{path}: no such file or folder")
     if name is not None:
         chosen = next(f for f in FORMATS if f.name == name)
     else:

@@ -1,0 +1,154 @@
+"""OUT/logs.csv: a row per log of the calls that wrote into OUT."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import astuple, dataclass, fields, replace
+from pathlib import Path
+from time import monotonic
+from typing import get_args
+
+from sonarrec.batch.task import Outcome, Status, Task
+from sonarrec.records import SonarrecError
+
+NAME = "logs.csv"
+WRITE_EVERY_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A row of logs.csv; its fields are the columns."""
+
+    log: str  # the name of its results' folder
+    path: str  # as given
+    status: Status
+    frames: int = 0  # processed
+    unusable: int = 0  # frames of the log that could not be used
+    seconds: float = 0.0  # that its last run took
+    declared: int = 0  # passes in sightings.csv of the methods that follow objects
+    message: str = ""  # what could not be used, or why it failed
+
+
+COLUMNS = tuple(f.name for f in fields(Row))
+
+
+class LogsTable:
+    """The rows of one call's logs, kept in OUT/logs.csv with those of other calls.
+
+    The file is rewritten whole and exchanged at once, at most every WRITE_EVERY_S; calls that
+    write into one OUT at the same time, such as --shard, take turns and keep each other's rows.
+    """
+
+    def __init__(self, out: Path, tasks: Sequence[Task]) -> None:
+        self._path = out / NAME
+        self._rows = [Row(t.name or Path(t.path).stem, t.path, "waiting") for t in tasks]
+        self._seconds: dict[str, float] = {}  # of earlier calls
+        with suppress(SonarrecError):
+            self._seconds = {row.log: row.seconds for row in read_logs(self._path)}
+        self._written = -math.inf
+        self.fault: str | None = None  # why the file could not be written
+
+    def begun(self, i: int) -> None:
+        """Task i has begun."""
+        self._rows[i] = replace(self._rows[i], status="running")
+        self._write_at_times()
+
+    def frames(self, i: int, done: int) -> None:
+        """So many frames of task i are done."""
+        self._rows[i] = replace(self._rows[i], frames=done)
+        self._write_at_times()
+
+    def ended(self, i: int, outcome: Outcome) -> None:
+        """Task i has ended."""
+        row = replace(self._rows[i], status=outcome.status, message=outcome.message)
+        seconds = outcome.seconds
+        if (summary := outcome.summary) is not None:
+            row = replace(
+                row,
+                frames=summary.frames,
+                unusable=summary.unusable,
+                declared=sum(summary.passes.values()),
+            )
+            if summary.up_to_date:
+                seconds = self._seconds.get(row.log, seconds)
+        self._rows[i] = replace(row, seconds=round(seconds, 2))
+        self._write_at_times()
+
+    def _write_at_times(self) -> None:
+        if monotonic() >= self._written + WRITE_EVERY_S:
+            self.write()
+
+    def write(self) -> None:
+        """Write the rows as they are now, as far as the disk takes them: see `fault`."""
+        self.fault, self._written = None, monotonic()
+        if len(self._rows) == 1 and not (self._rows[0].frames or self._rows[0].status == "done"):
+            return  # nothing came of the one log, so far: leave nothing behind
+        try:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            with _turn(self._path.parent):
+                rows = {row.log: row for row in read_logs(self._path)}
+                rows |= {row.log: row for row in self._rows}
+                text = io.StringIO()
+                writer = csv.writer(text, lineterminator="\n")
+                writer.writerow(COLUMNS)
+                writer.writerows(astuple(row) for row in rows.values())
+                new = self._path.with_name(f".{NAME}.{os.getpid()}")
+                new.write_text(text.getvalue(), encoding="utf-8", errors="surrogateescape")
+                new.replace(self._path)
+        except OSError as error:
+            self.fault = f"{self._path}: cannot be written ({error.strerror})"
+        except SonarrecError as error:  # what is there is no such table
+            self.fault = str(error)
+
+
+def again(tasks: Sequence[Task], out: Path) -> list[Task]:
+    """Of tasks those that logs.csv has as failed or done in part, to be done anew."""
+    ended = {row.log for row in read_logs(out / NAME) if row.status in ("failed", "partial")}
+    return [replace(t, overwrite=True) for t in tasks if (t.name or Path(t.path).stem) in ended]
+
+
+@contextmanager
+def _turn(folder: Path) -> Iterator[None]:
+    """Wait until nobody else exchanges the file, as far as the file system knows locks."""
+    handle = None
+    with suppress(ImportError, OSError):
+        import fcntl
+
+        handle = os.open(folder, os.O_RDONLY)
+        fcntl.flock(handle, fcntl.LOCK_EX)
+    try:
+        yield
+    finally:
+        if handle is not None:
+            os.close(handle)
+
+
+def read_logs(path: Path) -> list[Row]:
+    """The rows of a logs.csv; none where there is no such file.
+
+    Raises SonarrecError where it is not such a table.
+    """
+    kinds = {"frames": int, "unusable": int, "seconds": float, "declared": int}
+    rows = []
+    try:
+        with path.open(encoding="utf-8", errors="surrogateescape", newline="") as file:
+            for cells in csv.DictReader(file):
+                given = {name: kinds.get(name, str)(cells[name]) for name in COLUMNS}
+                if given["status"] not in get_args(Status):
+                    raise ValueError
+                rows.append(Row(**given))
+    except FileNotFoundError:
+        return []
+    except OSError as error:
+        raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
+    except (KeyError, TypeError, ValueError, csv.Error):
+        line = len(rows) + 2
+        raise SonarrecError(
+            f"{path} line {line}: not a row of {','.join(COLUMNS)}; move the file away"
+        ) from None
+    return rows

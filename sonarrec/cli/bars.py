@@ -1,0 +1,72 @@
+"""Progress bars on stderr, silent where that is no terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from typing import Any
+
+
+@contextmanager
+def progress(
+    quiet: bool, total: int | None = None, title: str | None = None
+) -> Iterator[Callable[..., None]]:
+    """A progress bar over frames on stderr; silent when quiet and where stderr is no terminal.
+
+    title: what stands before it. Yields what to call after each frame: step(total=None, note="").
+    """
+    from tqdm import tqdm
+
+    off = True if quiet else None
+    with tqdm(total=total, desc=title, unit="frame", leave=False, disable=off) as bar:
+
+        def step(total: int | None = None, note: str = "") -> None:
+            if total is not None:
+                bar.total = total
+            if note:
+                bar.set_postfix_str(note, refresh=False)
+            bar.update()
+
+        yield step
+
+
+@contextmanager
+def progress_of_logs(quiet: bool, logs: int) -> Iterator[Callable[[float, str], None]]:
+    """A progress bar over logs that run side by side, as `progress`.
+
+    Yields what to call from time to time: at(logs done, with the shares of those that run; note).
+    """
+    from tqdm import tqdm
+
+    layout = "{percentage:3.0f}%|{bar}| {postfix} [{elapsed}<{remaining}]"
+    off = True if quiet else None
+    with tqdm(total=logs, bar_format=layout, leave=False, disable=off) as bar:
+
+        def at(done: float, note: str) -> None:
+            bar.set_postfix_str(note, refresh=False)
+            bar.update(max(done - bar.n, 0))
+
+        yield at
+
+
+@contextmanager
+def fetching(quiet: bool, name: str) -> Iterator[Callable[[int, int | None], None]]:
+    """A progress bar over the bytes of a log that is waited for, as `progress`.
+
+    Yields what to call as they come: step(came, of how many or None). Without a call, no bar.
+    """
+    from tqdm import tqdm
+
+    with ExitStack() as held:
+        bar: Any = None
+
+        def step(came: int, of: int | None) -> None:
+            nonlocal bar
+            if bar is None:
+                told = {"desc": f"fetch {name}", "unit": "B", "unit_scale": True}
+                silent = True if quiet else None
+                bar = held.enter_context(tqdm(**told, leave=False, disable=silent))
+            bar.total = of
+            bar.update(came - bar.n)
+
+        yield step

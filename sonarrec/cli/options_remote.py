@@ -1,0 +1,63 @@
+"""Options of what may lie on a server: URLs in place of paths, and the cache of what is fetched."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+
+from sonarrec.cli.options import FOLDER, INPUT, as_one, option
+
+
+class _OrUrl(click.Path):
+    """A local path as of click.Path, or a URL as text."""
+
+    def convert(self, value: Any, *told: Any) -> Any:
+        from sonarrec.remote.urls import is_url
+
+        return str(value) if is_url(value) else super().convert(value, *told)
+
+
+FILE_OR_URL = _OrUrl(exists=True, dir_okay=False, path_type=Path)
+NEW_FILE_OR_URL = _OrUrl(dir_okay=False, path_type=Path)
+FOLDER_OR_URL = _OrUrl(file_okay=False, path_type=Path)
+ANY_OR_URL = _OrUrl(path_type=Path)
+
+_CACHE = {
+    "cache_folder": option(
+        INPUT,
+        "--cache",
+        "cache_folder",
+        type=FOLDER,
+        help="Where logs and results of s3://, gs://, https:// and sftp:// are kept once they are "
+        "fetched.  [default: sonarrec in the user's cache folder]",
+    ),
+    "cache_size": option(
+        INPUT,
+        "--cache-size",
+        metavar="SIZE",
+        default="20GB",
+        show_default=True,
+        help="What the cache may hold; the least recently used goes first.",
+    ),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class CacheChoice:
+    """The cache by the flags; made where it is needed."""
+
+    values: Mapping[str, Any]
+
+    def cache(self) -> Any:
+        """The Cache. Raises UsageError for a size that is none."""
+        from sonarrec.remote.cache import Cache, default_folder, size_bytes
+
+        size = size_bytes(self.values["cache_size"])
+        return Cache((self.values["cache_folder"] or default_folder()).resolve(), size)
+
+
+cache_options = as_one("cache", _CACHE, CacheChoice)

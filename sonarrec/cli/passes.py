@@ -1,0 +1,88 @@
+"""What a run ends with: its sightings as a table for a terminal, or as JSON."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sonarrec.pipeline import Summary
+    from sonarrec.results.sightings import Sighting
+
+YEAR_2000_NS = 946_684_800 * 10**9
+"""A time from here on is taken for one of the calendar."""
+
+
+def table(summary: Summary, folder: str) -> list[str]:
+    """Lines to print: the passes by method, and how many more there are in sightings.csv.
+
+    folder: where that is.
+    """
+    lines: list[str] = []
+    for method, count in summary.passes.items():
+        lines += [f"{method}:"] if len(summary.passes) > 1 else []
+        shown = [s for s in summary.sightings if s.method == method]
+        if not shown:
+            lines.append("no landmark declared")
+            continue
+        dated = shown[0].start_ns >= YEAR_2000_NS
+        times = f"{'from UTC':<22}  {'to UTC':<11}" if dated else f"{'from s':>9} {'to s':>9}"
+        lines.append(
+            f"landmark  track  frames       {times}  declared  best score  range m  bearing deg"
+        )
+        lines += [_row(s, dated) for s in shown]
+        if count > len(shown):
+            where = f"{folder}/sightings.csv"
+            lines.append(f"these are the longest; {count - len(shown)} more in {where}")
+    return lines
+
+
+def _row(s: Sighting, dated: bool) -> str:
+    track = "-" if s.track is None else s.track
+    times = f"{s.start_ns / 1e9:>9.2f} {s.end_ns / 1e9:>9.2f}"
+    if dated:
+        times = f"{_utc(s.start_ns):<22}  {_utc(s.end_ns)[11:]:<11}"
+    return (
+        f"{s.landmark:>8}  {track:>5}  {f'{s.first_frame}-{s.last_frame}':<11}  {times}"
+        f"  {s.frames_declared:>8}  {s.best_score:>10.3f}  {_number(s.range_m, 2):>7}"
+        f"  {_number(s.bearing_deg, 1):>11}"
+    )
+
+
+def _number(value: float, digits: int) -> str:
+    return "-" if math.isnan(value) else f"{value:.{digits}f}"
+
+
+def _utc(time_ns: int) -> str:
+    """A time to the hundredth of a second."""
+    seconds, rest = divmod(time_ns, 10**9)
+    return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%d %H:%M:%S}.{rest // 10**7:02d}"
+
+
+def as_json(summary: Summary, folder: str, sightings: Path) -> dict[str, Any]:
+    """What --json tells of a log that was run; `sightings` holds all of every method.
+
+    folder: where its results are. sightings: their sightings.csv.
+    """
+    from sonarrec.results.sightings_file import sightings_in
+
+    return {
+        "folder": folder,
+        "up_to_date": summary.up_to_date,
+        "frames": summary.frames,
+        "candidates": summary.candidates,
+        "sightings": [_plain(s) for s in sightings_in(sightings)],
+        "problems": summary.problems,
+        "notes": summary.notes,
+    }
+
+
+def _plain(sighting: Sighting) -> dict[str, Any]:
+    """With null where a value is not known."""
+    return {
+        name: None if isinstance(value, float) and math.isnan(value) else value
+        for name, value in asdict(sighting).items()
+    }

@@ -1,0 +1,242 @@
+"""What `sonarrec run` tells of its logs: the bar, their tables or one JSON document, logs.csv."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from time import monotonic
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sonarrec import __version__
+from sonarrec.batch.logs_table import NAME, LogsTable
+from sonarrec.batch.processes import Watch
+from sonarrec.batch.task import Outcome, Task
+from sonarrec.cli.bars import fetching, progress, progress_of_logs
+from sonarrec.cli.options import FAILED, MISUSED, PARTLY, tell
+from sonarrec.cli.passes import as_json, table
+from sonarrec.pipeline import Summary
+from sonarrec.records import MissingError, SonarrecError
+
+if TYPE_CHECKING:
+    from sonarrec.remote.upload import Outbox
+
+MOST_SHOWN = 10
+"""Logs of a call whose passes are printed; of more `sonarrec status` and the tables tell."""
+
+
+class RunWatch(Watch):
+    """Prints what becomes of the logs of a call, and keeps logs.csv. A context manager."""
+
+    def __init__(
+        self,
+        tasks: Sequence[Task],
+        out: Path,
+        box: Outbox | None,
+        *,
+        jobs: int,
+        quiet: bool,
+        verbose: bool,
+        json: bool,
+    ) -> None:
+        """out: where results are made. box: what uploads them. jobs: how many run side by side."""
+        self._box = box
+        self._tasks = tasks
+        self._table = LogsTable(out, tasks)
+        self._out, self._jobs = out, jobs
+        self._quiet, self._verbose, self._json = quiet, verbose, json
+        self._outcomes: dict[int, Outcome] = {}
+        self._printed = 0  # of the tasks in order, how many were told on stdout
+        self._running: dict[int, tuple[int, int | None]] = {}  # frames done, of how many
+        self._frames = 0  # of logs that have ended
+        self._begun = monotonic()
+        self._bars = ExitStack()
+        self._step: Callable[..., None] | None = None  # of the bar of the one log that runs
+        self._came: Callable[[int, int | None], None] | None = None  # of the bytes of that log
+        self._at: Callable[[float, str], None] | None = None  # of the bar over logs
+
+    def __enter__(self) -> RunWatch:
+        self._table.write()
+        if self._jobs > 1:
+            bar = progress_of_logs(self._quiet, len(self._tasks))
+            self._at = self._bars.enter_context(bar)
+        return self
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        self._bars.close()
+        if self._box is None or kind is not None:  # a run that is stopped waits for no server
+            self._table.write()
+        else:
+            self._upload_table(self._box)
+        if self._table.fault and all(o.status != "failed" for o in self._outcomes.values()):
+            tell([self._table.fault])  # else it is told already: the disk is full
+        if self._json:
+            program = {"name": "sonarrec", "version": __version__}
+            logs = [self._document(i) for i in range(len(self._tasks))]
+            click.echo(json.dumps({"program": program, "logs": logs}, indent=2))
+
+    def _upload_table(self, box: Outbox) -> None:
+        """logs.csv beside the results, with the rows of calls from elsewhere."""
+        try:
+            box.fetch(NAME)
+            self._table.write()
+            box.put(NAME)
+        except SonarrecError as error:
+            self._table.write()
+            tell([str(error)])
+
+    def begun(self, i: int) -> None:
+        self._table.begun(i)
+        self._running[i] = 0, None
+        if self._at is None:
+            self._bars.close()
+            self._step = self._came = None
+            far = self._tasks[i].elsewhere
+            if far is None or far.log is None:
+                self._open_bar(i)
+
+    def _open_bar(self, i: int) -> None:
+        bar = progress(self._quiet, title=f"{self._tasks[i].name}{self._of(i)}")
+        self._step = self._bars.enter_context(bar)
+
+    def fetching(self, i: int, came: int, total: int | None) -> None:
+        if self._came is None:
+            self._came = self._bars.enter_context(fetching(self._quiet, self._tasks[i].path))
+        self._came(came, total)
+
+    def frames(self, i: int, done: int, total: int | None) -> None:
+        self._running[i] = done, total
+        self._table.frames(i, done)
+        if self._at is None and self._step is None:
+            self._bars.close()  # of the bytes
+            self._open_bar(i)
+        if self._step is not None:
+            self._step(total)
+        self._move()
+
+    def ended(self, i: int, outcome: Outcome) -> None:
+        self._outcomes[i] = outcome
+        self._running.pop(i, None)
+        self._table.ended(i, outcome)
+        task, summary = self._tasks[i], outcome.summary
+        if self._at is None:
+            self._bars.close()  # before anything is printed
+        self._move()
+        with self._over_the_bar():
+            if outcome.fault:
+                click.echo(outcome.fault.rstrip(), err=True)
+            if summary is not None:
+                self._frames += summary.frames
+                tell(*(self._named(i, lines) for lines in (summary.problems, summary.notes)))
+            elif len(self._tasks) > 1:
+                tell([outcome.message])
+            if self._verbose:
+                told = _counts(summary) if summary else outcome.message
+                how = f"{_how(outcome)}, {told}, {outcome.seconds:.1f} s"
+                click.echo(f"sonarrec: {task.path}{self._of(i)}: {how}", err=True)
+            self._print()
+
+    @property
+    def error(self) -> SonarrecError | None:
+        """What the first log failed by."""
+        return self._outcomes[0].error if 0 in self._outcomes else None
+
+    def exit_code(self) -> int:
+        """Of the call, once all have ended."""
+        states = [outcome.status for outcome in self._outcomes.values()]
+        if states and all(state == "failed" for state in states):
+            errors = [outcome.error for outcome in self._outcomes.values()]
+            return MISUSED if all(isinstance(e, MissingError) for e in errors) else FAILED
+        return 0 if all(state == "done" for state in states) else PARTLY
+
+    def count(self) -> None:
+        """Print how many logs ended in which way, where there are several."""
+        counts: dict[str, list[str]] = {"done": [], "up to date": [], "in part": [], "failed": []}
+        for i, outcome in sorted(self._outcomes.items()):
+            counts[_how(outcome)].append(self._tasks[i].path)
+        failed = counts["failed"]
+        if len(self._tasks) == 1 or (self._quiet and not failed):
+            return
+        line = ", ".join(f"{len(paths)} {how}" for how, paths in counts.items() if paths)
+        if len(failed) > MOST_SHOWN:
+            out = self._box.origin.url if self._box else self._out
+            line += f"; `sonarrec status {out}` lists them"
+        elif failed:
+            line += f": {', '.join(failed)}"
+        click.echo(line, err=bool(failed) or self._json)
+
+    def _of(self, i: int) -> str:
+        return f" ({i + 1} of {len(self._tasks)})" if len(self._tasks) > 1 else ""
+
+    def _named(self, i: int, lines: Sequence[str]) -> list[str]:
+        """Lines that say which of several logs they are about."""
+        task = self._tasks[i]
+        if len(self._tasks) == 1:
+            return list(lines)
+        return [x if task.path in x else f"{task.name}: {x}" for x in lines]
+
+    def _move(self) -> None:
+        """The bar over logs to where they are."""
+        if self._at is None:
+            return
+        shares = [done / total for done, total in self._running.values() if total]
+        frames = self._frames + sum(done for done, _ in self._running.values())
+        failed = sum(outcome.status == "failed" for outcome in self._outcomes.values())
+        note = f"{len(self._outcomes)}/{len(self._tasks)} logs, {frames} frames, "
+        note += f"{frames / max(monotonic() - self._begun, 1e-3):.0f} frames/s"
+        self._at(len(self._outcomes) + sum(shares), note + (f", {failed} failed" if failed else ""))
+
+    @contextmanager
+    def _over_the_bar(self) -> Iterator[None]:
+        """What is printed inside stands above the bar, not in it."""
+        if self._at is None:
+            yield
+            return
+        from tqdm import tqdm
+
+        with tqdm.external_write_mode():
+            yield
+
+    def _print(self) -> None:
+        """The logs that have ended, on stdout, in the call's order."""
+        while (outcome := self._outcomes.get(self._printed)) is not None:
+            self._printed += 1
+            summary = outcome.summary
+            if summary is None or self._quiet or self._json or len(self._tasks) > MOST_SHOWN:
+                continue
+            frames = f"{summary.frames} frame{'s' * (summary.frames != 1)}"
+            click.echo(f"{outcome.folder}: {'up to date, ' * summary.up_to_date}{frames}")
+            for line in [] if summary.up_to_date else table(summary, outcome.folder):
+                click.echo(f"  {line}")
+
+    def _document(self, i: int) -> dict[str, Any]:
+        task, outcome = self._tasks[i], self._outcomes.get(i)
+        told: dict[str, Any] = {"name": task.name, "log": task.path}
+        if outcome is None:
+            return told | {"status": "stopped" if i in self._running else "waiting"}
+        told["status"] = outcome.status
+        if outcome.summary is None:
+            return told | {"message": outcome.message}
+        sightings = outcome.summary.folder / "sightings.csv"
+        if self._box is None:
+            return told | as_json(outcome.summary, outcome.folder, sightings)
+        held = f".{task.name}.sightings.csv"  # what was made is gone once it is uploaded
+        self._box.fetch(f"{task.name}/sightings.csv", held)
+        try:
+            return told | as_json(outcome.summary, outcome.folder, self._box.folder / held)
+        finally:
+            (self._box.folder / held).unlink(missing_ok=True)
+
+
+def _how(outcome: Outcome) -> str:
+    if outcome.summary is not None and outcome.summary.up_to_date:
+        return "up to date" if outcome.status == "done" else "in part"
+    return {"done": "done", "partial": "in part"}.get(outcome.status, "failed")
+
+
+def _counts(summary: Summary) -> str:
+    passes = sum(summary.passes.values())
+    return f"{summary.frames} frames, {summary.candidates} candidates, {passes} passes"

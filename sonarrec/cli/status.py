@@ -1,0 +1,87 @@
+"""`sonarrec status`: how far a call over many logs is."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from contextlib import ExitStack
+from dataclasses import asdict
+from pathlib import Path
+from time import time
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sonarrec.cli.options import OUTPUT, command, option
+from sonarrec.cli.options_remote import FOLDER_OR_URL, CacheChoice, cache_options
+from sonarrec.records import UsageError
+
+if TYPE_CHECKING:
+    from sonarrec.batch.logs_table import Row
+
+
+@command(short_help="How far a run over many logs is, and what failed.")
+@click.argument("out", type=FOLDER_OR_URL, default=Path("sonarrec_out"))
+@option(OUTPUT, "--json", "as_json", is_flag=True, help="Print one JSON document on stdout.")
+@cache_options
+def status(out: Path | str, as_json: bool, cache: CacheChoice) -> None:
+    """Print how many logs of OUT (default sonarrec_out) are done, and which failed and why.
+
+    It reads OUT/logs.csv, which `sonarrec run` keeps while it runs: so it also serves from another
+    terminal, and from another machine that sees the folder. A run whose OUT is on a server uploads
+    it at its end.
+
+    \b
+    Examples:
+      sonarrec status
+      sonarrec status results --json
+    """
+    from sonarrec.remote.run import Here, inside
+
+    with ExitStack() as held:
+        path = Here(held, cache.cache).file(inside(out, "logs.csv"))
+        assert path is not None
+        _tell(path, out, as_json)
+
+
+def _tell(path: Path, out: Path | str, as_json: bool) -> None:
+    from sonarrec.batch.logs_table import read_logs
+
+    if not path.is_file():
+        raise UsageError(f"{path}: no such file; `sonarrec run -o {out}` writes it")
+    rows = read_logs(path)
+    if as_json:
+        document = _figures(path, rows) | {"logs": [asdict(row) for row in rows]}
+        click.echo(json.dumps(document, indent=2))
+        return
+    figures = _figures(path, rows)
+    counts = ", ".join(f"{n} {status}" for status, n in figures["counts"].items())
+    click.echo(f"{len(rows)} logs: {counts}")
+    rate = figures["frames_per_second"]
+    click.echo(
+        f"{figures['frames']} frames, {figures['unusable']} unusable, {figures['declared']} passes "
+        f"declared" + (f"; {rate:.0f} frames/s a process" if rate else "")
+    )
+    for row in rows:
+        if row.status in ("failed", "partial"):
+            click.echo(f"{row.status}: {row.log}: {row.message}")
+    if figures["counts"].get("running"):
+        click.echo(f"as of {figures['age_s']:.0f} s ago")
+
+
+def _figures(path: Path, rows: list[Row]) -> dict[str, Any]:
+    counts = Counter(row.status for row in rows)
+    ended = [row for row in rows if row.status in ("done", "partial") and row.seconds]
+    seconds = sum(row.seconds for row in ended)
+    return {
+        "counts": {
+            status: counts[status]
+            for status in ("done", "partial", "failed", "running", "waiting")
+            if counts[status]
+        },
+        "frames": sum(row.frames for row in rows),
+        "unusable": sum(row.unusable for row in rows),
+        "declared": sum(row.declared for row in rows),
+        "frames_per_second": sum(row.frames for row in ended) / seconds if seconds else None,
+        "age_s": time() - path.stat().st_mtime,
+    }

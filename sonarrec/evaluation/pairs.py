@@ -1,0 +1,146 @@
+"""Which truth goes with which results: as a table says, or as it lies beside the log."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Hashable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from sonarrec.readers.find import Source, find_log
+from sonarrec.readers.images import MAX_FILE_BYTES, is_image
+from sonarrec.records import SonarrecError, UsageError
+from sonarrec.remote.urls import is_url
+from sonarrec.results.read import find_logs
+from sonarrec.results.run_file import Input, read_run
+from sonarrec.tables import line_number, read_header, read_table
+from sonarrec.truth.table import HEADER
+
+TRUTH_FILE = "gt.csv"
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """The results folder of one log and the truth that goes with it."""
+
+    results: Path
+    ground_truth: Path
+    log: str | None = None
+    """The log's name, where the folder's own is not wanted; the log column of the truth is matched
+    with it."""
+
+
+def read_pairs(path: Path) -> list[Pair]:
+    """Read a table of pairs: columns results, ground_truth and, if wanted, log.
+
+    Paths are taken from the folder of the table. Raises SonarrecError where it cannot be used.
+    """
+    columns = ("results", "ground_truth")
+    table = read_table(path, dict.fromkeys((*columns, "log"), "text"), columns, ",".join(columns))
+    logs = [str(log) for log in table["log"]] if "log" in table else [None] * len(table["results"])
+    for row, names in enumerate(zip(*(table[c] for c in columns), strict=True)):
+        for name in map(str, names):
+            try:
+                (path.parent / name).stat()
+            except (FileNotFoundError, NotADirectoryError):
+                continue  # told where it is read
+            except (OSError, ValueError) as error:  # too long, or with a NUL byte
+                where = f"{path} line {line_number(path, row)}"
+                raise SonarrecError(f"{where}: no path, {name[:40]!r} ({error})"[:300]) from None
+    return [
+        Pair(path.parent / str(results), path.parent / str(truth), log)
+        for results, truth, log in zip(*(table[c] for c in columns), logs, strict=True)
+    ]
+
+
+def one_log(folder: Path) -> Path:
+    """A folder that holds one log's results. Raises SonarrecError where it holds several."""
+    folders = find_logs(folder)
+    if folders != [folder]:
+        raise SonarrecError(f"{folder}: holds {len(folders)} logs; give each a row of its own")
+    return folder
+
+
+def found_beside(folders: Iterable[Path]) -> tuple[list[Pair], list[str]]:
+    """Each results folder with the truth beside its log, and a line for each that has none.
+
+    The log is where run.toml says. Raises UsageError where no folder has any, SonarrecError where
+    several logs share one that does not tell them apart.
+    """
+    pairs, without = [], []
+    sharing: dict[Path, dict[Hashable, Path]] = defaultdict(dict)
+    for folder in folders:
+        run = read_run(folder / "run.toml")
+        try:
+            truth = _truth_beside(folder, run.input)
+        except SonarrecError as error:
+            without.append(str(error))
+            continue
+        pairs.append(Pair(folder, truth))
+        sharing[truth.resolve()][run.input.sha256, run.input.topic] = folder
+    for truth, logs in sharing.items():
+        if len(logs) > 1 and "log" not in read_header(truth, HEADER):
+            names = ", ".join(folder.name for folder in logs.values())
+            raise SonarrecError(
+                f"{truth}: lies beside {len(logs)} logs ({names}), so it needs a log column that "
+                "names their results folders; or name each log's own NAME.gt.csv"
+            )
+    if not pairs:
+        others = f" (and {len(without) - 1} more logs have none)" if without[1:] else ""
+        raise UsageError(f"{without[0]}{others}; give --ground-truth, or --pairs")
+    return pairs, [f"{line}; not scored" for line in without]
+
+
+def found_where(pair: Pair) -> str:
+    """A line on a truth of `found_beside`."""
+    return f"{pair.results}: ground truth {pair.ground_truth}, beside its log"
+
+
+def _truth_beside(folder: Path, source: Input) -> Path:
+    """NAME.gt.csv, else gt.csv, beside the log that results were made from; of images in the folder
+    the gt.csv among them.
+
+    Raises SonarrecError where there is none, or where another log has taken the log's place.
+    """
+    if source.path is None:
+        raise SonarrecError(f"{folder}: no ground truth: run.toml does not tell where the log is")
+    if is_url(source.path):
+        raise SonarrecError(f"{folder}: no ground truth: its log is on a server, {source.path}")
+    try:
+        log = find_log(source.path)
+    except SonarrecError as error:
+        raise SonarrecError(f"{folder}: no ground truth: {error}") from None
+    truth = log.beside(TRUTH_FILE)
+    if truth is None:
+        own = f"{log.path.stem}.{TRUTH_FILE}, nor " if log.files == [log.path] else ""
+        raise SonarrecError(f"{folder}: no ground truth: no {own}{TRUTH_FILE} beside {log.path}")
+    size = _size(log)
+    if source.bytes not in (None, size):
+        raise SonarrecError(
+            f"{folder}: no ground truth: {log.path} is not the log it was (it had "
+            f"{source.bytes} bytes and has {size}), so {truth} may not be its truth"
+        )
+    return truth
+
+
+def _size(log: Source) -> int:
+    """Bytes, counted as for run.toml (`readers.log.Log.digest_source`)."""
+    several = log.files != [log.path]
+    total = 0
+    for file in log.files:
+        try:
+            size = file.stat().st_size
+        except OSError:  # of several, one that cannot be read was told by the run
+            continue
+        if not (several and is_image(file) and size > MAX_FILE_BYTES):
+            total += size
+    return total
+
+
+def truth_of(pairs: Sequence[Pair], *folders: Path) -> Pair | None:
+    """The pair whose results are one of the folders, else the one of the same name."""
+    places = {folder.resolve() for folder in folders}
+    names = {place.name for place in places}
+    by_place = (pair for pair in pairs if pair.results.resolve() in places)
+    by_name = (pair for pair in pairs if (pair.log or pair.results.resolve().name) in names)
+    return next(by_place, next(by_name, None))

@@ -1,0 +1,1 @@
+"""Where the landmarks lie: passes of one landmark joined, and placed on the floor."""

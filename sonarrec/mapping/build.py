@@ -1,0 +1,179 @@
+"""`sonarrec map`: results of one log or several to one map."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sonarrec.landmarks import LandmarkSet
+from sonarrec.mapping.join import Landmark, LogPasses, join
+from sonarrec.mapping.passes import Seen, find_passes, read_seen
+from sonarrec.mapping.path import Drift, Motions, SonarPath, measured_path, told_path
+from sonarrec.mapping.poses_of_run import poses_of_run
+from sonarrec.poses import PoseTable
+from sonarrec.records import Fan, SonarrecError, UsageError
+from sonarrec.results.read import find_logs
+from sonarrec.results.run_file import RunFile, read_run
+from sonarrec.results.stream import choose_method
+from sonarrec.sonar import Sonar
+from sonarrec.tables import Kind, read_table
+
+FRAMES = "frame,timestamp_ns,dx_m,dy_m,dyaw_deg,dx_sigma_m,dy_sigma_m,dyaw_sigma_deg"
+MOVED = ("dyaw_deg", "dx_m", "dy_m")
+MOVED_SIGMA = ("dyaw_sigma_deg", "dx_sigma_m", "dy_sigma_m")
+"""Columns of frames.csv that hold the measured motion from the frame before, where they are there:
+to the right, ahead and to the right round, as it looked before."""
+
+
+@dataclass(frozen=True, slots=True)
+class MappedLog:
+    """One log of a map.
+
+    seen: its declared estimates, which its passes refer to. ros_axes: as of a SiteMap.
+    """
+
+    name: str
+    path: SonarPath
+    seen: Seen
+    on_floor: LogPasses
+    fan: Fan
+    ros_axes: bool
+
+
+@dataclass(frozen=True, slots=True)
+class SiteMap:
+    """Where the landmarks of a site lie, in the poses' frame or that of the first frame.
+
+    x is to the right and y ahead of a sonar whose yaw is 0. logs: those that could be used.
+    problems: a line for each that could not be, and for what of the others could not. notes: what
+    a reader should know. ros_axes: the poses' own axes are x ahead and y to the left.
+    """
+
+    landmark_set: LandmarkSet
+    landmarks: list[Landmark]
+    logs: list[MappedLog]
+    problems: list[str]
+    notes: list[str]
+    ros_axes: bool
+
+
+def make_map(
+    results: Sequence[Path],
+    *,
+    odometry: Sequence[Path] = (),
+    drift: Drift | None = None,
+    method: str | None = None,
+    landmarks: str | None = None,
+    sonar: Sonar | None = None,
+    least_frames: int = 3,
+) -> SiteMap:
+    """The map of the landmarks that a method declared.
+
+    results: folders of single logs, or such that hold some. odometry: tables of poses, see
+    `poses_of_run`. drift: of told poses; default, they are exact. method: of estimates.csv,
+    default `framework` or the only one. landmarks, sonar: in place of what run.toml says.
+    least_frames: with a declaration, without which a landmark is left out. Raises SonarrecError
+    where none of the logs can be used, or they have no frame in common.
+    """
+    folders = list(dict.fromkeys(log for one in results for log in find_logs(one)))
+    logs: list[MappedLog] = []
+    problems: list[str] = []
+    notes: list[str] = []
+    landmark_set: LandmarkSet | None = None
+    for folder in folders:
+        try:
+            run = read_run(folder / "run.toml")
+            own = run.landmark_set(landmarks)
+            landmark_set = landmark_set or own
+            if own.as_table() != landmark_set.as_table():
+                raise SonarrecError(
+                    f"{folder}: landmark set {own.name!r}, not {landmark_set.name!r} as the others"
+                )
+            poses = poses_of_run(folder, run, odometry)
+            path, said = _path(folder, poses, drift or Drift())
+            ros = poses is not None and "topic" in poses.source
+            logs.append(_mapped(folder, run, path, ros, own, method, sonar))
+            notes += said
+            if left_out := len(logs[-1].seen.row) - len(logs[-1].on_floor.passes.order):
+                problems.append(
+                    f"{folder}: {left_out} of {len(logs[-1].seen.row)} declared estimates left "
+                    "out: no pose is known in their frames"
+                )
+        except SonarrecError as error:
+            if len(folders) == 1:
+                raise
+            problems.append(str(error))
+    if landmark_set is None or not logs:
+        raise SonarrecError("\n".join(["no log can be mapped", *problems]))
+    if len(logs) > 1 and not all(log.path.told for log in logs):
+        alone = ", ".join(log.name for log in logs if not log.path.told)
+        raise UsageError(
+            f"without poses each log has a frame of its own ({alone}): give poses with "
+            "--odometry, or map the logs one by one"
+        )
+    found = join([log.on_floor for log in logs], landmark_set, least_frames)
+    return SiteMap(landmark_set, found, logs, problems, notes, all(log.ros_axes for log in logs))
+
+
+def _mapped(
+    folder: Path,
+    run: RunFile,
+    path: SonarPath,
+    ros_axes: bool,
+    landmarks: LandmarkSet,
+    method: str | None,
+    sonar: Sonar | None,
+) -> MappedLog:
+    """The passes of one log along its path."""
+    fan = run.fan(sonar)
+    if fan is None:
+        raise SonarrecError(f"{folder}: no geometry in run.toml; give it with --sonar or its flags")
+    table = folder / "estimates.csv"
+    seen = read_seen(table, choose_method(table, method), landmarks, fan, path.frame)
+    passes = find_passes(seen, path, landmarks, fan)
+    name = folder.resolve().name
+    return MappedLog(name, path, seen, LogPasses(name, path, passes), fan, ros_axes)
+
+
+def _path(folder: Path, poses: PoseTable | None, drift: Drift) -> tuple[SonarPath, list[str]]:
+    """The sonar's path of one log, and what to note of it."""
+    kinds: dict[str, Kind] = {"frame": "whole", "timestamp_ns": "whole"}
+    kinds |= dict.fromkeys((*MOVED, *MOVED_SIGMA), "blank or number")
+    table = read_table(folder / "frames.csv", kinds, ("frame",), FRAMES)
+    if not len(table["frame"]):
+        raise SonarrecError(f"{folder}: no frame was processed")
+    frame, first = np.unique(table["frame"], return_index=True)
+    if poses is not None:
+        if "timestamp_ns" not in table:
+            raise SonarrecError(
+                f"{folder}: frames.csv has no timestamp_ns, by which frames have their poses"
+            )
+        return told_path(frame, table["timestamp_ns"][first], poses, drift), []
+    if drift != Drift():
+        raise UsageError("--drift is of told poses, and there are none; give --odometry")
+    missing = [name for name in ("dyaw_deg", "dyaw_sigma_deg") if name not in table]
+    if missing:
+        raise SonarrecError(
+            f"{folder}: neither poses nor measured motion ({', '.join(missing)} in frames.csv); "
+            "run the log with --odometry, or give it here"
+        )
+    notes = []
+    if "dx_m" not in table or "dy_m" not in table:
+        notes.append(f"{folder}: only the turn was measured; the sonar is taken to stand still")
+    still = np.zeros(len(table["frame"]))
+    moved, sigma = (
+        np.column_stack([table.get(name, still) for name in names])[first]
+        for names in (MOVED, MOVED_SIGMA)
+    )
+    time = table.get("timestamp_ns", np.zeros(len(still), np.int64))[first]
+    path = measured_path(frame, time, Motions(moved, sigma))
+    lost = ~np.isfinite(path.pose).all(axis=1)
+    if lost.any():
+        notes.append(
+            f"{folder}: the motion to frame {frame[np.argmax(lost)]} is not known; what was seen "
+            "from there on is not placed"
+        )
+    return path, notes

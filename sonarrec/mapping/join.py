@@ -1,0 +1,245 @@
+"""Passes of one landmark joined, those of another kept apart, and what no two landmarks can be."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sonarrec.landmarks import LandmarkSet
+from sonarrec.mapping.passes import HEIGHT_SIGMA_M, TURN_SIGMA_DEG, Passes, periods_of
+from sonarrec.mapping.path import SonarPath
+from sonarrec.records import BoolArray, FloatArray, IntArray
+
+GATE = 16.27
+"""Squared Mahalanobis distance of place and orientation, within which 99.9 % of the passes of one
+landmark lie."""
+GATE_PLACE = 13.82
+"""The same of the place alone, where an orientation is not known."""
+# Two discs on a floor lie a diameter apart or more: nearer than this share of it, it is one.
+ONE_DISC = 0.75
+
+
+@dataclass(frozen=True, slots=True)
+class LogPasses:
+    """The passes of one log of a map. name: of its results' folder."""
+
+    name: str
+    path: SonarPath
+    passes: Passes
+
+
+@dataclass(frozen=True, slots=True)
+class Landmark:
+    """One landmark of the map.
+
+    id: the landmark set's. place: (2,) x, y in m. covariance: (2, 2) m^2. turn_deg: where its
+    first sector begins, counter-clockwise from the x axis, NaN where not known. turn_sigma_deg.
+    members: (log, pass) indices of the passes that it was placed by. others: of passes that lie
+    on it but claim another ID.
+    """
+
+    id: int
+    place: FloatArray
+    covariance: FloatArray
+    turn_deg: float
+    turn_sigma_deg: float
+    members: tuple[tuple[int, int], ...]
+    others: tuple[tuple[int, int], ...] = ()
+
+
+@dataclass(slots=True)
+class _Pool:
+    """All passes of all logs in a row, p of them, by their log and by time."""
+
+    logs: Sequence[LogPasses]
+    log: IntArray
+    index: IntArray
+    landmark: IntArray
+    period: FloatArray
+    rows: IntArray  # (p, 2) first and last frame, as indices of the path
+    middle: IntArray
+    place: FloatArray
+    covariance: FloatArray
+    lean: FloatArray
+    turn: FloatArray
+    variance: FloatArray  # of the turn
+
+    def distance(self, i: int, others: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Of pass i to (k,) others: squared Mahalanobis distance over the gate's own, metres."""
+        apart = self.place[others] - self.place[i]
+        covariance = self.covariance[others] + self.covariance[i]
+        lean = HEIGHT_SIGMA_M * (self.lean[others] - self.lean[i])
+        covariance += lean[:, :, None] * lean[:, None, :]
+        turned = self.variance[others] + self.variance[i]
+        for log in np.unique(self.log[others]).tolist():
+            of = self.log[others] == log
+            mine, path = self.middle[[i] * int(of.sum())], self.logs[self.log[i]].path
+            theirs, place = self.middle[others[of]], self.place[others[of]]
+            if log == self.log[i]:
+                covariance[of] += path.place_covariance(mine, place, theirs)
+                turned[of] += path.yaw_variance(mine, theirs)
+            else:  # the logs' errors have nothing in common
+                other = self.logs[log].path
+                covariance[of] += path.place_covariance(mine, place)
+                covariance[of] += other.place_covariance(theirs, place)
+                turned[of] += path.yaw_variance(mine) + other.yaw_variance(theirs)
+        squared = np.einsum("ki,kij,kj->k", apart, np.linalg.inv(covariance), apart)
+        period = self.period[i]
+        turn = np.mod(self.turn[others] - self.turn[i] + period / 2, period) - period / 2
+        whole = (squared + turn**2 / turned) / GATE
+        return np.where(np.isfinite(whole), whole, squared / GATE_PLACE), np.hypot(*apart.T)
+
+    def together(self, i: int, others: IntArray) -> BoolArray:
+        """(k,) whether pass i and others were seen at the same time."""
+        first, last = self.rows[i]
+        return np.asarray(
+            (self.log[others] == self.log[i])
+            & (self.rows[others, 0] <= last)
+            & (self.rows[others, 1] >= first)
+        )
+
+
+def join(logs: Sequence[LogPasses], landmarks: LandmarkSet, least_frames: int) -> list[Landmark]:
+    """The landmarks of a map, the ID that comes first in the set first.
+
+    least_frames: with a declaration, over all passes; what has fewer is left out.
+    """
+    pool = _pool(logs, landmarks)
+    if not len(pool.log):
+        return []
+    groups: list[list[int]] = []
+    for number in landmarks.ids:
+        groups += _of_one_id(pool, np.flatnonzero(pool.landmark == number), landmarks.radius_m)
+    found = [_placed(pool, group) for group in groups]
+    found = _one_at_a_place(logs, found, ONE_DISC * 2 * landmarks.radius_m)
+    return [
+        one
+        for one in found
+        if sum(int(logs[log].passes.frames[k]) for log, k in one.members) >= least_frames
+    ]
+
+
+def _pool(logs: Sequence[LogPasses], landmarks: LandmarkSet) -> _Pool:
+    def row(name: str) -> np.ndarray:
+        return np.concatenate([getattr(one.passes, name) for one in logs])
+
+    count = [len(one.passes.landmark) for one in logs]
+    ids = row("landmark")
+    return _Pool(
+        logs=logs,
+        log=np.repeat(np.arange(len(logs)), count),
+        index=np.concatenate([np.arange(n) for n in count]),
+        landmark=ids,
+        period=periods_of(landmarks, ids),
+        rows=np.column_stack([row("first"), row("last")]),
+        middle=row("middle"),
+        place=row("place"),
+        covariance=row("covariance"),
+        lean=row("lean"),
+        turn=row("turn_deg"),
+        variance=row("turn_sigma_deg") ** 2,
+    )
+
+
+def _of_one_id(pool: _Pool, passes: IntArray, radius_m: float) -> list[list[int]]:
+    """Groups of the passes of one landmark each, of (n,) passes of one ID.
+
+    Each pass in turn joins the landmark that it fits best, or is the first of a new one. It fits
+    as its nearest pass does. Passes seen at the same time in two places are two landmarks.
+    """
+    disc = ONE_DISC * 2 * radius_m
+    member = np.full(len(passes), -1)
+    count = 0
+    for n, i in enumerate(passes.tolist()):
+        before = passes[:n]
+        if n:
+            fit, apart = pool.distance(i, before)
+            fit = np.where(apart < disc, np.minimum(fit, apart / disc * 0.5), fit)
+            barred = member[:n][pool.together(i, before) & (apart >= disc)]
+            fit[np.isin(member[:n], barred)] = np.inf
+            best = int(np.argmin(fit))
+            if fit[best] < 1:
+                member[n] = member[best]
+        if member[n] < 0:
+            member[n], count = count, count + 1
+    return [passes[member == k].tolist() for k in range(count)]
+
+
+def _placed(pool: _Pool, group: Sequence[int]) -> Landmark:
+    """The landmark that passes of it tell: each weighed by what it and the path add in error.
+
+    Within a log against its first pass, whose own error of the path they have in common; the logs
+    have none. The error of the height is one for all, and a share of the orientation's.
+    """
+    parts = []
+    for log in np.unique(pool.log[group]).tolist():
+        mine = np.array([i for i in group if pool.log[i] == log])
+        path, row = pool.logs[log].path, pool.middle[mine]
+        first = np.repeat(row[:1], len(row))
+        added = path.place_covariance(row, pool.place[mine], first)
+        place, covariance, lean = _fused(
+            pool.place[mine], pool.covariance[mine] + added, pool.lean[mine]
+        )
+        covariance = covariance + path.place_covariance(row[:1], place[None])[0]
+        turns = pool.turn[mine], pool.variance[mine] + path.yaw_variance(row, first)
+        turn, variance = _fused_turn(*turns, pool.period[group[0]])
+        variance += path.yaw_variance(row[:1])[0]
+        parts.append((place, covariance, lean, turn, variance))
+    places, covariances, leans, turned, variances = map(np.array, zip(*parts, strict=True))
+    place, covariance, lean = _fused(places, covariances, leans)
+    covariance = covariance + HEIGHT_SIGMA_M**2 * np.outer(lean, lean)
+    turn, variance = _fused_turn(turned, variances, pool.period[group[0]])
+    return Landmark(
+        id=int(pool.landmark[group[0]]),
+        place=place,
+        covariance=covariance,
+        turn_deg=turn,
+        turn_sigma_deg=float(np.hypot(np.sqrt(variance), TURN_SIGMA_DEG)),
+        members=tuple((int(pool.log[i]), int(pool.index[i])) for i in group),
+    )
+
+
+def _fused(
+    place: FloatArray, covariance: FloatArray, lean: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(2,), (2, 2) and (2,) of (n, 2) independent places with (n, 2, 2) covariances."""
+    weight = np.linalg.inv(covariance)
+    together = np.linalg.inv(weight.sum(axis=0))
+    return (
+        together @ np.einsum("nij,nj->i", weight, place),
+        together,
+        together @ np.einsum("nij,nj->i", weight, lean),
+    )
+
+
+def _fused_turn(
+    turn_deg: FloatArray, variance: FloatArray, period_deg: float
+) -> tuple[float, float]:
+    """Mean direction and variance of (n,) independent ones; NaN where none is known."""
+    known = np.isfinite(turn_deg)
+    if not known.any():
+        return np.nan, np.nan
+    weight = 1 / variance[known]
+    mean = (weight * np.exp(2j * np.pi * turn_deg[known] / period_deg)).sum()
+    return float(np.angle(mean) / (2 * np.pi) * period_deg % period_deg), float(1 / weight.sum())
+
+
+def _one_at_a_place(
+    logs: Sequence[LogPasses], found: list[Landmark], disc_m: float
+) -> list[Landmark]:
+    """Where landmarks lie on each other, the one that was claimed most; the others stood corrected.
+
+    disc_m: nearer than this no two discs can lie.
+    """
+    passes = [one.passes for one in logs]
+    weight = [sum(passes[g].frames[k] * passes[g].score[k] for g, k in m.members) for m in found]
+    others: dict[int, list[tuple[int, int]]] = {}
+    for n in sorted(range(len(found)), key=lambda n: -weight[n]):
+        near = [k for k in others if np.hypot(*(found[k].place - found[n].place)) < disc_m]
+        if near:
+            others[near[0]] += found[n].members
+        else:
+            others[n] = []
+    return [replace(found[n], others=tuple(others[n])) for n in sorted(others)]

@@ -1,0 +1,261 @@
+"""The passes of one log: a landmark as one track declared it, placed on the floor.
+
+A pass is one measurement, not as many as it has frames: a track carries what it saw along, and the
+speckle of a still disc is the same from frame to frame. So errors are taken to go together over
+SAME_FRAMES frames, and a share of them over the whole pass.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sonarrec.geometry import floor_depth, ground_range, polar_from_pixel
+from sonarrec.landmarks import LandmarkSet
+from sonarrec.mapping.path import SonarPath
+from sonarrec.records import Fan, FloatArray, IntArray, SonarrecError
+from sonarrec.results.read import estimate_tables
+from sonarrec.results.sightings import PASS_GAP, follows
+from sonarrec.tables import Table, line_number
+
+ROWS = 20_000
+"""Of estimates.csv, read at a time."""
+# How errors go together within a pass, chosen on tuning seeds of `make maps`: the share of their
+# variance that all its frames have in common, and over how many frames the rest is one error.
+COMMON_SHARE = 0.5
+SAME_FRAMES = 6.0
+# What no frame's own error tells. Of one pass: the ring is not even, the sonar heaves.
+LEAST_PLACE_M = 0.003
+LEAST_TURN_DEG = 1.0
+TURN_SIGMA_DEG = 2.7
+"""Of all passes of a landmark alike: how its symbol looks through the beam."""
+HEIGHT_SIGMA_M = 0.015
+"""Standard error of the height above the floor as stated. One for all passes, it moves what is
+seen from one side one way however often it is seen."""
+# Where a method states no standard errors: of slant range (m), bearing and orientation (deg).
+UNSTATED = (0.03, 0.5, 10.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """The declared estimates of one method in one log, n of them.
+
+    row: (n,) index of the frame in the path. landmark: (n,) IDs. track: (n,) -1 where not told.
+    score: (n,). polar: (n, 3) slant range (m), bearing and orientation (deg, as in estimates.csv,
+    NaN where not known). sigma: (n, 3) their standard errors.
+    """
+
+    row: IntArray
+    landmark: IntArray
+    track: IntArray
+    score: FloatArray
+    polar: FloatArray
+    sigma: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Passes:
+    """All passes of one log, n of them, in order of their first frames.
+
+    landmark, track, frames (with a declaration): (n,). score: (n,) mean. first, last, middle: (n,)
+    indices of frames in the path. place: (n, 2) x, y in m by the path's axes; covariance: (n, 2, 2)
+    m^2, of the measurement alone. lean: (n, 2) how far the place moves per metre of height.
+    turn_deg: (n,) where the first sector begins, counter-clockwise from the x axis, NaN where not
+    known; turn_sigma_deg: (n,). near_m, far_m: (n,) ground range, least and most. order: the
+    estimates sorted by pass; begin: (n,) where each pass begins among them.
+    """
+
+    landmark: IntArray
+    track: IntArray
+    frames: IntArray
+    score: FloatArray
+    first: IntArray
+    last: IntArray
+    middle: IntArray
+    place: FloatArray
+    covariance: FloatArray
+    lean: FloatArray
+    turn_deg: FloatArray
+    turn_sigma_deg: FloatArray
+    near_m: FloatArray
+    far_m: FloatArray
+    order: IntArray
+    begin: IntArray
+
+
+def read_seen(path: Path, method: str, landmarks: LandmarkSet, fan: Fan, frame: IntArray) -> Seen:
+    """The declared estimates of a method; frame: (F,) the numbers in frames.csv, rising.
+
+    Raises SonarrecError where the table cannot be read or a declared estimate has no place.
+    """
+    parts = [np.empty((0, 10))]
+    for first, table in estimate_tables(path, landmarks, ROWS):
+        chosen = np.flatnonzero(
+            np.asarray(table["method"] == method)
+            & table["declared"]
+            & np.isin(table["frame"], frame)
+        )
+        blank = np.full(len(table["frame"]), np.nan)
+
+        def column(name: str, table: Table = table, blank: FloatArray = blank) -> FloatArray:
+            return np.asarray(table.get(name, blank), dtype=float)
+
+        drawn = polar_from_pixel(fan, column("x_px"), column("y_px"))
+        polar = [column("range_m"), column("bearing_deg")]
+        known = np.isfinite(polar[0]) & np.isfinite(polar[1])
+        range_m, bearing_deg = (np.where(known, a, b) for a, b in zip(polar, drawn, strict=True))
+        track = np.asarray(table.get("object", np.full(len(blank), -1)), dtype=float)
+        rows = np.column_stack(
+            [
+                table["frame"],
+                table["landmark"],
+                track if follows(method) else np.full(len(blank), -1.0),
+                table["score"],
+                range_m,
+                bearing_deg,
+                column("orientation_deg"),
+                column("range_sigma_m"),
+                column("bearing_sigma_deg"),
+                column("orientation_sigma_deg"),
+            ]
+        )[chosen]
+        lost = ~np.isfinite(rows[:, 4:6]).all(axis=1)
+        if lost.any():
+            line = line_number(path, first + int(chosen[np.argmax(lost)]))
+            raise SonarrecError(
+                f"{path} line {line}: no place: neither x_px,y_px nor range_m,bearing_deg"
+            )
+        parts.append(rows)
+    rows = np.concatenate(parts)
+    whole = rows[:, :3].astype(np.int64)
+    return Seen(
+        row=np.searchsorted(frame, whole[:, 0]),
+        landmark=whole[:, 1],
+        track=whole[:, 2],
+        score=rows[:, 3],
+        polar=rows[:, 4:7],
+        sigma=np.where(rows[:, 7:] > 0, rows[:, 7:], UNSTATED),
+    )
+
+
+def find_passes(seen: Seen, path: SonarPath, landmarks: LandmarkSet, fan: Fan) -> Passes:
+    """The passes of a log, placed on the floor; estimates in frames without a pose are left out.
+
+    Estimates nearer than the floor are left out too.
+    """
+    ground = ground_range(fan, seen.polar[:, 0])
+    usable = np.flatnonzero(np.isfinite(path.pose[seen.row]).all(axis=1) & (ground > 0))
+    number = path.frame[seen.row]
+    order = usable[np.lexsort([number[usable], seen.track[usable], seen.landmark[usable]])]
+    cut = np.ones(len(order), dtype=bool)
+    same = (np.diff(seen.landmark[order]) == 0) & (np.diff(seen.track[order]) == 0)
+    cut[1:] = ~same | (np.diff(number[order]) > PASS_GAP)
+    begin = np.flatnonzero(cut)
+    if not len(begin):
+        return _passes(seen, path, landmarks, fan, order, begin)
+    # In order of first frames.
+    by_time = np.argsort(seen.row[order[begin]], kind="stable")
+    length = np.diff(np.append(begin, len(order)))[by_time]
+    start = np.cumsum(length) - length
+    moved = np.arange(len(order)) - np.repeat(start, length) + np.repeat(begin[by_time], length)
+    return _passes(seen, path, landmarks, fan, order[moved], start)
+
+
+def _passes(
+    seen: Seen,
+    path: SonarPath,
+    landmarks: LandmarkSet,
+    fan: Fan,
+    order: IntArray,
+    begin: IntArray,
+) -> Passes:
+    """order: (m,) the estimates sorted by pass; begin: (n,) where each pass begins in it."""
+    row, slant = seen.row[order], seen.polar[order, 0]
+    ground = ground_range(fan, slant)
+    length = np.diff(np.append(begin, len(order)))
+    yaw, x, y = path.pose[row].T
+    sight = np.radians(yaw + seen.polar[order, 1])
+    along = np.column_stack([np.sin(sight), np.cos(sight)])
+    across = np.column_stack([np.cos(sight), -np.sin(sight)])
+    place = np.column_stack([x, y]) + ground[:, None] * along
+    # Ground range grows with slant range by the inverse of the grazing angle's cosine.
+    errors = np.stack(
+        [
+            along * (seen.sigma[order, 0] * slant / ground)[:, None],
+            across * (ground * np.radians(seen.sigma[order, 1]))[:, None],
+        ],
+        axis=-1,
+    )
+    weight = 1 / (errors**2).sum(axis=(1, 2))
+    weight /= np.repeat(_sum(weight, begin), length)
+    mean = _sum(weight[:, None] * place, begin)
+    common = _sum(weight[:, None, None] * errors, begin)
+    own = _sum(weight[:, None, None] ** 2 * (errors @ errors.transpose(0, 2, 1)), begin)
+    together = np.minimum(SAME_FRAMES, length)[:, None, None]
+    covariance = (
+        COMMON_SHARE * common @ common.transpose(0, 2, 1)
+        + (1 - COMMON_SHARE) * together * own
+        + LEAST_PLACE_M**2 * np.eye(2)
+    )
+    turn, turn_sigma = _turns(seen, landmarks, order, begin, yaw)
+    return Passes(
+        landmark=seen.landmark[order][begin],
+        track=seen.track[order][begin],
+        frames=length,
+        score=_sum(seen.score[order], begin) / length,
+        first=row[begin],
+        last=row[begin + length - 1],
+        middle=row[begin + length // 2],
+        place=mean,
+        covariance=covariance,
+        lean=_sum(weight[:, None] * along * (-floor_depth(fan) / ground)[:, None], begin),
+        turn_deg=turn,
+        turn_sigma_deg=turn_sigma,
+        near_m=np.minimum.reduceat(ground, begin) if len(begin) else ground,
+        far_m=np.maximum.reduceat(ground, begin) if len(begin) else ground,
+        order=order,
+        begin=begin,
+    )
+
+
+def _turns(
+    seen: Seen, landmarks: LandmarkSet, order: IntArray, begin: IntArray, yaw_deg: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """(n,) mean orientation on the floor and its standard error, deg; NaN where not known.
+
+    A symbol that looks the same turned by less than 360 deg has a mean within that turn.
+    """
+    length = np.diff(np.append(begin, len(order)))
+    fold = 360 / periods_of(landmarks, seen.landmark[order])
+    angle = np.exp(1j * np.radians((seen.polar[order, 2] - yaw_deg) * fold))
+    sigma = seen.sigma[order, 2]
+    known = np.isfinite(angle)
+    weight = np.where(known, 1 / sigma**2, 0.0)
+    total = np.maximum(_sum(weight, begin), 1e-12)
+    mean = _sum(weight * np.where(known, angle, 0), begin)
+    fold = fold[begin] if len(begin) else fold
+    together = np.minimum(SAME_FRAMES, length)
+    variance = (
+        COMMON_SHARE * (_sum(weight * sigma, begin) / total) ** 2
+        + (1 - COMMON_SHARE) * together / total
+        + LEAST_TURN_DEG**2
+    )
+    there = np.abs(mean) > 0
+    turn = np.where(there, (np.degrees(np.angle(mean)) % 360) / fold, np.nan)
+    return turn, np.where(there, np.sqrt(variance), np.nan)
+
+
+def periods_of(landmarks: LandmarkSet, ids: IntArray) -> FloatArray:
+    """(n,) `LandmarkSet.periods_deg` of n IDs."""
+    by_id = np.argsort(landmarks.ids)
+    at = np.searchsorted(np.asarray(landmarks.ids)[by_id], ids)
+    return np.asarray(landmarks.periods_deg()[by_id[at]])
+
+
+def _sum(values: np.ndarray, begin: IntArray) -> np.ndarray:
+    """Sums over runs of the first axis that begin at (n,) indices."""
+    if not len(begin):
+        return values[:0]
+    return np.asarray(np.add.reduceat(values, begin, axis=0))

@@ -1,0 +1,146 @@
+"""The sonar's path over one log, and how its error grows along it.
+
+The error of every step is its own: a shift, and a turn about where the sonar then was, which moves
+all that is placed later the farther away it lies. Sums over the steps give the error of a place
+seen in any frame, and of one place against another, in closed form.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from sonarrec.poses import PoseTable
+from sonarrec.records import FloatArray, IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class Drift:
+    """Standard error that told poses gather within a minute, growing with the root of the time.
+
+    place_m: of the place, along each axis. yaw_deg: of the heading.
+    """
+
+    place_m: float = 0.0
+    yaw_deg: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Motions:
+    """The motion measured from each frame to the next.
+
+    moved: (F, 3) how far the sonar turned (deg, positive to the right), and was carried to the
+    right and ahead (m) as it looked before; of the first frame not used, NaN where not known.
+    sigma: (F, 3) their standard errors.
+    """
+
+    moved: FloatArray
+    sigma: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class SonarPath:
+    """Where the sonar was in every frame of one log.
+
+    frame: (F,) numbers, rising. timestamp_ns: (F,). pose: (F, 3) yaw in deg, positive to the
+    right, then x and y in m, y ahead and x to the right of a sonar whose yaw is 0; NaN where it is
+    not known. told: by poses; else measured, from the first frame on. sums: (F, 9) over the steps
+    up to each frame, see `_sums`.
+    """
+
+    frame: IntArray
+    timestamp_ns: IntArray
+    pose: FloatArray
+    told: bool
+    sums: FloatArray
+
+    def place_covariance(
+        self, row: IntArray, place: FloatArray, since: IntArray | None = None
+    ) -> FloatArray:
+        """(n, 2, 2) m^2: what the path adds to the error of places seen in some frames.
+
+        row: (n,) indices of the frames. place: (n, 2) m. since: (n,) earlier or later frames,
+        against which the error counts; default, where the path begins.
+        """
+        s = self._between(row, since)
+        x, y = place.T
+        xx = s[:, 0] + s[:, 3] * y**2 - 2 * y * s[:, 5] + s[:, 8]
+        xy = s[:, 1] - s[:, 3] * x * y + x * s[:, 5] + y * s[:, 4] - s[:, 7]
+        yy = s[:, 2] + s[:, 3] * x**2 - 2 * x * s[:, 4] + s[:, 6]
+        return np.stack([np.stack([xx, xy], -1), np.stack([xy, yy], -1)], -2)
+
+    def yaw_variance(self, row: IntArray, since: IntArray | None = None) -> FloatArray:
+        """(n,) deg^2: as `place_covariance`, of the heading."""
+        return np.asarray(np.degrees(np.degrees(self._between(row, since)[:, 3])))
+
+    def _between(self, row: IntArray, since: IntArray | None) -> FloatArray:
+        """(n, 9) the sums over the steps between two frames, or from the path's beginning."""
+        if since is None:
+            return np.asarray(self.sums[row])
+        return np.asarray(self.sums[np.maximum(row, since)] - self.sums[np.minimum(row, since)])
+
+    def step_covariance(self, before: int, after: int) -> FloatArray:
+        """(3, 3) covariance of the pose in one frame against that in an earlier one.
+
+        x, y (m) and yaw (rad), by the path's axes.
+        """
+        place = self.pose[[after], 1:]
+        s = self.sums[after] - self.sums[before]
+        x, y = place[0]
+        cross = np.array([s[3] * y - s[5], -(s[3] * x - s[4])])
+        found = np.empty((3, 3))
+        found[:2, :2] = self.place_covariance(np.array([after]), place, np.array([before]))[0]
+        found[2, :2] = found[:2, 2] = cross
+        found[2, 2] = s[3]
+        return found
+
+
+def told_path(frame: IntArray, timestamp_ns: IntArray, poses: PoseTable, drift: Drift) -> SonarPath:
+    """The path that poses tell; frame, timestamp_ns: (F,)."""
+    pose = poses.at_times(timestamp_ns)
+    minutes = np.diff(timestamp_ns, prepend=timestamp_ns[:1]) / 60e9
+    shift = np.maximum(minutes, 0) * drift.place_m**2
+    turn = np.maximum(minutes, 0) * math.radians(drift.yaw_deg) ** 2
+    even = np.column_stack([shift, 0 * shift, shift])
+    return SonarPath(frame, timestamp_ns, pose, True, _sums(pose, even, turn))
+
+
+def measured_path(frame: IntArray, timestamp_ns: IntArray, motions: Motions) -> SonarPath:
+    """The path from the first frame's pose, which is 0, as far as every motion is known."""
+    moved, sigma = motions.moved.copy(), motions.sigma.copy()
+    moved[:1] = sigma[:1] = 0
+    yaw = np.cumsum(moved[:, 0])
+    before = np.radians(np.concatenate([yaw[:1], yaw[:-1]]))
+    cos, sin = np.cos(before), np.sin(before)
+    x = np.cumsum(moved[:, 1] * cos + moved[:, 2] * sin)
+    y = np.cumsum(moved[:, 2] * cos - moved[:, 1] * sin)
+    pose = np.column_stack([yaw, x, y])
+    right, ahead = sigma[:, 1] ** 2, sigma[:, 2] ** 2
+    shift = np.column_stack(
+        [
+            right * cos**2 + ahead * sin**2,
+            (ahead - right) * sin * cos,
+            right * sin**2 + ahead * cos**2,
+        ]
+    )
+    return SonarPath(
+        frame, timestamp_ns, pose, False, _sums(pose, shift, np.radians(sigma[:, 0]) ** 2)
+    )
+
+
+def _sums(pose: FloatArray, shift: FloatArray, turn: FloatArray) -> FloatArray:
+    """(F, 9) running sums over the steps: the shifts' xx, xy, yy; of the turns' variance (rad^2)
+    the sum, and the sums times x, y, xx, xy, yy of where the sonar then was.
+
+    shift: (F, 3) and turn: (F,) variances of the step to each frame. Where the pose is not known
+    the step turns about the last known place.
+    """
+    known = np.isfinite(pose).all(axis=1)
+    last = np.maximum.accumulate(np.where(known, np.arange(len(pose)), 0))
+    x, y = np.nan_to_num(pose[last, 1:]).T
+    steps = np.column_stack(
+        [shift, turn, turn * x, turn * y, turn * x * x, turn * x * y, turn * y * y]
+    )
+    return np.asarray(np.cumsum(steps, axis=0))

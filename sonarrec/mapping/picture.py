@@ -1,0 +1,112 @@
+"""A map as a picture: the floor seen, the path, the landmarks with their ellipses and IDs."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
+
+from sonarrec.geometry import floor_depth, ground_range
+from sonarrec.mapping.build import MappedLog, SiteMap
+from sonarrec.mapping.tables import Axes, ellipse
+from sonarrec.records import FloatArray
+
+# Okabe and Ito's colours, told apart with any colour vision; the ID stands beside each.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+MOST_FANS = 150
+"""Of the floor seen, drawn per log."""
+ENLARGED = 10
+"""How much larger ellipses are drawn where in their true size they could not be seen."""
+LEAST_SEEN = 1 / 60
+"""Of the picture's width: a smaller ellipse could not be seen."""
+
+
+def draw_map(path: Path, site: SiteMap) -> None:
+    """Write the map as a PNG."""
+    axes_of = Axes(site.ros_axes)
+    figure = Figure(figsize=(8, 8), dpi=120, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    for log in site.logs:
+        fans = [axes_of.place(fan) for fan in _floor_seen(log)]
+        axes.add_collection(PolyCollection(fans, facecolors="#e9eef2", edgecolors="none", zorder=0))
+    for n, log in enumerate(site.logs):
+        places = axes_of.place(log.path.pose[:, 1:])
+        label = "path of the sonar" if n == 0 else None
+        axes.plot(*places.T, color="#666666", linewidth=1, zorder=1, label=label)
+        start = places[np.isfinite(places).all(axis=1)][:1]
+        label = "its first place" if n == 0 else None
+        axes.plot(*start.T, "o", color="#666666", markersize=5, zorder=1, label=label)
+    axes.set_aspect("equal")
+    axes.autoscale_view()
+    widths = [_width(one.covariance) for one in site.landmarks]
+    span = abs(np.subtract(*axes.get_xlim()))
+    larger = ENLARGED if widths and np.median(widths) < LEAST_SEEN * span else 1
+    ids = site.landmark_set.ids
+    for number, one in enumerate(site.landmarks, 1):
+        colour = COLOURS[ids.index(one.id) % len(COLOURS)]
+        place = axes_of.place(one.place)
+        disc = place + site.landmark_set.radius_m * _circle()
+        axes.fill(*disc.T, facecolor=colour, alpha=0.25, edgecolor=colour, zorder=2)
+        covariance = axes_of.covariance(one.covariance) * larger**2
+        axes.plot(*ellipse(place, covariance).T, color=colour, linewidth=1.2, zorder=3)
+        if not math.isnan(one.turn_deg):
+            turn = math.radians(axes_of.turn(one.turn_deg, 360))
+            tip = place + site.landmark_set.radius_m * np.array([math.cos(turn), math.sin(turn)])
+            axes.plot(*np.array([place, tip]).T, color=colour, linewidth=2, zorder=3)
+        axes.annotate(
+            f"ID.{one.id}  ({number})",
+            tuple((place + 0.75 * site.landmark_set.radius_m).tolist()),
+            xytext=(2, 2),
+            textcoords="offset points",
+            fontsize=9,
+            color="black",
+            zorder=4,
+        )
+    axes.autoscale_view()
+    size = "95 % ellipses" + (f", {larger} times as large" if larger > 1 else "")
+    axes.plot([], [], color="#333333", linewidth=1.2, label=size)
+    axes.plot([], [], color="#333333", linewidth=2, label="where the first sector begins")
+    axes.set_xlabel("x, m: ahead at yaw 0" if site.ros_axes else "x, m: to the right at yaw 0")
+    axes.set_ylabel("y, m: to the left at yaw 0" if site.ros_axes else "y, m: ahead at yaw 0")
+    axes.set_title(_title(site), fontsize=10)
+    axes.grid(color="white", linewidth=0.8, zorder=0)
+    axes.set_facecolor("#f8f8f8")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=2, fontsize=8, frameon=False)
+    figure.savefig(path, format="png", metadata={"Software": None})
+
+
+def _title(site: SiteMap) -> str:
+    count = len(site.landmarks)
+    found = "1 landmark" if count == 1 else f"{count} landmarks"
+    logs = ", ".join(log.name for log in site.logs[:3]) + (" ..." if len(site.logs) > 3 else "")
+    return f"{found} of {site.landmark_set.name}: {logs}"
+
+
+def _width(covariance: FloatArray) -> float:
+    """Of the 95 % ellipse across its widest."""
+    return float(np.ptp(ellipse(np.zeros(2), covariance), axis=0).max())
+
+
+def _circle() -> FloatArray:
+    angle = np.linspace(0, 2 * np.pi, 49)
+    return np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def _floor_seen(log: MappedLog) -> FloatArray:
+    """(n, points, 2) outlines of the floor in the fan, in MOST_FANS frames or fewer."""
+    known = np.flatnonzero(np.isfinite(log.path.pose).all(axis=1))
+    chosen = known[np.linspace(0, len(known) - 1, min(len(known), MOST_FANS)).round().astype(int)]
+    fan = log.fan
+    nearest = max(fan.range_min_m, floor_depth(fan))
+    near, far = (float(ground_range(fan, r)) for r in (nearest, fan.range_max_m))
+    bearing = np.radians(np.linspace(fan.bearing_min_deg, fan.bearing_max_deg, 13))
+    angle = np.concatenate([bearing, bearing[::-1]])
+    reach = np.repeat([far, near], len(bearing))
+    sight = np.radians(log.path.pose[chosen, :1]) + angle
+    away = reach[:, None] * np.stack([np.sin(sight), np.cos(sight)], axis=-1)
+    return np.asarray(away + log.path.pose[chosen, None, 1:])

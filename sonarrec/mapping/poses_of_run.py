@@ -1,0 +1,45 @@
+"""The poses that a log was run with, found again by what run.toml says of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from sonarrec.poses import PoseTable
+from sonarrec.readers.poses_csv import read_poses
+from sonarrec.records import SonarrecError
+from sonarrec.results.run_file import RunFile
+
+
+def poses_of_run(folder: Path, run: RunFile, given: Sequence[Path]) -> PoseTable | None:
+    """The poses of a log's run; None where it had none and none are given.
+
+    given: tables to look among first; a log that was run without poses takes the only one. A table
+    is known by its SHA-256; not given, it is looked for by its name beside the log, beside the
+    results and here. A topic is read from the log again. Raises SonarrecError where the poses that
+    were used cannot be found.
+    """
+    stated = run.odometry
+    log = Path(run.table.get("input", {}).get("path", ""))
+    if "topic" in stated and not given:
+        from sonarrec.readers.mcap.poses import read_topic  # with its decompressors, where needed
+
+        if not log.is_file():
+            raise SonarrecError(
+                f"{folder}: its poses are the topic {stated['topic']} of {log}, which is not "
+                "there; give a table of them with --odometry"
+            )
+        return read_topic(log, str(stated["topic"]), run.input.time or "log")
+    if not stated or "topic" in stated:
+        return read_poses(given[0]) if len(given) == 1 else None
+    name = str(stated.get("name"))
+    places = [log.parent / name, folder / name, folder.parent / name, folder.parents[1] / name]
+    for path in [*given, *places, Path(name)]:
+        if path.is_file():
+            poses = read_poses(path)
+            if poses.source.get("sha256") == stated.get("sha256"):
+                return poses
+    raise SonarrecError(
+        f"{folder}: the poses it was run with, {name}, are not there or have changed; give that "
+        "table with --odometry, or run the log again"
+    )

@@ -1,0 +1,283 @@
+"""A map as tables: map.csv, passes.csv and, where the site's place on Earth is told, GeoJSON."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sonarrec.mapping.build import SiteMap
+from sonarrec.outputs import check_output
+from sonarrec.records import FloatArray
+
+MAP_COLUMNS = (
+    "number",
+    "landmark",
+    "x_m",
+    "y_m",
+    "xx_m2",
+    "xy_m2",
+    "yy_m2",
+    "orientation_deg",
+    "orientation_sigma_deg",
+    "passes",
+    "frames",
+    "logs",
+    "mean_score",
+    "near_m",
+    "far_m",
+    "first_ns",
+    "last_ns",
+    "other_frames",
+)
+PASS_COLUMNS = (
+    "number",
+    "log",
+    "landmark",
+    "track",
+    "first_frame",
+    "last_frame",
+    "frames",
+    "mean_score",
+    "x_m",
+    "y_m",
+    "xx_m2",
+    "xy_m2",
+    "yy_m2",
+    "orientation_deg",
+    "orientation_sigma_deg",
+    "near_m",
+    "far_m",
+    "sonar_x_m",
+    "sonar_y_m",
+    "sonar_yaw_deg",
+)
+CHI2_95 = 5.991
+"""Squared Mahalanobis distance within which 95 % of the places in a plane lie."""
+MOST_POINTS = 2_000
+"""Of a path in GeoJSON."""
+
+
+@dataclass(frozen=True, slots=True)
+class Axes:
+    """From right and ahead of a sonar whose yaw is 0, where a map is made, to the poses' own axes.
+
+    ros: x is ahead, y to the left and yaw counter-clockwise; else nothing changes.
+    """
+
+    ros: bool
+
+    def place(self, place: FloatArray) -> FloatArray:
+        """(..., 2)."""
+        if not self.ros:
+            return place
+        return np.stack([place[..., 1], -place[..., 0]], axis=-1)
+
+    def covariance(self, covariance: FloatArray) -> FloatArray:
+        """(2, 2)."""
+        if not self.ros:
+            return covariance
+        (xx, xy), (_, yy) = covariance
+        return np.array([[yy, -xy], [-xy, xx]])
+
+    def turn(self, turn_deg: float, period_deg: float) -> float:
+        """Counter-clockwise from the x axis, 0 to the period."""
+        return (turn_deg - 90 * self.ros) % period_deg
+
+    def yaw(self, yaw_deg: float) -> float:
+        """Of the sonar."""
+        return -yaw_deg if self.ros else yaw_deg
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Where the origin of the poses lies on Earth (WGS 84, deg).
+
+    heading_deg: the compass heading of a sonar whose yaw is 0.
+    """
+
+    latitude_deg: float
+    longitude_deg: float
+    heading_deg: float
+
+    def on_earth(self, place: FloatArray) -> FloatArray:
+        """(n, 2) longitude and latitude of places on the floor, as GeoJSON has them.
+
+        place: (n, 2) m to the right and ahead. On the plane that touches the ellipsoid at the
+        origin: right to a millimetre within 100 m, a decimetre within a kilometre.
+        """
+        heading, latitude = math.radians(self.heading_deg), math.radians(self.latitude_deg)
+        right, ahead = place.T
+        east = right * math.cos(heading) + ahead * math.sin(heading)
+        north = ahead * math.cos(heading) - right * math.sin(heading)
+        a, e2 = 6378137.0, 0.00669437999014
+        w = math.sqrt(1 - e2 * math.sin(latitude) ** 2)
+        return np.column_stack(
+            [
+                self.longitude_deg + np.degrees(east / (a / w * math.cos(latitude))),
+                self.latitude_deg + np.degrees(north / (a * (1 - e2) / w**3)),
+            ]
+        )
+
+
+def write_table(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """A CSV table with the line ends of our others.
+
+    Raises UsageError where a file that is no such table is there.
+    """
+    check_output(path, "table", header=",".join(header[:3]))
+    with path.open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file, lineterminator="\n")
+        table.writerow(header)
+        table.writerows(rows)
+
+
+def _numbers(place: FloatArray, covariance: FloatArray) -> list[str]:
+    (xx, xy), (_, yy) = covariance
+    return [*(f"{v:.4f}" for v in place), *(f"{v:.3e}" for v in (xx, xy, yy))]
+
+
+def _turn(turn_deg: float, sigma_deg: float) -> list[str]:
+    return ["", ""] if math.isnan(turn_deg) else [f"{turn_deg:.2f}", f"{sigma_deg:.2f}"]
+
+
+def write_map(path: Path, site: SiteMap) -> None:
+    """map.csv: a row per landmark."""
+    axes, periods = Axes(site.ros_axes), _periods(site)
+    rows: list[list[object]] = []
+    for number, one in enumerate(site.landmarks, 1):
+        passes = [(site.logs[g], site.logs[g].on_floor.passes, k) for g, k in one.members]
+        frames = [int(p.frames[k]) for _, p, k in passes]
+        scores = [float(p.score[k]) for _, p, k in passes]
+        rows.append(
+            [
+                number,
+                one.id,
+                *_numbers(axes.place(one.place), axes.covariance(one.covariance)),
+                *_turn(axes.turn(one.turn_deg, periods[one.id]), one.turn_sigma_deg),
+                len(passes),
+                sum(frames),
+                len({g for g, _ in one.members}),
+                f"{np.average(scores, weights=frames):.4f}",
+                f"{min(p.near_m[k] for _, p, k in passes):.3f}",
+                f"{max(p.far_m[k] for _, p, k in passes):.3f}",
+                min(int(log.path.timestamp_ns[p.first[k]]) for log, p, k in passes),
+                max(int(log.path.timestamp_ns[p.last[k]]) for log, p, k in passes),
+                sum(int(site.logs[g].on_floor.passes.frames[k]) for g, k in one.others),
+            ]
+        )
+    write_table(path, MAP_COLUMNS, rows)
+
+
+def write_passes(path: Path, site: SiteMap) -> None:
+    """passes.csv: a row per pass, also of those that no landmark of the map came from."""
+    axes, periods = Axes(site.ros_axes), _periods(site)
+    number = {
+        pair: n for n, one in enumerate(site.landmarks, 1) for pair in (*one.members, *one.others)
+    }
+    rows: list[list[object]] = []
+    for g, log in enumerate(site.logs):
+        p = log.on_floor.passes
+        for k in range(len(p.landmark)):
+            yaw, x, y = log.path.pose[p.middle[k]].tolist()
+            rows.append(
+                [
+                    number.get((g, k), ""),
+                    log.name,
+                    int(p.landmark[k]),
+                    "" if p.track[k] < 0 else int(p.track[k]),
+                    int(log.path.frame[p.first[k]]),
+                    int(log.path.frame[p.last[k]]),
+                    int(p.frames[k]),
+                    f"{p.score[k]:.4f}",
+                    *_numbers(axes.place(p.place[k]), axes.covariance(p.covariance[k])),
+                    *_turn(
+                        axes.turn(float(p.turn_deg[k]), periods[int(p.landmark[k])]),
+                        float(p.turn_sigma_deg[k]),
+                    ),
+                    f"{p.near_m[k]:.3f}",
+                    f"{p.far_m[k]:.3f}",
+                    *(f"{v:.4f}" for v in axes.place(np.array([x, y]))),
+                    f"{axes.yaw(yaw):.3f}",
+                ]
+            )
+    write_table(path, PASS_COLUMNS, rows)
+
+
+def _periods(site: SiteMap) -> dict[int, float]:
+    found = site.landmark_set
+    return dict(zip(found.ids, found.periods_deg().tolist(), strict=True))
+
+
+def ellipse(place: FloatArray, covariance: FloatArray, points: int = 48) -> FloatArray:
+    """(points + 1, 2) the closed line within which a place lies with 95 % probability."""
+    angle = np.linspace(0, 2 * np.pi, points + 1)
+    circle = np.column_stack([np.cos(angle), np.sin(angle)])
+    values, axes = np.linalg.eigh(covariance)
+    half = np.sqrt(CHI2_95 * np.maximum(values, 0))
+    return np.asarray(place + circle * half @ axes.T)
+
+
+def write_geojson(path: Path, site: SiteMap, origin: Origin) -> None:
+    """The landmarks as points, their 95 % ellipses as polygons, the paths as lines (RFC 7946)."""
+    features = []
+
+    def add(kind: str, where: object, told: dict[str, object]) -> None:
+        geometry = {"type": kind, "coordinates": where}
+        features.append({"type": "Feature", "geometry": geometry, "properties": told})
+
+    def degrees(place: FloatArray) -> list[list[float]]:
+        found: list[list[float]] = np.round(origin.on_earth(place), 9).tolist()
+        return found
+
+    for number, one in enumerate(site.landmarks, 1):
+        told: dict[str, object] = {"number": number, "landmark": one.id}
+        sigma = float(np.sqrt(np.linalg.eigvalsh(one.covariance)[-1]))
+        # Where the first sector begins, as a compass has it.
+        turn = (90 + origin.heading_deg - one.turn_deg) % 360
+        known = {} if math.isnan(turn) else {"heading_deg": round(turn, 2)}
+        frames = sum(int(site.logs[g].on_floor.passes.frames[k]) for g, k in one.members)
+        add(
+            "Point",
+            degrees(one.place[None])[0],
+            {
+                "name": f"ID.{one.id}",
+                **told,
+                **known,
+                "sigma_m": round(sigma, 4),
+                "passes": len(one.members),
+                "frames": frames,
+            },
+        )
+        add("Polygon", [degrees(ellipse(one.place, one.covariance))], {**told, "within": 0.95})
+    for log in site.logs:
+        places = log.path.pose[np.isfinite(log.path.pose).all(axis=1), 1:]
+        if len(places) > 1:
+            chosen = np.linspace(0, len(places) - 1, min(len(places), MOST_POINTS)).round()
+            add("LineString", degrees(places[chosen.astype(int)]), {"log": log.name})
+    text = json.dumps({"type": "FeatureCollection", "features": features}, allow_nan=False)
+    check_output(path, "JSON")
+    path.write_text(text + "\n", encoding="utf-8")
+
+
+def lines(site: SiteMap) -> list[str]:
+    """The map to print, a line per landmark."""
+    if not site.landmarks:
+        return ["no landmark declared"]
+    axes, periods = Axes(site.ros_axes), _periods(site)
+    found = ["number  landmark       x m       y m  sigma m  orientation  sigma  passes  frames"]
+    for number, one in enumerate(site.landmarks, 1):
+        x, y = axes.place(one.place)
+        sigma = math.sqrt(float(np.linalg.eigvalsh(one.covariance)[-1]))
+        turn = axes.turn(one.turn_deg, periods[one.id])
+        frames = sum(int(site.logs[g].on_floor.passes.frames[k]) for g, k in one.members)
+        found.append(
+            f"{number:>6}  {one.id:>8}  {x:>8.3f}  {y:>8.3f}  {sigma:>7.3f}  {turn:>11.1f}  "
+            f"{one.turn_sigma_deg:>5.1f}  {len(one.members):>6}  {frames:>6}"
+        )
+    return found

@@ -1,0 +1,89 @@
+"""What a command may write over: nothing that it reads, and no file but one of its own kind."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Literal
+
+from sonarrec.records import SonarrecError, UsageError, shown
+
+Kind = Literal["report", "picture", "overlay", "video", "model", "table", "JSON"]
+OVERLAY_LIBRARY = "sonarrec overlay"
+"""In the header of an overlay's MCAP, which recordings do not have."""
+PICTURE_MARK = {"Software": "sonarrec"}
+"""In the PNGs that are written, as matplotlib takes it."""
+MODEL_MARK = "Made by `sonarrec calibrate`"
+VIDEO_MARK = struct.pack(">I4s", 24, b"free") + b"sonarrec overlay"
+"""The last box of a video; players pass over it."""
+_PNG_HEADER = 33
+_HEAD = 4096
+
+
+def check_output(
+    path: Path,
+    kind: Kind,
+    reads: Iterable[str | Path | None] = (),
+    *,
+    header: str = "",
+) -> None:
+    """Raise UsageError where writing `path` would destroy something else than an older output.
+
+    kind: what will be written; a file that is there must be of it. reads: files and folders that
+    the command reads; None counts for nothing. header: of a table, how its first line begins.
+    """
+    for place in (Path(read) for read in reads if read is not None):
+        log = place if place.exists() else place.parent  # a glob of images
+        if _same(path, place) or _same(path, log):
+            raise UsageError(f"{shown(path)}: this command reads it; write somewhere else")
+        if kind == "picture" and log.is_dir() and _same(path.parent, log):
+            raise UsageError(
+                f"{shown(path)}: would be a part of the recording itself; write somewhere else"
+            )
+    if not path.exists():
+        return
+    if not path.is_dir() and not path.is_file():
+        return  # a device, such as /dev/null
+    if path.is_dir() or not _is_of(kind, path, header):
+        raise UsageError(
+            f"{shown(path)}: exists and is no {kind} of sonarrec, so it is not written over; "
+            "choose another name, or remove it first"
+        )
+
+
+def _same(one: Path, other: Path) -> bool:
+    """Whether both are one file, also by a link."""
+    try:
+        return one.resolve() == other.resolve() or one.samefile(other)
+    except OSError:  # one of them is not there
+        return False
+
+
+def _is_of(kind: Kind, path: Path, header: str) -> bool:
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEAD)
+            file.seek(max(path.stat().st_size - len(VIDEO_MARK), 0))
+            tail = file.read()
+    except OSError as error:
+        raise SonarrecError(f"{shown(path)}: cannot be written ({error.strerror})") from None
+    tests: dict[Kind, Callable[[], bool]] = {
+        "report": lambda: b"<!doctype html>" in head.lower() and b"sonarrec report</title>" in head,
+        "picture": lambda: head[:4] == b"\x89PNG" and b"Software\0sonarrec" in head,
+        "overlay": lambda: OVERLAY_LIBRARY.encode() in head[:64],
+        "video": lambda: tail == VIDEO_MARK,
+        "model": lambda: MODEL_MARK.encode() in head,
+        "table": lambda: head.startswith(header.encode()),
+        "JSON": lambda: head.startswith(b"{"),
+    }
+    return not head or tests[kind]()  # an empty file holds nothing to lose
+
+
+def marked(png: bytes) -> bytes:
+    """A PNG with PICTURE_MARK behind its header."""
+    [(key, value)] = PICTURE_MARK.items()
+    body = b"tEXt" + key.encode() + b"\0" + value.encode()
+    chunk = struct.pack(">I", len(body) - 4) + body + struct.pack(">I", zlib.crc32(body))
+    return png[:_PNG_HEADER] + chunk + png[_PNG_HEADER:]

@@ -1,0 +1,57 @@
+"""A layout for Foxglove: the recording with its annotations, and the detections beside it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from sonarrec.overlay.foxglove_mcap import ANNOTATIONS_TOPIC, DETECTIONS_TOPIC
+from sonarrec.records import SonarrecError
+
+
+def write_layout(path: Path, image_topic: str) -> None:
+    """Write the layout as JSON. image_topic: of the recording, or of the fan in the overlay.
+
+    Raises SonarrecError where the file cannot be written.
+    """
+    image, table, plot = "Image!sonarrec", "Table!sonarrec", "Plot!sonarrec"
+    layout = {
+        "configById": {
+            image: {
+                "imageMode": {
+                    "imageTopic": image_topic,
+                    "annotations": {ANNOTATIONS_TOPIC: {"visible": True}},
+                    "synchronize": True,
+                },
+            },
+            table: {"topicPath": f"{DETECTIONS_TOPIC}.detections[:].results[:].hypothesis"},
+            plot: {
+                "title": "score of what is declared",
+                "paths": [
+                    {
+                        "value": f"{DETECTIONS_TOPIC}.detections[:].results[:].hypothesis.score",
+                        "enabled": True,
+                        "timestampMethod": "receiveTime",
+                        "showLine": False,
+                    }
+                ],
+                "minYValue": 0,
+                "maxYValue": 1,
+                "xAxisVal": "timestamp",
+                "showLegend": False,
+            },
+        },
+        "globalVariables": {},
+        "userNodes": {},
+        "playbackConfig": {"speed": 1},
+        "layout": {
+            "direction": "row",
+            "first": image,
+            "second": {"direction": "column", "first": table, "second": plot},
+            "splitPercentage": 65,
+        },
+    }
+    try:
+        path.write_text(json.dumps(layout, indent=2) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise SonarrecError(f"{path}: cannot be written ({error.strerror})") from None

@@ -1,0 +1,201 @@
+"""All that the run of one log needs, found and checked before anything is written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+from sonarrec.config import Config
+from sonarrec.landmarks import LandmarkSet
+from sonarrec.poses import PoseTable
+from sonarrec.readers import open_log
+from sonarrec.readers.find import SONAR_FILE, find_log, log_name
+from sonarrec.readers.log import Log
+from sonarrec.readers.poses_csv import read_poses
+from sonarrec.recogniser.side_by_side import SideBySide
+from sonarrec.recogniser.stage3_features.model import ModelFile, model_from_table, read_model
+from sonarrec.records import Fan, Frame, UsageError, shown
+from sonarrec.results.run_file import Given, RunFile, read_run, run_table
+
+POSES_FILE = "poses.csv"
+"""Poses beside a log, or NAME.poses.csv, which are used where none are given."""
+
+
+@dataclass(frozen=True, slots=True)
+class Used:
+    """What a log is run with."""
+
+    configs: Sequence[Config]  # several: side by side, each under its own method name
+    landmarks: str | Path | None = None  # a set by name or file; default: the earlier run's, basin
+    model: Path | None = None  # of appearance; default: the earlier run's, else the built-in one
+    earlier_run: Path | None = None  # a run.toml that serves where nothing else is given; a plain
+    # file of settings has nothing that does, and changes nothing
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """A log that was opened, with what recognises it and where its results go."""
+
+    log: Log
+    frames: Iterator[Frame]  # those asked for; the first was read
+    frame_count: int | None  # how many, None where the log does not tell
+    fan: Fan
+    landmarks: LandmarkSet
+    poses: PoseTable | None
+    recogniser: SideBySide
+    table: dict[str, Any]  # run.toml to be
+    folder: Path  # of the results
+    notes: list[str]
+
+
+@contextmanager
+def prepared(
+    path: Path, out: Path, given: Given, used: Used, name: str | None
+) -> Iterator[Prepared]:
+    """Open a log and make ready its run into `out`/<name>/, by default under its own name.
+
+    Raises SonarrecError for input or settings that cannot be used.
+    """
+    earlier = read_run(used.earlier_run)
+    same_log = earlier.input.name == shown(log_name(path))
+    given = earlier.lay_under(given, same_log=same_log)
+    given, notes = _with_companions(path, given, again=same_log)
+    landmarks = earlier.landmark_set(used.landmarks)
+    learned = _model(used, earlier)
+    poses, more = _poses(path, given, earlier if same_log else read_run(None))
+    with _opened(path, given) as log:
+        span = given.frames or (0, None)
+        frames = _within(log, span)
+        first = next(frames, None)  # raises where there is no usable frame at all
+        if first is None:
+            raise UsageError(f"{shown(path)}: no frame lies in --frames {_told(span)}")
+        recogniser = SideBySide(
+            used.configs, first.fan, landmarks, learned.model if learned else None, poses
+        )
+        folder = out / (name or log.name)
+        if folder.resolve() == path.resolve():
+            raise UsageError(f"{shown(folder)}: this is the log itself; choose another --out")
+        source = (shown(log.name), *log.digest_source())
+        table = run_table(
+            used.configs,
+            recogniser.methods,
+            log.stated,
+            first.fan,
+            landmarks,
+            source,
+            log.reading(),
+        )
+        table["input"]["path"] = given.origin.url if given.origin else shown(path)
+        if given.frames is not None:
+            table["input"]["frames"] = _told(span)
+        if poses is not None:
+            table["odometry"] = dict(poses.source)
+        if learned is not None:
+            table["model"] = learned.as_table()
+        yield Prepared(
+            log,
+            chain([first], frames),
+            _count(log, span),
+            first.fan,
+            landmarks,
+            poses,
+            recogniser,
+            table,
+            folder,
+            [*notes, *more],
+        )
+
+
+def _within(log: Log, span: tuple[int, int | None]) -> Iterator[Frame]:
+    """The frames from the first number up to, not including, the second, if there is one."""
+    for frame in log:
+        if span[1] is not None and frame.index >= span[1]:
+            break
+        if frame.index >= span[0]:
+            yield frame
+
+
+def _told(span: tuple[int, int | None]) -> str:
+    return f"{span[0]}:{'' if span[1] is None else span[1]}"
+
+
+def _count(log: Log, span: tuple[int, int | None]) -> int | None:
+    """How many frames lie in the span, None where the log does not tell."""
+    if log.frame_count is None:
+        return None
+    end = log.frame_count if span[1] is None else min(span[1], log.frame_count)
+    return max(end - span[0], 0)
+
+
+def _opened(path: Path, given: Given) -> Log:
+    return open_log(
+        path,
+        sonar=given.sonar,
+        sonar_file=given.sonar_file,
+        topic=given.topic,
+        time=given.time or "log",
+        up_to=given.up_to,
+    )
+
+
+def _with_companions(path: Path, given: Given, again: bool) -> tuple[Given, list[str]]:
+    """What is given, with the poses that lie beside the log, and a note for each file that was
+    found and is not beside it, or was not asked for.
+
+    again: the run of a run.toml is run again, with the poses it had.
+    """
+    source = find_log(path, given.up_to)
+    notes = []
+    geometry = source.beside(SONAR_FILE)
+    if given.sonar_file is None and geometry != find_log(path).beside(SONAR_FILE):
+        notes.append(f"{path}: its geometry is that of {geometry}")
+    if again or given.odometry is not None or given.odometry_topic is not None:
+        return given, notes
+    poses = source.beside(POSES_FILE)
+    if poses is None:
+        return given, notes
+    return replace(given, odometry=poses), [*notes, f"{path}: its poses are those of {poses}"]
+
+
+def _model(used: Used, earlier: RunFile) -> ModelFile | None:
+    """The appearance model of the file, else of the earlier run; None for the built-in one."""
+    if used.model is None:
+        return None if earlier.model is None else model_from_table(earlier.model, str(earlier.path))
+    learned = read_model(used.model)
+    if all(c.features.measurement == "single" for c in used.configs):
+        raise UsageError(
+            f"--model {used.model}: only features.measurement = track uses a model, and this "
+            "preset measures single frames by the published one"
+        )
+    return learned
+
+
+def _poses(path: Path, given: Given, earlier: RunFile) -> tuple[PoseTable | None, list[str]]:
+    """The poses of a topic of the log, else of a table; None without either. With what to note.
+
+    earlier: the run of this log that is run again. Raises UsageError where it had a table of poses
+    that is not given again.
+    """
+    topic = given.odometry_topic
+    if earlier.odometry and given.odometry is None and topic is None:
+        topic = earlier.odometry.get("topic")
+        if topic is None:
+            raise UsageError(
+                f"{earlier.path}: that run used the odometry {earlier.odometry.get('name')}; "
+                "give it again with --odometry"
+            )
+    if topic is not None:
+        from sonarrec.readers.mcap.poses import read_topic  # with its decompressors, where needed
+
+        poses = read_topic(path, topic, given.time or "log")
+    elif given.odometry is not None:
+        poses = read_poses(given.odometry)
+    else:
+        return None, []
+    if earlier.odometry and earlier.odometry != poses.source:
+        return poses, [f"{earlier.path}: that run used another odometry than {poses.name}"]
+    return poses, []

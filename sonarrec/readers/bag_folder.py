@@ -1,0 +1,329 @@
+"""The folder of a ROS 2 bag as one recording: its parts one after another, numbered through.
+
+metadata.yaml lists the parts and counts their messages. Without it the parts are those files that
+are named as `ros2 bag record` names them.
+"""
+
+from __future__ import annotations
+
+import heapq
+import re
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Iterator
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from sonarrec.readers.images import natural_order
+from sonarrec.readers.packed import PACKINGS
+from sonarrec.readers.recording import Channel, Message, Recording
+from sonarrec.records import SonarrecError, shown
+
+METADATA = "metadata.yaml"
+_ENDINGS = tuple(suffix + end for suffix in (".mcap", ".db3") for end in ("", *PACKINGS))
+_MAX_METADATA_BYTES = 2**24
+_MAX_LOST = 10**6  # of one part: numbers beyond that are not believed
+Open = Callable[[Path], Recording]
+
+
+def is_bag_folder(folder: Path) -> bool:
+    """Whether a folder is a bag: it has a metadata.yaml of one, or parts with a recorder's names.
+
+    Those are FOLDER_0, FOLDER_1, ... or rosbag2_..._0 and so on. Raises OSError.
+    """
+    if (folder / METADATA).is_file():
+        with (folder / METADATA).open("rb") as file:
+            if b"rosbag2_bagfile_information" in file.read(2**12):
+                return True
+    return bool(_numbered(folder))
+
+
+def are_parts(names: Iterable[str], folder: str) -> bool:
+    """Whether all logs among the names of a folder's files are named as a recorder names parts."""
+    stems = {match[1] if (match := _numbers(n)) else None for n in names if _is_stored(n)}
+    if len(stems) != 1:
+        return False
+    stem = stems.pop()
+    return stem is not None and (stem == folder or stem.startswith("rosbag2_"))
+
+
+def bag_files(folder: Path) -> list[Path]:
+    """What a bag consists of, in order: metadata.yaml, and the parts that are there."""
+    head = folder / METADATA
+    parts, _, _ = _listed(folder)
+    return [*([head] if head.is_file() else []), *(p for p in parts if p.is_file())]
+
+
+def _stored(folder: Path) -> list[Path]:
+    return sorted((p for p in folder.iterdir() if _is_stored(p.name)), key=natural_order)
+
+
+def _is_stored(name: str) -> bool:
+    return name.lower().endswith(_ENDINGS) and name[0] != "."
+
+
+def _numbered(folder: Path) -> list[Path]:
+    """The parts by their names alone; none where one of the logs is not named so."""
+    found = _stored(folder)
+    return found if are_parts((p.name for p in found), folder.resolve().name) else []
+
+
+def _numbers(part: str) -> re.Match[str] | None:
+    return re.match(r"(.*)_([0-9]{1,9})\.[^_]*$", part)
+
+
+def _listed(folder: Path) -> tuple[list[Path], dict[str, Any], list[str]]:
+    """(parts in order, the table of metadata.yaml, lines about what is wrong with both)."""
+    told, problem = _metadata(folder / METADATA)
+    names = told.get("relative_file_paths")
+    if isinstance(names, list) and names:
+        # Old bags state them with the folder in front; nothing outside of it is read.
+        parts = [_there(folder / (PurePosixPath(str(name)).name or "unnamed")) for name in names]
+        more = [p for p in _stored(folder) if p not in parts and _follows(p, parts)]
+        lines = [f"{shown(p.name)}: {METADATA} does not list it, so it is not read" for p in more]
+        return parts, told, lines
+    parts = _numbered(folder) or _stored(folder)
+    lines = [] if problem is None else [f"{METADATA}: {problem}; the parts are read by their names"]
+    numbers = [int(match[2]) for p in parts if (match := _numbers(p.name))]
+    for before, after in pairwise([-1, *numbers] if len(numbers) == len(parts) else []):
+        if after > before + 1:
+            which = f"{before + 1}" + f" to {after - 1}" * (after > before + 2)
+            lines.append(f"part {which} is missing; the frames that follow have too low numbers")
+    return parts, {}, lines
+
+
+def _there(part: Path) -> Path:
+    """A part as it lies there: packed or not, whatever metadata.yaml says."""
+    others = [part.with_name(part.name + end) for end in PACKINGS]
+    others += [part.with_suffix("")] if part.suffix.lower() in PACKINGS else []
+    return next((p for p in (part, *others) if p.is_file()), part)
+
+
+def _follows(path: Path, parts: list[Path]) -> bool:
+    """Whether a file is named as the parts are."""
+    stems = {match[1] for p in parts if (match := _numbers(p.name))}
+    return (match := _numbers(path.name)) is not None and match[1] in stems
+
+
+def _metadata(file: Path) -> tuple[dict[str, Any], str | None]:
+    """What metadata.yaml tells of the bag, and what is wrong with it; empty where there is none."""
+    if not file.is_file():
+        return {}, None
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    try:
+        if file.stat().st_size > _MAX_METADATA_BYTES:
+            return {}, f"larger than {_MAX_METADATA_BYTES} bytes"
+        told = YAML(typ="safe", pure=True).load(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        return {}, f"cannot be read ({error.strerror})"
+    except (YAMLError, ValueError, TypeError, RecursionError):
+        return {}, "cannot be read as YAML"
+    table = told.get("rosbag2_bagfile_information") if isinstance(told, dict) else None
+    return (table, None) if isinstance(table, dict) else ({}, "tells of no bag")
+
+
+@dataclass(slots=True)
+class _Part:
+    """One file of a bag, looked into once. numbers: of its channels those of the bag. faults: what
+    was wrong at first sight. start, end: log times in ns. lost: messages by the bag's channels."""
+
+    path: Path
+    numbers: dict[int, int] = field(default_factory=dict)
+    found: Counter[int] = field(default_factory=Counter)
+    faults: list[str] = field(default_factory=list)
+    start: int = 0
+    end: int = 0
+    sound: bool = False
+    lost: Counter[int] = field(default_factory=Counter)
+
+
+class BagFolder:
+    """A `Recording` of all parts of a bag. One part is open at a time, more only where they overlap
+    in time. A part that is cut, damaged or missing costs its own messages."""
+
+    def __init__(self, path: Path, open_part: Open) -> None:
+        """open_part: opens one file. Raises SonarrecError where not one part can be read."""
+        self.path = path
+        self._open = open_part
+        self.channels: dict[int, Channel] = {}
+        self.counts: Counter[int] = Counter()
+        self.chunks: Counter[str] = Counter()
+        self.profile, self.library = "ros2", ""
+        self.span: tuple[int, int] | None = None
+        files, self._told, self.faults = _listed(path)
+        self._parts = [_Part(file) for file in files]
+        for part in self._parts:
+            self._look_into(part)
+        if not any(part.numbers for part in self._parts):
+            reason = f" ({self.faults[0]})" if self.faults else ""
+            raise SonarrecError(f"{shown(path)}: no part of this bag can be read{reason}")
+        self.whole = all(part.sound for part in self._parts)
+        self._count()
+
+    def _look_into(self, part: _Part) -> None:
+        """Note what a part holds."""
+        try:
+            if not part.path.is_file():
+                raise SonarrecError("this part of the bag is missing")
+            log = self._open(part.path)
+        except (SonarrecError, OSError) as error:
+            told = error.strerror if isinstance(error, OSError) else str(error)
+            text = str(told).removeprefix(f"{shown(part.path)}: ").partition("\n")[0]
+            part.faults = [f"{shown(part.path.name)}: {text}"]
+            self.faults += part.faults
+            return
+        log.close()
+        for number, channel in log.channels.items():
+            part.numbers[number] = self._number_of(channel)
+            part.found[part.numbers[number]] += log.counts.get(number, 0)
+        self.chunks.update(log.chunks)
+        self.library = self.library or log.library
+        part.faults, part.sound = [*log.faults], log.whole and not log.faults
+        self.faults += part.faults
+        if log.span is not None:
+            part.start, part.end = log.span
+            first, last = self.span or log.span
+            self.span = min(first, part.start), max(last, part.end)
+
+    def _number_of(self, channel: Channel) -> int:
+        """The bag's number of a part's channel. A part may lack the definition that others have."""
+        alike = ("topic", "schema", "message_encoding")
+        for number, other in self.channels.items():
+            if all(getattr(channel, name) == getattr(other, name) for name in alike):
+                if not other.definition:
+                    self.channels[number] = channel
+                    return number
+                if not channel.definition or channel == other:
+                    return number
+        self.channels[len(self.channels)] = channel
+        return len(self.channels) - 1
+
+    def _count(self) -> None:
+        """What each part has lost, as far as the counts in metadata.yaml tell."""
+        for part in self._parts:
+            self.counts.update(part.found)
+        damaged = [part for part in self._parts if not part.sound]
+        files = _counts(self._told.get("files"), "path", "message_count")
+        for number, told in self._told_counts().items():
+            short = told - self.counts[number]
+            if short <= 0 or short > _MAX_LOST:
+                continue
+            shares = {
+                id(p): files.get(p.path.name, 0) - p.found.total() for p in damaged
+            }  # of all channels; right for this one where the others lost nothing
+            if len(damaged) == 1:
+                damaged[0].lost[number] = short
+            elif damaged and min(shares.values()) >= 0 and sum(shares.values()) == short:
+                for part in damaged:
+                    part.lost[number] = shares[id(part)]
+            else:
+                where = "; in which part cannot be known" if damaged else ""
+                self.fault(
+                    f"{METADATA} counts {told} messages of {self.channels[number].topic}, the "
+                    f"parts hold {told - short}{where}, so numbers of frames may be too low"
+                )
+                continue
+            self.counts[number] = told
+
+    def _told_counts(self) -> dict[int, int]:
+        """Messages by channel, of the topics of which the bag has one channel."""
+        by_topic: dict[str, list[int]] = {}
+        for number, channel in self.channels.items():
+            by_topic.setdefault(channel.topic, []).append(number)
+        rows = self._told.get("topics_with_message_count")
+        flat = [
+            {"name": row["topic_metadata"].get("name"), "count": row.get("message_count")}
+            for row in (rows if isinstance(rows, list) else [])
+            if isinstance(row, dict) and isinstance(row.get("topic_metadata"), dict)
+        ]
+        told = _counts(flat, "name", "count")
+        return {
+            numbers[0]: told[topic]
+            for topic, numbers in by_topic.items()
+            if len(numbers) == 1 and topic in told
+        }
+
+    def messages(self, channels: Collection[int]) -> Iterator[Message]:
+        """The messages of some channels in log-time order, those at one time by their parts.
+
+        Of the lost ones that are counted each comes without data, so that others keep their number.
+        """
+        end = 0
+        for part in self._parts:  # one that cannot be read comes behind the one before it
+            part.start = part.start or end
+            end = part.end = max(part.end, part.start)
+        order = sorted(range(len(self._parts)), key=lambda i: (self._parts[i].start, i))
+        runs: list[tuple[int, int, Message, Iterator[Message]]] = []
+
+        def advanced(index: int, run: Iterator[Message]) -> None:
+            if (message := next(run, None)) is not None:
+                heapq.heappush(runs, (message.log_time, index, message, run))
+
+        for index in [*order, None]:
+            while runs and (index is None or runs[0][0] < self._parts[index].start):
+                _, at, message, run = heapq.heappop(runs)
+                yield message
+                advanced(at, run)
+            if index is not None:
+                advanced(index, self._messages_of(self._parts[index], channels))
+
+    def _messages_of(self, part: _Part, channels: Collection[int]) -> Iterator[Message]:
+        passed: Counter[int] = Counter()
+        last = part.start
+        wanted = {own: number for own, number in part.numbers.items() if number in channels}
+        if wanted:
+            for own, message in self._read(part, wanted):
+                passed[wanted[own]] += 1
+                last = max(last, message.log_time)
+                yield Message(
+                    wanted[own],
+                    message.log_time,
+                    message.publish_time,
+                    message.data,
+                    message.problem,
+                )
+        for number in channels:
+            gone = part.found[number] + part.lost[number] - passed[number]
+            if part.lost[number]:
+                self.faults.append(
+                    f"{shown(part.path.name)}: {gone} messages of "
+                    f"{self.channels[number].topic} are lost, by the counts in {METADATA}"
+                )
+            for _ in range(gone if gone <= _MAX_LOST else 0):
+                yield Message(number, last, None, None)
+
+    def _read(self, part: _Part, wanted: Collection[int]) -> Iterator[tuple[int, Message]]:
+        try:
+            log = self._open(part.path)
+        except (SonarrecError, OSError):  # it was there before
+            self.faults.append(f"{shown(part.path.name)}: cannot be read any more")
+            return
+        try:
+            for message in log.messages(wanted):
+                yield message.channel, message
+        except SonarrecError as error:
+            self.faults.append(str(error))
+        finally:
+            log.close()
+            self.faults += [fault for fault in log.faults if fault not in part.faults]
+
+    def fault(self, text: str) -> None:
+        """Add a line about what is wrong."""
+        self.faults.append(f"{shown(self.path.name)}: {text}")
+
+    def close(self) -> None:
+        """Nothing stays open but what a pass is reading, which ends with it."""
+
+
+def _counts(rows: Any, name: str, count: str) -> dict[str, int]:
+    """Whole numbers by name, of a list of tables in metadata.yaml; what is none is left out."""
+    return {
+        PurePosixPath(row[name]).name if name == "path" else row[name]: row[count]
+        for row in (rows if isinstance(rows, list) else [])
+        if isinstance(row, dict)
+        and isinstance(row.get(name), str)
+        and isinstance(row.get(count), int)
+    }

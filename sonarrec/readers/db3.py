@@ -1,0 +1,201 @@
+"""The SQLite storage of ROS 2 bags (.db3), by `rosbags`."""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+from array import array
+from collections import Counter
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from typing import Any, Protocol
+from urllib.parse import quote
+
+import numpy as np
+
+from sonarrec.readers.recording import MAX_MESSAGE_BYTES, Channel, Message
+from sonarrec.records import SonarrecError, shown
+
+
+class Db3Recording:
+    """A `Recording` of one database; of one that is cut, the messages before the cut."""
+
+    def __init__(self, path: Path, at: Path | None = None) -> None:
+        """at: where its bytes are, if not at `path`.
+
+        Raises SonarrecError where it is none, or nothing in it can be read.
+        """
+        self.path = path
+        self.faults: list[str] = []
+        self.profile, self.library = "ros2", "SQLite"
+        self.chunks: dict[str, int] = {}
+        # Its name goes into a URI, in which ? and # have meanings of their own.
+        name = quote(os.fsencode(at or path))
+        self._database: _Database
+        try:
+            self._database = _WholeDatabase(name)
+        except Exception as error:  # what a damaged database raises is nowhere listed
+            whole = _line(error)
+            try:
+                self._database = _CutDatabase(name)
+            except (sqlite3.Error, TypeError, ValueError, OverflowError):
+                raise SonarrecError(
+                    f"{shown(path)}: not a database of a ROS 2 bag ({whole})"
+                ) from None
+            self.fault(f"cut short or damaged ({whole}); what is whole before that is read")
+        self.channels, self.counts = self._database.channels, self._database.counts
+        self.span, self.whole = self._database.span, not self.faults
+        log = path.with_name(f"{path.name}-wal")
+        if log.exists() and log.stat().st_size:
+            self.fault(
+                f"what its recorder left in {shown(log.name)} is not read; "
+                f"`sqlite3 {shown(path.name)} .tables` puts it in"
+            )
+
+    def messages(self, channels: Collection[int]) -> Iterator[Message]:
+        """The messages of some channels in log-time order."""
+        read, held = 0, sum(self.counts[c] for c in channels)
+        try:
+            for number, time, data in self._database.rows(channels):
+                read += 1
+                if isinstance(time, int) and time >= 0 and isinstance(data, bytes):
+                    yield Message(number, time, None, memoryview(data))
+                else:
+                    time = time if isinstance(time, int) and time >= 0 else 0
+                    yield Message(number, time, None, None, "malformed row in its database")
+        except Exception as error:
+            self.whole = False
+            self.fault(f"damaged ({_line(error)}): {held - read} of {held} frames are lost")
+
+    def fault(self, text: str) -> None:
+        """Add a line about what is wrong."""
+        self.faults.append(f"{shown(self.path.name)}: {text}")
+
+    def close(self) -> None:
+        """Close the database."""
+        self._database.close()
+
+
+class _Database(Protocol):
+    """What is read of a database. channels, counts: as of a Recording."""
+
+    channels: dict[int, Channel]
+    counts: Counter[int]
+    span: tuple[int, int] | None
+
+    def rows(self, channels: Collection[int]) -> Iterator[tuple[int, Any, Any]]:
+        """(channel, log time in ns, message), by time."""
+        ...
+
+    def close(self) -> None: ...
+
+
+class _WholeDatabase:
+    """One that SQLite finds nothing wrong with, read by rosbags."""
+
+    def __init__(self, name: str) -> None:
+        from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
+
+        reader: Any = Sqlite3Reader(Path(name))
+        self._reader = reader
+        reader.open()
+        # A row comes whole: no longer than a message may be.
+        reader.dbconn.limit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_MESSAGE_BYTES)
+        self.channels = {c.id: _channel(c) for c in reader.connections}
+        self.counts = Counter({c.id: int(c.msgcount) for c in reader.connections})
+        told = reader.metadata
+        self.span = (int(told.start_time), int(told.end_time) - 1) if told.message_count else None
+
+    def rows(self, channels: Collection[int]) -> Iterator[tuple[int, Any, Any]]:
+        chosen = [c for c in self._reader.connections if c.id in channels]
+        for connection, time, data in self._reader.messages(chosen):
+            yield connection.id, time, data
+
+    def close(self) -> None:
+        self._reader.close()
+
+
+class _CutDatabase:
+    """One whose end is missing: its rows in the order they were written, as far as they go.
+
+    By hand because rosbags counts all rows first, and SQLite gives up a file that is too short.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._db = sqlite3.connect(f"file:{name}?immutable=1", uri=True)
+        try:
+            self._db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_MESSAGE_BYTES)
+            self._db.execute("PRAGMA writable_schema = ON")  # else a short file is not opened
+            known = self._definitions()
+            self.channels = {
+                int(number): Channel(
+                    str(topic), str(kind), *known.get(kind, ("", b"")), str(encoding)
+                )
+                for number, topic, kind, encoding in self._db.execute(
+                    "SELECT id, name, type, serialization_format FROM topics"
+                )
+            }
+            self._times, self._places = array("q"), array("q")
+            self._channels = array("q")
+            self._look()
+        except BaseException:
+            self._db.close()
+            raise
+        self.counts = Counter(self._channels)
+        self.span = (min(self._times), max(self._times)) if self._times else None
+
+    def _definitions(self) -> dict[str, tuple[str, bytes]]:
+        """Encoding and text of the definitions, which older databases do not hold."""
+        try:
+            return {
+                kind: (str(encoding), str(text).encode(errors="replace"))
+                for kind, encoding, text in self._db.execute(
+                    "SELECT topic_type, encoding, encoded_message_definition "
+                    "FROM message_definitions"
+                )
+            }
+        except sqlite3.Error:
+            return {}
+
+    def _look(self) -> None:
+        """Note where each message is: 24 bytes of each."""
+        rows = self._db.execute("SELECT rowid, topic_id, timestamp FROM messages ORDER BY rowid")
+        try:
+            for place, channel, time in rows:
+                if isinstance(time, int) and time >= 0 and channel in self.channels:
+                    self._places.append(place)
+                    self._channels.append(channel)
+                    self._times.append(time)
+        except sqlite3.Error:  # the cut
+            pass
+
+    def rows(self, channels: Collection[int]) -> Iterator[tuple[int, Any, Any]]:
+        for turn in np.argsort(np.frombuffer(self._times, np.int64), kind="stable"):
+            if self._channels[turn] in channels:
+                found = self._db.execute(
+                    "SELECT data FROM messages WHERE rowid = ?", (self._places[turn],)
+                )
+                try:
+                    (data,) = found.fetchone()
+                except sqlite3.Error:  # it reaches beyond the cut
+                    data = None
+                yield self._channels[turn], self._times[turn], data
+
+    def close(self) -> None:
+        self._db.close()
+
+
+def _channel(connection: Any) -> Channel:
+    return Channel(
+        str(connection.topic),
+        str(connection.msgtype),
+        "ros2msg" if connection.msgdef.format.name == "MSG" else connection.msgdef.format.name,
+        str(connection.msgdef.data).encode(errors="replace"),
+        str(connection.ext.serialization_format),
+    )
+
+
+def _line(error: BaseException) -> str:
+    """What an error of the library says, without its names of files."""
+    told = str(error.__cause__ or error).partition("\n")[0]
+    return shown(told.rpartition(": ")[2] or type(error).__name__)[:200]

@@ -1,0 +1,219 @@
+"""Reads DDF files, frame by frame: DIDSON's (DDF_03, DDF_04) and those of ARIS (DDF_05).
+
+A header of the file, then frames of one length, a header and the samples each. What is in the
+headers is told by the format's own module.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from sonarrec.readers.ddf.aris import Aris
+from sonarrec.readers.ddf.didson import Didson
+from sonarrec.readers.file_bytes import FileBytes
+from sonarrec.readers.raw import MAX_FRAME_BYTES, RawFrame, Told, UnusableError
+from sonarrec.records import SonarrecError, Stamps, shown
+from sonarrec.sonar import PingGeometry
+
+_VERSION_AT = 12  # in a frame's header
+_HEADERS_LOOKED_AT = 32  # over the whole file, for the tilt
+
+
+class Layout(Protocol):
+    """One version of the format: its headers, and what they mean.
+
+    file_header, frame_header: structured dtypes, little-endian, of the headers' whole length.
+    `np.void` is one header.
+    """
+
+    name: str
+    file_header: np.dtype[Any]
+    frame_header: np.dtype[Any]
+
+    def shape(self, file: np.void, frame: np.void | None) -> tuple[int, int]:
+        """(samples, beams) of every frame, by the first frame's header where there is one."""
+        ...
+
+    def geometry(self, file: np.void, frame: np.void, shape: tuple[int, int]) -> PingGeometry:
+        """The geometry of one frame. Raises UnusableError where it is none."""
+        ...
+
+    def pixels(self, frame: np.void, samples: np.ndarray) -> np.ndarray:
+        """(samples, beams) uint8 in the order of the beams. Raises UnusableError likewise."""
+        ...
+
+    def times(self, frame: np.void) -> tuple[int | None, int | None]:
+        """When the frame was recorded, and the sonar's own time of it; ns since 1970."""
+        ...
+
+    def told(self, file: np.void, frames: list[np.void]) -> Told:
+        """What the headers say of the log; frames: of frames all over it, the first to begin."""
+        ...
+
+
+LAYOUTS: dict[int, Layout] = {3: Didson(3), 4: Didson(4), 5: Aris()}
+"""By the version that the file's first bytes tell."""
+
+
+class DdfFrames:
+    """The frames of one DDF file, in the order of the file."""
+
+    def __init__(self, path: Path) -> None:
+        """Raises SonarrecError where the file is no DDF, or holds not one whole frame."""
+        self.topic: str | None = None
+        self.polar = True
+        self.faults: list[str] = []
+        self._name = shown(path.name)
+        self._file = FileBytes(path)
+        try:
+            self._open(shown(path))
+        except BaseException:
+            self._file.close()
+            raise
+
+    def _open(self, where: str) -> None:
+        self._mark = self._file.at(0, 4)
+        version = self._mark[3] if len(self._mark) == 4 and self._mark[:3] == b"DDF" else None
+        layout = None if version is None else LAYOUTS.get(version)
+        if layout is None:
+            what = "no DDF file" if version is None else f"DDF_{version:02d}"
+            known = ", ".join(f"DDF_{n:02d} ({one.name})" for n, one in LAYOUTS.items())
+            raise SonarrecError(f"{where}: {what}, by its first bytes; this reads {known}")
+        self._layout = layout
+        self._start = layout.file_header.itemsize
+        if self._file.size < self._start:
+            raise SonarrecError(f"{where}: cut short inside the header of the file")
+        self._header = np.frombuffer(self._file.at(0, self._start), layout.file_header)[0]
+        self._shape, self._length = self._frame_shape()
+        samples, beams = self._shape
+        room = self._file.size - self._start
+        if min(samples, beams) < 2 or self._length > MAX_FRAME_BYTES:
+            raise SonarrecError(
+                f"{where}: damaged: its header states frames of {samples} samples in {beams} beams"
+            )
+        if room < self._length:
+            raise SonarrecError(
+                f"{where}: holds no whole frame: a frame takes {self._length} bytes, and {room} "
+                "follow the header of the file"
+            )
+        self.frame_count: int | None = room // self._length
+        headers = self._headers_all_over()
+        told = layout.told(self._header, headers) if headers else Told()
+        stated = int(self._header["FrameCount"])
+        if stated > self.frame_count:  # a note: its maker advises against believing it
+            missing = f"its header counts {stated} frames, {self.frame_count} are there"
+            told = replace(told, notes=(*told.notes, missing))
+        self.told = told
+
+    def _frame_shape(self) -> tuple[tuple[int, int], int]:
+        """(samples, beams) of every frame, and its length in bytes.
+
+        By the first frame's header, or by that of the file where only so another frame, or the
+        end, follows the first.
+        """
+        first = self._frame_header(self._start)
+        shapes = [self._layout.shape(self._header, frame) for frame in (first, None)]
+        sized = [(one, self._layout.frame_header.itemsize + math.prod(one)) for one in shapes]
+        for shape, length in sized:
+            end = self._start + length
+            if end == self._file.size or self._frame_header(end) is not None:
+                return shape, length
+        return sized[first is None]
+
+    def _frame_header(self, at: int) -> np.void | None:
+        """The header of the frame at `at`; None where there is none."""
+        contents = self._file.at(at, self._layout.frame_header.itemsize)
+        if len(contents) < self._layout.frame_header.itemsize:
+            return None
+        if contents[_VERSION_AT : _VERSION_AT + 4] != self._mark:
+            return None
+        header: np.void = np.frombuffer(contents, self._layout.frame_header)[0]
+        return header
+
+    def _headers_all_over(self) -> list[np.void]:
+        """Up to _HEADERS_LOOKED_AT headers of frames, the first and then evenly on."""
+        assert self.frame_count is not None
+        step = math.ceil(self.frame_count / _HEADERS_LOOKED_AT)
+        places = (self._start + k * self._length for k in range(0, self.frame_count, step))
+        return [header for at in places if (header := self._frame_header(at)) is not None]
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def __iter__(self) -> Iterator[RawFrame]:
+        at, number = self._start, 0
+        while at < self._file.size:
+            left = self._file.size - at
+            if left < self._length:
+                self.faults.append(
+                    f"{self._name}: cut short: of the last frame {left} of {self._length} bytes "
+                    "are there"
+                )
+                return
+            header, end = self._frame_header(at), at + self._length
+            found = end if self._in_step(end) else self._next_frame(at + 1)
+            name = f"frame {number}"
+            if found == end or (found is None and header is not None):
+                yield self._frame(name, at, header)
+                at, number = end, number + 1
+                continue
+            if found is None:
+                self.faults.append(f"{self._name}: no frame begins in the last {left} bytes")
+                return
+            few = f"only {found - at} of its {self._length} bytes are there"
+            many = f"{found - at} bytes up to the next frame, in place of {self._length}"
+            time_ns = None if header is None else self._layout.times(header)[0]
+            yield RawFrame(name, time_ns, None, few if found < end else many)
+            lost = max(1, round((found - at) / self._length))
+            for _ in range(lost - 1):
+                yield RawFrame(name, None, None)
+            if lost > 1:
+                self.faults.append(
+                    f"{self._name}: {lost} frames or so are lost from {name} on; the numbers of "
+                    "later ones may be wrong"
+                )
+            at, number = found, number + lost
+
+    def _in_step(self, at: int) -> bool:
+        """Whether a frame begins where it should, or the one after it does, or the file ends."""
+        if at + self._layout.frame_header.itemsize > self._file.size:
+            return True
+        after = at + self._length
+        return after == self._file.size or any(
+            self._frame_header(place) is not None for place in (at, after)
+        )
+
+    def _next_frame(self, start: int) -> int | None:
+        """Where the next frame begins that states this file's own size; None where none does."""
+        mark = self._file.find(self._mark, start + _VERSION_AT, self._file.size)
+        while mark is not None:
+            at = mark - _VERSION_AT
+            header = self._frame_header(at)
+            if header is not None and self._layout.shape(self._header, header) == self._shape:
+                return at
+            mark = self._file.find(self._mark, mark + 1, self._file.size)
+        return None
+
+    def _frame(self, name: str, at: int, header: np.void | None) -> RawFrame:
+        if header is None:
+            return RawFrame(name, None, None, "its header is damaged")
+        time_ns, sonar_ns = self._layout.times(header)
+        try:
+            if self._layout.shape(self._header, header) != self._shape:
+                raise UnusableError("its header states another number of samples or beams")
+            contents = self._file.at(at, self._length)[self._layout.frame_header.itemsize :]
+            with np.errstate(all="ignore"):  # damaged numbers overflow; what comes is checked
+                sonar = self._layout.geometry(self._header, header, self._shape)
+            pixels = self._layout.pixels(
+                header, np.frombuffer(contents, np.uint8).reshape(self._shape)
+            )
+        except UnusableError as error:
+            return RawFrame(name, time_ns, None, str(error))
+        return RawFrame(name, time_ns, pixels, None, sonar, Stamps(time_ns, None, sonar_ns))

@@ -1,0 +1,125 @@
+"""Which logs the arguments of a command name: files, folders of logs, globs, lists."""
+
+from __future__ import annotations
+
+import glob
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from sonarrec.readers.bag_folder import is_bag_folder
+from sonarrec.readers.find import is_log_file, matches
+from sonarrec.readers.images import is_image, natural_order
+from sonarrec.records import UsageError, shown
+
+RESULTS = "frames.csv"  # a folder with it holds results, and its pictures are no logs
+
+
+@dataclass(frozen=True, slots=True)
+class NamedLog:
+    """One log of a command. up_to: the folder that was given and holds it, up to which what belongs
+    to it is looked for; None where the log itself was given."""
+
+    path: str
+    up_to: Path | None = None
+
+
+def find_logs(names: Iterable[str], *, recursive: bool = False) -> list[NamedLog]:
+    """The logs that the arguments of a command name, those of each in natural order.
+
+    Of a folder of logs every file and bag in it; recursive: also in the folders below, and every
+    folder of images there. Of a glob of logs each that matches; parts of a bag stand for the bag.
+    All else is the argument itself: one log, or none, which is told when it is opened.
+    Raises UsageError for a folder that holds images and other logs.
+    """
+    logs: list[NamedLog] = []
+    for name in names:
+        try:
+            found = _named(name, recursive)
+        except OSError:  # told when it is opened
+            found = []
+        logs += found or [NamedLog(name)]
+    return logs
+
+
+def named(names: Iterable[str], listed: Iterable[str]) -> list[str]:
+    """Arguments, and the lines of a list: empty ones, and those that begin with #, are none.
+
+    Raises UsageError where no log is named.
+    """
+    lines = (line.strip() for line in listed)
+    logs = [*names, *(line for line in lines if line and not line.startswith("#"))]
+    if not logs:
+        raise UsageError("--from-file: the list names no log")
+    return logs
+
+
+def _named(name: str, recursive: bool) -> list[NamedLog]:
+    path = Path(name)
+    if path.is_dir():
+        if is_bag_folder(path):
+            return []
+        found = list(_below(path)) if recursive else _in_folder(path)
+        return _sorted(found, path) if found != [path] else []
+    if glob.has_magic(name) and not path.exists():
+        found = matches(path)
+        bags = {folder for folder in {f.parent for f in found} if is_bag_folder(folder)}
+        found = [f.parent if f.parent in bags and is_log_file(f) else f for f in found]
+        logs = {log for log in found if is_log_file(log) or (log.is_dir() and _is_log(log))}
+        return _sorted(logs, _fixed(path))
+    return []
+
+
+def _sorted(logs: Iterable[Path], up_to: Path) -> list[NamedLog]:
+    return [NamedLog(str(log), up_to) for log in sorted(logs, key=natural_order)]
+
+
+def _fixed(pattern: Path) -> Path:
+    """The folder in front of the first wildcard: dives of dives/**/*.mcap."""
+    folder = Path(pattern.anchor)
+    for part in pattern.relative_to(pattern.anchor).parts[:-1]:
+        if glob.has_magic(part):
+            break
+        folder /= part
+    return folder
+
+
+def _is_log(folder: Path) -> bool:
+    """Whether a folder is one log: a bag, or images that are no pictures of results."""
+    if is_bag_folder(folder):
+        return True
+    return not (folder / RESULTS).exists() and any(is_image(e) for e in folder.iterdir())
+
+
+def _in_folder(folder: Path) -> list[Path]:
+    """The logs of one folder: itself where it holds images, else each file and bag in it.
+
+    Raises UsageError where it holds both, for nothing tells which are meant.
+    """
+    entries = [e for e in folder.iterdir() if e.name[0] != "."]
+    image = next((e for e in entries if is_image(e)), None)
+    logs = sorted(filter(is_log_file, entries), key=natural_order)
+    if image is not None and logs:
+        raise UsageError(
+            f"{shown(folder)}: holds images and other logs ({len(logs)}, {shown(logs[0].name)} the "
+            f"first); choose with a quoted glob, as '{shown(folder)}/*{image.suffix}' or "
+            f"'{shown(folder)}/*{logs[0].suffix}'"
+        )
+    bags = [e for e in entries if e.is_dir() and is_bag_folder(e)]
+    return [folder] if image is not None else [*logs, *bags]
+
+
+def _below(folder: Path) -> Iterator[Path]:
+    """The logs of a folder and of all below it; hidden folders and results are passed over."""
+    for place, folders, _ in os.walk(folder):
+        here = Path(place)
+        if (here / RESULTS).exists():
+            folders.clear()
+            continue
+        folders[:] = [f for f in folders if f[0] != "."]
+        bags = [f for f in folders if is_bag_folder(here / f)]
+        folders[:] = [f for f in folders if f not in bags]
+        own = _in_folder(here)
+        yield from (log for log in own if log.name not in bags)
+        yield from (here / bag for bag in bags)

@@ -1,0 +1,50 @@
+"""An MCAP file as a recording: its channels, and their messages in log-time order."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from pathlib import Path
+
+from mcap.records import Schema
+
+from sonarrec.readers.mcap.in_order import MessageReader
+from sonarrec.readers.mcap.salvage import McapFile
+from sonarrec.readers.recording import Channel, Message
+
+_NO_SCHEMA = Schema(id=0, name="", encoding="", data=b"")
+
+
+class McapRecording:
+    """A `Recording`; also of a file that is damaged or cut, as far as it goes."""
+
+    def __init__(self, path: Path, at: Path | None = None) -> None:
+        """at: where its bytes are, if not at `path`.
+
+        Raises SonarrecError where the file is no MCAP, OSError where it cannot be read.
+        """
+        log = self._log = McapFile(path, at)
+        self.path = path
+        self.channels: dict[int, Channel] = {}
+        for channel in log.channels.values():
+            schema = log.schemas.get(channel.schema_id, _NO_SCHEMA)
+            self.channels[channel.id] = Channel(
+                channel.topic, schema.name, schema.encoding, schema.data, channel.message_encoding
+            )
+        self.counts = log.counts
+        self.profile, self.library = (
+            (log.header.profile, log.header.library) if log.header is not None else ("", "")
+        )
+        self.span, self.chunks, self.whole = log.span, log.chunks, log.whole
+        self.faults = log.faults
+
+    def messages(self, channels: Collection[int]) -> Iterator[Message]:
+        """The messages of some channels in log-time order, those at one time as in the file."""
+        return iter(MessageReader(self._log, channels))
+
+    def fault(self, text: str) -> None:
+        """Add a line about what is wrong."""
+        self._log.fault(text)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._log.close()

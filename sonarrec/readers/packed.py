@@ -1,0 +1,95 @@
+"""Recordings that were compressed as a whole: unpacked into a temporary file, a piece at a time.
+
+The readers behind need to go to and fro in them, which no compressed stream allows.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import BinaryIO
+
+from sonarrec.records import SonarrecError, shown
+
+MOST_BYTES = 2**31  # unpacked, or as many times the file's own size, whichever is more
+MOST_TIMES = 100
+
+
+def _zstd(file: BinaryIO, size: int) -> Iterator[bytes]:
+    from sonarrec.readers.mcap.chunks import inflated_zstd, pieces_of
+
+    return inflated_zstd(pieces_of(file, 0, size))
+
+
+def _lz4(file: BinaryIO, size: int) -> Iterator[bytes]:
+    from sonarrec.readers.mcap.chunks import inflated_lz4
+
+    return inflated_lz4(file, 0, size, cut=True)
+
+
+PACKINGS: dict[str, Callable[[BinaryIO, int], Iterator[bytes]]] = {
+    ".zst": _zstd,
+    ".zstd": _zstd,
+    ".lz4": _lz4,
+}
+"""By the end of a name: what gives the contents of a file of so many bytes, in pieces."""
+
+
+@contextmanager
+def unpacked(path: Path) -> Iterator[tuple[Path, str | None]]:
+    """Where the bytes of a recording are, and what was wrong with its packing, if anything was.
+
+    Of one that is cut or damaged what was unpacked before serves. The temporary file is removed at
+    the end, when the reader has opened it: so it is gone with the reader, however that ends.
+    Raises SonarrecError where it unpacks to more than is read, or finds no room.
+    """
+    unpack = PACKINGS.get(path.suffix.lower())
+    if unpack is None:
+        yield path, None
+        return
+    handle, name = tempfile.mkstemp(prefix="sonarrec_", suffix=Path(path.stem).suffix)
+    try:
+        with os.fdopen(handle, "wb") as out:
+            problem = _written(path, unpack, out)
+        yield Path(name), problem
+    finally:
+        with suppress(OSError):  # a system that keeps open files: it stays in the temporary folder
+            Path(name).unlink()
+
+
+def _written(
+    path: Path, unpack: Callable[[BinaryIO, int], Iterator[bytes]], out: BinaryIO
+) -> str | None:
+    import zstandard
+
+    from sonarrec.readers.mcap.chunks import DamagedError
+
+    written = 0
+    with path.open("rb") as file:
+        size = file.seek(0, 2)
+        most = max(MOST_BYTES, MOST_TIMES * size)
+        try:
+            for piece in unpack(file, size):
+                written += len(piece)
+                if written > most:
+                    raise SonarrecError(
+                        f"{shown(path)}: {size} bytes unpack to more than {most}, which is not "
+                        "read; unpack it by hand if that is meant"
+                    )
+                out.write(piece)
+        except (zstandard.ZstdError, DamagedError, RuntimeError, EOFError, MemoryError) as error:
+            if not written:
+                raise SonarrecError(f"{shown(path)}: cannot be unpacked ({error})") from None
+            return f"damaged behind {written} unpacked bytes ({error}); what came before is read"
+        except OSError as error:
+            if error.errno != errno.ENOSPC:
+                raise
+            raise SonarrecError(
+                f"{tempfile.gettempdir()}: no room to unpack {shown(path.name)}; make room, or set "
+                "TMPDIR to a folder that has some"
+            ) from None
+    return None

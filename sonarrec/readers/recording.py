@@ -1,0 +1,79 @@
+"""What every container of messages gives, whatever its format: MCAP, the bags of ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+MAX_MESSAGE_BYTES = 48 * 2**20  # an image of 4096 x 4096 pixels of three bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """One message. Times in ns; publish_time is None where the container keeps none. data: None
+    where it cannot be read, and `problem` says why; without a problem it is one of many lost
+    together, which the recording's faults tell once."""
+
+    channel: int
+    log_time: int
+    publish_time: int | None
+    data: memoryview | None
+    problem: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """What the messages of one channel are. schema: the message's name, empty without one.
+    schema_encoding, definition: as the container holds it ("ros2msg", ...)."""
+
+    topic: str
+    schema: str
+    schema_encoding: str
+    definition: bytes
+    message_encoding: str
+
+
+class Recording(Protocol):
+    """A container of messages, opened.
+
+    channels: by a number of the container's own. counts: messages of each. profile, library: what
+    wrote it, empty where it does not say. span: first and last log time in ns, None without a
+    message. chunks: how many, by compression. whole: it was closed by its writer and is not cut.
+    faults: a line for each thing that is wrong, complete after a pass over its messages.
+    """
+
+    @property
+    def path(self) -> Path: ...
+    @property
+    def channels(self) -> Mapping[int, Channel]: ...
+    @property
+    def counts(self) -> Mapping[int, int]: ...
+    @property
+    def profile(self) -> str: ...
+    @property
+    def library(self) -> str: ...
+    @property
+    def span(self) -> tuple[int, int] | None: ...
+    @property
+    def chunks(self) -> Mapping[str, int]: ...
+    @property
+    def whole(self) -> bool: ...
+    @property
+    def faults(self) -> list[str]: ...
+
+    def messages(self, channels: Collection[int]) -> Iterator[Message]:
+        """One pass over the messages of some channels, in the order of log time.
+
+        Raises SonarrecError where nothing more can be read.
+        """
+        ...
+
+    def fault(self, text: str) -> None:
+        """Add a line about what is wrong."""
+        ...
+
+    def close(self) -> None:
+        """Close what is open."""
+        ...

@@ -1,0 +1,116 @@
+"""ROS 1 bags (.bag), by `rosbags`."""
+
+from __future__ import annotations
+
+import bz2
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import lz4.frame
+
+from sonarrec.readers.recording import MAX_MESSAGE_BYTES, Channel, Message
+from sonarrec.records import SonarrecError, shown
+
+MAX_CHUNK_BYTES = 2**27  # inflated; it is held in memory. A recorder's own limit is below 1 MB
+
+
+class RosBag:
+    """A `Recording` of one bag of ROS 1."""
+
+    def __init__(self, path: Path, at: Path | None = None) -> None:
+        """at: where its bytes are, if not at `path`.
+
+        Raises SonarrecError where it is none or is damaged, OSError where it cannot be read.
+        """
+        from rosbags.rosbag1 import Reader
+
+        self.path = path
+        self.faults: list[str] = []
+        reader: Any = Reader(at or path)
+        self._reader = reader
+        try:
+            reader.open()
+            self.chunks: Counter[str] = Counter()
+            for position, chunk in reader.chunks.items():
+                name, bounded = _bounded(chunk)
+                self.chunks[name] += 1
+                reader.chunks[position] = chunk._replace(decompressor=bounded)
+            self.channels = {c.id: _channel(c) for c in reader.connections}
+            self.counts = Counter({c.id: c.msgcount for c in reader.connections})
+            held = reader.message_count
+            self.span = (reader.start_time, reader.end_time - 1) if held else None
+        except OSError:
+            raise
+        except Exception as error:  # what a damaged bag raises is nowhere listed
+            hint = "; `rosbag reindex` mends it" if "not indexed" in str(error) else ""
+            raise SonarrecError(
+                f"{shown(path)}: not a whole bag of ROS 1 ({_line(error)}){hint}"
+            ) from None
+        self.profile, self.library = "ros1", ""
+        self.whole = True
+
+    def messages(self, channels: Collection[int]) -> Iterator[Message]:
+        """The messages of some channels in log-time order."""
+        chosen = [c for c in self._reader.connections if c.id in channels]
+        read, held = 0, sum(self.counts[c] for c in channels)
+        if not chosen:
+            return  # to rosbags none means all
+        try:
+            for connection, time, data in self._reader.messages(chosen):
+                read += 1
+                if len(data) > MAX_MESSAGE_BYTES:
+                    problem = f"a message of {len(data)} bytes, more than is read"
+                    yield Message(connection.id, time, None, None, problem)
+                else:
+                    yield Message(connection.id, time, None, memoryview(data))
+        except Exception as error:
+            self.whole = False
+            self.fault(f"damaged ({_line(error)}): {held - read} of {held} frames are lost")
+
+    def fault(self, text: str) -> None:
+        """Add a line about what is wrong."""
+        self.faults.append(f"{shown(self.path.name)}: {text}")
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._reader.bio is not None:
+            self._reader.close()
+
+
+class _TooLargeError(Exception):
+    pass
+
+
+def _bounded(chunk: Any) -> tuple[str, Callable[[bytes], bytes]]:
+    """(compression, decompressor) of a chunk. rosbags inflates it in one go, however large."""
+    plain = chunk.decompressor
+    if chunk.datasize > MAX_CHUNK_BYTES:
+        return "none", _refuse
+    if plain is bz2.decompress:
+        return "bz2", partial(_inflated, bz2.BZ2Decompressor)
+    if plain is lz4.frame.decompress:
+        return "lz4", partial(_inflated, lz4.frame.LZ4FrameDecompressor)
+    return "none", plain
+
+
+def _refuse(_: bytes) -> bytes:
+    raise _TooLargeError(f"a chunk of more than {MAX_CHUNK_BYTES} bytes")
+
+
+def _inflated(decompressor: Callable[[], Any], stored: bytes) -> bytes:
+    inflate = decompressor()
+    inflated: bytes = inflate.decompress(stored, max_length=MAX_CHUNK_BYTES)
+    return inflated if inflate.eof else _refuse(inflated)
+
+
+def _channel(connection: Any) -> Channel:
+    definition = connection.msgdef.data.encode(errors="replace")
+    return Channel(connection.topic, connection.msgtype, "ros1msg", definition, "ros1")
+
+
+def _line(error: BaseException) -> str:
+    told = str(error).partition("\n")[0]
+    return shown(told or type(error).__name__)[:200]

@@ -1,0 +1,226 @@
+"""What was fetched, kept in a folder that does not outgrow its bound.
+
+An entry is a folder: `files/` as they were fetched, `entry.json` about them, `lock`. Whoever uses
+one holds its lock, so that no other run, process or thread takes it away. The least recently used
+goes first.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import shutil
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+from sonarrec.records import SonarrecError, UsageError, shown
+
+try:
+    import fcntl
+except ImportError:  # no such locks on this system
+    fcntl = None  # type: ignore[assignment]
+
+_UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12}
+_POLL_S = 0.2
+
+
+class NoRoomError(SonarrecError):
+    """What is in use fills the cache: there is room once it is not."""
+
+
+def size_bytes(text: str) -> int:
+    """Bytes of "500MB", "1.5 TB" or "20g". Raises UsageError."""
+    match = re.fullmatch(r"\s*([0-9]+(?:\.[0-9]+)?)\s*([kmgt]?)b?\s*", text.lower())
+    if match is None:
+        raise UsageError(f"--cache-size {text}: expected a size such as 500MB or 20GB")
+    return int(float(match[1]) * _UNITS[match[2]])
+
+
+def default_folder() -> Path:
+    """sonarrec in the user's cache folder. Raises SonarrecError where nothing can tell it."""
+    try:
+        import platformdirs
+    except ImportError:
+        raise SonarrecError(
+            "platformdirs, which knows where caches belong, is not installed; "
+            "pip install 'sonarrec[remote]'"
+        ) from None
+
+    return Path(platformdirs.user_cache_dir("sonarrec", appauthor=False))
+
+
+def key_of(text: str) -> str:
+    """A folder's name for a URL; S3 buckets of other servers get others."""
+    server = os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL") or ""
+    return hashlib.sha256(f"{server} {text}".encode()).hexdigest()[:24]
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One entry, held by its lock."""
+
+    folder: Path
+
+    @property
+    def files(self) -> Path:
+        return self.folder / "files"
+
+    def about(self) -> dict[str, Any]:
+        """entry.json: url, bytes, files {name: [size, tag]}; empty where nothing is there."""
+        try:
+            found = json.loads((self.folder / "entry.json").read_text(encoding="utf-8"))
+            return found if isinstance(found, dict) else {}
+        except (OSError, ValueError):
+            return {}
+
+    def write(self, about: dict[str, Any]) -> None:
+        part = self.folder / "entry.json.part"
+        part.write_text(json.dumps(about), encoding="utf-8")
+        os.replace(part, self.folder / "entry.json")  # noqa: PTH105
+
+    def used(self) -> None:
+        """It is used now: others go first."""
+        with suppress(OSError):
+            os.utime(self.folder / "entry.json")
+
+
+@dataclass(frozen=True, slots=True)
+class Cache:
+    """A folder, and how many bytes it may hold."""
+
+    folder: Path
+    limit: int
+
+    @contextmanager
+    def hold(
+        self, key: str, *, alone: bool, stop: threading.Event | None = None
+    ) -> Iterator[Entry]:
+        """The entry of a key, which stays until the end. alone: nobody else uses it meanwhile.
+
+        Raises SonarrecError where the folder cannot be written, or `stop` is set while it waits.
+        """
+        entry = Entry(self.folder / "logs" / key)
+        while True:
+            try:
+                entry.files.mkdir(parents=True, exist_ok=True)
+                file = (entry.folder / "lock").open("ab")
+            except FileNotFoundError:  # taken away this very moment
+                continue
+            except OSError as error:
+                raise SonarrecError(
+                    f"{shown(self.folder)}: cannot be written ({error.strerror}); choose another "
+                    "--cache"
+                ) from None
+            if _locked(file, alone) and _is_there(file, entry.folder / "lock"):
+                break
+            file.close()
+            if (stop or threading.Event()).wait(_POLL_S):
+                raise SonarrecError("stopped")
+        try:
+            yield entry
+        finally:
+            entry.used()
+            file.close()
+
+    def make_room(self, entry: Entry, about: dict[str, Any]) -> None:
+        """Promise room for about["bytes"], and write it down; others go, none that is in use.
+
+        Raises NoRoomError where those in use leave too little, SonarrecError where it never fits.
+        """
+        wanted: int = about["bytes"]
+        if wanted > self.limit:
+            raise SonarrecError(
+                f"{about['url']}: {_size(wanted)}, more than the cache may hold "
+                f"({_size(self.limit)}); give --cache-size"
+            )
+        with (self.folder / ".lock").open("ab") as file:
+            while not _locked(file, True):
+                time.sleep(_POLL_S)
+            others = [e for e in self.entries() if e.folder != entry.folder]
+            sizes = {e.folder: e.about().get("bytes", 0) for e in others}
+            for one in others:
+                if sum(sizes.values()) + wanted <= self.limit:
+                    break
+                if _taken_away(one):
+                    del sizes[one.folder]
+            if sum(sizes.values()) + wanted > self.limit:
+                raise NoRoomError(
+                    f"{about['url']}: {_size(wanted)} do not fit beside the logs in use in "
+                    f"{shown(self.folder)} (at most {_size(self.limit)}); give --cache-size"
+                )
+            entry.write(about)
+
+    def entries(self) -> list[Entry]:
+        """All of them, the least recently used first."""
+        found = [Entry(folder) for folder in (self.folder / "logs").glob("*")]
+        return sorted(found, key=_last_use)
+
+
+@contextmanager
+def only_one(lock: Path, what: str) -> Iterator[None]:
+    """Inside, no other run does this. Raises SonarrecError where one does it now."""
+    try:
+        lock.parent.mkdir(parents=True, exist_ok=True)
+        file = lock.open("ab")
+    except OSError as error:
+        raise SonarrecError(
+            f"{shown(lock.parent)}: cannot be written ({error.strerror}); choose another --cache"
+        ) from None
+    with file:
+        if not _locked(file, True):
+            raise SonarrecError(
+                f"{what}: another run writes here now; wait for it, or choose another --out"
+            )
+        yield
+
+
+def _last_use(entry: Entry) -> float:
+    try:
+        return (entry.folder / "entry.json").stat().st_mtime
+    except OSError:
+        return 0.0
+
+
+def _taken_away(entry: Entry) -> bool:
+    """Delete an entry that nobody uses."""
+    try:
+        with (entry.folder / "lock").open("ab") as file:
+            if not _locked(file, True):
+                return False
+            shutil.rmtree(entry.folder, ignore_errors=True)
+    except OSError:
+        return False
+    return not entry.folder.exists()
+
+
+def _locked(file: IO[bytes], alone: bool) -> bool:
+    if fcntl is None:
+        return True
+    try:
+        fcntl.flock(file, (fcntl.LOCK_EX if alone else fcntl.LOCK_SH) | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
+def _is_there(file: IO[bytes], path: Path) -> bool:
+    """Whether the lock is still that of the entry, and not of one that was taken away."""
+    try:
+        return os.path.samestat(os.fstat(file.fileno()), path.stat())
+    except OSError:
+        return False
+
+
+def _size(size: float) -> str:
+    for unit in ("B", "kB", "MB", "GB"):
+        if size < 1000:
+            return f"{size:.3g} {unit}"
+        size /= 1000
+    return f"{size:.3g} TB"

@@ -1,0 +1,123 @@
+"""URLs of logs and results: taken apart, put together, and shown without their secrets."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from pathlib import PurePosixPath
+from urllib.parse import quote, unquote, urlsplit
+
+from sonarrec.records import UsageError, shown
+
+SCHEMES = ("s3", "gs", "https", "http", "sftp")
+HIDDEN = "***"
+_URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/{1,2}(?=[^/])")  # a Path has but one slash left
+_SECRET = re.compile(r"(?i)sig|token|secret|key|pass|pwd|cred|auth|jwt|policy|code")
+_LEAST = 4  # characters of a secret from which on it is looked for in the text of errors
+
+
+@dataclass(frozen=True, slots=True)
+class Url:
+    """A place on a server.
+
+    front: "s3://", "https://user:password@host". path: "bucket/dives/a.mcap", "/dives/a.mcap", as
+    text, nothing quoted. query: of https, with its question mark.
+    """
+
+    scheme: str
+    front: str
+    path: str
+    query: str = ""
+
+    def __str__(self) -> str:
+        """The whole URL, secrets and all: for servers only, never for a line or a file."""
+        path = quote(self.path, safe="/*[]!~@:+,;=&$'()") if self.is_web else self.path
+        return f"{self.front}{path}{self.query}"
+
+    @property
+    def is_web(self) -> bool:
+        return self.scheme in ("http", "https")
+
+    @property
+    def name(self) -> str:
+        """The last part of the path; of a server's root the server."""
+        return PurePosixPath(self.path).name or urlsplit(self.front).hostname or "log"
+
+    @property
+    def parent(self) -> Url:
+        return replace(self, path=self.path.rstrip("/").rpartition("/")[0])
+
+    def child(self, relative: str) -> Url:
+        """What lies below: with the same query, which may be what gives access."""
+        return replace(self, path=f"{self.path.rstrip('/')}/{relative}".lstrip(_no_root(self)))
+
+    @property
+    def shown(self) -> str:
+        """For lines and files: the password and what in the query gives access are hidden."""
+        scheme, _, rest = self.front.partition("://")
+        user, at, host = rest.rpartition("@")
+        if at:
+            name, colon, _ = user.partition(":")
+            # Without a password a web user is a token.
+            user = f"{name}:{HIDDEN}" if colon else HIDDEN if self.is_web else name
+        query = "&".join(_shown_pair(pair) for pair in self.query.removeprefix("?").split("&"))
+        return shown(f"{scheme}://{user}{at}{host}{self.path}{'?' * bool(query)}{query}")
+
+    @property
+    def place(self) -> str:
+        """`shown` without a query."""
+        return replace(self, query="").shown
+
+    def hide(self, text: str) -> str:
+        """A text of others, such as an error, without this URL's secrets."""
+        text = text.replace(str(self), self.shown)
+        for secret in sorted(self._secrets(), key=len, reverse=True):
+            text = text.replace(secret, HIDDEN)
+        return text
+
+    def _secrets(self) -> set[str]:
+        user, _, _ = self.front.partition("://")[2].rpartition("@")
+        name, _, password = user.partition(":")
+        found = {password} if password or not self.is_web else {name}
+        for pair in self.query.removeprefix("?").split("&"):
+            key, _, value = pair.partition("=")
+            if _SECRET.search(key):
+                found.add(value)
+        found |= {unquote(secret) for secret in found}
+        return {secret for secret in found if len(secret) >= _LEAST}
+
+
+def _no_root(url: Url) -> str:
+    return "/" if url.scheme in ("s3", "gs") else ""
+
+
+def _shown_pair(pair: str) -> str:
+    key, equals, _ = pair.partition("=")
+    return f"{key}={HIDDEN}" if equals and _SECRET.search(key) else pair
+
+
+def is_url(text: object) -> bool:
+    """Whether a name is that of a place on a server, also where it went through a Path."""
+    return _URL.match(str(text)) is not None
+
+
+def parse_url(text: object) -> Url:
+    """The URL of a text. Raises UsageError where nothing here can read it."""
+    match = _URL.match(str(text))
+    scheme = match[1].lower() if match else ""
+    if match is None or scheme not in SCHEMES:
+        known = ", ".join(f"{s}://" for s in SCHEMES)
+        raise UsageError(f"{scheme}://: logs and results are read from {known} and local files")
+    rest = str(text)[match.end() :]
+    if scheme in ("s3", "gs"):
+        return Url(scheme, f"{scheme}://", rest)
+    host, slash, path = rest.partition("/")
+    if scheme == "sftp":
+        return Url(scheme, f"sftp://{host}", slash + path)
+    path, mark, query = path.partition("#")[0].partition("?")
+    return Url(scheme, f"{scheme}://{host}", unquote(slash + path), mark + query)
+
+
+def shown_place(text: object) -> str:
+    """A path as it is, a URL without its secrets."""
+    return parse_url(text).shown if is_url(text) else str(text)

@@ -1,0 +1,196 @@
+"""`sonarrec report --compare OLD NEW`: what changed between two results, as one HTML page."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from sonarrec import __version__
+from sonarrec.evaluation import cells
+from sonarrec.evaluation.compare import (
+    Comparison,
+    PassChange,
+    compare,
+    frame_runs,
+    outcome,
+    settings_lines,
+)
+from sonarrec.evaluation.metrics import BY_NAME, MAIN
+from sonarrec.evaluation.pairs import Pair
+from sonarrec.evaluation.uncertainty import LEVEL, MIN_UNITS, Difference
+from sonarrec.records import SonarrecError, shown
+from sonarrec.sonar import Sonar
+
+MOST = 10
+"""Passes, and runs of frames, that got better, and as many that got worse."""
+SIGNIFICANT = 0.05
+"""A difference with a p below it is called better or worse."""
+
+
+@dataclass(frozen=True, slots=True)
+class ComparePage:
+    """What was written. unused: one line for each part of the input that could not be used."""
+
+    path: Path
+    unused: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One figure before and after. verdict: better or worse; "" where it may well be chance."""
+
+    label: str
+    old: str
+    new: str
+    difference: cells.Cell
+    p: str
+    units: int
+    verdict: str
+
+
+@dataclass(frozen=True, slots=True)
+class Rates:
+    """A table of figures: of one method under one protocol, of all IDs or of each."""
+
+    method: str
+    protocol: str
+    rows: list[Row]
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """Neighbouring frames that changed in the same way."""
+
+    log: str
+    frames: str
+    method: str
+    landmark: int
+    was: str
+    now: str
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class Ranked:
+    """What got better, or worse: the most changed, and how many more there are."""
+
+    verdict: str
+    passes: list[PassChange]
+    passes_left: int
+    runs: list[Run]
+    runs_left: int
+
+
+def write_comparison_page(
+    path: Path,
+    old: Path,
+    new: Path,
+    ground_truth: Path | Sequence[Pair] | None = None,
+    *,
+    min_visible: float = 0.9,
+    tolerance_s: float | None = None,
+    landmarks: str | None = None,
+    sonar: Sonar | None = None,
+) -> ComparePage:
+    """Write the page; the arguments are those of `evaluation.compare.compare`.
+
+    Raises SonarrecError where files cannot be used, read or written.
+    """
+    found = compare(
+        old,
+        new,
+        ground_truth,
+        min_visible=min_visible,
+        tolerance_s=tolerance_s,
+        landmarks=landmarks,
+        sonar=sonar,
+    )
+    page = render(found)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise SonarrecError(f"{path}: cannot be written ({error.strerror})") from None
+    return ComparePage(path, found.unused)
+
+
+def render(found: Comparison) -> str:
+    """The whole page as HTML."""
+    environment = Environment(
+        loader=PackageLoader("sonarrec.report", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    # Mistakes are told as the stricter protocol counts them, as in the report.
+    strict = any(r.protocol == "strict" for r in found.rates)
+    protocol = "strict" if strict else "paper"
+    return environment.get_template("compare.html").render(
+        version=__version__,
+        old=shown(found.old),
+        new=shown(found.new),
+        found=found,
+        level=f"{LEVEL:.0%}",
+        least=MIN_UNITS,
+        significant=SIGNIFICANT,
+        protocol=protocol,
+        rates=_in_total(found),
+        per_id=_per_id(found, protocol),
+        same_settings=not found.settings and any(settings_lines(found)),
+        ranked=[_ranked(found, protocol, verdict) for verdict in ("worse", "better")],
+    )
+
+
+def _in_total(found: Comparison) -> list[Rates]:
+    """Per method and protocol every figure over all IDs."""
+    groups: dict[tuple[str, str], list[Row]] = {}
+    for d in found.differences:
+        if d.landmark_text == "total":
+            groups.setdefault((d.b, d.protocol), []).append(_row(d, BY_NAME[d.name].label))
+    return [Rates(method, protocol, rows) for (method, protocol), rows in groups.items()]
+
+
+def _per_id(found: Comparison, protocol: str) -> list[Rates]:
+    """Per method the main rates of every ID that has one, under one protocol."""
+    groups: dict[str, list[Row]] = {}
+    for d in found.differences:
+        empty = math.isnan(d.value_a) and math.isnan(d.value_b)
+        if d.protocol == protocol and d.landmark_text != "total" and d.name in MAIN and not empty:
+            label = f"ID.{d.landmark_text} {BY_NAME[d.name].label}"
+            groups.setdefault(d.b, []).append(_row(d, label))
+    return [Rates(method, protocol, rows) for method, rows in groups.items()]
+
+
+def _row(d: Difference, label: str) -> Row:
+    digits = BY_NAME[d.name].digits
+    verdict = ""
+    if d.p < SIGNIFICANT and d.value:
+        verdict = "better" if (d.value < 0) == (d.name == "fpr") else "worse"
+    old, new = (cells.number(value, digits) for value in (d.value_a, d.value_b))
+    p = cells.NONE.value if math.isnan(d.p) else f"{d.p:.2g}"
+    return Row(label, old, new, cells.difference(d), p, d.units, verdict)
+
+
+def _ranked(found: Comparison, protocol: str, verdict: str) -> Ranked:
+    sign = -1 if verdict == "worse" else 1
+    passes = [p for p in found.passes if p.protocol == protocol and sign * (p.new - p.old) > 0]
+    passes.sort(key=lambda p: -abs(p.new - p.old))
+    changes = [c for c in found.frames if c.protocol == protocol and c.verdict == verdict]
+    runs = [
+        Run(
+            log=run[0].log,
+            frames=f"{run[0].frame}" if len(run) == 1 else f"{run[0].frame} to {run[-1].frame}",
+            method=run[0].method,
+            landmark=run[0].landmark,
+            was=outcome(run[0].old),
+            now=outcome(run[0].new),
+            count=len(run),
+        )
+        for run in frame_runs(changes)
+    ]
+    return Ranked(verdict, passes[:MOST], len(passes[MOST:]), runs[:MOST], len(runs[MOST:]))

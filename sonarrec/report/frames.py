@@ -1,0 +1,195 @@
+"""Frames that the page holds to be shown on a click: which, how large, and what is drawn on them.
+
+All in one pass over each log, with the page's pictures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sonarrec.drawing import AROUND, Mark, caption, disc_outline
+from sonarrec.readers.log import Log
+from sonarrec.records import ByteImage, Estimate, Fan, Frame, SonarrecError
+from sonarrec.report.logs import ReportedLog
+from sonarrec.report.pictures import Picture, Wanted, as_webp, draw, ellipse, shrunk
+from sonarrec.results.same_log import check_same_log
+from sonarrec.results.stream import read_estimates
+
+MOST_FRAMES = 200
+MOST_BYTES = 3_000_000
+"""Of all frames' images together, as text of the page."""
+MOST_MARKED = 20
+"""Estimates drawn of each method in a frame: the declared, then the surest."""
+LARGEST = 400  # pixels of the longer side
+QUALITIES = (60, 40, 20)
+
+
+@dataclass(frozen=True, slots=True)
+class Outline:
+    """A disc on a shown frame, about an ellipse: centre, half axes (pixels), turn (deg)."""
+
+    ellipse: tuple[float, ...]
+    label: str
+    colour: int
+    """Index of the ID."""
+    declared: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """One frame. at: on the log's time axis. image: a data URI, of size (width, height). said: per
+    method of the log."""
+
+    frame: int
+    at: float
+    image: str
+    size: tuple[int, int]
+    said: list[list[Outline]]
+    truth: list[Outline]
+
+
+@dataclass(frozen=True, slots=True)
+class ShownLog:
+    """The frames of one log that the page holds. unit: of `at`, "s" or none. in_all: frames."""
+
+    name: str
+    unit: str
+    methods: list[str]
+    in_all: int
+    frames: list[Shown] = field(default_factory=list)
+
+
+def choose(
+    logs: Sequence[ReportedLog], wanted: Iterable[tuple[str, int]], most: int = MOST_FRAMES
+) -> dict[str, list[int]]:
+    """The numbers of the frames to be held, per log: the wanted ones, then some of all others.
+
+    wanted: (log, frame), the most wanted first. What is left of `most` goes to frames at equal
+    steps through every log.
+    """
+    names = {log.results.name for log in logs}
+    chosen: dict[str, set[int]] = {name: set() for name in names}
+    for name, frame in list(dict.fromkeys(w for w in wanted if w[0] in names))[:most]:
+        chosen[name].add(frame)
+    left = most - sum(map(len, chosen.values()))
+    # Short logs first: what they do not need goes to the longer ones.
+    for n, log in enumerate(sorted(logs, key=lambda log: len(log.results.frame))):
+        mine, every = chosen[log.results.name], log.results.frame
+        share = left // (len(logs) - n)
+        new = [f for f in every.tolist() if f not in mine]
+        if len(new) > share:
+            steps = np.linspace(0, len(new) - 1, max(share, 0)).round().astype(int)
+            new = [new[step] for step in steps.tolist()]
+        mine.update(new)
+        left -= len(new)
+    return {name: sorted(frames) for name, frames in chosen.items()}
+
+
+def take(
+    log: Log, reported: ReportedLog, wanted: Sequence[Wanted], held: Sequence[int], most_bytes: int
+) -> tuple[dict[Wanted, Picture], ShownLog]:
+    """The pictures wanted and the frames held, of one pass over the log.
+
+    most_bytes: of each frame held. Raises SonarrecError where this is not the log that the
+    results came from, or where it lacks a frame.
+    """
+    check_same_log(log, reported.folder, reported.run)
+    pictures: dict[Wanted, Picture] = {}
+    methods = list(reported.results.methods)
+    shown = ShownLog(
+        reported.results.name,
+        "s" if reported.clock == "s" else "",
+        methods,
+        len(reported.results.frame),
+    )
+    hold = set(held)
+    numbers = {w.frame for w in wanted} | hold
+    said: dict[str, dict[int, tuple[Estimate, ...]]] = {}
+    for frame in log:
+        if not said:  # the first frame brings the fan, which places the estimates
+            asked = dict.fromkeys([*methods, *(w.method for w in wanted)])
+            said = {m: _estimates(reported, m, numbers, frame.fan) for m in asked}
+        if frame.index in numbers:
+            numbers.remove(frame.index)
+            here = {m: by_frame.get(frame.index, ()) for m, by_frame in said.items()}
+            marks = _marks(reported, frame)
+            mine = [w for w in wanted if w.frame == frame.index]
+            pictures |= draw(frame, reported, mine, here, marks)
+            if frame.index in hold:
+                shown.frames.append(_shown(frame, reported, here, marks, most_bytes))
+        if not numbers:
+            break
+    if numbers:
+        raise SonarrecError(
+            f"{log.path}: no frame {min(numbers)}, which the results have; "
+            "give the log that they came from"
+        )
+    return pictures, shown
+
+
+def _estimates(
+    reported: ReportedLog, method: str, numbers: set[int], fan: Fan
+) -> dict[int, tuple[Estimate, ...]]:
+    path = reported.folder / "estimates.csv"
+    every = read_estimates(path, method, reported.results.landmarks, fan)
+    return {number: estimates for number, estimates in every if number in numbers}
+
+
+def _marks(reported: ReportedLog, frame: Frame) -> list[Mark]:
+    """The landmarks of which anything shows in the frame, where truth says where."""
+    truth, found = reported.truth, reported.results
+    place = None if truth is None else truth.pixels(frame.fan)
+    if truth is None or place is None:
+        return []
+    here = np.flatnonzero(found.frame[truth.frame_index] == frame.index)
+    return [Mark(found.landmarks.ids[truth.landmark_index[n]], *place[n].tolist()) for n in here]
+
+
+def _shown(
+    frame: Frame,
+    reported: ReportedLog,
+    here: Mapping[str, Sequence[Estimate]],
+    marks: Sequence[Mark],
+    most_bytes: int,
+) -> Shown:
+    found = reported.results
+    image = shrunk(frame.image, LARGEST)
+    scale = image.shape[1] / frame.image.shape[1]
+    row = int(np.searchsorted(found.frame, frame.index))
+
+    def outlines(marked: Sequence[tuple[Estimate | Mark, str, bool]], size: float) -> list[Outline]:
+        found_outlines = []
+        for place, label, declared in marked:
+            edge = disc_outline(frame.fan, size * found.landmarks.radius_m, place.x_px, place.y_px)
+            around = ellipse((edge + 0.5) * scale)
+            if around is not None:
+                colour = found.landmarks.ids.index(place.landmark)
+                found_outlines.append(Outline(around, label, colour, declared))
+        return found_outlines
+
+    said = []
+    for method in found.methods:
+        mine = sorted(here[method], key=lambda e: (e.declared, e.score))[-MOST_MARKED:]
+        told = [(e, caption(e, found.landmarks, score=True), e.declared) for e in mine]
+        said.append(outlines(told, 1))
+    return Shown(
+        frame=frame.index,
+        at=round(float(reported.time[row]), 3),
+        image=_within(image, most_bytes),
+        size=(image.shape[1], image.shape[0]),
+        said=said,
+        truth=outlines([(m, f"ID.{m.landmark}", False) for m in marks], AROUND),
+    )
+
+
+def _within(image: ByteImage, most_bytes: int) -> str:
+    """The image as text of at most so many bytes: coarser, and if need be smaller."""
+    while True:
+        for quality in QUALITIES:
+            source = as_webp(image, quality)
+            if len(source) <= most_bytes or max(image.shape) <= 16:
+                return source
+        image = shrunk(image, max(image.shape) // 2)

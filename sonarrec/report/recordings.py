@@ -1,0 +1,103 @@
+"""Which of the recordings given is whose: by name, and in a folder of logs by SHA-256 as well."""
+
+from __future__ import annotations
+
+import os
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from sonarrec.readers import open_log
+from sonarrec.readers.find import READERS
+from sonarrec.readers.log import Log
+from sonarrec.records import SonarrecError, UsageError, shown
+from sonarrec.report.logs import ReportedLog
+from sonarrec.results.run_file import Given
+from sonarrec.results.same_log import check_same_log
+from sonarrec.sonar import Sonar
+
+_FILES = {s for reader in READERS if reader.kind != "image" for s in reader.suffixes}
+
+
+def open_recording(path: Path, log: ReportedLog, sonar: Sonar, topic: str | None) -> Log:
+    """The recording, read as the run read it."""
+    given = log.run.lay_under(Given(sonar, topic=topic), same_log=True)
+    return open_log(path, sonar=given.sonar, topic=given.topic, time=given.time or "log")
+
+
+def match_recordings(
+    logs: Sequence[ReportedLog], given: Sequence[Path], sonar: Sonar, topic: str | None
+) -> tuple[dict[str, Path], list[str]]:
+    """The recording of each log, by the log's name, and a line for each that was not found.
+
+    given: recordings, or folders with recordings in them. A recording is its log's if it bears the
+    name, or if there is only one of both. Raises UsageError where it is no log's.
+    """
+    found: dict[str, Path] = {}
+    problems: list[str] = []
+    for path in given:
+        inside, before = _inside(path), set(found)
+        if len(logs) == 1 and not inside:
+            found[logs[0].results.name] = path
+            continue
+        alike = {path.resolve().name, path.stem}
+        named = [log for log in logs if log.results.name in alike]
+        named = named or [log for log in logs if _names(log) & alike]
+        if len(named) > 1:  # logs of one name, told apart by their folders
+            named = [log for log in named if _same(log, [path], sonar, topic)[0]]
+        if named and not any(_names(log) & inside.keys() for log in logs):
+            found |= {log.results.name: path for log in named}
+            continue
+        missing = []
+        for log in logs:
+            if log.results.name not in found:
+                candidates = [p for name in sorted(_names(log)) for p in inside.get(name, [])]
+                one, problem = _same(log, list(dict.fromkeys(candidates)), sonar, topic)
+                if one is None:
+                    missing.append(f"--log {path}: {problem}; the page has no frames of it")
+                else:
+                    found[log.results.name] = one
+        if not found.keys() - before:
+            there = ", ".join(log.results.name for log in logs)
+            raise UsageError(f"--log {path}: neither one of these logs nor holds any: {there}")
+        problems += missing
+    return found, problems
+
+
+def _names(log: ReportedLog) -> set[str]:
+    """What the log's recording may be called: as it was given to the run, or as its folder is."""
+    told = log.run.table.get("input", {})
+    path = Path(str(told.get("path", log.folder.resolve().name)))
+    return {path.name, str(told.get("name", path.stem)), log.results.name} - {""}
+
+
+def _inside(folder: Path) -> dict[str, list[Path]]:
+    """Folders and log files below a folder, by name and by name without suffix."""
+    found: dict[str, list[Path]] = defaultdict(list)
+    for place in _below(folder):
+        for name in {place.name, place.stem}:
+            found[name].append(place)
+    return found
+
+
+def _below(folder: Path) -> Iterator[Path]:
+    for root, folders, files in os.walk(folder):
+        folders.sort()
+        yield from (Path(root, name) for name in folders)
+        yield from (Path(root, f) for f in sorted(files) if Path(f).suffix.lower() in _FILES)
+
+
+def _same(
+    log: ReportedLog, candidates: Sequence[Path], sonar: Sonar, topic: str | None
+) -> tuple[Path | None, str]:
+    """That of the candidates which is the log's recording, else why none is."""
+    problem = f"no log of the name {log.results.name} in it"
+    for path in candidates:
+        try:
+            with open_recording(path, log, sonar, topic) as recording:
+                check_same_log(recording, log.folder, log.run)
+        except SonarrecError as error:
+            problem = f"{shown(path)} is not the log of {log.results.name} ({error})"
+        else:
+            return path, ""
+    return None, problem

@@ -1,0 +1,119 @@
+"""The sightings of a log's results: as sightings.csv has them, else worked out from the tables."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterator
+from itertools import groupby
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from sonarrec.geometry import polar_from_pixel
+from sonarrec.records import Estimate, SonarrecError
+from sonarrec.results.columns import SIGHTING_COLUMNS
+from sonarrec.results.run_file import RunFile, read_run
+from sonarrec.results.sightings import Sighting, Sightings
+from sonarrec.sonar import Sonar
+
+if TYPE_CHECKING:
+    from sonarrec.tables import Kind  # with pandas, which a run does not need
+
+ROWS = 20_000
+"""Of estimates.csv, read at a time."""
+SIGMAS: dict[str, Kind] = dict.fromkeys(
+    ("range_sigma_m", "bearing_sigma_deg", "orientation_sigma_deg"), "blank or number"
+)
+
+
+def read_sightings(
+    folder: Path, landmarks: str | None = None, sonar: Sonar | None = None
+) -> Iterator[Sighting]:
+    """The passes in one log's results, each when it ended.
+
+    Of finished results as sightings.csv has them. Where there is none, and of a run that was cut
+    short, they are worked out from frames.csv and estimates.csv, without places on the floor.
+    landmarks, sonar: as `read.read_log`. Raises SonarrecError where a file cannot be used.
+    """
+    run, path = read_run(folder / "run.toml"), folder / "sightings.csv"
+    if run.finished and path.is_file():
+        return sightings_in(path)
+    return _worked_out(folder, run, landmarks, sonar)
+
+
+def sightings_in(path: Path) -> Iterator[Sighting]:
+    """The rows of a sightings.csv. Raises SonarrecError, with the line, where one is none."""
+    line = 1
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            for row in csv.DictReader(file):
+                line += 1
+                values: dict[str, Any] = {c.name: c.read(row[c.name]) for c in SIGHTING_COLUMNS}
+                yield Sighting(**values)
+    except OSError as error:
+        raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
+    except KeyError as error:
+        raise SonarrecError(f"{path}: wrong columns, no {error.args[0]}") from None
+    except (csv.Error, TypeError, ValueError) as error:
+        raise SonarrecError(f"{path} line {line}: no sighting ({error})") from None
+
+
+def _worked_out(
+    folder: Path, run: RunFile, landmarks: str | None, sonar: Sonar | None
+) -> Iterator[Sighting]:
+    from sonarrec.results.read import read_frames
+
+    frames = read_frames(folder)
+    times = frames.get("timestamp_ns", np.zeros(len(frames["frame"]), dtype=np.int64))
+    time_of = dict(zip(frames["frame"].tolist(), times.tolist(), strict=True))
+    declared = [e for e in _declared(folder, run, landmarks, sonar) if e[0] in time_of]
+    declared.sort(key=lambda e: e[0])
+    gathered = Sightings()
+    for frame, group in groupby(declared, key=lambda e: e[0]):
+        yield from gathered.add(frame, time_of[frame], (e for _, e in group))
+    yield from gathered.rest()
+
+
+def _declared(
+    folder: Path, run: RunFile, landmarks: str | None, sonar: Sonar | None
+) -> Iterator[tuple[int, Estimate]]:
+    """(frame, estimate) of every declared row of estimates.csv."""
+    from sonarrec.results.read import estimate_tables
+    from sonarrec.tables import POSITION_KINDS
+
+    path, fan = folder / "estimates.csv", run.fan(sonar)
+    for _, table in estimate_tables(path, run.landmark_set(landmarks), ROWS, SIGMAS):
+        declared = np.flatnonzero(table["declared"])
+        blank = np.full(len(table["frame"]), math.nan)
+        x_px, y_px, range_m, bearing_deg, turn, *sigmas = (
+            table.get(name, blank) for name in (*POSITION_KINDS, "orientation_deg", *SIGMAS)
+        )
+        if fan is not None:
+            told = np.isfinite(range_m) & np.isfinite(bearing_deg)
+            measured = polar_from_pixel(fan, x_px, y_px)
+            range_m = np.where(told, range_m, measured[0])
+            bearing_deg = np.where(told, bearing_deg, measured[1])
+        objects = table.get("object", np.full(len(blank), -1))
+        for n in declared.tolist():
+            yield (
+                int(table["frame"][n]),
+                Estimate(
+                    method=str(table["method"][n]),
+                    object=int(objects[n]),
+                    x_px=float(x_px[n]),
+                    y_px=float(y_px[n]),
+                    range_m=float(range_m[n]),
+                    bearing_deg=float(bearing_deg[n]),
+                    orientation_deg=float(turn[n]),
+                    existence=math.nan,
+                    probabilities=np.empty(0),
+                    landmark=int(table["landmark"][n]),
+                    score=float(table["score"][n]),
+                    declared=True,
+                    range_sigma_m=float(sigmas[0][n]),
+                    bearing_sigma_deg=float(sigmas[1][n]),
+                    orientation_sigma_deg=float(sigmas[2][n]),
+                ),
+            )

@@ -1,0 +1,92 @@
+"""A Dask scheduler and two workers on this machine; one worker is killed on the way."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from tests.support.batch import command, environment, made, rows, tables
+
+DASK = [sys.executable, "-m", "distributed.cli.dask_"]
+
+
+def wait_for(port: int) -> None:
+    limit = time.monotonic() + 30
+    while time.monotonic() < limit:
+        with suppress(OSError), socket.create_connection(("127.0.0.1", port), 1):
+            return
+        time.sleep(0.1)
+    raise TimeoutError
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
+    """The scheduler's address, and two workers."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    address, running = f"tcp://127.0.0.1:{port}", []
+
+    def start(*words: str) -> None:
+        running.append(
+            subprocess.Popen(
+                [sys.executable, "-m", f"distributed.cli.dask_{words[0]}", *words[1:]],
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                cwd=tmp_path.parent,  # paths are those of who calls
+                env=environment(tmp_path),
+                start_new_session=True,  # so that a worker is killed with its children
+            )
+        )
+
+    try:
+        start("scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard")
+        wait_for(port)
+        for _ in range(2):
+            start("worker", address, "--nthreads", "1", "--no-dashboard")
+        yield address, running[1:]
+    finally:
+        for process in running:
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+
+
+def test_a_worker_is_killed_and_no_log_is_lost(
+    cluster: tuple[str, list[subprocess.Popen[bytes]]], tmp_path: Path
+) -> None:
+    address, workers = cluster
+    logs = made(tmp_path, "a", "b", "slow", "dies", "c", "d", frames=10)
+    out = tmp_path / "out"
+    call = command("run", *(log.name for log in logs), "--scheduler", address, "-o", "out")
+    with subprocess.Popen(call, stderr=subprocess.PIPE, text=True, cwd=tmp_path) as running:
+        while not any((out / name).is_dir() for name in "abcd"):
+            assert running.poll() is None, running.communicate()
+            time.sleep(0.05)
+        os.killpg(workers[0].pid, signal.SIGKILL)
+        _, said = running.communicate(timeout=120)
+    assert running.returncode == 3, said
+    states = {name: row["status"] for name, row in rows(out).items()}
+    assert states == {**dict.fromkeys(["a", "b", "slow", "c", "d"], "done"), "dies": "failed"}
+    assert "SIGKILL" in rows(out)["dies"]["message"]
+    here = tmp_path / "here"
+    subprocess.run(command("run", *logs[:3], *logs[4:], "-o", here, "-q"), check=True)
+    assert all(tables(out / n) == tables(here / n) for n in ("a", "b", "slow", "c", "d"))
+
+
+def test_no_scheduler_there(tmp_path: Path) -> None:
+    (log,) = made(tmp_path, "a", frames=2)
+    call = command("run", log, "--scheduler", "tcp://127.0.0.1:1", "-o", tmp_path / "out")
+    done = subprocess.run(call, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert "no scheduler answers" in done.stderr
+    assert "Traceback" not in done.stderr

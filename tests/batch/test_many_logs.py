@@ -1,0 +1,186 @@
+"""Many logs in one call: what one of them does costs that one only."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.support.batch import SAMPLE, command, environment, made, rows, tables
+
+
+def test_a_log_that_dies_hangs_or_raises_costs_itself_only(tmp_path: Path) -> None:
+    logs = made(tmp_path, "a", "b", "dies", "c", "raises", "hangs", "d")
+    (tmp_path / "broken").mkdir()
+    out = tmp_path / "out"
+    done = subprocess.run(
+        command("run", *logs, tmp_path / "broken", "-j", 2, "--timeout", 5, "-o", out),
+        capture_output=True,
+        text=True,
+        env=environment(tmp_path),
+    )
+    assert done.returncode == 3, done.stderr
+    told = rows(out)
+    states = {name: row["status"] for name, row in told.items()}
+    assert [name for name, state in states.items() if state == "done"] == ["a", "b", "c", "d"]
+    assert {name for name, state in states.items() if state == "failed"} == {
+        "dies",
+        "raises",
+        "hangs",
+        "broken",
+    }
+    assert "SIGKILL" in told["dies"]["message"]
+    assert "5 s (--timeout)" in told["hangs"]["message"]
+    assert "fault of sonarrec" in told["raises"]["message"]
+    assert "ZeroDivisionError: a fault of ours" in done.stderr
+    assert "4 done, 4 failed" in done.stderr
+    alone = tmp_path / "alone"
+    subprocess.run(command("run", logs[0], "-o", alone, "-q"), check=True)
+    assert all(tables(out / name) == tables(alone / "a") for name in "abcd")
+
+
+def test_one_after_the_other_gives_the_same_as_side_by_side(tmp_path: Path) -> None:
+    logs = made(tmp_path, "a", "b", "c")
+    for jobs in (1, 3):
+        out = tmp_path / str(jobs)
+        subprocess.run(command("run", *logs, "-j", jobs, "-o", out, "-q"), check=True)
+    for name in "abc":
+        assert tables(tmp_path / "1" / name) == tables(tmp_path / "3" / name)
+
+
+@pytest.mark.parametrize(
+    ("sent", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130), (signal.SIGKILL, -9)]
+)
+def test_a_call_that_is_stopped_goes_on(sent: signal.Signals, code: int, tmp_path: Path) -> None:
+    logs = made(tmp_path, "a", "slow", "b", "c", frames=20)
+    out = tmp_path / "out"
+    call = command("run", *logs, "-j", 2, "-o", out)
+    with subprocess.Popen(call, env=environment(tmp_path), stderr=subprocess.PIPE) as running:
+        part = out / "slow.part" / "frames.csv"
+        while not (part.is_file() and len(part.read_text().splitlines()) > 2):
+            time.sleep(0.05)
+        running.send_signal(sent)
+        assert running.wait(30) == code
+    time.sleep(1)  # of SIGKILL: the log's process sees within .2 s that nobody waits for it
+    kept = part.read_text().splitlines()
+    assert 2 < len(kept) <= 21
+    assert not (out / "slow").exists()
+    finished = {
+        name: (out / name / "run.toml").stat().st_mtime_ns
+        for name in "abc"
+        if (out / name).exists()
+    }
+    time.sleep(0.5)
+    again = subprocess.run(call, capture_output=True, text=True)
+    assert again.returncode == 0, again.stderr
+    for name, when in finished.items():
+        assert (out / name / "run.toml").stat().st_mtime_ns == when, "done twice"
+    assert {row["status"] for row in rows(out).values()} == {"done"}
+    fresh = tmp_path / "fresh"
+    subprocess.run(command("run", *logs, "-o", fresh, "-q"), check=True)
+    assert all(tables(out / log.name) == tables(fresh / log.name) for log in logs)
+
+
+def test_shares_make_up_the_whole(tmp_path: Path) -> None:
+    logs = made(tmp_path, *"abcde", frames=3)
+    out = tmp_path / "out"
+    running = [
+        subprocess.Popen(command("run", *logs, "--shard", f"{i}/3", "-j", 1, "-o", out, "-q"))
+        for i in (1, 2, 3)
+    ]
+    assert [process.wait() for process in running] == [0, 0, 0]
+    assert sorted(rows(out)) == [*"abcde"]
+    assert {row["status"] for row in rows(out).values()} == {"done"}
+
+
+@pytest.mark.parametrize("share", ["0/3", "4/3", "1", "a/b", "1/0", "/"])
+def test_a_share_that_cannot_be(share: str, tmp_path: Path) -> None:
+    call = command("run", SAMPLE, "--shard", share, "-o", tmp_path / "out")
+    done = subprocess.run(call, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert "expected I/N" in done.stderr
+
+
+def test_status_tells_the_table_while_it_grows_and_after(tmp_path: Path) -> None:
+    logs = made(tmp_path, "a", "slow", frames=20)
+    out = tmp_path / "out"
+    with subprocess.Popen(
+        command("run", *logs, "-j", 2, "-o", out, "-q"), env=environment(tmp_path)
+    ) as running:
+        states: set[str] = set()
+        while running.poll() is None:
+            if (out / "logs.csv").is_file():
+                told = subprocess.run(command("status", out, "--json"), capture_output=True)
+                states |= set(json.loads(told.stdout)["counts"])
+    assert "running" in states
+    told = subprocess.run(command("status", out), capture_output=True, text=True)
+    assert told.stdout.startswith("2 logs: 2 done\n40 frames, 0 unusable")
+
+
+def test_status_without_a_table(tmp_path: Path) -> None:
+    told = subprocess.run(command("status", tmp_path), capture_output=True, text=True)
+    assert told.returncode == 2
+    assert "no such file" in told.stderr
+
+
+def test_a_foreign_logs_csv_is_not_replaced(tmp_path: Path) -> None:
+    (log,) = made(tmp_path, "a", frames=3)
+    (tmp_path / "out").mkdir()
+    mine = tmp_path / "out" / "logs.csv"
+    mine.write_text("day,diver\n1,me\n")
+    done = subprocess.run(
+        command("run", log, "-o", tmp_path / "out"), capture_output=True, text=True
+    )
+    assert done.returncode == 0
+    assert "logs.csv line 2: not a row of" in done.stderr
+    assert mine.read_text() == "day,diver\n1,me\n"
+    assert (tmp_path / "out" / "a" / "frames.csv").is_file()
+
+
+def test_retry_failed_does_those_alone(tmp_path: Path) -> None:
+    logs = made(tmp_path, "a", "cut", "dies", frames=3)
+    (logs[1] / "000001.png").write_bytes(b"not an image")
+    out = tmp_path / "out"
+    call = command("run", *logs, "-o", out)
+    subprocess.run(call, env=environment(tmp_path), capture_output=True)
+    assert {n: row["status"] for n, row in rows(out).items()} == {
+        "a": "done",
+        "cut": "partial",
+        "dies": "failed",
+    }
+    assert rows(out)["cut"]["unusable"] == "1"
+    shutil.copy(SAMPLE / "000001.png", logs[1])
+    kept = (out / "a" / "run.toml").stat().st_mtime_ns
+    done = subprocess.run([*call, "--retry-failed"], capture_output=True, text=True)
+    assert (done.returncode, done.stdout.splitlines()[-1]) == (0, "2 done")
+    assert (out / "a" / "run.toml").stat().st_mtime_ns == kept
+    assert [row["status"] for row in rows(out).values()] == ["done"] * 3
+    done = subprocess.run([*call, "--retry-failed"], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "nothing to do\n")
+
+
+def test_a_dry_run_says_what_would_be_done_and_does_nothing(tmp_path: Path) -> None:
+    logs = made(tmp_path, "a", "b", "c", frames=3)
+    (logs[2] / "sonar.toml").write_text("[sonar]\nlayout = 3\n")
+    out = tmp_path / "out"
+
+    def told(*more: str) -> list[str]:
+        call = command("run", *logs, "-o", out, *more)
+        done = subprocess.run(call, capture_output=True, text=True)
+        return [line.partition(": ")[2] for line in done.stdout.splitlines()]
+
+    assert told("--dry-run")[:2] == ["new", "new"]
+    assert told("--dry-run")[2].startswith("fails (")
+    assert not out.exists()
+    subprocess.run(command("run", logs[0], "-o", out, "-q"), check=True)
+    before = sorted((p, p.stat().st_mtime_ns) for p in out.rglob("*"))
+    assert told("--dry-run")[:2] == ["up to date", "new"]
+    assert told("--dry-run", "--overwrite")[:2] == ["done anew (asked for)"] * 2
+    changed = told("--dry-run", "--set", "features.declare=.9", "--seed", "3")
+    assert changed[0] == "done anew (other settings: seed, features.declare)"
+    assert sorted((p, p.stat().st_mtime_ns) for p in out.rglob("*")) == before

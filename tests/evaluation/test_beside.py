@@ -1,0 +1,243 @@
+"""Truth found beside the log, and truth that cannot be the log's."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+from sonarrec.cli import main
+from sonarrec.evaluation.evaluate import evaluate
+from sonarrec.evaluation.summary import summarise
+from tests.evaluation.test_evaluation import RUN_TOML, counts, scored, write_case, write_csv
+
+FRAMES = range(12)
+HEADER = ("frame", "landmark", "range_m", "bearing_deg")
+
+
+def command(*arguments: str | Path, code: int = 0) -> Result:
+    done = CliRunner().invoke(main, ["evaluate", *map(str, arguments)])
+    assert done.exit_code == code, done.output
+    return done
+
+
+def result(folder: Path, log: Path, digest: str, claimed: range, more: str = "") -> Path:
+    """Results of a log of 12 frames that claim ID.1 in some."""
+    claims = [(f, "m", 2.0, 0.0, 1, 0.9, 1) for f in claimed]
+    out, _ = write_case(folder, FRAMES, claims, [])
+    size = log.stat().st_size if log.is_file() else 0
+    size = size or sum(f.stat().st_size for f in log.glob("*.png"))
+    (out / "run.toml").write_text(
+        f'finished = true\n[program]\nmethods = ["m"]\n[input]\nname = "{log.stem}"\n'
+        f'path = "{log}"\nbytes = {size}\nsha256 = "{digest}"\n{more}'
+    )
+    return out.rename(folder / log.stem)
+
+
+def truth(path: Path, frames: range) -> None:
+    write_csv(path, HEADER, [(f, 1, 2.0, 0.0) for f in frames])
+
+
+@pytest.fixture
+def logs(tmp_path: Path) -> Path:
+    """Two files and a folder of images, as far as looking for them goes; results of each."""
+    place = tmp_path / "logs"
+    (place / "pings").mkdir(parents=True)
+    for name in ("a.mp4", "b.mp4", "pings/0.png"):
+        (place / name).write_bytes(name.encode())
+    for n, name in enumerate(("a.mp4", "b.mp4", "pings")):
+        result(tmp_path / "out", place / name, f"{n}" * 64, range(n + 1))
+    return tmp_path
+
+
+def test_each_log_has_its_own(logs: Path) -> None:
+    truth(logs / "logs" / "a.gt.csv", range(4))
+    truth(logs / "logs" / "gt.csv", range(8))
+    truth(logs / "logs" / "pings" / "gt.csv", range(12))
+    done = command(logs / "out")
+    for name, file in (("a", "a.gt.csv"), ("b", "gt.csv"), ("pings", "pings/gt.csv")):
+        told = f"note: {logs / 'out' / name}: ground truth {logs / 'logs' / file}, beside its log"
+        assert told in done.stdout
+    found = evaluate(logs / "out")
+    per_log = scored(found, "strict").counts_per_log(found.joined)
+    assert [(log[0].tp, log[0].fn) for log in per_log] == [(1, 3), (2, 6), (3, 9)]
+    with (logs / "out" / "evaluation" / "per_log.csv").open() as file:
+        assert {row["log"] for row in csv.DictReader(file)} == {"a", "b", "pings"}
+
+
+def test_a_log_without_truth_is_left_out_and_said(logs: Path) -> None:
+    truth(logs / "logs" / "a.gt.csv", range(4))
+    done = command(logs / "out", code=3)
+    assert "out/b: no ground truth: no b.gt.csv, nor gt.csv beside" in done.stderr
+    assert "out/pings: no ground truth: no gt.csv beside" in done.stderr
+    assert evaluate(logs / "out").joined.logs == ("a",)
+
+
+def test_without_any_truth_one_line_says_where_it_was_looked_for(logs: Path) -> None:
+    done = command(logs / "out", code=2)
+    (line,) = done.stderr.splitlines()
+    assert "out/a: no ground truth: no a.gt.csv, nor gt.csv beside" in line
+    assert "(and 2 more logs have none); give --ground-truth, or --pairs" in line
+    assert done.stdout == ""
+    (logs / "out" / "a" / "run.toml").unlink()
+    assert "run.toml does not tell where the log is" in command(logs / "out" / "a", code=2).stderr
+    (logs / "logs" / "b.mp4").unlink()
+    assert "no such file" in command(logs / "out" / "b", code=2).stderr
+
+
+def test_the_truth_of_another_log_in_its_place_is_not_taken(logs: Path) -> None:
+    truth(logs / "logs" / "a.gt.csv", range(4))
+    (logs / "logs" / "a.mp4").write_bytes(b"another recording")
+    said = command(logs / "out" / "a", code=2).stderr
+    assert "is not the log it was (it had 5 bytes and has 17)" in said
+
+
+def test_one_truth_beside_several_logs_must_tell_them_apart(logs: Path) -> None:
+    truth(logs / "logs" / "gt.csv", range(8))
+    shutil.rmtree(logs / "out" / "pings")
+    assert (
+        "lies beside 2 logs (a, b), so it needs a log column"
+        in command(logs / "out", code=1).stderr
+    )
+    rows = [("a", 0, 1, 2.0, 0.0), ("b", 0, 1, 2.0, 0.0), ("b", 1, 1, 2.0, 0.0)]
+    write_csv(logs / "logs" / "gt.csv", ("log", *HEADER), rows)
+    found = evaluate(logs / "out")
+    per_log = scored(found, "strict").counts_per_log(found.joined)
+    assert [(log[0].tp, log[0].fn) for log in per_log] == [(1, 0), (2, 0)]
+
+
+# --- One recording counts once -------------------------------------------------------------------
+
+
+def test_copies_of_one_recording_count_once(logs: Path) -> None:
+    """Also those with other settings; figures, intervals and passes are those of the first."""
+    truth(logs / "gt.csv", range(4))
+    place = logs / "logs" / "a.mp4"
+    alone = logs / "out" / "a"
+    (logs / "few").mkdir()
+    alone = alone.rename(logs / "few" / "a")
+    shutil.copytree(alone, logs / "few" / "copy")
+    (logs / "few" / "link").symlink_to(alone)
+    other = result(logs / "else", place, "0" * 64, range(3))
+    other.rename(logs / "few" / "other")
+    done = command("--ground-truth", logs / "gt.csv", logs / "few", code=3)
+    few = logs / "few"
+    for name in ("copy", "link"):
+        assert f"{few / name}: the same log as {few / 'a'} (SHA-256 000000000000...)" in done.stdout
+    assert f"{few / 'other'}: the same log as {few / 'a'}" in done.stderr
+    assert "these other results of it are not scored" in done.stderr
+    one, all_ = evaluate(alone, logs / "gt.csv"), evaluate(few, logs / "gt.csv")
+    assert counts(scored(one, "strict")) == counts(scored(all_, "strict"))
+    assert summarise(one).units.count == summarise(all_).units.count
+    # A table of pairs that names it four times.
+    rows = [("few/a", "gt.csv")] * 3 + [("few/link", "gt.csv")]
+    write_csv(logs / "pairs.csv", ("results", "ground_truth"), rows)
+    done = command("--pairs", logs / "pairs.csv")
+    assert done.stdout.count("which counts once") == 3
+    told = json.loads((logs / "evaluation" / "evaluation.json").read_text())
+    assert told["frames"] == len(FRAMES)
+
+
+def test_other_topics_and_other_frames_of_a_recording_all_count(logs: Path) -> None:
+    place = logs / "logs" / "a.mp4"
+    for name, topic in (("left", "/left"), ("right", "/right")):
+        folder = result(logs / "x", place, "0" * 64, range(4), f'topic = "{topic}"\n')
+        folder.rename(logs / "x" / name)
+    late = result(logs / "x", place, "0" * 64, range(0), 'topic = "/left"\n')
+    write_csv(late / "frames.csv", ["frame"], [[f] for f in range(12, 20)])
+    late.rename(logs / "x" / "late")
+    names = ("late", "left", "right")
+    rows = [(name, f, 1, 2.0, 0.0) for name in names for f in (0, 13)]
+    write_csv(logs / "gt.csv", ("log", *HEADER), rows)
+    assert evaluate(logs / "x", logs / "gt.csv").joined.logs == names
+
+
+# --- Truth that cannot fit -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("header", "says"),
+    [
+        ("frame,landmark,x,y", "x, y: expected x_px,y_px"),
+        ("frame,landmark,u,v", "u, v: expected x_px,y_px"),
+        ("frame,landmark,col,row", "col, row: expected x_px,y_px"),
+        ("frame,landmark,Range,Bearing", "Range, Bearing: expected range_m,bearing_deg"),
+        ("frame,landmark,range_m,azimuth", "range_m, azimuth: expected range_m,bearing_deg"),
+        ("frame,landmark,x_px,z", "x_px: expected x_px,y_px"),
+    ],
+)
+def test_columns_that_look_like_positions_are_named(tmp_path: Path, header: str, says: str) -> None:
+    results, gt = write_case(tmp_path, FRAMES, [(0, "m", 2.0, 0.0, 1, 0.9, 1)], [])
+    gt.write_text(f"{header}\n0,1,2.0,0.0\n")
+    done = command("--ground-truth", gt, results, code=1)
+    assert says in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert not (results / "evaluation").exists()
+
+
+def test_columns_beside_good_positions_are_told(tmp_path: Path) -> None:
+    results, gt = write_case(tmp_path, FRAMES, [(0, "m", 2.0, 0.0, 1, 0.9, 1)], [])
+    gt.write_text("frame,landmark,range_m,bearing_deg,x,y,remark\n0,1,2.0,0.0,7,9,good\n")
+    assert "gt.csv: columns x, y are not read" in command("--ground-truth", gt, results).stdout
+
+
+@pytest.mark.parametrize("unit", [100.0, 0.001])
+def test_positions_outside_the_image_are_refused(tmp_path: Path, unit: float) -> None:
+    """Centimetres, or kilometres."""
+    rows = [(f, 1, 2.0 * unit, 1.0, 1.0) for f in FRAMES]
+    results, gt = write_case(tmp_path, FRAMES, [(0, "m", 2.0, 0.0, 1, 0.9, 1)], rows)
+    (results / "run.toml").write_text(RUN_TOML)
+    (line,) = command("--ground-truth", gt, results, code=1).stderr.splitlines()
+    assert "none of its 12 positions lies in the image of out (1.25 to 3.75 m" in line
+    assert f"the first at {2 * unit:.4g} m and 1 deg" in line
+
+
+def test_some_positions_outside_are_told(tmp_path: Path) -> None:
+    rows = [(f, 1, 2.0, 40.0 if f < 3 else 0.0, 1.0) for f in FRAMES]
+    results, gt = write_case(tmp_path, FRAMES, [(5, "m", 2.0, 0.0, 1, 0.9, 1)], rows)
+    (results / "run.toml").write_text(RUN_TOML)
+    done = command("--ground-truth", gt, results)
+    assert "3 of 12 positions lie outside the image of out" in done.stdout
+
+
+def test_one_log_whose_truth_cannot_be_its_own_does_not_stop_the_others(logs: Path) -> None:
+    truth(logs / "logs" / "a.gt.csv", range(4))
+    truth(logs / "logs" / "b.gt.csv", range(500, 504))
+    truth(logs / "logs" / "pings" / "gt.csv", range(0))
+    done = command(logs / "out", code=3)
+    assert "b.gt.csv: none of its 4 rows (frame 500 to 503) lies on a processed" in done.stderr
+    assert "b is not scored" in done.stderr
+    assert "pings: no row in the ground truth, so taken to hold no landmark" in done.stdout
+    assert evaluate(logs / "out").joined.logs == ("a", "pings")
+
+
+# --- What goes to stdout, which methods there are ------------------------------------------------
+
+
+def test_json_is_the_only_thing_on_stdout(logs: Path) -> None:
+    for name in ("a", "b"):
+        truth(logs / f"logs/{name}.gt.csv", range(4))
+    truth(logs / "logs" / "pings" / "gt.csv", range(4))
+    done = command(logs / "out", "--json")
+    written = (logs / "out" / "evaluation" / "evaluation.json").read_text()
+    assert done.stdout == written
+    told = json.loads(done.stdout)
+    assert list(told["per_log"]) == told["logs"] == ["a", "b", "pings"]
+    for key in ("tp", "tn", "fp", "fn"):
+        parts = [told["per_log"][log]["m"]["strict"]["total"][key] for log in told["logs"]]
+        assert sum(parts) == told["methods"]["m"]["strict"]["total"][key]
+
+
+def test_methods_neither_listed_nor_seen_are_not_shown(tmp_path: Path) -> None:
+    """Of several presets in one run of an earlier version, which did not list them."""
+    claims = [(0, m, 2.0, 0.0, 1, 0.9, 1) for m in ("smi", "framework:offline", "framework:paper")]
+    results, gt = write_case(tmp_path, FRAMES, claims, [(0, 1, 2.0, 0.0, 1.0)])
+    run = results / "run.toml"
+    run.write_text("finished = true\n")
+    assert set(evaluate(results, gt).joined.methods) == {claim[1] for claim in claims}
+    run.write_text('[program]\nmethods = ["smi", "framework:offline", "framework:seen_nothing"]\n')
+    assert "framework:seen_nothing" in evaluate(results, gt).joined.methods

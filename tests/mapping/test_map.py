@@ -1,0 +1,618 @@
+"""Maps: landmarks lie where trigonometry puts them, errors are as large as they are said to be, and
+other programs read the files."""
+
+from __future__ import annotations
+
+import base64
+import csv
+import json
+import math
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gtsam
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+from mcap.writer import Writer
+from rosbags.typesys import Stores, get_typestore
+
+from sonarrec.cli import main
+from sonarrec.config import preset
+from sonarrec.landmarks import load_landmarks
+from sonarrec.mapping.build import make_map
+from sonarrec.mapping.path import Drift, Motions, measured_path, told_path
+from sonarrec.mapping.tables import CHI2_95, Origin, ellipse
+from sonarrec.poses import pose_table
+from sonarrec.readers.poses_csv import read_poses
+from sonarrec.records import Estimate, FloatArray, FrameResult, SonarrecError, UsageError
+from sonarrec.results.run_file import run_table
+from sonarrec.results.write import ResultsWriter
+from sonarrec.sonar import Sonar
+from tests.support.drawn import make_fan
+
+BASIN = load_landmarks("basin")
+HEIGHT = 0.68
+FAN = make_fan(rows=512)
+RATE = 4.0
+SIGMA = (0.006, 0.12, 4.0)
+"""Of the made-up estimates: slant range (m), bearing and orientation (deg)."""
+
+
+@dataclass(frozen=True)
+class Disc:
+    """A landmark on the floor; turn: counter-clockwise from the x axis, deg."""
+
+    id: int
+    x: float
+    y: float
+    turn: float
+
+
+# Two of ID.1 half a metre apart; ID.2, which looks the same turned by half.
+SITE = (Disc(1, -0.4, 2.3, 40.0), Disc(1, 0.1, 2.4, 300.0), Disc(2, 0.9, 2.6, 110.0))
+
+
+def there_and_back(frames: int = 120) -> FloatArray:
+    """(frames, 3) yaw, x, y: to the right and back, all of the site leaving the view between."""
+    share = 1 - np.abs(np.linspace(-1, 1, frames))
+    return np.column_stack([-25 + 60 * share, -0.5 + 1.2 * share, 0.3 * share])
+
+
+def seen_by(pose: FloatArray, disc: Disc) -> tuple[float, float, float]:
+    """Slant range, bearing, orientation in the image of a disc for a sonar at (yaw, x, y)."""
+    yaw, x, y = pose
+    right, ahead = disc.x - x, disc.y - y
+    bearing = math.degrees(math.atan2(right, ahead)) - yaw
+    return math.hypot(right, ahead, HEIGHT), bearing, (disc.turn + yaw) % 360
+
+
+def results(
+    folder: Path,
+    path: FloatArray,
+    told: FloatArray | None,
+    site: Sequence[Disc] = SITE,
+    seed: int = 0,
+    odometry: dict[str, str] | None = None,
+) -> Path:
+    """Results as a run writes them, of a sonar that was carried along a path and told another.
+
+    Discs within 12 deg are declared. A disc that comes back has another track. The error of each
+    estimate is half of the pass, half of the frame.
+    """
+    rng = np.random.default_rng(seed)
+    rows: list[tuple[Estimate, ...]] = []
+    track: dict[Disc, tuple[int, int, FloatArray]] = {}
+    for frame, pose in enumerate(path):
+        found = []
+        for disc in site:
+            exact = np.array(seen_by(pose, disc))
+            if abs(exact[1]) > 12 or not 1.3 < exact[0] < 3.7:
+                continue
+            last, number, common = track.get(disc, (-100, 0, np.zeros(3)))
+            if frame - last > 10:
+                number = len(track) + 10 * frame
+                common = rng.normal(0, SIGMA)
+            track[disc] = frame, number, common
+            noisy = exact + math.sqrt(0.5) * (common + rng.normal(0, SIGMA))
+            found.append(
+                Estimate(
+                    "framework",
+                    number,
+                    0.0,
+                    0.0,
+                    *noisy[:2],
+                    noisy[2] % 360,
+                    1.0,
+                    np.full(5, 0.2),
+                    disc.id,
+                    0.99,
+                    True,
+                    *SIGMA,
+                )
+            )
+        rows.append(tuple(found))
+    config = preset("default")
+    sonar = Sonar(height_m=HEIGHT, tilt_deg=20.0, range_min_m=1.25, range_max_m=3.75)
+    table = run_table([config], ["framework"], sonar, FAN, BASIN, (folder.name, 0, ""))
+    table["input"]["path"] = str(folder.parent / f"{folder.name}.mcap")
+    if told is not None:
+        poses = write_poses(folder.parent / f"{folder.name}.poses.csv", told)
+        table["odometry"] = dict(read_poses(poses).source)
+    if odometry is not None:
+        table["odometry"] = odometry
+    with ResultsWriter(folder, BASIN, table) as writer:
+        for frame, found in enumerate(rows):
+            writer.write(FrameResult(frame, round(frame * 1e9 / RATE), 0, 0, found))
+        writer.finish([])
+    return folder
+
+
+def write_poses(path: Path, poses: FloatArray) -> Path:
+    lines = [f"{n / RATE},{yaw},{x},{y}" for n, (yaw, x, y) in enumerate(poses.tolist())]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("\n".join(["timestamp,yaw,x,y", *lines, ""]))
+    return path
+
+
+def sonarrec(*arguments: str | Path, code: int = 0) -> Result:
+    done = CliRunner().invoke(main, [str(a) for a in arguments])
+    assert done.exit_code == code, done.output
+    assert done.exception is None or isinstance(done.exception, SystemExit)
+    return done
+
+
+def table(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return [*csv.DictReader(file)]
+
+
+@pytest.fixture
+def mapped(tmp_path: Path) -> Path:
+    folder = results(tmp_path / "dive", there_and_back(), there_and_back())
+    sonarrec("map", folder, "--origin", "54.3233,10.1394,87")
+    return folder / "map"
+
+
+# Where they lie
+
+
+def test_each_landmark_once_where_it_lies(mapped: Path) -> None:
+    rows = table(mapped / "map.csv")
+    assert [int(row["landmark"]) for row in rows] == [1, 1, 2]
+    for row in rows:
+        at = np.array([float(row["x_m"]), float(row["y_m"])])
+        disc = min(SITE, key=lambda d: math.dist(at, (d.x, d.y)))
+        xx, xy, yy = (float(row[k]) for k in ("xx_m2", "xy_m2", "yy_m2"))
+        off = at - (disc.x, disc.y)
+        assert disc.id == int(row["landmark"])
+        assert off @ np.linalg.inv([[xx, xy], [xy, yy]]) @ off < 13.8  # 99.9 %
+        period = 180 if disc.id == 2 else 360
+        turn = (float(row["orientation_deg"]) - disc.turn + period / 2) % period - period / 2
+        assert abs(turn) < 3.3 * float(row["orientation_sigma_deg"])
+        assert row["passes"] == "2"
+    assert len({(row["x_m"], row["y_m"]) for row in rows}) == 3
+
+
+def test_from_where_each_was_seen(mapped: Path) -> None:
+    path = there_and_back()
+    for row in table(mapped / "passes.csv"):
+        frames = range(int(row["first_frame"]), int(row["last_frame"]) + 1)
+        sonar = np.array([float(row[f"sonar_{k}"]) for k in ("yaw_deg", "x_m", "y_m")])
+        assert np.abs(path[frames] - sonar).max(axis=1).min() < 1e-3
+        away = [math.dist(p[1:], (float(row["x_m"]), float(row["y_m"]))) for p in path[frames]]
+        assert float(row["near_m"]) == pytest.approx(min(away), abs=0.05)
+        assert float(row["far_m"]) == pytest.approx(max(away), abs=0.05)
+        assert int(row["frames"]) == len(frames)
+
+
+def test_two_logs_make_one_map(tmp_path: Path) -> None:
+    path = there_and_back()
+    one = results(tmp_path / "one", path, path)
+    other = results(tmp_path / "other", path[::-1], path[::-1], [*SITE, Disc(4, -1.2, 2.0, 0)], 1)
+    sonarrec("map", one, other, "-o", tmp_path / "site")
+    rows = table(tmp_path / "site" / "map.csv")
+    assert [(row["landmark"], row["logs"]) for row in rows] == [
+        *(("1", "2"), ("1", "2"), ("2", "2")),
+        ("4", "1"),
+    ]
+    told = sonarrec("map", one, other, code=2)
+    assert "give the folder of their map with --out" in told.stderr
+
+
+def test_what_lies_on_another_is_the_one_claimed_more(tmp_path: Path) -> None:
+    """A few frames of a disc under a wrong ID make no second landmark."""
+    path = there_and_back()
+    folder = results(tmp_path / "dive", path, path)
+    estimates = folder / "estimates.csv"
+    rows = table(estimates)
+    wrong = 0
+    for row in rows:
+        if row["landmark"] == "2" and wrong < 5:
+            row["landmark"], wrong = "3", wrong + 1
+    with estimates.open("w", newline="") as file:
+        writer = csv.DictWriter(file, rows[0])
+        writer.writeheader()
+        writer.writerows(rows)
+    sonarrec("map", folder)
+    rows = table(folder / "map" / "map.csv")
+    assert [(row["landmark"], row["other_frames"]) for row in rows] == [
+        ("1", "0"),
+        ("1", "0"),
+        ("2", "5"),
+    ]
+
+
+def test_landmarks_of_few_frames_are_left_out(tmp_path: Path) -> None:
+    path = there_and_back()
+    folder = results(tmp_path / "dive", path, path)
+    most = max(int(row["frames"]) for row in map_rows(folder))
+    assert map_rows(folder, "--min-frames", most + 1) == []
+    assert "no landmark declared" in sonarrec("map", folder, "--min-frames", 10_000).stdout
+
+
+def map_rows(folder: Path, *options: str | int) -> list[dict[str, str]]:
+    sonarrec("map", folder, *map(str, options))
+    return table(folder / "map" / "map.csv")
+
+
+def test_the_truth_lies_in_the_ellipse_as_often_as_is_said(tmp_path: Path) -> None:
+    inside = []
+    for seed in range(40):
+        path = there_and_back()
+        site = make_map([results(tmp_path / f"{seed}", path, path, seed=seed)])
+        for one in site.landmarks:
+            off = min((one.place - (d.x, d.y) for d in SITE), key=lambda o: float(np.hypot(*o)))
+            inside.append(off @ np.linalg.inv(one.covariance) @ off < CHI2_95)
+    assert len(inside) == 120
+    assert 0.90 <= np.mean(inside) <= 1
+
+
+# What drifts
+
+
+def test_errors_of_a_drifting_path_are_those_of_many_drawn() -> None:
+    """Against paths drawn step by step, with the errors that are stated."""
+    rng = np.random.default_rng(1)
+    moved = np.column_stack([np.full(60, 3.0), np.full(60, 0.01), np.full(60, 0.08)])
+    sigma = np.column_stack([np.full(60, 0.3), np.full(60, 0.004), np.full(60, 0.008)])
+    frame = np.arange(60)
+    path = measured_path(frame, frame, Motions(moved, sigma))
+    seen = np.array([0.5, 2.0])  # m to the right and ahead, in frames 20 and 50
+
+    def placed(pose: FloatArray, row: int) -> FloatArray:
+        yaw = math.radians(pose[row, 0])
+        right, ahead = seen
+        return pose[row, 1:] + (
+            right * math.cos(yaw) + ahead * math.sin(yaw),
+            ahead * math.cos(yaw) - right * math.sin(yaw),
+        )
+
+    drawn = []
+    for _ in range(4000):
+        yaw, x, y = 0.0, 0.0, 0.0
+        pose = [(yaw, x, y)]
+        for turn, right, ahead in (moved + sigma * rng.standard_normal(moved.shape))[1:].tolist():
+            cos, sin = math.cos(math.radians(yaw)), math.sin(math.radians(yaw))
+            x, y = x + right * cos + ahead * sin, y + ahead * cos - right * sin
+            yaw += turn
+            pose.append((yaw, x, y))
+        some = np.array(pose)
+        drawn.append([*placed(some, 20), *placed(some, 50), *some[50]])
+    found = np.cov(np.array(drawn).T)
+    for row, place in ((20, slice(0, 2)), (50, slice(2, 4))):
+        at = placed(path.pose, row)
+        stated = path.place_covariance(np.array([row]), at[None])[0]
+        scale = np.sqrt(np.outer(np.diag(stated), np.diag(stated)))
+        assert np.abs((found[place, place] - stated) / scale).max() < 0.08
+    assert path.yaw_variance(np.array([50]))[0] == pytest.approx(found[4, 4], rel=0.08)
+    step = path.step_covariance(0, 50)
+    of_pose = found[np.ix_([5, 6, 4], [5, 6, 4])] * np.outer(*[[1, 1, math.radians(1)]] * 2)
+    scale = np.sqrt(np.outer(np.diag(step), np.diag(step)))
+    assert np.abs((of_pose - step) / scale).max() < 0.08
+
+
+def test_told_poses_drift_as_stated() -> None:
+    frame = np.arange(241)
+    at = np.round(frame * 0.25e9).astype(np.int64)
+    table_of_poses = pose_table("p", {}, at, 0.0 * frame, 0.0 * frame, 0.0 * frame)
+    path = told_path(frame, at, table_of_poses, Drift(0.2, 6.0))
+    last = np.array([240])
+    assert path.yaw_variance(last)[0] == pytest.approx(36)  # a minute
+    covariance = path.place_covariance(last, np.zeros((1, 2)))[0]
+    np.testing.assert_allclose(covariance, 0.04 * np.eye(2))
+
+
+def test_a_landmark_that_comes_back_is_one_in_spite_of_drift(tmp_path: Path) -> None:
+    """Dead reckoning is 0.3 m off by the time of the second pass: as far as the neighbour lies."""
+    path = there_and_back()
+    off = np.linspace(0, 1, len(path))[:, None] * (4.0, 0.3, -0.1)
+    folder = results(tmp_path / "dive", path, path + off)
+    assert len(map_rows(folder)) > 3  # as exact poses these are other landmarks
+    rows = map_rows(folder, "--drift", "0.4,5")
+    assert [(row["landmark"], row["passes"]) for row in rows] == [
+        ("1", "2"),
+        ("1", "2"),
+        ("2", "2"),
+    ]
+
+
+def measured(
+    folder: Path, path: FloatArray, sigma: Sequence[float], lost: int | None = None
+) -> None:
+    """Replace frames.csv by one with the motion measured between frames."""
+    lines = ["frame,timestamp_ns,dx_m,dy_m,dyaw_deg,dx_sigma_m,dy_sigma_m,dyaw_sigma_deg"]
+    for n in range(len(path)):
+        right, ahead, turn = 0.0, 0.0, 0.0
+        if n:
+            yaw, x, y = path[n - 1]
+            cos, sin = math.cos(math.radians(yaw)), math.sin(math.radians(yaw))
+            dx, dy = path[n, 1:] - (x, y)
+            right, ahead, turn = dx * cos - dy * sin, dx * sin + dy * cos, path[n, 0] - yaw
+        told = ["nan"] * 3 if n == lost else [f"{v:.9f}" for v in (right, ahead, turn)]
+        lines.append(",".join([str(n), str(n * 10**8), *told, *map(str, sigma)]))
+    (folder / "frames.csv").write_text("\n".join([*lines, ""]))
+
+
+def test_without_poses_the_map_is_relative_to_the_first_frame(tmp_path: Path) -> None:
+    path = there_and_back()
+    folder = results(tmp_path / "dive", path, None)
+    told = sonarrec("map", folder, code=1)
+    assert "neither poses nor measured motion" in told.stderr
+    assert "--odometry" in told.stderr
+    sigma = (0.002, 0.002, 0.1)
+    measured(folder, path, sigma)
+    yaw, x, y = path[0]
+    cos, sin = math.cos(math.radians(yaw)), math.sin(math.radians(yaw))
+    site = make_map([folder])
+    assert len(site.landmarks) == 3
+    for one in site.landmarks:
+        right, ahead = one.place
+        at = (x + right * cos + ahead * sin, y + ahead * cos - right * sin)
+        disc = min(SITE, key=lambda d: math.dist(at, (d.x, d.y)))
+        assert math.dist(at, (disc.x, disc.y)) < 0.05
+        first = min(site.logs[0].on_floor.passes.first[k] for _, k in one.members)
+        # What is first seen later is placed less surely.
+        assert np.sqrt(one.covariance[0, 0]) >= sigma[0] * math.sqrt(first)
+    told = sonarrec("map", folder, folder, code=0)  # the same one twice is one
+    other = results(tmp_path / "other", path, None)
+    measured(other, path, sigma)
+    told = sonarrec("map", folder, other, "-o", tmp_path / "both", code=2)
+    assert "without poses each log has a frame of its own" in told.stderr
+
+
+def test_measured_motion_carries_as_far_as_it_is_known(tmp_path: Path) -> None:
+    path = there_and_back()
+    folder = results(tmp_path / "dive", path, None)
+    measured(folder, path, (0.001, 0.001, 0.1), lost=60)
+    done = sonarrec("map", folder, code=3)
+    assert "the motion to frame 60 is not known" in done.stderr
+    assert "declared estimates left out" in done.stderr
+    assert all(int(row["last_frame"]) < 60 for row in table(folder / "map" / "passes.csv"))
+
+
+# What others read
+
+
+def test_gtsam_reads_the_graph_and_finds_the_map(tmp_path: Path) -> None:
+    path = there_and_back(160)[40:]  # the first of it in sight of the site
+    rng = np.random.default_rng(2)
+    off = np.cumsum(rng.normal(0, (0.25, 0.012, 0.012), path.shape), axis=0)
+    off -= off[0]
+    folder = results(tmp_path / "dive", path, path + off)
+    sonarrec("map", folder, "--drift", "0.19,4")
+    graph, first = gtsam.readG2o(str(folder / "map" / "graph.g2o"), False)
+    rows = table(folder / "map" / "factors.csv")
+    marks = {int(row["landmark_vertex"]): int(row["number"]) - 1 for row in rows}
+    poses = {int(row["pose_vertex"]): int(row["frame"]) for row in rows}
+    found_map = table(folder / "map" / "map.csv")
+    assert len(marks) == len(found_map) == 3
+    for vertex, number in marks.items():  # x ahead and y left there
+        pose, row = first.atPose2(vertex), found_map[number]
+        assert pose.x() == pytest.approx(float(row["y_m"]), abs=1e-4)
+        assert pose.y() == pytest.approx(-float(row["x_m"]), abs=1e-4)
+        turn = math.radians(float(row["orientation_deg"]) - 90)
+        assert math.remainder(pose.theta() - turn, 2 * math.pi) == pytest.approx(0, abs=2e-4)
+    edges = [graph.at(n).keys() for n in range(graph.size())]
+    assert sum(max(keys) in marks for keys in edges) == len(rows)
+    fixed = gtsam.noiseModel.Diagonal.Sigmas(np.full(3, 1e-5))
+    graph.add(gtsam.PriorFactorPose2(0, first.atPose2(0), fixed))
+    before = graph.error(first)
+    found = gtsam.LevenbergMarquardtOptimizer(graph, first).optimize()
+    assert graph.error(found) < before
+    errors = np.array(
+        [
+            [
+                math.dist((pose.x(), -pose.y()), (path[frame, 2], path[frame, 1]))
+                for pose in (first.atPose2(vertex), found.atPose2(vertex))
+            ]
+            for vertex, frame in poses.items()
+        ]
+    )
+    told, better = np.sqrt((errors**2).mean(axis=0))
+    assert better < told / 1.5
+
+
+def test_measurements_lead_from_the_poses_to_the_landmarks(mapped: Path) -> None:
+    path, rows = there_and_back(), table(mapped / "map.csv")
+    off = []
+    for row in table(mapped / "factors.csv"):
+        yaw, x, y = path[int(row["frame"])]
+        ground, sight = float(row["ground_range_m"]), math.radians(yaw + float(row["bearing_deg"]))
+        at = (x + ground * math.sin(sight), y + ground * math.cos(sight))
+        landmark = rows[int(row["number"]) - 1]
+        assert math.dist(at, (float(landmark["x_m"]), float(landmark["y_m"]))) < 0.05
+        assert math.hypot(ground, HEIGHT) == pytest.approx(float(row["range_m"]), abs=1e-3)
+        turn = float(row["orientation_deg"]) - yaw - float(landmark["orientation_deg"])
+        off.append(math.remainder(turn, 360))
+    assert max(map(abs, off)) < 20
+    assert int(row["timestamp_ns"]) == round(int(row["frame"]) * 1e9 / RATE)
+
+
+def test_geojson_lies_where_the_map_says(mapped: Path) -> None:
+    """By way of Earth-centred coordinates: distances and directions from the origin."""
+    features = json.loads((mapped / "map.geojson").read_text())["features"]
+    points = [f for f in features if f["geometry"]["type"] == "Point"]
+    rows = table(mapped / "map.csv")
+    assert [f["properties"]["landmark"] for f in points] == [int(r["landmark"]) for r in rows]
+
+    def earth(longitude: float, latitude: float) -> FloatArray:
+        lon, lat = math.radians(longitude), math.radians(latitude)
+        n = 6378137 / math.sqrt(1 - 0.00669437999014 * math.sin(lat) ** 2)
+        flat = n * math.cos(lat)
+        return np.array(
+            [flat * math.cos(lon), flat * math.sin(lon), n * (1 - 0.00669437999014) * math.sin(lat)]
+        )
+
+    lat, lon = math.radians(54.3233), math.radians(10.1394)
+    east = np.array([-math.sin(lon), math.cos(lon), 0])
+    north = np.array(
+        [-math.sin(lat) * math.cos(lon), -math.sin(lat) * math.sin(lon), math.cos(lat)]
+    )
+    for feature, row in zip(points, rows, strict=True):
+        away = earth(*feature["geometry"]["coordinates"]) - earth(10.1394, 54.3233)
+        heading = math.degrees(math.atan2(away @ east, away @ north))
+        x, y = float(row["x_m"]), float(row["y_m"])
+        assert np.hypot(away @ east, away @ north) == pytest.approx(math.hypot(x, y), abs=2e-4)
+        assert heading == pytest.approx(87 + math.degrees(math.atan2(x, y)), abs=0.01)
+        turn = (90 + 87 - float(row["orientation_deg"])) % 360
+        assert feature["properties"]["heading_deg"] == pytest.approx(turn, abs=0.02)
+    rings = [
+        f["geometry"]["coordinates"][0] for f in features if f["geometry"]["type"] == "Polygon"
+    ]
+    assert len(rings) == len(rows)
+    assert all(ring[0] == ring[-1] for ring in rings)
+    assert sum(f["geometry"]["type"] == "LineString" for f in features) == 1
+
+
+def test_an_ellipse_holds_what_it_says() -> None:
+    covariance = np.array([[0.04, 0.01], [0.01, 0.02]])
+    line = ellipse(np.array([1.0, 2.0]), covariance)
+    off = line - (1, 2)
+    squared = np.einsum("ni,ij,nj->n", off, np.linalg.inv(covariance), off)
+    np.testing.assert_allclose(squared, CHI2_95)
+    drawn = np.random.default_rng(0).multivariate_normal([0, 0], covariance, 20_000)
+    inside = np.einsum("ni,ij,nj->n", drawn, np.linalg.inv(covariance), drawn) < CHI2_95
+    assert inside.mean() == pytest.approx(0.95, abs=0.006)
+
+
+def test_the_picture_shows_what_was_found(mapped: Path) -> None:
+    import cv2
+
+    picture = cv2.imread(str(mapped / "map.png"))
+    assert picture is not None
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 20
+
+
+# Poses of a topic
+
+
+def test_the_frame_of_a_topic_is_as_ros_has_it(tmp_path: Path) -> None:
+    """x ahead, y to the left, angles counter-clockwise from the x axis."""
+    path = there_and_back()
+    log = tmp_path / "dive.mcap"
+    odometry_log(log, path)
+    ros = results(tmp_path / "dive", path, None, odometry={"topic": "/odom"})
+    plain = results(tmp_path / "plain", path, path)
+    for one, other in zip(map_rows(ros), map_rows(plain), strict=True):
+        assert float(one["x_m"]) == pytest.approx(float(other["y_m"]), abs=2e-4)
+        assert float(one["y_m"]) == pytest.approx(-float(other["x_m"]), abs=2e-4)
+        assert float(one["xx_m2"]) == pytest.approx(float(other["yy_m2"]), rel=1e-2)
+        assert float(one["xy_m2"]) == pytest.approx(-float(other["xy_m2"]), rel=5e-2, abs=1e-8)
+        period = 180 if one["landmark"] == "2" else 360
+        turn = float(other["orientation_deg"]) - 90 - float(one["orientation_deg"])
+        assert math.remainder(turn, period) == pytest.approx(0, abs=0.05)
+    log.unlink()
+    told = sonarrec("map", ros, code=1)
+    assert "its poses are the topic /odom of" in told.stderr
+    table_of_poses = write_poses(tmp_path / "poses.csv", path)
+    sonarrec("map", ros, "--odometry", table_of_poses)
+
+
+def odometry_log(log: Path, path: FloatArray) -> None:
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    name = "nav_msgs/msg/Odometry"
+    with log.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        text = store.generate_msgdef(name, ros_version=2)[0].encode()
+        channel = writer.register_channel(
+            "/odom", "cdr", writer.register_schema(name, "ros2msg", text)
+        )
+        t: Any = store.types
+        for n, (yaw, x, y) in enumerate(path.tolist()):
+            half = -math.radians(yaw) / 2
+            zero = t["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
+            message = t[name](
+                t["std_msgs/msg/Header"](t["builtin_interfaces/msg/Time"](0, 0), "map"),
+                "sonar",
+                t["geometry_msgs/msg/PoseWithCovariance"](
+                    t["geometry_msgs/msg/Pose"](
+                        t["geometry_msgs/msg/Point"](y, -x, 0.0),
+                        t["geometry_msgs/msg/Quaternion"](0.0, 0.0, math.sin(half), math.cos(half)),
+                    ),
+                    np.zeros(36),
+                ),
+                t["geometry_msgs/msg/TwistWithCovariance"](
+                    t["geometry_msgs/msg/Twist"](zero, zero), np.zeros(36)
+                ),
+            )
+            time = round(n * 1e9 / RATE)
+            writer.add_message(channel, time, bytes(store.serialize_cdr(message, name)), time)
+        writer.finish()
+
+
+# Faults
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "told"),
+    [
+        ("--origin 54,10", 2, "--origin 54,10: expected 3 numbers with commas between"),
+        ("--origin 95,10,0", 2, "latitude within -90 to 90"),
+        ("--drift 0.1", 2, "--drift 0.1: expected 2 numbers"),
+        ("--drift -1,2", 2, "standard errors are not negative"),
+        ("--method nobody", 2, "no method 'nobody'"),
+    ],
+)
+def test_faults_are_one_line(options: str, code: int, told: str, tmp_path: Path) -> None:
+    path = there_and_back(40)
+    folder = results(tmp_path / "dive", path, path)
+    done = sonarrec("map", folder, *shlex.split(options), code=code)
+    assert told in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not (folder / "map").exists()
+
+
+def test_poses_that_changed_are_refused(tmp_path: Path) -> None:
+    path = there_and_back(40)
+    folder = results(tmp_path / "dive", path, path)
+    moved = write_poses(tmp_path / "dive.poses.csv", path + 1)
+    told = sonarrec("map", folder, code=1)
+    assert "are not there or have changed" in told.stderr
+    sonarrec("map", folder, "--odometry", moved, code=1)
+    right = write_poses(tmp_path / "elsewhere" / "poses.csv", path)
+    sonarrec("map", folder, "--odometry", right)
+
+
+def test_one_log_that_cannot_be_mapped_costs_itself_only(tmp_path: Path) -> None:
+    path = there_and_back()
+    good = results(tmp_path / "out" / "good", path, path)
+    bad = results(tmp_path / "out" / "bad", path, None)
+    done = sonarrec("map", tmp_path / "out", code=3)
+    assert f"{bad}: neither poses nor measured motion" in done.stderr
+    assert len(table(tmp_path / "out" / "map" / "map.csv")) == 3
+    with pytest.raises(SonarrecError, match="neither poses"):
+        make_map([bad])
+    with pytest.raises(UsageError, match="there are none"):
+        make_map([bad], drift=Drift(1, 1))
+    assert make_map([good]).problems == []
+
+
+def test_the_same_results_give_the_same_bytes(mapped: Path) -> None:
+    before = {p.name: p.read_bytes() for p in mapped.iterdir()}
+    sonarrec("map", mapped.parent, "--origin", "54.3233,10.1394,87")
+    assert before == {p.name: p.read_bytes() for p in mapped.iterdir()}
+    sonarrec("map", mapped.parent)
+    assert not (mapped / "map.geojson").exists()
+
+
+def test_an_origin_on_earth() -> None:
+    """A minute of latitude is a nautical mile, within what the ellipsoid's shape changes."""
+    found = Origin(0.0, 0.0, 0.0).on_earth(np.array([[0.0, 1852.0], [1852.0, 0.0]]))
+    assert found[0] == pytest.approx([0, 1 / 60], rel=0.006)
+    assert found[1] == pytest.approx([1 / 60, 0], rel=0.006)
+
+
+def test_the_report_shows_the_map(mapped: Path) -> None:
+    page = mapped.parent / "report.html"
+    sonarrec("report", mapped.parent)
+    picture = base64.b64encode((mapped / "map.png").read_bytes()).decode()
+    assert f'src="data:image/png;base64,{picture}"' in page.read_text()
+    for path in mapped.iterdir():
+        path.unlink()
+    sonarrec("report", mapped.parent)
+    assert "image/png" not in page.read_text()

@@ -1,0 +1,362 @@
+"""Bags of ROS: one log through all parts, whatever is missing; bad ones are one line."""
+
+from __future__ import annotations
+
+import bz2
+import csv
+import hashlib
+import json
+import sqlite3
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import lz4.frame
+import numpy as np
+import pytest
+import zstandard
+from click.testing import CliRunner, Result
+
+from sonarrec.cli import main
+from sonarrec.readers import open_log
+from sonarrec.readers import packed as packed_files
+from sonarrec.readers import ros_bag as ros_bags
+from sonarrec.readers.find import find_log
+from sonarrec.readers.mcap import ros
+from sonarrec.readers.mcap.poses import read_topic
+from sonarrec.records import Frame, SonarrecError
+from tests.support.bags import bag, messages, ros1_bag, ros1_messages, split_bag
+from tests.support.logs import PERIOD_NS, cdr_image, frames, mcap_file
+from tests.support.messages import FIELDS, by_rosbags, polar_frames, serialised
+
+SAMPLE = Path(__file__).parents[2] / "sample_data"
+IMAGES = frames(10)
+PARTS = [2, 1, 3, 2, 2]
+
+
+def parts_of(timed: list[tuple[int, bytes]], sizes: list[int]) -> list[list[tuple[int, bytes]]]:
+    ends = np.cumsum(sizes)
+    return [timed[end - size : end] for size, end in zip(sizes, ends, strict=True)]
+
+
+def read(path: Path) -> tuple[list[Frame], list[str]]:
+    with open_log(path) as log:
+        return list(log), log.problems
+
+
+def cut(path: Path, share: float) -> None:
+    data = path.read_bytes()
+    path.write_bytes(data[: int(len(data) * share)])
+
+
+def sonarrec(*words: str | Path, code: int = 0) -> Result:
+    told = CliRunner().invoke(main, [*map(str, words)])
+    assert told.exit_code == code, told.output
+    return told
+
+
+def rows(results: Path, name: str) -> list[list[str]]:
+    return list(csv.reader((results / name).open()))[1:]
+
+
+def same_rows(
+    outs: Path, name: str, side: str, columns: int | None, before: int = 1000
+) -> list[int]:
+    """The frames of a table's rows before one, which are those of the whole recording."""
+    expected, found = (
+        [row[:columns] for row in rows(outs / out / "dive", name) if int(row[0]) < before]
+        for out in ("whole", side)
+    )
+    assert found == expected
+    return [int(row[0]) for row in found]
+
+
+@pytest.mark.parametrize("storage", [".mcap", ".db3"])
+def test_five_parts_one_cut_are_the_same_recording_up_to_the_cut(
+    storage: str, tmp_path: Path
+) -> None:
+    images = [cv2.imread(str(SAMPLE / "pan" / f"{k:06d}.png"), 0) for k in range(50)]
+    timed = messages(images)
+    whole = mcap_file(tmp_path / "one" / "dive.mcap", [("/sonar", *each) for each in timed])
+    files = split_bag(tmp_path / "dive", parts_of(timed, [10] * 5), storage)
+    sonarrec("run", whole, "-o", tmp_path / "whole")
+    sonarrec("run", tmp_path / "dive", "-o", tmp_path / "parts")
+    # A database keeps no time of publishing, which frames.csv has behind these columns.
+    assert same_rows(tmp_path, "frames.csv", "parts", 4) == list(range(50))
+    expected = (tmp_path / "whole" / "dive" / "estimates.csv").read_bytes()
+    assert (tmp_path / "parts" / "dive" / "estimates.csv").read_bytes() == expected
+    cut(files[3], 0.6)
+    told = sonarrec("run", tmp_path / "dive", "-o", tmp_path / "cut", code=3)
+    assert f"{files[3].name}: cut short or damaged" in told.stderr
+    found = rows(tmp_path / "cut" / "dive", "frames.csv")
+    numbers = [int(row[0]) for row in found]
+    assert numbers[:30] == list(range(30))
+    assert numbers[-10:] == list(range(40, 50)), "those behind the lost ones keep their numbers"
+    lost = 50 - len(numbers)
+    assert 0 < lost < 10, "the cut part is read up to the cut"
+    assert f"{lost} messages of /sonar are lost" in told.stderr
+    first = next(k for k, number in enumerate(numbers) if k != number)
+    assert 30 <= first < 40
+    assert same_rows(tmp_path, "frames.csv", "cut", 4, first) == list(range(first))
+    assert len(same_rows(tmp_path, "estimates.csv", "cut", None, first)) > first
+
+
+@pytest.mark.parametrize("storage", [".mcap", ".db3"])
+def test_a_missing_part(storage: str, tmp_path: Path) -> None:
+    files = split_bag(tmp_path / "dive", parts_of(messages(IMAGES), PARTS), storage)
+    files[2].unlink()
+    found, problems = read(tmp_path / "dive")
+    assert [f.index for f in found] == [0, 1, 2, 6, 7, 8, 9]
+    for frame in found:
+        np.testing.assert_array_equal(frame.image, IMAGES[frame.index])
+        assert frame.timestamp_ns == frame.index * PERIOD_NS
+    assert problems == [
+        f"{files[2].name}: this part of the bag is missing",
+        f"{files[2].name}: 3 messages of /sonar are lost, by the counts in metadata.yaml",
+    ]
+    files[4].unlink()  # two of them: by the counts of each file
+    assert [f.index for f in read(tmp_path / "dive")[0]] == [0, 1, 2, 6, 7]
+    (tmp_path / "dive" / "metadata.yaml").unlink()
+    found, problems = read(tmp_path / "dive")
+    assert [f.index for f in found] == list(range(5))
+    assert problems == ["part 2 is missing; the frames that follow have too low numbers"]
+    for file in files:
+        file.unlink(missing_ok=True)
+    with pytest.raises(SonarrecError, match="no log and no image in this folder"):
+        read(tmp_path / "dive")
+
+
+def test_losses_that_cannot_be_placed(tmp_path: Path) -> None:
+    """Old bags count no messages by file: of two parts that are gone none knows which had what."""
+    files = split_bag(tmp_path / "dive", parts_of(messages(IMAGES), PARTS))
+    told = tmp_path / "dive" / "metadata.yaml"
+    told.write_text(told.read_text().replace("  files:", "  other:"))
+    files[1].unlink()
+    files[2].unlink()
+    found, problems = read(tmp_path / "dive")
+    assert [f.index for f in found] == list(range(6))
+    assert "counts 10 messages of /sonar, the parts hold 6; in which part" in problems[-1]
+
+
+def test_parts_that_overlap_in_time_come_in_the_order_of_time(tmp_path: Path) -> None:
+    """A recorder writes what comes in while it opens the next file into either."""
+    timed = messages(IMAGES)
+    split_bag(
+        tmp_path / "dive",
+        [[timed[0], timed[2], timed[5]], [timed[1], timed[3], timed[4]], timed[6:]],
+    )
+    found, problems = read(tmp_path / "dive")
+    assert not problems
+    assert [f.timestamp_ns for f in found] == [k * PERIOD_NS for k in range(10)]
+
+
+def test_info_and_digest_of_a_bag(tmp_path: Path) -> None:
+    files = split_bag(tmp_path / "dive", parts_of(messages(IMAGES), PARTS), ".mcap", "file")
+    assert files[0].name == "dive_0.mcap.zstd"
+    (log,) = json.loads(sonarrec("info", "--json", tmp_path / "dive").stdout)["logs"]
+    assert (log["kind"], log["files"]) == ("ROS 2 bag", 6)
+    assert log["images"][0]["usable"] == 10
+    assert log["container"]["channels"][0]["messages"] == 10
+    digest, size = hashlib.sha256(), 0
+    for file in (tmp_path / "dive" / "metadata.yaml", *files):
+        digest.update(file.name.encode() + b"\0" + file.read_bytes())
+        size += file.stat().st_size
+    with open_log(tmp_path / "dive") as opened:
+        assert opened.digest_source() == (size, digest.hexdigest())
+    assert log["size_bytes"] == size
+
+
+def test_other_commands_see_one_log(tmp_path: Path) -> None:
+    images = [cv2.imread(str(SAMPLE / "pan" / f"{k:06d}.png"), 0) for k in range(12)]
+    split_bag(tmp_path / "dive", parts_of(messages(images), [5, 7]))
+    out = tmp_path / "out"
+    sonarrec("run", tmp_path / "dive", "-o", out)
+    assert "up to date" in sonarrec("run", tmp_path / "dive", "-o", out).stdout
+    sonarrec("overlay", tmp_path / "dive", out / "dive", "--images", tmp_path / "shots")
+    assert len(list((tmp_path / "shots").glob("*.png"))) == 12
+    sonarrec("report", out, "--log", tmp_path / "dive", "-o", tmp_path / "report.html")
+    truth = SAMPLE / "pan" / "gt.csv"
+    checked = ("truth", "check", truth, tmp_path / "dive", "-o", tmp_path / "sheet.png")
+    assert CliRunner().invoke(main, [*map(str, checked)]).exit_code in (0, 3)
+    assert (tmp_path / "sheet.png").exists()
+
+
+def test_poses_of_a_bag(tmp_path: Path) -> None:
+    name = "geometry_msgs/msg/PoseStamped"
+    header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
+    half = np.radians(15) / 2
+    turned = {"x": 0.0, "y": 0.0, "z": float(np.sin(half)), "w": float(np.cos(half))}
+    pose = {"position": {"x": 1.0, "y": 2.0, "z": 0.0}, "orientation": turned}
+    timed = [(k * PERIOD_NS, serialised(name, {"header": header, "pose": pose})) for k in range(4)]
+    bag(tmp_path / "dive", timed, ".db3", "message", "/pose", name)
+    table = read_topic(tmp_path / "dive", "/pose", "log")
+    assert table.at.tolist() == [k * PERIOD_NS for k in range(4)]
+    np.testing.assert_allclose(table.pose, [[-15, -2, 1]] * 4)
+
+
+@pytest.mark.parametrize("name", FIELDS)
+def test_every_message_type_from_every_container(name: str, tmp_path: Path) -> None:
+    """The table of message types is one: what an MCAP holds can lie in a bag."""
+    images = polar_frames(3)
+    by_rosbags(name)(tmp_path / "log.mcap", images, "zstd")
+    timed = [(k * PERIOD_NS, serialised(name, FIELDS[name](k, i))) for k, i in enumerate(images)]
+    bag(tmp_path / "one", timed, ".db3", kind=name)
+    bag(tmp_path / "two", timed, ".mcap", "message", kind=name)
+    older = [
+        (k * PERIOD_NS, serialised(name, FIELDS[name](k, i), ros1=True))
+        for k, i in enumerate(images)
+    ]
+    ros1_messages(tmp_path / "log.bag", older, name)
+    expected, *others = (
+        list(find_log(tmp_path / log).open()) for log in ("log.mcap", "one", "two", "log.bag")
+    )
+    assert len(expected) == 3
+    for found in others:
+        for frame, other in zip(expected, found, strict=True):
+            assert frame.pixels is not None
+            assert other.pixels is not None
+            np.testing.assert_array_equal(frame.pixels, other.pixels)
+            assert frame.sonar == other.sonar
+            assert frame.timestamp_ns == other.timestamp_ns
+            assert frame.stamps.header == other.stamps.header
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "rosbag2_bagfile_information: [",
+        "rosbag2_bagfile_information: 3",
+        "rosbag2_bagfile_information: !!python/object/apply:os.system ['touch ran']",
+        "rosbag2_bagfile_information: {relative_file_paths: 7, files: 3}",
+        "[" * 100_000,
+        "a: &a [x, x]\nb: &b [*a, *a]\nrosbag2_bagfile_information: *b",
+    ],
+)
+def test_metadata_that_says_nothing(
+    text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    split_bag(tmp_path / "dive", parts_of(messages(IMAGES), PARTS))
+    (tmp_path / "dive" / "metadata.yaml").write_text(text)
+    found, problems = read(tmp_path / "dive")
+    assert len(found) == 10
+    assert all("metadata.yaml" in line and "\n" not in line for line in problems)
+    assert not (tmp_path / "ran").exists()
+
+
+def test_metadata_that_cannot_be_true(tmp_path: Path) -> None:
+    """Nothing outside of the folder is read, and no end of lost frames is believed."""
+    files = split_bag(tmp_path / "dive", parts_of(messages(IMAGES), PARTS))
+    mcap_file(tmp_path / "secret.mcap", [("/sonar", 10**12, cdr_image(IMAGES[0]))])
+    file = tmp_path / "dive" / "metadata.yaml"
+    told = file.read_text()
+    file.write_text(told.replace(files[4].name, "../secret.mcap"))
+    found, problems = read(tmp_path / "dive")
+    assert len(found) == 8
+    assert any("secret.mcap: this part of the bag is missing" in line for line in problems)
+    assert any(files[4].name in line and "does not list it" in line for line in problems)
+    file.write_text(told.replace("message_count: 10", "message_count: 1000000000000"))
+    assert len(read(tmp_path / "dive")[0]) == 10
+
+
+def damaged(path: Path, tries: int = 25) -> list[str]:
+    """What is said of a file cut anywhere, or with bytes changed anywhere: lines, no traceback."""
+    data, rng, told = path.read_bytes(), np.random.default_rng(0), []
+    for k in range(2 * tries):
+        changed = bytearray(data)
+        if k < tries:
+            del changed[int(len(data) * k / tries) :]
+        else:
+            for at in rng.integers(0, len(data), 30):
+                changed[at] = rng.integers(0, 256)
+        path.write_bytes(changed)
+        try:
+            _, problems = read(path)
+        except SonarrecError as error:
+            problems = [str(error)]
+        assert not [line for line in problems if "\n" in line or len(line) > 1000]
+        told += problems
+    return told
+
+
+def test_damaged_databases(tmp_path: Path) -> None:
+    bag(tmp_path / "dive", messages(IMAGES))
+    assert any("not a database" in line for line in damaged(tmp_path / "dive" / "dive.db3"))
+
+
+def test_damaged_ros_1_bags(tmp_path: Path) -> None:
+    told = damaged(ros1_bag(tmp_path / "dive.bag", IMAGES, "BZ2"))
+    assert any("not a whole bag of ROS 1" in line for line in told)
+
+
+@pytest.mark.parametrize("pack", [zstandard.ZstdCompressor().compress, lz4.frame.compress])
+def test_damaged_packings(pack: Callable[[bytes], bytes], tmp_path: Path) -> None:
+    path = mcap_file(tmp_path / "log.mcap", [("/a", *m) for m in messages(IMAGES)], chunked=False)
+    end = ".lz4" if pack is lz4.frame.compress else ".zst"
+    packed = tmp_path / f"log.mcap{end}"
+    packed.write_bytes(pack(path.read_bytes()))
+    whole = packed.read_bytes()
+    damaged(packed)
+    packed.write_bytes(whole[: len(whole) // 2])
+    if end == ".lz4":  # to the last byte; of zstd to the last whole block of 128 kB
+        found, problems = read(packed)
+        assert 2 < len(found) < 10
+        assert "cut short or damaged" in problems[0]
+    packed.write_bytes(pack(path.read_bytes()[:9000]) + pack(path.read_bytes()[9000:]))
+    assert len(read(packed)[0]) == 10, "several frames behind each other are one file"
+
+
+@pytest.mark.parametrize("end", [".zst", ".lz4"])
+def test_what_unpacks_to_more_than_is_read(
+    end: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(packed_files, "MOST_BYTES", 2**24)
+    bomb = tmp_path / f"log.mcap{end}"
+    data = bytes(2**27)
+    bomb.write_bytes(
+        lz4.frame.compress(data) if end == ".lz4" else zstandard.ZstdCompressor().compress(data)
+    )
+    with pytest.raises(SonarrecError, match="unpack to more than") as told:
+        open_log(bomb)
+    assert "\n" not in str(told.value)
+    assert not list(tmp_path.glob("sonarrec_*"))
+
+
+def test_messages_and_chunks_that_inflate_to_more_than_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ros, "MAX_MESSAGE_BYTES", 2**20)
+    monkeypatch.setattr(ros_bags, "MAX_CHUNK_BYTES", 2**16)
+    bomb = zstandard.ZstdCompressor().compress(bytes(2**26))
+    timed = [*messages(IMAGES[:2]), (PERIOD_NS * 2, bomb), (PERIOD_NS * 3, bomb[:4] + b"\xff" * 20)]
+    bag(tmp_path / "dive", timed)
+    found, problems = read(tmp_path / "dive")
+    assert len(found) == 2
+    assert "inflates to more than" in problems[0]
+    assert "does not inflate" in problems[1]
+    path = ros1_bag(tmp_path / "dive.bag", [np.zeros((300, 300), np.uint8)], "BZ2")
+    with pytest.raises(SonarrecError, match="a chunk of more than 65536 bytes"):
+        read(path)
+    assert len(bz2.compress(bytes(2**20))) < 100  # as small as such a chunk is
+
+
+def test_nothing_in_a_definition_is_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    bag(tmp_path / "dive", messages(IMAGES))
+    file = tmp_path / "dive" / "dive.db3"
+    evil = "string A=x'+open('ran','w').name+'\nuint8 B=__import__('os').system('touch ran')\n"
+    with sqlite3.connect(file) as db:
+        (text,) = db.execute(
+            "SELECT encoded_message_definition FROM message_definitions"
+        ).fetchone()
+        db.execute("UPDATE message_definitions SET encoded_message_definition = ?", (evil + text,))
+    assert len(read(tmp_path / "dive")[0]) == 10
+    assert not (tmp_path / "ran").exists()
+
+
+@pytest.mark.parametrize("name", ["a?b#c.db3", "with space%20.db3"])
+def test_odd_names_of_databases(name: str, tmp_path: Path) -> None:
+    bag(tmp_path / "dive", messages(IMAGES))
+    file = (tmp_path / "dive" / "dive.db3").rename(tmp_path / "dive" / name)
+    assert len(read(file)[0]) == 10

@@ -1,0 +1,489 @@
+"""ARIS and DIDSON files: the real one against its maker's description, and written ones."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import re
+import struct
+import tracemalloc
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from sonarrec.cli import main
+from sonarrec.geometry import pixel_from_polar
+from sonarrec.readers import open_log
+from sonarrec.readers.ddf.aris import BEAMS, FILE_HEADER, FRAME_HEADER, PINGS_PER_FRAME
+from sonarrec.readers.ddf.aris_beams import BEARINGS_DEG
+from sonarrec.readers.ddf.didson import lens_bearings_deg
+from sonarrec.records import Frame, SonarrecError
+from tests.support.logs import frames
+from tests.support.sonar_files import (
+    ARIS_FRAME,
+    PERIOD_US,
+    START_US,
+    aris_file,
+    as_pings_came,
+    didson_file,
+    fields_of,
+)
+
+SAMPLE = Path(__file__).parent / "aris_sample" / "sample.aris"
+SDK = Path(__file__).parents[3] / "shared" / "data" / "vendor" / "aris-sdk"
+NUMBER = {"uint32_t": "<u4", "int32_t": "<i4", "uint64_t": "<u8", "float": "<f4", "double": "<f8"}
+
+
+def sonarrec(*arguments: str | Path, code: int = 0) -> Result:
+    result = CliRunner().invoke(main, [str(a) for a in arguments])
+    assert result.exit_code == code, result.output
+    return result
+
+
+def info(path: Path, *arguments: str, code: int = 0) -> dict[str, Any]:
+    log: dict[str, Any] = json.loads(
+        sonarrec("info", "--json", path, *arguments, code=code).stdout
+    )["logs"][0]
+    return log
+
+
+def read(path: Path, **options: Any) -> tuple[list[Frame], list[str], list[str]]:
+    with open_log(path, **options) as log:
+        found = list(log)
+        return found, log.problems, log.notes
+
+
+def described() -> dict[str, tuple[int, str]]:
+    """Offset and type of every field of a frame's header, by the maker's description."""
+    if not SDK.is_dir():
+        pytest.skip(f"no description of the format at {SDK}")
+    text = (SDK / "FrameHeader.h").read_text()
+    offsets = re.findall(r"ArisFrameHeaderOffset_(\w+)\s*=\s*(\d+)", text)
+    types = {name: kind for kind, name in re.findall(r"^ +(\w+) (\w+);", text, re.MULTILINE)}
+    return {n: (int(o), NUMBER[types[n]]) for n, o in offsets if types.get(n) in NUMBER}
+
+
+# The real file
+
+
+def test_every_field_used_is_where_the_description_has_it() -> None:
+    fields = described()
+    assert {name: fields[name] for name in FRAME_HEADER} == FRAME_HEADER
+    at, places = 0, {}
+    text = (SDK / "FileHeaderFieldsOnly.h").read_text()
+    for kind, name, count in re.findall(r"^ +(\w+) (\w+)(?:\[(\d+)\])?;", text, re.MULTILINE):
+        if kind in NUMBER:
+            places[name] = (at, NUMBER[kind])
+        at += int(count or 1) * (np.dtype(NUMBER[kind]).itemsize if kind in NUMBER else 1)
+    assert at == 1024
+    assert {name: places[name] for name in FILE_HEADER} == FILE_HEADER
+
+
+def test_the_writer_of_these_tests_follows_the_description_too() -> None:
+    fields, at = described(), 0
+    for name, code in fields_of(ARIS_FRAME):
+        if name in fields:
+            assert fields[name] == (at, np.dtype("<" + code).str)
+        at += struct.calcsize("<" + code)
+
+
+@pytest.mark.parametrize(
+    ("name", "beams", "telephoto"),
+    [
+        ("ARIS1800_1200_48", 48, False),
+        ("ARIS1800_96", 96, False),
+        ("ARIS3000_64", 64, False),
+        ("ARIS3000_128", 128, False),
+        ("ARIS_Telephoto_48", 48, True),
+        ("ARIS_Telephoto_96", 96, True),
+    ],
+)
+def test_bearings_are_the_maker_s_tables(name: str, beams: int, telephoto: bool) -> None:
+    bearings = BEARINGS_DEG[beams, telephoto]
+    assert len(bearings) == beams
+    assert bearings[0] > 5
+    assert all(a > b for a, b in itertools.pairwise(bearings))  # the first is the right-most
+    if not SDK.is_dir():
+        pytest.skip(f"no tables at {SDK}")
+    rows = re.findall(
+        r"3\((\d+), *(-?[\d.]+), *(-?[\d.]+), *(-?[\d.]+)",
+        (SDK / f"BeamWidths_{name}.h").read_text(),
+    )
+    assert [int(row[0]) for row in rows] == list(range(beams))
+    assert [-float(row[1]) for row in rows] == list(bearings)
+
+
+def raw_values(number: int) -> dict[str, float]:
+    """The header of a frame of the sample, by the description alone."""
+    start = 1024 + number * (1024 + 48 * 2000)
+    header = SAMPLE.read_bytes()[start : start + 1024]
+    return {
+        n: np.frombuffer(header, kind, 1, at)[0].item() for n, (at, kind) in described().items()
+    }
+
+
+def test_what_info_tells_of_the_real_file_is_in_its_headers() -> None:
+    values = raw_values(0)
+    log = info(SAMPLE)
+    assert (log["kind"], log["faults"]) == ("ARIS", [])
+    (images,) = log["images"]
+    assert (images["frames"], images["usable"], images["problems"]) == (6, 6, [])
+    assert (images["columns"], images["rows"], images["pixels"]) == (48, 2000, "uint8")
+    header = images["header"]
+    assert header["sonar"] == "ARIS 1200, telephoto lens, serial 1098"
+    assert (values["TheSystemType"], values["LargeLens"]) == (2, 1)
+    assert values["SonarSerialNumber"] == 1098
+    for key, name in {
+        "ping_mode": "PingMode", "frame_rate_hz": "FrameRate", "sound_speed_m_s": "SoundSpeed",
+        "sample_start_us": "SampleStartDelay", "sample_period_us": "SamplePeriod",
+        "receiver_gain_db": "ReceiverGain", "water_temperature_c": "WaterTemp",
+        "salinity_ppt": "Salinity", "depth_m": "Depth", "altitude_m": "Altitude",
+        "compass_heading_deg": "CompassHeading", "compass_pitch_deg": "CompassPitch",
+        "compass_roll_deg": "CompassRoll", "rotator_tilt_deg": "SonarTilt",
+    }.items():  # fmt: skip
+        assert header[key] == pytest.approx(values[name], rel=1e-6), key
+    assert header["rotator_roll_deg"] is None  # NaN: there is no such axis
+    assert values["FrequencyHiLow"] == 1
+    assert header["frequency"] == "high"
+    # The window as "Understanding ARIS data" works it out. That in the header assumes 1450 m/s.
+    metres = 1e-6 * values["SoundSpeed"] / 2
+    start = values["SampleStartDelay"] * metres
+    end = start + values["SamplePeriod"] * values["SamplesPerBeam"] * metres
+    geometry = images["geometry"]
+    assert (geometry["range_min_m"], geometry["range_max_m"]) == pytest.approx((start, end))
+    assert values["WindowStart"] == pytest.approx(start * 1450 / values["SoundSpeed"])
+    assert geometry["tilt_deg"] == pytest.approx(
+        -np.median([raw_values(k)["CompassPitch"] for k in range(6)]), abs=1e-4
+    )
+    assert set(images["origins"].values()) == {"header"}
+
+
+def test_times_of_the_real_file() -> None:
+    """FrameRate is in Hz, whatever the description says: the times of the frames tell."""
+    found, _, notes = read(SAMPLE)
+    assert notes == []
+    for k, frame in enumerate(found):
+        values = raw_values(k)
+        assert frame.timestamp_ns == frame.stamps.log == values["FrameTime"] * 1000
+        assert frame.stamps.header == values["sonarTimeStamp"] * 1000
+    rate = 5e9 / (found[5].timestamp_ns - found[0].timestamp_ns)
+    assert rate == pytest.approx(values["FrameRate"], rel=0.01)
+    assert f"{datetime.fromtimestamp(found[0].timestamp_ns / 1e9, UTC):%Y-%m-%d}" == "2013-06-14"
+
+
+def test_the_real_picture_is_what_its_samples_say() -> None:
+    """Sample i of beam k lies at its range and bearing: beam 0 the right-most, near range below."""
+    found, _, _ = read(SAMPLE)
+    fan = found[2].fan
+    start = 1024 + 2 * (1024 + 48 * 2000) + 1024
+    samples = np.frombuffer(SAMPLE.read_bytes()[start : start + 48 * 2000], np.uint8)
+    samples = samples.reshape(2000, 48)
+    column, row = pixel_from_polar(
+        fan,
+        (3.29762 + (np.arange(2000) + 0.5) * 0.01005153)[:, None],
+        np.array(BEARINGS_DEG[48, True])[None, :],
+    )
+    seen = cv2.remap(
+        found[2].image, column.astype(np.float32), row.astype(np.float32), cv2.INTER_LINEAR
+    )
+    far = slice(900, 1900)  # where a beam is wider than a pixel
+    assert np.corrcoef(seen[far].ravel(), samples[far].ravel())[0, 1] > 0.95
+    assert np.corrcoef(seen[far, ::-1].ravel(), samples[far].ravel())[0, 1] < 0.6
+    # A bank runs through the picture from 17.5 m on the left to 15.5 m on the right.
+    smooth = cv2.GaussianBlur(found[2].image, None, 6).astype(float)
+    bank = []
+    for bearing in (-3.0, 1.0):
+        ranges = np.arange(14.8, 18.0, 0.02)
+        at = [np.rint(p).astype(int) for p in pixel_from_polar(fan, ranges, np.full(160, bearing))]
+        bank.append(ranges[np.argmax(smooth[at[1], at[0]])])
+    assert bank[0] - bank[1] > 0.7
+
+
+def test_run_declares_nothing_in_the_real_file(tmp_path: Path) -> None:
+    out = sonarrec("run", SAMPLE, "--out", tmp_path)
+    assert "6 frames" in out.output
+    assert "no landmark declared" in out.output
+    again = sonarrec(
+        "run", SAMPLE, "--config", tmp_path / "sample" / "run.toml", "-o", tmp_path / "b"
+    )
+    assert "6 frames" in again.output
+    for name in ("frames.csv", "estimates.csv"):
+        first, second = (tmp_path / part / "sample" / name for part in ("", "b"))
+        assert first.read_bytes() == second.read_bytes()
+
+
+# Written files
+
+
+def as_fan(images: list[np.ndarray], near: float, far: float, bearings: Any, folder: Path) -> Any:
+    """The fan images of the same samples, read as polar pictures of a stated geometry."""
+    folder.mkdir()
+    for k, image in enumerate(images):
+        assert cv2.imwrite(str(folder / f"{k}.png"), image)
+    sonar = {"layout": "polar", "range_min_m": near, "range_max_m": far, "tilt_deg": 20.0,
+             "bearings_deg": [float(b) for b in bearings]}  # fmt: skip
+    return [frame.image for frame in read(folder, sonar=sonar)[0]]
+
+
+@pytest.mark.parametrize("beams", [48, 64, 96, 128])
+@pytest.mark.parametrize("ordered", [True, False])
+def test_frames_of_an_aris(beams: int, ordered: bool, tmp_path: Path) -> None:
+    images = frames(3, 200, beams)
+    stored = images if ordered else [as_pings_came(image) for image in images]
+    path = aris_file(tmp_path / "a.aris", stored, ReorderedSamples=int(ordered))
+    found, problems, notes = read(path)
+    assert (problems, notes) == ([], [])
+    near, far = 2000e-6 * 725, 2000e-6 * 725 + 200 * 8e-6 * 725
+    expected = as_fan(images, near, far, BEARINGS_DEG[beams, False], tmp_path / "polar")
+    for k, (frame, image) in enumerate(zip(found, expected, strict=True)):
+        np.testing.assert_array_equal(frame.image, image)
+        assert frame.timestamp_ns == (START_US + k * PERIOD_US) * 1000
+    assert found[0].fan.tilt_deg == 20.0
+
+
+def test_ping_modes_agree_with_the_beams() -> None:
+    assert {mode: BEAMS[mode] // 16 for mode in PINGS_PER_FRAME} == PINGS_PER_FRAME
+
+
+def test_an_order_that_is_not_public_is_refused(tmp_path: Path) -> None:
+    path = aris_file(tmp_path / "a.aris", frames(2, 64, 96), PingMode=4, ReorderedSamples=0)
+    with pytest.raises(SonarrecError, match="the order of ping mode 4 is not public"):
+        read(path)
+
+
+def test_what_is_stated_wins_over_the_headers(tmp_path: Path) -> None:
+    path = aris_file(tmp_path / "a.aris", frames(2, 64, 48))
+    (images,) = info(path, "--tilt-deg", "31")["images"]
+    assert images["geometry"]["tilt_deg"] == 31
+    assert images["origins"]["tilt_deg"] == "flag"
+    assert images["origins"]["range_min_m"] == "header"
+    found, _, notes = read(path, sonar={"tilt_deg": 31.0, "range_max_m": 2.5})
+    assert found[0].fan.tilt_deg == 31.0
+    assert found[0].fan.range_max_m == 2.5
+    assert notes == [f"{path}: stated against the headers: range_max_m = 2.5 (not 1.821)"]
+
+
+@pytest.mark.parametrize(
+    ("values", "tilt", "note"),
+    [
+        ({}, 20.0, None),
+        ({"CompassHeading": 0, "CompassPitch": 0, "CompassRoll": 0, "SonarTilt": -7.5}, 7.5, None),
+        ({"CompassPitch": 0.0}, 0.0, None),
+        ({"CompassPitch": 12.0}, None, "looks 12 deg upward"),
+        ({"CompassHeading": 0, "CompassPitch": 0, "CompassRoll": 0}, None, None),
+        ({"CompassHeading": 9, "CompassPitch": np.nan, "SonarTilt": np.nan}, None, None),
+    ],
+)
+def test_tilt_by_the_headers(
+    values: dict[str, float], tilt: float | None, note: str | None, tmp_path: Path
+) -> None:
+    path = aris_file(tmp_path / "a.aris", frames(3, 64, 48), **values)
+    (images,) = info(path)["images"]
+    assert images["geometry"].get("tilt_deg") == tilt
+    assert images["lacks"] == ([] if tilt is not None else ["tilt_deg"])
+    assert any(note in line for line in images["notes"]) if note else not images["notes"]
+
+
+def test_a_tilt_that_changes_is_told(tmp_path: Path) -> None:
+    one = aris_file(tmp_path / "one.aris", frames(2, 64, 48), CompassPitch=-20).read_bytes()
+    two = aris_file(tmp_path / "two.aris", frames(2, 64, 48), CompassPitch=-30).read_bytes()
+    (tmp_path / "both.aris").write_bytes(one + two[1024:])
+    found, _, notes = read(tmp_path / "both.aris")
+    assert "its tilt is between 20 and 30 deg (compass pitch); the median, 25 deg" in notes[0]
+    assert {frame.fan.tilt_deg for frame in found} == {25.0}
+
+
+def test_a_sonar_that_lay_upside_down_is_noted(tmp_path: Path) -> None:
+    path = aris_file(tmp_path / "a.aris", frames(2, 64, 48), reverse=1)
+    assert "--flip" in read(path)[2][0]
+
+
+@pytest.mark.parametrize("version", [3, 4])
+@pytest.mark.parametrize("beams", [48, 96])
+def test_frames_of_a_didson(version: int, beams: int, tmp_path: Path) -> None:
+    images = frames(10, 512, beams)
+    path = didson_file(tmp_path / "d.ddf", images, version)
+    found, problems, notes = read(path)
+    assert problems == []
+    assert "of DIDSON files no description is public" in notes[0]
+    right_to_left = lens_bearings_deg(beams)[::-1]
+    expected = as_fan(images, 3 * 0.375, 3 * 0.375 + 2.25, right_to_left, tmp_path / "polar")
+    start = int(datetime(2013, 6, 14, 8, 21, tzinfo=UTC).timestamp()) * 10**9
+    for k, (frame, image) in enumerate(zip(found, expected, strict=True)):
+        np.testing.assert_array_equal(frame.image, image)
+        assert frame.timestamp_ns == start + k // 8 * 10**9 + 100 * (k % 8) // 8 * 10**7
+    assert found[0].fan.tilt_deg == 20.0
+    header = info(path)["images"][0]["header"]
+    assert header["sonar"] == "DIDSON-S, classic windows, serial 100"
+
+
+def test_a_reversed_didson_is_mirrored(tmp_path: Path) -> None:
+    images = frames(2, 512, 96)
+    upright = read(didson_file(tmp_path / "a.ddf", images, 3))[0]
+    mirrored = [np.ascontiguousarray(image[:, ::-1]) for image in images]
+    lens_down = read(didson_file(tmp_path / "b.ddf", mirrored, 3, file={"Reverse": 1}))[0]
+    difference = cv2.absdiff(upright[0].image, lens_down[0].image)
+    assert difference.max() <= 1  # of rounding
+    assert np.mean(difference) < 1e-3
+
+
+def test_lens_of_a_didson() -> None:
+    """Uneven, 0.22 to 0.38 deg from beam to beam, over 28.8 deg."""
+    bearings = lens_bearings_deg(96)
+    steps = np.diff(bearings)
+    assert 0.21 < steps.min() < 0.24
+    assert 0.36 < steps.max() < 0.38
+    assert np.ptp(bearings) == pytest.approx(28.8, abs=0.1)
+    np.testing.assert_allclose(
+        lens_bearings_deg(48), bearings.reshape(48, 2).mean(axis=1), atol=0.01
+    )
+
+
+@pytest.mark.parametrize(
+    ("flags", "serial", "high", "near", "length"),
+    [
+        (0, 100, 1, 3 * 0.419, 2.5),
+        (1, 100, 1, 3 * 0.375, 2.25),
+        (1, 100, 0, 3 * 0.75, 9),
+        (2, 100, 0, 3 * 0.838, 20),
+        (3, 100, 1, 3 * 0.375, 4.5),
+        (0, 12, 1, 3 * 0.375, 2.25),
+        (0, 15, 1, 3 * 0.375, 4.5),
+    ],
+)
+def test_windows_of_a_didson(
+    flags: int, serial: int, high: int, near: float, length: float, tmp_path: Path
+) -> None:
+    head = {"SN": serial, "HighResolution": high}
+    path = didson_file(tmp_path / "d.ddf", frames(1, 64, 96), 4, file=head, ConfigFlags=flags)
+    geometry = info(path)["images"][0]["geometry"]
+    assert geometry["range_min_m"] == pytest.approx(near)
+    assert geometry["range_max_m"] == pytest.approx(near + length)
+
+
+# Files that are not whole
+
+
+@pytest.mark.parametrize("kind", ["aris", "ddf"])
+def test_a_cut_file_is_read_as_far_as_it_goes(kind: str, tmp_path: Path) -> None:
+    images, path = frames(5, 64, 48), tmp_path / f"log.{kind}"
+    if kind == "aris":
+        aris_file(path, images)
+    else:
+        didson_file(path, images, 4)
+    whole, _, _ = read(path)
+    path.write_bytes(path.read_bytes()[:-2000])
+    found, problems, notes = read(path)
+    assert notes[-1] == f"{path}: its header counts 5 frames, 4 are there"
+    assert problems == [f"log.{kind}: cut short: of the last frame 2096 of 4096 bytes are there"]
+    for frame, before in zip(found, whole[:4], strict=True):
+        np.testing.assert_array_equal(frame.image, before.image)
+    done = sonarrec("run", path, "-o", tmp_path / "out", code=3)
+    assert "cut short" in done.stderr
+
+
+def test_a_damaged_header_costs_its_frame_alone(tmp_path: Path) -> None:
+    path = aris_file(tmp_path / "a.aris", frames(5, 64, 48))
+    data = bytearray(path.read_bytes())
+    data[1024 + 2 * 4096 + 12] ^= 1  # the signature of frame 2
+    data[1024 + 3 * 4096 + 464 : 1024 + 3 * 4096 + 468] = struct.pack("<f", np.nan)  # sound speed
+    path.write_bytes(data)
+    found, problems, _ = read(path)
+    assert [frame.index for frame in found] == [0, 1, 4]
+    assert problems == [
+        "frame 2: its header is damaged, skipped",
+        "frame 3: a sound speed of nan m/s, skipped",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("lost", "left", "says"),
+    [
+        (100, [0, 1, 3, 4, 5, 6, 7], "frame 2: only 3996 of its 4096 bytes are there"),
+        (-700, [0, 1, 3, 4, 5, 6, 7], "frame 2: 4796 bytes up to the next frame, in place of 4096"),
+        (4096 + 1000, [0, 1, 3, 4, 5, 6], "frame 2: only 3096 of its 4096 bytes are there"),
+        (-3 * 4096, [0, 1, 6, 7, 8, 9, 10], "4 frames or so are lost from frame 2 on"),
+    ],
+)
+def test_bytes_lost_or_too_many_cost_the_frame_they_lie_in(
+    lost: int, left: list[int], says: str, tmp_path: Path
+) -> None:
+    path = aris_file(tmp_path / "a.aris", frames(8, 64, 48))
+    whole, _, _ = read(path)
+    data = path.read_bytes()
+    at = 1024 + 2 * 4096 + 3000  # inside the samples of frame 2
+    path.write_bytes(data[:at] + (data[at + lost :] if lost > 0 else bytes(-lost) + data[at:]))
+    found, problems, _ = read(path)
+    assert [frame.index for frame in found] == left
+    before = {frame.timestamp_ns: frame.image for frame in whole}
+    for frame in found:
+        np.testing.assert_array_equal(frame.image, before[frame.timestamp_ns])
+    assert any(says in line for line in problems)
+
+
+def test_what_follows_the_last_frame_is_told(tmp_path: Path) -> None:
+    path = aris_file(tmp_path / "a.aris", frames(3, 64, 48))
+    path.write_bytes(path.read_bytes() + bytes(9000))
+    found, problems, _ = read(path)
+    assert len(found) == 3
+    assert problems == ["a.aris: no frame begins in the last 9000 bytes"]
+
+
+def test_a_first_header_that_lies_costs_its_frame_alone(tmp_path: Path) -> None:
+    path = aris_file(tmp_path / "a.aris", frames(4, 64, 48))
+    data = bytearray(path.read_bytes())
+    data[1024 + 468 : 1024 + 472] = struct.pack("<I", 2_000_000)  # samples of a beam
+    path.write_bytes(data)
+    found, problems, _ = read(path)
+    assert [frame.index for frame in found] == [1, 2, 3]
+    assert problems == ["frame 0: its header states another number of samples or beams, skipped"]
+
+
+@pytest.mark.parametrize(
+    ("data", "says"),
+    [
+        (b"junk" * 999, "no DDF file, by its first bytes; this reads DDF_03"),
+        (b"DDF\x01" + bytes(5000), "DDF_01, by its first bytes"),
+        (b"DDF", "no DDF file"),
+        (b"DDF\x05" + bytes(99), "cut short inside the header of the file"),
+        (b"DDF\x05" + bytes(1500), "frames of 0 samples in 0 beams"),
+        (b"DDF\x05" + b"\xff" * 1500, "frames of 4294967295 samples in 4294967295 beams"),
+    ],
+)
+def test_what_cannot_be_opened(data: bytes, says: str, tmp_path: Path) -> None:
+    (tmp_path / "a.aris").write_bytes(data)
+    with pytest.raises(SonarrecError, match=says) as caught:
+        read(tmp_path / "a.aris")
+    assert "\n" not in str(caught.value)
+    sonarrec("info", tmp_path / "a.aris", code=1)
+
+
+def test_a_file_without_a_whole_frame(tmp_path: Path) -> None:
+    path = aris_file(tmp_path / "a.aris", frames(1, 64, 48))
+    path.write_bytes(path.read_bytes()[:-1])
+    with pytest.raises(SonarrecError, match="holds no whole frame: a frame takes 4096 bytes"):
+        read(path)
+
+
+def test_quick_info_counts_the_frames() -> None:
+    (images,) = info(SAMPLE, "--quick")["images"]
+    assert images["frames"] == 6
+    assert info(SAMPLE, "--quick")["checked"] is False
+
+
+def test_memory_is_flat(tmp_path: Path) -> None:
+    """Four times the frames take no more memory."""
+    peaks = []
+    for count in (60, 240):
+        path = aris_file(tmp_path / f"{count}.aris", frames(4, 400, 48) * (count // 4))
+        tracemalloc.start()
+        with open_log(path) as log:
+            assert sum(1 for _ in log) == count
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < peaks[0] + 200_000

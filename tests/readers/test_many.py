@@ -1,0 +1,175 @@
+"""Which logs a command's arguments name, and what lies beside them."""
+
+from __future__ import annotations
+
+import shutil
+import tomllib
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+from sonarrec.cli import main
+from sonarrec.pipeline import result_names
+from sonarrec.readers.find import companion, find_log
+from sonarrec.readers.many import find_logs
+from sonarrec.records import SonarrecError, UsageError
+from sonarrec.remote.run import all_logs
+from tests.support.bags import bag, messages, split_bag
+from tests.support.logs import SONAR_TOML, frames, image_folder, mcap_file
+
+SAMPLE = Path(__file__).parents[2] / "sample_data"
+IMAGES = frames(3)
+
+
+def sonarrec(*words: str | Path, code: int = 0, **options: str) -> Result:
+    told = CliRunner().invoke(main, [*map(str, words)], **options)  # type: ignore[arg-type]
+    assert told.exit_code == code, told.output
+    return told
+
+
+def recording(path: Path) -> Path:
+    """An MCAP without a geometry beside it."""
+    mcap_file(path, [("/sonar", *each) for each in messages(IMAGES)])
+    (path.parent / "sonar.toml").unlink()
+    return path
+
+
+@pytest.fixture
+def campaign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Logs of all kinds in folders."""
+    monkeypatch.chdir(tmp_path)
+    top = Path("campaign")
+    for name in ("dive10.mcap", "dive2.mcap", "day1/a.mcap", "day2/a.mcap"):
+        recording(top / name)
+    bag(top / "day1" / "rosbag2_x", messages(IMAGES))
+    split_bag(top / "day2" / "long", [messages(IMAGES)[:1], messages(IMAGES)[1:]])
+    image_folder(top / "day2" / "pings", IMAGES)
+    (top / "day1" / "notes.txt").write_text("no log")
+    for results in (top / "sonarrec_out" / "old", top / "day1" / ".hidden"):
+        image_folder(results, IMAGES)
+    (top / "sonarrec_out" / "old" / "frames.csv").touch()
+    return top
+
+
+def named(*words: str, recursive: bool = False) -> list[str]:
+    return [
+        str(Path(log.path).relative_to("campaign")) for log in find_logs(words, recursive=recursive)
+    ]
+
+
+@pytest.mark.usefixtures("campaign")
+def test_folders_globs_and_lists() -> None:
+    assert named("campaign") == ["dive2.mcap", "dive10.mcap"]
+    assert named("campaign/day1") == ["day1/a.mcap", "day1/rosbag2_x"]
+    everything = [
+        "day1/a.mcap", "day1/rosbag2_x", "day2/a.mcap", "day2/long", "day2/pings", "dive2.mcap",
+        "dive10.mcap",
+    ]  # fmt: skip
+    assert named("campaign", recursive=True) == everything
+    # The parts of a bag stand for the bag.
+    assert named("campaign/**/*.mcap") == [e for e in everything if e.count("rosbag") == 0
+                                           and "pings" not in e]  # fmt: skip
+    assert named("campaign/day2/*") == ["day2/a.mcap", "day2/long", "day2/pings"]
+    assert named("campaign/day2/long") == ["day2/long"]
+    assert named("campaign/day2/long/long_1.mcap") == ["day2/long/long_1.mcap"]
+    assert named("campaign/day2/pings") == ["day2/pings"]
+    lines = ["# dives\n", "\n", "  campaign/day1\n", "campaign/dive2.mcap"]
+    found = all_logs(["campaign/dive10.mcap"], lines)
+    assert [str(Path(log.path).relative_to("campaign")) for log in found] == [
+        "dive10.mcap", "day1/a.mcap", "day1/rosbag2_x", "dive2.mcap",
+    ]  # fmt: skip
+    with pytest.raises(UsageError, match="--from-file"):
+        all_logs([], ["# nothing"])
+    assert "--from-file LIST" in sonarrec("run", code=2).stderr
+
+
+def test_images_and_logs_in_one_folder(campaign: Path) -> None:
+    shutil.copy(SAMPLE / "pan" / "000000.png", campaign / "map.png")
+    told = sonarrec("run", campaign, code=2).stderr
+    assert "holds images and other logs (2, dive2.mcap the first)" in told
+    assert "'campaign/*.png' or 'campaign/*.mcap'" in told
+    assert named("campaign/*.mcap") == ["dive2.mcap", "dive10.mcap"]
+    (campaign / "map.png").unlink()
+    with pytest.raises(SonarrecError, match="a folder of 2 logs"):
+        find_log(campaign)
+
+
+def test_a_geometry_serves_a_campaign(campaign: Path) -> None:
+    (campaign / "sonar.toml").write_text(SONAR_TOML)
+    (campaign / "day2" / "a.sonar.toml").write_text(SONAR_TOML.replace("20.0", "21.0"))
+    told = sonarrec("run", campaign, "--recursive", "-o", "out")
+    assert "day1/a.mcap: its geometry is that of campaign/sonar.toml" in told.stderr
+    assert "day2/a.mcap: its geometry" not in told.stderr
+    assert "7 done" in told.stdout
+    assert sorted(p.name for p in Path("out").iterdir() if p.is_dir()) == [
+        "day1-a", "day2-a", "dive10", "dive2", "long", "pings", "rosbag2_x",
+    ]  # fmt: skip
+    run = tomllib.loads(Path("out/day2-a/run.toml").read_text())
+    assert run["sonar"]["tilt_deg"] == 21
+    told = sonarrec("info", "campaign/day1/*.mcap", "--quick")
+    assert "lacks" in told.stdout or "missing" in told.stdout
+    told = sonarrec("info", "campaign/**/*.mcap", "--quick")
+    assert "from campaign/sonar.toml" in told.stdout
+    # A log that is given by itself has only what lies beside it.
+    assert "lacks range_min_m" in sonarrec("run", "campaign/day1/a.mcap", code=1).stderr
+
+
+def test_a_list_from_standard_input(campaign: Path) -> None:
+    (campaign / "sonar.toml").write_text(SONAR_TOML)
+    told = sonarrec("run", "--from-file", "-", "-o", "out", input="# all\ncampaign\n\n")
+    assert "2 done" in told.stdout
+
+
+def test_poses_beside_a_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("pan.mcap", "pan.sonar.toml"):
+        shutil.copy(SAMPLE / name, ".")
+    Path("table.csv").write_text("timestamp,yaw\n0,-16\n16,16\n32,-16\n")
+    sonarrec("run", "pan.mcap", "--odometry", "table.csv", "-o", "given")
+    sonarrec("run", "pan.mcap", "-o", "none")
+    shutil.copy("table.csv", "pan.poses.csv")
+    told = sonarrec("run", "pan.mcap", "-o", "found")
+    assert "note: pan.mcap: its poses are those of pan.poses.csv" in told.stderr
+    given, found, none = (
+        Path(out, "pan", "estimates.csv").read_bytes() for out in ("given", "found", "none")
+    )
+    assert given == found != none
+    again = sonarrec("run", "pan.mcap", "--config", "none/pan/run.toml", "-o", "again")
+    assert "poses" not in again.stderr, "a run that had none has none when it is repeated"
+    assert (
+        Path("again/pan/estimates.csv").read_bytes() == Path("none/pan/estimates.csv").read_bytes()
+    )
+
+
+def test_companions(tmp_path: Path) -> None:
+    log = recording(tmp_path / "a" / "b" / "dive.mcap")
+    assert companion(log, "gt.csv", tmp_path) is None
+    (tmp_path / "gt.csv").touch()
+    assert companion(log, "gt.csv") is None
+    assert companion(log, "gt.csv", tmp_path / "a") is None
+    assert companion(log, "gt.csv", tmp_path) == tmp_path / "gt.csv"
+    assert companion(log, "gt.csv", tmp_path / "elsewhere") is None
+    for nearer in ("a/gt.csv", "a/dive.gt.csv", "a/b/gt.csv", "a/b/dive.gt.csv"):
+        (tmp_path / nearer).touch()
+        assert companion(log, "gt.csv", tmp_path) == tmp_path / nearer
+    folder = image_folder(tmp_path / "pings", IMAGES)
+    (tmp_path / "pings.gt.csv").touch()
+    assert companion(folder, "gt.csv") == tmp_path / "pings.gt.csv"
+    (folder / "gt.csv").touch()
+    assert companion(folder, "gt.csv") == folder / "gt.csv"
+    packed = recording(tmp_path / "c" / "x.mcap.zst")
+    (tmp_path / "c" / "x.gt.csv").touch()
+    assert companion(packed, "gt.csv") == tmp_path / "c" / "x.gt.csv"
+
+
+def test_names_of_results(campaign: Path) -> None:
+    for place in ("one/bag", "two/bag"):
+        bag(campaign / place, messages(IMAGES))
+    (campaign / "x.y").mkdir()
+    recording(campaign / "x.y" / "dive.1.mcap.zst")
+    bag(campaign / "z.1", messages(IMAGES))
+    logs = ["one/bag", "two/bag/", "x.y/dive.1.mcap.zst", "z.1", "day2/long"]
+    assert result_names([campaign / log for log in logs]) == [
+        "one-bag", "two-bag", "dive.1", "z.1", "long",
+    ]  # fmt: skip

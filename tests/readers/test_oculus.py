@@ -1,0 +1,329 @@
+"""Oculus: real pings, written ones of both versions, raw and in logs, whole and damaged."""
+
+from __future__ import annotations
+
+import json
+import struct
+import tracemalloc
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from sonarrec.cli import main
+from sonarrec.readers import open_log
+from sonarrec.readers.oculus import OculusPings
+from sonarrec.records import Frame, SonarrecError
+from tests.readers.test_ddf import as_fan
+from tests.support.logs import frames
+from tests.support.sonar_files import oculus_log, oculus_message, oculus_ping
+
+VENDOR = Path(__file__).parents[3] / "shared" / "data" / "vendor"
+THREE = VENDOR / "oculus_three_pings_8bit.raw"
+TILT = {"tilt_deg": 20.0}
+IMAGES = frames(6, 64, 40)
+PINGS = [oculus_ping(k, image) for k, image in enumerate(IMAGES)]
+
+
+def sonarrec(*arguments: str | Path, code: int = 0) -> Result:
+    result = CliRunner().invoke(main, [str(a) for a in arguments])
+    assert result.exit_code == code, result.output
+    return result
+
+
+def read(path: Path, **sonar: Any) -> tuple[list[Frame], list[str]]:
+    with open_log(path, sonar=TILT | sonar) as log:
+        return list(log), log.problems
+
+
+def written(path: Path, data: bytes) -> Path:
+    path.write_bytes(data)
+    return path
+
+
+def header_of(path: Path) -> dict[str, Any]:
+    log = json.loads(sonarrec("info", "--json", path).stdout)["logs"][0]
+    header: dict[str, Any] = log["images"][0]["header"]
+    return header
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> list[np.ndarray]:
+    """The fan images of IMAGES."""
+    path = written(tmp_path_factory.mktemp("whole") / "whole.raw", b"".join(PINGS))
+    return [frame.image for frame in read(path)[0]]
+
+
+# The real pings
+
+
+@pytest.mark.parametrize("name", ["oculus_one_ping_8bit.raw", "oculus_three_pings_8bit.raw"])
+def test_real_pings(name: str, tmp_path: Path) -> None:
+    if not (VENDOR / name).exists():
+        pytest.skip(f"no real pings at {VENDOR / name}")
+    data = (VENDOR / name).read_bytes()
+    count = len(data) // 182016
+    found, problems = read(VENDOR / name)
+    assert (len(found), problems) == (count, [])
+    # Field by field, as the free drivers' definition has them one after another.
+    at = 182016 * (count - 1)
+    head = struct.unpack_from("<5HIH", data, at)
+    assert (head[0], head[3], head[5]) == (0x4F53, 0x23, 182000)
+    mode, _, _, _, flags, range_m, *_ = struct.unpack_from("<5B4d", data, at + 16)
+    result = struct.unpack_from("<2I4dIBd2H3I", data, at + 53)
+    frequency, speed, kind, resolution, ranges, beams, offset, size, total = (
+        result[2], *result[5:6], *result[7:],
+    )  # fmt: skip
+    assert (kind, size, total) == (0, ranges * beams, 182016)
+    bearings = np.frombuffer(data, "<i2", beams, at + 122) / 100
+    with open_log(VENDOR / name, sonar=TILT) as log:
+        next(iter(log))
+        sonar = log.sonar
+    assert sonar.bearings_deg == tuple(bearings)
+    assert sonar.range_max_m == pytest.approx(ranges * resolution)
+    assert range_m - resolution < ranges * resolution <= range_m  # as far as was asked for
+    assert flags & 1
+    header = header_of(VENDOR / name)
+    assert header["mode"] == {1: "low frequency", 2: "high frequency"}[mode]
+    assert header["sound_speed_m_s"] == pytest.approx(speed, rel=1e-6)
+    assert header["frequency_hz"] == pytest.approx(frequency, rel=1e-6)
+    assert (header["temperature_c"], header["pressure_bar"]) == (None, None)  # never written
+    image = np.frombuffer(data, np.uint8, size, at + offset).reshape(ranges, beams)
+    expected = as_fan([image], 0.0, ranges * resolution, bearings, tmp_path / "polar")
+    np.testing.assert_array_equal(found[-1].image, expected[0])
+
+
+def test_the_real_picture_shows_what_one_sees() -> None:
+    """Dark water up to .5 m, a floor brightest from .7 to 1.2 m, dim beyond 1.5 m."""
+    if not THREE.exists():
+        pytest.skip(f"no real pings at {THREE}")
+    found, _ = read(THREE)
+    fan = found[0].fan
+    column, row = np.meshgrid(np.arange(fan.columns), np.arange(fan.rows))
+    range_m = np.hypot(column - fan.apex_column, fan.apex_row - row) * fan.metres_per_pixel
+    ahead = np.abs(column - fan.apex_column) < 0.3 * (fan.apex_row - row)
+    grey = [
+        found[0].image[ahead & (low < range_m) & (range_m < high)].mean()
+        for low, high in ((0, 0.5), (0.7, 1.2), (1.5, 1.9))
+    ]
+    assert grey[1] > 2 * grey[2]
+    assert grey[2] > 3 * grey[0]
+
+
+def test_run_declares_nothing_in_real_pings(tmp_path: Path) -> None:
+    if not THREE.exists():
+        pytest.skip(f"no real pings at {THREE}")
+    fault = sonarrec("run", THREE, "-o", tmp_path, code=1)
+    assert "the log tells the sonar's geometry, all but its tilt" in fault.stderr
+    done = sonarrec("run", THREE, "-o", tmp_path, "--tilt-deg", "20", "--frame-rate-hz", "10")
+    assert "3 frames" in done.output
+    assert "no landmark declared" in done.output
+
+
+# Written pings
+
+
+@pytest.mark.parametrize("version", [0, 1, 2])
+def test_both_versions(version: int, tmp_path: Path, whole: list[np.ndarray]) -> None:
+    pings = [oculus_ping(k, image, version=version) for k, image in enumerate(IMAGES)]
+    path = written(tmp_path / "a.raw", b"".join(pings))
+    found, problems = read(path, frame_rate_hz=8.0)
+    assert problems == []
+    for k, frame in enumerate(found):
+        np.testing.assert_array_equal(frame.image, whole[k])
+        start = 100.0 if version == 2 else 0  # the first version's start has no known unit
+        assert frame.timestamp_ns == round((start + k / 8) * 1e9)
+    header = header_of(path)
+    assert header["sound_speed_m_s"] == 1490
+    assert (header["temperature_c"], header["pressure_bar"]) == (11.5, 1.75)
+    assert header.get("pitch_deg") == (-20 if version == 2 else None)
+
+
+def test_samples_of_16_bit_and_gains(tmp_path: Path) -> None:
+    """A ping of 16 bit sent with gains is the one without times the root of its rows' gains."""
+    rng = np.random.default_rng(1)
+    echoes = rng.rayleigh(200, (64, 40)).round().astype("<u2")
+    gains = rng.integers(1, 40, 64) ** 2
+    sent = (echoes * np.sqrt(gains)[:, None]).astype("<u2")
+    with open_log(
+        written(tmp_path / "a.raw", oculus_ping(0, sent, gains=gains)), sonar=TILT
+    ) as log:
+        (frame,) = log
+    told = OculusPings(tmp_path / "a.raw")
+    (raw,) = told
+    assert raw.pixels is not None
+    assert raw.pixels.dtype == np.float32
+    np.testing.assert_allclose(raw.pixels, echoes, atol=1)
+    assert told.told.header["gains_sent"] == "yes"
+    assert frame.image.any()
+    (raw,) = OculusPings(written(tmp_path / "b.raw", oculus_ping(0, echoes)))
+    np.testing.assert_array_equal(raw.pixels, echoes)
+
+
+def test_uneven_bearings(tmp_path: Path) -> None:
+    bearings = np.round(3000 * np.sin(np.linspace(-1, 1, 40))).astype(int)
+    path = written(tmp_path / "a.raw", oculus_ping(0, IMAGES[0], bearings=bearings))
+    expected = as_fan(IMAGES[:1], 0.0, 1.0, bearings / 100, tmp_path / "polar")
+    np.testing.assert_array_equal(read(path)[0][0].image, expected[0])
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_a_log_of_viewpoint(compressed: bool, tmp_path: Path, whole: list[np.ndarray]) -> None:
+    path = written(tmp_path / "a.oculus", oculus_log(PINGS, compressed=compressed))
+    found, problems = read(path)
+    assert problems == []
+    assert len(found) == len(IMAGES)
+    for k, frame in enumerate(found):
+        np.testing.assert_array_equal(frame.image, whole[k])
+        assert frame.timestamp_ns == frame.stamps.log == round((1.7e9 + k / 8) * 1e9)
+        assert frame.stamps.header == round((100 + k / 8) * 1e9)
+
+
+def test_other_messages_are_passed_over(tmp_path: Path, whole: list[np.ndarray]) -> None:
+    other = [
+        oculus_message(0xFF, b""),
+        oculus_message(0x55, b"settings"),
+        oculus_message(0x15, b"x"),
+    ]
+    data = b"".join([*other, PINGS[0], *other, PINGS[1]])
+    found, problems = read(written(tmp_path / "a.raw", data))
+    assert problems == []
+    np.testing.assert_array_equal([frame.image for frame in found], whole[:2])
+
+
+def test_full_pings_are_told(tmp_path: Path) -> None:
+    full = oculus_message(0x22, bytes(900))
+    _, problems = read(written(tmp_path / "a.raw", PINGS[0] + full + full))
+    assert problems == [
+        "a.raw: 2 pings in the full format, which is not public, cannot be read; let the sonar "
+        "send simple results"
+    ]
+
+
+# Streams that are not whole
+
+
+def test_a_cut_stream(tmp_path: Path, whole: list[np.ndarray]) -> None:
+    path = written(tmp_path / "a.raw", b"".join(PINGS)[:-500])
+    found, problems = read(path)
+    np.testing.assert_array_equal([frame.image for frame in found], whole[:5])
+    left = len(PINGS[5]) - 500
+    assert problems == [
+        f"ping 5 at byte {5 * len(PINGS[5])}: only {left} bytes of it are there, skipped"
+    ]
+    sonarrec("run", path, "-o", tmp_path / "out", "--tilt-deg", "20", code=3)
+
+
+@pytest.mark.parametrize("in_log", [False, True])
+def test_lost_bytes_cost_one_ping(in_log: bool, tmp_path: Path, whole: list[np.ndarray]) -> None:
+    """The next header tells where to go on, though the length of the damaged ping reaches past."""
+    data = oculus_log(PINGS) if in_log else b"".join(PINGS)
+    at = data.index(PINGS[2]) + 700
+    path = written(tmp_path / ("a.oculus" if in_log else "a.raw"), data[:at] + data[at + 300 :])
+    found, problems = read(path)
+    assert [frame.index for frame in found] == [0, 1, 3, 4, 5]
+    np.testing.assert_array_equal([frame.image for frame in found], [*whole[:2], *whole[3:]])
+    (line,) = problems
+    assert line.startswith("ping 2 at byte")
+    assert "bytes of it are there" in line
+
+
+@pytest.mark.parametrize("length", [2**32 - 17, 0, 10**6])
+def test_a_length_that_lies_costs_one_ping(
+    length: int, tmp_path: Path, whole: list[np.ndarray]
+) -> None:
+    data = bytearray(b"".join(PINGS))
+    data[2 * len(PINGS[0]) + 10 : 2 * len(PINGS[0]) + 14] = struct.pack("<I", length)
+    found, problems = read(written(tmp_path / "a.raw", bytes(data)))
+    np.testing.assert_array_equal([frame.image for frame in found], [*whole[:2], *whole[3:]])
+    assert problems
+
+
+def test_noise_between_pings_is_told(tmp_path: Path, whole: list[np.ndarray]) -> None:
+    noise = np.random.default_rng(3).bytes(5000)
+    data = noise[:3000] + PINGS[0] + PINGS[1] + noise + PINGS[2]
+    found, problems = read(written(tmp_path / "a.raw", data))
+    np.testing.assert_array_equal([frame.image for frame in found], whole[:3])
+    assert problems == [
+        "a.raw: 8000 bytes in 2 places belong to no message; damaged, so pings may be missing "
+        "there, or wrong before them"
+    ]
+
+
+def changed(ping: bytes, place: int, code: str, value: float) -> bytes:
+    data = bytearray(ping)
+    struct.pack_into("<" + code, data, place, value)
+    return bytes(data)
+
+
+@pytest.mark.parametrize(
+    ("place", "code", "value", "says"),
+    [
+        (8, "H", 3, "a ping of version 3, which is not known"),
+        (161, "B", 2, "unknown sample type 2"),
+        (161, "B", 9, "unknown sample type 9"),
+        (162, "d", float("nan"), "range resolution nan m"),
+        (162, "d", -1.0, "range resolution -1 m"),
+        (170, "H", 63, "do not fit 2560 bytes"),
+        (172, "H", 0, "bearings do not run one way"),
+        (172, "H", 65535, "lies outside"),
+        (190, "I", 4_000_000_000, "lies outside"),
+        (194, "I", 4_000_000_000, "lies outside"),
+        (202, "h", 32000, "bearings do not run one way"),
+    ],
+)
+def test_damage_inside_a_ping(
+    place: int, code: str, value: float, says: str, tmp_path: Path
+) -> None:
+    bad = changed(PINGS[1], place, code, value)
+    found, problems = read(written(tmp_path / "a.raw", PINGS[0] + bad + PINGS[2]))
+    assert [frame.index for frame in found] == [0, 2]
+    (line,) = problems
+    assert says in line
+
+
+@pytest.mark.parametrize(
+    ("declared", "says"),
+    [(2**31, "it declares 2147483648 bytes, more than is read"), (100, "another size than 100")],
+)
+def test_compressed_items_that_lie(declared: int, says: str, tmp_path: Path) -> None:
+    data = oculus_log(PINGS[:1]) + oculus_log(PINGS[:1], compressed=True)[48:]
+    at = data.rindex(struct.pack("<I", 0xAABBCCDD), 0, data.rindex(b"\xdd\xcc\xbb\xaa"))
+    bad = changed(data, at + 28, "I", declared)
+    _, problems = read(written(tmp_path / "a.oculus", bad))
+    assert says in problems[0]
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "says"),
+    [
+        ("a.raw", b"junk" * 9999, "no ping of an Oculus can be read in it"),
+        ("a.raw", b"SO" * 9999, "no ping of an Oculus can be read in it"),
+        ("a.oculus", b"SQLite format 3\0" + bytes(99), "a log of the second ViewPoint"),
+        ("a.oculus", oculus_log(PINGS, encryption=1), "an encrypted log, which is not read"),
+        ("a.oculus", oculus_log([]), "no ping of an Oculus"),
+        ("a.raw", PINGS[0][:900], r"no ping of an Oculus .*\(only 900 bytes of it are there\)"),
+    ],
+)
+def test_what_cannot_be_opened(name: str, data: bytes, says: str, tmp_path: Path) -> None:
+    with pytest.raises(SonarrecError, match=says) as caught:
+        read(written(tmp_path / name, data))
+    assert "\n" not in str(caught.value)
+    sonarrec("info", tmp_path / name, code=1)
+
+
+def test_memory_is_flat(tmp_path: Path) -> None:
+    """Four times the pings take no more memory, though one that is damaged is searched through."""
+    peaks = []
+    for count in (60, 240):
+        damaged = changed(PINGS[0], 10, "I", 2**24)
+        pings = [*PINGS * (count // 6), damaged, PINGS[0]]
+        path = written(tmp_path / f"{count}.raw", b"".join(pings))
+        tracemalloc.start()
+        with open_log(path, sonar=TILT) as log:
+            assert sum(1 for _ in log) == count + 1
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < peaks[0] + 1_100_000  # a block that is searched

@@ -1,0 +1,347 @@
+"""Logs of a real web server, in all its moods, into the cache and out of it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sonarrec.records import SonarrecError
+from sonarrec.remote import store
+from sonarrec.remote.cache import Cache, size_bytes
+from sonarrec.remote.fetch import RemoteLog, fetch_ahead, fetched, find
+from sonarrec.remote.urls import parse_url
+from tests.support.logs import SONAR_TOML
+from tests.support.servers import web_server
+
+
+def noise(path: Path, size: int = 50_000, seed: int = 0) -> bytes:
+    data = np.random.default_rng(seed).bytes(size)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(data)
+    return data
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Path:
+    (tmp_path / "site").mkdir()
+    return tmp_path / "site"
+
+
+@pytest.fixture
+def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(store, "BLOCK_BYTES", 20_000)
+
+
+def test_a_log_and_what_lies_beside_it_is_fetched_once(site: Path, cache: Cache) -> None:
+    data = noise(site / "day 1" / "a.mcap")
+    for name in ("a.sonar.toml", "sonar.toml", "gt.csv", "a.poses.csv", "other.csv"):
+        (site / "day 1" / name).write_text(name)
+    with web_server(site) as web:
+        for _ in range(2):
+            with fetched(f"{web.url}/day 1/a.mcap", cache) as log:
+                assert log.path.read_bytes() == data
+                there = {
+                    p.name: p.read_text() for p in log.path.parent.glob("*.*") if p != log.path
+                }
+                assert there == {
+                    n: n for n in ("a.sonar.toml", "sonar.toml", "gt.csv", "a.poses.csv")
+                }
+                assert log.origin.url == f"{web.url}/day 1/a.mcap"
+                assert log.origin.told(f"{log.path}: bad") == f"{web.url}/day 1/a.mcap: bad"
+        assert len(web.gets("a.mcap")) == 1
+
+
+def test_a_changed_log_is_fetched_anew(site: Path, cache: Cache) -> None:
+    noise(site / "a.mcap")
+    with web_server(site) as web:
+        with fetched(f"{web.url}/a.mcap", cache):
+            pass
+        data = noise(site / "a.mcap", seed=1)
+        with fetched(f"{web.url}/a.mcap", cache) as log:
+            assert log.path.read_bytes() == data
+
+
+def test_a_companion_that_is_gone_goes(site: Path, cache: Cache) -> None:
+    noise(site / "a.mcap")
+    (site / "sonar.toml").write_text("x")
+    with web_server(site) as web:
+        with fetched(f"{web.url}/a.mcap", cache) as log:
+            assert log.path.with_name("sonar.toml").exists()
+        (site / "sonar.toml").unlink()
+        with fetched(f"{web.url}/a.mcap", cache) as log:
+            assert not log.path.with_name("sonar.toml").exists()
+
+
+@pytest.mark.usefixtures("small_blocks")
+def test_a_transfer_that_breaks_off_goes_on_where_it_was(site: Path, cache: Cache) -> None:
+    data = noise(site / "a.mcap")
+    with web_server(site, broken=3) as web:
+        with fetched(f"{web.url}/a.mcap", cache) as log:
+            assert log.path.read_bytes() == data
+        starts = [int(r.removeprefix("bytes=").partition("-")[0]) for r in web.gets("a.mcap")]
+    assert starts == [0, 0, 0, 0, 20_000, 40_000]
+
+
+@pytest.mark.usefixtures("small_blocks")
+def test_it_is_tried_three_times_again_then_given_up(site: Path, cache: Cache) -> None:
+    noise(site / "a.mcap")
+    with web_server(site, broken=99) as web:
+        told = rf"{web.url}/a\.mcap: broke off, and 3 times again \("
+        with pytest.raises(SonarrecError, match=told), fetched(f"{web.url}/a.mcap", cache):
+            pass
+        assert len(web.gets("a.mcap")) == 4
+
+
+@pytest.mark.usefixtures("small_blocks")
+def test_a_killed_fetch_goes_on_where_it_was(site: Path, cache: Cache) -> None:
+    data = noise(site / "a.mcap")
+    with web_server(site) as web:
+        url = parse_url(f"{web.url}/a.mcap")
+        stop = threading.Event()
+        with (
+            pytest.raises(store.StoppedError),
+            fetched(RemoteLog(url), cache, lambda *_: stop.set(), stop),
+        ):
+            pass
+        with fetched(RemoteLog(url), cache) as log:
+            assert log.path.read_bytes() == data
+        starts = [int(r.removeprefix("bytes=").partition("-")[0]) for r in web.gets("a.mcap")]
+    assert starts == [0, 20_000, 40_000]
+
+
+@pytest.mark.usefixtures("small_blocks")
+def test_without_ranges_it_begins_anew(site: Path, cache: Cache) -> None:
+    data = noise(site / "a.mcap")
+    with web_server(site, ranges=False, broken=1) as web:
+        with fetched(f"{web.url}/a.mcap", cache) as log:
+            assert log.path.read_bytes() == data
+        assert len(web.gets("a.mcap")) == 3
+
+
+def test_without_a_length_and_a_tag_it_comes_whole_and_every_time(site: Path, cache: Cache) -> None:
+    data = noise(site / "a.mcap")
+    with web_server(site, lengths=False, tags=False) as web:
+        for _ in range(2):
+            with fetched(f"{web.url}/a.mcap", cache) as log:
+                assert log.path.read_bytes() == data
+
+
+def test_a_wrong_checksum_is_a_broken_transfer(site: Path, cache: Cache) -> None:
+    noise(site / "a.mcap")
+    with (
+        web_server(site, wrong_md5=True) as web,
+        pytest.raises(SonarrecError, match=r"3 times again \(its checksum is not the server's\)"),
+        fetched(f"{web.url}/a.mcap", cache),
+    ):
+        pass
+
+
+def test_what_is_not_there_and_who_does_not_answer_is_told(cache: Cache, site: Path) -> None:
+    with web_server(site) as web:
+        with (
+            pytest.raises(SonarrecError, match=r"none\.mcap: nothing is there"),
+            fetched(f"{web.url}/none.mcap", cache),
+        ):
+            pass
+        port = web.port
+    with (
+        pytest.raises(SonarrecError, match=r"^http://u:\*\*\*@.*3 times again") as told,
+        fetched(f"http://u:hidden-word@127.0.0.1:{port}/a.mcap", cache),
+    ):
+        pass
+    assert "hidden-word" not in str(told.value)
+
+
+def test_no_secret_is_written_down(site: Path, cache: Cache) -> None:
+    noise(site / "a.mcap")
+    with web_server(site) as web:
+        url = f"{web.url}/a.mcap?token=hidden-word".replace("//", "//ann:hidden-pass@")
+        with fetched(url, cache) as log:
+            assert "hidden" not in f"{log}"
+        assert "token=hidden-word" in web.asked[0][1]
+    assert cache.entries()
+    for path in cache.folder.rglob("*"):
+        assert "hidden" not in str(path)
+        assert not path.is_file() or b"hidden" not in path.read_bytes()
+
+
+def test_folders_and_globs_expand(site: Path) -> None:
+    for name in ("dives/b10.mcap", "dives/b9.mcap", "dives/deep/c.mcap", "dives/notes.txt"):
+        noise(site / name, 10)
+    for k in range(3):
+        noise(site / f"pings/{k}.png", 10)
+    with web_server(site) as web:
+
+        def names(url: str, recursive: bool = False) -> list[str]:
+            logs = find(f"{web.url}/{url}", recursive=recursive)
+            return [log.url.shown.removeprefix(f"{web.url}/") for log in logs]
+
+        assert names("dives/") == ["dives/b9.mcap", "dives/b10.mcap"]
+        assert names("dives/*.mcap") == ["dives/b9.mcap", "dives/b10.mcap"]
+        assert names("dives/b1*.mcap") == ["dives/b10.mcap"]
+        assert names("pings/") == ["pings/"]
+        assert names("pings/*.png") == ["pings/*.png"]
+        assert names("dives/b9.mcap") == ["dives/b9.mcap"]
+        assert names("none/") == ["none/"]
+
+
+def test_images_are_fetched_as_a_folder_or_by_a_glob(site: Path, cache: Cache) -> None:
+    for k in range(12):
+        noise(site / f"pings/{k}.png", 10)
+    (site / "pings/sonar.toml").write_text(SONAR_TOML)
+    (site / "pings/notes.txt").write_text("no")
+    with web_server(site) as web:
+        with fetched(f"{web.url}/pings", cache) as log:
+            assert log.path.name == "pings"
+            assert len(list(log.path.iterdir())) == 13
+        with fetched(f"{web.url}/pings/1*.png", cache) as log:
+            found = sorted(p.name for p in log.path.parent.glob(log.path.name))
+            assert found == ["1.png", "10.png", "11.png"]
+            assert (log.path.parent / "sonar.toml").exists()
+
+
+def test_what_serves_a_campaign_is_found_above(site: Path, cache: Cache) -> None:
+    noise(site / "campaign/day1/a.mcap", 10)
+    (site / "campaign/sonar.toml").write_text("x")
+    with web_server(site) as web:
+        up_to = parse_url(f"{web.url}/campaign")
+        with fetched(RemoteLog(up_to.child("day1/a.mcap"), up_to), cache) as log:
+            assert log.up_to is not None
+            assert (log.up_to / "sonar.toml").exists()
+            assert log.path == log.up_to / "day1" / "a.mcap"
+
+
+def test_of_several_files_those_that_came_are_kept(
+    site: Path, cache: Cache, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(store, "AT_ONCE", 1)
+    for k in range(4):
+        noise(site / f"pings/{k}.png", 2000)
+    with web_server(site) as web:
+        fetch, done = store.Store.fetch, []
+
+        def dies(self: store.Store, item: store.Item, *given: Any) -> store.Item:
+            if len(done) == 2:
+                raise SonarrecError("the disk is full")
+            done.append(item.url.name)
+            return fetch(self, item, *given)
+
+        with monkeypatch.context() as patched:
+            patched.setattr(store.Store, "fetch", dies)
+            with pytest.raises(SonarrecError, match="full"), fetched(f"{web.url}/pings", cache):
+                pass
+        with fetched(f"{web.url}/pings", cache) as log:
+            assert len(list(log.path.iterdir())) == 4
+        assert [len(web.gets(f"{k}.png")) for k in range(4)] == [1] * 4
+
+
+# The cache
+
+
+def test_the_least_recently_used_goes_and_one_in_use_never(site: Path, tmp_path: Path) -> None:
+    cache = Cache(tmp_path / "cache", 120_000)
+    for n in range(4):
+        noise(site / f"{n}.mcap", seed=n)
+    with web_server(site) as web:
+
+        def log(n: int) -> str:
+            return f"{web.url}/{n}.mcap"
+
+        for n in (0, 1, 0):
+            with fetched(log(n), cache):
+                time.sleep(0.02)
+        with fetched(log(2), cache):  # 1 goes: 0 was used later
+            time.sleep(0.02)
+        assert [len(web.gets(f"{n}.mcap")) for n in range(3)] == [1, 1, 1]
+        with fetched(log(0), cache) as held:  # older than 2 by now, but in use
+            with fetched(log(3), cache):
+                assert held.path.exists()
+            assert len(web.gets("0.mcap")) == 1
+        held_bytes = sum(p.stat().st_size for p in cache.folder.rglob("*.mcap"))
+        assert held_bytes == 100_000
+
+
+def test_a_log_beyond_the_bound_is_told(site: Path, tmp_path: Path) -> None:
+    noise(site / "a.mcap")
+    with (
+        web_server(site) as web,
+        pytest.raises(SonarrecError, match=r"50 kB, more than the cache may hold \(40 kB\)"),
+        fetched(f"{web.url}/a.mcap", Cache(tmp_path / "cache", 40_000)),
+    ):
+        pass
+
+
+def test_two_at_once_fetch_it_once(site: Path, cache: Cache) -> None:
+    data = noise(site / "a.mcap")
+    with web_server(site) as web:
+        seen = []
+
+        def one() -> None:
+            with fetched(f"{web.url}/a.mcap", cache) as log:
+                seen.append(log.path.read_bytes() == data)
+
+        threads = [threading.Thread(target=one) for _ in range(3)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert seen == [True] * 3
+        assert len(web.gets("a.mcap")) == 1
+
+
+def test_a_cache_that_cannot_be_written_is_told(site: Path, tmp_path: Path) -> None:
+    noise(site / "a.mcap")
+    (tmp_path / "file").write_text("no folder")
+    with (
+        web_server(site) as web,
+        pytest.raises(SonarrecError, match="choose another --cache"),
+        fetched(f"{web.url}/a.mcap", Cache(tmp_path / "file" / "cache", 10**7)),
+    ):
+        pass
+
+
+def test_sizes() -> None:
+    told = {"500MB": 5 * 10**8, "1.5 TB": 15 * 10**11, "20g": 2 * 10**10, "7": 7}
+    assert {text: size_bytes(text) for text in told} == told
+    for text in ("", "many", "-1GB", "1XB"):
+        with pytest.raises(SonarrecError, match="--cache-size"):
+            size_bytes(text)
+
+
+# Ahead
+
+
+def test_a_log_that_was_fetched_ahead_is_not_fetched_again(site: Path, cache: Cache) -> None:
+    noise(site / "a.mcap")
+    with web_server(site) as web:
+        log = RemoteLog(parse_url(f"{web.url}/a.mcap"))
+        fetch_ahead(log, cache)
+        for _ in range(200):
+            if web.gets("a.mcap"):
+                break
+            time.sleep(0.01)
+        with fetched(log, cache) as found:  # waits until it is whole
+            assert found.path.read_bytes() == (site / "a.mcap").read_bytes()
+        assert len(web.gets("a.mcap")) == 1
+
+
+def test_one_that_does_not_fit_beside_the_log_in_use_comes_later(
+    site: Path, tmp_path: Path
+) -> None:
+    cache = Cache(tmp_path / "cache", 60_000)
+    for n in range(2):
+        noise(site / f"{n}.mcap", seed=n)
+    with web_server(site) as web:
+        logs = [RemoteLog(parse_url(f"{web.url}/{n}.mcap")) for n in range(2)]
+        with fetched(logs[0], cache) as first:
+            fetch_ahead(logs[1], cache)
+            time.sleep(0.2)
+            assert first.path.read_bytes() == (site / "0.mcap").read_bytes()
+            assert not web.gets("1.mcap")
+        with fetched(logs[1], cache) as second:
+            assert second.path.read_bytes() == (site / "1.mcap").read_bytes()

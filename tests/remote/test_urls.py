@@ -1,0 +1,57 @@
+"""URLs keep their secrets, and lead where they say."""
+
+from __future__ import annotations
+
+import pytest
+
+from sonarrec.records import UsageError
+from sonarrec.remote.urls import is_url, parse_url
+
+
+@pytest.mark.parametrize(
+    ("url", "shown"),
+    [
+        ("s3://dives/day 1/a.mcap", "s3://dives/day 1/a.mcap"),
+        ("https://ann:s3cret@host:8080/a.mcap", "https://ann:***@host:8080/a.mcap"),
+        ("https://t0ken@host/a.mcap", "https://***@host/a.mcap"),
+        ("sftp://ann@host/a.mcap", "sftp://ann@host/a.mcap"),
+        ("sftp://ann:pw:d@host/a.mcap", "sftp://ann:***@host/a.mcap"),
+        (
+            "https://h/a.mcap?X-Amz-Signature=abc&versionId=7&sig=d",
+            "https://h/a.mcap?X-Amz-Signature=***&versionId=7&sig=***",
+        ),
+    ],
+)
+def test_secrets_are_hidden(url: str, shown: str) -> None:
+    assert parse_url(url).shown == shown
+    assert str(parse_url(url)).replace("%20", " ") == url
+
+
+def test_a_librarys_words_are_shown_without_secrets() -> None:
+    url = parse_url("https://ann:s%2Fcret@host/a.mcap?token=abcdef")
+    for text in (str(url), "403 for s%2Fcret", "403 for s/cret", "no abcdef here"):
+        hidden = url.hide(text)
+        assert "***" in hidden
+        assert not any(secret in hidden for secret in ("s%2Fcret", "s/cret", "abcdef"))
+
+
+@pytest.mark.parametrize("name", ["dives/a.mcap", "/s3/a.mcap", "C:\\a.mcap", "C:/a.mcap", "a:b"])
+def test_local_paths_are_no_urls(name: str) -> None:
+    assert not is_url(name)
+
+
+def test_a_url_that_went_through_a_path_is_one() -> None:
+    assert str(parse_url("s3:/dives/a.mcap")) == "s3://dives/a.mcap"
+
+
+def test_other_schemes_are_refused_with_those_that_are_read() -> None:
+    with pytest.raises(UsageError, match=r"ftp://: logs and results are read from s3://, gs://"):
+        parse_url("ftp://host/a.mcap")
+
+
+def test_places_beside_and_below() -> None:
+    for text in ("s3://b/x/a.mcap", "https://h/x/a.mcap?token=1", "sftp://h/x/a.mcap"):
+        url = parse_url(text)
+        assert url.name == "a.mcap"
+        assert str(url.parent.child("a.mcap")) == text
+        assert str(url.parent.child("sonar.toml")) == text.replace("a.mcap", "sonar.toml")

@@ -1,0 +1,349 @@
+"""The report's page in a real browser: what it looks like, and what a click does."""
+
+from __future__ import annotations
+
+import base64
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.support.browser import COLOURS, chromium, contrast, look
+from tests.support.command import SAMPLE, sonarrec
+
+SCREENS = [(width, scheme) for width in (1280, 400) for scheme in ("light", "dark")]
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    with chromium(tmp_path_factory.mktemp("profile")) as driver:
+        yield driver
+
+
+@pytest.mark.parametrize(("width", "scheme"), SCREENS)
+@pytest.mark.parametrize("name", ["full", "bare"])
+def test_in_a_browser(
+    browser: Any, pages: dict[str, Path], name: str, width: int, scheme: str
+) -> None:
+    found = look(browser, pages[name], width, scheme)
+    assert found["console"] == []
+    assert found["broken"] == 0
+    assert (found["pictures"] > 6) == (name == "full")
+    assert found["wide"] <= 0
+    assert found["outside"] == []
+    page, text, drawn = browser.execute_script(COLOURS)
+    assert (sum(page[:3]) > 600) == (scheme == "light")
+    # WCAG 2 AA: 4.5 for text, 3 for what is drawn.
+    assert min(contrast(colour, page) for colour in text) >= 4.5
+    assert min(contrast(colour, page) for colour in drawn) >= 3
+
+
+def test_the_browser_would_tell(browser: Any, tmp_path: Path) -> None:
+    """The check itself: a page with every fault is found out."""
+    bad = tmp_path / "bad.html"
+    bad.write_text(
+        "<!doctype html><html><body><script>nothing.here()</script>"
+        "<img src='data:image/png;base64,AAAA'><p style='width: 900px'>wide</p></body></html>"
+    )
+    found = look(browser, bad, 400, "light")
+    assert any("nothing is not defined" in line["message"] for line in found["console"])
+    assert found["broken"] == 1
+    assert found["wide"] > 0
+    assert len(found["outside"]) == 1
+
+
+# Clicks
+
+
+def shown(browser: Any) -> dict[str, Any]:
+    """What the viewer shows: its texts, its image, and the marks on it by their kind."""
+    found: dict[str, Any] = browser.execute_script(
+        """
+const viewer = document.getElementById('viewer');
+const image = document.getElementById('viewer-image');
+const marks = {};
+for (const m of viewer.querySelectorAll('ellipse'))
+  (marks[m.getAttribute('class')] ||= []).push(m.getBoundingClientRect().toJSON());
+return {
+  open: !viewer.hidden && viewer.checkVisibility(),
+  title: document.getElementById('viewer-title').textContent,
+  note: document.getElementById('viewer-note').textContent,
+  method: document.getElementById('viewer-method').value,
+  labels: [...viewer.querySelectorAll('text')].map(t => t.textContent),
+  image: image.src, alt: image.alt, loaded: image.complete && image.naturalWidth > 0,
+  box: image.getBoundingClientRect().toJSON(), marks,
+};"""
+    )
+    return found
+
+
+def nearest(some: list[dict[str, float]], others: list[dict[str, float]]) -> float:
+    """Pixels between the centres of the two boxes nearest to each other."""
+    a, b = (
+        np.array([[m["x"] + m["width"] / 2, m["y"] + m["height"] / 2] for m in boxes])
+        for boxes in (some, others)
+    )
+    return float(np.linalg.norm(a[:, None] - b[None], axis=2).min())
+
+
+def click_at(browser: Any, chart: Any, share: float) -> None:
+    """At a share of a chart's width, from its left."""
+    from selenium.webdriver import ActionChains
+
+    browser.execute_script("arguments[0].scrollIntoView({block: 'start'})", chart)
+    beside = (share - 0.5) * chart.size["width"]
+    ActionChains(browser).move_to_element_with_offset(chart, round(beside), 0).click().perform()
+
+
+def find(browser: Any, selector: str) -> list[Any]:
+    found: list[Any] = browser.find_elements("css selector", selector)
+    return found
+
+
+def screenshot(element: Any) -> np.ndarray:
+    """(rows, columns, 3) of an element as it is seen."""
+    data = base64.b64decode(element.screenshot_as_base64)
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    assert image is not None
+    return image
+
+
+@pytest.mark.parametrize("width", [1280, 400])
+def test_a_click_on_a_bar_shows_its_frame(browser: Any, pages: dict[str, Path], width: int) -> None:
+    look(browser, pages["full"], width, "light")
+    assert not shown(browser)["open"]
+    for method in ("framework", "smi"):
+        lane = find(browser, f"#seen .lane[data-method='{method}']:not(.truth)")[0]
+        click_at(browser, lane, 5.1 / 32)  # of 32 s
+        found = shown(browser)
+        assert (found["open"], found["loaded"]) == (True, True)
+        number, at = re.findall(r"Frame (\d+), (.*) s", found["title"])[0]
+        assert float(at) == pytest.approx(5.1, abs=0.3)
+        assert int(number) == 4 * float(at)
+        assert found["method"] == method
+        asked = re.findall(r"The nearest in this page to (.*) s\.", found["note"])
+        assert float(asked[0]) == pytest.approx(5.1, abs=0.2)
+        assert any(re.fullmatch(r"ID.1 +\d.\d\d", label) for label in found["labels"])
+        assert found["alt"].startswith(f"Sonar image, frame {number}: {method} declares ID.1 (")
+        # Marks lie on the image, and the truth about what is declared.
+        for mark in (m for kind in found["marks"].values() for m in kind):
+            assert mark["right"] > found["box"]["left"]
+            assert mark["left"] < found["box"]["right"]
+        assert nearest(found["marks"]["truth"], found["marks"]["declared"]) < 4
+        # A line on the charts tells which moment it is.
+        line = find(browser, "#seen .lane.main .now")[0]
+        lane_left, lane_width = lane.rect["x"], lane.rect["width"]
+        assert line.rect["x"] == pytest.approx(lane_left + lane_width * float(at) / 32, abs=2)
+    assert browser.get_log("browser") == []
+
+
+def test_a_click_on_a_mistake_shows_it(browser: Any, pages: dict[str, Path]) -> None:
+    look(browser, pages["full"], 1280, "light")
+    rows = find(browser, "#mistakes tbody tr")
+    assert len(rows) >= 4
+    for row in rows:
+        number = row.find_element("css selector", "button.frame")
+        browser.execute_script("arguments[0].scrollIntoView({block: 'start'})", number)
+        number.click()
+        found = shown(browser)
+        assert found["title"].startswith(f"Frame {number.text},")
+        assert (found["method"], found["note"]) == ("smi", "")
+        told = re.search(r"(ID.\d) declared (\(.*?\))", row.text)
+        if told:  # a false claim: the very number is on the frame
+            assert f"{told[1]}  {told[2][1:-1]}" in found["labels"]
+    picture = find(browser, "#sightings figure button.frame")[0]
+    browser.execute_script("arguments[0].scrollIntoView({block: 'start'})", picture)
+    picture.click()
+    assert shown(browser)["title"].startswith(f"Frame {picture.text},")
+    assert browser.get_log("browser") == []
+
+
+def test_a_click_on_a_track_shows_its_frame(browser: Any, pages: dict[str, Path]) -> None:
+    look(browser, pages["full"], 1280, "light")  # opens what is folded
+    panels = find(browser, "#tracks .panel .axes[data-low]")
+    folded = find(browser, "#tracks details .lane[data-low]")
+    assert len(panels) == 4
+    assert len(folded) > 3
+    for chart in (*panels, *folded[:3]):
+        click_at(browser, chart, 0.25)
+        low, high = (float(chart.get_attribute(f"data-{end}")) for end in ("low", "high"))
+        at = float(re.findall(r", (.*) s", shown(browser)["title"])[0])
+        assert at == pytest.approx(low + 0.25 * (high - low), abs=0.2)
+        assert shown(browser)["method"] == chart.get_attribute("data-method")
+    assert browser.get_log("browser") == []
+
+
+def test_from_frame_to_frame(browser: Any, pages: dict[str, Path]) -> None:
+    from selenium.webdriver import ActionChains
+    from selenium.webdriver.common.keys import Keys
+    from selenium.webdriver.support.select import Select
+
+    look(browser, pages["full"], 1280, "light")
+    find(browser, "#sightings td button.frame")[0].click()
+    assert shown(browser)["title"].startswith("Frame 0,")
+    back, on = (find(browser, f"#viewer-{name}")[0] for name in ("back", "on"))
+    assert not back.is_enabled()
+    on.click()
+    assert shown(browser)["title"].startswith("Frame 1,")
+    ActionChains(browser).send_keys(Keys.ARROW_RIGHT).perform()
+    assert shown(browser)["title"].startswith("Frame 2,")
+    back.click()
+    before = shown(browser)
+    assert before["title"].startswith("Frame 1,")
+    Select(find(browser, "#viewer-method")[0]).select_by_value("smi")
+    after = shown(browser)
+    assert after["method"] == "smi"
+    assert after["title"] == before["title"]
+    assert after["labels"] != before["labels"]
+    ActionChains(browser).send_keys(Keys.ESCAPE).perform()
+    assert not shown(browser)["open"]
+    assert not find(browser, ".now")
+    assert browser.get_log("browser") == []
+
+
+def test_of_a_long_log_the_nearest_frame_is_shown(
+    browser: Any, results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With room for a few frames only, which has to be told."""
+    monkeypatch.setattr("sonarrec.report.frames.MOST_FRAMES", 9)
+    monkeypatch.setattr("sonarrec.report.frames.choose.__defaults__", (9,))
+    page = tmp_path / "few.html"
+    sonarrec("report", results, "--log", SAMPLE, "-o", page)
+    look(browser, page, 1280, "light")
+    assert "9 of 128 frames are in this page" in find(browser, "#seen .live")[0].text
+    lane = find(browser, "#seen .lane.main")[0]
+    held = set()
+    for share in np.linspace(0.01, 0.99, 25):
+        click_at(browser, lane, share)
+        (number,) = re.findall(r"Frame (\d+),", shown(browser)["title"])
+        asked = float(re.findall(r"to (.*) s", shown(browser)["note"])[0])
+        held.add(int(number))
+        assert asked == pytest.approx(32 * share, abs=0.1)
+    assert 3 < len(held) <= 9
+    assert browser.get_log("browser") == []
+
+
+def test_contents_lead_to_the_sections(browser: Any, pages: dict[str, Path]) -> None:
+    look(browser, pages["full"], 1280, "light")
+    links = find(browser, "#contents a")
+    headings = [h.text for h in find(browser, "main section > h2")]
+    assert [link.text for link in links] == headings
+    for link in links:
+        link.click()
+        name = str(link.get_attribute("href")).partition("#")[2]
+        top = browser.execute_script(
+            "return document.getElementById(arguments[0]).getBoundingClientRect().top", name
+        )
+        end = browser.execute_script(
+            "return innerHeight + scrollY >= document.documentElement.scrollHeight - 1"
+        )
+        assert abs(top) < 2 or end
+        browser.execute_script("scrollTo(0, 0)")
+
+
+def test_tracks_never_declared_are_folded(browser: Any, pages: dict[str, Path]) -> None:
+    browser.get(pages["full"].as_uri())
+    folded = find(browser, "#tracks details.silent")
+    assert len(folded) == 1
+    lanes = folded[0].find_elements("css selector", ".lane")
+    assert lanes
+    assert not any(lane.is_displayed() for lane in lanes)
+    summary = folded[0].find_element("css selector", "summary")
+    assert summary.text.startswith(f"{len(lanes)} tracks never declared")
+    summary.click()
+    assert all(lane.is_displayed() for lane in lanes)
+    assert len({(lane.rect["x"], lane.rect["width"]) for lane in lanes}) == 1  # one time axis
+    assert folded[0].find_element("css selector", ".scale .xl").text == (
+        "seconds since the log's first frame"
+    )
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_a_wide_table_shows_that_it_scrolls(
+    browser: Any, pages: dict[str, Path], scheme: str
+) -> None:
+    """At 400 px: a shadow at the edge beyond which there is more, none where there is not."""
+    look(browser, pages["full"], 400, scheme)
+    wide = [
+        box
+        for box in find(browser, ".scroll")
+        if browser.execute_script("return arguments[0].scrollWidth > arguments[0].clientWidth", box)
+    ]
+    assert wide
+    box = wide[0]
+
+    def shadows() -> tuple[float, float]:
+        """How far the left and the right edge stand out from the page, 0 to 255, below a row."""
+        image = screenshot(box).astype(int)
+        paper = np.median(image.reshape(-1, 3), axis=0)
+        away = np.abs(image - paper).sum(axis=2)
+        return float(np.median(away[:, 1])), float(np.median(away[:, -2]))
+
+    left, right = shadows()
+    assert left < 30 < 60 < right
+    browser.execute_script("arguments[0].scrollLeft = 1e6", box)
+    left, right = shadows()
+    assert right < 30 < 60 < left
+    narrow = [b for b in find(browser, "#tables .scroll") if b not in wide]
+    assert narrow
+    box = narrow[0]
+    assert max(shadows()) < 30
+
+
+def test_every_chart_over_two_axes_is_labelled(browser: Any, pages: dict[str, Path]) -> None:
+    look(browser, pages["full"], 1280, "light")
+    unlabelled = browser.execute_script(
+        """
+return [...document.querySelectorAll('.roc .axes')]
+  .filter(a => !a.querySelector('.xl') || !a.querySelector('.yl'))
+  .concat([...document.querySelectorAll('.scale')].filter(s => !s.querySelector('.xl')))
+  .concat([...document.querySelectorAll('.panel')].filter(p => !/probability/.test(p.innerText)))
+  .map(e => e.outerHTML.slice(0, 90));"""
+    )
+    assert unlabelled == []
+    assert len(find(browser, ".roc .axes")) >= 4
+
+
+def test_on_paper(browser: Any, pages: dict[str, Path]) -> None:
+    """Light whatever the screen's scheme; nothing folded or cut off; no viewer, no hint."""
+    look(browser, pages["full"], 1280, "dark")
+    browser.get(pages["full"].as_uri())  # folded again
+    find(browser, "#sightings td button.frame")[0].click()
+    assert shown(browser)["open"]
+    features = [{"name": "prefers-color-scheme", "value": "dark"}]
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print", "features": features})
+    try:
+        assert browser.execute_script("return getComputedStyle(document.body).color") == (
+            "rgb(27, 33, 38)"
+        )
+        assert not shown(browser)["open"]
+        assert not any(e.is_displayed() for e in find(browser, ".live"))
+        lanes = find(browser, "#tracks details.silent .lane")
+        assert lanes
+        visible = "return arguments[0].checkVisibility() && arguments[0].offsetHeight > 0"
+        assert all(browser.execute_script(visible, lane) for lane in lanes)
+        cut = browser.execute_script(
+            "return [...document.querySelectorAll('.scroll')]"
+            ".filter(e => getComputedStyle(e).overflowX !== 'visible').length"
+        )
+        assert cut == 0
+    finally:
+        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+
+
+def test_without_scripts_the_page_reads(browser: Any, pages: dict[str, Path]) -> None:
+    browser.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", {"value": True})
+    try:
+        browser.get(pages["full"].as_uri())
+        assert not find(browser, "#viewer")[0].is_displayed()
+        assert not any(e.is_displayed() for e in find(browser, ".live"))
+        numbers = find(browser, "button.frame")
+        assert not any(number.is_enabled() for number in numbers)
+        assert find(browser, "#sightings td button.frame")[0].text == "0"
+        assert all(p.rect["height"] > 100 for p in find(browser, ".gallery img"))
+    finally:
+        browser.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", {"value": False})

@@ -1,0 +1,139 @@
+"""The page of two results: its numbers against the comparison's, and what it needs from outside."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from sonarrec.cli import main
+from sonarrec.evaluation.compare import compare
+from tests.evaluation.test_evaluation import write_case
+from tests.report.test_report import Page
+
+FRAMES = range(400)
+PASSES = 8
+
+
+def report(*arguments: str | Path, code: int = 0) -> Result:
+    done = CliRunner().invoke(main, ["report", *map(str, arguments)])
+    assert done.exit_code == code, done.output
+    return done
+
+
+@pytest.fixture
+def sides(tmp_path: Path) -> tuple[Path, Path, Path]:
+    """Eight passes of ID.1, 20 frames each: the new results lose the first half of six of them,
+    gain one that the old ones never claimed, and invent ID.2 in frame 45 no more."""
+    truth = [(50 * n + i, 1, 2.0, 0.0, 1.0) for n in range(PASSES) for i in range(20)]
+    right = [(f, "m", 2.0, 0.0, 1, 0.9, 1) for f, *_ in truth]
+    old = [c for c in right if c[0] // 50 != 7] + [(45, "m", 3.0, 0.0, 2, 0.8, 1)]
+    new = [c for c in right if c[0] // 50 >= 6 or c[0] % 50 >= 10]
+    a, gt = write_case(tmp_path / "old", FRAMES, old, truth)
+    b, _ = write_case(tmp_path / "new", FRAMES, new, truth)
+    return a, b, gt
+
+
+def test_the_page_tells_what_the_comparison_found(sides: tuple[Path, Path, Path]) -> None:
+    old, new, gt = sides
+    done = report("--compare", old, new, "--ground-truth", gt)
+    path = new / "compare.html"
+    assert done.stdout.startswith(f"{path}: ")
+    page = Page(path)
+    found = compare(old, new, gt)
+    tests = {
+        d.name: d for d in found.differences if (d.protocol, d.landmark_text) == ("strict", "total")
+    }
+    rows = {row[0]: row for row in page.tables["m, protocol strict"][1:]}
+    assert rows["TPR"][1:3] == ["0.875", "0.625"]  # 140 and 100 of 160 frames
+    assert rows["TPR"][4] == f"{tests['tpr'].p:.2g}"
+    assert f"{tests['tpr'].low:+.3f} to {tests['tpr'].high:+.3f}" in rows["TPR"][3]
+    assert rows["FPR"][1:3] == ["0.0007", "0.0000"]  # 1 of 1440 frames and absent IDs
+    per_id = {row[0]: row for row in page.tables["m, protocol strict, per ID"][1:]}
+    assert per_id["ID.1 TPR"][1:3] == ["0.875", "0.625"]
+    assert "ID.3 TPR" not in per_id
+    # What got worse, then what got better: passes, then frames.
+    text = path.read_text(encoding="utf-8")
+    worse, better = text[text.index('id="worse"') :].split('<section id="better">')
+    assert [worse.count(x) for x in ("<td>20</td><td>20</td>", "TP</td>")] == [6, 6]
+    assert "350 to 369" in better
+    assert re.search(r">45</th>.*ID\.2.*FP</td>.*TN</td>", better)
+
+
+def test_the_page_needs_nothing_else(sides: tuple[Path, Path, Path]) -> None:
+    old, new, gt = sides
+    report("--compare", old, new, "--ground-truth", gt, "-q")
+    page = Page(new / "compare.html")
+    assert not any(tag in ("script", "link", "img", "iframe") for tag, _ in page.elements)
+    assert "http" not in page.text
+    policies = [a["content"] for t, a in page.elements if t == "meta" and "http-equiv" in a]
+    assert policies == ["default-src 'none'; img-src data:; style-src 'unsafe-inline'"]
+
+
+def test_names_of_other_programs_are_text(tmp_path: Path) -> None:
+    name = "<b>m</b>"
+    truth = [(f, 1, 2.0, 0.0, 1.0) for f in range(4)]
+    claims = [(f, name, 2.0, 0.0, 1, 0.9, 1) for f in range(4)]
+    old, gt = write_case(tmp_path / "old", range(9), claims, truth)
+    new, _ = write_case(tmp_path / "new", range(9), claims[:2], truth)
+    report("--compare", old, new, "--ground-truth", gt)
+    text = (new / "compare.html").read_text(encoding="utf-8")
+    assert "&lt;b&gt;m&lt;/b&gt;" in text
+    assert name not in text
+
+
+def test_at_most_ten_runs_of_frames_are_listed_each_way(tmp_path: Path) -> None:
+    truth = [(f, 1, 2.0, 0.0, 1.0) for f in range(60)]
+    claims = [(f, "m", 2.0, 0.0, 1, 0.9, 1) for f in range(60)]
+    old, gt = write_case(tmp_path / "old", range(60), claims, truth)
+    new, _ = write_case(tmp_path / "new", range(60), claims[::4], truth)
+    few, _ = write_case(tmp_path / "few", range(60), [c for c in claims if c[0] % 5], truth)
+    report("--compare", old, new, "--ground-truth", gt)
+    assert "shorter run" not in (new / "compare.html").read_text(encoding="utf-8")
+    report("--compare", old, few, "--ground-truth", gt)
+    text = (few / "compare.html").read_text(encoding="utf-8")
+    assert text.count("<td>1</td></tr>") == 10
+    assert "2 shorter runs left out" in text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--compare", "a", "b", "out"], "--compare takes OLD and NEW"),
+        (["--compare", "a", "b", "--method", "m"], "--compare takes OLD and NEW"),
+        (["--compare", "a", "b", "--pairs", "p.csv", "--ground-truth", "p.csv"], "--pairs"),
+    ],
+)
+def test_options_that_do_not_go_together(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], says: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "p.csv").write_text("results,ground_truth\n")
+    assert says in report(*arguments, code=2).stderr
+
+
+def test_it_is_drawn_by_a_browser(sides: tuple[Path, Path, Path], tmp_path: Path) -> None:
+    """Headings and tables are there to see."""
+    browser = shutil.which("chromium") or shutil.which("chromium-browser")
+    if browser is None:
+        pytest.skip("no chromium here")
+    cv2 = pytest.importorskip("cv2")
+    old, new, gt = sides
+    report("--compare", old, new, "--ground-truth", gt, "-q")
+    picture = tmp_path / "page.png"
+    subprocess.run(
+        [browser, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars",
+         "--window-size=1000,1400", f"--screenshot={picture}",
+         (new / "compare.html").resolve().as_uri()],
+        check=True, capture_output=True, timeout=120,
+    )  # fmt: skip
+    drawn = cv2.imread(str(picture))
+    assert drawn.shape[1] == 1000
+    ink = np.count_nonzero((drawn < 100).all(axis=2), axis=1)
+    assert (ink[:200] > 0).sum() > 20  # the heading
+    assert (ink[700:] > 0).any()

@@ -1,0 +1,273 @@
+"""Passes: gathered frame by frame, written, read back, and worked out from the tables."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections import defaultdict
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sonarrec.cli import main
+from sonarrec.landmarks import load_landmarks
+from sonarrec.pipeline import MOST_SIGHTINGS, run
+from sonarrec.poses import pose_table
+from sonarrec.records import Estimate, FrameResult, SonarrecError
+from sonarrec.results.folders import part_of
+from sonarrec.results.sightings import Sighting, Sightings
+from sonarrec.results.sightings_file import read_sightings, sightings_in
+from sonarrec.results.write import ResultsWriter
+from tests.results.test_write import tables
+from tests.support.drawn import make_fan
+
+BASIN = load_landmarks("basin")
+SAMPLE = Path(__file__).parents[2] / "sample_data"
+CONTRACT = (
+    "method,landmark,track,first_frame,last_frame,start_ns,end_ns,frames_declared,mean_score,"
+    "best_score,range_m,bearing_deg,orientation_deg,range_sigma_m,bearing_sigma_deg,"
+    "orientation_sigma_deg,x_m,y_m"
+)
+
+
+def claim(method: str = "framework", **changed: object) -> Estimate:
+    values: dict[str, object] = {
+        "method": method,
+        "object": 3,
+        "x_px": 1.0,
+        "y_px": 1.0,
+        "range_m": 2.0,
+        "bearing_deg": 0.0,
+        "orientation_deg": 0.0,
+        "existence": 1.0,
+        "probabilities": np.array([0.7, 0.1, 0.05, 0.05, 0.1]),
+        "landmark": 1,
+        "score": 0.7,
+        "declared": True,
+    }
+    return Estimate(**(values | changed))  # type: ignore[arg-type]
+
+
+def gathered(frames: dict[int, list[Estimate]], sightings: Sightings | None = None) -> list:
+    sightings = sightings or Sightings()
+    found = []
+    for frame, estimates in sorted(frames.items()):
+        found += sightings.add(frame, frame * 10**8, estimates)
+    return found + sightings.rest()
+
+
+@pytest.mark.parametrize(("again", "passes"), [(14, 1), (15, 2)])
+def test_a_pass_ends_after_ten_frames_without_a_declaration(again: int, passes: int) -> None:
+    """Frame 4 is the last declared one: 5 to 13 are nine without, 5 to 14 ten."""
+    between = {f: [claim(declared=False)] for f in range(5, again)}
+    frames = {f: [claim()] for f in (3, 4)} | between | {again: [claim()]}
+    found = gathered(frames)
+    assert len(found) == passes
+    assert (found[0].first_frame, found[-1].last_frame) == (3, again)
+    assert found[0].end_ns == found[0].last_frame * 10**8
+
+
+claims = st.tuples(
+    st.integers(0, 60),
+    st.sampled_from(["framework", "smi"]),
+    st.integers(0, 2),
+    st.sampled_from([1, 4]),
+    st.floats(0, 1),
+    st.floats(1, 4),
+    st.floats(0, 359),
+    st.floats(0.001, 1),
+    st.booleans(),
+)
+
+
+@given(st.lists(claims, max_size=60))
+@settings(max_examples=60, deadline=None)
+def test_every_figure_is_what_numpy_says_of_the_pass(rows: list[tuple]) -> None:
+    """Against runs cut out of all the declarations at once."""
+    frames: dict[int, list[Estimate]] = defaultdict(list)
+    by_key = defaultdict(list)
+    for frame, method, number, landmark, score, range_m, turn, sigma, declared in rows:
+        e = claim(
+            method,
+            object=number,
+            landmark=landmark,
+            score=score,
+            range_m=range_m,
+            orientation_deg=turn,
+            range_sigma_m=math.nan if method == "smi" else sigma,
+            declared=declared,
+        )
+        frames[frame].append(e)
+        if declared:
+            by_key[method, landmark, None if method == "smi" else number].append((frame, e))
+    expected = []
+    for key, found in by_key.items():
+        found.sort(key=lambda one: one[0])
+        at = np.array([f for f, _ in found])
+        for part in np.split(np.arange(len(at)), np.flatnonzero(np.diff(at) > 10) + 1):
+            inside = [found[n][1] for n in part]
+            turns = np.exp(1j * np.radians([e.orientation_deg for e in inside]))
+            expected.append(
+                (
+                    (*key, at[part[0]], at[part[-1]], len(set(at[part]))),
+                    np.mean([e.score for e in inside]),
+                    max(e.score for e in inside),
+                    np.mean([e.range_m for e in inside]),
+                    turns.mean(),
+                    np.sqrt(np.mean([e.range_sigma_m**2 for e in inside])),
+                )
+            )
+    found_all = gathered(frames)
+    assert [s.last_frame for s in found_all] == sorted(s.last_frame for s in found_all)
+
+    def ident(s: Sighting) -> tuple:
+        return s.method, s.landmark, s.track, s.first_frame, s.last_frame, s.frames_declared
+
+    told = {ident(s): s for s in found_all}
+    assert len(told) == len(found_all) == len(expected)
+    for key, mean, best, range_m, turn, sigma in expected:
+        s = told[key]
+        assert (s.mean_score, s.best_score) == (pytest.approx(mean), best)
+        assert s.range_m == pytest.approx(range_m)
+        assert s.range_sigma_m == pytest.approx(sigma, nan_ok=True)
+        if abs(turn) > 1e-6:  # else they cancel out
+            unit = np.exp(1j * np.radians(s.orientation_deg))
+            assert unit == pytest.approx(turn / abs(turn), abs=1e-6)
+        assert math.isnan(s.x_m)
+
+
+def test_the_place_on_the_floor_is_the_same_from_wherever_it_is_seen() -> None:
+    """A mark at (1, 4): seen from three places with three headings, ranges by Pythagoras."""
+    fan, mark = make_fan(), (1.0, 4.0)
+    assert fan.height_m is not None
+    poses = [(0.0, 0.0, 0.0), (20.0, -0.5, 1.0), (350.0, 2.0, 0.5)]
+    at = np.arange(3) * 10**8
+    yaw, x, y = np.array(poses).T
+    table = pose_table("poses", {}, at, yaw, x, y)
+    frames = {}
+    for n, (heading, px, py) in enumerate(poses):
+        bearing = math.degrees(math.atan2(mark[0] - px, mark[1] - py)) - heading
+        away = math.hypot(mark[0] - px, mark[1] - py, fan.height_m)
+        frames[n] = [claim(range_m=away, bearing_deg=(bearing + 180) % 360 - 180)]
+    [s] = gathered(frames, Sightings(fan, table))
+    assert (s.x_m, s.y_m) == pytest.approx(mark)
+    [s] = gathered(frames, Sightings(fan, replace(table, axes="ahead, left")))  # as ROS has them
+    assert (s.x_m, s.y_m) == pytest.approx((mark[1], -mark[0]))
+    [unknown] = gathered({9: [claim()]}, Sightings(fan, table))
+    assert math.isnan(unknown.x_m)
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("out")
+    return run(SAMPLE / "pan.mcap", out, preset=["default", "offline"]).folder
+
+
+def test_the_file_has_the_contract_s_columns_and_every_method(results: Path) -> None:
+    with (results / "sightings.csv").open(newline="") as file:
+        header, *rows = csv.reader(file)
+    assert ",".join(header) == CONTRACT
+    assert {row[0] for row in rows} == {"smi:default", "framework:default", "framework:offline"}
+    assert [int(row[4]) for row in rows] == sorted(int(row[4]) for row in rows)
+
+
+@pytest.mark.parametrize("why", ["no sightings.csv", "cut short"])
+def test_the_tables_give_the_same_sightings(results: Path, tmp_path: Path, why: str) -> None:
+    copy = tmp_path / "copy"
+    copy.mkdir()
+    for name in ("frames.csv", "estimates.csv", "run.toml"):
+        (copy / name).write_bytes((results / name).read_bytes())
+    if why == "cut short":
+        (copy / "sightings.csv").write_text(CONTRACT + "\n")
+        text = (copy / "run.toml").read_text()
+        (copy / "run.toml").write_text(text.replace("finished = true", "finished = false"))
+    found = list(read_sightings(copy))
+    written = list(read_sightings(results))
+    assert len(found) == len(written) > 8
+    for one, other in zip(found, written, strict=True):
+        for name in CONTRACT.split(","):
+            a, b = getattr(one, name), getattr(other, name)
+            if isinstance(b, float):
+                assert a == pytest.approx(
+                    b, abs=0.06 if "orientation" in name else 2e-3, nan_ok=True
+                )
+            else:
+                assert a == b, name
+
+
+def broken_off(folder: Path) -> None:
+    with ResultsWriter(folder, BASIN, tables()) as writer:
+        for i in range(20):
+            writer.write(FrameResult(i, i, 1, 1, (claim(declared=i < 3 or i > 17),)))
+        raise KeyboardInterrupt
+
+
+def test_a_run_that_breaks_off_leaves_the_passes_of_its_frames(tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        broken_off(tmp_path / "dive")
+    part = part_of(tmp_path / "dive")
+    written = list(sightings_in(part / "sightings.csv"))
+    assert [(s.first_frame, s.last_frame) for s in written] == [(0, 2), (18, 19)]
+    worked_out = list(read_sightings(part))  # run.toml says that it did not finish
+    assert [(s.first_frame, s.last_frame) for s in worked_out] == [(0, 2), (18, 19)]
+
+
+@pytest.mark.parametrize("cell", ["x", "", "1.5"])
+def test_a_wrong_cell_is_told_with_its_line(results: Path, tmp_path: Path, cell: str) -> None:
+    text = (results / "sightings.csv").read_text().splitlines()
+    text[2] = ",".join(cell if i == 3 else c for i, c in enumerate(text[2].split(",")))
+    file = tmp_path / "sightings.csv"
+    file.write_text("\n".join(text))
+    with pytest.raises(SonarrecError, match=r"sightings\.csv line 3: no sighting"):
+        list(sightings_in(file))
+
+
+def test_json_is_the_one_thing_on_stdout(results: Path, tmp_path: Path) -> None:
+    log, gone = str(SAMPLE / "pan.mcap"), str(tmp_path / "gone.mcap")
+    words = ["run", log, gone, "-o", str(results.parent), "--preset", "default,offline", "--json"]
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 3
+    first, second = json.loads(done.stdout)["logs"]
+    assert (first["name"], first["status"], first["frames"]) == ("pan", "done", 128)
+    with (results / "frames.csv").open(newline="") as file:
+        assert first["candidates"] == sum(int(row["candidates"]) for row in csv.DictReader(file))
+    with (results / "sightings.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [s["method"] for s in first["sightings"]] == [row["method"] for row in rows]
+    assert set(first["sightings"][0]) == set(CONTRACT.split(","))
+    assert (second["name"], second["status"]) == (None, "failed")
+    assert gone in second["message"]
+    alone = CliRunner().invoke(main, ["run", gone, "--json", "-o", str(tmp_path)])
+    assert json.loads(alone.stdout)["logs"][0]["status"] == "failed"
+
+
+def test_the_table_is_bounded_and_says_how_many_more(tmp_path: Path) -> None:
+    """Of thirty passes the longest, in order, with the calendar's time."""
+    from sonarrec.cli.passes import table
+    from sonarrec.pipeline import Summary, _longest
+
+    start = 1_700_000_000 * 10**9
+    with ResultsWriter(tmp_path / "dive", BASIN, tables()) as writer:
+        for i in range(30 * 40):
+            seen = i % 40 < 1 + i // 40
+            writer.write(FrameResult(i, start + i * 10**8, 1, 1, (claim(declared=seen),)))
+        writer.finish([])
+    passes, kept = _longest(tmp_path / "dive", ["framework"])
+    assert passes == {"framework": 30}
+    assert [s.frames_declared for s in kept] == list(range(11, 31))
+    assert len(kept) == MOST_SIGHTINGS
+    summary = Summary(tmp_path / "dive", 1200, 0, 1200, [], [], passes, kept)
+    lines = table(summary, summary.folder)
+    assert len(lines) == MOST_SIGHTINGS + 2
+    assert "UTC" in lines[0]
+    assert "10 more in" in lines[-1]
+    one = replace(kept[0], start_ns=start + 25 * 10**7)
+    assert "2023-11-14 22:13:20.25" in table(replace(summary, sightings=[one]), summary.folder)[1]
+    none = replace(summary, passes={"framework": 0}, sightings=[])
+    assert table(none, none.folder) == ["no landmark declared"]

@@ -1,0 +1,229 @@
+"""`make scale`: a thousand logs in one call, stopped, killed, over a cluster; how cost grows.
+
+Logs are hard links to a few simulated recordings of 60 frames. Of a thousand, five are broken each
+in another way, one hangs and one kills its process (`tests/support/batch.py`). Prints what
+tests/studies/RESULTS.md has, and fails where something was lost.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+from sonarrec.simulation.scene import load_scene
+from sonarrec.simulation.simulate import write_recording
+from tests.support.batch import SAMPLE, command, environment, rows, tables
+
+FRAMES = 60
+SEEDS = range(8000, 8004)
+
+
+def recordings(folder: Path) -> list[Path]:
+    """Simulated recordings, one file each; their sonar.toml serves all logs of the folder."""
+    made = []
+    for seed in SEEDS:
+        path = folder / f"made{seed}.mcap"
+        write_recording(replace(load_scene("sample_pan"), seed=seed, frames=FRAMES), path, "mcap")
+        made.append(path)
+    shutil.copy(made[0].with_suffix(".sonar.toml"), folder / "sonar.toml")
+    return made
+
+
+def logs(folder: Path, source: list[Path], count: int) -> list[Path]:
+    """So many logs, hard links in turn."""
+    folder.mkdir(parents=True)
+    shutil.copy(source[0].parent / "sonar.toml", folder)
+    paths = [folder / f"log{i:04d}.mcap" for i in range(count)]
+    for i, path in enumerate(paths):
+        os.link(source[i % len(source)], path)
+    return paths
+
+
+def broken(paths: list[Path]) -> list[str]:
+    """Break five logs, each in another way; let one hang and one kill its process. Their names."""
+    step = len(paths) // 7
+    chosen = [paths[k * step + step // 2] for k in range(7)]
+    empty, cut, torn, foreign, gone, hangs, dies = chosen
+    for path in chosen[:5]:
+        data = path.read_bytes()
+        path.unlink()
+        if path is empty:
+            path.write_bytes(b"")
+        elif path is cut:
+            path.write_bytes(data[:200])
+        elif path is torn:
+            path.write_bytes(data[:8] + bytes(len(data) - 8))
+        elif path is foreign:
+            path.write_bytes((SAMPLE / "000000.png").read_bytes())
+        elif path is gone:
+            path.symlink_to("nowhere.mcap")
+    for path, name in ((hangs, "hangs"), (dies, "dies")):
+        path.rename(path.with_name(f"{name}.mcap"))
+    return [*(path.stem for path in chosen[:5]), "hangs", "dies"]
+
+
+def call(out: Path, folder: Path, *words: str | int | Path, stop_after: int = 0) -> float:
+    """Seconds of a call over all logs of a folder; killed with -9 once so many are done."""
+    begun = time.monotonic()
+    running = subprocess.Popen(
+        command("run", f"{folder}/*.mcap", *words, "-o", out, "-q"),
+        env=environment(folder.parent),
+        stderr=subprocess.DEVNULL,
+    )
+    while stop_after and running.poll() is None:
+        if sum(path.name == "run.toml" for path in out.glob("*/run.toml")) >= stop_after:
+            running.send_signal(signal.SIGKILL)
+        time.sleep(0.1)
+    running.wait()
+    return time.monotonic() - begun
+
+
+def counts(out: Path) -> str:
+    states = [row["status"] for row in rows(out).values()]
+    return ", ".join(f"{states.count(s)} {s}" for s in sorted(set(states)))
+
+
+def same(one: Path, other: Path) -> int:
+    """How many logs have the same bytes in both; exits where one differs."""
+    names = [path.parent.name for path in one.glob("*/run.toml")]
+    for name in names:
+        if tables(one / name) != tables(other / name):
+            sys.exit(f"{name}: other bytes in {one} and {other}")
+    return len(names)
+
+
+def thousand(home: Path, source: list[Path], count: int) -> None:
+    folder, out = home / "thousand", home / "all"
+    names = broken(logs(folder, source, count))
+    took = call(out, folder, "-j", 2, "--timeout", 20)
+    failed = [name for name, row in rows(out).items() if row["status"] == "failed"]
+    print(f"{count} logs of {FRAMES} frames, 2 jobs: {took:.0f} s; {counts(out)}")
+    if set(failed) != set(names):
+        sys.exit(f"failed: {failed}; expected {names}")
+    for name in failed:
+        print(f"  {rows(out)[name]['message']}")
+
+    halted = home / "halted"
+    call(halted, folder, "-j", 2, "--timeout", 20, stop_after=count // 2)
+    ready = {p: p.stat().st_mtime_ns for p in halted.glob("*/run.toml") if ".part" not in str(p)}
+    call(halted, folder, "-j", 2, "--timeout", 20)
+    twice = [p for p, when in ready.items() if p.stat().st_mtime_ns != when]
+    print(
+        f"killed after {len(ready)} logs, called again: {len(twice)} done twice; "
+        f"{same(out, halted)} of the same bytes as undisturbed"
+    )
+    if twice:
+        sys.exit(f"done twice: {twice}")
+
+
+def throughput(home: Path, source: list[Path], count: int) -> None:
+    folder = home / "throughput"
+    logs(folder, source, count)
+    rates = {}
+    for jobs in (1, 2, 1, 2):
+        took = call(home / "rate", folder, "-j", jobs, "--overwrite")
+        rates.setdefault(jobs, []).append(count / took)
+    one, two = (max(rates[jobs]) for jobs in (1, 2))
+    print(f"{count} logs: 1 job {one:.2f} logs/s, 2 jobs {two:.2f} logs/s, {two / one:.2f} times")
+
+
+def cluster(home: Path, source: list[Path], count: int) -> None:
+    folder, here, there = home / "cluster", home / "here", home / "there"
+    logs(folder, source, count)
+    call(here, folder)
+    port, running = 18790, []
+
+    def start(what: str, *words: str) -> None:
+        running.append(
+            subprocess.Popen(
+                [sys.executable, "-m", f"distributed.cli.dask_{what}", *words, "--no-dashboard"],
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                start_new_session=True,
+            )
+        )
+
+    start("scheduler", "--host", "127.0.0.1", "--port", str(port))
+    for _ in range(2):
+        start("worker", f"tcp://127.0.0.1:{port}", "--nthreads", "1")
+    time.sleep(5)
+    asked = subprocess.Popen(
+        command(
+            "run", f"{folder}/*.mcap", "--scheduler", f"tcp://127.0.0.1:{port}", "-o", there, "-q"
+        ),
+    )
+    while len(list(there.glob("*/run.toml"))) < count // 3 and asked.poll() is None:
+        time.sleep(0.1)
+    os.killpg(running[1].pid, signal.SIGKILL)
+    asked.wait()
+    for process in running[:1] + running[2:]:
+        os.killpg(process.pid, signal.SIGKILL)
+    print(
+        f"{count} logs over a Dask cluster, one of two workers killed: {counts(there)}; "
+        f"{same(here, there)} of the same bytes"
+    )
+
+
+def growth(home: Path, source: list[Path], largest: int, frames: int) -> None:
+    count = 10
+    while count <= largest:
+        folder = home / f"logs{count}"
+        logs(folder, source, count)
+        took = call(home / "grown", folder, "-j", 2, "--overwrite")
+        print(f"{count} logs: {took:.1f} s, {1000 * took / count:.0f} ms each")
+        count *= 10
+    images = sorted(SAMPLE.glob("*.png"))
+    count = 1000
+    while count <= frames:
+        folder = home / f"frames{count}"
+        folder.mkdir()
+        shutil.copy(SAMPLE / "sonar.toml", folder)
+        for i in range(count):
+            (folder / f"{i:06d}.png").symlink_to(images[i % len(images)])
+        begun = time.monotonic()
+        code = "import resource, sys; from sonarrec.cli import main\ntry: main()\nfinally: "
+        code += "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)"
+        told = subprocess.run(
+            [sys.executable, "-c", code, "run", str(folder), "-q", "-o", str(home / "long")],
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        took = time.monotonic() - begun
+        print(
+            f"{count} frames: {took:.1f} s, {1000 * took / count:.2f} ms each, "
+            f"{told.stdout.strip()} MB"
+        )
+        count *= 10
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--logs", type=int, default=1000)
+    parser.add_argument("--frames", type=int, default=100_000)
+    parser.add_argument("--part", choices=["thousand", "throughput", "cluster", "growth"])
+    asked = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        home = Path(name)
+        (home / "made").mkdir()
+        source = recordings(home / "made")
+        if asked.part in (None, "throughput"):
+            throughput(home, source, asked.logs // 5)
+        if asked.part in (None, "thousand"):
+            thousand(home, source, asked.logs)
+        if asked.part in (None, "cluster"):
+            cluster(home, source, asked.logs // 5)
+        if asked.part in (None, "growth"):
+            growth(home, source, asked.logs, asked.frames)
+
+
+if __name__ == "__main__":
+    main()

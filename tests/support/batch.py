@@ -1,0 +1,67 @@
+"""Logs that misbehave by their names, in processes of their own; calls over many logs."""
+
+from __future__ import annotations
+
+import csv
+import os
+import shutil
+import sys
+from pathlib import Path
+
+SAMPLE = Path(__file__).parents[2] / "sample_data" / "pan"
+FRAMES = 6
+BEHAVIOUR = '''
+"""Read by every process at its start: logs of these names misbehave while they are read."""
+import os, signal, sys, time
+if "sonarrec" in "".join(sys.orig_argv):
+    from sonarrec.readers import log
+
+    iterate = log.Log.__iter__
+
+    def misbehave(self):
+        for frame in iterate(self):
+            yield frame
+            if self.name == "hangs":
+                signal.signal(signal.SIGTERM, signal.SIG_IGN)
+                time.sleep(1000)
+            if self.name == "slow":
+                time.sleep(0.2)
+            if self.name == "dies":
+                os.kill(os.getpid(), signal.SIGKILL)
+            if self.name == "raises":
+                raise ZeroDivisionError("a fault of ours")
+
+    log.Log.__iter__ = misbehave
+'''
+
+
+def made(folder: Path, *names: str, frames: int = FRAMES) -> list[Path]:
+    """Logs of a few frames of the sample."""
+    for name in names:
+        (folder / name).mkdir(parents=True)
+        shutil.copy(SAMPLE / "sonar.toml", folder / name)
+        for i in range(frames):
+            shutil.copy(SAMPLE / f"{i:06d}.png", folder / name)
+    return [folder / name for name in names]
+
+
+def environment(folder: Path) -> dict[str, str]:
+    """In which logs misbehave by their names."""
+    home = folder / "behaviour"
+    home.mkdir(exist_ok=True)
+    (home / "sitecustomize.py").write_text(BEHAVIOUR)
+    return os.environ | {"PYTHONPATH": str(home)}
+
+
+def command(*words: str | Path) -> list[str]:
+    return [sys.executable, "-m", "sonarrec", *map(str, words)]
+
+
+def rows(out: Path) -> dict[str, dict[str, str]]:
+    with (out / "logs.csv").open(newline="") as file:
+        return {row["log"]: row for row in csv.DictReader(file)}
+
+
+def tables(folder: Path) -> list[bytes]:
+    names = ("frames.csv", "estimates.csv", "sightings.csv")
+    return [(folder / name).read_bytes() for name in names]

@@ -1,0 +1,154 @@
+"""Names of any bytes, locales without letters, and streams that are closed or full."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+SAMPLE = ROOT / "sample_data" / "pan"
+TRUTH = ROOT / "sample_data" / "pan.gt.csv"
+ASCII = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+
+
+def sonarrec(
+    folder: Path, *words: str | bytes, after: str = "", **environment: str
+) -> subprocess.CompletedProcess[bytes]:
+    """after: redirections of the shell."""
+    line = f'exec "$@" {after}' if after else 'exec "$@"'
+    return subprocess.run(
+        ["bash", "-c", line, "bash", sys.executable, "-m", "sonarrec", *words],
+        cwd=folder,
+        env=os.environ | environment,
+        capture_output=True,
+        timeout=120,
+    )
+
+
+@pytest.fixture
+def work(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
+    """A log of a few frames, one broken, whose names are the parameter's bytes."""
+    log = os.fsencode(tmp_path) + b"/" + request.param
+    try:
+        os.mkdir(log)  # noqa: PTH102
+    except OSError:
+        pytest.skip("this file system takes no such name")
+    for i in range(4):
+        shutil.copy(SAMPLE / f"{i:06d}.png", log + b"/%06d.png" % i)
+    shutil.copy(SAMPLE / "sonar.toml", log + b"/sonar.toml")
+    with open(log + b"/000004" + request.param + b".png", "wb") as file:  # noqa: PTH123
+        file.write(b"broken")
+    return tmp_path
+
+
+LATIN, UTF = b"d\xe9ve", "d\u00e9v\u00e9".encode()
+
+
+@pytest.mark.parametrize(
+    ("work", "name", "environment"),
+    [(LATIN, LATIN, {}), (UTF, UTF, ASCII), (LATIN, LATIN, ASCII)],
+    indirect=["work"],
+)
+def test_names_of_any_bytes(work: Path, name: bytes, environment: dict[str, str]) -> None:
+    def done(*words: str | bytes, codes: tuple[int, ...] = (0, 3)) -> str:
+        ended = sonarrec(work, *words, **environment)
+        assert ended.returncode in codes, ended.stderr.decode(errors="replace")
+        assert b"Traceback" not in ended.stderr
+        return ended.stdout.decode()
+
+    done("run", name, codes=(3,))
+    [folder] = (p for p in (work / "sonarrec_out").iterdir() if p.is_dir())
+    with (folder / "run.toml").open("rb") as file:
+        run = tomllib.load(file)
+    assert run["finished"] is True
+    assert len(run["input"]["problems"]) == 1
+    assert "up to date" in done("run", name, codes=(3,))
+    assert json.loads(done("run", name, "--json"))["logs"][0]["frames"] == 4
+    results = os.fsencode(folder.relative_to(work))
+    done("info", name)
+    done("evaluate", results, "--ground-truth", str(TRUTH))
+    with (folder / "evaluation" / "per_log.csv").open(newline="", encoding="utf-8") as file:
+        assert len({row["log"] for row in csv.DictReader(file)}) == 1
+    done("report", results, "--log", name)
+    done("overlay", name, results, "--mcap", "o.mcap")
+    done("truth", "check", str(TRUTH), name)
+    done("run", name, "-o", b"out" + name)
+
+
+def test_help_prints_where_the_terminal_has_ascii_only(tmp_path: Path) -> None:
+    for page in ("method", "geometry", "results", "python"):
+        assert sonarrec(tmp_path, "help", page, **ASCII).returncode == 0
+
+
+@pytest.mark.parametrize("after", ["2>&-", ">&-", ">&- 2>&-", "2>/dev/full"])
+def test_closed_streams_cost_no_result(tmp_path: Path, after: str) -> None:
+    log = str(SAMPLE / "00000*.png")
+    assert sonarrec(tmp_path, "run", log, "-o", "o", after=after).returncode == 0
+    tables = tmp_path / "o" / "pan"
+    assert len((tables / "frames.csv").read_text().splitlines()) == 11
+    assert (tables / "estimates.csv").read_text().startswith("frame,timestamp_ns,method")
+    assert sonarrec(tmp_path, "info", log, after=after).returncode == 0
+    made = sonarrec(tmp_path, "overlay", str(SAMPLE), "o", "--mcap", "o.mcap", after=after)
+    assert made.returncode == 1  # of another log: told, where anybody listens
+    assert not (tmp_path / "o.mcap").exists()
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="/dev/full not found")
+@pytest.mark.parametrize(
+    "words", [["run"], ["run", "--json"], ["info"], ["info", "--json"], ["help", "run"]]
+)
+def test_a_full_stdout_is_one_line(tmp_path: Path, words: list[str]) -> None:
+    log = [] if words[0] == "help" else [str(SAMPLE / "00000*.png")]
+    done = sonarrec(tmp_path, *words, *log, after=">/dev/full")
+    assert done.returncode == 1
+    assert done.stderr == b"sonarrec: stdout: cannot be written (No space left on device)\n"
+    if words[0] == "run":
+        assert "finished = true" in (tmp_path / "sonarrec_out" / "pan" / "run.toml").read_text()
+
+
+@pytest.mark.parametrize("preset", ["default", "paper"])
+@pytest.mark.parametrize("radius", ["1e4", "1e300", "9.0"])
+def test_a_disc_that_no_sonar_sees_is_refused(tmp_path: Path, radius: str, preset: str) -> None:
+    text = (ROOT / "sonarrec" / "landmark_sets" / "basin.toml").read_text()
+    (tmp_path / "big.toml").write_text(text.replace("radius_m = 0.15", f"radius_m = {radius}"))
+    log = str(SAMPLE / "00000*.png")
+    done = sonarrec(tmp_path, "run", log, "--landmarks", "big.toml", "--preset", preset)
+    assert done.returncode in (1, 2)
+    assert len(done.stderr.splitlines()) == 1
+    assert b"radius_m" in done.stderr
+
+
+def test_a_file_of_dots_keeps_its_results_in_out(tmp_path: Path) -> None:
+    for name in ("...mcap", "...sonar.toml"):
+        suffix = name.removeprefix("..")
+        shutil.copy(ROOT / "sample_data" / f"pan{suffix}", tmp_path / name)
+    (tmp_path / "deep").mkdir()
+    words = ["run", "-q", "...mcap", "-o", "deep/out", "--sonar", str(SAMPLE / "sonar.toml")]
+    assert sonarrec(tmp_path, *words).returncode == 0
+    assert [p.name for p in (tmp_path / "deep").iterdir()] == ["out"]
+    assert {p.name for p in (tmp_path / "deep" / "out").iterdir()} == {"log", "logs.csv"}
+
+
+def test_a_method_s_name_cannot_steer_the_terminal(tmp_path: Path) -> None:
+    (tmp_path / "frames.csv").write_text("frame,timestamp_ns\n0,0\n1,1\n")
+    (tmp_path / "estimates.csv").write_text(
+        "frame,method,range_m,bearing_deg,landmark,score,declared\n0,\x1b[31mred,2,0,1,.9,1\n"
+    )
+    (tmp_path / "gt.csv").write_text("frame,landmark,range_m,bearing_deg\n0,1,2,0\n")
+    for words in (
+        ["evaluate", ".", "--ground-truth", "gt.csv"],
+        ["report", "."],
+        ["truth", "propose", ".", "--method", "\x1b[31mred"],
+        ["overlay", str(SAMPLE), ".", "--mcap", "o.mcap", "--method", "\x1b[31mred"],
+    ):
+        done = sonarrec(tmp_path, *words)
+        assert b"\x1b" not in done.stdout + done.stderr, words
+    assert b"\\x1b[31mred" in sonarrec(tmp_path, "evaluate", ".", "--ground-truth", "gt.csv").stdout

@@ -1,0 +1,145 @@
+"""No command writes over what it reads, nor over a file that is not of its own kind."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from sonarrec.cli import main
+from sonarrec.outputs import marked
+
+SAMPLE = Path(__file__).parents[1] / "sample_data"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A log, its truth and its results, and a landmark set."""
+    folder = tmp_path_factory.mktemp("made")
+    (folder / "log").mkdir()
+    for name in (*(f"{n:06d}.png" for n in range(12)), "sonar.toml"):
+        shutil.copy(SAMPLE / "pan" / name, folder / "log")
+    rows = (SAMPLE / "pan" / "gt.csv").read_text().splitlines()
+    kept = [rows[0], *(row for row in rows[1:] if int(row.split(",")[0]) < 12)]
+    (folder / "gt.csv").write_text("\n".join(kept) + "\n")
+    for name in ("pan.mcap", "pan.sonar.toml"):
+        shutil.copy(SAMPLE / name, folder / name)
+    done = CliRunner().invoke(
+        main, ["run", "-q", str(folder / "log"), "-o", str(folder / "sonarrec_out")]
+    )
+    assert done.exit_code == 0
+    return folder
+
+
+@pytest.fixture
+def work(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    shutil.copytree(made, tmp_path / "work")
+    monkeypatch.chdir(tmp_path / "work")
+    return tmp_path / "work"
+
+
+def contents(folder: Path) -> dict[Path, bytes]:
+    return {path: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+def sonarrec(line: str) -> Result:
+    return CliRunner().invoke(main, line.split())
+
+
+TABLES = "sonarrec_out/log"
+REFUSED = [
+    f"report {TABLES} -o gt.csv",
+    f"report {TABLES} -o {TABLES}/estimates.csv",
+    f"report {TABLES} --ground-truth gt.csv -o gt.csv",
+    f"report {TABLES} --log log -o other.html",
+    f"overlay log {TABLES} --mcap {TABLES}/estimates.csv",
+    f"overlay log {TABLES} --mcap pan.mcap",
+    f"overlay log {TABLES} --mcap link.mcap",
+    f"overlay log {TABLES} --video other.mp4",
+    f"overlay log {TABLES} --images log",
+    f"overlay log {TABLES} --images others",
+    "calibrate pan.mcap --ground-truth gt.csv -o pan.mcap",
+    "calibrate log --ground-truth gt.csv -o gt.csv",
+    "calibrate log --ground-truth gt.csv -o log/sonar.toml",
+    "truth check gt.csv log --sheet gt.csv",
+    "truth check gt.csv log --sheet log/000003.png",
+    "truth check gt.csv log --sheet others/000000.png",
+    "truth check gt.csv log --sheet others/../log/new.png",
+    f"truth propose {TABLES} -o gt.csv",
+    "truth convert others/notes.xml -o gt.csv",
+    "info log --preview log/000003.png",
+    "info log --preview others/000000.png",
+    "simulate --frames 2 --scene basin -o log",
+    "simulate --frames 2 --scene basin --format mcap -o pan.mcap",
+    "simulate --frames 2 --scene basin --format mcap -o mine.mcap",
+    f"evaluate {TABLES} --ground-truth gt.csv -o others",
+    f"evaluate --compare {TABLES} {TABLES} --ground-truth gt.csv -o others",
+    "run log -o .",
+    "run pan.mcap -o others",
+]
+
+
+@pytest.mark.parametrize("line", REFUSED)
+def test_nothing_else_is_written_over(work: Path, line: str) -> None:
+    os.link("pan.mcap", "link.mcap")
+    others = work / "others"
+    others.mkdir()
+    cv2.imwrite(str(others / "000000.png"), np.zeros((8, 8), np.uint8))
+    for name, text in (
+        ("others/notes.xml", "<annotations></annotations>"),
+        ("others/passes.csv", "name,weight\n"),
+        ("others/changes.csv", "name,weight\n"),
+        ("other.html", "<!doctype html><title>Mine</title>"),
+        ("other.mp4", "\0\0\0\x18ftypmp42 and more"),
+        ("mine.gt.csv", "frame,landmark\n"),
+    ):
+        (work / name).write_text(text)
+    (others / "pan").mkdir()
+    (others / "pan" / "frames.csv").write_text("frame,timestamp_ns\n0,0\n")
+    before = contents(work)
+    done = sonarrec(line)
+    assert done.exit_code in (1, 2), done.output
+    [told] = done.stderr.splitlines()
+    assert any(
+        word in told
+        for word in ("exist", "reads it", "recording itself", "holds frames.csv", "log itself")
+    ), told
+    assert done.exception is None or isinstance(done.exception, SystemExit), done.exception
+    after = contents(work)
+    assert {path: after.get(path) for path in before} == before
+    assert not set(after) - set(before)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        f"report {TABLES} -o r.html -q",
+        f"overlay log {TABLES} --mcap o.mcap --video o.mp4 --images shots -q",
+        "calibrate log --ground-truth gt.csv -o model.toml -q",
+        "truth check gt.csv log --sheet sheet.png -q",
+        "info log --preview p.png",
+        f"evaluate {TABLES} --ground-truth gt.csv -q",
+        f"evaluate {TABLES} --ground-truth gt.csv -q --compare {TABLES} {TABLES}",
+        "run log -q --overwrite",
+    ],
+)
+@pytest.mark.usefixtures("work")
+def test_what_a_command_wrote_it_writes_again(line: str) -> None:
+    if "--compare" in line:
+        line = line.replace(f"evaluate {TABLES}", "evaluate")
+    for _ in range(2):
+        done = sonarrec(line)
+        assert done.exit_code in (0, 3), done.output
+        assert "not written over" not in done.stderr
+
+
+def test_a_marked_png_is_the_same_picture() -> None:
+    picture = np.random.default_rng(0).integers(0, 255, (20, 30, 3)).astype(np.uint8)
+    data = marked(cv2.imencode(".png", picture)[1].tobytes())
+    read = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    np.testing.assert_array_equal(read, picture)

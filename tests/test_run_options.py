@@ -1,0 +1,125 @@
+"""Small things at hand: a slice of the frames, -v, the bar, inputs that are not there."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import os
+import re
+import shutil
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+import sonarrec
+from sonarrec.cli import main
+
+SAMPLE = Path(__file__).resolve().parents[1] / "sample_data" / "pan"
+
+
+def run_line(*words: str) -> Result:
+    return CliRunner().invoke(main, words)
+
+
+def numbers(folder: Path) -> list[int]:
+    with (folder / "frames.csv").open(newline="") as file:
+        return [int(row["frame"]) for row in csv.DictReader(file)]
+
+
+def test_a_slice_of_the_frames_is_as_python_s(tmp_path: Path) -> None:
+    """Frames keep their numbers, run.toml says which, and another slice is not up to date."""
+    for text in ("3:7", ":4", "9:", ":"):
+        first, _, end = text.partition(":")
+        expected = list(range(12))[int(first or 0) : int(end) if end else None]
+        done = run_line(
+            "run", "-q", str(SAMPLE / "00000*.png"), "--frames", text, "-o", str(tmp_path)
+        )
+        assert done.exit_code == 0, done.output
+        [folder] = [p for p in tmp_path.iterdir() if p.is_dir()]
+        assert numbers(folder) == [n for n in expected if n < 10]
+    again = run_line("run", str(SAMPLE / "00000*.png"), "--frames", ":", "-o", str(tmp_path))
+    assert "up to date" in again.stdout
+    whole = run_line("run", str(SAMPLE / "00000*.png"), "-o", str(tmp_path))
+    assert "other settings" in whole.stderr
+    assert "up to date" not in whole.stdout
+
+
+def test_run_toml_keeps_the_slice(tmp_path: Path) -> None:
+    log, out = tmp_path / "dive", tmp_path / "out"
+    log.mkdir()
+    for name in (*(f"{n:06d}.png" for n in range(8)), "sonar.toml"):
+        shutil.copy(SAMPLE / name, log)
+    assert run_line("run", "-q", str(log), "--frames", "2:5", "-o", str(out)).exit_code == 0
+    again = ["--config", str(out / "dive" / "run.toml"), "-o", str(tmp_path / "again")]
+    assert run_line("run", "-q", str(log), *again).exit_code == 0
+    assert numbers(tmp_path / "again" / "dive") == [2, 3, 4]
+    done = sonarrec.run(log, tmp_path / "python", frames=(6, None))
+    assert numbers(done.folder) == [6, 7]
+
+
+@pytest.mark.parametrize("text", ["3", "5:5", "a:b", "-3:", "1:2:3", "99999:"])
+def test_a_slice_without_frames_is_refused(tmp_path: Path, text: str) -> None:
+    done = run_line("run", str(SAMPLE / "00000*.png"), "--frames", text, "-o", str(tmp_path / "o"))
+    assert done.exit_code == 2
+    assert "--frames" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "run GONE",
+        "run GONE GONE",
+        "info GONE",
+        "evaluate GONE --ground-truth GT",
+        "evaluate --ground-truth GONE",
+        "evaluate --pairs GONE",
+        "evaluate --compare GONE GONE --ground-truth GT",
+        "report GONE",
+        "overlay GONE --mcap o.mcap",
+        "calibrate GONE --ground-truth GT -o m.toml",
+        "truth check GT GONE",
+        "truth convert GONE",
+        "truth propose GONE",
+    ],
+)
+def test_an_input_that_is_not_there_is_exit_code_2_everywhere(tmp_path: Path, words: str) -> None:
+    truth = SAMPLE.parent / "pan.gt.csv"
+    line = words.replace("GONE", str(tmp_path / "gone")).replace("GT", str(truth))
+    assert run_line(*line.split()).exit_code == 2
+
+
+def test_verbose_is_a_line_for_each_log(tmp_path: Path) -> None:
+    done = run_line("run", "-q", "-v", str(SAMPLE / "00000*.png"), "-o", str(tmp_path))
+    assert re.search(
+        r"\*\.png: done, 10 frames, \d+ candidates, \d+ passes, \d+\.\d s", done.stderr
+    )
+    assert not done.stdout
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_the_bar_names_the_log_and_which_of_how_many(tmp_path: Path) -> None:
+    """On a terminal, which this makes one of."""
+    fcntl, termios = pytest.importorskip("fcntl"), pytest.importorskip("termios")
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+        for file in ("000000.png", "000001.png", "sonar.toml"):
+            shutil.copy(SAMPLE / file, tmp_path / name)
+    ours, theirs = os.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 40, 120, 0, 0))
+    logs = [str(tmp_path / name) for name in ("one", "two")]
+    words = [sys.executable, "-m", "sonarrec", "run", "-j", "1", *logs, "-o", str(tmp_path / "out")]
+    subprocess.run(words, stderr=theirs, stdout=subprocess.DEVNULL, check=True)
+    os.set_blocking(ours, False)
+    shown = b""
+    with contextlib.suppress(BlockingIOError):
+        while block := os.read(ours, 4096):
+            shown += block
+    for end in (ours, theirs):
+        os.close(end)
+    assert b"one (1 of 2)" in shown
+    assert b"two (2 of 2)" in shown
