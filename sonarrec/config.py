@@ -62,8 +62,8 @@ class Candidates:
     min_visible: Annotated[float, bounds(0.01, 1)] = _setting(
         0.35, "share", "least share of the ring inside the fan"
     )
-    max_candidates: Count = _setting(8, "", "per frame, the best ones")
-    separation: NotNegative = _setting(0.6, "disc diameters", "least distance between candidates")
+    max_candidates: Count = _setting(12, "", "per frame, the best ones")
+    separation: NotNegative = _setting(0.35, "disc diameters", "least distance between candidates")
     blur_px: Count = _setting(
         13,
         "pixels",
@@ -103,6 +103,12 @@ class Continuity:
         "disc diameters",
         "image: a group pulled farther than this from where the pan puts "
         "it has left its object, and is deleted; out of view, it is remembered",
+    )
+    own_candidate: NotNegative = _setting(
+        0.2,
+        "disc diameters",
+        "image: a candidate this near to where the pan puts a group's object is its own; particles "
+        "nearer to another candidate do not count",
     )
     z_hit: NotNegative = _setting(0.95, "weight", "of the score map in Eq. 4; open in the paper")
     z_rand: NotNegative = _setting(
@@ -157,10 +163,10 @@ class Continuity:
         "image: of the disc inside the fan from which a candidate may be a remembered group",
     )
     merge: NotNegative = _setting(
-        0.5, "disc diameters", "groups nearer than this are one object: the older stays"
+        0.3, "disc diameters", "groups nearer than this are one object: the older stays"
     )
     new_group: NotNegative = _setting(
-        0.6, "disc diameters", "a candidate farther than this from every group starts one"
+        0.3, "disc diameters", "a candidate farther than this from every group starts one"
     )
 
 

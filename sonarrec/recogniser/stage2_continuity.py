@@ -55,6 +55,8 @@ class ContinuityFilter:
         weight = self._groups.weigh(
             selection.score_map, config.z_hit, config.z_rand, config.hit_power
         )
+        if motion is not None:
+            weight = self._own(weight, selection.positions, motion)
         positions, spread = self._groups.weighted(weight)
         spread = spread / self._diameter
         self._groups.resample(weight, self._rng)
@@ -89,6 +91,35 @@ class ContinuityFilter:
             groups.particles = self._plane.moved(groups.particles, motion).astype(np.float32)
             sigma = self._sigma_known
         groups.walk(sigma, self._rng)
+
+    def _own(self, weight: FloatArray, candidates: FloatArray, motion: Motion) -> FloatArray:
+        """(n, particles) weights without those of particles that another's candidate has.
+
+        The candidate near where a group's object should be is its own. Where others lie beside it
+        (their circles overlap: chance rings of a blotchy floor) particles that are nearer to one of
+        these do not count: they would leave the object for whatever hill is broader.
+        """
+        groups, config = self._groups, self._config
+        if len(groups) == 0 or len(candidates) == 0:
+            return weight
+        own = self._plane.moved(groups.places, motion)
+        nearest = self._distances(own, candidates).argmin(axis=1)
+        there = self._distances(own, candidates).min(axis=1) <= config.own_candidate
+        own[there] = candidates[nearest[there]]
+        apart = self._distances(own, candidates)
+        theirs = np.zeros(weight.shape, bool)
+        for candidate, place in enumerate(candidates):
+            beside = (apart[:, candidate] > config.own_candidate) & (apart[:, candidate] < 1)
+            if not beside.any():
+                continue
+            # In disc diameters: on its own side of the line between the two.
+            way = (place - own[beside]) / self._diameter**2
+            middle = (place + own[beside]) / 2
+            off = groups.particles[beside] - middle[:, None].astype(np.float32)
+            theirs[beside] |= (off @ way[:, :, None].astype(np.float32))[..., 0] > 0
+        kept = np.where(theirs, 0.0, weight)
+        total = kept.sum(axis=1, keepdims=True)
+        return np.where(total > 0, kept / np.maximum(total, 1e-12), weight)
 
     def _place(self, positions: FloatArray, there: BoolArray, motion: Motion | None) -> None:
         """Where the objects are now: where the group was a candidate, else moved with the floor."""

@@ -281,7 +281,7 @@ def random_scene(seed: int, kind: str = "plain", wide: bool = False, **overrides
         kinds += [str(k) for k in rng.choice(LEARNED_SYMBOLS, 5)]
     elif kind == "other_symbols":
         kinds += [str(k) for k in rng.choice(OTHER_SYMBOLS, 5)]
-    elif kind in ("any_floor", "relief", "light", "wide"):
+    elif kind in ("any_floor", "relief", "light", "debris", "wide"):
         kinds += [str(k) for k in rng.choice([*LEARNED_SYMBOLS, "blank", "half_ring"], 2)]
     elif kind in _FAKES:
         kinds += ["spokes", "half_ring", "blank", "filled"]

@@ -113,6 +113,8 @@ class FloorSection:
     relief_size_m: Positive = 0.03  # size of its bumps, and of those of things with a relief
     light_db: NotNegative = 0.0  # how much darker patches of the scene are, things on it as well
     light_m: Positive = 0.4  # their size; their edges are sharp
+    debris_db: NotNegative = 0.0  # how much brighter twigs and weed are, things under them as well
+    debris_m: Positive = 0.2  # how far one winds before it turns
 
 
 @dataclass(frozen=True, slots=True)

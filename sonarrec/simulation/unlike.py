@@ -8,11 +8,12 @@ import numpy as np
 
 from sonarrec.simulation.scene import SYMBOLS, PlacedLandmark, PlacedObject, Scene
 
-LEARNED_UNLIKE = ("any_floor", "relief", "light", "symbols", "wide")
+LEARNED_UNLIKE = ("any_floor", "relief", "light", "debris", "symbols", "wide")
 """Any floor: ring and sectors 5 to 14 dB over a plate that is -12 to +6 dB over the floor, so that
 the ring may be as bright as the floor, or darker; short and long pulses. Relief: gravel on a rough
 floor, with lit slopes and shadows, without or with little speckle. Light: patches of light and
-shade with sharp edges. Symbols: rings with symbols that no ID has. Wide: 120 to 130 deg, 1-degree
+shade with sharp edges. Debris: twigs and weed, over the landmarks as well, on a coarse, blotchy
+floor that a narrow sonar sees. Symbols: rings with symbols that no ID has. Wide: 120 to 130 deg, 1-degree
 beams."""
 OTHER_UNLIKE = ("other_symbols",)
 """Never learned from: symbols of other kinds."""
@@ -41,6 +42,19 @@ def made_unlike(scene: Scene, kind: str, rng: np.random.Generator) -> Scene:
         return _lit(scene, u(2, 6), rng) if u() < 0.2 else scene
     if kind == "light":
         return _lit(scene, u(3, 10), rng)
+    if kind == "debris":
+        plate = u(-12, 0)
+        scene = _with_levels(scene, plate, plate + u(8, 16), rng)
+        floor = replace(
+            scene.floor,
+            texture_db=round(u(1.5, 4.5), 2),
+            texture_m=round(u(0.04, 0.2), 3),
+            debris_db=round(u(4, 14), 2),
+            debris_m=round(u(0.08, 0.4), 3),
+        )
+        sonar = replace(scene.sonar, pulse_m=round(u(0.005, 0.02), 4))
+        scene = replace(scene, floor=floor, sonar=sonar)
+        return _lit(scene, u(2, 8), rng) if u() < 0.5 else scene
     return scene
 
 

@@ -15,6 +15,7 @@ from sonarrec.simulation.symbols import symbol
 
 STEP_DEG = 0.1  # azimuth between scatterers: three or more within a beam
 MARGIN_DEG = 4.0  # beyond the fan's edges, for side lobes
+TWIG = 0.12  # half the thickness of debris, in that over which it winds
 MARGIN_M = 0.25  # of slant range, for heave and sway
 
 
@@ -228,7 +229,8 @@ class World:
     ) -> None:
         """Raise bumps, and lighten and darken slopes that face the sonar and turn from it.
 
-        Then lay patches of light and shade over all. cells: rows and columns of so many metres.
+        Then lay twigs, and patches of light and shade, over all. cells: rows and columns of so
+        many metres.
         """
         floor = self._scene.floor
         if relief.any():
@@ -241,6 +243,12 @@ class World:
             # Lambert's law, there and back.
             lit = np.sin(np.clip(grazing + np.arctan(slope), 0.02, np.pi / 2))
             level += 20 * np.log10(lit / np.sin(grazing))
+        if floor.debris_db:
+            rng = np.random.default_rng([self._scene.seed, 8])
+            bends, where = (smooth_noise(rng, relief.shape, cells(floor.debris_m)) for _ in "ab")
+            # Where smooth noise passes through 0 lie winding lines; a second one breaks them off.
+            twigs = np.exp(-((bends / TWIG) ** 2)) / (1 + np.exp(-where / TWIG))
+            level += np.float32(floor.debris_db) * twigs.astype(np.float32)
         if floor.light_db:
             rng = np.random.default_rng([self._scene.seed, 7])
             patches = smooth_noise(rng, relief.shape, cells(floor.light_m))
