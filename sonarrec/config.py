@@ -262,9 +262,12 @@ PRESETS: dict[str, dict[str, dict[str, Any]]] = {
             "canny_high": 2.5,
             "edge_tolerance_px": 1,
             "max_candidates": 6,
+            "separation": 0.6,
         },
         "continuity": {
             "motion": "random_walk",
+            "merge": 0.5,
+            "new_group": 0.6,
             "particles": 1500,
             "z_hit": 0.8,
             "z_rand": 0.2,

@@ -66,8 +66,10 @@ class ContinuityFilter:
         moved = np.hypot(*((positions - expected) / self._diameter).T)
         pulled = (moved > config.jump) & (motion is not None)
         self._place(positions, hit & ~pulled, motion)
-        # At the fan's edge particles may hang on to an object that has gone, or go before it.
-        shares = np.minimum(self._shares(self._groups.places), self._shares(positions))
+        shares = self._shares(self._groups.places)
+        if motion is not None:
+            # At the fan's edge particles may hang on to an object that has gone, or go before it.
+            shares = np.minimum(shares, self._shares(positions))
         in_view = shares >= config.least_in_view
         self._strike(spread, hit, in_view)
         # Delete.
