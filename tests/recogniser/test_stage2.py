@@ -200,7 +200,8 @@ def test_a_known_pan_moves_the_groups(pan_deg):
 
 
 def test_a_group_pulled_off_what_the_pan_says_is_deleted():
-    settings = dataclasses.replace(PAPER, motion="image", jump=0.25, sigma_known_px=10.0)
+    free = {"own_candidate": 2.0, "sigma_known_px": 10.0}  # to go to another's candidate
+    settings = dataclasses.replace(PAPER, motion="image", jump=0.25, **free)
     follow = new_filter(settings)
     follow.step(selection(peaks(START), START))
     assert list(follow.step(selection(peaks(START)), Motion(0.0)).numbers) == [1]
@@ -428,3 +429,17 @@ def test_the_longer_a_lost_object_is_away_the_farther_off_it_may_be(away, number
     place = (START[0] + 0.33 * DIAMETER, START[1])
     groups = follow.step(selection(peaks(place), place), Motion(-15.0))
     assert list(groups.numbers) == [number]
+
+
+@pytest.mark.parametrize(("own_candidate", "stays"), [(0.2, True), (2.0, False)])
+def test_a_group_stays_with_its_own_candidate_beside_a_broader_hill(own_candidate, stays):
+    """Circles of a blotchy floor overlap the landmark's: without a claim to its own candidate a
+    group leaves the narrower hill, though it is no lower."""
+    true, other = START, (START[0] + 0.37 * DIAMETER, START[1])
+    score = np.maximum(peaks(true, width=0.12 * DIAMETER), peaks(other, width=0.2 * DIAMETER))
+    default = config.preset("default").continuity
+    follow = new_filter(dataclasses.replace(default, own_candidate=own_candidate, particles=500))
+    for _ in range(40):
+        groups = follow.step(selection(score, true, other), Motion(0.0))
+    (first,) = groups.positions[groups.numbers == 1]
+    assert (np.hypot(*(first - true)) < 0.05 * DIAMETER) == stays

@@ -20,8 +20,9 @@ from sonarrec.records import BoolArray, FloatArray
 FEATURES = (
     "correlation",  # with the ID's expected symbol and gap at the best rotation
     "smeared_correlation",  # counted from what is typical
-    "over_rival",  # correlation, less the best with a symbol that no ID has
-    "smeared_over_rival",
+    "misfit",  # logarithm of the variation that the ID leaves unexplained
+    "rival_misfit",  # the same, less that of the best symbol that no ID has
+    "smeared_rival_misfit",
     "step",  # bright sectors over dark ones
     "dark_over_gap",  # dark sectors over the gap, 0 on a landmark
     "bright_over_ring",  # bright sectors over the ring, 0 on a landmark
@@ -46,6 +47,7 @@ FEATURES = (
     "existence",  # log odds that stage 2 gives
 )
 TYPICAL_CORRELATION = 0.7
+BEST_FIT = 0.995  # correlation
 # Smears (standard deviation across the line of sight, in disc radii) count in this, up to so many.
 SMEAR_UNIT, MOST_SMEAR = 0.1, 3.0
 LEAST_CONTRAST = 0.3  # of the ring, where its texture counts in that
@@ -142,7 +144,7 @@ class Describer:
 
         objects, ids = len(average), self._codes.shape[1]
         lines = self._expected.lines
-        correlation, rival = self._expected.correlation(
+        correlation, rival, variation = self._expected.correlation(
             average[:, lines], count[:, lines] > 0, smear
         )
         turn = settled(correlation).argmax(axis=1)  # (n, K)
@@ -163,14 +165,16 @@ class Describer:
 
         smeared = np.clip(smear[:, None] / SMEAR_UNIT, 0, MOST_SMEAR)
         odds = existence / (1 - existence)
-        over_rival = best - rival[:, None]
+        left, left_by_rival = _unexplained(best), _unexplained(rival)[:, None]
+        rival_misfit = np.log(left / left_by_rival)
         over_ring = dark + step - (ring_level - gap_level)[:, None]
         share = 1 / contrast[:, None]
         values = [
             best,
             (best - TYPICAL_CORRELATION) * smeared,
-            over_rival,
-            over_rival * smeared,
+            np.log(variation[:, None] * left),
+            rival_misfit,
+            rival_misfit * smeared,
             step,
             dark,
             over_ring,
@@ -205,6 +209,11 @@ class Describer:
         weights = np.add.reduceat(count, self._starts, axis=1).swapaxes(0, 1)
         profiles = np.add.reduceat(average * count, self._starts, axis=1).swapaxes(0, 1)
         return profiles / np.maximum(weights, 1e-9), weights
+
+
+def _unexplained(correlation: FloatArray) -> FloatArray:
+    """Share of the variation; what little is left of a perfect fit is chance."""
+    return np.asarray(1 - np.clip(correlation, 0, BEST_FIT) ** 2)
 
 
 def _most(level: FloatArray, among: BoolArray) -> FloatArray:

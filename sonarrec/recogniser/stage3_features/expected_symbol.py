@@ -55,6 +55,7 @@ MOST_RIVALS = 48
 # many steps.
 ARM, HUB = 0.07, 0.12
 CROSS_TURNS = ANGLES // 4
+LEAST_VARIATION = 1e-4  # mean square: of an even disc, that of rounding
 LEAST_SHOWN = 0.1  # share of a whole symbol's evidence below which nothing of it has shown
 
 
@@ -85,7 +86,8 @@ class ExpectedSymbols:
         alike: how far what lies unevenly over a disc is alike (1/e), in disc radii.
         """
         self._landmarks = landmarks
-        self.lines = np.r_[bands.symbol, bands.gap, bands.ring]
+        # Of the ring, whose lines all show the same, the middle one.
+        self.lines = np.r_[bands.symbol, bands.gap, (bands.ring.start + bands.ring.stop) // 2]
         self._radii = radii[self.lines]
         self._ids = len(landmarks.ids)
         self._rivals = _rivals(landmarks)
@@ -95,10 +97,11 @@ class ExpectedSymbols:
 
     def correlation(
         self, cells: FloatArray, seen: npt.NDArray[np.bool_], smear: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """(n, ANGLES, K) correlation with every ID at every rotation, (n,) best with a rival.
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """(n, ANGLES, K) correlation with every ID at every rotation, (n,) best with a rival, and
+        (n,) how much there is to explain: whitened variation, mean square over the cells seen.
 
-        That of generalised least squares: its square is the share of the (whitened) variation that
+        The correlation is that of generalised least squares: its square is the share of the (whitened) variation that
         the ID explains beyond a level. 0 where too little of the ID has shown. cells, seen: (n,
         lines, ANGLES). smear: (n,) standard deviation across the line of sight in disc radii.
         """
@@ -129,7 +132,12 @@ class ExpectedSymbols:
             power[i, rivals[MOST_RIVALS:]] = 0
         scale = np.sqrt(np.maximum(power * variation[:, None], 1e-12))
         found = np.where(power > least, product / scale, 0.0)
-        return found[:, :ids].reshape(-1, ANGLES, self._ids), found[:, ids:].max(axis=1)
+        mean_square = variation / np.maximum(np.count_nonzero(seen, axis=1), 1)
+        return (
+            found[:, :ids].reshape(-1, ANGLES, self._ids),
+            found[:, ids:].max(axis=1),
+            np.maximum(mean_square, LEAST_VARIATION),
+        )
 
     def _draw(self, steps: int) -> _Expected:
         """What the cells should show, smeared by `steps`."""
