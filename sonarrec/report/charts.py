@@ -15,9 +15,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
+from sonarrec.evaluation.pooled import PooledScored
 from sonarrec.evaluation.reliability import FEW, Reliability
 from sonarrec.evaluation.roc import roc as evaluation_roc
-from sonarrec.evaluation.scoring import Scored
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.records import FloatArray, IntArray
 from sonarrec.report.logs import ReportedLog, Track, alongside, true_landmark
@@ -227,7 +227,7 @@ def silent_lanes(log: ReportedLog, silent: Sequence[Track]) -> list[Lane]:
     return lanes
 
 
-def roc(scored: Sequence[Scored], k: int | None = None) -> Chart:
+def roc(scored: Sequence[PooledScored], k: int | None = None) -> Chart:
     """The ROC of each method under one protocol: of the k-th ID, or over all IDs."""
     shown = evaluation_roc(scored, k, 2 * MOST_POINTS)
     axis = Axis(0.0, shown.fpr_end)

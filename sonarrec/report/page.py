@@ -21,6 +21,7 @@ from sonarrec.evaluation import cells
 from sonarrec.evaluation.curves import Count
 from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.evaluation.plots import COLOURS
+from sonarrec.evaluation.pooled import Pooled
 from sonarrec.evaluation.reliability import FEW
 from sonarrec.evaluation.summary import UNITS, summarise
 from sonarrec.evaluation.uncertainty import LEVEL
@@ -267,28 +268,28 @@ def _json(shown: Sequence[ShownLog]) -> str:
 
 
 def _scores(tracker: str, evaluation: Evaluation, wrong: Mapping[str, Sequence[Episode]]) -> Scores:
-    summary, joined = summarise(evaluation), evaluation.joined
-    protocols = cells.protocols(evaluation)
-    tables = [cells.paper_table(s, thousands=",") for s in evaluation.scored]
+    found, methods = evaluation.pooled(), evaluation.joined.methods
+    summary, protocols = summarise(found), cells.protocols(found)
+    tables = [cells.paper_table(s, thousands=",") for s in found.scored]
     return Scores(
         protocols=protocols,
-        rates=cells.rates(evaluation, summary),
-        rates_per_log=cells.rates_per_log(evaluation),
+        rates=cells.rates(found, summary),
+        rates_per_log=cells.rates_per_log(found),
         units=f"{summary.units.count} {UNITS[summary.units.kind]}",
         level=f"{LEVEL:.0%}",
-        others=cells.figures(summary, protocols[0], joined.methods, beside=cells.HEADLINE),
+        others=cells.figures(summary, protocols[0], methods, beside=cells.HEADLINE),
         tested=[metric.label for metric in cells.TESTED],
         differences=cells.differences(summary, protocols[0]),
         notes=[*evaluation.notes, *summary.notes],
         tables=tables,
         starred=any("*" in cell for table in tables for _, row in table.rows for cell in row),
-        curves=_curves(evaluation),
+        curves=_curves(found),
         reliability=[
-            (r.method, charts.reliability(r, joined.methods.index(r.method)))
+            (r.method, charts.reliability(r, methods.index(r.method)))
             for r in summary.reliability
             if r.landmark_text == "top"
         ],
-        mistakes=_mistakes(tracker, evaluation, wrong),
+        mistakes=_mistakes(tracker, evaluation, found, wrong),
     )
 
 
@@ -390,7 +391,7 @@ def _plain(value: Any) -> str:
 
 
 def _curves(
-    evaluation: Evaluation,
+    evaluation: Pooled,
 ) -> list[tuple[str, charts.Chart, list[tuple[int, charts.Chart]]]]:
     """Per protocol: its name, the curve over all IDs, and (index of an ID, its curve)."""
     found = []
@@ -398,7 +399,7 @@ def _curves(
         scored = [s for s in evaluation.scored if s.protocol == protocol]
         each = [
             (k, charts.roc(scored, k))
-            for k in range(len(evaluation.joined.ids))
+            for k in range(len(evaluation.ids))
             if scored[0].count(k).tp + scored[0].count(k).fn
         ]
         found.append((protocol, charts.roc(scored), each))
@@ -406,11 +407,14 @@ def _curves(
 
 
 def _mistakes(
-    tracker: str, evaluation: Evaluation, wrong: Mapping[str, Sequence[Episode]]
+    tracker: str,
+    evaluation: Evaluation,
+    pooled: Pooled,
+    wrong: Mapping[str, Sequence[Episode]],
 ) -> list[Mistakes]:
     found = []
     for method in sorted(evaluation.joined.methods, key=lambda m: m != tracker):
-        count = cells.of(evaluation, method, protocol_of_mistakes(evaluation)).count()
+        count = cells.of(pooled, method, protocol_of_mistakes(evaluation)).count()
         shown = []
         for episode in wrong[method][:MOST_MISTAKES]:
             frames = _span(episode.first, episode.last)
