@@ -209,8 +209,11 @@ def names_a_log(name: str) -> bool:
 
 
 def is_log_file(path: Path) -> bool:
-    """Whether a path is a file that is a log by itself."""
-    return names_a_log(path.name) and path.is_file()
+    """Whether a path is a file that is a log by itself, or a link to one that is not there.
+
+    Such a link is told when it is opened: passed over, its log would be missed unsaid.
+    """
+    return names_a_log(path.name) and (path.is_file() or (path.is_symlink() and not path.exists()))
 
 
 def matches(pattern: Path) -> list[Path]:
