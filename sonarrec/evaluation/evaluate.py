@@ -44,7 +44,7 @@ class Evaluation:
         parts = Parts()
         number = parts.put(part_of(self.joined, self.scored))
         found = pooled(parts, [number], self.joined.logs, self.min_visible)
-        return replace(found, notes=self.notes, unused=self.unused)
+        return replace(found, folders=self.folders, notes=self.notes, unused=self.unused)
 
 
 def evaluate(
@@ -138,7 +138,10 @@ def evaluate_many(
     facts = result.methods, result.placed, result.estimates, result.ids, result.positives
     notes = [*found.notes, *_notes(_told(logs, found.names), *facts)]
     return replace(
-        result, notes=tuple(map(printable, notes)), unused=tuple(map(printable, found.unused))
+        result,
+        folders=tuple(log.folder for log in logs),
+        notes=tuple(map(printable, notes)),
+        unused=tuple(map(printable, found.unused)),
     )
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -147,6 +148,8 @@ class Pooled:
     """Per method; empty where positions are not known."""
     parts: Parts
     min_visible: float
+    folders: tuple[Path, ...] = ()
+    """Of each log's results, as given."""
     notes: tuple[str, ...] = ()
     """Worth knowing."""
     unused: tuple[str, ...] = ()

@@ -30,9 +30,10 @@ from sonarrec.evaluation.scoring import PROTOCOLS, score
 from sonarrec.evaluation.summary import summarise
 from sonarrec.landmarks import load_landmarks
 from sonarrec.report import charts, frames
+from sonarrec.report.charts import darkened
 from sonarrec.report.logs import ReportedLog, Track, alongside, read_logs, seen, tracks
 from sonarrec.report.mistakes import episodes, told
-from sonarrec.report.page import darkened, settings_tables
+from sonarrec.report.settings import settings_tables
 from sonarrec.sonar import Sonar
 from sonarrec.truth.table import read_truth
 from tests.support.browser import contrast
