@@ -197,7 +197,9 @@ def process(
             if held.why:
                 it.notes.append(f"{it.folder}: results from before are replaced ({held.why})")
         plausibility, sightings = Plausibility(), Sightings(it.fan, it.poses)
-        with ResultsWriter(it.folder, it.landmarks, it.table, sightings) as writer:
+        with ResultsWriter(
+            it.folder, it.landmarks, it.table, sightings, parquet=used.parquet
+        ) as writer:
             _recognise(it, writer, plausibility, observe)
             problems = [told(line) for line in (*it.log.problems, *it.recogniser.problems())]
             writer.finish(problems, it.log.unusable)

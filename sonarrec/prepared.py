@@ -34,6 +34,7 @@ class Used:
     model: Path | None = None  # of appearance; default: the earlier run's, else the built-in one
     earlier_run: Path | None = None  # a run.toml that serves where nothing else is given; a plain
     # file of settings has nothing that does, and changes nothing
+    parquet: bool = False  # whether the estimates go to estimates.parquet, in place of CSV
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +91,8 @@ def prepared(
             log.reading(),
         )
         table["input"]["path"] = given.origin.url if given.origin else shown(path)
+        if used.parquet:
+            table["program"]["tables"] = "parquet"
         if given.frames is not None:
             table["input"]["frames"] = _told(span)
         if poses is not None:

@@ -11,7 +11,7 @@ import pytest
 
 FLOORS = (
     {"records"},
-    {"toml", "outputs"},
+    {"toml", "outputs", "parquet"},
     {"config", "sonar", "landmarks", "poses", "tables"},
     {"geometry"},
     {"recogniser", "readers", "results", "drawing"},
@@ -40,7 +40,8 @@ MAY_IMPORT = {
     "distributed": ("batch.cluster",),
     "msgspec": ("toml",),
     "tomllib": ("toml",),
-    "pandas": ("tables", "results.frames", "report.mistakes"),
+    "pandas": ("tables", "parquet", "results.frames", "report.mistakes"),
+    "pyarrow": ("parquet",),
     "matplotlib": ("evaluation.plots", "mapping.picture", "report.charts", "truth.contact_sheet"),
     "fsspec": ("remote.store",),
     "aiohttp": ("remote.store",),
@@ -73,7 +74,7 @@ LIGHT = (
 )
 HEAVY = {
     *("pandas", "matplotlib", "scipy", "rosbags", "google", "ruamel"),
-    *("fsspec", "platformdirs", "distributed"),
+    *("fsspec", "platformdirs", "distributed", "pyarrow"),
 }
 
 Sources = dict[str, str]

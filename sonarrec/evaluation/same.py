@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.records import IntArray
+from sonarrec.results.folders import estimates_of
 from sonarrec.results.read import LogResults
 
 Recording = tuple[str | None, Hashable]
@@ -68,7 +69,7 @@ def recording(folder: Path, log: LogResults) -> Recording:
 
 def _tables(folder: Path) -> str:
     digest = hashlib.sha256()
-    for name in ("frames.csv", "estimates.csv"):
-        with (folder / name).open("rb") as file:
+    for path in (folder / "frames.csv", estimates_of(folder)):
+        with path.open("rb") as file:
             digest.update(hashlib.file_digest(file, "sha256").digest())
     return digest.hexdigest()

@@ -17,6 +17,7 @@ from sonarrec.evaluation.pairs import one_log
 from sonarrec.evaluation.parts import Part, part_of
 from sonarrec.evaluation.same import Recording, recording
 from sonarrec.records import SonarrecError
+from sonarrec.results.folders import estimates_of
 from sonarrec.results.read import read_log
 from sonarrec.sonar import Sonar
 from sonarrec.truth.table import TruthTable, read_truth
@@ -138,6 +139,6 @@ def _in_order(starts: Iterable[Callable[[], Future[Surveyed]]], jobs: int) -> It
 
 def _bytes(reading: Reading) -> int:
     try:
-        return (reading.folder / "estimates.csv").stat().st_size
+        return estimates_of(reading.folder).stat().st_size
     except OSError:  # told where it is read
         return 0

@@ -30,6 +30,7 @@ from sonarrec.overlay.video import ImageFolder, VideoFile
 from sonarrec.readers import open_log
 from sonarrec.readers.log import Log
 from sonarrec.records import Estimate, Fan, Frame, MissingError, SonarrecError, UsageError
+from sonarrec.results.folders import estimates_of
 from sonarrec.results.read import read_frames, read_log
 from sonarrec.results.run_file import Given, read_run
 from sonarrec.results.same_log import check_same_log, last_frame
@@ -101,7 +102,7 @@ def write_overlay(
     run = read_run(folder / "run.toml")
     landmark_set = run.landmark_set(landmarks)
     given = run.lay_under(Given(sonar or Sonar(), sonar_file, topic), same_log=True)
-    table = folder / "estimates.csv"
+    table = estimates_of(folder)
     method = choose_method(table, method)
     time = given.time or "log"
     with open_log(
