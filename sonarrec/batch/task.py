@@ -19,6 +19,8 @@ from sonarrec.results.folders import part_of
 from sonarrec.results.run_file import Given
 
 Status = Literal["waiting", "running", "done", "partial", "failed"]
+GRACE_S = 10.0
+"""How long a task's process may take to write down what it has after SIGTERM, before SIGKILL."""
 
 
 @dataclass(frozen=True, slots=True)
