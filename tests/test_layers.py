@@ -59,6 +59,7 @@ MAY_IMPORT = {
         "simulation",
         "overlay",
         "report.pictures",
+        "results.run_file",  # its version
     ),
 }
 """Of each package but numpy the modules that may import it, by how their names begin."""
