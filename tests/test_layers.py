@@ -46,7 +46,7 @@ MAY_IMPORT = {
     "aiohttp": ("remote.store",),
     "sshfs": ("remote.store",),
     "platformdirs": ("remote.cache",),
-    "jinja2": ("report.page", "report.compare"),
+    "jinja2": ("report.templates",),
     "tomli_w": ("results.write", "simulation.simulate"),
     "cv2": (
         "geometry",

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from sonarrec import __version__
 from sonarrec.drawing import Colour, landmark_colours
@@ -29,6 +28,7 @@ from sonarrec.report.frames import MOST_BYTES, ShownLog
 from sonarrec.report.logs import ReportedLog, Seen, Track, seen, tracks, true_landmark
 from sonarrec.report.mistakes import Episode, protocol_of_mistakes, told
 from sonarrec.report.pictures import Picture
+from sonarrec.report.templates import filled
 from sonarrec.results.sightings import PASS_GAP, Sighting
 
 MOST_TRACKS = 12
@@ -175,16 +175,6 @@ def render(
     evaluation, truth: None where there is no ground truth. wrong: of each method its mistakes.
     unused: one line for each part of the input that could not be used.
     """
-    environment = Environment(
-        loader=PackageLoader("sonarrec.report", "."),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.globals["number"] = _number
-    environment.globals["span"] = _span
-    environment.globals["time_of_day"] = _time_of_day
     script = (files("sonarrec.report") / "report.js").read_text(encoding="utf-8")
     landmarks = logs[0].results.landmarks
     most_tracks = MOST_TRACKS if len(logs) == 1 else max(1, 2 * MOST_TRACKS // len(logs))
@@ -192,7 +182,11 @@ def render(
     colours = list(landmark_colours(landmarks.ids).values())
     scores = None if evaluation is None else _scores(logs[0].tracker, evaluation, wrong)
     map_picture = _map_picture(logs)
-    return environment.get_template("report.html").render(
+    return filled(
+        "report.html",
+        number=_number,
+        span=_span,
+        time_of_day=_time_of_day,
         version=__version__,
         title=", ".join(log.results.name for log in logs[:3]) + (", ..." if logs[3:] else ""),
         contents=_contents(
