@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from mcap.writer import CompressionType, Writer
 
-from sonarrec.drawing import (
+from sonarrec.drawing.results import (
     AROUND,
     TRUTH,
     UNNAMED,

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sonarrec.drawing import (
+from sonarrec.drawing.results import (
     STRIP_FRAMES,
     Mark,
     Moment,

@@ -25,7 +25,7 @@ from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
 from sonarrec.cli import main
-from sonarrec.drawing import (
+from sonarrec.drawing.results import (
     OKABE_ITO,
     STRIP_FRAMES,
     TRAIL_FRAMES,

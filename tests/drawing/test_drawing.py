@@ -14,7 +14,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
-from sonarrec.drawing import (
+from sonarrec.drawing.results import (
     FLOOR,
     GRID,
     STRIP_FRAMES,
@@ -33,7 +33,7 @@ from tests.support.logs import PERIOD_NS, cdr_image, frames, image_folder, mcap_
 
 BASIN = load_landmarks("basin")
 FAN = make_fan(rows=512)
-SAMPLE = Path(__file__).parents[1] / "sample_data"
+SAMPLE = Path(__file__).parents[2] / "sample_data"
 
 
 def blank(fan: Fan) -> np.ndarray:
