@@ -13,7 +13,7 @@ from typing import Any
 
 from sonarrec.config import Config
 from sonarrec.config import preset as config_of
-from sonarrec.drawing.results import disc_width_px
+from sonarrec.drawing.geometry import disc_width_px
 from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.prepared import Prepared, Used, prepared
 from sonarrec.readers.find import find_log

@@ -13,15 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from sonarrec.drawing.results import (
-    STRIP_FRAMES,
-    Mark,
-    Moment,
-    draw_frame,
-    draw_picture,
-    draw_strip,
-    trails,
-)
+from sonarrec.drawing.pen import draw_picture
+from sonarrec.drawing.results import STRIP_FRAMES, Mark, Moment, draw_frame, draw_strip, trails
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.outputs import Kind, check_output
 from sonarrec.overlay.foxglove_layout import write_layout

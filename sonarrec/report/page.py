@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from sonarrec import __version__
-from sonarrec.drawing.results import Colour, landmark_colours
+from sonarrec.drawing.pen import Colour, landmark_colours
 from sonarrec.evaluation import cells
 from sonarrec.evaluation.curves import Count
 from sonarrec.evaluation.evaluate import Evaluation
