@@ -34,6 +34,7 @@ class Task:
     used: Used
     overwrite: bool = False
     elsewhere: Elsewhere | None = None  # what of it lies on servers
+    ahead: bool = False  # whether a second core decodes
 
     def absolute(self) -> Task:
         """The same for a process that works in another folder."""
@@ -112,6 +113,7 @@ def do(task: Task, observe: Observe | None = None, fetching: Told = untold) -> O
                 observe,
                 name=task.name,
                 overwrite=task.overwrite,
+                ahead=task.ahead,
             )
     except SonarrecError as error:
         return Outcome("failed", monotonic() - begun, error=error)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -29,7 +30,11 @@ def progress(
         return
     from tqdm import tqdm
 
-    with tqdm(total=total, desc=title, unit="frame", leave=False) as bar:
+    # By a descriptor of its own: readers send the one of stderr elsewhere while they decode.
+    with (
+        os.fdopen(os.dup(sys.stderr.fileno()), "w", encoding=sys.stderr.encoding) as terminal,
+        tqdm(total=total, desc=title, unit="frame", leave=False, file=terminal) as bar,
+    ):
 
         def step(total: int | None = None, note: str = "") -> None:
             if total is not None:
