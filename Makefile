@@ -4,7 +4,8 @@ BIN := .venv/bin
 SAMPLE := sample_data/pan
 
 .PHONY: test lint demo bench memory fuzz paper paper-world paper-choices \
-	paper-prediction scenes worlds ablation study maps model regression kills scale clean
+	paper-prediction scenes worlds ablation study maps model regression kills scale scoring \
+	clean
 
 .venv/program: pyproject.toml  # what a user needs
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
@@ -40,6 +41,9 @@ fuzz: .venv/installed  # 2,000 damaged logs through `sonarrec info` and `sonarre
 
 scale: .venv/installed  # a thousand logs, killed and on a cluster; how cost grows (half an hour)
 	$(BIN)/python -m tests.studies.scale
+
+scoring: .venv/installed  # what evaluate costs over up to 1,000 logs of 10,000 frames
+	$(BIN)/python -m tests.studies.scoring
 
 kills: .venv/installed  # forty runs stopped at random moments by three signals
 	$(BIN)/python -m tests.studies.kills

@@ -34,6 +34,7 @@ class Used:
     model: Path | None = None  # of appearance; default: the earlier run's, else the built-in one
     earlier_run: Path | None = None  # a run.toml that serves where nothing else is given; a plain
     # file of settings has nothing that does, and changes nothing
+    parquet: bool = False  # whether the estimates go to estimates.parquet, in place of CSV
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,10 +55,11 @@ class Prepared:
 
 @contextmanager
 def prepared(
-    path: Path, out: Path, given: Given, used: Used, name: str | None
+    path: Path, out: Path, given: Given, used: Used, name: str | None, *, ahead: bool = False
 ) -> Iterator[Prepared]:
     """Open a log and make ready its run into `out`/<name>/, by default under its own name.
 
+    ahead: decode in a thread of its own.
     Raises SonarrecError for input or settings that cannot be used.
     """
     earlier = read_run(used.earlier_run)
@@ -68,6 +70,8 @@ def prepared(
     learned = _model(used, earlier)
     poses, more = _poses(path, given, earlier if same_log else read_run(None))
     with _opened(path, given) as log:
+        if ahead:
+            log.decode_ahead()
         span = given.frames or (0, None)
         frames = _within(log, span)
         first = next(frames, None)  # raises where there is no usable frame at all
@@ -90,6 +94,8 @@ def prepared(
             log.reading(),
         )
         table["input"]["path"] = given.origin.url if given.origin else shown(path)
+        if used.parquet:
+            table["program"]["tables"] = "parquet"
         if given.frames is not None:
             table["input"]["frames"] = _told(span)
         if poses is not None:

@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
+from sonarrec.parquet import PARQUET, read_parts
 from sonarrec.records import BoolArray, FloatArray, IntArray, SonarrecError
 
 Kind = Literal["whole", "number", "blank or number", "share", "flag", "text", "label"]
@@ -77,12 +78,18 @@ def read_tables(
 
     Rows before a cell that cannot be used are given before SonarrecError is raised.
     """
-    _check_shape(path)
+    if path.suffix != PARQUET:
+        _check_shape(path)
 
     def read(**options: Any) -> Any:
         return _parsed(path, expected, lambda: pd.read_csv(path, **_OPTIONS, **options))
 
-    header = {str(c).strip(): c for c in read(nrows=0).columns}
+    in_parquet = path.suffix == PARQUET
+    if in_parquet:
+        names, parquet = read_parts(path, rows)
+        header = {name.strip(): name for name in names}
+    else:
+        header = {str(c).strip(): c for c in read(nrows=0).columns}
     missing = [name for name in required if name not in header]
     if missing:
         raise SonarrecError(
@@ -91,8 +98,12 @@ def read_tables(
         )
     used = {name: header[name] for name in kinds if name in header}
     text = {c: "category" for n, c in used.items() if kinds[n] == "text"}
-    # Not with `usecols`, which passes over rows that are longer than the header.
-    parts = iter([read(dtype=text)]) if rows is None else read(dtype=text, chunksize=rows)
+    parts: Iterator[Any]
+    if in_parquet:
+        parts = (part.astype(dict.fromkeys(text, "category")) for part in parquet)
+    else:
+        # Not with `usecols`, which passes over rows that are longer than the header.
+        parts = iter([read(dtype=text)]) if rows is None else read(dtype=text, chunksize=rows)
     labels: dict[Any, int] = {}
     first = 0
     while (part := _parsed(path, expected, lambda: next(parts, None))) is not None:
@@ -190,7 +201,12 @@ def _ends_line(block: bytes) -> bool:
 
 
 def line_number(path: Path, row: int) -> int:
-    """1-based line in the file of a table's 0-based row (blank lines hold no row)."""
+    """1-based line in the file of a table's 0-based row (blank lines hold no row).
+
+    Of Parquet, which has no lines, that of the same table as CSV.
+    """
+    if path.suffix == PARQUET:
+        return row + 2
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         filled = (number for number, text in enumerate(file, 1) if text.strip())
         return next(itertools.islice(filled, row + 1, None), row + 2)

@@ -11,7 +11,7 @@ import pytest
 
 FLOORS = (
     {"records"},
-    {"toml", "outputs"},
+    {"toml", "outputs", "parquet"},
     {"config", "sonar", "landmarks", "poses", "tables"},
     {"geometry"},
     {"recogniser", "readers", "results", "drawing"},
@@ -40,13 +40,14 @@ MAY_IMPORT = {
     "distributed": ("batch.cluster",),
     "msgspec": ("toml",),
     "tomllib": ("toml",),
-    "pandas": ("tables", "results.frames", "report.mistakes"),
+    "pandas": ("tables", "parquet", "results.frames", "report.mistakes"),
+    "pyarrow": ("parquet",),
     "matplotlib": ("evaluation.plots", "mapping.picture", "report.charts", "truth.contact_sheet"),
     "fsspec": ("remote.store",),
     "aiohttp": ("remote.store",),
     "sshfs": ("remote.store",),
     "platformdirs": ("remote.cache",),
-    "jinja2": ("report.page", "report.compare"),
+    "jinja2": ("report.templates",),
     "tomli_w": ("results.write", "simulation.simulate"),
     "cv2": (
         "geometry",
@@ -59,6 +60,7 @@ MAY_IMPORT = {
         "simulation",
         "overlay",
         "report.pictures",
+        "results.run_file",  # its version
     ),
 }
 """Of each package but numpy the modules that may import it, by how their names begin."""
@@ -73,7 +75,7 @@ LIGHT = (
 )
 HEAVY = {
     *("pandas", "matplotlib", "scipy", "rosbags", "google", "ruamel"),
-    *("fsspec", "platformdirs", "distributed"),
+    *("fsspec", "platformdirs", "distributed", "pyarrow"),
 }
 
 Sources = dict[str, str]

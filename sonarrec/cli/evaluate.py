@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sonarrec.cli.options import (
+    BATCH,
     FILE,
     INPUT,
     OUTPUT,
@@ -66,6 +67,14 @@ if TYPE_CHECKING:
 )
 @scoring_options
 @option(
+    BATCH,
+    "-j",
+    "--jobs",
+    type=click.IntRange(min=1),
+    help="Logs that are read side by side, each in a process apart; the figures are the same "
+    "however many.  [default: as many as there are cores; of few small logs one]",
+)
+@option(
     OUTPUT,
     "-v",
     "--details",
@@ -92,6 +101,7 @@ def evaluate(
     compare: tuple[Path | str, Path | str] | None,
     band: float | None,
     unit: Any,
+    jobs: int | None,
     scoring: dict[str, Any],
     details: bool,
     det: bool,
@@ -130,7 +140,7 @@ def evaluate(
             code = _compare(compare, truth, pairs, out, band, as_json, quiet, scoring, here)
         else:
             shown = _Shown(details, as_json, quiet)
-            code = _score(results, truth, pairs, out, unit, det, shown, scoring, here)
+            code = _score(results, truth, pairs, out, unit, jobs, det, shown, scoring, here)
     if code:
         leave(code)
 
@@ -150,6 +160,7 @@ def _score(
     pairs: Path | None,
     out: Path | str | None,
     unit: Any,
+    jobs: int | None,
     det: bool,
     shown: _Shown,
     scoring: dict[str, Any],
@@ -157,18 +168,17 @@ def _score(
 ) -> int:
     """The exit code."""
     from sonarrec.evaluation import tabulate, write
-    from sonarrec.evaluation.evaluate import evaluate as score
-    from sonarrec.evaluation.evaluate import evaluate_pairs
+    from sonarrec.evaluation.evaluate import evaluate_many
     from sonarrec.evaluation.pairs import read_pairs
     from sonarrec.evaluation.summary import summarise
     from sonarrec.remote.run import inside
 
     if pairs is not None:
-        found = evaluate_pairs(read_pairs(pairs), **scoring)
+        found = evaluate_many(read_pairs(pairs), jobs=jobs, **scoring)
         folder = here.output(out or pairs.parent / "evaluation")
     else:
         results = results or Path("sonarrec_out")
-        found = score(here.results(results), ground_truth, **scoring)
+        found = evaluate_many(here.results(results), ground_truth, jobs=jobs, **scoring)
         folder = here.output(out or inside(results, "evaluation"))
     summary = summarise(found, unit)
     written = write.write_evaluation(folder, found, summary, det)

@@ -82,6 +82,14 @@ INTERRUPTED, TERMINATED = 130, 143
 )
 @option(
     OUTPUT,
+    "--tables",
+    type=click.Choice(["csv", "parquet"]),
+    default="csv",
+    show_default=True,
+    help="What the estimates are written in; parquet needs `pip install 'sonarrec[parquet]'`.",
+)
+@option(
+    OUTPUT,
     "--overwrite",
     is_flag=True,
     help="Do again what is up to date, and replace results of another log of that name.",
@@ -138,6 +146,7 @@ def run(
     model: Path | None,
     settings: SettingsChoice,
     out: Path | str,
+    tables: str,
     overwrite: bool,
     jobs: int | None,
     retry_failed: bool,
@@ -177,6 +186,7 @@ def run(
       sonarrec run s3://dives/2026-11-20/ -o s3://dives/results
     """
     from sonarrec.cli.run_watch import RunWatch
+    from sonarrec.parquet import check_parquet
     from sonarrec.prepared import Used
     from sonarrec.results.run_file import Given, frame_span
 
@@ -188,7 +198,9 @@ def run(
         odometry_topic=odometry_topic,
         frames=None if frames is None else frame_span(frames),
     )
-    used = Used(settings.configs(), landmarks, model, settings.file)
+    if tables == "parquet":
+        check_parquet()
+    used = Used(settings.configs(), landmarks, model, settings.file, tables == "parquet")
     logs = named_logs(log, from_file, recursive)
     box = _outbox(out, cache)
     out = Path(out) if box is None else box.folder
@@ -201,7 +213,7 @@ def run(
     if dry_run:
         _plan(tasks)
         return
-    jobs = min(jobs or os.cpu_count() or 1, len(tasks))
+    jobs = min(jobs or _cores(), len(tasks))
     watch = RunWatch(tasks, out, box, jobs=jobs, quiet=quiet, verbose=verbose, json=as_json)
     folders = [out / task.name for task in tasks if task.name is not None]
     with _stoppable(folders), watch:
@@ -221,10 +233,20 @@ def _run(
         from sonarrec.batch.cluster import run_on_cluster
 
         run_on_cluster(tasks, scheduler, watch, timeout)
-    elif jobs > 1 or timeout is not None:
+        return
+    # A log of images takes two cores where they are free: one decodes ahead.
+    tasks = [replace(task, ahead=_cores() >= 2 * jobs) for task in tasks]
+    if jobs > 1 or timeout is not None:
         run_apart(tasks, jobs, watch, timeout)
     else:
         run_here(tasks, watch)
+
+
+def _cores() -> int:
+    """How many this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def _outbox(out: Path | str, cache: CacheChoice) -> Outbox | None:

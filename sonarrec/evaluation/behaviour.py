@@ -3,15 +3,17 @@ ID and track, and errors of position."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from sonarrec.evaluation.counted import Counted, by_landmark, spread_count, sum_count
+from sonarrec.evaluation.counted import Counted, Values, by_landmark, spread_count, sum_count
 from sonarrec.evaluation.joined import Joined, distance, nearest_truth
 from sonarrec.evaluation.passes import Passes, Units
 from sonarrec.evaluation.scoring import Scored
+from sonarrec.evaluation.store import ranked
 from sonarrec.records import FloatArray, IntArray
 
 
@@ -50,6 +52,8 @@ class Switches:
     """(P,) of the declared ID."""
     tracks: IntArray | None
     """(P,) of the track on the landmark; None where the method has none."""
+    objects: bool
+    """Whether any estimate on a landmark tells its candidate or track."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +68,7 @@ class Switched:
 def pass_outcomes(scored: Scored, joined: Joined, passes: Passes) -> PassOutcomes:
     """Each pass of a landmark under one method."""
     claimed = np.zeros(len(joined.truth_frame_index), dtype=bool)
-    claimed[scored.truth[_right_claims(scored)]] = True
+    claimed[scored.truth[right_claims(scored)]] = True
     truth = scored.positive
     number, frame, right = passes.of_truth[truth], joined.truth_frame_index[truth], claimed[truth]
     count = len(passes.first_frame_index)
@@ -83,25 +87,23 @@ def pass_outcomes(scored: Scored, joined: Joined, passes: Passes) -> PassOutcome
 
 
 def wait_counts(
-    outcomes: Sequence[PassOutcomes], joined: Joined, passes: Passes, units: Units
+    outcomes: Sequence[PassOutcomes],
+    ids: Sequence[int],
+    landmark_index: IntArray,
+    unit: IntArray,
+    units: int,
 ) -> Iterator[Counted]:
     """Frames to a lasting right ID over passes, per ID and in all.
 
-    A pass in which it never comes counts as infinite.
+    landmark_index, unit: (P,) of the passes; there are so many units. A pass in which it never
+    comes counts as infinite.
     """
     edges = np.unique(np.concatenate([[np.inf], *(f.wait for f in outcomes)]))
-    unit = _unit_of_pass(passes, units)
     for one in outcomes:
-        for name, mine in by_landmark(joined, passes.landmark_index):
+        for name, mine in by_landmark(ids, landmark_index):
             labels = (one.protocol, one.method, name)
-            yield spread_count(labels, one.wait[mine], unit[mine], units.count, edges)
-
-
-def _unit_of_pass(passes: Passes, units: Units) -> IntArray:
-    unit = np.zeros(len(passes.first_frame_index), dtype=np.int64)
-    part = passes.of_truth >= 0
-    unit[passes.of_truth[part]] = units.of_truth[part]
-    return unit
+            some = [(one.wait[mine], unit[mine])]
+            yield spread_count(labels, partial(list, some), units, edges)
 
 
 def on_truth(joined: Joined) -> IntArray:
@@ -110,25 +112,36 @@ def on_truth(joined: Joined) -> IntArray:
     return nearest_truth(joined, everything, joined.claim_frame_index, joined.truth_frame_index)
 
 
-def false_claim_counts(joined: Joined, nearest: IntArray, units: Units) -> Iterator[Counted]:
-    """Declared claims on no landmark of their ID, per claimed ID and in all.
+def false_claims(joined: Joined, nearest: IntArray, units: Units, method: int) -> IntArray:
+    """(U, K, 2) declared claims of a method on no landmark at all, and on one of another ID.
 
-    nearest: of `on_truth`.
+    By the ID claimed. nearest: of `on_truth`.
     """
-    minutes = np.bincount(units.of_frame, joined.seconds, minlength=units.count) / 60
-    declared = np.flatnonzero(joined.declared)
+    k = len(joined.ids)
+    declared = np.flatnonzero(joined.declared & (joined.method_index == method))
     truth, claimed = nearest[declared], joined.claim_landmark_index[declared]
     nowhere = truth < 0
     other, unit = ~nowhere, units.of_frame[joined.claim_frame_index[declared]]
     if len(joined.truth_landmark_index):
         other &= joined.truth_landmark_index[truth] != claimed
         unit = np.where(nowhere, unit, units.of_truth[truth])
-    for m, method in enumerate(joined.methods):
-        made = joined.method_index[declared] == m
-        for name, mine in by_landmark(joined, claimed):
-            some = (made & mine & kind for kind in (nowhere, other))
-            parts = [np.bincount(unit[s], minlength=units.count) for s in some]
-            yield sum_count(("strict", method, name), FalseClaims, [*parts, minutes])
+    cell = unit * k + claimed
+    kinds = [np.bincount(cell[kind], minlength=units.count * k) for kind in (nowhere, other)]
+    return np.stack(kinds, axis=1).reshape(units.count, k, 2)
+
+
+def minutes(joined: Joined, units: Units) -> FloatArray:
+    """(U,) that the units' frames stand for, NaN where the log tells no time."""
+    return np.bincount(units.of_frame, joined.seconds, minlength=units.count) / 60
+
+
+def false_claim_counts(
+    method: str, ids: Sequence[int], made: IntArray, minutes: FloatArray
+) -> Iterator[Counted]:
+    """Of what `false_claims` and `minutes` give, per claimed ID and in all."""
+    named = [(str(i), made[:, k]) for k, i in enumerate(ids)]
+    for name, mine in [*named, ("total", made.sum(axis=1))]:
+        yield sum_count(("strict", method, name), FalseClaims, [*mine.T, minutes])
 
 
 def switches(joined: Joined, nearest: IntArray, passes: Passes) -> list[Switches]:
@@ -151,7 +164,7 @@ def switches(joined: Joined, nearest: IntArray, passes: Passes) -> list[Switches
     found = []
     for m, method in enumerate(joined.methods):
         mine = claims[joined.method_index[claims] == m]
-        tracked = method.partition(":")[0] != "smi" and bool((joined.claim_object[mine] >= 0).any())
+        tracked = method.partition(":")[0] != "smi"
         declared = mine[joined.declared[mine]]
         found.append(
             Switches(
@@ -160,6 +173,7 @@ def switches(joined: Joined, nearest: IntArray, passes: Passes) -> list[Switches
                 tracks=_changes(joined.claim_object[mine], nearest[mine], passes)
                 if tracked
                 else None,
+                objects=bool((joined.claim_object[mine] >= 0).any()),
             )
         )
     return found
@@ -175,69 +189,69 @@ def _changes(what: IntArray, truth: IntArray, passes: Passes) -> IntArray:
 
 
 def switch_counts(
-    found: Sequence[Switches], joined: Joined, passes: Passes, units: Units
+    found: Sequence[Switches],
+    ids: Sequence[int],
+    landmark_index: IntArray,
+    unit: IntArray,
+    units: int,
 ) -> Iterator[Counted]:
-    """Switches over passes, per ID and in all."""
-    unit = _unit_of_pass(passes, units)
+    """Switches over passes, per ID and in all; the arguments are those of `wait_counts`."""
     for one in found:
         kinds = [one.ids] if one.tracks is None else [one.ids, one.tracks]
-        for name, mine in by_landmark(joined, passes.landmark_index):
-            summed = (np.bincount(unit[mine], kind[mine], units.count) for kind in kinds)
-            columns = [np.bincount(unit[mine], minlength=units.count), *summed]
+        for name, mine in by_landmark(ids, landmark_index):
+            summed = (np.bincount(unit[mine], kind[mine], units) for kind in kinds)
+            columns = [np.bincount(unit[mine], minlength=units), *summed]
             yield sum_count(("strict", one.method, name), Switched, columns)
 
 
-def position_counts(strict: Sequence[Scored], joined: Joined, units: Units) -> Iterator[Counted]:
-    """Position errors (m) of right claims, per ID and in all.
+def position_errors(strict: Scored, joined: Joined, right: IntArray) -> FloatArray:
+    """(n,) m, of right claims (of `right_claims`), NaN where unknown.
 
     Claims beyond the gate are not right, so this says how exact the right ones are.
     """
-    rights = [_right_claims(s) for s in strict]
-    errors = [
-        distance(joined, s.claim[right], s.truth[right])
-        for s, right in zip(strict, rights, strict=True)
-    ]
-    return _error_counts(strict, rights, errors, joined, units)
+    return distance(joined, strict.claim[right], strict.truth[right])
 
 
-def orientation_counts(strict: Sequence[Scored], joined: Joined, units: Units) -> Iterator[Counted]:
-    """Orientation errors (deg) of right claims, where truth and estimates tell it.
+def orientation_errors(strict: Scored, joined: Joined, right: IntArray) -> FloatArray:
+    """(n,) deg, of right claims (of `right_claims`), NaN where truth or estimate does not tell it.
 
     An ID that looks the same after a turn is not wrong by that turn.
     """
-    rights = [_right_claims(s) for s in strict]
-    errors = []
-    for s, right in zip(strict, rights, strict=True):
-        period = joined.turn_deg[s.landmark_index[right]]
-        off = joined.claim_orientation[s.claim[right]] - joined.truth_orientation[s.truth[right]]
-        errors.append(np.abs((off + period / 2) % period - period / 2))
-    return _error_counts(strict, rights, errors, joined, units)
+    period = joined.turn_deg[strict.landmark_index[right]]
+    off = (
+        joined.claim_orientation[strict.claim[right]]
+        - joined.truth_orientation[strict.truth[right]]
+    )
+    return np.asarray(np.abs((off + period / 2) % period - period / 2))
 
 
-def _right_claims(scored: Scored) -> IntArray:
+def right_claims(scored: Scored) -> IntArray:
     """Which of its claims are declared and right."""
     return scored.made[scored.made_effect[:, 0] > 0]
 
 
-def _error_counts(
-    strict: Sequence[Scored],
-    rights: Sequence[IntArray],
-    errors: Sequence[FloatArray],
-    joined: Joined,
-    units: Units,
+def error_counts(
+    methods: Sequence[str], ids: Sequence[int], errors: Callable[[str, int], Values], units: int
 ) -> Iterator[Counted]:
-    """rights: per method its right claims, of which errors are; NaN where unknown."""
-    known = [~np.isnan(error) for error in errors]
-    pooled = [error[k] for error, k in zip(errors, known, strict=True)]
-    if not any(map(len, pooled)):
+    """Errors of right claims, per ID and in all.
+
+    errors: of a method and the k-th ID, with their units; none is NaN.
+    """
+    k = range(len(ids))
+
+    def several(some: Sequence[tuple[str, int]]) -> Iterator[tuple[FloatArray, IntArray]]:
+        for one in some:
+            yield from errors(*one)()
+
+    every = [(method, i) for method in methods for i in k]
+    count = sum(len(error) for error, _ in several(every))
+    if not count:
         return
-    # Steps as fine as the errors are dense, the same for every method.
-    shares = np.linspace(0, 1, 513)
-    edges = np.unique(np.quantile(np.concatenate(pooled), shares, method="inverted_cdf"))
-    for s, right, error, k in zip(strict, rights, errors, known, strict=True):
-        unit = units.of_truth[s.truth[right]]
-        for name, mine in by_landmark(joined, s.landmark_index[right]):
-            mine &= k
-            yield spread_count(
-                ("strict", s.method, name), error[mine], unit[mine], units.count, edges
-            )
+    # Steps as fine as the errors are dense, the same for every method. Their ranks are those of
+    # numpy's quantile, method "inverted_cdf".
+    ranks = np.ceil(count * np.linspace(0, 1, 513) - 1).clip(0).astype(np.int64)
+    edges = np.unique(ranked(lambda: (error for error, _ in several(every)), ranks))
+    for method in methods:
+        named = [(str(i), [(method, n)]) for n, i in enumerate(ids)]
+        for name, some in [*named, ("total", [(method, i) for i in k])]:
+            yield spread_count(("strict", method, name), partial(several, some), units, edges)

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from sonarrec.evaluation.curves import Count
-from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.evaluation.metrics import BY_NAME, METRICS
-from sonarrec.evaluation.scoring import Scored
+from sonarrec.evaluation.pooled import Pooled, PooledScored
 from sonarrec.evaluation.summary import Summary
 from sonarrec.evaluation.uncertainty import Difference, Figure
 
@@ -54,17 +53,17 @@ class Rates:
     """FP."""
 
 
-def of(evaluation: Evaluation, method: str, protocol: str) -> Scored:
+def of(evaluation: Pooled, method: str, protocol: str) -> PooledScored:
     """One method under one protocol."""
     return next(s for s in evaluation.scored if (s.method, s.protocol) == (method, protocol))
 
 
-def protocols(evaluation: Evaluation) -> list[str]:
+def protocols(evaluation: Pooled) -> list[str]:
     """Those that were scored, the stricter one first."""
     return [p for p in ("strict", "paper") if any(s.protocol == p for s in evaluation.scored)]
 
 
-def paper_table(scored: Scored, thousands: str = "") -> Table:
+def paper_table(scored: PooledScored, thousands: str = "") -> Table:
     """TPR to Total per ID and in all, as published; "0.0000*" for 0/0.
 
     thousands: what parts them in counts.
@@ -85,7 +84,7 @@ def paper_table(scored: Scored, thousands: str = "") -> Table:
     )
 
 
-def rates(evaluation: Evaluation, summary: Summary) -> list[tuple[str, list[Rates]]]:
+def rates(evaluation: Pooled, summary: Summary) -> list[tuple[str, list[Rates]]]:
     """Per method its operating point over all IDs under every protocol."""
     return [
         (
@@ -98,16 +97,17 @@ def rates(evaluation: Evaluation, summary: Summary) -> list[tuple[str, list[Rate
                 for protocol in protocols(evaluation)
             ],
         )
-        for method in evaluation.joined.methods
+        for method in evaluation.methods
     ]
 
 
-def rates_per_log(evaluation: Evaluation) -> list[tuple[str, list[Rates]]]:
+def rates_per_log(evaluation: Pooled) -> list[tuple[str, list[Rates]]]:
     """Per log the operating point of every method over all IDs under the stricter protocol."""
-    protocol, joined = protocols(evaluation)[0], evaluation.joined
-    counts = [of(evaluation, m, protocol).counts_per_log(joined) for m in joined.methods]
+    protocol = protocols(evaluation)[0]
+    counts = [of(evaluation, m, protocol).counts_per_log() for m in evaluation.methods]
     return [
-        (log, [_rates(per_log[i][-1]) for per_log in counts]) for i, log in enumerate(joined.logs)
+        (log, [_rates(per_log[i][-1]) for per_log in counts])
+        for i, log in enumerate(evaluation.logs)
     ]
 
 

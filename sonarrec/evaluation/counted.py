@@ -5,16 +5,16 @@ Records have one row per set of units: one of everything, or one per draw of the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from sonarrec.evaluation.curves import FPR_POINTS, ratio
-from sonarrec.evaluation.joined import Joined
+from sonarrec.evaluation.curves import FPR_POINTS, Curve, ratio
 from sonarrec.evaluation.passes import Units
 from sonarrec.evaluation.scoring import Scored
+from sonarrec.evaluation.store import Blocks, ranked
 from sonarrec.records import BoolArray, FloatArray, IntArray
 
 FPR_GRID = np.unique(
@@ -26,6 +26,13 @@ FPR_GRID = np.unique(
     ]
 )
 """Steps at which resampled curves are held, close about FPR_POINTS. The curves told are exact."""
+QUANTILES = (0.5, 0.9, 0.95)
+"""Shares of values that metrics may ask for; of others `exact_spread` does not know."""
+
+Claims = Iterable[tuple[FloatArray, IntArray, IntArray]]
+"""(n,) scores, (n, 4) effects and (n,) units of claims, any number of them at a time."""
+Values = Callable[[], Iterable[tuple[FloatArray, IntArray]]]
+"""Gives (n,) values and (n,) units, any number at a time, the same each time it is called."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,43 +83,39 @@ def rate_counts(scored: Scored, units: Units) -> list[Counted]:
     base = scored.base_by(units.of_frame, units.of_truth, units.count)
     declared = scored.declared_by(units.of_frame, units.of_truth, units.count)
     group = scored.claims_by(units.of_frame, units.of_truth)
-    found = [
-        _rate_count(scored, k, str(landmark), base[:, k], declared[:, k], group)
-        for k, landmark in enumerate(scored.ids)
-    ]
+    found = []
+    for k, landmark in enumerate(scored.ids):
+        mine = scored.landmark_index == k
+        claims = [(scored.score[mine], scored.effect[mine], group[mine])]
+        labels = (scored.protocol, scored.method, str(landmark))
+        found.append(rate_count(labels, base[:, k], declared[:, k], scored.curve(k), claims))
+    labels = (scored.protocol, scored.method, "total")
+    claims = [(scored.score, scored.effect, group)]
     whole = base.sum(axis=1), declared.sum(axis=1)
-    return [*found, _rate_count(scored, None, "total", *whole, group)]
+    return [*found, rate_count(labels, *whole, scored.curve(), claims)]
 
 
-def _rate_count(
-    scored: Scored,
-    k: int | None,
-    landmark_text: str,
-    base: IntArray,
-    declared: IntArray,
-    group: IntArray,
+def rate_count(
+    labels: tuple[str, str, str], base: IntArray, declared: IntArray, curve: Curve, claims: Claims
 ) -> Counted:
-    """k: index of an ID, None for all. base, declared: (U, 4). group: (n,) the claims' units."""
-    mine = np.ones(len(group), dtype=bool) if k is None else scored.landmark_index == k
-    claims, curve, units = np.flatnonzero(mine), scored.curve(k), len(base)
+    """labels: protocol, method, landmark_text. base, declared: (U, 4). curve: of all claims."""
+    units, bins = len(base), len(FPR_GRID)
     # A bin per step of the FPR, so that methods with other scores can be swapped bin by bin.
     at = np.maximum(np.searchsorted(curve.fpr, FPR_GRID, side="right") - 1, 0)
-    bins = np.searchsorted(-curve.threshold[at], -scored.score[claims], side="left")
-    bins = np.minimum(bins, len(FPR_GRID) - 1)
-    cell = group[claims] * len(FPR_GRID) + bins
-    size = units * len(FPR_GRID)
-    steps = np.hstack(
-        [
-            np.bincount(cell, scored.effect[claims, c], minlength=size).reshape(units, -1)
-            for c in range(4)
-        ]
-    )
-    steps[:, :: len(FPR_GRID)] += base
+    steps = np.zeros((units, 4, bins))
+    steps[:, :, 0] = base
+    for score, effect, unit in claims:
+        if len(score):
+            bin_ = np.searchsorted(-curve.threshold[at], -score, side="left")
+            first = int(unit.min())  # those of one log lie side by side
+            cell = (unit - first) * bins + np.minimum(bin_, bins - 1)
+            size = (int(unit.max()) - first + 1) * bins
+            for c in range(4):
+                added = np.bincount(cell, effect[:, c], minlength=size).reshape(-1, bins)
+                steps[first : first + len(added), c] += added
     return Counted(
-        protocol=scored.protocol,
-        method=scored.method,
-        landmark_text=landmark_text,
-        sums=np.hstack([declared, steps]).astype(np.float32),
+        *labels,
+        sums=np.hstack([declared, steps.reshape(units, -1)]).astype(np.float32),
         record=_rates,
         exact=Rates(declared.sum(axis=0)[None], curve.tpr[None], curve.fpr[None]),
     )
@@ -130,26 +133,31 @@ def _rates(rows: FloatArray) -> Rates:
 
 
 def spread_count(
-    labels: tuple[str, str, str],
-    values: FloatArray,
-    unit: IntArray,
-    units: int,
-    edges: FloatArray,
+    labels: tuple[str, str, str], values: Values, units: int, edges: FloatArray
 ) -> Counted:
-    """Values (n,) that lie in units (n,).
-
-    labels: protocol, method, landmark_text. edges: rising, the last one no less than any value;
+    """labels: protocol, method, landmark_text. edges: rising, the last one no less than any value;
     resampled values count as the next edge, so equal edges make methods comparable.
     """
-    place = unit * len(edges) + np.searchsorted(edges, values)
-    sums = np.bincount(place, minlength=units * len(edges)).reshape(units, -1).astype(np.float32)
-    own, count = np.unique(values, return_counts=True)
-    exact = (
-        Spread(own, np.cumsum(count, dtype=float)[None])
-        if len(own)
-        else Spread(edges[:1], np.zeros((1, 1)))
-    )
+    sums = np.zeros((units, len(edges)), dtype=np.float32)
+    for some, unit in values():
+        if len(some):
+            first = int(unit.min())
+            place = (unit - first) * len(edges) + np.searchsorted(edges, some)
+            size = (int(unit.max()) - first + 1) * len(edges)
+            added = np.bincount(place, minlength=size).reshape(-1, len(edges))
+            sums[first : first + len(added)] += added
+    exact = exact_spread(lambda: (some for some, _ in values()), edges)
     return Counted(*labels, sums, lambda rows: Spread(edges, np.cumsum(rows, axis=1)), exact)
+
+
+def exact_spread(values: Blocks, edges: FloatArray) -> Spread:
+    """Values of which those at QUANTILES are known, and how many there are; edges: where none."""
+    total = sum(map(len, values()))
+    if not total:
+        return Spread(edges[:1], np.zeros((1, 1)))
+    least = np.ceil(np.array([*QUANTILES, 1.0]) * total - 1e-3)  # as in Spread.quantile
+    reached = np.clip(least, 1, total)
+    return Spread(ranked(values, reached.astype(np.int64) - 1), reached[None])
 
 
 def sum_count(
@@ -162,7 +170,7 @@ def sum_count(
     return Counted(*labels, sums, lambda rows: record(*rows.T), record(*sums.sum(axis=0)[:, None]))
 
 
-def by_landmark(joined: Joined, landmark_index: IntArray) -> list[tuple[str, BoolArray]]:
+def by_landmark(ids: Sequence[int], landmark_index: IntArray) -> list[tuple[str, BoolArray]]:
     """Per ID, then in all: its name and which elements are its own."""
-    named = [(str(i), landmark_index == k) for k, i in enumerate(joined.ids)]
+    named = [(str(i), landmark_index == k) for k, i in enumerate(ids)]
     return [*named, ("total", np.ones(len(landmark_index), dtype=bool))]

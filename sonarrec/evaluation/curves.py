@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -132,7 +132,7 @@ def tpr_at(fpr: FloatArray, tpr: FloatArray, most: float) -> FloatArray:
     return np.asarray(np.where(np.isnan(tpr[..., 0]) | np.isnan(fpr[..., 0]), np.nan, reached))
 
 
-def macro_curve(curves: Sequence[Curve]) -> tuple[FloatArray, FloatArray]:
+def macro_curve(curves: Iterable[Curve]) -> tuple[FloatArray, FloatArray]:
     """(FPR, TPR), the mean TPR of several IDs at equal FPR, each ID at a threshold of its own.
 
     IDs of which a rate is 0/0 are left out; without any left both arrays are empty. Each curve

@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from sonarrec.evaluation.fit import Matched, fit, left_out, matched
+from sonarrec.evaluation.fit import Matched, fit, left_out
 from sonarrec.evaluation.joined import Joined, join
-from sonarrec.evaluation.pairs import Pair, found_beside, found_where, one_log
+from sonarrec.evaluation.pairs import Pair, found_beside, found_where
+from sonarrec.evaluation.parts import part_of, score_all
+from sonarrec.evaluation.pooled import Parts, Pooled, pooled
 from sonarrec.evaluation.same import counted_once
-from sonarrec.evaluation.scoring import PROTOCOLS, Scored, score
-from sonarrec.records import SonarrecError, UsageError, printable
-from sonarrec.results.read import LogResults, find_logs, read_log
+from sonarrec.evaluation.scoring import Scored
+from sonarrec.evaluation.survey import Reading, Surveyed, survey, survey_all
+from sonarrec.records import IntArray, SonarrecError, UsageError, printable
+from sonarrec.results.read import find_logs, read_frames
 from sonarrec.sonar import Sonar
-from sonarrec.truth.match import Truth
-from sonarrec.truth.table import read_truth
+from sonarrec.truth.table import TruthTable, read_truth
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +38,13 @@ class Evaluation:
     """Worth knowing."""
     unused: tuple[str, ...]
     """Input that could not be used, one line each."""
+
+    def pooled(self) -> Pooled:
+        """The same without its frames and claims: what is told of an evaluation."""
+        parts = Parts()
+        number = parts.put(part_of(self.joined, self.scored))
+        found = pooled(parts, [number], self.joined.logs, self.min_visible)
+        return replace(found, folders=self.folders, notes=self.notes, unused=self.unused)
 
 
 def evaluate(
@@ -69,45 +79,8 @@ def evaluate(
 
     Raises SonarrecError where files cannot be used or have no frame in common.
     """
-    results = Path(results)
-    check_options(min_visible, tolerance_s)
-    folders = find_logs(results)
-    if ground_truth is None:
-        return _beside(folders, min_visible, tolerance_s, landmarks, sonar)
-    table = read_truth(Path(ground_truth))
-    named = [read_log(folder, landmarks, sonar) for folder in folders]
-    once = counted_once(folders, named)
-    if len(once.kept) > 1 and table.log is None:
-        names = ", ".join(named[i].name for i in once.kept)
-        raise SonarrecError(
-            f"{ground_truth}: {results} holds {len(once.kept)} logs ({names}), so the truth needs "
-            "a log column that names their folders; or give the folder of one log"
-        )
-    found = fit([matched(folders[i], table, named[i], tolerance_s) for i in once.kept])
-    elsewhere = 0
-    if table.log is not None and folders != [results]:
-        elsewhere = int(np.count_nonzero(~np.isin(table.log, [log.name for log in named])))
-    unused = [*found.unused, *left_out(found.usable, elsewhere), *once.unused]
-    return pool(found.usable, min_visible, [*once.notes, *found.notes], unused)
-
-
-def _beside(
-    folders: list[Path],
-    min_visible: float,
-    tolerance_s: float | None,
-    landmarks: str | None,
-    sonar: Sonar | None,
-) -> Evaluation:
-    """Each log with the truth that lies beside it."""
-    pairs, without = found_beside(folders)
-    found = evaluate_pairs(
-        pairs, min_visible=min_visible, tolerance_s=tolerance_s, landmarks=landmarks, sonar=sonar
-    )
-    return replace(
-        found,
-        notes=(*(printable(found_where(pair)) for pair in pairs), *found.notes),
-        unused=(*map(printable, without), *found.unused),
-    )
+    given = _given(results, ground_truth, min_visible, tolerance_s, landmarks, sonar)
+    return _in_memory(_gathered(given, (survey(r, whole=True) for r in given.readings)), given)
 
 
 def evaluate_pairs(
@@ -122,31 +95,186 @@ def evaluate_pairs(
 
     Logs of equal name are told apart by their folders as given.
     """
+    given = _of_pairs(pairs, min_visible, tolerance_s, landmarks, sonar)
+    return _in_memory(_gathered(given, (survey(r, whole=True) for r in given.readings)), given)
+
+
+def evaluate_many(
+    results: str | Path | Sequence[Pair],
+    ground_truth: str | Path | None = None,
+    *,
+    jobs: int | None = None,
+    min_visible: float = 0.9,
+    tolerance_s: float | None = None,
+    landmarks: str | None = None,
+    sonar: Sonar | None = None,
+) -> Pooled:
+    """As `evaluate`, or `evaluate_pairs` where results is pairs, but each log is read, counted and
+    let go: memory does not grow with the logs.
+
+    jobs: processes side by side, as `survey.survey_all`; the result is the same however many.
+    """
+    options = min_visible, tolerance_s, landmarks, sonar
+    if isinstance(results, str | Path):
+        given = _given(results, ground_truth, *options)
+    else:
+        given = _of_pairs(results, *options)
+    parts = Parts()
+    numbers: dict[int, int] = {}
+
+    def counted() -> Iterable[Surveyed]:
+        ids: tuple[int, ...] | None = None
+        for i, one in enumerate(survey_all(given.readings, jobs)):
+            ids = ids or one.ids
+            if one.ids != ids and set(one.ids) == set(ids):  # in the order of the first
+                one = survey(replace(given.readings[i], ids=ids))
+            if one.part is not None:
+                numbers[i] = parts.put(one.part)
+            yield replace(one, part=None)
+
+    found = _gathered(given, counted())
+    result = pooled(parts, [numbers[i] for i in found.used], found.names, min_visible)
+    logs = [found.logs[i] for i in found.used]
+    facts = result.methods, result.placed, result.estimates, result.ids, result.positives
+    notes = [*found.notes, *_notes(_told(logs, found.names), *facts)]
+    return replace(
+        result,
+        folders=tuple(log.folder for log in logs),
+        notes=tuple(map(printable, notes)),
+        unused=tuple(map(printable, found.unused)),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Given:
+    """What is to be read."""
+
+    readings: list[Reading]
+    notes: list[str]
+    unused: list[str]
+    table: TruthTable | None = None
+    """Where one truth is for all."""
+    folder: Path | None = None
+    """... that are in it."""
+
+
+def _given(
+    results: str | Path,
+    ground_truth: str | Path | None,
+    min_visible: float,
+    tolerance_s: float | None,
+    landmarks: str | None,
+    sonar: Sonar | None,
+) -> _Given:
+    results = Path(results)
+    check_options(min_visible, tolerance_s)
+    folders = find_logs(results)
+    options: dict[str, Any] = {
+        "min_visible": min_visible,
+        "tolerance_s": tolerance_s,
+        "landmarks": landmarks,
+        "sonar": sonar,
+    }
+    if ground_truth is None:  # each log with the truth that lies beside it
+        pairs, without = found_beside(folders)
+        readings = [Reading(p.results, p.ground_truth, **options) for p in pairs]
+        return _Given(readings, list(map(found_where, pairs)), without)
+    path = Path(ground_truth)
+    readings = [Reading(folder, path, **options) for folder in folders]
+    return _Given(readings, [], [], read_truth(path), results)
+
+
+def _of_pairs(
+    pairs: Sequence[Pair],
+    min_visible: float,
+    tolerance_s: float | None,
+    landmarks: str | None,
+    sonar: Sonar | None,
+) -> _Given:
     check_options(min_visible, tolerance_s)
     if not pairs:
         raise SonarrecError("no pair of results and ground truth to score")
-    tables = {path: read_truth(path) for path in {pair.ground_truth for pair in pairs}}
-    named = [_named(pair, landmarks, sonar) for pair in pairs]
-    once = counted_once([pair.results for pair in pairs], named)
-    cases = [
-        matched(pairs[i].results, tables[pairs[i].ground_truth], named[i], tolerance_s)
-        for i in once.kept
-    ]
+    return _Given(
+        [
+            Reading(
+                *(pair.results, pair.ground_truth, pair.log, None),
+                *(min_visible, tolerance_s, landmarks, sonar),
+            )
+            for pair in pairs
+        ],
+        [],
+        [],
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Gathered:
+    """What was read."""
+
+    logs: list[Surveyed]
+    used: list[int]
+    """Those that are scored."""
+    names: list[str]
+    """Of these, told apart."""
+    notes: list[str]
+    unused: list[str]
+
+
+def _gathered(given: _Given, surveyed: Iterable[Surveyed]) -> _Gathered:
+    """Which of the logs count. Raises SonarrecError where they cannot be scored together."""
+    logs = list(surveyed)
+
+    def frames(i: int) -> IntArray:
+        return np.asarray(read_frames(logs[i].folder)["frame"])
+
+    once = counted_once([log.folder for log in logs], [log.recording for log in logs], frames)
+    kept = [logs[i] for i in once.kept]
+    table = given.table
+    if table is not None and table.log is None and len(kept) > 1:
+        names = ", ".join(log.name for log in kept)
+        raise SonarrecError(
+            f"{table.path}: {given.folder} holds {len(kept)} logs ({names}), so the truth needs "
+            "a log column that names their folders; or give the folder of one log"
+        )
+    for log in kept:
+        if log.error is not None:
+            raise log.error
+    cases = [log.checked for log in kept if log.checked is not None]
     found = fit(cases)
-    unused = [*found.unused, *(line for case in found.usable for line in left_out([case]))]
-    names = [case.log.name for case in found.usable]
-    told_apart = [
-        case
-        if names.count(case.log.name) == 1
-        else replace(case, log=replace(case.log, name=str(case.folder)))
-        for case in found.usable
+    usable = [cases[i] for i in found.usable]
+    if table is not None:
+        elsewhere = 0
+        if table.log is not None and [log.folder for log in logs] != [given.folder]:
+            there = np.isin(table.log, [log.name for log in logs])
+            elsewhere = int(np.count_nonzero(~there))
+        lost = left_out(usable, elsewhere)
+    else:
+        lost = [line for case in usable for line in left_out([case])]
+    used = [once.kept[i] for i in found.usable]
+    alike = [logs[i].name for i in used]
+    names_ = [
+        n if alike.count(n) == 1 else str(logs[i].folder) for n, i in zip(alike, used, strict=True)
     ]
-    return pool(told_apart, min_visible, [*once.notes, *found.notes], [*unused, *once.unused])
+    first = logs[used[0]]
+    for i in used:
+        if set(logs[i].ids) != set(first.ids):
+            raise _other_ids(first.name, logs[i].name)
+    return _Gathered(
+        logs,
+        used,
+        names_,
+        [*given.notes, *once.notes, *found.notes],
+        [*given.unused, *found.unused, *lost, *once.unused],
+    )
 
 
-def _named(pair: Pair, landmarks: str | None, sonar: Sonar | None) -> LogResults:
-    log = read_log(one_log(pair.results), landmarks, sonar)
-    return log if pair.log is None else replace(log, name=pair.log)
+def _in_memory(found: _Gathered, given: _Given) -> Evaluation:
+    cases = []
+    for i, name in zip(found.used, found.names, strict=True):
+        case = found.logs[i].case
+        assert case is not None
+        cases.append(replace(case, log=replace(case.log, name=name)))
+    return pool(cases, given.readings[0].min_visible, found.notes, found.unused)
 
 
 def check_options(min_visible: float, tolerance_s: float | None) -> None:
@@ -171,53 +299,80 @@ def pool(
     logs, truths = [case.log for case in cases], [case.truth for case in cases]
     for log in logs:
         if set(log.landmarks.ids) != set(logs[0].landmarks.ids):
-            raise SonarrecError(
-                f"logs {logs[0].name} and {log.name} were run with different landmark IDs and "
-                "cannot be pooled; evaluate them one by one, or give --landmarks"
-            )
+            raise _other_ids(logs[0].name, log.name)
     joined = join(logs, truths, min_visible)
-    notes = [*notes, *_notes(joined, logs, truths)]
-    scored = tuple(
-        score(joined, m, protocol)
-        for m in range(len(joined.methods))
-        for protocol in PROTOCOLS
-        if protocol == "paper" or joined.placed
+    told_of = [
+        _Told(log.name, truth.rows, truth.between, log.methods)
+        for log, truth in zip(logs, truths, strict=True)
+    ]
+    seen = np.bincount(joined.method_index, minlength=len(joined.methods))
+    positives = np.bincount(
+        joined.truth_landmark_index[joined.truth_positive], minlength=len(joined.ids)
     )
-    told = tuple(map(printable, notes)), tuple(map(printable, unused))
+    said = _notes(told_of, joined.methods, joined.placed, seen, joined.ids, positives)
+    told = tuple(map(printable, [*notes, *said])), tuple(map(printable, unused))
     folders = tuple(case.folder for case in cases)
-    return Evaluation(joined, folders, scored, min_visible, *told)
+    return Evaluation(joined, folders, score_all(joined), min_visible, *told)
 
 
-def _notes(joined: Joined, logs: Sequence[LogResults], truths: Sequence[Truth]) -> list[str]:
+def _other_ids(first: str, other: str) -> SonarrecError:
+    return SonarrecError(
+        f"logs {first} and {other} were run with different landmark IDs and "
+        "cannot be pooled; evaluate them one by one, or give --landmarks"
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Told:
+    """Of one log what notes speak of."""
+
+    name: str
+    rows: int
+    between: int
+    methods: tuple[str, ...]
+
+
+def _told(logs: Sequence[Surveyed], names: Sequence[str]) -> list[_Told]:
+    return [
+        _Told(name, log.checked.rows, log.between, log.methods)
+        for name, log in zip(names, logs, strict=True)
+        if log.checked is not None
+    ]
+
+
+def _notes(
+    logs: Sequence[_Told],
+    methods: Sequence[str],
+    placed: bool,
+    estimates: IntArray,
+    ids: Sequence[int],
+    positives: IntArray,
+) -> list[str]:
+    """estimates: (M,) of each method. positives: (K,). Raises SonarrecError without a method."""
     notes = []
-    if not joined.methods:
-        raise SonarrecError(f"{', '.join(joined.logs)}: estimates.csv names no method to score")
-    if not joined.placed:
+    if not methods:
+        names = ", ".join(log.name for log in logs)
+        raise SonarrecError(f"{names}: estimates.csv names no method to score")
+    if not placed:
         notes.append(
             "the strict protocol is not scored: truth or estimates lack positions, or give them "
             "in pixels while neither run.toml nor flags state metres_per_pixel and apex_px"
         )
-    for log, truth in zip(logs, truths, strict=True):
-        if not truth.rows:
+    for log in logs:
+        if not log.rows:
             notes.append(f"{log.name}: no row in the ground truth, so taken to hold no landmark")
-        if truth.between:
+        if log.between:
             notes.append(
-                f"{log.name}: {truth.between} ground-truth rows lie between frames and are passed "
+                f"{log.name}: {log.between} ground-truth rows lie between frames and are passed "
                 "over for others nearer in time"
             )
-        missing = [m for m in joined.methods if m not in log.methods]
+        missing = [m for m in methods if m not in log.methods]
         if missing:
             notes.append(
                 f"{log.name}: holds nothing of {', '.join(missing)}, which counts as no claim"
             )
-    seen = np.bincount(joined.method_index, minlength=len(joined.methods))
-    notes += [
-        f"{m}: no estimate at all" for m, n in zip(joined.methods, seen, strict=True) if not n
-    ]
-    positives = np.bincount(
-        joined.truth_landmark_index[joined.truth_positive], minlength=len(joined.ids)
-    )
-    for i, n in zip(joined.ids, positives, strict=True):
+    notes += [f"{m}: no estimate at all" for m, n in zip(methods, estimates, strict=True) if not n]
+    for i, n in zip(ids, positives, strict=True):
         if not n:
             notes.append(f"ID.{i} is never in view: its TPR is 0/0 and says nothing")
     return notes

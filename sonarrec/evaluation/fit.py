@@ -28,10 +28,31 @@ class Matched:
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
-    """Those of several that can be scored, and what is said of the others and of these."""
+class Checked:
+    """What is said of a log and its truth, without their rows."""
 
-    usable: list[Matched]
+    name: str
+    """Of the log."""
+    table: Path
+    """Of the truth."""
+    table_rows: int
+    rows: int
+    """Those that speak of the log."""
+    unprocessed: int
+    """Those of them on frames that were not processed."""
+    frames: int
+    fault: str | None
+    """Why the truth cannot be that of the log; None where it can."""
+    notes: list[str]
+    cut_short: list[str]
+    """As `cut_short`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """Which of several can be scored, by index, and what is said of the others and of these."""
+
+    usable: list[int]
     notes: list[str]
     unused: list[str]
 
@@ -41,32 +62,44 @@ def matched(folder: Path, table: TruthTable, log: LogResults, tolerance_s: float
     return Matched(folder, log, table, match_truth(table, log, tolerance_s))
 
 
-def fit(cases: Sequence[Matched]) -> Fit:
+def checked(case: Matched) -> Checked:
+    """Whether a truth can be that of a log."""
+    return Checked(
+        name=case.log.name,
+        table=case.table.path,
+        table_rows=len(case.table.at),
+        rows=case.truth.rows,
+        unprocessed=case.truth.unprocessed,
+        frames=len(case.log.frame),
+        fault=_fault(case),
+        notes=_notes(case),
+        cut_short=cut_short(case.log),
+    )
+
+
+def fit(cases: Sequence[Checked]) -> Fit:
     """Leave out the logs whose truth cannot be theirs. Raises SonarrecError where none is left, or
     where no truth has a row."""
-    if not any(case.truth.rows for case in cases):
+    if not any(case.rows for case in cases):
         _refuse_without_rows(cases)
-    faults = [(case, _fault(case)) for case in cases]
-    found = Fit([case for case, fault in faults if fault is None], [], [])
-    told = [fault for _, fault in faults if fault is not None]
+    found = Fit([i for i, case in enumerate(cases) if case.fault is None], [], [])
+    told = [case.fault for case in cases if case.fault is not None]
     # A log without a row counts as empty beside others; by itself it says nothing.
-    if told and not any(case.truth.rows for case in found.usable):
+    if told and not any(cases[i].rows for i in found.usable):
         raise SonarrecError(told[0])
-    found.unused.extend(
-        f"{fault}; {case.log.name} is not scored" for case, fault in faults if fault
-    )
-    for case in found.usable:
-        found.notes.extend(_notes(case))
+    found.unused.extend(f"{case.fault}; {case.name} is not scored" for case in cases if case.fault)
+    for i in found.usable:
+        found.notes.extend(cases[i].notes)
     return found
 
 
-def _refuse_without_rows(cases: Sequence[Matched]) -> None:
-    with_rows = next((case.table for case in cases if len(case.table.at)), None)
+def _refuse_without_rows(cases: Sequence[Checked]) -> None:
+    with_rows = next((case.table for case in cases if case.table_rows), None)
     if with_rows is not None:
-        names = ", ".join(case.log.name for case in cases)
-        raise SonarrecError(f"{with_rows.path}: its log column names none of {names}")
+        names = ", ".join(case.name for case in cases)
+        raise SonarrecError(f"{with_rows}: its log column names none of {names}")
     raise SonarrecError(
-        f"{cases[0].table.path}: it has no row, so nothing is scored; a truth has a row per "
+        f"{cases[0].table}: it has no row, so nothing is scored; a truth has a row per "
         "landmark in view (sonarrec help truth)"
     )
 
@@ -128,7 +161,7 @@ def _outside(case: Matched) -> BoolArray:
     return outside
 
 
-def left_out(cases: Sequence[Matched], elsewhere: int = 0) -> list[str]:
+def left_out(cases: Sequence[Checked], elsewhere: int = 0) -> list[str]:
     """One line per part of the input that was left out of what can be scored.
 
     cases: all of one truth. elsewhere: its rows of logs that are not there.
@@ -136,16 +169,15 @@ def left_out(cases: Sequence[Matched], elsewhere: int = 0) -> list[str]:
     if not cases:
         return []
     said = []
-    table = cases[0].table
-    lost = sum(case.truth.unprocessed for case in cases) + elsewhere
+    lost = sum(case.unprocessed for case in cases) + elsewhere
     if lost:
-        frames = sum(len(case.log.frame) for case in cases)
+        frames = sum(case.frames for case in cases)
         said.append(
-            f"{table.path}: {lost} of {len(table.at)} rows lie on frames that were not processed; "
-            f"they are not scored (the {frames} frames processed are)"
+            f"{cases[0].table}: {lost} of {cases[0].table_rows} rows lie on frames that were not "
+            f"processed; they are not scored (the {frames} frames processed are)"
         )
     for case in cases:
-        said += cut_short(case.log)
+        said += case.cut_short
     return said
 
 

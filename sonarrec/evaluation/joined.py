@@ -68,9 +68,16 @@ class Joined:
     """Whether positions are known wherever the strict protocol needs them."""
 
 
-def join(logs: Sequence[LogResults], truths: Sequence[Truth], min_visible: float) -> Joined:
-    """Put the logs end to end. All have the same landmark IDs."""
-    ids = logs[0].landmarks.ids
+def join(
+    logs: Sequence[LogResults],
+    truths: Sequence[Truth],
+    min_visible: float,
+    ids: tuple[int, ...] | None = None,
+) -> Joined:
+    """Put the logs end to end. All have the same landmark IDs; ids: in this order, by default that
+    of the first."""
+    ids = ids or logs[0].landmarks.ids
+    sectors = dict(zip(logs[0].landmarks.ids, logs[0].landmarks.sectors, strict=True))
     names = {name for log in logs for name in log.methods}
     methods = tuple(m for m in METHODS if m in names) + tuple(sorted(names - set(METHODS)))
     parts, start = [], 0
@@ -85,7 +92,7 @@ def join(logs: Sequence[LogResults], truths: Sequence[Truth], min_visible: float
         logs=tuple(log.name for log in logs),
         ids=ids,
         methods=methods,
-        turn_deg=np.array([_turn_deg(np.array(s)) for s in logs[0].landmarks.sectors]),
+        turn_deg=np.array([_turn_deg(np.array(sectors[i])) for i in ids]),
         placed=all(map(_is_placed, logs, truths)),
         **{name: np.concatenate([part[name] for part in parts]) for name in parts[0]},
     )

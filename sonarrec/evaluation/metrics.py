@@ -9,45 +9,38 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from sonarrec.evaluation.behaviour import (
     FalseClaims,
-    PassOutcomes,
     Switched,
-    Switches,
+    error_counts,
     false_claim_counts,
-    orientation_counts,
-    position_counts,
     switch_counts,
     wait_counts,
 )
-from sonarrec.evaluation.counted import Counted, Rates, Spread, rate_counts
+from sonarrec.evaluation.counted import QUANTILES, Counted, Rates, Spread, rate_count
 from sonarrec.evaluation.curves import FPR_POINTS, PARTIAL_FPR, area, ratio, tpr_at
-from sonarrec.evaluation.joined import Joined
-from sonarrec.evaluation.passes import Passes, Units
+from sonarrec.evaluation.pooled import Pooled, PooledUnits
 from sonarrec.evaluation.reliability import Calibration, calibration_counts
-from sonarrec.evaluation.scoring import Scored
 from sonarrec.evaluation.uncertainty import Tally
 from sonarrec.records import FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """An evaluation, and what several kinds of record are counted from."""
+    """An evaluation, and the units that it is counted by."""
 
-    scored: tuple[Scored, ...]
-    joined: Joined
-    passes: Passes
-    units: Units
-    outcomes: tuple[PassOutcomes, ...]
-    """As `scored`."""
-    nearest: IntArray | None
-    """(N,) of behaviour.on_truth; None where positions are not known."""
-    switches: tuple[Switches, ...]
-    """Per method; empty where positions are not known."""
+    pooled: Pooled
+    units: PooledUnits
+
+    @property
+    def unit_of_pass(self) -> IntArray:
+        """(P,)"""
+        return self.units.of_pass_unit[self.pooled.passes.unit]
 
 
 # What is counted, of every method: per ID, then in total. Without positions only the first two are.
@@ -55,41 +48,67 @@ class Case:
 
 def rates(case: Case) -> Iterable[Counted]:
     """Of Rates, under every protocol."""
-    return (one for scored in case.scored for one in rate_counts(scored, case.units))
+    pooled, units = case.pooled, case.units
+    for s in pooled.scored:
+        base = pooled.sums(("base", s.protocol), units)
+        declared = base + pooled.sums(("made", s.protocol, s.method), units)
+        for k, landmark in enumerate(s.ids):
+            labels, claims = (s.protocol, s.method, str(landmark)), pooled.claims(s, k, units)
+            yield rate_count(labels, base[:, k], declared[:, k], s.curve(k), claims)
+        labels, claims = (s.protocol, s.method, "total"), pooled.claims(s, None, units)
+        yield rate_count(labels, base.sum(axis=1), declared.sum(axis=1), s.curve(), claims)
 
 
 def waits(case: Case) -> Iterable[Counted]:
     """Of a Spread of frames to a lasting right ID, under every protocol."""
-    return wait_counts(case.outcomes, case.joined, case.passes, case.units)
+    return wait_counts(case.pooled.outcomes, *_passes(case))
+
+
+def _passes(case: Case) -> tuple[tuple[int, ...], IntArray, IntArray, int]:
+    landmark_index = case.pooled.passes.landmark_index
+    return case.pooled.ids, landmark_index, case.unit_of_pass, case.units.count
 
 
 def false_claims(case: Case) -> Iterable[Counted]:
     """Of FalseClaims."""
-    return () if case.nearest is None else false_claim_counts(case.joined, case.nearest, case.units)
+    pooled, units = case.pooled, case.units
+    minutes = pooled.sums_of_kind(("minutes",), units)
+    if pooled.placed and minutes is not None:
+        for method in pooled.methods:
+            made = pooled.sums(("false", method), units)
+            yield from false_claim_counts(method, pooled.ids, made, minutes)
 
 
 def switched(case: Case) -> Iterable[Counted]:
     """Of Switched."""
-    return switch_counts(case.switches, case.joined, case.passes, case.units)
+    return switch_counts(case.pooled.switches, *_passes(case))
 
 
 def positions(case: Case) -> Iterable[Counted]:
     """Of a Spread of position errors, m."""
-    return position_counts(_strict(case), case.joined, case.units)
+    return _errors(case, "position")
 
 
 def orientations(case: Case) -> Iterable[Counted]:
     """Of a Spread of orientation errors, deg."""
-    return orientation_counts(_strict(case), case.joined, case.units)
+    return _errors(case, "orientation")
+
+
+def _errors(case: Case, name: str) -> Iterable[Counted]:
+    pooled = case.pooled
+    errors = partial(pooled.errors, name, case.units)
+    return error_counts(
+        pooled.methods if pooled.placed else (), pooled.ids, errors, case.units.count
+    )
 
 
 def calibration(case: Case) -> Iterable[Counted]:
     """Of Calibration."""
-    return () if case.nearest is None else calibration_counts(case.joined, case.nearest, case.units)
-
-
-def _strict(case: Case) -> list[Scored]:
-    return [scored for scored in case.scored if scored.protocol == "strict"]
+    pooled = case.pooled
+    for method in pooled.methods if pooled.placed else ():
+        rows = pooled.sums_of_kind(("calibration", method), case.units)
+        if rows is not None:
+            yield from calibration_counts(method, pooled.ids, rows)
 
 
 # The metrics.
@@ -121,7 +140,7 @@ def tpr_at_fpr(most: float) -> Callable[[Rates], FloatArray]:
 
 
 def quantile(share: float) -> Callable[[Spread], FloatArray]:
-    """The least value that this share of them does not exceed."""
+    """The least value that this share of them, one of QUANTILES, does not exceed."""
     return lambda s: s.quantile(share)
 
 
@@ -182,6 +201,7 @@ class Metric:
 
 
 _LOW, _PAPER, _HIGH = FPR_POINTS
+_HALF, _NINE_IN_TEN, _MOST = QUANTILES
 _BOTH = true_positive_rate, false_positive_rate
 METRICS = (
     Metric("tpr", "TPR", 3, rates, true_positive_rate, tested=True),
@@ -195,21 +215,21 @@ METRICS = (
         needs=_BOTH,
     ),
     Metric("tpr_at_fpr_0.05", "TPR at FPR 0.05", 3, rates, tpr_at_fpr(_HIGH), False, _BOTH),
-    Metric("frames_to_id_median", "frames to lasting ID, median", 0, waits, quantile(0.5)),
-    Metric("frames_to_id_90", "frames to lasting ID, 90 %", 0, waits, quantile(0.9)),
+    Metric("frames_to_id_median", "frames to lasting ID, median", 0, waits, quantile(_HALF)),
+    Metric("frames_to_id_90", "frames to lasting ID, 90 %", 0, waits, quantile(_NINE_IN_TEN)),
     Metric("false_claims_per_min", "claims/min on no landmark", 2, false_claims, false_per_minute),
     Metric("wrong_ids_per_min", "claims/min of a wrong ID", 2, false_claims, wrong_per_minute),
     Metric("id_switches_per_pass", "ID switches per pass", 2, switched, id_switches),
     Metric("track_switches_per_pass", "track switches per pass", 2, switched, track_switches),
-    Metric("position_error_median_m", "position error, median, m", 4, positions, quantile(0.5)),
-    Metric("position_error_95_m", "position error, 95 %, m", 4, positions, quantile(0.95)),
+    Metric("position_error_median_m", "position error, median, m", 4, positions, quantile(_HALF)),
+    Metric("position_error_95_m", "position error, 95 %, m", 4, positions, quantile(_MOST)),
     Metric(
         *("orientation_error_median_deg", "orientation off, median, deg", 1),
-        *(orientations, quantile(0.5)),
+        *(orientations, quantile(_HALF)),
     ),
     Metric(
         *("orientation_error_95_deg", "orientation off, 95 %, deg", 1),
-        *(orientations, quantile(0.95)),
+        *(orientations, quantile(_MOST)),
     ),
     Metric("brier", "Brier score, 0 to 2", 3, calibration, brier),
     Metric("ece", "calibration error (ECE)", 3, calibration, ece),

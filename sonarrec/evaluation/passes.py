@@ -88,7 +88,22 @@ def find_units(joined: Joined, passes: Passes, kind: UnitKind | None = None) -> 
         return Units(
             kind, len(joined.logs), joined.log_index, joined.log_index[joined.truth_frame_index]
         )
+    units = pass_units(joined, passes)
+    return replace(
+        units,
+        count=min(units.count, MOST_UNITS),
+        of_frame=fewer(units.of_frame, units.count),
+        of_truth=fewer(units.of_truth, units.count),
+    )
 
+
+def fewer(unit: IntArray, count: int) -> IntArray:
+    """Numbers of `count` units as those of MOST_UNITS, neighbours together."""
+    return unit * MOST_UNITS // count if count > MOST_UNITS else unit
+
+
+def pass_units(joined: Joined, passes: Passes) -> Units:
+    """The passes as units, as `find_units` says, however many."""
     of_pass = np.empty(len(passes.first_frame_index), dtype=np.int64)
     of_frame = np.empty(len(joined.frame), dtype=np.int64)
     count = 0
@@ -113,12 +128,12 @@ def find_units(joined: Joined, passes: Passes, kind: UnitKind | None = None) -> 
     of_truth = of_frame[joined.truth_frame_index]
     positive = passes.of_truth >= 0
     of_truth[positive] = of_pass[passes.of_truth[positive]]
-    units = Units(kind, count, of_frame, of_truth)
-    if count <= MOST_UNITS:
-        return units
-    return replace(
-        units,
-        count=MOST_UNITS,
-        of_frame=of_frame * MOST_UNITS // count,
-        of_truth=of_truth * MOST_UNITS // count,
-    )
+    return Units("pass", count, of_frame, of_truth)
+
+
+def unit_of_pass(passes: Passes, units: Units) -> IntArray:
+    """(P,) the unit of each pass."""
+    unit = np.zeros(len(passes.first_frame_index), dtype=np.int64)
+    part = passes.of_truth >= 0
+    unit[passes.of_truth[part]] = units.of_truth[part]
+    return unit

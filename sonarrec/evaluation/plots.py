@@ -13,9 +13,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from sonarrec.evaluation.curves import macro_curve
+from sonarrec.evaluation.pooled import PooledScored
 from sonarrec.evaluation.reliability import BINS, FEW, Reliability
 from sonarrec.evaluation.roc import Point, fpr_end, roc
-from sonarrec.evaluation.scoring import PROTOCOLS, Scored
+from sonarrec.evaluation.scoring import PROTOCOLS
 from sonarrec.records import FloatArray
 
 # Okabe and Ito's colours, told apart with any colour vision; line styles tell them apart in grey.
@@ -32,13 +33,13 @@ def _figure(
     return figure
 
 
-def _looks(scored: Sequence[Scored]) -> dict[str, tuple[str, str]]:
+def _looks(scored: Sequence[PooledScored]) -> dict[str, tuple[str, str]]:
     """Colour and line style per method, the same in every panel."""
     methods = dict.fromkeys(s.method for s in scored)
     return dict(zip(methods, zip(cycle(COLOURS), cycle(STYLES), strict=False), strict=False))
 
 
-def _protocols(scored: Sequence[Scored]) -> list[str]:
+def _protocols(scored: Sequence[PooledScored]) -> list[str]:
     return [p for p in PROTOCOLS if any(s.protocol == p for s in scored)]
 
 
@@ -55,7 +56,7 @@ def _legend_below(axes: Any, title: str) -> None:
     )
 
 
-def draw_roc(path: Path, scored: Sequence[Scored]) -> None:
+def draw_roc(path: Path, scored: Sequence[PooledScored]) -> None:
     """Draw the micro-averaged ROC of every method, one panel per protocol, as a PNG.
 
     The FPR axis ends a little beyond the worst operating point (at 0.1 or more). roc.csv holds
@@ -91,7 +92,7 @@ def _dot(axes: Any, point: Point, marker: str, **look: Any) -> None:
     axes.plot(point.fpr, point.tpr, marker, label=point.label, **look)
 
 
-def draw_roc_by_id(path: Path, scored: Sequence[Scored]) -> None:
+def draw_roc_by_id(path: Path, scored: Sequence[PooledScored]) -> None:
     """Draw the ROC of every ID that is ever in view, and their macro average, as a PNG."""
     protocols, looks = _protocols(scored), _looks(scored)
     seen = [k for k in range(len(scored[0].ids)) if not np.isnan(scored[0].count(k).tpr)]
@@ -119,7 +120,7 @@ def draw_roc_by_id(path: Path, scored: Sequence[Scored]) -> None:
                 axes.plot(line.at.fpr, line.at.tpr, "o", **dot)
         for s in some:
             colour, style = looks[s.method]
-            fpr, tpr = macro_curve([s.curve(k) for k in seen])
+            fpr, tpr = macro_curve(s.curve(k) for k in seen)
             row[-1].plot(fpr, tpr, style, color=colour, lw=1.6, label=s.method)
         for axes, name in zip(
             row, [*(f"ID.{scored[0].ids[k]}" for k in seen), "macro"], strict=True
@@ -133,7 +134,7 @@ def draw_roc_by_id(path: Path, scored: Sequence[Scored]) -> None:
     figure.savefig(path)
 
 
-def draw_det(path: Path, scored: Sequence[Scored]) -> None:
+def draw_det(path: Path, scored: Sequence[PooledScored]) -> None:
     """Draw the detection error trade-off: misses against false positives, on normal deviates."""
     protocols, looks = _protocols(scored), _looks(scored)
     ticks = (0.001, 0.01, 0.05, 0.2, 0.5, 0.8, 0.95)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,16 +47,17 @@ class Reliability:
     """(BINS,) the share that was so, NaN in empty bins."""
 
 
-def calibration_counts(joined: Joined, nearest: IntArray, units: Units) -> Iterator[Counted]:
-    """What Brier score and expected calibration error (ECE) are taken from.
+def calibration(joined: Joined, nearest: IntArray, units: Units, method: int) -> FloatArray | None:
+    """(U, K + 2, 1 + 3 * BINS) what Brier score and expected calibration error are taken from.
 
+    Of one method: per ID, of none of these, and in total; None where it states no probability.
     nearest: (N,) of behaviour.on_truth; an estimate is of the landmark it lies on, else of none.
     Estimates on a landmark partly in view are left out, as in the rates, and so are those
     without probabilities. Per ID and for "none" the squares are (p - y)^2; under "total" they are
     their sum (Brier's own form, 0 to 2), and the steps those of the most probable.
     """
     k = len(joined.ids)
-    used = np.asarray(~np.isnan(joined.probability).any(axis=1))
+    used = np.asarray(~np.isnan(joined.probability).any(axis=1)) & (joined.method_index == method)
     on_one = nearest >= 0
     outcome = np.full(len(nearest), k)
     unit = units.of_frame[joined.claim_frame_index]
@@ -64,18 +65,26 @@ def calibration_counts(joined: Joined, nearest: IntArray, units: Units) -> Itera
         outcome[on_one] = joined.truth_landmark_index[nearest[on_one]]
         used[on_one] &= joined.truth_positive[nearest[on_one]]
         unit = np.where(on_one, units.of_truth[nearest], unit)
-    for m, method in enumerate(joined.methods):
-        mine = np.flatnonzero(used & (joined.method_index == m))
-        if not len(mine):
-            continue
-        p, y, u = joined.probability[mine], outcome[mine], unit[mine]
-        squares = np.zeros(units.count)
-        for c, name in enumerate([*map(str, joined.ids), "none"]):
-            steps, square = _sums(p[:, c], y == c, u, units.count)
-            squares += square
-            yield _counted(method, name, square, steps)
-        steps, _ = _sums(p.max(axis=1), p.argmax(axis=1) == y, u, units.count)
-        yield _counted(method, "total", squares, steps)
+    mine = np.flatnonzero(used)
+    if not len(mine):
+        return None
+    p, y, u = joined.probability[mine], outcome[mine], unit[mine]
+    squares = np.zeros(units.count)
+    rows = []
+    for c in range(k + 1):
+        steps, square = _sums(p[:, c], y == c, u, units.count)
+        squares += square
+        rows.append(_row(square, steps))
+    steps, _ = _sums(p.max(axis=1), p.argmax(axis=1) == y, u, units.count)
+    return np.stack([*rows, _row(squares, steps)], axis=1)
+
+
+def calibration_counts(method: str, ids: Sequence[int], rows: FloatArray) -> Iterator[Counted]:
+    """Of what `calibration` gives, (U, K + 2, 1 + 3 * BINS)."""
+    for c, name in enumerate([*map(str, ids), "none", "total"]):
+        sums = np.ascontiguousarray(rows[:, c])
+        exact = _calibration(sums.sum(axis=0)[None])
+        yield Counted("strict", method, name, sums, _calibration, exact)
 
 
 def reliability(counted: Iterable[Counted]) -> Iterator[Reliability]:
@@ -102,9 +111,8 @@ def _sums(
     return np.stack([t.reshape(units, BINS) for t in table], axis=1), square
 
 
-def _counted(method: str, name: str, square: FloatArray, steps: FloatArray) -> Counted:
-    rows = np.hstack([square[:, None], steps.reshape(len(steps), -1)])
-    return Counted("strict", method, name, rows, _calibration, _calibration(rows.sum(axis=0)[None]))
+def _row(square: FloatArray, steps: FloatArray) -> FloatArray:
+    return np.hstack([square[:, None], steps.reshape(len(steps), -1)])
 
 
 def _calibration(rows: FloatArray) -> Calibration:

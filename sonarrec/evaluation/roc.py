@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sonarrec.evaluation.curves import PUBLISHED
-from sonarrec.evaluation.scoring import Scored
+from sonarrec.evaluation.pooled import PooledScored
 from sonarrec.records import FloatArray
 
 
@@ -45,7 +45,7 @@ class Roc:
     """Of the FPR axis."""
 
 
-def roc(scored: Sequence[Scored], k: int | None = None, corners: int = 2000) -> Roc:
+def roc(scored: Sequence[PooledScored], k: int | None = None, corners: int = 2000) -> Roc:
     """The ROC of each method under one protocol: of the k-th ID, or over all IDs.
 
     corners: of a line, at most. The paper's points belong to its own protocol, over all IDs.

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from sonarrec.evaluation.fit import Matched, cut_short, fit, matched
+from sonarrec.evaluation.fit import Matched, checked, cut_short, fit, matched
 from sonarrec.evaluation.pairs import Pair, found_beside, found_where, truth_of
 from sonarrec.evaluation.same import counted_once, recording
 from sonarrec.evaluation.settings import SettingChange, changed_settings
@@ -52,7 +52,8 @@ def both_sides(
     )
     together, unused = _pair_up(old, new, before, after)
     notes = [line for pair in together for line in _checked(*pair)]
-    once = counted_once(*zip(*(b for _, b in together), strict=True))
+    folders, logs = zip(*(b for _, b in together), strict=True)
+    once = counted_once(folders, list(map(recording, folders, logs)), lambda i: logs[i].frame)
     together = [together[i] for i in once.kept]
     notes += [*once.notes, *once.unused]
     changes = changed_settings((b.name, a.run, b.run) for (_, a), (_, b) in together)
@@ -74,10 +75,11 @@ def both_sides(
             unused += cut_short(log)
         olds[now] = _only(replace(a, name=name), common)
         cases.append(matched(now, table, _only(replace(b, name=name), common), tolerance_s))
-    found = fit(cases)
+    found = fit([checked(case) for case in cases])
+    usable = [cases[i] for i in found.usable]
     return Sides(
-        before=[replace(case, log=olds[case.folder]) for case in found.usable],
-        after=found.usable,
+        before=[replace(case, log=olds[case.folder]) for case in usable],
+        after=usable,
         settings=changes,
         notes=[*dict.fromkeys(notes), *found.notes],
         unused=[*dict.fromkeys(unused), *found.unused],
@@ -109,7 +111,7 @@ def _pair_up(
         return [(before[0], after[0])], []
     pairs = []
     for b in after:
-        same = [a for a in before if recording(a[1]) == recording(b[1]) is not None]
+        same = [a for a in before if _sha256(a) == _sha256(b) is not None]
         named = [a for a in before if a[1].name == b[1].name]
         chosen = next((a for a in named if a in same), None) or next(iter([*same, *named]), None)
         if chosen is not None:
@@ -124,6 +126,12 @@ def _pair_up(
         if folder not in used
     ]
     return pairs, alone
+
+
+def _sha256(read: Read) -> tuple[str, str | None] | None:
+    """Of the recording, with its topic; None where run.toml does not say."""
+    source = read[1].run.input
+    return (source.sha256, source.topic) if source.sha256 else None
 
 
 def _truths(

@@ -9,9 +9,11 @@ from itertools import combinations
 import numpy as np
 
 from sonarrec.evaluation import metrics
-from sonarrec.evaluation.behaviour import PassOutcomes, Switches, on_truth, pass_outcomes, switches
+from sonarrec.evaluation.behaviour import PassOutcomes, Switches
 from sonarrec.evaluation.evaluate import Evaluation
-from sonarrec.evaluation.passes import Passes, UnitKind, Units, find_passes, find_units
+from sonarrec.evaluation.parts import PassTable
+from sonarrec.evaluation.passes import UnitKind
+from sonarrec.evaluation.pooled import Pooled, PooledUnits
 from sonarrec.evaluation.reliability import Reliability, reliability
 from sonarrec.evaluation.uncertainty import (
     LEVEL,
@@ -37,8 +39,8 @@ SEED = 0
 class Summary:
     """Figures with intervals, differences between methods, passes and calibration."""
 
-    units: Units
-    passes: Passes
+    units: PooledUnits
+    passes: PassTable
     figures: tuple[Figure, ...]
     """Per protocol, method and landmark_text, by metric."""
     differences: tuple[Difference, ...]
@@ -61,24 +63,16 @@ class Summary:
         return next((f for f, name in named if name == wanted), None)
 
 
-def summarise(evaluation: Evaluation, unit: UnitKind | None = None, seed: int = SEED) -> Summary:
+def summarise(
+    evaluation: Evaluation | Pooled, unit: UnitKind | None = None, seed: int = SEED
+) -> Summary:
     """Figures, intervals and tests of an evaluation.
 
     unit: what may be taken for independent; by default the pass, with ten logs or more the log.
     """
-    joined = evaluation.joined
-    passes = find_passes(joined)
-    units = find_units(joined, passes, unit)
-    nearest = on_truth(joined) if joined.placed else None
-    case = metrics.Case(
-        scored=evaluation.scored,
-        joined=joined,
-        passes=passes,
-        units=units,
-        outcomes=tuple(pass_outcomes(scored, joined, passes) for scored in evaluation.scored),
-        nearest=nearest,
-        switches=() if nearest is None else tuple(switches(joined, nearest, passes)),
-    )
+    found = evaluation if isinstance(evaluation, Pooled) else evaluation.pooled()
+    units = found.units(unit)
+    case = metrics.Case(found, units)
     rng = np.random.default_rng(seed)
     weights = bootstrap_weights(units.count, rng)
     tosses = coin_tosses(units.count, rng)
@@ -103,7 +97,7 @@ def summarise(evaluation: Evaluation, unit: UnitKind | None = None, seed: int = 
             alike[tally.protocol, tally.names].append(tally)
     return Summary(
         units=units,
-        passes=passes,
+        passes=found.passes,
         figures=tuple(figures),
         differences=tuple(
             difference
@@ -111,14 +105,14 @@ def summarise(evaluation: Evaluation, unit: UnitKind | None = None, seed: int = 
             for a, b in combinations(group, 2)
             for difference in differences(a, b, weights, tosses)
         ),
-        outcomes=case.outcomes,
-        switches=case.switches,
+        outcomes=found.outcomes,
+        switches=found.switches,
         reliability=tuple(curves),
-        notes=_notes(evaluation, units, figures),
+        notes=_notes(found, units, figures),
     )
 
 
-def _notes(evaluation: Evaluation, units: Units, figures: list[Figure]) -> tuple[str, ...]:
+def _notes(found: Pooled, units: PooledUnits, figures: list[Figure]) -> tuple[str, ...]:
     if units.count < MIN_UNITS:
         kind = {"pass": "pass of a landmark", "log": "log"}[units.kind]
         return (
@@ -126,8 +120,7 @@ def _notes(evaluation: Evaluation, units: Units, figures: list[Figure]) -> tuple
             f"with fewer than {MIN_UNITS} no difference can be told from chance",
         )
     notes = []
-    joined = evaluation.joined
-    protocol = "strict" if joined.placed else "paper"
+    protocol = "strict" if found.placed else "paper"
     for figure in figures:
         told = (figure.protocol, figure.landmark_text, figure.name, figure.value)
         if told == (protocol, "total", "fpr", 0):
@@ -137,6 +130,6 @@ def _notes(evaluation: Evaluation, units: Units, figures: list[Figure]) -> tuple
                 f"{figure.method}: no false claim in {figure.units} {UNITS[units.kind]}, so with "
                 f"{LEVEL:.0%} confidence fewer than {most:.0%} of them have one"
             )
-    if joined.placed and np.isnan(joined.seconds).any():
+    if found.placed and not found.timed:
         notes.append("claims a minute are not told: frames.csv has no timestamp_ns")
     return tuple(map(printable, notes))

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 
 from sonarrec.evaluation import cells
 from sonarrec.evaluation.cells import Cell, number
-from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.evaluation.metrics import BY_NAME, MAIN
-from sonarrec.evaluation.scoring import Scored
+from sonarrec.evaluation.pooled import Pooled, PooledScored
 from sonarrec.evaluation.summary import UNITS, Summary
 from sonarrec.evaluation.uncertainty import LEVEL, MIN_UNITS
 from sonarrec.records import printable
@@ -18,7 +17,7 @@ WIDTH = 100
 LABEL, COLUMN = 30, 23
 
 
-def paper_table(scored: Scored) -> list[str]:
+def paper_table(scored: PooledScored) -> list[str]:
     """The lines of one of the paper's tables: a heading, then TPR to Total, per ID and in all."""
     table = cells.paper_table(scored)
     # A star stands behind the digits.
@@ -28,11 +27,11 @@ def paper_table(scored: Scored) -> list[str]:
     ]
 
 
-def screen(evaluation: Evaluation) -> str:
+def screen(evaluation: Pooled) -> str:
     """All tables: per method, the protocols side by side where they fit 100 columns."""
     lines: list[str] = []
     undefined = False
-    for method in evaluation.joined.methods:
+    for method in evaluation.methods:
         tables = [s for s in evaluation.scored if s.method == method]
         blocks = []
         for scored in tables:
@@ -51,26 +50,25 @@ def screen(evaluation: Evaluation) -> str:
     return "\n".join(map(printable, lines))
 
 
-def _title(scored: Scored, evaluation: Evaluation) -> str:
+def _title(scored: PooledScored, evaluation: Pooled) -> str:
     if scored.protocol == "paper":
         return "protocol paper: position not checked"
-    gates = sorted({float(gate) for gate in evaluation.joined.gate})
+    gates = evaluation.gates
     return "protocol strict" + (
         f": centre within {' or '.join(f'{g:g}' for g in gates)} m" if gates else ""
     )
 
 
-def summary_screen(evaluation: Evaluation, summary: Summary, details: bool = False) -> str:
+def summary_screen(evaluation: Pooled, summary: Summary, details: bool = False) -> str:
     """The figures in total with their intervals, and the tests; with details per ID and log too."""
-    joined = evaluation.joined
-    main = "strict" if joined.placed else "paper"
+    main = "strict" if evaluation.placed else "paper"
     units = f"{summary.units.count} {UNITS[summary.units.kind]}"
     over = f"; {LEVEL:.0%} intervals over {units}" if summary.units.count >= MIN_UNITS else ""
     lines = []
     for protocol in ("strict", "paper") if details else (main,):
         if any(s.protocol == protocol for s in evaluation.scored):
             lines.append(f"protocol {protocol}, all IDs{over}")
-            lines += _figure_table(summary, protocol, joined.methods)
+            lines += _figure_table(summary, protocol, evaluation.methods)
             lines.append("")
     told = cells.tested(summary, main)
     if any(not math.isnan(d.p) for d in told):
@@ -80,8 +78,8 @@ def summary_screen(evaluation: Evaluation, summary: Summary, details: bool = Fal
             lines.append(f"{d.b} less {d.a}, {BY_NAME[d.name].label}: {text}")
         lines.append("")
     if details:
-        lines += _per_id(summary, main, joined.methods)
-        if len(joined.logs) > 1:
+        lines += _per_id(summary, main, evaluation.methods)
+        if len(evaluation.logs) > 1:
             lines += _per_log(evaluation, main)
     return "\n".join(map(printable, lines))
 
@@ -122,16 +120,13 @@ def _per_id(summary: Summary, protocol: str, methods: Sequence[str]) -> list[str
     return [*lines, ""]
 
 
-def _per_log(evaluation: Evaluation, protocol: str) -> list[str]:
-    joined = evaluation.joined
+def _per_log(evaluation: Pooled, protocol: str) -> list[str]:
     lines = [f"protocol {protocol}, per log"]
     lines.append(
         f"{'':<{LABEL}}{'method':<{COLUMN}}{'TPR':>8}{'FPR':>9}{'TP':>7}{'FP':>6}{'FN':>6}"
     )
-    counts = {
-        s.method: s.counts_per_log(joined) for s in evaluation.scored if s.protocol == protocol
-    }
-    for i, log in enumerate(joined.logs):
+    counts = {s.method: s.counts_per_log() for s in evaluation.scored if s.protocol == protocol}
+    for i, log in enumerate(evaluation.logs):
         for method, per_log in counts.items():
             c = per_log[i][-1]
             lines.append(_row(log[-LABEL + 1 :], [method[: COLUMN - 1]]).ljust(LABEL + COLUMN))

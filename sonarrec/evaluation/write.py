@@ -12,10 +12,9 @@ from typing import Any
 
 from sonarrec.evaluation.compare import Comparison, RateChange
 from sonarrec.evaluation.curves import Count, macro_curve
-from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.evaluation.plots import draw_det, draw_reliability, draw_roc, draw_roc_by_id
+from sonarrec.evaluation.pooled import Pooled, PooledScored
 from sonarrec.evaluation.reliability import BINS
-from sonarrec.evaluation.scoring import Scored
 from sonarrec.evaluation.summary import Summary
 from sonarrec.evaluation.uncertainty import Difference, Figure
 from sonarrec.outputs import check_output
@@ -42,7 +41,7 @@ RELIABILITY = ("method", "landmark", "bin_low", "bin_high", "count", "mean_proba
 
 
 def write_evaluation(
-    folder: Path, evaluation: Evaluation, summary: Summary, det: bool = False
+    folder: Path, evaluation: Pooled, summary: Summary, det: bool = False
 ) -> tuple[str, ...]:
     """Write all tables and pictures into `folder`, made if need be; returns the files' names.
 
@@ -123,7 +122,7 @@ def write_table(path: Path, header: tuple[str, ...], rows: Iterable[tuple[Any, .
             )
 
 
-def _cells(scored: Scored) -> list[tuple[str, Count]]:
+def _cells(scored: PooledScored) -> list[tuple[str, Count]]:
     named = [(str(i), scored.count(k)) for k, i in enumerate(scored.ids)]
     return [*named, ("total", scored.count())]
 
@@ -132,27 +131,27 @@ def _counts(c: Count) -> tuple[float, ...]:
     return c.tpr, c.fpr, c.tp, c.tn, c.fp, c.fn, c.total
 
 
-def _confusion(evaluation: Evaluation) -> Iterable[tuple[Any, ...]]:
+def _confusion(evaluation: Pooled) -> Iterable[tuple[Any, ...]]:
     for s in evaluation.scored:
         for name, count in _cells(s):
             yield s.protocol, s.method, name, *_counts(count)
 
 
-def _per_log(evaluation: Evaluation) -> Iterable[tuple[Any, ...]]:
-    joined = evaluation.joined
-    names = [*map(str, joined.ids), "total"]
-    split = [(s, s.counts_per_log(joined)) for s in evaluation.scored]
-    for i, log in enumerate(joined.logs):
+def _per_log(evaluation: Pooled) -> Iterable[tuple[Any, ...]]:
+    names = [*map(str, evaluation.ids), "total"]
+    split = [(s, s.counts_per_log()) for s in evaluation.scored]
+    for i, log in enumerate(evaluation.logs):
         for s, counts in split:
             for name, count in zip(names, counts[i], strict=True):
                 yield log, s.protocol, s.method, name, *_counts(count)
 
 
-def _roc(evaluation: Evaluation) -> Iterable[tuple[Any, ...]]:
+def _roc(evaluation: Pooled) -> Iterable[tuple[Any, ...]]:
     """The corners of every curve, thresholds falling from inf; macro ones have no threshold."""
     for s in evaluation.scored:
-        curves = [(str(i), s.curve(k)) for k, i in enumerate(s.ids)]
-        for name, curve in [*curves, ("total", s.curve())]:
+        which: list[tuple[str, int | None]] = [(str(i), k) for k, i in enumerate(s.ids)]
+        for name, k in [*which, ("total", None)]:
+            curve = s.curve(k)
             at = curve.turns()
             columns = (
                 curve.threshold,
@@ -165,7 +164,7 @@ def _roc(evaluation: Evaluation) -> Iterable[tuple[Any, ...]]:
             )
             for row in zip(*(column[at].tolist() for column in columns), strict=True):
                 yield s.protocol, s.method, name, *row
-        fpr, tpr = macro_curve([curve for _, curve in curves])
+        fpr, tpr = macro_curve(s.curve(k) for k in range(len(s.ids)))
         for x, y in zip(fpr.tolist(), tpr.tolist(), strict=True):
             yield s.protocol, s.method, "macro", "", y, x, "", "", "", ""
 
@@ -183,17 +182,17 @@ def _tests(summary: Summary) -> Iterable[tuple[Any, ...]]:
         )
 
 
-def _passes(evaluation: Evaluation, summary: Summary) -> Iterable[tuple[Any, ...]]:
-    joined, passes = evaluation.joined, summary.passes
+def _passes(evaluation: Pooled, summary: Summary) -> Iterable[tuple[Any, ...]]:
+    passes = summary.passes
     changed = {s.method: s for s in summary.switches}
     for outcome in summary.outcomes:
         switches = changed.get(outcome.method)
-        for i in range(len(passes.first_frame_index)):
+        for i in range(len(passes.first_frame)):
             yield (
-                joined.logs[passes.log_index[i]],
-                joined.ids[passes.landmark_index[i]],
-                int(joined.frame[passes.first_frame_index[i]]),
-                int(joined.frame[passes.last_frame_index[i]]),
+                evaluation.logs[passes.log_index[i]],
+                evaluation.ids[passes.landmark_index[i]],
+                int(passes.first_frame[i]),
+                int(passes.last_frame[i]),
                 outcome.protocol,
                 outcome.method,
                 int(outcome.frames[i]),
@@ -218,24 +217,23 @@ def json_text(document: dict[str, Any]) -> str:
     return json.dumps(document, indent=2, allow_nan=False) + "\n"
 
 
-def as_json(evaluation: Evaluation, summary: Summary) -> dict[str, Any]:
+def as_json(evaluation: Pooled, summary: Summary) -> dict[str, Any]:
     """evaluation.json: what was scored, how, every count and figure; 0/0 and infinite are null."""
-    joined = evaluation.joined
     methods: dict[str, Any] = {}
-    per_log: dict[str, Any] = {log: {} for log in joined.logs}
-    names = [*map(str, joined.ids), "total"]
+    per_log: dict[str, Any] = {log: {} for log in evaluation.logs}
+    names = [*map(str, evaluation.ids), "total"]
     for s in evaluation.scored:
         methods.setdefault(s.method, {})[s.protocol] = _named_counts(*zip(*_cells(s), strict=True))
-        for log, counts in zip(joined.logs, s.counts_per_log(joined), strict=True):
+        for log, counts in zip(evaluation.logs, s.counts_per_log(), strict=True):
             per_log[log].setdefault(s.method, {})[s.protocol] = _named_counts(names, counts)
     return {
-        "logs": list(joined.logs),
-        "frames": len(joined.frame),
-        "landmarks": list(joined.ids),
-        "positives": int(joined.truth_positive.sum()),
-        "ignored": int((~joined.truth_positive).sum()),
+        "logs": list(evaluation.logs),
+        "frames": evaluation.frames,
+        "landmarks": list(evaluation.ids),
+        "positives": int(evaluation.positives.sum()),
+        "ignored": evaluation.ignored,
         "min_visible": evaluation.min_visible,
-        "gate_m": sorted({float(gate) for gate in joined.gate}),
+        "gate_m": list(evaluation.gates),
         "unit": summary.units.kind,
         "units": summary.units.count,
         "methods": methods,

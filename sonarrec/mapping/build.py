@@ -15,6 +15,7 @@ from sonarrec.mapping.path import Drift, Motions, SonarPath, measured_path, told
 from sonarrec.mapping.poses_of_run import poses_of_run
 from sonarrec.poses import PoseTable
 from sonarrec.records import Fan, SonarrecError, UsageError
+from sonarrec.results.folders import estimates_of
 from sonarrec.results.read import find_logs
 from sonarrec.results.run_file import RunFile, read_run
 from sonarrec.results.stream import choose_method
@@ -131,7 +132,7 @@ def _mapped(
     fan = run.fan(sonar)
     if fan is None:
         raise SonarrecError(f"{folder}: no geometry in run.toml; give it with --sonar or its flags")
-    table = folder / "estimates.csv"
+    table = estimates_of(folder)
     seen = read_seen(table, choose_method(table, method), landmarks, fan, path.frame)
     passes = find_passes(seen, path, landmarks, fan)
     name = folder.resolve().name

@@ -16,10 +16,10 @@ from sonarrec.records import MissingError, Origin, SonarrecError
 from sonarrec.remote.cache import Cache, key_of, only_one
 from sonarrec.remote.store import Store, writable
 from sonarrec.remote.urls import Url, parse_url
-from sonarrec.results.folders import OURS, TABLES
+from sonarrec.results.folders import ESTIMATES, OURS, TABLES, estimates_of
 
 _MARK = "run.toml"
-_LARGE = "estimates.csv"
+_LARGE = ESTIMATES
 """Not fetched of results that are there only to be held against new ones: empty, it stands for the
 one on the server."""
 
@@ -82,7 +82,8 @@ class Outbox:
 
 def _is_whole(made: Path) -> bool:
     """Whether a run made results there, which were not uploaded yet."""
-    return (made / _LARGE).is_file() and (made / _LARGE).stat().st_size > 0
+    large = estimates_of(made)
+    return large.is_file() and large.stat().st_size > 0
 
 
 def _upload(store: Store, made: Path, there: Url) -> None:
@@ -100,13 +101,13 @@ def _upload(store: Store, made: Path, there: Url) -> None:
 
 def _fetch_held(store: Store, there: Url, made: Path) -> None:
     """run.toml and tables of finished results on the server, where there are any."""
-    names = (_MARK, *TABLES)
+    names = (_MARK, *(name for name in TABLES if name not in _LARGE))
     items = [item for name in names if (item := store.item(there.child(name))) is not None]
-    if len(items) == len(names):
+    large = next((n for n in _LARGE if store.item(there.child(n)) is not None), None)
+    if len(items) == len(names) and large is not None:
         for item in items:
-            if item.url.name != _LARGE:
-                store.fetch(item, made / item.url.name)
-        (made / _LARGE).touch()
+            store.fetch(item, made / item.url.name)
+        (made / large).touch()
 
 
 @contextmanager

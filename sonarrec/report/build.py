@@ -8,19 +8,20 @@ from pathlib import Path
 
 import numpy as np
 
-from sonarrec.evaluation.evaluate import Evaluation, evaluate, evaluate_pairs
-from sonarrec.evaluation.pairs import read_pairs
+from sonarrec.evaluation.evaluate import Evaluation, evaluate, evaluate_many, evaluate_pairs
+from sonarrec.evaluation.pairs import Pair, read_pairs
 from sonarrec.outputs import check_output
 from sonarrec.records import SonarrecError
 from sonarrec.report import frames
 from sonarrec.report.logs import ReportedLog, Seen, read_logs, seen, told_false
 from sonarrec.report.mistakes import Episode, episodes, told
-from sonarrec.report.page import MOST_MISTAKES, Drawn, render
+from sonarrec.report.page import MOST_MISTAKES, Drawn, Many, render
 from sonarrec.report.pictures import Picture, Wanted
 from sonarrec.report.recordings import match_recordings, open_recording
+from sonarrec.report.standing import MOST_LOGS, chosen, standing
 from sonarrec.results.read import find_logs
 from sonarrec.sonar import Sonar
-from sonarrec.truth.table import TruthTable, read_truth
+from sonarrec.truth.table import read_truth
 
 MOST_SEEN = 6
 MOST_MISTAKEN = 6
@@ -70,22 +71,32 @@ def write_report(
         "landmarks": landmarks,
         "sonar": sonar,
     }
-    evaluation: Evaluation | None = None
-    names: list[str | None]
-    truths: list[TruthTable | None]
-    if pairs is not None:
-        rows = read_pairs(pairs)
-        evaluation = evaluate_pairs(rows, **scoring)  # type: ignore[arg-type]
-        folders, names = [row.results for row in rows], [row.log for row in rows]
-        tables = {file: read_truth(file) for file in {row.ground_truth for row in rows}}
-        truths = [*(tables[row.ground_truth] for row in rows)]
-    else:
+    rows = [] if pairs is None else read_pairs(pairs)
+    if pairs is None:
         assert results is not None
-        if ground_truth is not None:
-            evaluation = evaluate(results, ground_truth, **scoring)  # type: ignore[arg-type]
         folders = find_logs(results)
-        names = [None] * len(folders)
-        truths = [None if ground_truth is None else read_truth(ground_truth)] * len(folders)
+        if ground_truth is not None:
+            rows = [Pair(folder, ground_truth) for folder in folders]
+    else:
+        folders = [row.results for row in rows]
+    in_all, pooled, stand = len(folders), None, []
+    if in_all > MOST_LOGS:  # read one at a time; only some are shown
+        if rows:
+            given = rows if results is None else results
+            pooled = evaluate_many(given, ground_truth, **scoring)  # type: ignore[arg-type]
+        stand = standing(folders, pooled, results, method)
+        numbers = chosen(folders, stand)
+        folders = [folders[i] for i in numbers]
+        rows = [rows[i] for i in numbers] if rows else rows
+    evaluation: Evaluation | None = None
+    if pairs is not None or (in_all > MOST_LOGS and rows):
+        evaluation = evaluate_pairs(rows, **scoring)  # type: ignore[arg-type]
+    elif ground_truth is not None:
+        assert results is not None
+        evaluation = evaluate(results, ground_truth, **scoring)  # type: ignore[arg-type]
+    tables = {file: read_truth(file) for file in {row.ground_truth for row in rows}}
+    truths = [tables[row.ground_truth] for row in rows] if rows else [None] * len(folders)
+    names = [row.log for row in rows] or [None] * len(folders)
     logs = read_logs(folders, truths, names, **scoring, method=method)  # type: ignore[arg-type]
     if evaluation is not None:  # which tells equal names apart, and counts copies of a log once
         scored = dict(zip(evaluation.folders, evaluation.joined.logs, strict=True))
@@ -98,9 +109,11 @@ def write_report(
     if evaluation is not None:
         wrong = {method: episodes(evaluation, method) for method in evaluation.joined.methods}
     drawn, missing = _draw_all(logs, evaluation, wrong, recordings, sonar, topic)
-    unused = evaluation.unused if evaluation is not None else tuple(_left_out(logs))
+    pooled = pooled or (None if evaluation is None else evaluation.pooled())
+    unused = pooled.unused if pooled is not None else tuple(_left_out(logs))
     unused = (*unused, *missing)
-    page = render(logs, evaluation, wrong, pairs or ground_truth, drawn, unused)
+    many = Many(in_all, stand)
+    page = render(logs, evaluation, pooled, wrong, pairs or ground_truth, drawn, unused, many)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(page, encoding="utf-8")

@@ -15,9 +15,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
+from sonarrec.drawing.pen import Colour
+from sonarrec.evaluation.pooled import PooledScored
 from sonarrec.evaluation.reliability import FEW, Reliability
 from sonarrec.evaluation.roc import roc as evaluation_roc
-from sonarrec.evaluation.scoring import Scored
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.records import FloatArray, IntArray
 from sonarrec.report.logs import ReportedLog, Track, alongside, true_landmark
@@ -227,7 +228,7 @@ def silent_lanes(log: ReportedLog, silent: Sequence[Track]) -> list[Lane]:
     return lanes
 
 
-def roc(scored: Sequence[Scored], k: int | None = None) -> Chart:
+def roc(scored: Sequence[PooledScored], k: int | None = None) -> Chart:
     """The ROC of each method under one protocol: of the k-th ID, or over all IDs."""
     shown = evaluation_roc(scored, k, 2 * MOST_POINTS)
     axis = Axis(0.0, shown.fpr_end)
@@ -408,3 +409,17 @@ def _wedge(begin: float, angle: float, inner: float, outer: float) -> str:
         f"M{ax:.1f} {ay:.1f}A{big:.1f} {big:.1f} 0 0 0 {bx:.1f} {by:.1f}"
         f"L{dx:.1f} {dy:.1f}A{small:.1f} {small:.1f} 0 0 1 {cx:.1f} {cy:.1f}z"
     )
+
+
+def darkened(colour: Colour) -> str:
+    """The colour, in hexadecimal, as dark as it has to be to stand out on white.
+
+    The overlay's colours are made for black. Its hue stays; its luminance (WCAG 2) falls to what
+    gives a contrast of 3.1 to 1, where 3 is asked of what is drawn.
+    """
+    share = np.array(colour) / 255
+    linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+    luminance = float(linear @ (0.2126, 0.7152, 0.0722))
+    linear = linear * min(1.0, (1.05 / 3.1 - 0.05) / max(luminance, 1e-9))
+    share = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return "#{:02x}{:02x}{:02x}".format(*np.rint(255 * share).astype(int).tolist())

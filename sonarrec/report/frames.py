@@ -10,11 +10,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sonarrec.drawing import AROUND, Mark, caption, disc_outline
+from sonarrec.drawing.pen import disc_outline
+from sonarrec.drawing.results import AROUND, Mark, caption
 from sonarrec.readers.log import Log
 from sonarrec.records import ByteImage, Estimate, Fan, Frame, SonarrecError
 from sonarrec.report.logs import ReportedLog
 from sonarrec.report.pictures import Picture, Wanted, as_webp, draw, ellipse, shrunk
+from sonarrec.results.folders import estimates_of
 from sonarrec.results.same_log import check_same_log
 from sonarrec.results.stream import read_estimates
 
@@ -133,7 +135,7 @@ def take(
 def _estimates(
     reported: ReportedLog, method: str, numbers: set[int], fan: Fan
 ) -> dict[int, tuple[Estimate, ...]]:
-    path = reported.folder / "estimates.csv"
+    path = estimates_of(reported.folder)
     every = read_estimates(path, method, reported.results.landmarks, fan)
     return {number: estimates for number, estimates in every if number in numbers}
 

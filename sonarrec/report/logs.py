@@ -98,7 +98,7 @@ def read_logs(
         found = read_log(folder, landmarks, sonar)
         found = found if name is None else replace(found, name=name)
         matched = None if truth is None else match_truth(truth, found, tolerance_s)
-        follow = method or _tracker(found.methods)
+        follow = method or follows_by_default(found.methods)
         passes = [s for s in read_sightings(folder, landmarks, sonar) if s.method == follow]
         logs.append(_reported(folder, found, matched, min_visible, follow, passes))
     for log in logs:
@@ -113,7 +113,8 @@ def read_logs(
     return logs
 
 
-def _tracker(methods: Sequence[str]) -> str:
+def follows_by_default(methods: Sequence[str]) -> str:
+    """The framework, else the first method that follows objects."""
     followers = [name for name in methods if follows(name)]
     if "framework" in followers or not methods:
         return "framework"

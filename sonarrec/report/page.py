@@ -10,31 +10,34 @@ from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from sonarrec import __version__
-from sonarrec.drawing import Colour, landmark_colours
+from sonarrec.drawing.pen import landmark_colours
 from sonarrec.evaluation import cells
 from sonarrec.evaluation.curves import Count
 from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.evaluation.plots import COLOURS
+from sonarrec.evaluation.pooled import Pooled
 from sonarrec.evaluation.reliability import FEW
 from sonarrec.evaluation.summary import UNITS, summarise
 from sonarrec.evaluation.uncertainty import LEVEL
 from sonarrec.report import charts
 from sonarrec.report.frames import MOST_BYTES, ShownLog
 from sonarrec.report.logs import ReportedLog, Seen, Track, seen, tracks, true_landmark
+from sonarrec.report.measured import MEASURED, Measured
 from sonarrec.report.mistakes import Episode, protocol_of_mistakes, told
 from sonarrec.report.pictures import Picture
-from sonarrec.results.sightings import PASS_GAP, Sighting
+from sonarrec.report.settings import settings_tables
+from sonarrec.report.standing import Standing
+from sonarrec.report.templates import filled
+from sonarrec.results.sightings import PASS_GAP
 
 MOST_TRACKS = 12
 MOST_SILENT = 40
 MOST_SIGHTINGS = 40
 MOST_MISTAKES = 20
+MOST_RATES = 40  # logs with a row of rates
+MOST_LINES = 20  # notes, and lines on what could not be used
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,39 +52,6 @@ class TrackView:
     truth: int | None
     strip: charts.Chart | None
     panels: list[charts.TrackPanel]
-
-
-@dataclass(frozen=True, slots=True)
-class Measured:
-    """A column of what was measured in each sighting."""
-
-    head: str
-    name: str
-    """A field of Sighting."""
-    digits: int
-    error: str = ""
-    """The field of its standard error, "" without."""
-
-    def value(self, of: Sighting) -> str:
-        """As told, "" where not known."""
-        return self._told(of, self.name)
-
-    def sigma(self, of: Sighting) -> str:
-        """Its standard error as told, "" where not known."""
-        return self._told(of, self.error) if self.error else ""
-
-    def _told(self, of: Sighting, name: str) -> str:
-        value = float(getattr(of, name))
-        return "" if np.isnan(value) else f"{value:.{self.digits}f}"
-
-
-MEASURED = (
-    Measured("range, m", "range_m", 3, "range_sigma_m"),
-    Measured("bearing, deg", "bearing_deg", 1, "bearing_sigma_deg"),
-    Measured("orientation, deg", "orientation_deg", 0, "orientation_sigma_deg"),
-    Measured("x, m", "x_m", 2),
-    Measured("y, m", "y_m", 2),
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,48 +132,56 @@ class Scores:
     mistakes: list[Mistakes]
 
 
+@dataclass(frozen=True, slots=True)
+class Many:
+    """Of how many logs the page speaks, and those that differ from the rest."""
+
+    in_all: int
+    standing: Sequence[Standing]
+
+
 def render(
     logs: Sequence[ReportedLog],
     evaluation: Evaluation | None,
+    pooled: Pooled | None,
     wrong: Mapping[str, Sequence[Episode]],
     truth: Path | None,
     drawn: Drawn,
     unused: Sequence[str],
+    many: Many,
 ) -> str:
     """The whole page as HTML.
 
-    evaluation, truth: None where there is no ground truth. wrong: of each method its mistakes.
+    logs, evaluation: of those that have panels. pooled: of all. evaluation, pooled, truth: None
+    where there is no ground truth. wrong: of each method its mistakes.
     unused: one line for each part of the input that could not be used.
     """
-    environment = Environment(
-        loader=PackageLoader("sonarrec.report", "."),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.globals["number"] = _number
-    environment.globals["span"] = _span
-    environment.globals["time_of_day"] = _time_of_day
     script = (files("sonarrec.report") / "report.js").read_text(encoding="utf-8")
     landmarks = logs[0].results.landmarks
     most_tracks = MOST_TRACKS if len(logs) == 1 else max(1, 2 * MOST_TRACKS // len(logs))
-    methods = evaluation.joined.methods if evaluation else logs[0].results.methods
+    methods = pooled.methods if pooled else logs[0].results.methods
     colours = list(landmark_colours(landmarks.ids).values())
-    scores = None if evaluation is None else _scores(logs[0].tracker, evaluation, wrong)
+    scores = None
+    if evaluation is not None and pooled is not None:
+        scores = _scores(logs[0].tracker, evaluation, pooled, wrong)
     map_picture = _map_picture(logs)
-    return environment.get_template("report.html").render(
+    return filled(
+        "report.html",
+        number=_number,
+        span=_span,
+        time_of_day=_time_of_day,
         version=__version__,
-        title=", ".join(log.results.name for log in logs[:3]) + (", ..." if logs[3:] else ""),
+        title=_title(logs, many),
         contents=_contents(
             scores is not None,
             bool(scores and scores.others),
-            several=len(logs) > 1,
+            several=many.in_all > 1,
+            standing=bool(many.standing),
             mapped=map_picture is not None,
         ),
         few=FEW,
         pass_gap=PASS_GAP,
-        light_colours=[darkened(colour) for colour in colours],
+        light_colours=[charts.darkened(colour) for colour in colours],
         dark_colours=["#{:02x}{:02x}{:02x}".format(*colour) for colour in colours],
         method_colours=[COLOURS[n % len(COLOURS)] for n in range(len(methods))],
         landmarks=landmarks,
@@ -218,7 +196,10 @@ def render(
         surest=[p for p in drawn.pictures if p.wanted.group == "surest"],
         rarest=[p for p in drawn.pictures if p.wanted.group == "rarest"],
         mistake_pictures=[p for p in drawn.pictures if p.wanted.group == "mistake"],
-        unused=unused,
+        unused=_first(unused),
+        many=many,
+        most_standing=MOST_RATES,
+        pooled=pooled,
         held={shown.name: n for n, shown in enumerate(drawn.shown)},
         shown=drawn.shown,
         shown_json=_json(drawn.shown),
@@ -227,6 +208,12 @@ def render(
         script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
         map_picture=map_picture,
     )
+
+
+def _title(logs: Sequence[ReportedLog], many: Many) -> str:
+    if many.in_all > len(logs):
+        return f"{many.in_all} logs"
+    return ", ".join(log.results.name for log in logs[:3]) + (", ..." if logs[3:] else "")
 
 
 def _map_picture(logs: Sequence[ReportedLog]) -> str | None:
@@ -243,11 +230,14 @@ def _map_picture(logs: Sequence[ReportedLog]) -> str | None:
     return "data:image/png;base64," + base64.b64encode(picture.read_bytes()).decode()
 
 
-def _contents(scored: bool, figures: bool, several: bool, mapped: bool) -> dict[str, str]:
+def _contents(
+    scored: bool, figures: bool, several: bool, standing: bool, mapped: bool
+) -> dict[str, str]:
     """The sections by name, in the page's order, and their headings."""
     seen = {"seen": "What was seen, when and how surely"}
     rates = {"rates": "Rates at the operating point"} if scored else {}
     return {
+        **({"standing": "What differs from the rest"} if standing else {}),
         # Of one log the page begins with what was seen, of several with how well it went.
         **(rates | seen if several else seen | rates),
         "sightings": "Sightings",
@@ -260,36 +250,54 @@ def _contents(scored: bool, figures: bool, several: bool, mapped: bool) -> dict[
     }
 
 
+def _first(lines: Sequence[str]) -> list[str]:
+    """As many as are read, and how many more there are."""
+    more = [f"{len(lines) - MOST_LINES} more such lines"] * (len(lines) > MOST_LINES)
+    return [*lines[:MOST_LINES], *more]
+
+
 def _json(shown: Sequence[ShownLog]) -> str:
     """As text that stays text within a script element."""
     text = json.dumps([asdict(log) for log in shown], separators=(",", ":"), allow_nan=False)
     return text.replace("<", "\\u003c")
 
 
-def _scores(tracker: str, evaluation: Evaluation, wrong: Mapping[str, Sequence[Episode]]) -> Scores:
-    summary, joined = summarise(evaluation), evaluation.joined
-    protocols = cells.protocols(evaluation)
-    tables = [cells.paper_table(s, thousands=",") for s in evaluation.scored]
+def _scores(
+    tracker: str, evaluation: Evaluation, found: Pooled, wrong: Mapping[str, Sequence[Episode]]
+) -> Scores:
+    methods, protocols = found.methods, cells.protocols(found)
+    summary = summarise(found)
+    per_log = cells.rates_per_log(found)
+    if len(per_log) > MOST_RATES:
+        per_log = sorted(per_log, key=_mistakes_of)[:MOST_RATES]
+    tables = [cells.paper_table(s, thousands=",") for s in found.scored]
     return Scores(
         protocols=protocols,
-        rates=cells.rates(evaluation, summary),
-        rates_per_log=cells.rates_per_log(evaluation),
+        rates=cells.rates(found, summary),
+        rates_per_log=sorted(per_log, key=_mistakes_of)[:MOST_RATES]
+        if len(per_log) > MOST_RATES
+        else per_log,
         units=f"{summary.units.count} {UNITS[summary.units.kind]}",
         level=f"{LEVEL:.0%}",
-        others=cells.figures(summary, protocols[0], joined.methods, beside=cells.HEADLINE),
+        others=cells.figures(summary, protocols[0], methods, beside=cells.HEADLINE),
         tested=[metric.label for metric in cells.TESTED],
         differences=cells.differences(summary, protocols[0]),
-        notes=[*evaluation.notes, *summary.notes],
+        notes=_first([*found.notes, *summary.notes]),
         tables=tables,
         starred=any("*" in cell for table in tables for _, row in table.rows for cell in row),
-        curves=_curves(evaluation),
+        curves=_curves(found),
         reliability=[
-            (r.method, charts.reliability(r, joined.methods.index(r.method)))
+            (r.method, charts.reliability(r, methods.index(r.method)))
             for r in summary.reliability
             if r.landmark_text == "top"
         ],
-        mistakes=_mistakes(tracker, evaluation, wrong),
+        mistakes=_mistakes(tracker, evaluation, found, wrong),
     )
+
+
+def _mistakes_of(row: tuple[str, list[cells.Rates]]) -> int:
+    """The worst log first."""
+    return -sum(rates.missed + rates.false for rates in row[1])
 
 
 def _log_view(log: ReportedLog, most_tracks: int) -> LogView:
@@ -357,40 +365,8 @@ def _track_view(log: ReportedLog, track: Track) -> TrackView:
     )
 
 
-def settings_tables(
-    table: Mapping[str, Any], name: str = "run"
-) -> Iterator[tuple[str, list[tuple[str, str]]]]:
-    """run.toml as (table name, its plain keys and values), tables within tables after it."""
-    plain = {key: value for key, value in table.items() if not _is_nested(value)}
-    if plain:
-        yield name, [(key, _plain(value)) for key, value in plain.items()]
-    for key, value in table.items():
-        if _is_nested(value):
-            label = key if name == "run" else f"{name}.{key}"
-            for n, part in enumerate(value if isinstance(value, list) else [value]):
-                yield from settings_tables(
-                    part, f"{label}[{n}]" if isinstance(value, list) else label
-                )
-
-
-def _is_nested(value: Any) -> bool:
-    """Whether a TOML value is a table, or several that hold tables."""
-    if isinstance(value, list):
-        return any(isinstance(part, dict) and any(map(_is_nested, part.values())) for part in value)
-    return isinstance(value, dict)
-
-
-def _plain(value: Any) -> str:
-    if isinstance(value, dict):
-        return ", ".join(f"{key} {_plain(v)}" for key, v in value.items())
-    if isinstance(value, list):
-        between = "; " if any(isinstance(v, dict) for v in value) else ", "
-        return between.join(map(_plain, value)) or "none"
-    return str(value).lower() if isinstance(value, bool) else str(value)
-
-
 def _curves(
-    evaluation: Evaluation,
+    evaluation: Pooled,
 ) -> list[tuple[str, charts.Chart, list[tuple[int, charts.Chart]]]]:
     """Per protocol: its name, the curve over all IDs, and (index of an ID, its curve)."""
     found = []
@@ -398,7 +374,7 @@ def _curves(
         scored = [s for s in evaluation.scored if s.protocol == protocol]
         each = [
             (k, charts.roc(scored, k))
-            for k in range(len(evaluation.joined.ids))
+            for k in range(len(evaluation.ids))
             if scored[0].count(k).tp + scored[0].count(k).fn
         ]
         found.append((protocol, charts.roc(scored), each))
@@ -406,16 +382,20 @@ def _curves(
 
 
 def _mistakes(
-    tracker: str, evaluation: Evaluation, wrong: Mapping[str, Sequence[Episode]]
+    tracker: str,
+    evaluation: Evaluation,
+    pooled: Pooled,
+    wrong: Mapping[str, Sequence[Episode]],
 ) -> list[Mistakes]:
     found = []
-    for method in sorted(evaluation.joined.methods, key=lambda m: m != tracker):
-        count = cells.of(evaluation, method, protocol_of_mistakes(evaluation)).count()
+    for method in sorted(pooled.methods, key=lambda m: m != tracker):
+        count = cells.of(pooled, method, protocol_of_mistakes(evaluation)).count()
         shown = []
-        for episode in wrong[method][:MOST_MISTAKES]:
+        mine = wrong.get(method, [])  # a method may be in other logs alone
+        for episode in mine[:MOST_MISTAKES]:
             frames = _span(episode.first, episode.last)
             shown.append(MistakeView(episode, told(episode, evaluation.joined), frames))
-        found.append(Mistakes(method, count, shown, len(wrong[method]) - len(shown)))
+        found.append(Mistakes(method, count, shown, len(mine) - len(shown)))
     return found
 
 
@@ -434,17 +414,3 @@ def _span(first: int, last: int) -> str:
 
 def _number(value: float, digits: int) -> str:
     return f"{value:,.{digits}f}"
-
-
-def darkened(colour: Colour) -> str:
-    """The colour, in hexadecimal, as dark as it has to be to stand out on white.
-
-    The overlay's colours are made for black. Its hue stays; its luminance (WCAG 2) falls to what
-    gives a contrast of 3.1 to 1, where 3 is asked of what is drawn.
-    """
-    share = np.array(colour) / 255
-    linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
-    luminance = float(linear @ (0.2126, 0.7152, 0.0722))
-    linear = linear * min(1.0, (1.05 / 3.1 - 0.05) / max(luminance, 1e-9))
-    share = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    return "#{:02x}{:02x}{:02x}".format(*np.rint(255 * share).astype(int).tolist())

@@ -17,7 +17,17 @@ from sonarrec.records import SonarrecError, UsageError
 
 PART = ".part"
 TABLES = ("frames.csv", "estimates.csv", "sightings.csv")
-OURS = (*TABLES, "run.toml", "evaluation", "map", "report.html", "compare.html")
+ESTIMATES = ("estimates.csv", "estimates.parquet")
+"""What the estimates may be in; see `estimates_of`."""
+OURS = (
+    *TABLES,
+    "estimates.parquet",
+    "run.toml",
+    "evaluation",
+    "map",
+    "report.html",
+    "compare.html",
+)
 """What a run replaces, and what was made from it. All else in a results folder is the user's."""
 
 
@@ -53,6 +63,12 @@ def _named(name: str, place: Path, depth: int) -> str:
 
 class LockedError(SonarrecError):
     """Another run writes into the folder."""
+
+
+def estimates_of(folder: Path) -> Path:
+    """The table of estimates in a folder: that which is there; CSV where both or none are."""
+    places = [folder / name for name in ESTIMATES]
+    return next((place for place in places if place.is_file()), places[0])
 
 
 def part_of(folder: Path) -> Path:

@@ -7,8 +7,10 @@ from pathlib import Path
 
 import pandas as pd
 
+from sonarrec.parquet import PARQUET, read_parts
 from sonarrec.records import SonarrecError
 from sonarrec.results.columns import ESTIMATES_HEADER, FRAMES_HEADER
+from sonarrec.results.folders import estimates_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,12 +35,15 @@ def read_results(folder: str | Path) -> Tables:
     sightings = folder / "sightings.csv"
     return Tables(
         frames=_table(folder / "frames.csv", FRAMES_HEADER),
-        estimates=_table(folder / "estimates.csv", ESTIMATES_HEADER),
+        estimates=_table(estimates_of(folder), ESTIMATES_HEADER),
         sightings=_table(sightings, "method,landmark,track") if sightings.is_file() else None,
     )
 
 
 def _table(path: Path, expected: str) -> pd.DataFrame:
+    if path.suffix == PARQUET:
+        _, parts = read_parts(path, None)
+        return next(parts)
     try:
         return pd.read_csv(path, encoding="utf-8-sig", skipinitialspace=True)
     except FileNotFoundError:

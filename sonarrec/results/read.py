@@ -31,7 +31,7 @@ from sonarrec.results.columns import (
     kinds,
     needed,
 )
-from sonarrec.results.folders import part_of
+from sonarrec.results.folders import estimates_of, part_of
 from sonarrec.results.run_file import RunFile, read_run
 from sonarrec.sonar import Sonar
 from sonarrec.tables import Kind, Table, cut, line_number, position_pair, read_table, read_tables
@@ -114,7 +114,7 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
     if not frame.size:
         raise SonarrecError(f"{path}: no frame was processed, so there is nothing to score")
 
-    path = folder / "estimates.csv"
+    path = estimates_of(folder)
     [(_, table)] = estimate_tables(path, landmark_set)
     pair = position_pair(path, table)
     position = None if pair is None else plane_position(pair, fan)

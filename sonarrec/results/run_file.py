@@ -7,18 +7,18 @@ import platform
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from importlib.metadata import version
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from cv2.version import opencv_version
 
 from sonarrec import __version__, config
 from sonarrec.geometry import fan_for_image
 from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
 from sonarrec.records import Clock, Fan, Origin, SonarrecError, UsageError
-from sonarrec.results.folders import TABLES
+from sonarrec.results.folders import ESTIMATES, TABLES, estimates_of
 from sonarrec.sonar import Sonar, sonar_from_table
 from sonarrec.toml import Count, checked, read_toml, types_of
 
@@ -78,7 +78,7 @@ def _ran_on() -> dict[str, str]:
     return {
         "processor": " ".join([platform.machine(), *instructions]),
         "numpy": np.__version__,
-        "opencv": version("opencv-python-headless"),
+        "opencv": opencv_version,
     }
 
 
@@ -105,7 +105,8 @@ def held_results(folder: Path, table: dict[str, Any]) -> Held:
     not of this program.
     """
     path = folder / "run.toml"
-    there_are = [name for name in ("run.toml", *TABLES) if (folder / name).is_file()]
+    tables = [estimates_of(folder).name if name in ESTIMATES else name for name in TABLES]
+    there_are = [name for name in ("run.toml", *tables) if (folder / name).is_file()]
     if there_are and not path.is_file():
         raise SonarrecError(
             f"{folder}: holds {there_are[0]}, and no run.toml says that sonarrec wrote it; choose "

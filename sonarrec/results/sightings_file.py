@@ -14,6 +14,7 @@ import numpy as np
 from sonarrec.geometry import polar_from_pixel
 from sonarrec.records import Estimate, SonarrecError
 from sonarrec.results.columns import SIGHTING_COLUMNS
+from sonarrec.results.folders import estimates_of
 from sonarrec.results.run_file import RunFile, read_run
 from sonarrec.results.sightings import Sighting, Sightings
 from sonarrec.sonar import Sonar
@@ -83,7 +84,7 @@ def _declared(
     from sonarrec.results.read import estimate_tables
     from sonarrec.tables import POSITION_KINDS
 
-    path, fan = folder / "estimates.csv", run.fan(sonar)
+    path, fan = estimates_of(folder), run.fan(sonar)
     for _, table in estimate_tables(path, run.landmark_set(landmarks), ROWS, SIGMAS):
         declared = np.flatnonzero(table["declared"])
         blank = np.full(len(table["frame"]), math.nan)

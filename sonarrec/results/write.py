@@ -15,6 +15,7 @@ from typing import Any, Self
 import tomli_w
 
 from sonarrec.landmarks import LandmarkSet
+from sonarrec.parquet import convert
 from sonarrec.records import NO_STAMPS, FrameResult, SonarrecError, Stamps, shown
 from sonarrec.results.columns import FRAME_COLUMNS, SIGHTING_COLUMNS, estimate_columns
 from sonarrec.results.folders import exchange, lock, part_of, release, restore
@@ -75,8 +76,11 @@ class ResultsWriter:
         landmarks: LandmarkSet,
         run: dict[str, Any],
         sightings: Sightings | None = None,
+        *,
+        parquet: bool = False,
     ) -> None:
-        """run: the tables of run.toml. sightings: what gathers them, new.
+        """run: the tables of run.toml. sightings: what gathers them, new. parquet: whether the
+        estimates are to be in estimates.parquet when all are there.
 
         Raises SonarrecError where the folder cannot be written, or another run writes there.
         """
@@ -86,6 +90,7 @@ class ResultsWriter:
         self._folder = folder
         self._part = part_of(folder)
         self._run = run
+        self._parquet = parquet
         self._columns = estimate_columns(landmarks.ids)
         try:
             folder.parent.mkdir(parents=True, exist_ok=True)
@@ -156,6 +161,8 @@ class ResultsWriter:
             self._sightings.close(sync=True)
             self._estimates.close(sync=True)
             self._frames.close(sync=True)
+            if self._parquet:
+                convert(self._part / "estimates.csv", self._part / "estimates.parquet")
             self._write_run(finished=True)
             exchange(self._folder)
         except OSError as error:

@@ -10,6 +10,7 @@ import numpy as np
 
 from sonarrec.geometry import ground_range, pixel_from_polar, polar_from_plane
 from sonarrec.records import Fan, FloatArray, SonarrecError, UsageError
+from sonarrec.results.folders import estimates_of
 from sonarrec.results.read import LogResults, find_logs, read_log
 from sonarrec.truth.in_view import share_in_fan
 from sonarrec.truth.table import write_truth
@@ -104,7 +105,7 @@ class _Track:
 
 def _tracks(folder: Path, log: LogResults, method: str, min_score: float) -> list[_Track]:
     """The tracks of a method that declared an ID, those with most declarations first."""
-    path = folder / "estimates.csv"
+    path = estimates_of(folder)
     if method not in log.methods:
         raise UsageError(
             f"{path} holds no method {method}; choose one with --method: {', '.join(log.methods)}"

@@ -329,7 +329,7 @@ def test_id_without_positives_has_no_rate(tmp_path: Path) -> None:
     assert np.isnan(one.curve(1).tpr).all()
     assert one.count(1).fpr == 0.5
     assert any("ID.2 is never in view" in note for note in found.notes)
-    assert "0.0000*" in screen(found)
+    assert "0.0000*" in screen(found.pooled())
 
 
 # --- Several logs --------------------------------------------------------------------------------
@@ -446,7 +446,7 @@ def test_many_ids_are_still_readable(tmp_path: Path) -> None:
     results, truth = write_case(tmp_path, [0], claims, [(0, 6, 2.0, 0.0, 1.0)])
     found = evaluate(results, truth, landmarks=str(tmp_path / "six.toml"))
     assert found.joined.methods == ("smi", "framework", "another")
-    lines = screen(found).splitlines()
+    lines = screen(found.pooled()).splitlines()
     assert max(map(len, lines)) <= 100
     assert sum("centre within 0.1 m" in line for line in lines) == 3
     assert sum("ID.6" in line for line in lines) == 6

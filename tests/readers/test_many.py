@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import shutil
 import tomllib
 from pathlib import Path
@@ -173,3 +174,34 @@ def test_names_of_results(campaign: Path) -> None:
     assert result_names([campaign / log for log in logs]) == [
         "one-bag", "two-bag", "dive.1", "z.1", "long",
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize("given", ["dives", "dives/*.mcap", "dives/**/*.mcap"])
+def test_a_link_to_nothing_is_a_log_that_fails(
+    given: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Passed over unsaid, its log would be missing and nobody would know."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("a", "c"):
+        recording(Path("dives", f"{name}.mcap"))
+    Path("dives", "sonar.toml").write_text(SONAR_TOML, encoding="utf-8")
+    Path("dives", "b.mcap").symlink_to("gone.mcap")
+    Path("dives", "notes.txt").symlink_to("gone.txt")  # not of a log's ending
+    assert [log.path for log in find_logs([given])] == [f"dives/{x}.mcap" for x in "abc"]
+    told = sonarrec("run", given, "-j", "1", code=3)
+    line = "dives/b.mcap: a link to a file that is not there"
+    assert told.stderr.count(line) == 1
+    with Path("sonarrec_out", "logs.csv").open(newline="", encoding="utf-8") as file:
+        states = {row["log"]: (row["status"], row["message"]) for row in csv.DictReader(file)}
+    assert {log: state for log, (state, _) in states.items()} == {
+        "a": "done",
+        "b": "failed",
+        "c": "done",
+    }
+    assert states["b"][1] == line
+
+
+def test_a_folder_of_links_to_nothing(tmp_path: Path) -> None:
+    (tmp_path / "a.mcap").symlink_to("gone")
+    told = sonarrec("run", tmp_path, "-o", tmp_path / "out", code=1)
+    assert f"{tmp_path / 'a.mcap'}: a link to a file that is not there" in told.stderr

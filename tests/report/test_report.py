@@ -23,16 +23,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sonarrec.cli import main
-from sonarrec.drawing import landmark_colours
+from sonarrec.drawing.pen import landmark_colours
 from sonarrec.evaluation.evaluate import evaluate
 from sonarrec.evaluation.reliability import Reliability
 from sonarrec.evaluation.scoring import PROTOCOLS, score
 from sonarrec.evaluation.summary import summarise
 from sonarrec.landmarks import load_landmarks
 from sonarrec.report import charts, frames
+from sonarrec.report.charts import darkened
 from sonarrec.report.logs import ReportedLog, Track, alongside, read_logs, seen, tracks
 from sonarrec.report.mistakes import episodes, told
-from sonarrec.report.page import darkened, settings_tables
+from sonarrec.report.settings import settings_tables
 from sonarrec.sonar import Sonar
 from sonarrec.truth.table import read_truth
 from tests.support.browser import contrast

@@ -151,10 +151,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     recognise_all(jobs)
     found = score([job.folder for job in jobs])
     summary = summarise(found, "log")
-    files = write_evaluation(asked.out, found, summary)
+    files = write_evaluation(asked.out, found.pooled(), summary)
     print(
         f"{len(jobs)} sequences of {asked.frames} frames (seeds {asked.seeds.start} to "
-        f"{asked.seeds.stop - 1}), {len(summary.passes.first_frame_index)} passes of landmarks"
+        f"{asked.seeds.stop - 1}), {len(summary.passes.first_frame)} passes of landmarks"
     )
     for protocol in ("strict", "paper"):
         show_figures(summary, protocol)

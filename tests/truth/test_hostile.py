@@ -137,6 +137,6 @@ def test_method_names_cannot_move_the_cursor(tmp_path: Path) -> None:
     )
     (tmp_path / "gt.csv").write_text("frame,landmark,range_m,bearing_deg\n0,1,2,0\n")
     found = evaluate(tmp_path, tmp_path / "gt.csv")
-    shown = screen(found) + summary_screen(found, summarise(found), details=True)
+    shown = screen(found.pooled()) + summary_screen(found.pooled(), summarise(found), details=True)
     assert r"m\x1b[2J" in shown
     assert "\x1b" not in shown + "".join(found.notes)

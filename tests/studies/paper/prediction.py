@@ -205,7 +205,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     folders = [job.folder for job in jobs]
     found = score(folders)
     summary = summarise(found, "log")
-    files = write_evaluation(asked.out, found, summary)
+    files = write_evaluation(asked.out, found.pooled(), summary)
     print(f"{len(jobs)} recordings of {FRAMES} frames over {len(worlds)} worlds, protocol paper;")
     print(f"ours with {LEVEL:.0%} intervals over recordings")
     show_table(summary, "Table 4, SMI on single frames", "SMI", TABLE_4)

@@ -1,0 +1,207 @@
+"""What one log adds to an evaluation: sums by unit, and the claims and errors behind them."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sonarrec.evaluation.behaviour import (
+    PassOutcomes,
+    Switches,
+    false_claims,
+    minutes,
+    on_truth,
+    orientation_errors,
+    pass_outcomes,
+    position_errors,
+    right_claims,
+    switches,
+)
+from sonarrec.evaluation.joined import Joined
+from sonarrec.evaluation.passes import UnitKind, find_passes, find_units, pass_units, unit_of_pass
+from sonarrec.evaluation.reliability import calibration
+from sonarrec.evaluation.scoring import PROTOCOLS, Scored, score
+from sonarrec.records import FloatArray, IntArray
+
+CLAIM = np.dtype([("score", "f8"), ("unit", "i4"), ("effect", "i1", 4)])
+ERROR = np.dtype([("error", "f8"), ("unit", "i4")])
+KINDS: tuple[UnitKind, ...] = ("pass", "log")
+
+
+@dataclass(frozen=True, slots=True)
+class PassTable:
+    """P passes of landmarks, by log and time; see `passes.Passes`."""
+
+    log_index: IntArray
+    landmark_index: IntArray
+    first_frame: IntArray
+    last_frame: IntArray
+    """(P,) numbers in the log."""
+    unit: IntArray
+    """(P,)"""
+
+
+@dataclass(frozen=True, slots=True)
+class ScoredPart:
+    """One method under one protocol: L logs, K IDs."""
+
+    protocol: str
+    method: str
+    base: IntArray
+    """(L, K, 4) TP, TN, FP, FN with nothing claimed."""
+    declared: IntArray
+    """(L, K, 4) TP, TN, FP, FN at the operating point."""
+    outcomes: PassOutcomes
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """What one log, or some, add to an evaluation.
+
+    Small and kept, but for `blocks`: these are as long as the log, and put by in a store.
+    """
+
+    logs: tuple[str, ...]
+    ids: tuple[int, ...]
+    methods: tuple[str, ...]
+    placed: bool
+    timed: bool
+    """Whether every frame stands for a known time."""
+    frames: int
+    positives: IntArray
+    """(K,) truths whole in view."""
+    ignored: int
+    """Truths partly in view."""
+    gates: tuple[float, ...]
+    """Those met, m."""
+    estimates: IntArray
+    """(M,) of each method."""
+    unit_log: IntArray
+    """(U,) into logs, of each unit of the kind "pass"."""
+    passes: PassTable
+    scored: tuple[ScoredPart, ...]
+    switches: tuple[Switches, ...]
+    """Per method; empty where positions are not known."""
+    blocks: dict[Hashable, npt.NDArray[Any]]
+    """By what they hold: see `_blocks`."""
+
+
+def part_of(joined: Joined, scored: Sequence[Scored] | None = None) -> Part:
+    """scored: every method under every protocol; default: they are scored here."""
+    if scored is None:
+        scored = score_all(joined)
+    passes, logs = find_passes(joined), len(joined.logs)
+    units = pass_units(joined, passes)
+    of_truth = joined.log_index[joined.truth_frame_index]
+    unit_log = np.zeros(units.count, dtype=np.int64)
+    unit_log[units.of_frame] = joined.log_index
+    unit_log[units.of_truth] = of_truth
+    nearest = on_truth(joined) if joined.placed else None
+    positive = joined.truth_positive
+    return Part(
+        logs=joined.logs,
+        ids=joined.ids,
+        methods=joined.methods,
+        placed=joined.placed,
+        timed=not np.isnan(joined.seconds).any(),
+        frames=len(joined.frame),
+        positives=np.bincount(joined.truth_landmark_index[positive], minlength=len(joined.ids)),
+        ignored=int((~positive).sum()),
+        gates=tuple(sorted({float(gate) for gate in joined.gate})),
+        estimates=np.bincount(joined.method_index, minlength=len(joined.methods)),
+        unit_log=unit_log,
+        passes=PassTable(
+            passes.log_index,
+            passes.landmark_index,
+            joined.frame[passes.first_frame_index],
+            joined.frame[passes.last_frame_index],
+            unit_of_pass(passes, units),
+        ),
+        scored=tuple(
+            ScoredPart(
+                s.protocol,
+                s.method,
+                s.base_by(joined.log_index, of_truth, logs),
+                s.declared_by(joined.log_index, of_truth, logs),
+                pass_outcomes(s, joined, passes),
+            )
+            for s in scored
+        ),
+        switches=() if nearest is None else tuple(switches(joined, nearest, passes)),
+        blocks=dict(_blocks(joined, scored, nearest)),
+    )
+
+
+def score_all(joined: Joined) -> tuple[Scored, ...]:
+    """Every method under every protocol that positions allow."""
+    return tuple(
+        score(joined, m, protocol)
+        for m in range(len(joined.methods))
+        for protocol in PROTOCOLS
+        if protocol == "paper" or joined.placed
+    )
+
+
+def _blocks(
+    joined: Joined, scored: Sequence[Scored], nearest: IntArray | None
+) -> list[tuple[Hashable, npt.NDArray[Any]]]:
+    """Arrays by key.
+
+    ("base", protocol): (U, K, 4) by pass units; ("made", protocol, method): what the declared
+    claims add to it. ("claims", protocol, method, k): CLAIM by pass units, of the k-th ID.
+    ("position" or "orientation", method, k): ERROR by pass units. ("false", method): (U, K, 2) by
+    pass units. ("minutes", kind): (U,) and ("calibration", method, kind): (U, K + 2, C), by units
+    of this kind: sums of fractions depend in the last bit on how they are put together.
+    """
+    passes = find_passes(joined)
+    units = pass_units(joined, passes)
+    groups = units.of_frame, units.of_truth
+    found: list[tuple[Hashable, npt.NDArray[Any]]] = []
+    for s in scored:
+        found.append((("base", s.protocol), s.base_by(*groups, units.count)))
+        made = s.declared_by(*groups, units.count) - found[-1][1]
+        found.append((("made", s.protocol, s.method), made))
+        group = s.claims_by(*groups)
+        for k in range(len(joined.ids)):
+            mine = s.landmark_index == k
+            claims = np.empty(int(mine.sum()), dtype=CLAIM)
+            claims["score"], claims["unit"] = s.score[mine], group[mine]
+            claims["effect"] = s.effect[mine]
+            found.append((("claims", s.protocol, s.method, k), claims))
+        if s.protocol == "strict":
+            found += _errors(s, joined, units.of_truth)
+    if nearest is not None:
+        by_kind = {kind: find_units(joined, passes, kind) for kind in KINDS} | {"pass": units}
+        for kind, of in by_kind.items():
+            found.append((("minutes", kind), minutes(joined, of)))
+        for m, method in enumerate(joined.methods):
+            found.append((("false", method), false_claims(joined, nearest, units, m)))
+            for kind, of in by_kind.items():
+                rows = calibration(joined, nearest, of, m)
+                if rows is not None:
+                    found.append((("calibration", method, kind), rows))
+    return list(dict(found).items())  # what is the same of every method once
+
+
+def _errors(
+    strict: Scored, joined: Joined, unit_of_truth: IntArray
+) -> list[tuple[Hashable, npt.NDArray[Any]]]:
+    right = right_claims(strict)
+    landmark = strict.landmark_index[right]
+    unit = unit_of_truth[strict.truth[right]]
+    found: list[tuple[Hashable, npt.NDArray[Any]]] = []
+    kinds: dict[str, FloatArray] = {
+        "position": position_errors(strict, joined, right),
+        "orientation": orientation_errors(strict, joined, right),
+    }
+    for name, error in kinds.items():
+        for k in range(len(joined.ids)):
+            mine = (landmark == k) & ~np.isnan(error)
+            errors = np.empty(int(mine.sum()), dtype=ERROR)
+            errors["error"], errors["unit"] = error[mine], unit[mine]
+            found.append(((name, strict.method, k), errors))
+    return found

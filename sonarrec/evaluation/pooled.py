@@ -1,0 +1,278 @@
+"""An evaluation of many logs, of which each was read once and let go.
+
+Counts, units and passes are kept; claims and errors lie in a store, so that curves, quantiles and
+intervals are exact and memory does not grow with the logs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sonarrec.evaluation.behaviour import PassOutcomes, Switches
+from sonarrec.evaluation.counted import Claims, Values
+from sonarrec.evaluation.curves import Count, Curve
+from sonarrec.evaluation.parts import Part, PassTable, ScoredPart
+from sonarrec.evaluation.passes import LOGS_ENOUGH, MOST_UNITS, UnitKind, fewer
+from sonarrec.evaluation.scoring import PROTOCOLS
+from sonarrec.evaluation.store import Store, summed
+from sonarrec.records import FloatArray, IntArray
+from sonarrec.results.read import METHODS
+
+
+@dataclass(frozen=True, slots=True)
+class PooledScored:
+    """One method under one protocol over all logs: L logs, K IDs."""
+
+    protocol: str
+    method: str
+    ids: tuple[int, ...]
+    base: IntArray
+    """(L, K, 4) TP, TN, FP, FN with nothing claimed."""
+    declared: IntArray
+    """(L, K, 4) TP, TN, FP, FN at the method's operating point."""
+    parts: Parts
+
+    def count(self, k: int | None = None) -> Count:
+        """At the operating point: of the k-th ID, or the micro sum over all of them."""
+        row = self.declared.sum(axis=0)
+        return Count(*map(int, row.sum(axis=0) if k is None else row[k]))
+
+    def counts_per_log(self) -> list[list[Count]]:
+        """Per log the count at the operating point of each ID, then of all."""
+        split = np.concatenate([self.declared, self.declared.sum(axis=1, keepdims=True)], axis=1)
+        return [[Count(*cell) for cell in log] for log in split.tolist()]
+
+    def curve(self, k: int | None = None) -> Curve:
+        """The ROC of the k-th ID, or the micro-averaged one over all of them."""
+        base = self.base.sum(axis=0)
+        base = base.sum(axis=0) if k is None else base[k]
+        score, effect = self.parts.scores(self.protocol, self.method, len(self.ids), k)
+        steps = np.cumsum(effect[::-1], axis=0, dtype=np.int64)
+        counts = np.vstack([base, base + steps])
+        return Curve(np.concatenate([[np.inf], score[::-1]]), *counts.T)
+
+
+@dataclass(frozen=True, slots=True)
+class PooledUnits:
+    """The clusters that are drawn and swapped whole."""
+
+    kind: UnitKind
+    count: int
+    of_pass_unit: IntArray
+    """(all pass units,) the unit of each."""
+
+
+class Parts:
+    """Parts of an evaluation in the order of its logs, their blocks in a store."""
+
+    def __init__(self) -> None:
+        self._store = Store()
+        self._given: list[Part] = []
+        self._used: dict[int, tuple[int, int]] = {}
+
+    def put(self, part: Part) -> int:
+        """Put a part by; its number."""
+        number = len(self._given)
+        for key, array in part.blocks.items():
+            self._store.put(key, number, array)
+        self._given.append(replace(part, blocks={}))
+        return number
+
+    def use(self, numbers: Sequence[int]) -> list[Part]:
+        """Those that count; the others are passed over from now on."""
+        used = [self._given[n] for n in numbers]
+        logs = np.cumsum([0, *(len(part.logs) for part in used)]).tolist()
+        units = np.cumsum([0, *(len(part.unit_log) for part in used)]).tolist()
+        self._used = {n: (logs[i], units[i]) for i, n in enumerate(numbers)}
+        return used
+
+    def blocks(self, key: Hashable) -> Iterator[tuple[int, int, npt.NDArray[Any]]]:
+        """(the first log, the first pass unit, array) of each part that counts and has it."""
+        for number, array in self._store.get(key):
+            if number in self._used:
+                yield *self._used[number], array
+
+    def scores(
+        self, protocol: str, method: str, ids: int, k: int | None
+    ) -> tuple[FloatArray, IntArray]:
+        """(n,) distinct scores, rising, and (n, 4) what the claims of each add."""
+        key = ("scores", protocol, method, k)
+        for _, found in self._store.get(key):
+            return found["score"], found["effect"]
+        if k is None:
+            each = (self.scores(protocol, method, ids, i) for i in range(ids))
+            score, effect = summed(each)
+        else:
+            claims = self.blocks(("claims", protocol, method, k))
+            score, effect = summed((c["score"], c["effect"]) for _, _, c in claims)
+        found = np.empty(len(score), dtype=[("score", "f8"), ("effect", "i4", 4)])
+        found["score"], found["effect"] = score, effect
+        self._store.put(key, -1, found)
+        return score, found["effect"]
+
+
+@dataclass(frozen=True, slots=True)
+class Pooled:
+    """What was found over all logs: L logs, K IDs, P passes."""
+
+    logs: tuple[str, ...]
+    ids: tuple[int, ...]
+    methods: tuple[str, ...]
+    placed: bool
+    """Whether positions are known wherever the strict protocol needs them."""
+    timed: bool
+    """Whether every frame stands for a known time."""
+    frames: int
+    positives: IntArray
+    """(K,) truths whole in view."""
+    ignored: int
+    """Truths partly in view."""
+    gates: tuple[float, ...]
+    """m, the distances within which a claim is right."""
+    estimates: IntArray
+    """(M,) of each method."""
+    unit_log: IntArray
+    """(all pass units,) into logs."""
+    passes: PassTable
+    scored: tuple[PooledScored, ...]
+    outcomes: tuple[PassOutcomes, ...]
+    """As `scored`."""
+    switches: tuple[Switches, ...]
+    """Per method; empty where positions are not known."""
+    parts: Parts
+    min_visible: float
+    folders: tuple[Path, ...] = ()
+    """Of each log's results, as given."""
+    notes: tuple[str, ...] = ()
+    """Worth knowing."""
+    unused: tuple[str, ...] = ()
+    """Input that could not be used, one line each."""
+
+    def units(self, kind: UnitKind | None = None) -> PooledUnits:
+        """As `passes.find_units`."""
+        kind = kind or ("log" if len(self.logs) >= LOGS_ENOUGH else "pass")
+        if kind == "log":
+            return PooledUnits(kind, len(self.logs), self.unit_log)
+        count = len(self.unit_log)
+        return PooledUnits(kind, min(count, MOST_UNITS), fewer(np.arange(count), count))
+
+    def sums(self, key: tuple[str, ...], units: PooledUnits) -> IntArray:
+        """(U, ...) blocks that are by pass units, summed over each; (U, K, 4) where none is."""
+        found: IntArray | None = None
+        for _, first, rows in self.parts.blocks(key):
+            if found is None:
+                found = np.zeros((units.count, *rows.shape[1:]), dtype=rows.dtype)
+            np.add.at(found, units.of_pass_unit[first : first + len(rows)], rows)
+        return np.zeros((units.count, len(self.ids), 4), np.int64) if found is None else found
+
+    def sums_of_kind(self, key: tuple[str, ...], units: PooledUnits) -> npt.NDArray[Any] | None:
+        """(U, ...) blocks that are by units of each kind; None where there are none."""
+        if units.kind == "pass":
+            found = list(self.parts.blocks((*key, "pass")))
+            return None if not found else self.sums((*key, "pass"), units)
+        summed_up: npt.NDArray[Any] | None = None
+        for first, _, rows in self.parts.blocks((*key, "log")):
+            if summed_up is None:
+                summed_up = np.zeros((units.count, *rows.shape[1:]))
+            summed_up[first : first + len(rows)] = rows
+        return summed_up
+
+    def claims(self, scored: PooledScored, k: int | None, units: PooledUnits) -> Claims:
+        """Those of the k-th ID, or all, a log at a time."""
+        for i in range(len(self.ids)) if k is None else [k]:
+            key = ("claims", scored.protocol, scored.method, i)
+            for _, first, c in self.parts.blocks(key):
+                yield c["score"], c["effect"], units.of_pass_unit[first + c["unit"]]
+
+    def errors(self, name: str, units: PooledUnits, method: str, k: int) -> Values:
+        """ "position" or "orientation" errors of right claims of the k-th ID."""
+        return partial(self._errors, (name, method, k), units)
+
+    def _errors(self, key: Hashable, units: PooledUnits) -> Iterator[tuple[Any, IntArray]]:
+        for _, first, e in self.parts.blocks(key):
+            yield e["error"], units.of_pass_unit[first + e["unit"]]
+
+
+def pooled(
+    parts: Parts, numbers: Sequence[int], names: Sequence[str], min_visible: float
+) -> Pooled:
+    """Parts that were put by, by their numbers, as one; names: of their logs. All of equal IDs."""
+    used = parts.use(numbers)
+    there = {method for part in used for method in part.methods}
+    methods = tuple(m for m in METHODS if m in there) + tuple(sorted(there - set(METHODS)))
+    placed = all(part.placed for part in used)
+    ids = used[0].ids
+    scored, outcomes = [], []
+    for method in methods:
+        for protocol in PROTOCOLS if placed else PROTOCOLS[:1]:
+            each = [_scored(part, protocol, method) for part in used]
+            base, declared = (np.concatenate([getattr(s, n) for s in each]) for n in _COUNTS)
+            scored.append(PooledScored(protocol, method, ids, base, declared, parts))
+            of = [s.outcomes for s in each]
+            arrays = (np.concatenate([getattr(o, n) for o in of]) for n in _OUTCOMES)
+            outcomes.append(PassOutcomes(protocol, method, *arrays))
+    first_log = np.cumsum([0, *(len(part.logs) for part in used)])
+    first_unit = np.cumsum([0, *(len(part.unit_log) for part in used)])
+    passes = [
+        replace(part.passes, log_index=part.passes.log_index + log, unit=part.passes.unit + unit)
+        for part, log, unit in zip(used, first_log, first_unit, strict=False)
+    ]
+    seen = [dict(zip(part.methods, part.estimates.tolist(), strict=True)) for part in used]
+    return Pooled(
+        logs=tuple(names),
+        ids=ids,
+        methods=methods,
+        placed=placed,
+        timed=all(part.timed for part in used),
+        frames=sum(part.frames for part in used),
+        positives=np.sum([part.positives for part in used], axis=0),
+        ignored=sum(part.ignored for part in used),
+        gates=tuple(sorted({gate for part in used for gate in part.gates})),
+        estimates=np.array([sum(s.get(m, 0) for s in seen) for m in methods]),
+        unit_log=np.concatenate(
+            [part.unit_log + log for part, log in zip(used, first_log, strict=False)]
+        ),
+        passes=PassTable(*(np.concatenate([getattr(p, n) for p in passes]) for n in _PASSES)),
+        scored=tuple(scored),
+        outcomes=tuple(outcomes),
+        switches=tuple(_switches(used, method) for method in methods) if placed else (),
+        parts=parts,
+        min_visible=min_visible,
+    )
+
+
+_COUNTS = ("base", "declared")
+_OUTCOMES = ("frames", "right", "wait")
+_PASSES = tuple(PassTable.__slots__)
+
+
+def _scored(part: Part, protocol: str, method: str) -> ScoredPart:
+    """Of a log that holds nothing of the method: nothing is claimed there."""
+    of = [s for s in part.scored if s.protocol == protocol]
+    mine = next((s for s in of if s.method == method), None)
+    if mine is not None:
+        return mine
+    frames = of[0].outcomes.frames
+    never = np.full(len(frames), np.inf)
+    none = PassOutcomes(protocol, method, frames, np.zeros_like(frames), never)
+    return ScoredPart(protocol, method, of[0].base, of[0].base, none)
+
+
+def _switches(used: Sequence[Part], method: str) -> Switches:
+    found = [next((s for s in part.switches if s.method == method), None) for part in used]
+    nothing = [np.zeros(len(part.passes.unit), dtype=np.int64) for part in used]
+    objects = any(one.objects for one in found if one is not None)
+
+    def joined(name: str) -> IntArray:
+        each = [n if s is None else getattr(s, name) for s, n in zip(found, nothing, strict=True)]
+        return np.concatenate(each)
+
+    tracked = objects and any(one.tracks is not None for one in found if one is not None)
+    return Switches(method, joined("ids"), joined("tracks") if tracked else None, objects)

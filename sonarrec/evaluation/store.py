@@ -1,0 +1,113 @@
+"""Arrays of many logs, put by for a second look: in memory while they are few, else on disk.
+
+So that memory does not grow with the number of logs, while every figure stays exact.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Hashable, Iterable, Iterator
+from tempfile import SpooledTemporaryFile
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sonarrec.records import FloatArray, IntArray
+
+IN_MEMORY = 32_000_000
+"""Bytes from which on the arrays lie in a temporary file, which is gone with the store."""
+AT_ONCE = 250_000
+"""Rows that are sorted together."""
+STEPS = 1 << 16
+"""In which values are counted to find those of wanted ranks."""
+
+Blocks = Callable[[], Iterable[FloatArray]]
+"""Gives the same (n,) arrays each time it is called."""
+
+
+class Store:
+    """Arrays by key and by part (a log's number), each kept whole."""
+
+    def __init__(self) -> None:
+        self._file: SpooledTemporaryFile[bytes] = SpooledTemporaryFile(IN_MEMORY)  # noqa: SIM115
+        self._end = 0
+        self._blocks: dict[Hashable, list[tuple[int, int, Any, tuple[int, ...]]]] = defaultdict(
+            list
+        )
+
+    def put(self, key: Hashable, part: int, array: npt.NDArray[Any]) -> None:
+        """Put an array by."""
+        self._file.seek(self._end)
+        self._file.write(np.ascontiguousarray(array).tobytes())
+        self._blocks[key].append((part, self._end, array.dtype, array.shape))
+        self._end += array.nbytes
+
+    def get(self, key: Hashable) -> Iterator[tuple[int, npt.NDArray[Any]]]:
+        """(part, array) of a key, in the order they came, one in memory at a time."""
+        for part, at, dtype, shape in self._blocks.get(key, ()):
+            self._file.seek(at)
+            data = self._file.read(int(np.prod(shape)) * dtype.itemsize)
+            yield part, np.frombuffer(data, dtype).reshape(shape)
+
+
+def summed(chunks: Iterable[tuple[FloatArray, IntArray]]) -> tuple[FloatArray, IntArray]:
+    """Equal values put together: (n,) rising values and (n, C) the sums of what belongs to each.
+
+    chunks: (m,) values and (m, C) whole numbers; together of any length.
+    """
+    held: list[tuple[FloatArray, IntArray]] = []
+    rows = least = 0
+    for values, numbers in chunks:
+        if len(values):
+            held.append((values, numbers.astype(np.int32)))
+            rows += len(values)
+        if rows - least > AT_ONCE:
+            held = [_together(held)]
+            rows = least = len(held[0][0])
+    return _together(held) if held else (np.empty(0), np.empty((0, 1), dtype=np.int32))
+
+
+def _together(held: list[tuple[FloatArray, IntArray]]) -> tuple[FloatArray, IntArray]:
+    values = np.concatenate([v for v, _ in held])
+    numbers = np.concatenate([n for _, n in held])
+    order = np.argsort(values, kind="stable")
+    values = values[order]
+    start = np.flatnonzero(np.append(True, values[1:] != values[:-1]))
+    return values[start], np.add.reduceat(numbers[order], start, axis=0, dtype=np.int32)
+
+
+def ranked(blocks: Blocks, ranks: IntArray) -> FloatArray:
+    """(r,) the values that stand at these places (from 0, rising) among all, as sorting gives.
+
+    In three passes: the span, how many lie in each of STEPS, then those in the steps of the ranks.
+    """
+    low, high = np.inf, -np.inf
+    for block in blocks():
+        known = block[np.isfinite(block)]
+        low = min(low, known.min(initial=np.inf))
+        high = max(high, known.max(initial=-np.inf))
+    width = high - low if high > low else 1.0
+
+    def step(values: FloatArray) -> IntArray:
+        # Rising with the values, so what is in a lower step is no larger. The last has infinity.
+        steps = np.full(len(values), STEPS - 1)
+        known = np.isfinite(values)
+        steps[known] = (values[known] - low) / width * (STEPS - 2)
+        return steps
+
+    count = np.zeros(STEPS, dtype=np.int64)
+    for block in blocks():
+        count += np.bincount(step(block), minlength=STEPS)
+    end = np.cumsum(count)
+    wanted = np.zeros(STEPS, dtype=bool)
+    wanted[np.searchsorted(end, ranks, side="right")] = True
+
+    def those(block: FloatArray) -> tuple[FloatArray, IntArray]:
+        inside = block[wanted[step(block)]]
+        return inside, np.ones((len(inside), 1), dtype=np.int32)
+
+    values, many = summed(map(those, blocks()))
+    before = np.cumsum(np.where(wanted, 0, count))  # left out, below each step
+    place = ranks - before[np.searchsorted(end, ranks, side="right")]
+    return np.asarray(values[np.searchsorted(np.cumsum(many[:, 0]), place, side="right")])

@@ -1,0 +1,144 @@
+"""Logs read, matched with their truth and counted, one at a time or several side by side."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from pathlib import Path
+
+from sonarrec.evaluation.fit import Checked, Matched, checked, matched
+from sonarrec.evaluation.joined import join
+from sonarrec.evaluation.pairs import one_log
+from sonarrec.evaluation.parts import Part, part_of
+from sonarrec.evaluation.same import Recording, recording
+from sonarrec.records import SonarrecError
+from sonarrec.results.folders import estimates_of
+from sonarrec.results.read import read_log
+from sonarrec.sonar import Sonar
+from sonarrec.truth.table import TruthTable, read_truth
+
+WORTH_BYTES = 4_000_000
+"""Of tables, for each process: it takes half a second to start, in which so much is read."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """One log to be read and scored."""
+
+    folder: Path
+    ground_truth: Path
+    log: str | None = None
+    """Its name, where the folder's own is not wanted."""
+    ids: tuple[int, ...] | None = None
+    """The order that its IDs are wanted in; default, that of its landmark set."""
+    min_visible: float = 0.9
+    tolerance_s: float | None = None
+    landmarks: str | None = None
+    sonar: Sonar | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Surveyed:
+    """What was found of one log."""
+
+    folder: Path
+    name: str
+    ids: tuple[int, ...]
+    methods: tuple[str, ...]
+    recording: Recording
+    between: int
+    """Rows of its truth that lie between frames."""
+    checked: Checked | None
+    """None where truth and log could not be matched: see `error`."""
+    error: SonarrecError | None
+    case: Matched | None
+    """Where it was asked for."""
+    part: Part | None
+    """Else this, but for logs that cannot be scored."""
+
+
+def survey(reading: Reading, *, whole: bool = False) -> Surveyed:
+    """Read one log. whole: keep all that was read, and count nothing.
+
+    Raises SonarrecError where the log or its truth cannot be read.
+    """
+    table = _truth(reading.ground_truth)
+    log = read_log(one_log(reading.folder), reading.landmarks, reading.sonar)
+    log = log if reading.log is None else replace(log, name=reading.log)
+    case: Matched | None = None
+    found: Checked | None = None
+    error: SonarrecError | None = None
+    try:
+        case = matched(reading.folder, table, log, reading.tolerance_s)
+        found = checked(case)
+    except SonarrecError as fault:  # of a log that counts already it does not matter
+        error = fault
+    part = None
+    if case is not None and found is not None and found.fault is None and not whole:
+        part = part_of(join([log], [case.truth], reading.min_visible, reading.ids))
+    return Surveyed(
+        folder=reading.folder,
+        name=log.name,
+        ids=log.landmarks.ids,
+        methods=log.methods,
+        recording=recording(reading.folder, log),
+        between=0 if case is None else case.truth.between,
+        checked=found,
+        error=error,
+        case=case if whole else None,
+        part=part,
+    )
+
+
+@lru_cache(maxsize=1)
+def _truth(path: Path) -> TruthTable:
+    """That of the log before as well, where one file covers several."""
+    return read_truth(path)
+
+
+def survey_all(readings: Sequence[Reading], jobs: int | None) -> Iterator[Surveyed]:
+    """`survey` of each, in their order; jobs: that many processes side by side.
+
+    By default as many as there are cores, and fewer of logs so small that it would not pay.
+    Raises what `survey` raises, of the first log that raises anything.
+    """
+    _truth.cache_clear()  # the files may have changed since the last call
+    if jobs is None:
+        jobs = min(multiprocessing.cpu_count(), sum(map(_bytes, readings)) // WORTH_BYTES)
+    if min(jobs, len(readings)) < 2:
+        yield from map(survey, readings)
+        return
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(jobs, len(readings)), context) as workers:
+        try:
+            yield from _in_order((partial(workers.submit, survey, r) for r in readings), jobs)
+        except BrokenProcessPool:
+            raise SonarrecError(
+                "a process that read results was ended from outside, as when memory runs out; "
+                "nothing was written; with --jobs 1 the logs are read one after the other"
+            ) from None
+        finally:
+            workers.shutdown(wait=False, cancel_futures=True)
+
+
+def _in_order(starts: Iterable[Callable[[], Future[Surveyed]]], jobs: int) -> Iterator[Surveyed]:
+    """Results as they were asked for; only some ahead, for each is held until its turn."""
+    ahead: deque[Future[Surveyed]] = deque()
+    for start in starts:
+        ahead.append(start())
+        if len(ahead) > 2 * jobs:
+            yield ahead.popleft().result()
+    while ahead:
+        yield ahead.popleft().result()
+
+
+def _bytes(reading: Reading) -> int:
+    try:
+        return estimates_of(reading.folder).stat().st_size
+    except OSError:  # told where it is read
+        return 0

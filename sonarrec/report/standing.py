@@ -1,0 +1,111 @@
+"""Of many logs those that differ from the rest: failed, partial, badly scored, seen otherwise."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sonarrec.batch import logs_table
+from sonarrec.evaluation import cells
+from sonarrec.evaluation.pooled import Pooled
+from sonarrec.records import SonarrecError, shown
+from sonarrec.report.logs import follows_by_default
+from sonarrec.results.run_file import read_run
+from sonarrec.results.sightings_file import read_sightings
+
+MOST_LOGS = 8
+"""Logs with panels of their own: each adds some 40 kB to the page."""
+MOST_OF_A_KIND = 5
+"""Logs named for one reason."""
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """A log that differs from the rest."""
+
+    name: str
+    folder: Path | None
+    """Of its results; None where there are none."""
+    reasons: tuple[str, ...]
+
+
+def standing(
+    folders: Sequence[Path], pooled: Pooled | None, place: Path | None, method: str | None
+) -> list[Standing]:
+    """Logs that differ from the rest, those for which there is most to say first.
+
+    place: the folder that holds the results, whose logs.csv tells of logs that have none. method:
+    whose mistakes count, by default as in `logs.read_logs`.
+    Raises SonarrecError where a run.toml or the sightings cannot be used.
+    """
+    found: dict[str, list[str]] = {}
+    where = {shown(folder.resolve().name): folder for folder in folders}
+    if pooled is not None:
+        where = dict(zip(pooled.logs, pooled.folders, strict=True))
+    said = [*_unfinished(where, place), *(_scored(pooled, method) if pooled else _seen(where))]
+    for name, reason in said:
+        found.setdefault(name, []).append(reason)
+    return [Standing(name, where.get(name), tuple(why)) for name, why in found.items()]
+
+
+def chosen(folders: Sequence[Path], stand: Sequence[Standing]) -> list[int]:
+    """Which of the folders have panels of their own, by index: those that differ, then others."""
+    place = {folder: i for i, folder in enumerate(folders)}
+    first = [place[one.folder] for one in stand if one.folder in place]
+    return list(dict.fromkeys([*first, *range(len(folders))]))[:MOST_LOGS]
+
+
+def _unfinished(where: dict[str, Path], place: Path | None) -> Iterator[tuple[str, str]]:
+    """Those that failed or could not be used whole."""
+    rows = []
+    if place is not None:
+        try:
+            rows = logs_table.read_logs(place / logs_table.NAME)
+        except SonarrecError:  # another program's
+            rows = []
+    for row in rows:
+        if row.status == "failed":
+            yield row.log, f"failed: {row.message}"
+    told = {row.log for row in rows if row.status == "failed"}
+    for name, folder in where.items():
+        run = read_run(folder / "run.toml")
+        if name not in told and not run.finished:
+            yield name, "partial: the run was cut short"
+        elif name not in told and run.input.problems:
+            more = f" and {len(run.input.problems) - 1} more" * (len(run.input.problems) > 1)
+            yield name, f"partial: {run.input.problems[0]}{more}"
+
+
+def _scored(pooled: Pooled, method: str | None) -> Iterator[tuple[str, str]]:
+    """The most mistakes, then the most false claims."""
+    method = method or follows_by_default(pooled.methods)
+    scored = cells.of(pooled, method, cells.protocols(pooled)[0])
+    counts = [of_log[-1] for of_log in scored.counts_per_log()]
+    mistakes = [count.fn + count.fp for count in counts]
+    false = [count.fp for count in counts]
+    for i in _most(mistakes):
+        count = counts[i]
+        whole = f" of {count.tp + count.fn}" * bool(count.tp + count.fn)
+        told = f"{count.fn}{whole} missed, {count.fp} false claim" + "s" * (count.fp != 1)
+        yield pooled.logs[i], f"most mistakes of {method}: {told}"
+    for i in _most([n if n > 1 else 0 for n in false]):  # one tells nothing
+        yield pooled.logs[i], f"most false claims of {method}: {false[i]}"
+
+
+def _seen(where: dict[str, Path]) -> Iterator[tuple[str, str]]:
+    """Without truth: numbers of sightings far from what is usual."""
+    count = [sum(1 for _ in read_sightings(folder)) for folder in where.values()]
+    usual = float(np.median(count)) if count else 0.0
+    names = list(where)
+    for i in _most([abs(n - usual) for n in count]):
+        yield names[i], f"sightings: {count[i]}, where {usual:g} are usual"
+
+
+def _most(values: Sequence[float]) -> list[int]:
+    """The few that are larger than is usual, the largest first."""
+    usual = np.median(values) if len(values) else 0
+    order = sorted(range(len(values)), key=lambda i: -values[i])
+    return [i for i in order[:MOST_OF_A_KIND] if values[i] > usual]

@@ -1,0 +1,115 @@
+"""The page on many logs: it opens with what differs from the rest, and stays small."""
+
+from __future__ import annotations
+
+import re
+import time
+from pathlib import Path
+
+import pytest
+
+from sonarrec.report.standing import MOST_LOGS
+from tests.support.browser import chromium, look
+from tests.support.command import sonarrec
+from tests.support.made_up import make_logs
+
+MANY = 60
+MOST_BYTES = 800_000
+"""Of a page without pictures: 8 logs with panels of some 40 kB, tables and curves of 300 kB."""
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Sixty logs: one with false claims in every frame, one cut short, one damaged, one failed."""
+    pairs = make_logs(tmp_path_factory.mktemp("many") / "made", MANY, 200, 6)
+    out = pairs.parent / "out"
+    bad = out / "log0031" / "estimates.csv"
+    text = bad.read_text(encoding="utf-8")
+    bad.unlink()
+    bad.write_text(re.sub(r"(framework,1,.*),0\n", r"\1,1\n", text), encoding="utf-8")
+    cut, damaged = (out / name / "run.toml" for name in ("log0044", "log0050"))
+    run = cut.read_text(encoding="utf-8")
+    cut.write_text(run.replace("finished = true", "finished = false"), encoding="utf-8")
+    run = damaged.read_text(encoding="utf-8")
+    damaged.write_text(run + 'problems = ["frame 3: cut"]\n', encoding="utf-8")
+    (out / "logs.csv").write_text(
+        "log,path,status,frames,unusable,seconds,declared,message\n"
+        "gone,dives/gone.mcap,failed,0,0,1.0,0,dives/gone.mcap: <b>no MCAP</b>\n",
+        encoding="utf-8",
+    )
+    return pairs
+
+
+@pytest.fixture(scope="module")
+def page(made: Path) -> Path:
+    gt = made.parent / "gt.csv"
+    rows = ["log,frame,landmark,range_m,bearing_deg"]
+    for n in range(MANY):
+        own = (made.parent / f"kind{n % 6}" / "gt.csv").read_text(encoding="utf-8")
+        rows += [f"log{n:04d},{line}" for line in own.splitlines()[1:]]
+    gt.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    page = made.parent / "page.html"
+    sonarrec("report", made.parent / "out", "--ground-truth", gt, "-o", page, code=3)
+    return page
+
+
+def section(text: str, name: str) -> str:
+    return text[text.index(f'<section id="{name}"') :].partition("</section>")[0]
+
+
+def test_it_opens_with_what_differs(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    first = text[text.index("<main>") :]
+    assert f"<h1>{MANY} logs</h1>" in text
+    assert first.index('id="standing"') < first.index('id="rates"') < first.index('id="seen"')
+    stands = section(text, "standing")
+    told = re.findall(
+        r'<th scope="row" class="text">(.*?)</th><td class="text wide">(.*?)</td>', stands
+    )
+    reasons = dict(told)
+    assert told[0] == ("gone", "failed: dives/gone.mcap: &lt;b&gt;no MCAP&lt;/b&gt;")
+    assert reasons["log0044"] == "partial: the run was cut short"
+    assert reasons["log0050"] == "partial: frame 3: cut"
+    assert "most mistakes of framework" in reasons["log0031"]
+    assert re.search(r"most false claims of framework: \d{3}", reasons["log0031"])
+    assert next(name for name, why in told if "most mistakes" in why) == "log0031"
+    assert f"{MOST_LOGS} of {MANY} logs have panels below" in stands
+
+
+def test_only_some_have_panels_and_the_figures_are_of_all(page: Path, made: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    shown = re.findall(r"<h3>(log\d{4})</h3>", section(text, "seen"))
+    assert len(shown) == MOST_LOGS
+    assert {"log0031", "log0044", "log0050"} <= set(shown)
+    assert section(text, "rates").count('<th scope="row" class="text">log') == 40
+    sonarrec("evaluate", made.parent / "out", "--ground-truth", made.parent / "gt.csv", code=3)
+    told = (made.parent / "out" / "evaluation" / "confusion.csv").read_text(encoding="utf-8")
+    total = next(x for x in told.splitlines() if x.startswith("strict,framework,total"))
+    missed, false = total.split(",")[8], total.split(",")[7]
+    assert f"framework: {int(false):,} false claims, {int(missed)} missed" in section(
+        text, "mistakes"
+    )
+
+
+def test_the_page_stays_small(page: Path, made: Path) -> None:
+    """Without truth as well; what is not known then is told from the number of sightings."""
+    assert page.stat().st_size < MOST_BYTES
+    bare = made.parent / "bare.html"
+    sonarrec("report", made.parent / "out", "-o", bare, code=3)
+    assert bare.stat().st_size < MOST_BYTES
+    stands = section(bare.read_text(encoding="utf-8"), "standing")
+    assert "sightings: " in stands
+    assert "failed: " in stands
+
+
+@pytest.mark.parametrize("width", [1280, 400])
+def test_it_opens_quickly_in_a_browser(
+    page: Path, width: int, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    with chromium(tmp_path_factory.mktemp("profile")) as browser:
+        begun = time.monotonic()
+        found = look(browser, page, width, "light")
+        took = time.monotonic() - begun
+        browser.save_screenshot(str(page.with_suffix(f".{width}.png")))
+    assert (found["console"], found["wide"], found["outside"]) == ([], 0, []) or found["wide"] < 0
+    assert took < 10  # a second where nothing else runs

@@ -1,0 +1,192 @@
+"""estimates.parquet in place of estimates.csv: the same columns, rows and numbers for everyone."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+from click.testing import CliRunner, Result
+
+from sonarrec import parquet
+from sonarrec.cli import main
+from sonarrec.landmarks import load_landmarks
+from sonarrec.records import FrameResult, SonarrecError
+from sonarrec.results.folders import estimates_of, part_of
+from sonarrec.results.frames import read_results
+from sonarrec.results.read import estimate_tables, read_log
+from sonarrec.results.write import ResultsWriter
+from tests.support.command import SAMPLE, sonarrec
+
+TRUTH = SAMPLE / "gt.csv"
+
+
+def call(*words: str | Path) -> Result:
+    return CliRunner().invoke(main, list(map(str, words)))
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """The sample log, run into each form."""
+    place = tmp_path_factory.mktemp("forms")
+    for form in ("csv", "parquet"):
+        sonarrec("run", SAMPLE, "--tables", form, "-o", place / form, "-q")
+    return {form: place / form / "pan" for form in ("csv", "parquet")}
+
+
+def test_the_same_columns_and_rows(both: dict[str, Path]) -> None:
+    """Against the text of the CSV file, cell by cell."""
+    assert not (both["parquet"] / "estimates.csv").exists()
+    assert not (both["csv"] / "estimates.parquet").exists()
+    table = pq.read_table(both["parquet"] / "estimates.parquet")
+    with (both["csv"] / "estimates.csv").open(newline="", encoding="utf-8") as file:
+        header, *rows = csv.reader(file)
+    assert table.column_names == header
+    for name, cells in zip(header, zip(*rows, strict=True), strict=True):
+        found = table.column(name).to_pylist()
+        if name == "method":
+            assert found == list(cells)
+        elif name in ("frame", "timestamp_ns", "object", "landmark", "declared"):
+            assert found == list(map(int, cells))
+        else:
+            told = np.array([np.nan if x is None else x for x in found])
+            expected = np.array(list(map(float, cells)))
+            assert np.allclose(told, expected, rtol=1e-15, atol=0, equal_nan=True)
+
+
+def test_whoever_reads_results_reads_both(both: dict[str, Path], tmp_path: Path) -> None:
+    """What each command makes of them: the same bytes, but for where it names the file."""
+    made = {}
+    for form, results in both.items():
+        place = tmp_path / "work"
+        shutil.copytree(results, place / "pan")
+        shutil.copy(results.parent / "logs.csv", place)
+        out = place / "out"
+        out.mkdir()
+        for words in (
+            ("evaluate", place / "pan", "--ground-truth", TRUTH, "-o", out / "evaluation"),
+            ("report", place / "pan", "--ground-truth", TRUTH, "-o", out / "report.html"),
+            ("overlay", SAMPLE, place / "pan", "--mcap", out / "marks.mcap"),
+            ("truth", "propose", place / "pan", "-o", out / "proposed.csv"),
+            ("map", place / "pan", "--odometry", poses(tmp_path), "-o", out / "map"),
+            ("evaluate", "--ground-truth", TRUTH, "--compare", place / "pan", both["csv"]),
+        ):
+            done = call(*words, *(("-o", out / "compare") if "--compare" in words else ()))
+            assert done.exit_code == 0, (words, done.output)
+        made[form] = {
+            path.relative_to(out).as_posix(): path.read_bytes()
+            for path in sorted(out.rglob("*"))
+            if path.is_file()
+        }
+        shutil.rmtree(place)
+    told = made["parquet"].pop("report.html").decode()
+    key = '<tr><th scope="row" class="text">tables</th><td class="text">parquet</td></tr>'
+    assert told.count(key) == 1
+    assert told.replace(key, "") == made["csv"].pop("report.html").decode()
+    compared = [json.loads(made[form].pop("compare/compare.json")) for form in ("csv", "parquet")]
+    assert compared[0]["rates"] == compared[1]["rates"]
+    assert [one["key"] for one in compared[1]["settings"]] == ["program.tables"]
+    assert made["parquet"] == made["csv"]
+
+
+def poses(place: Path) -> Path:
+    path = place / "poses.csv"
+    rows = (f"{n * 250_000_000},{n / 100},0,0" for n in range(200))
+    path.write_text("timestamp_ns,x,y,yaw\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    return path
+
+
+def test_in_python(both: dict[str, Path]) -> None:
+    tables = {form: read_results(folder) for form, folder in both.items()}
+    pd.testing.assert_frame_equal(
+        tables["csv"].estimates, tables["parquet"].estimates, check_dtype=False
+    )
+    logs = {form: read_log(folder) for form, folder in both.items()}
+    assert np.array_equal(logs["csv"].score, logs["parquet"].score)  # to the last bit
+    assert np.array_equal(logs["csv"].probability, logs["parquet"].probability)
+    assert logs["csv"].methods == logs["parquet"].methods
+
+
+def test_some_rows_at_a_time(
+    both: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Row groups bound the memory of writing and of reading."""
+    monkeypatch.setattr(parquet, "ROWS", 100)
+    shutil.copytree(both["csv"], tmp_path / "pan")
+    table = tmp_path / "pan" / "estimates.csv"
+    rows = table.read_text(encoding="utf-8").count("\n") - 1
+    parquet.convert(table, table.with_suffix(".parquet"))
+    file = pq.ParquetFile(table.with_suffix(".parquet"))
+    assert file.num_row_groups == -(-rows // 100)
+    assert not table.exists()
+    landmarks = load_landmarks("basin")
+    parts = list(estimate_tables(table.with_suffix(".parquet"), landmarks, 70))
+    assert [first for first, _ in parts] == list(range(0, rows, 70))
+    scores = np.concatenate([part["score"] for _, part in parts])
+    assert np.array_equal(scores, read_log(both["csv"]).score)
+
+
+def test_a_run_that_is_stopped_leaves_csv(tmp_path: Path) -> None:
+    folder, run = tmp_path / "log", {"input": {}}
+    with ResultsWriter(folder, load_landmarks("basin"), run, parquet=True) as writer:
+        writer.write(FrameResult(index=0, timestamp_ns=0, candidates=0, tracks=0, estimates=()))
+    part = part_of(folder)
+    assert estimates_of(part).name == "estimates.csv"
+    assert not list(part.glob("*.parquet"))
+    assert len(read_results(part).frames) == 1
+
+
+def test_a_log_without_estimates(tmp_path: Path) -> None:
+    folder, run = tmp_path / "log", {"input": {}}
+    with ResultsWriter(folder, load_landmarks("basin"), run, parquet=True) as writer:
+        writer.write(FrameResult(index=0, timestamp_ns=0, candidates=0, tracks=0, estimates=()))
+        writer.finish([])
+    found = read_results(folder).estimates
+    assert len(found) == 0
+    assert list(found)[:3] == ["frame", "timestamp_ns", "method"]
+    tables = list(estimate_tables(estimates_of(folder), load_landmarks("basin"), 100))
+    assert sum(len(table["frame"]) for _, table in tables) == 0
+
+
+def test_the_other_form_is_made_anew_and_takes_the_place(
+    both: dict[str, Path], tmp_path: Path
+) -> None:
+    shutil.copytree(both["csv"], tmp_path / "out" / "pan")
+    told = call("run", SAMPLE, "--tables", "parquet", "-o", tmp_path / "out")
+    assert told.exit_code == 0, told.output
+    assert "other settings: program.tables" in told.stderr
+    there = {path.name for path in (tmp_path / "out" / "pan").iterdir()}
+    assert there == {"frames.csv", "estimates.parquet", "sightings.csv", "run.toml"}
+    again = call("run", SAMPLE, "--tables", "parquet", "-o", tmp_path / "out")
+    assert "up to date" in again.output
+
+
+def test_damaged_parquet_is_one_line(both: dict[str, Path], tmp_path: Path) -> None:
+    shutil.copytree(both["parquet"], tmp_path / "pan")
+    table = tmp_path / "pan" / "estimates.parquet"
+    for data in (table.read_bytes()[:-200], b"", b"PAR1" * 10):
+        table.write_bytes(data)
+        told = call("evaluate", tmp_path / "pan", "--ground-truth", TRUTH)
+        assert told.exit_code == 1
+        assert told.stderr.startswith(f"sonarrec: {table}: not a readable Parquet table (")
+        assert told.stderr.count("\n") == 1
+
+
+def test_without_pyarrow(
+    both: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
+    with pytest.raises(SonarrecError, match=r"pip install 'sonarrec\[parquet\]'"):
+        read_log(both["parquet"])
+    told = call("run", SAMPLE, "--tables", "parquet", "-o", tmp_path)
+    assert told.exit_code == 1
+    assert "pip install 'sonarrec[parquet]'" in told.stderr
+    assert not list(tmp_path.iterdir())
+    assert len(read_log(both["csv"]).score)
