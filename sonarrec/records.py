@@ -138,12 +138,17 @@ class Motion:
     """How the sonar moved from one frame to the next.
 
     pan_deg: how far it turned, positive to the right. right_m, ahead_m: how far it was carried, to
-    the right and ahead as it looked before.
+    the right and ahead as it looked before. The sigmas: their standard errors, NaN where nobody
+    states them, as of poses that are told. known: False where it is a guess, with wide sigmas.
     """
 
     pan_deg: float
     right_m: float = 0.0
     ahead_m: float = 0.0
+    pan_sigma_deg: float = math.nan
+    right_sigma_m: float = math.nan
+    ahead_sigma_m: float = math.nan
+    known: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,10 +215,14 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class FrameResult:
-    """All that one frame gave: a row of frames.csv and its rows of estimates.csv."""
+    """All that one frame gave: a row of frames.csv and its rows of estimates.csv.
+
+    motion: of the sonar since the frame before; None for the first one, and where nobody looked.
+    """
 
     index: int
     timestamp_ns: int
     candidates: int
     tracks: int
     estimates: tuple[Estimate, ...]
+    motion: Motion | None = None
