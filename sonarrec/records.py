@@ -138,16 +138,16 @@ class Motion:
     """How the sonar moved from one frame to the next.
 
     pan_deg: how far it turned, positive to the right. right_m, ahead_m: how far it was carried, to
-    the right and ahead as it looked before. The sigmas: their standard errors, NaN where nobody
-    states them, as of poses that are told. known: False where it is a guess, with wide sigmas.
+    the right and ahead as it looked before. The sigmas: their standard errors, 0 of poses that
+    are told. known: False where it is a guess, with wide sigmas.
     """
 
     pan_deg: float
     right_m: float = 0.0
     ahead_m: float = 0.0
-    pan_sigma_deg: float = math.nan
-    right_sigma_m: float = math.nan
-    ahead_sigma_m: float = math.nan
+    pan_sigma_deg: float = 0.0
+    right_sigma_m: float = 0.0
+    ahead_sigma_m: float = 0.0
     known: bool = True
 
 

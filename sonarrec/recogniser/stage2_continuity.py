@@ -101,7 +101,7 @@ class ContinuityFilter:
         fan = self._plane.fan
         turned = math.radians(motion.pan_sigma_deg) * (fan.range_min_m + fan.range_max_m) / 2
         sigma_m = math.hypot(turned, motion.right_sigma_m, motion.ahead_sigma_m)
-        return 0.0 if math.isnan(sigma_m) else sigma_m * self._plane.scale / fan.metres_per_pixel
+        return sigma_m * self._plane.scale / fan.metres_per_pixel
 
     def _place(self, positions: FloatArray, there: BoolArray, motion: Motion | None) -> None:
         """Where the objects are now: where the group was a candidate, else moved with the floor."""
