@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import cache
-from itertools import islice
+from itertools import islice, pairwise
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ CHI2_3 = (2.37, 7.81)  # median, and 95 %
 def truth(poses: list[Pose]) -> FloatArray:
     """(n - 1, 3) carried to the right and ahead (m), turned (deg), from the poses of n frames."""
     found = []
-    for before, now in zip(poses, poses[1:], strict=False):
+    for before, now in pairwise(poses):
         x, y = now.x_m - before.x_m, now.y_m - before.y_m
         cos, sin = (way(math.radians(before.pan_deg)) for way in (math.cos, math.sin))
         found.append((x * cos - y * sin, x * sin + y * cos, now.pan_deg - before.pan_deg))

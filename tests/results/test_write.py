@@ -87,13 +87,12 @@ def test_what_is_written_is_what_was_estimated(tmp_path):
         writer.write(dataclasses.replace(result(7, *given[30:]), motion=told))
         writer.write(dataclasses.replace(result(8), motion=seen))
         writer.finish([])
-    none = [""] * 6
+    none, moved = [""] * 6, ["0.00000", "0.05000", "0.3000", "0.00123", "0.00200", "0.0312"]
     assert rows(tmp_path / "frames.csv")[1:] == [
         ["5", "1250000000", "4", "2", "", "", "", *none],
         ["6", "1500000000", "4", "2", "1500000001", "", "-7", *none],
         ["7", "1750000000", "4", "2", "", "", "", "0.10000", "-0.02000", "-1.2500", "", "", ""],
-        ["8", "2000000000", "4", "2", "", "", ""]
-        + ["0.00000", "0.05000", "0.3000", "0.00123", "0.00200", "0.0312"],
+        ["8", "2000000000", "4", "2", "", "", "", *moved],
     ]
     header, *body = rows(tmp_path / "estimates.csv")
     assert len(body) == 40
