@@ -178,10 +178,11 @@ class Features:
         40.0, "frames", "track: memory of the averaged shape matrix"
     )
     beam_width_deg: Annotated[float, bounds(0, 5)] = _setting(
-        0.4,
+        0.0,
         "degrees",
         "track: of the sonar's beams, two-way, between half-power points; how much of a landmark's "
-        "symbol they smear",
+        "symbol they smear. 0: found out, by the log's messages, its sonar's model, its first "
+        "frames, or its field of view",
     )
     alike_radii: Annotated[float, bounds(0, 2)] = _setting(
         0.45,

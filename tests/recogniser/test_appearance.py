@@ -364,7 +364,7 @@ def test_knots_that_do_not_rise_are_refused(tmp_path):
 def averaged(pattern, seed: int, frames: int = 16, range_m: float = 2.1, bearing_deg: float = 3.0):
     """Probabilities and turn after some frames of one speckled disc on its dark plate."""
     rng = np.random.default_rng(seed)
-    sharp = Features(memory_frames=20.0, beam_width_deg=0.0)
+    sharp = Features(memory_frames=20.0, beam_width_deg=0.01)
     measurement = AppearanceMeasurement(sharp, PLANE, SAMPLER, BASIN, load_model())
     disc, seen = draw_on_floor(FAN, range_m, bearing_deg, BASIN.radius_m, pattern)
     plate, _ = draw_on_floor(

@@ -22,7 +22,7 @@ ABLATIONS = {
     "each frame by itself": ("features.measurement=single",),
     "memory of one frame": ("features.memory_frames=1",),
     "cells of a symbol taken for independent": ("features.alike_radii=0",),
-    "symbols as drawn, not as the beam smears them": ("features.beam_width_deg=0",),
+    "symbols as drawn, not as the beam smears them": ("features.beam_width_deg=0.01",),
     "circles in the fan, Eq. 1": ("candidates.plane=fan",),
     "edges, not rings": ("candidates.detector=edge",),
 }

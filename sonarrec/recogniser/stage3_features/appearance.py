@@ -16,6 +16,7 @@ import numpy as np
 
 from sonarrec.config import Features
 from sonarrec.landmarks import LandmarkSet
+from sonarrec.recogniser.beam_width import usual_beam_width_deg
 from sonarrec.recogniser.plane import Plane
 from sonarrec.recogniser.stage3_features import Beliefs, likeliest
 from sonarrec.recogniser.stage3_features.description import Describer
@@ -49,7 +50,8 @@ class AppearanceMeasurement:
             sampler.bands, sampler.radii, landmarks, alike=config.alike_radii
         )
         self._model = model
-        self._beam_sigma = np.radians(config.beam_width_deg / HALF_POWER)
+        width_deg = config.beam_width_deg or usual_beam_width_deg(plane.fan)
+        self._beam_sigma = np.radians(width_deg / HALF_POWER)
         self._radius_m = landmarks.radius_m
 
     def gather(
