@@ -32,6 +32,8 @@ BETTER = 0.1
 # A standing sonar whose pictures match by less than this share of what they usually do may have
 # begun to move. What they do at first, before it is known.
 USUAL_SHARE, FIRST_USUAL, USUAL_MEMORY = 0.75, 0.8, 20.0
+# So often, in frames, a standing sonar that matches as usual is looked at for what a turn leaves.
+LOOK_EVERY = 4
 # Forgetting of what says that the sonar moves, from frame to frame; chi-squares (2) above which it
 # sets out, and below which it stands again.
 KEEP = 0.9
@@ -152,7 +154,8 @@ class ImageMotion:
         self._drift = _Drift.none()
         self._usual = FIRST_USUAL
         self._speed: FloatArray | None = None  # (3,) a second; None: it stands
-        self._under_way = self._lost = 0  # frames
+        self._under_way = self._lost = self._unseen = 0  # frames
+        self._pan_sigma: float | None = None  # of a turn, as last looked at
 
     def step(self, image: ByteImage, seconds: float | None) -> Motion | None:
         """The motion since the last image, `known` where it may be built upon.
@@ -177,9 +180,14 @@ class ImageMotion:
     def _standing(self, before: FloatImage, pan_deg: float, match: float, seconds: float) -> Motion:
         """Of a sonar that stood so far."""
         turn = math.radians(pan_deg)
-        quick = self._registration.quick(before, self.pan.picture, turn)
-        drifts = quick is not None and self._drift.add(quick) > SET_OUT
-        if drifts or match < USUAL_SHARE * self._usual:
+        poor, drifts, quick = match < USUAL_SHARE * self._usual, False, None
+        self._unseen += 1
+        if poor or self._pan_sigma is None or self._unseen >= LOOK_EVERY:
+            self._unseen = 0
+            quick = self._registration.quick(before, self.pan.picture, turn)
+            drifts = quick is not None and self._drift.add(quick) > SET_OUT
+            self._pan_sigma = None if quick is None else math.degrees(quick.sigma[2])
+        if drifts or poor:
             start = np.array([0.0, 0.0, turn])
             found = self._registered(before, start, searched=not drifts)
             least = match if drifts else match + BETTER
@@ -188,12 +196,14 @@ class ImageMotion:
                 return self._went(found, seconds)
             # So this is how a sonar that stands matches here.
             self._usual = match
-            self._drift = _Drift.none() if drifts else self._drift
+            if drifts and quick is not None:
+                self._drift = _Drift.none()
+                self._drift.add(quick)
         self._usual += (match - self._usual) / USUAL_MEMORY
-        if match < self._min_match or quick is None:
+        if match < self._min_match or self._pan_sigma is None or not self._drift.weight.any():
             return unknown(seconds)
-        right, ahead = self._drift.sigma() if self._drift.weight.any() else quick.sigma[:2]
-        return Motion(pan_deg, 0.0, 0.0, math.degrees(quick.sigma[2]), float(right), float(ahead))
+        right, ahead = self._drift.sigma().tolist()
+        return Motion(pan_deg, 0.0, 0.0, self._pan_sigma, right, ahead)
 
     def _moving(self, before: FloatImage, match: float, seconds: float) -> Motion:
         """Of a sonar under way."""

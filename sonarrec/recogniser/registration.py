@@ -33,8 +33,8 @@ GRAIN = 4.0  # cells of a grain of speckle, which tell one thing
 # and what leaks between beams, is alike over.
 BLOCKS = (8, 12)
 # Of the quick measurement: every so many rows.
-EVERY = 4
-QUICK_BLOCKS = (4, 12)
+EVERY = 8
+QUICK_BLOCKS = (4, 8)
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,22 +150,24 @@ class FloorRegistration:
         It looks at a part of the rows, and takes the height as even. None where nothing is seen.
         """
         shift = np.float32(turn / self._bearing_step)
+        # Every so many rows and its two neighbours: (3, rows, columns).
+        earlier, later = (self._threes(p) for p in (before, now))
+        flat = earlier.reshape(-1, earlier.shape[-1])
         turned = np.asarray(
             cv2.warpAffine(
-                before,
+                flat,
                 np.array([[1, 0, shift], [0, 1, 0]], np.float32),
-                before.shape[::-1],
+                flat.shape[::-1],
                 flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
             ),
             np.float32,
-        )
-        rows = self._quick
-        one, other = turned[rows, 1:-1], now[rows, 1:-1]
+        ).reshape(earlier.shape)
+        one, other = turned[1, :, 1:-1], later[1, :, 1:-1]
         power = float(np.vdot(one, one))
         product = float(np.vdot(one, other))
         if product <= LEAST_SHARE * power or power <= 0:
             return None
-        slopes = [self._slope(p, rows) for p in (turned, now)]
+        slopes = [self._slope(p) for p in (turned, later)]
         share = np.float32(product / power)
         first, second = (s.reshape(3, -1) for s in slopes)
         curvature = (first @ second.T).astype(float) * float(share)
@@ -173,19 +175,28 @@ class FloorRegistration:
         residual = other - share * one
         score = slopes[0] * residual
         blocks = _in_blocks(score, QUICK_BLOCKS)
-        if np.linalg.eigvalsh(curvature)[0] <= 0:
+        if np.linalg.det(curvature) <= 0:
             return None
         inverse = np.linalg.inv(curvature)
+        if inverse.diagonal().min() <= 0:
+            return None
         rest = inverse @ blocks.sum(axis=1)
         rest[2] += turn
         match = product / math.sqrt(power * float(np.vdot(other, other)))
         return Registered(rest, inverse @ (blocks @ blocks.T) @ inverse, match)
 
-    def _slope(self, picture: FloatImage, rows: slice) -> FloatImage:
-        """(3, rows, columns - 2) by how much some rows change with the motion."""
-        step, stop = rows.step, rows.stop
-        down = picture[2 : stop + 1 : step, 1:-1] - picture[0 : stop - 1 : step, 1:-1]
-        across = picture[rows, 2:] - picture[rows, :-2]
+    def _threes(self, picture: FloatImage) -> FloatImage:
+        """(3, rows, columns) the rows of the quick measurement between those above and below."""
+        stop = self._quick.stop
+        return np.stack([picture[k : stop - 1 + k : EVERY] for k in range(3)])
+
+    def _slope(self, threes: FloatImage) -> FloatImage:
+        """(3, rows, columns - 2) by how much the quick measurement's rows change with the motion.
+
+        threes: of `_threes`.
+        """
+        down = threes[2, :, 1:-1] - threes[0, :, 1:-1]
+        across = threes[1, :, 2:] - threes[1, :, :-2]
         return np.asarray(0.5 * (self._quick_down * down + self._quick_across * across))
 
 
