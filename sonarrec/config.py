@@ -202,8 +202,8 @@ class Features:
         0.0,
         "degrees",
         "track: of the sonar's beams, two-way, between half-power points; how much of a landmark's "
-        "symbol they smear. 0: as sonars of such a field of view have, 0.4 up to 40 deg, 0.6 up to "
-        "80, else 1.0",
+        "symbol they smear. 0: found out, by the log's messages, its sonar's model, its first "
+        "frames, or its field of view",
     )
     alike_radii: Annotated[float, bounds(0, 2)] = _setting(
         0.45,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +16,14 @@ from sonarrec.readers import open_log
 from sonarrec.readers.find import SONAR_FILE, find_log, log_name
 from sonarrec.readers.log import Log
 from sonarrec.readers.poses_csv import read_poses
+from sonarrec.recogniser.beam_width import beam_width_deg, usual_beam_width_deg
 from sonarrec.recogniser.side_by_side import SideBySide
 from sonarrec.recogniser.stage3_features.model import ModelFile, model_from_table, read_model
 from sonarrec.records import Fan, Frame, UsageError, shown
 from sonarrec.results.run_file import Given, RunFile, read_run, run_table
 
+FRAMES_FOR_BEAMS = 4
+"""So many are looked at for the width of the beams."""
 POSES_FILE = "poses.csv"
 """Poses beside a log, or NAME.poses.csv, which are used where none are given."""
 
@@ -77,15 +80,17 @@ def prepared(
         first = next(frames, None)  # raises where there is no usable frame at all
         if first is None:
             raise UsageError(f"{shown(path)}: no frame lies in --frames {_told(span)}")
+        begin = [first, *islice(frames, FRAMES_FOR_BEAMS - 1)]
+        configs, more_of_beams = _with_beams(used.configs, log, begin)
         recogniser = SideBySide(
-            used.configs, first.fan, landmarks, learned.model if learned else None, poses
+            configs, first.fan, landmarks, learned.model if learned else None, poses
         )
         folder = out / (name or log.name)
         if folder.resolve() == path.resolve():
             raise UsageError(f"{shown(folder)}: this is the log itself; choose another --out")
         source = (shown(log.name), *log.digest_source())
         table = run_table(
-            used.configs,
+            configs,
             recogniser.methods,
             log.stated,
             first.fan,
@@ -104,7 +109,7 @@ def prepared(
             table["model"] = learned.as_table()
         yield Prepared(
             log,
-            chain([first], frames),
+            chain(begin, frames),
             _count(log, span),
             first.fan,
             landmarks,
@@ -112,8 +117,36 @@ def prepared(
             recogniser,
             table,
             folder,
-            [*notes, *more],
+            [*notes, *more, *more_of_beams],
         )
+
+
+def _with_beams(
+    configs: Sequence[Config], log: Log, begin: Sequence[Frame]
+) -> tuple[list[Config], list[str]]:
+    """The settings with the beams' width where it is to be found out, and a note on it.
+
+    begin: the log's first frames. Nothing is said where the width is what the field of view lets
+    one expect.
+    """
+    if all(c.features.beam_width_deg or c.features.measurement == "single" for c in configs):
+        return list(configs), []
+    fan, told = begin[0].fan, log.beam_width_deg
+    if told is not None:
+        width, how = told, "the log tells"
+    else:
+        width, measured = beam_width_deg(fan, [f.image for f in begin if f.fan == fan])
+        how = "the first frames show" if measured else ""
+    found = [
+        c
+        if c.features.beam_width_deg or c.features.measurement == "single"
+        else replace(c, features=replace(c.features, beam_width_deg=width))
+        for c in configs
+    ]
+    if width == usual_beam_width_deg(fan):
+        return found, []
+    note = f"beams are taken to be {width:g} deg wide, as {how}"
+    return found, [f"{shown(log.path)}: {note} (features.beam_width_deg sets another)"]
 
 
 def _within(log: Log, span: tuple[int, int | None]) -> Iterator[Frame]:

@@ -138,13 +138,17 @@ class Motion:
     """How the sonar moved from one frame to the next.
 
     pan_deg: how far it turned, positive to the right. right_m, ahead_m: how far it was carried, to
-    the right and ahead as it looked before. pan_sigma_deg: standard error of the turn.
+    the right and ahead as it looked before. The sigmas: their standard errors, 0 of poses that
+    are told. known: False where it is a guess, with wide sigmas.
     """
 
     pan_deg: float
     right_m: float = 0.0
     ahead_m: float = 0.0
     pan_sigma_deg: float = 0.0
+    right_sigma_m: float = 0.0
+    ahead_sigma_m: float = 0.0
+    known: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,10 +216,14 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class FrameResult:
-    """All that one frame gave: a row of frames.csv and its rows of estimates.csv."""
+    """All that one frame gave: a row of frames.csv and its rows of estimates.csv.
+
+    motion: of the sonar since the frame before; None for the first one, and where nobody looked.
+    """
 
     index: int
     timestamp_ns: int
     candidates: int
     tracks: int
     estimates: tuple[Estimate, ...]
+    motion: Motion | None = None

@@ -172,6 +172,7 @@ class PingGeometry:
     bearings_deg: tuple[float, ...]  # of the beams' middles
     ranges_m: tuple[float, ...] | None  # of the bins' middles; None: evenly spaced
     beam_order: BeamOrder | None = None  # None: to be found out
+    beam_width_deg: float | None = None  # between half-power points; None: it does not say
 
     def as_sonar(self) -> Sonar:
         """The same, as far as a user could state it."""

@@ -17,6 +17,7 @@ from sonarrec.cli.options import (
     FAILED,
     FILE,
     INPUT,
+    NEW_FILE,
     OUTPUT,
     PARTLY,
     LogChoice,
@@ -61,7 +62,7 @@ INTERRUPTED, TERMINATED = 130, 143
     type=FILE,
     help="CSV of the sonar's poses: timestamp or timestamp_ns, yaw (deg, positive to the right) "
     "and, where known, x, y (m).  [default: NAME.poses.csv or poses.csv beside the log; without "
-    "one the turn is measured between the images]",
+    "one the motion is measured between the images]",
 )
 @option(
     INPUT,
@@ -87,6 +88,14 @@ INTERRUPTED, TERMINATED = 130, 143
     default="csv",
     show_default=True,
     help="What the estimates are written in; parquet needs `pip install 'sonarrec[parquet]'`.",
+)
+@option(
+    OUTPUT,
+    "--odometry-out",
+    type=NEW_FILE,
+    metavar="FILE",
+    help="Also write the sonar's path, as told or measured between the images, as a CSV that "
+    "--odometry reads; of one log.",
 )
 @option(
     OUTPUT,
@@ -147,6 +156,7 @@ def run(
     settings: SettingsChoice,
     out: Path | str,
     tables: str,
+    odometry_out: Path | None,
     overwrite: bool,
     jobs: int | None,
     retry_failed: bool,
@@ -210,6 +220,8 @@ def run(
     if not tasks:
         click.echo("nothing to do", err=True)
         return
+    if odometry_out is not None:
+        _check_odometry_out(odometry_out, tasks, odometry)
     if dry_run:
         _plan(tasks)
         return
@@ -220,8 +232,21 @@ def run(
         _run(tasks, watch, jobs, timeout, scheduler)
     if len(logs) == 1 and watch.error is not None:
         raise watch.error
+    if odometry_out is not None and tasks[0].name is not None:
+        from sonarrec.mapping.measured import write_path
+
+        write_path(out / tasks[0].name, odometry_out)
     watch.count()
     leave(watch.exit_code())
+
+
+def _check_odometry_out(path: Path, tasks: Sequence[Task], odometry: Path | None) -> None:
+    """Raise UsageError where the path of the sonar cannot be written to a file."""
+    from sonarrec.outputs import check_output
+
+    if len(tasks) > 1:
+        raise UsageError(f"--odometry-out is of one log, and there are {len(tasks)}; run it alone")
+    check_output(path, "table", [tasks[0].path, odometry], header="timestamp_ns,yaw,x,y")
 
 
 def _run(

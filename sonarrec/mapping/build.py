@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.mapping.join import Landmark, LogPasses, join
+from sonarrec.mapping.measured import measured_motion_path, read_frames
 from sonarrec.mapping.passes import Seen, find_passes, read_seen
-from sonarrec.mapping.path import Drift, Motions, SonarPath, measured_path, told_path
+from sonarrec.mapping.path import Drift, SonarPath, told_path
 from sonarrec.mapping.poses_of_run import poses_of_run
 from sonarrec.poses import PoseTable
 from sonarrec.records import Fan, SonarrecError, UsageError
@@ -20,13 +19,6 @@ from sonarrec.results.read import find_logs
 from sonarrec.results.run_file import RunFile, read_run
 from sonarrec.results.stream import choose_method
 from sonarrec.sonar import Sonar
-from sonarrec.tables import Kind, read_table
-
-FRAMES = "frame,timestamp_ns,dx_m,dy_m,dyaw_deg,dx_sigma_m,dy_sigma_m,dyaw_sigma_deg"
-MOVED = ("dyaw_deg", "dx_m", "dy_m")
-MOVED_SIGMA = ("dyaw_sigma_deg", "dx_sigma_m", "dy_sigma_m")
-"""Columns of frames.csv that hold the measured motion from the frame before, where they are there:
-to the right, ahead and to the right round, as it looked before."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,40 +133,13 @@ def _mapped(
 
 def _path(folder: Path, poses: PoseTable | None, drift: Drift) -> tuple[SonarPath, list[str]]:
     """The sonar's path of one log, and what to note of it."""
-    kinds: dict[str, Kind] = {"frame": "whole", "timestamp_ns": "whole"}
-    kinds |= dict.fromkeys((*MOVED, *MOVED_SIGMA), "blank or number")
-    table = read_table(folder / "frames.csv", kinds, ("frame",), FRAMES)
-    if not len(table["frame"]):
-        raise SonarrecError(f"{folder}: no frame was processed")
-    frame, first = np.unique(table["frame"], return_index=True)
+    table = read_frames(folder)
     if poses is not None:
         if "timestamp_ns" not in table:
             raise SonarrecError(
                 f"{folder}: frames.csv has no timestamp_ns, by which frames have their poses"
             )
-        return told_path(frame, table["timestamp_ns"][first], poses, drift), []
+        return told_path(table["frame"], table["timestamp_ns"], poses, drift), []
     if drift != Drift():
         raise UsageError("--drift is of told poses, and there are none; give --odometry")
-    missing = [name for name in ("dyaw_deg", "dyaw_sigma_deg") if name not in table]
-    if missing:
-        raise SonarrecError(
-            f"{folder}: neither poses nor measured motion ({', '.join(missing)} in frames.csv); "
-            "run the log with --odometry, or give it here"
-        )
-    notes = []
-    if "dx_m" not in table or "dy_m" not in table:
-        notes.append(f"{folder}: only the turn was measured; the sonar is taken to stand still")
-    still = np.zeros(len(table["frame"]))
-    moved, sigma = (
-        np.column_stack([table.get(name, still) for name in names])[first]
-        for names in (MOVED, MOVED_SIGMA)
-    )
-    time = table.get("timestamp_ns", np.zeros(len(still), np.int64))[first]
-    path = measured_path(frame, time, Motions(moved, sigma))
-    lost = ~np.isfinite(path.pose).all(axis=1)
-    if lost.any():
-        notes.append(
-            f"{folder}: the motion to frame {frame[np.argmax(lost)]} is not known; what was seen "
-            "from there on is not placed"
-        )
-    return path, notes
+    return measured_motion_path(folder, table)

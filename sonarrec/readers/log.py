@@ -29,6 +29,7 @@ class Log:
     unknown. stated: the geometry as file and flags state it. unusable: frames so far that could
     not be used. problems: one line for each thing that
     could not be used (at most MAX_PROBLEM_LINES, then a count), complete after the pass.
+    beam_width_deg: as the first frame's message or header tells it; None where it does not.
     """
 
     def __init__(
@@ -47,6 +48,7 @@ class Log:
         self._time = time
         tells = "headers" if raw.told.header else "messages"
         self._images = FanImages(stated, shown(path), tells)
+        self.beam_width_deg: float | None = None
 
     @property
     def sonar(self) -> Sonar:
@@ -121,6 +123,8 @@ class Log:
                 if self.unusable <= MAX_PROBLEM_LINES:
                     self.problems.append(f"{raw.name}: {error}, skipped")
                 continue
+            if not used and raw.sonar is not None:
+                self.beam_width_deg = raw.sonar.beam_width_deg
             used += 1
             yield Frame(index, stamp, image, fan, raw.stamps)
         if self.unusable > MAX_PROBLEM_LINES:

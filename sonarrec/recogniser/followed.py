@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sonarrec.recogniser.stage3_features import Gathered
-from sonarrec.records import BoolArray, Estimate, FloatArray, FrameResult, Groups, IntArray
+from sonarrec.records import BoolArray, Estimate, FloatArray, FrameResult, Groups, IntArray, Motion
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +30,8 @@ class Followed:
     """m of them."""
     gathered: Gathered
     """Of the groups, as the measurement gathers it."""
+    motion: Motion | None = None
+    """Of the sonar since the frame before."""
 
 
 class Batch:
@@ -60,7 +62,7 @@ class Batch:
         """Frame by frame: `single` of the candidates (or of none), then `tracked` of the groups."""
         singles = _parted(single, self._candidates if single else [0] * len(self._candidates))
         return [
-            FrameResult(f.frame, f.timestamp_ns, candidates, tracks, (*a, *b))
+            FrameResult(f.frame, f.timestamp_ns, candidates, tracks, (*a, *b), f.motion)
             for f, candidates, tracks, a, b in zip(
                 self._frames,
                 self._candidates,

@@ -87,7 +87,8 @@ class Recogniser:
         selection = self._select(image)
         # Stage 2, continuity evaluation (Section 3.3): which candidates are objects that persist?
         motion = self.odometry.step(image, frame.timestamp_ns)
-        groups = self._continuity.step(selection, motion)
+        known = motion if motion is not None and motion.known else None
+        groups = self._continuity.step(selection, known)
         # Shape matrices (Section 3.4.2) of the candidates, then of the groups.
         n = len(selection.positions)
         places = np.concatenate([selection.positions, groups.positions])
@@ -105,6 +106,7 @@ class Recogniser:
             seen=seen[:n],
             groups=groups,
             gathered=gathered,
+            motion=motion,
         )
 
     def judge(self, frames: Sequence[Followed]) -> list[FrameResult]:

@@ -87,4 +87,8 @@ class SideBySide:
             for hindsight, result in zip(self._hindsight, self._pending[0], strict=True)
         ]
         self._pending.popleft()  # not before: Ctrl-C may come in between
-        return replace(results[0], estimates=tuple(e for r in results for e in r.estimates))
+        return replace(
+            results[0],
+            estimates=tuple(e for r in results for e in r.estimates),
+            motion=next((r.motion for r in results if r.motion is not None), None),
+        )

@@ -16,6 +16,8 @@ no longer known; a candidate near its place takes its number up again.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from sonarrec.config import Continuity
@@ -64,7 +66,8 @@ class ContinuityFilter:
         hit = np.any(self._distances(positions, selection.positions) < config.merge, axis=1)
         # The floor does not move: a group pulled this far has left its object for another.
         moved = np.hypot(*((positions - expected) / self._diameter).T)
-        pulled = (moved > config.jump) & (motion is not None)
+        farthest = config.jump + 2 * self._uncertain(motion) / self._diameter[0]
+        pulled = (moved > farthest) & (motion is not None)
         self._place(positions, hit & ~pulled, motion)
         shares = self._shares(self._groups.places)
         if motion is not None:
@@ -91,7 +94,7 @@ class ContinuityFilter:
         groups, sigma = self._groups, self._sigma
         if motion is not None:
             groups.particles = self._plane.moved(groups.particles, motion).astype(np.float32)
-            sigma = self._sigma_known
+            sigma = math.hypot(self._sigma_known, self._uncertain(motion))
         groups.walk(sigma, self._rng)
 
     def _own(self, weight: FloatArray, candidates: FloatArray, motion: Motion) -> FloatArray:
@@ -123,6 +126,18 @@ class ContinuityFilter:
         total = kept.sum(axis=1, keepdims=True)
         return np.where(total > 0, kept / np.maximum(total, 1e-12), weight)
 
+    def _uncertain(self, motion: Motion | None) -> float:
+        """Standard error, in pixels, of where a motion puts what lies midway in the window.
+
+        0 where the sonar only turned: sigma_known_px has room for that.
+        """
+        if motion is None or not (motion.right_m or motion.ahead_m):
+            return 0.0
+        fan = self._plane.fan
+        turned = math.radians(motion.pan_sigma_deg) * (fan.range_min_m + fan.range_max_m) / 2
+        sigma_m = math.hypot(turned, motion.right_sigma_m, motion.ahead_sigma_m)
+        return sigma_m * self._plane.scale / fan.metres_per_pixel
+
     def _place(self, positions: FloatArray, there: BoolArray, motion: Motion | None) -> None:
         """Where the objects are now: where the group was a candidate, else moved with the floor."""
         groups, lost = self._groups, self._lost
@@ -136,7 +151,11 @@ class ContinuityFilter:
             lost.places = self._plane.moved(lost.places, motion)
             away = np.hypot(*((lost.places - self._plane.apex) / self._diameter).T)
             turned = np.radians(motion.pan_sigma_deg) * away
-            lost.drift += turned**2 + self._config.recall_drift**2
+            fan, carried = self._plane.fan, 0.0
+            if motion.right_m or motion.ahead_m:
+                carried = math.hypot(motion.right_sigma_m, motion.ahead_sigma_m)
+                carried *= self._plane.scale / fan.metres_per_pixel / self._diameter[0]
+            lost.drift += turned**2 + carried**2 + self._config.recall_drift**2
 
     def _strike(self, spread: FloatArray, hit: BoolArray, in_view: BoolArray) -> None:
         """Strikes for spread groups, and the Bayes filter of existence from hits and misses.

@@ -39,6 +39,12 @@ FRAME_COLUMNS: tuple[Column[Stamps], ...] = (
     Column("log_time_ns", lambda _, s: s.log),
     Column("publish_time_ns", lambda _, s: s.publish),
     Column("header_stamp_ns", lambda _, s: s.header),
+    Column("dx_m", lambda r, _: _moved(r, "right_m", 5)),
+    Column("dy_m", lambda r, _: _moved(r, "ahead_m", 5)),
+    Column("dyaw_deg", lambda r, _: _moved(r, "pan_deg", 4)),
+    Column("dx_sigma_m", lambda r, _: _unsure(r, "right_sigma_m", 5)),
+    Column("dy_sigma_m", lambda r, _: _unsure(r, "ahead_sigma_m", 5)),
+    Column("dyaw_sigma_deg", lambda r, _: _unsure(r, "pan_sigma_deg", 4)),
 )
 FRAMES_HEADER = "frame,timestamp_ns"
 ESTIMATES_HEADER = "frame,method,range_m,bearing_deg,landmark,score,declared"
@@ -70,6 +76,17 @@ def estimate_columns(ids: Sequence[int]) -> tuple[Column[Estimate], ...]:
             "blank or number",
         ),
     )
+
+
+def _moved(result: FrameResult, name: str, digits: int) -> str:
+    """A part of the motion since the frame before; empty where there is none."""
+    return "" if result.motion is None else f"{getattr(result.motion, name):.{digits}f}"
+
+
+def _unsure(result: FrameResult, name: str, digits: int) -> str:
+    """A standard error of the motion; empty where it was told, not measured."""
+    motion = result.motion
+    return "" if motion is None or not motion.pan_sigma_deg else _moved(result, name, digits)
 
 
 def belief_names(ids: Sequence[int]) -> list[str]:

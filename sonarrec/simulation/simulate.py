@@ -227,6 +227,11 @@ def _signal_gain_db(scene: Scene, rng: np.random.Generator) -> FloatArray:
     return np.asarray(gain)
 
 
+def _within_a_turn(bearing_deg: FloatArray | float) -> FloatArray:
+    """The same bearings, -180 to 180 deg: a vehicle may have turned right round."""
+    return np.asarray(bearing_deg - 360 * np.rint(np.asarray(bearing_deg) / 360))
+
+
 def visible_share(fan: Fan, pose: Pose, x_m: float, y_m: float, radius_m: float) -> float:
     """Share of a floor disc's area inside the fan: a disc of 2,000 evenly spread points."""
     n = np.arange(2000) + 0.5
@@ -235,7 +240,7 @@ def visible_share(fan: Fan, pose: Pose, x_m: float, y_m: float, radius_m: float)
     x = x_m + radius * np.cos(angle) - pose.x_m
     y = y_m + radius * np.sin(angle) - pose.y_m
     slant = np.sqrt(x**2 + y**2 + pose.height_m**2)
-    bearing = np.degrees(np.arctan2(x, y)) - pose.pan_deg
+    bearing = _within_a_turn(np.degrees(np.arctan2(x, y)) - pose.pan_deg)
     return float(np.mean(in_fan(fan, slant, bearing)))
 
 
@@ -255,7 +260,7 @@ def _truth(
             continue
         dx, dy = x - pose.x_m, y - pose.y_m
         slant = math.sqrt(dx**2 + dy**2 + pose.height_m**2)
-        bearing = math.degrees(math.atan2(dx, dy)) - pose.pan_deg
+        bearing = float(_within_a_turn(math.degrees(math.atan2(dx, dy)) - pose.pan_deg))
         column, row = pixel_from_polar(fan, slant, bearing)
         values = (
             round(float(column), 3),

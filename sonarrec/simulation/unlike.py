@@ -13,8 +13,7 @@ LEARNED_UNLIKE = ("any_floor", "relief", "light", "debris", "symbols", "wide")
 the ring may be as bright as the floor, or darker; short and long pulses. Relief: gravel on a rough
 floor, with lit slopes and shadows, without or with little speckle. Light: patches of light and
 shade with sharp edges. Debris: twigs and weed, over the landmarks as well, on a coarse, blotchy
-floor that a narrow sonar sees. Symbols: rings with symbols that no ID has. Wide: 120 to 130 deg, 1-degree
-beams."""
+floor. Symbols: rings with symbols that no ID has. Wide: 120 to 130 deg, 1-degree beams."""
 OTHER_UNLIKE = ("other_symbols",)
 """Never learned from: symbols of other kinds."""
 _PLATED = ("blank", "spokes", "half_ring", *SYMBOLS)

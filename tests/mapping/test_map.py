@@ -24,7 +24,7 @@ from sonarrec.cli import main
 from sonarrec.config import preset
 from sonarrec.landmarks import load_landmarks
 from sonarrec.mapping.build import make_map
-from sonarrec.mapping.path import Drift, Motions, measured_path, told_path
+from sonarrec.mapping.path import COMMON_LENGTH, Drift, Motions, measured_path, told_path
 from sonarrec.mapping.tables import CHI2_95, Origin, ellipse
 from sonarrec.poses import pose_table
 from sonarrec.readers.poses_csv import read_poses
@@ -275,7 +275,9 @@ def test_errors_of_a_drifting_path_are_those_of_many_drawn() -> None:
     for _ in range(4000):
         yaw, x, y = 0.0, 0.0, 0.0
         pose = [(yaw, x, y)]
-        for turn, right, ahead in (moved + sigma * rng.standard_normal(moved.shape))[1:].tolist():
+        longer = [1, *[1 + COMMON_LENGTH * rng.standard_normal()] * 2]
+        steps = moved * longer + sigma * rng.standard_normal(moved.shape)
+        for turn, right, ahead in steps[1:].tolist():
             cos, sin = math.cos(math.radians(yaw)), math.sin(math.radians(yaw))
             x, y = x + right * cos + ahead * sin, y + ahead * cos - right * sin
             yaw += turn

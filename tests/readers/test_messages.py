@@ -17,7 +17,8 @@ from hypothesis import strategies as st
 
 from sonarrec import config
 from sonarrec.pipeline import run as run_log
-from sonarrec.readers.mcap.messages import decoder_for
+from sonarrec.readers.mcap.fields import Fields
+from sonarrec.readers.mcap.messages import decoder_for, read_projected_sonar_image
 from sonarrec.readers.raw import UnusableError
 from sonarrec.simulation.simulate import load_scene, render
 from tests.support import messages
@@ -297,3 +298,39 @@ def test_a_stamp_of_many_digits(digits: int, tmp_path: Path) -> None:
         assert [frame.index for frame in found] == [0, 2]
         (line,) = problems
         assert line.startswith("message 1 of /a: malformed message (its stamp ")
+
+
+# The beams' width
+
+
+def projected(**info: object) -> Fields:
+    side = np.radians([-10.0, 0.0, 10.0])
+    return Fields(
+        {
+            "header": {"stamp": {"sec": 1, "nanosec": 0}, "frame_id": ""},
+            "ping_info": {"frequency": 0.0, "sound_speed": 1480.0, **info},
+            "beam_directions": [{"x": 0.0, "y": np.sin(s), "z": np.cos(s)} for s in side],
+            "ranges": [1.0, 1.5, 2.0],
+            "image": {"is_bigendian": False, "dtype": 0, "beam_count": 3, "data": bytes(9)},
+        }
+    )
+
+
+@pytest.mark.parametrize(
+    ("widths", "expected"),
+    [
+        (np.radians([0.6, 0.7, 0.8]), 0.7),
+        (np.radians([0.0, 0.5, 0.5]), 0.5),  # of a beam that is not driven
+        ([20.0, 20.0], None),  # degrees, of the vertical
+        ([], None),
+        ([np.nan], None),
+        ("wide", None),
+    ],
+)
+def test_a_message_tells_how_wide_its_receiving_beams_are(widths, expected) -> None:
+    ping = read_projected_sonar_image(projected(rx_beamwidths=widths))
+    assert ping.sonar is not None
+    assert ping.sonar.beam_width_deg == expected
+    ping = read_projected_sonar_image(projected())
+    assert ping.sonar is not None
+    assert ping.sonar.beam_width_deg is None

@@ -179,17 +179,19 @@ def moving(**motion: float) -> Scene:
 
 
 @pytest.mark.parametrize(
-    "motion",
+    ("motion", "shown"),
     [
         # 19 of 28.8 deg from frame to frame: a third of the picture is common to both.
-        pytest.param({"pan_deg_s": 76.0, "yaw_jitter_deg": 0.3}, id="fast pan"),
+        pytest.param({"pan_deg_s": 76.0, "yaw_jitter_deg": 0.3}, False, id="fast pan"),
         # Up to 6 cm from frame to frame, and back: no turn explains that.
         pytest.param(
-            {"pan_deg_s": 8.0, "sway_x_m": 0.3, "sway_y_m": 0.3, "sway_period_s": 8.0}, id="sway"
+            {"pan_deg_s": 8.0, "sway_x_m": 0.3, "sway_y_m": 0.3, "sway_period_s": 8.0},
+            True,
+            id="sway",
         ),
     ],
 )
-def test_tracks_follow_a_motion_that_the_images_do_not_show(tmp_path, motion):
+def test_tracks_follow_a_motion_that_is_told_or_that_the_images_show(tmp_path, motion, shown):
     scene = moving(**motion)
     frames = list(render(scene))
     table = read_poses(table_of(scene, tmp_path / "odometry.csv"))
@@ -199,9 +201,9 @@ def test_tracks_follow_a_motion_that_the_images_do_not_show(tmp_path, motion):
     assert whole > 40
     # A landmark keeps its number while it leaves the view and returns.
     assert {len(numbers) for numbers in told.values()} == {1}
-    assert sum(map(len, seen.values())) > len(seen)
-    assert right >= right_seen
+    assert (sum(map(len, seen.values())) == len(seen)) == shown
     # No ID is declared on the first frame of each of four tracks.
+    assert right_seen > 0.92 * whole if shown else right >= right_seen
     assert right > 0.92 * whole
 
 

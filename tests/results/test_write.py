@@ -10,7 +10,7 @@ import pytest
 
 from sonarrec import config
 from sonarrec.landmarks import landmarks_from_table, load_landmarks
-from sonarrec.records import Estimate, FrameResult, SonarrecError, Stamps
+from sonarrec.records import Estimate, FrameResult, Motion, SonarrecError, Stamps
 from sonarrec.results.columns import estimate_columns
 from sonarrec.results.run_file import run_table
 from sonarrec.results.write import ResultsWriter
@@ -66,7 +66,8 @@ def test_headers_are_the_contract_s(tmp_path):
     header = (tmp_path / "log_a/estimates.csv").read_text().splitlines()
     assert header == [CONTRACT + ",range_sigma_m,bearing_sigma_deg,orientation_sigma_deg"]
     assert (tmp_path / "log_a/frames.csv").read_bytes() == (
-        b"frame,timestamp_ns,candidates,tracks,log_time_ns,publish_time_ns,header_stamp_ns\n"
+        b"frame,timestamp_ns,candidates,tracks,log_time_ns,publish_time_ns,header_stamp_ns,"
+        b"dx_m,dy_m,dyaw_deg,dx_sigma_m,dy_sigma_m,dyaw_sigma_deg\n"
     )
     assert [c.name for c in estimate_columns((7, 12))][10:13] == ["p_7", "p_12", "p_none"]
 
@@ -78,15 +79,20 @@ def test_what_is_written_is_what_was_estimated(tmp_path):
         p = rng.dirichlet(np.full(5, 0.3))
         best = int(p[:4].argmax()) + 1
         given.append(estimate(object=i, probabilities=p, landmark=best, declared=i % 2 == 0))
+    told = Motion(-1.25, 0.1, -0.02)
+    seen = Motion(0.3, 0.0, 0.05, 0.03125, 0.001234, 0.002)
     with ResultsWriter(tmp_path, BASIN, tables()) as writer:
         writer.write(result(5, *given[:30]))
         writer.write(result(6), Stamps(log=1500000001, header=-7))
-        writer.write(result(7, *given[30:]))
+        writer.write(dataclasses.replace(result(7, *given[30:]), motion=told))
+        writer.write(dataclasses.replace(result(8), motion=seen))
         writer.finish([])
+    none, moved = [""] * 6, ["0.00000", "0.05000", "0.3000", "0.00123", "0.00200", "0.0312"]
     assert rows(tmp_path / "frames.csv")[1:] == [
-        ["5", "1250000000", "4", "2", "", "", ""],
-        ["6", "1500000000", "4", "2", "1500000001", "", "-7"],
-        ["7", "1750000000", "4", "2", "", "", ""],
+        ["5", "1250000000", "4", "2", "", "", "", *none],
+        ["6", "1500000000", "4", "2", "1500000001", "", "-7", *none],
+        ["7", "1750000000", "4", "2", "", "", "", "0.10000", "-0.02000", "-1.2500", "", "", ""],
+        ["8", "2000000000", "4", "2", "", "", "", *moved],
     ]
     header, *body = rows(tmp_path / "estimates.csv")
     assert len(body) == 40

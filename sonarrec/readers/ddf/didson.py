@@ -50,6 +50,8 @@ WINDOW_M = {
 """Lengths of the window by configuration, for codes 0 to 3 of high frequency, 2 to 5 of low."""
 START_M = {0: 0.419, _CLASSIC: 0.375}
 """Step of the window's start, high frequency; twice that of low."""
+# As the maker has it for the standard sonar: soundmetrics.com/SONAR101/resolution.html.
+BEAM_WIDTH_DEG = {"high": 0.3, "low": 0.4}
 # The lens: beam = 1 + the polynomial of the bearing in deg, of 96 beams from left to right.
 LENS = (0.0030, -0.0055, 2.6829, 48.04)
 
@@ -92,7 +94,10 @@ class Didson:
         if not file["Reverse"]:  # the first beam is the right-most, as with ARIS
             bearings = bearings[::-1]
         far = near + WINDOW_M[flags][length + (2 if low else 0)]
-        return PingGeometry(near, far, tuple(bearings.tolist()), None, "range-major")
+        beam_width = None if flags & _LONG_RANGE else BEAM_WIDTH_DEG["low" if low else "high"]
+        return PingGeometry(
+            near, far, tuple(bearings.tolist()), None, "range-major", beam_width_deg=beam_width
+        )
 
     def pixels(self, frame: np.void, samples: np.ndarray) -> np.ndarray:  # noqa: ARG002
         """As stored."""

@@ -7,7 +7,7 @@ fields come out of the bytes (CDR, ROS 1, JSON, protobuf, flatbuffers) is kept a
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,6 +18,8 @@ from sonarrec.readers.pixels import decode_image, raw_pixels
 from sonarrec.readers.raw import Ping, UnusableError, ping_geometry
 from sonarrec.records import FloatArray
 from sonarrec.sonar import PingGeometry
+
+WIDEST_BEAM_DEG = 5.0
 
 # What each message means
 
@@ -97,7 +99,22 @@ def read_projected_sonar_image(message: Fields) -> Ping:
     bearings = _fan_bearings(message.vectors("beam_directions"))
     ranges = message.numbers("ranges")
     pixels = _samples(image, len(ranges), _beam_count(image, bearings))
-    return Ping(pixels, message.stamp_ns(), ping_geometry(ranges, bearings))
+    geometry = ping_geometry(ranges, bearings)
+    return Ping(pixels, message.stamp_ns(), replace(geometry, beam_width_deg=_beam_width(message)))
+
+
+def _beam_width(message: Fields) -> float | None:
+    """The median of the receiving beams' widths at -3 dB; None where they are not reported.
+
+    In radians, as docs.ros.org has PingInfo of marine_acoustic_msgs. What cannot be a beam's width
+    counts for nothing: drivers fill the field with degrees, too, or with zeros.
+    """
+    try:
+        degrees = np.degrees(message.inner("ping_info").numbers("rx_beamwidths"))
+    except UnusableError:  # the picture can be used all the same
+        return None
+    degrees = degrees[(degrees > 0) & (degrees <= WIDEST_BEAM_DEG)]
+    return round(float(np.median(degrees)), 3) if len(degrees) else None
 
 
 def read_raw_sonar_image(message: Fields) -> Ping:
@@ -111,7 +128,8 @@ def read_raw_sonar_image(message: Fields) -> Ping:
     bins = message.whole("samples_per_beam")
     pixels = _samples(image, bins, _beam_count(image, bearings))
     ranges = (message.whole("sample0") + np.arange(bins)) * speed / (2 * rate)
-    return Ping(pixels, message.stamp_ns(), ping_geometry(ranges, bearings))
+    geometry = ping_geometry(ranges, bearings)
+    return Ping(pixels, message.stamp_ns(), replace(geometry, beam_width_deg=_beam_width(message)))
 
 
 def _oculus_geometry(message: Fields, bins: int, beams: int) -> PingGeometry:

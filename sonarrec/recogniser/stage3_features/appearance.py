@@ -16,28 +16,18 @@ import numpy as np
 
 from sonarrec.config import Features
 from sonarrec.landmarks import LandmarkSet
+from sonarrec.recogniser.beam_width import usual_beam_width_deg
 from sonarrec.recogniser.plane import Plane
 from sonarrec.recogniser.stage3_features import Beliefs, Gathered, likeliest
 from sonarrec.recogniser.stage3_features.description import Describer
 from sonarrec.recogniser.stage3_features.shape_matrix import ShapeSampler
 from sonarrec.recogniser.stage3_features.track_matrix import TrackMatrix
-from sonarrec.records import BoolArray, Fan, FloatArray, Groups
+from sonarrec.records import BoolArray, FloatArray, Groups
 
 # An ID is declared from a track's second frame on; of a disc fewer beams wide than FEW_BEAMS, whose
 # symbol a single frame hardly shows, once more of them bear it out.
 LEAST_FRAMES, FEW_BEAMS, FRAMES_OF_FEW_BEAMS = 2, 5, 8
 HALF_POWER = 2 * (2 * np.log(2)) ** 0.5  # width of a Gaussian at half power, in its deviations
-
-
-# Degrees: of fields of view up to so wide, the beam width that their sonars have: acoustic cameras
-# (DIDSON, ARIS), multibeam sonars of 60 deg (Oculus M1200d), and of 120 to 130.
-BEAM_WIDTHS_DEG = ((40.0, 0.4), (80.0, 0.6), (360.0, 1.0))
-
-
-def usual_beam_width_deg(fan: Fan) -> float:
-    """Between half-power points, two-way, by the fan's field of view."""
-    view_deg = fan.bearing_max_deg - fan.bearing_min_deg
-    return next(width for widest, width in BEAM_WIDTHS_DEG if view_deg <= widest)
 
 
 class Judge(Protocol):

@@ -101,9 +101,10 @@ class ExpectedSymbols:
         """(n, ANGLES, K) correlation with every ID at every rotation, (n,) best with a rival, and
         (n,) how much there is to explain: whitened variation, mean square over the cells seen.
 
-        The correlation is that of generalised least squares: its square is the share of the (whitened) variation that
-        the ID explains beyond a level. 0 where too little of the ID has shown. cells, seen: (n,
-        lines, ANGLES). smear: (n,) standard deviation across the line of sight in disc radii.
+        The correlation is that of generalised least squares: its square is the share of the
+        (whitened) variation that the ID explains beyond a level. 0 where too little of the ID has
+        shown. cells, seen: (n, lines, ANGLES). smear: (n,) standard deviation across the line of
+        sight in disc radii.
         """
         shape = (len(cells), len(self._precision))
         ids = ANGLES * self._ids

@@ -1,0 +1,95 @@
+"""How wide the sonar's beams are, where neither messages nor settings tell it.
+
+Speckle is alike over as much of the bearing as a beam takes in: the correlation of an even floor's
+picture along the bearing falls off as the beam does. Along the range speckle changes from bin to
+bin, while landmarks, light and the floor's own pattern change slowly; so these are taken out first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from sonarrec.geometry import pixel_from_polar
+from sonarrec.records import ByteImage, Fan
+
+# Degrees: of fields of view up to so wide, the beams that their sonars have: acoustic cameras
+# (DIDSON, ARIS), multibeam sonars of 60 deg, and of 120 to 130.
+USUAL_DEG = ((40.0, 0.4), (80.0, 0.6), (360.0, 1.0))
+# A measured width counts where it differs from the usual one by more than this factor: what is left
+# of noise and of the beams' spacing, which a fan image does not tell, makes up to so much.
+CLEARLY = 1.45
+NARROWEST_DEG, WIDEST_DEG = 0.15, 3.0
+STEP_DEG = 0.05
+MOST_ROWS = 256
+LAGS_DEG, BASE_FROM_DEG = 6.0, 4.0
+RANGE_MEAN_PX = 7
+CLIP = 2.5  # deviations
+# The correlation is fitted from where a beam's own noise has gone to where it is lost.
+FIT_FROM, FIT_TO = 0.5, 0.06
+# Variance of the fall-off, in beam widths squared: of the beam itself and of the interpolation
+# between beams that lie two thirds of their width apart (simulated sonars, tuning seeds).
+VARIANCE = 0.45
+
+
+def usual_beam_width_deg(fan: Fan) -> float:
+    """Between half-power points, two-way, by the fan's field of view."""
+    view_deg = fan.bearing_max_deg - fan.bearing_min_deg
+    return next(width for widest, width in USUAL_DEG if view_deg <= widest)
+
+
+def beam_width_deg(fan: Fan, images: Sequence[ByteImage]) -> tuple[float, bool]:
+    """(width, whether it was measured): the usual one, unless the images clearly show another.
+
+    images: the first few of a log, (fan.rows, fan.columns).
+    """
+    usual, found = usual_beam_width_deg(fan), measured_width_deg(fan, images)
+    if found is None or 1 / CLEARLY <= found / usual <= CLEARLY:
+        return usual, False
+    return round(found, 2), True
+
+
+def measured_width_deg(fan: Fan, images: Sequence[ByteImage]) -> float | None:
+    """The width that the images show; None where they do not tell."""
+    pixel_deg = np.degrees(fan.metres_per_pixel / fan.range_max_m)
+    last = fan.range_max_m - 0.03 * fan.window_m
+    first = max(fan.range_min_m + 0.3 * fan.window_m, last - MOST_ROWS * fan.metres_per_pixel, 1e-3)
+    range_m = np.arange(first, last, fan.metres_per_pixel)
+    bearing = np.arange(fan.bearing_min_deg + 0.5, fan.bearing_max_deg - 0.5, STEP_DEG)
+    lags = int(LAGS_DEG / STEP_DEG)
+    if len(range_m) < 4 * RANGE_MEAN_PX or len(bearing) < 2 * lags:
+        return None
+    column, row = (
+        a.astype(np.float32) for a in pixel_from_polar(fan, range_m[:, None], bearing[None])
+    )
+    pairs = len(bearing) - np.arange(lags)
+    found = []
+    for image in images:
+        polar = np.asarray(cv2.remap(image, column, row, cv2.INTER_LINEAR), np.float32)
+        polar -= cv2.blur(polar, (1, RANGE_MEAN_PX), borderType=cv2.BORDER_REFLECT)
+        polar -= polar.mean(axis=0)
+        sigma = float(polar.std())
+        polar = np.clip(polar, -CLIP * sigma, CLIP * sigma)
+        polar -= polar.mean(axis=1, keepdims=True)
+        power = np.abs(np.fft.rfft(polar, 2 * len(bearing), axis=1)) ** 2
+        product = np.fft.irfft(power, axis=1)[:, :lags] / pairs
+        lit = product[:, 0] > 1e-3
+        found.append(product[lit] / product[lit, :1])
+    rows = np.concatenate(found)
+    if len(rows) < MOST_ROWS // 4:
+        return None
+    correlation = np.median(rows, axis=0)
+    base = correlation[int(BASE_FROM_DEG / STEP_DEG) :].mean()
+    fall = (correlation - base) / (1 - base)
+    begin, end = int(np.argmax(fall < FIT_FROM)), int(np.argmax(fall < FIT_TO))
+    if not begin or end - begin < 3 or begin * STEP_DEG < pixel_deg:
+        return None
+    fit = slice(begin, end)
+    lag = STEP_DEG * np.arange(lags)
+    slope = -np.polyfit(lag[fit] ** 2, np.log(fall[fit]), 1, w=fall[fit])[0]
+    if slope <= 0:
+        return None
+    width = float(np.sqrt(1 / (2 * slope * VARIANCE)))
+    return width if NARROWEST_DEG <= width <= WIDEST_DEG else None

@@ -1,0 +1,165 @@
+"""The motion read off the images of simulated vehicles, against the simulator's own."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cache
+from itertools import islice, pairwise
+
+import numpy as np
+import pytest
+
+from sonarrec.config import Continuity
+from sonarrec.recogniser.odometry import Odometry
+from sonarrec.recogniser.plane import working_plane
+from sonarrec.records import ByteImage, Fan, FloatArray, Motion
+from sonarrec.simulation.motion import Pose
+from sonarrec.simulation.random_scenes import random_scene
+from sonarrec.simulation.scene import scene_fan
+from sonarrec.simulation.simulate import render
+from tests.support.vehicle import RATE_HZ, VehicleRun, vehicle_run
+
+FRAMES = 60
+STEP_NS = round(1e9 / RATE_HZ)
+CHI2_3 = (2.37, 7.81)  # median, and 95 %
+
+
+def truth(poses: list[Pose]) -> FloatArray:
+    """(n - 1, 3) carried to the right and ahead (m), turned (deg), from the poses of n frames."""
+    found = []
+    for before, now in pairwise(poses):
+        x, y = now.x_m - before.x_m, now.y_m - before.y_m
+        cos, sin = (way(math.radians(before.pan_deg)) for way in (math.cos, math.sin))
+        found.append((x * cos - y * sin, x * sin + y * cos, now.pan_deg - before.pan_deg))
+    return np.array(found)
+
+
+def measured(images: list[ByteImage], fan: Fan, radius_m: float = 0.15) -> list[Motion | None]:
+    plane = working_plane("floor", fan, radius_m, 12.0)
+    odometry = Odometry(plane, Continuity())
+    return [odometry.step(plane.warp(image), n * STEP_NS) for n, image in enumerate(images)]
+
+
+def as_rows(motions: list[Motion | None]) -> tuple[FloatArray, FloatArray]:
+    """(n, 3) as `truth`, and the standard errors."""
+    known = [m for m in motions if m is not None]
+    return (
+        np.array([(m.right_m, m.ahead_m, m.pan_deg) for m in known]),
+        np.array([(m.right_sigma_m, m.ahead_sigma_m, m.pan_sigma_deg) for m in known]),
+    )
+
+
+@cache
+def run_of(seed: int) -> tuple[VehicleRun, tuple[ByteImage, ...]]:
+    run = vehicle_run(seed, laps=1)
+    frames = render(run.scene, run.poses()[:FRAMES], run.ground)
+    return run, tuple(f.image for f in islice(frames, FRAMES))
+
+
+@pytest.mark.parametrize("seed", [8700, 8702, 8703, 8704])
+def test_a_vehicle_s_motion_is_measured_with_its_error(seed: int) -> None:
+    """At .35 m/s and up to 20 deg/s. A pixel of the image is 1 cm, a beam .3 deg wide: a few
+    thousand grains of speckle fix a step to a fraction of that."""
+    run, images = run_of(seed)
+    motions = measured(list(images), scene_fan(run.scene), run.scene.landmark_set.radius_m)
+    assert motions[0] is None
+    known = np.array([m.known for m in motions[1:] if m is not None])
+    assert np.mean(known) > 0.95
+    found, sigma = as_rows(motions)
+    error = (found - truth(run.poses()[:FRAMES]))[known]
+    rms = np.sqrt((error**2).mean(axis=0))
+    assert (rms < (0.003, 0.004, 0.1)).all()
+    squared = ((error / sigma[known]) ** 2).mean(axis=0)
+    # Near 1 each. The number of frames alone makes it .8 to 1.2 (59 frames, two deviations); the
+    # allowance for heave, wider than these runs need, makes surge smaller.
+    assert (squared < 1.7).all()
+    assert (squared[[0, 2]] > 0.5).all()
+    # Over the way made so far nothing gathers but what single steps leave.
+    assert (np.abs(error.sum(axis=0)) < (0.06, 0.06, 1.5)).all()
+
+
+def standing(seed: int, kind: str, frames: int = 40) -> tuple[list[Motion | None], Fan]:
+    scene = replace(random_scene(seed, kind), frames=frames)
+    images = [f.image for f in render(scene)]
+    return measured(images, scene_fan(scene), scene.landmark_set.radius_m), scene_fan(scene)
+
+
+@pytest.mark.parametrize("kind", ["plain", "fading", "low_contrast", "fast_pan"])
+def test_a_tripod_is_told_to_stand(kind: str) -> None:
+    motions, _ = standing(8710, kind)
+    for motion in motions[1:]:
+        assert motion is not None
+        assert (motion.right_m, motion.ahead_m) == (0, 0)
+    sure = [m for m in motions[1:] if m is not None and m.known]
+    assert len(sure) > 0.85 * len(motions)
+    assert all(0 < max(m.right_sigma_m, m.ahead_sigma_m) < 0.01 for m in sure)
+
+
+def test_a_vehicle_that_sets_out_and_stops_is_noticed() -> None:
+    """Twelve frames at rest, thirty on the way, thirty at rest where it came to."""
+    run, _ = run_of(8700)
+    pose = run.poses()[:31]
+    poses = [pose[0]] * 12 + pose + [pose[30]] * 30
+    images = [f.image for f in render(replace(run.scene, frames=len(poses)), poses, run.ground)]
+    motions = measured(images, scene_fan(run.scene), run.scene.landmark_set.radius_m)
+    found, _ = as_rows(motions)
+    assert (found[:11, :2] == 0).all()
+    way = found[12:41]
+    np.testing.assert_allclose(way[:, 1], truth(poses)[12:41, 1], atol=0.02)
+    assert (found[-5:, :2] == 0).all()
+    assert np.abs(found - truth(poses)).sum(axis=0)[0] < 0.2
+
+
+def test_where_the_floor_shows_nothing_in_common_it_says_so() -> None:
+    """Frames a lap apart, and noise: any motion that a slow vehicle can make lies within sigma."""
+    run, images = run_of(8700)
+    fan = scene_fan(run.scene)
+    rng = np.random.default_rng(1)
+    noise = [
+        np.where(images[0] > 0, rng.integers(1, 255, images[0].shape), 0).astype(np.uint8)
+        for _ in range(12)
+    ]
+    black = [np.zeros_like(images[0])] * 4
+    for frames in (noise, black):
+        for motion in measured(frames, fan)[1:]:
+            assert motion is not None
+            assert not motion.known
+            assert motion.right_sigma_m >= 0.1
+            assert motion.ahead_sigma_m >= 0.1
+            assert motion.pan_sigma_deg >= 4
+
+
+def test_a_vehicle_that_loses_the_floor_goes_on_as_it_went_and_finds_it_again() -> None:
+    run, images = run_of(8702)
+    fan, rng = scene_fan(run.scene), np.random.default_rng(2)
+    frames = list(images[:40])
+    for n in (20, 21, 22):
+        frames[n] = np.where(frames[n] > 0, rng.integers(1, 255, frames[n].shape), 0).astype(
+            np.uint8
+        )
+    motions = measured(frames, fan, run.scene.landmark_set.radius_m)
+    true = truth(run.poses()[:40])
+    found, sigma = as_rows(motions)
+    lost = [n for n, m in enumerate(motions) if m is not None and not m.known and n > 2]
+    assert lost == [20, 21, 22, 23]
+    for n in lost:
+        assert (np.abs(found[n - 1] - true[n - 1]) < 3 * sigma[n - 1]).all()
+    assert motions[24] is not None
+    assert motions[24].known
+
+
+def test_what_is_measured_carries_a_landmark_s_place_along() -> None:
+    """To a sixth of a disc radius, where the groups of stage 2 follow by a third."""
+    run, images = run_of(8703)
+    fan = scene_fan(run.scene)
+    plane = working_plane("floor", fan, run.scene.landmark_set.radius_m, 12.0)
+    place, poses = np.array([[plane.shape[1] / 2, plane.shape[0] / 3]]), run.poses()[:FRAMES]
+    for motion, true in zip(
+        measured(list(images), fan, run.scene.landmark_set.radius_m)[2:],
+        truth(poses)[1:],
+        strict=True,
+    ):
+        assert motion is not None
+        exact = plane.moved(place, Motion(true[2], true[0], true[1]))
+        assert np.hypot(*(plane.moved(place, motion) - exact).T) < 2  # pixels: .17 disc radii
