@@ -23,10 +23,10 @@ from sonarrec.simulation.unlike import LEARNED_UNLIKE
 
 # Seeds of the built-in model. Those from 2000 on are for choosing settings, those from 3000 on for
 # figures that are reported: no recording serves two ends.
-MODEL_SEEDS = range(1000, 1024)
+MODEL_SEEDS = range(1000, 1060)
 # Of each kind so many, from the first on: the basin's kinds are alike, those beyond it are not.
-RECORDINGS = dict.fromkeys(KINDS_OF_SCENE + STRETCH_KINDS, 5) | dict.fromkeys(LEARNED_UNLIKE, 24)
-RECORDINGS["wide"] = 8  # they cost three times as much
+RECORDINGS = dict.fromkeys(KINDS_OF_SCENE + STRETCH_KINDS, 8) | dict.fromkeys(LEARNED_UNLIKE, 60)
+RECORDINGS["wide"] = 20  # they cost three times as much
 FRAMES = 64  # of each: more recordings teach more than longer ones
 
 

@@ -19,6 +19,11 @@ ABLATIONS = {
     "the default": (),
     "random walk, no measured pan": ("continuity.motion=random_walk",),
     "no memory of lost objects": ("continuity.remember_frames=0",),
+    "lost objects taken up half a diameter off": (
+        "continuity.recall=0.5",
+        "continuity.recall_in_view=0",
+    ),
+    "groups leave their own candidate for another's": ("continuity.own_candidate=2",),
     "each frame by itself": ("features.measurement=single",),
     "memory of one frame": ("features.memory_frames=1",),
     "cells of a symbol taken for independent": ("features.alike_radii=0",),
