@@ -18,9 +18,9 @@ from sonarrec.records import ByteImage, Fan
 # Degrees: of fields of view up to so wide, the beams that their sonars have: acoustic cameras
 # (DIDSON, ARIS), multibeam sonars of 60 deg, and of 120 to 130.
 USUAL_DEG = ((40.0, 0.4), (80.0, 0.6), (360.0, 1.0))
-# A measured width counts where it differs from the usual one by more than this factor: what is left
-# of noise and of the beams' spacing, which a fan image does not tell, makes up to so much.
-CLEARLY = 1.45
+# A measured width counts where it differs from the usual one by more than this factor: a floor in
+# relief, which is alike over more than a beam, looks like beams up to twice as wide (tuning seeds).
+CLEARLY = 2.2
 NARROWEST_DEG, WIDEST_DEG = 0.15, 3.0
 STEP_DEG = 0.05
 MOST_ROWS = 256

@@ -20,8 +20,8 @@ from sonarrec.records import BoolArray, FloatArray
 FEATURES = (
     "correlation",  # with the ID's expected symbol and gap at the best rotation
     "smeared_correlation",  # counted from what is typical
-    "misfit",  # logarithm of the variation that the ID leaves unexplained
-    "rival_misfit",  # the same, less that of the best symbol that no ID has
+    # Logarithm of what the ID leaves unexplained, less that of the best symbol that no ID has.
+    "rival_misfit",
     "smeared_rival_misfit",
     "step",  # bright sectors over dark ones
     "dark_over_gap",  # dark sectors over the gap, 0 on a landmark
@@ -144,7 +144,7 @@ class Describer:
 
         objects, ids = len(average), self._codes.shape[1]
         lines = self._expected.lines
-        correlation, rival, variation = self._expected.correlation(
+        correlation, rival = self._expected.correlation(
             average[:, lines], count[:, lines] > 0, smear
         )
         turn = settled(correlation).argmax(axis=1)  # (n, K)
@@ -165,14 +165,12 @@ class Describer:
 
         smeared = np.clip(smear[:, None] / SMEAR_UNIT, 0, MOST_SMEAR)
         odds = existence / (1 - existence)
-        left, left_by_rival = _unexplained(best), _unexplained(rival)[:, None]
-        rival_misfit = np.log(left / left_by_rival)
+        rival_misfit = np.log(_unexplained(best) / _unexplained(rival)[:, None])
         over_ring = dark + step - (ring_level - gap_level)[:, None]
         share = 1 / contrast[:, None]
         values = [
             best,
             (best - TYPICAL_CORRELATION) * smeared,
-            np.log(variation[:, None] * left),
             rival_misfit,
             rival_misfit * smeared,
             step,

@@ -55,7 +55,6 @@ MOST_RIVALS = 48
 # many steps.
 ARM, HUB = 0.07, 0.12
 CROSS_TURNS = ANGLES // 4
-LEAST_VARIATION = 1e-4  # mean square: of an even disc, that of rounding
 LEAST_SHOWN = 0.1  # share of a whole symbol's evidence below which nothing of it has shown
 
 
@@ -97,14 +96,12 @@ class ExpectedSymbols:
 
     def correlation(
         self, cells: FloatArray, seen: npt.NDArray[np.bool_], smear: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(n, ANGLES, K) correlation with every ID at every rotation, (n,) best with a rival, and
-        (n,) how much there is to explain: whitened variation, mean square over the cells seen.
+    ) -> tuple[FloatArray, FloatArray]:
+        """(n, ANGLES, K) correlation with every ID at every rotation, (n,) best with a rival.
 
-        The correlation is that of generalised least squares: its square is the share of the
-        (whitened) variation that the ID explains beyond a level. 0 where too little of the ID has
-        shown. cells, seen: (n, lines, ANGLES). smear: (n,) standard deviation across the line of
-        sight in disc radii.
+        That of generalised least squares: its square is the share of the (whitened) variation that
+        the ID explains beyond a level. 0 where too little of the ID has shown. cells, seen: (n,
+        lines, ANGLES). smear: (n,) standard deviation across the line of sight in disc radii.
         """
         shape = (len(cells), len(self._precision))
         ids = ANGLES * self._ids
@@ -133,12 +130,7 @@ class ExpectedSymbols:
             power[i, rivals[MOST_RIVALS:]] = 0
         scale = np.sqrt(np.maximum(power * variation[:, None], 1e-12))
         found = np.where(power > least, product / scale, 0.0)
-        mean_square = variation / np.maximum(np.count_nonzero(seen, axis=1), 1)
-        return (
-            found[:, :ids].reshape(-1, ANGLES, self._ids),
-            found[:, ids:].max(axis=1),
-            np.maximum(mean_square, LEAST_VARIATION),
-        )
+        return found[:, :ids].reshape(-1, ANGLES, self._ids), found[:, ids:].max(axis=1)
 
     def _draw(self, steps: int) -> _Expected:
         """What the cells should show, smeared by `steps`."""
