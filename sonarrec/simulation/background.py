@@ -20,11 +20,13 @@ from sonarrec.config import Config
 from sonarrec.geometry import floor_depth, pixel_from_polar, slant_range
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.poses import PoseTable
+from sonarrec.readers.find import find_log
 from sonarrec.readers.log import Log
 from sonarrec.readers.pixels import DYNAMIC_RANGE_DB
+from sonarrec.readers.poses_csv import POSES_FILE, read_poses
 from sonarrec.recogniser.odometry import Odometry
 from sonarrec.recogniser.plane import working_plane
-from sonarrec.records import BoolArray, ByteImage, Fan, Frame, Motion, SonarrecError, shown
+from sonarrec.records import BoolArray, ByteImage, Clock, Fan, Frame, Motion, SonarrecError, shown
 from sonarrec.simulation.composite import Composer, LaidDisc, seen_from
 from sonarrec.simulation.layout import check_room, lay_out
 from sonarrec.simulation.motion import Pose
@@ -147,6 +149,21 @@ def survey(
     )
 
 
+def poses_of(
+    path: str | Path, odometry: Path | None, topic: str | None, time: Clock = "log"
+) -> PoseTable | None:
+    """The poses of a table, or of a topic of the recording, else of the poses.csv beside it.
+
+    Raises SonarrecError where they cannot be used.
+    """
+    if topic is not None:
+        from sonarrec.readers.mcap.poses import read_topic  # with its decompressors, where needed
+
+        return read_topic(Path(path), topic, time)
+    file = odometry or find_log(path).beside(POSES_FILE)
+    return None if file is None else read_poses(file)
+
+
 def draw_layout(
     background: Background, landmarks: LandmarkSet, seed: int, count: int | None = None
 ) -> Layout:
@@ -198,6 +215,13 @@ def compose(
         yield Composed(frame.index, images, tuple(row for row in rows if row is not None))
 
 
+def check_free(folders: Sequence[Path]) -> None:
+    """Raises SonarrecError where one of the folders holds anything."""
+    for folder in folders:
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise SonarrecError(f"{folder}: already exists and is not empty; choose another --out")
+
+
 def write_backgrounds(
     background: Background,
     layout: Layout,
@@ -215,9 +239,7 @@ def write_backgrounds(
     """
     import tomli_w  # only writers of TOML need it
 
-    for folder in folders.values():
-        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise SonarrecError(f"{folder}: already exists and is not empty; choose another --out")
+    check_free([*folders.values()])
     try:
         truth: list[list[Any]] = []
         for folder in folders.values():

@@ -6,9 +6,10 @@ Grey is logarithmic: 255 levels are so many dB. With echoes as power P, a pixel 
 
 which keeps the speckle (fine scale: a third of the disc's radius, 5 cm of a disc of 0.15 m, but
 FINE_BEAMS beam widths at least) and the light (7/3 of the radius, 35 cm), and drops what texture
-the floor has between them: the disc covers it. The gain is a level over the floor for ring and sectors and one for the plate, smeared
-as the sonar smears: by the beam's width across the line of sight, and SMEAR_M along it. Where the
-smear spills over the disc's edge both pictures are mixed by the disc's share.
+the floor has between them: the disc covers it. The gain is a level over the floor for ring and
+sectors and one for the plate, smeared as the sonar smears: by the beam's width across the line of
+sight, and SMEAR_M along it. Where the smear spills over the disc's edge both pictures are mixed by
+the disc's share.
 """
 
 from __future__ import annotations
@@ -36,8 +37,8 @@ from sonarrec.simulation.motion import Pose
 Floats = npt.NDArray[np.float32]
 
 FINE, LIGHT = 1 / 3, 7 / 3  # scales, in radii of the disc
-# The fine mean must hold several cells of speckle: the echo over the mean of its own cell alone is 1
-# everywhere, and a disc without speckle would be easier to recognise than a real one.
+# The fine mean must hold several cells of speckle: the echo over the mean of its own cell is 1, and
+# a disc without speckle would be easier to recognise than a real one.
 FINE_BEAMS = 5  # in the middle of the window
 LEAST_FINE_PX = 5
 SMEAR_M = 0.02  # full width at half maximum along the range: a pulse
