@@ -47,8 +47,8 @@ MAY_IMPORT = {
     "aiohttp": ("remote.store",),
     "sshfs": ("remote.store",),
     "platformdirs": ("remote.cache",),
-    "jinja2": ("report.page", "report.compare"),
-    "tomli_w": ("results.write", "simulation.simulate"),
+    "jinja2": ("report.page", "report.compare", "report.site_page"),
+    "tomli_w": ("results.write", "simulation.simulate", "simulation.background"),
     "cv2": (
         "geometry",
         "drawing",

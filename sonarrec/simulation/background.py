@@ -211,8 +211,16 @@ def compose(
         shapes = [composer.footprint(disc, pose) for disc in layout.discs]
         there = [shape for shape in shapes if shape is not None]
         images = {db: composer.lay(frame.image, surface, there, db, plate_db) for db in contrasts}
-        rows = (_truth(disc, pose, fan, landmarks) for disc in layout.discs)
-        yield Composed(frame.index, images, tuple(row for row in rows if row is not None))
+        yield Composed(frame.index, images, truth_of(background, layout, landmarks, frame.index))
+
+
+def truth_of(
+    background: Background, layout: Layout, landmarks: LandmarkSet, frame: int
+) -> tuple[LandmarkTruth, ...]:
+    """The landmarks of which something shows in a frame, in the layout's order."""
+    pose = background.path[frame]
+    rows = (_truth(disc, pose, background.fan, landmarks) for disc in layout.discs)
+    return tuple(row for row in rows if row is not None)
 
 
 def check_free(folders: Sequence[Path]) -> None:
