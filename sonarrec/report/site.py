@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from sonarrec.config import Config
@@ -27,6 +26,7 @@ from sonarrec.geometry import STEEPEST, floor_depth
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.pipeline import process
 from sonarrec.prepared import Used
+from sonarrec.readers.pixels import decode_image
 from sonarrec.recogniser.recogniser import FRAMEWORK
 from sonarrec.records import ByteImage, Estimate, FrameResult, SonarrecError
 from sonarrec.results.run_file import Given
@@ -299,9 +299,7 @@ def _picture(
     contrast_db: float,
     declared: Sequence[Estimate],
 ) -> Shown:
-    image = cv2.imread(str(folder / f"{frame:06d}.png"), cv2.IMREAD_GRAYSCALE)
-    if image is None:
-        raise SonarrecError(f"{folder}: frame {frame} cannot be read back")
+    image = decode_image((folder / f"{frame:06d}.png").read_bytes())
     rows = truth_of(background, layout, landmarks, frame)
     marks = [Mark(row.landmark, row.x_px, row.y_px) for row in rows]
     drawn = draw_frame(

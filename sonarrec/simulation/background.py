@@ -26,7 +26,17 @@ from sonarrec.readers.pixels import DYNAMIC_RANGE_DB
 from sonarrec.readers.poses_csv import POSES_FILE, read_poses
 from sonarrec.recogniser.odometry import Odometry
 from sonarrec.recogniser.plane import working_plane
-from sonarrec.records import BoolArray, ByteImage, Clock, Fan, Frame, Motion, SonarrecError, shown
+from sonarrec.records import (
+    BoolArray,
+    ByteImage,
+    Clock,
+    Fan,
+    Frame,
+    Motion,
+    SonarrecError,
+    UsageError,
+    shown,
+)
 from sonarrec.simulation.composite import Composer, LaidDisc, seen_from
 from sonarrec.simulation.layout import check_room, lay_out
 from sonarrec.simulation.motion import Pose
@@ -119,7 +129,7 @@ def survey(
             if step:
                 step(log.frame_count)
         if odometry is None:
-            raise SonarrecError(f"{where}: no frame lies in --frames {span[0]}:{span[1] or ''}")
+            raise UsageError(f"{where}: no frame lies in --frames {span[0]}:{span[1] or ''}")
         stated = log.sonar.dynamic_range_db
         rate = log.sonar.frame_rate_hz
         notes = [*log.notes, *log.problems, *odometry.notes(), *odometry.problems()]

@@ -10,10 +10,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from sonarrec.cli import main
 from sonarrec.config import preset
 from sonarrec.geometry import polar_from_pixel
-from sonarrec.landmarks import load_landmarks
+from sonarrec.landmarks import BUILT_IN, load_landmarks
 from sonarrec.readers import open_log
 from sonarrec.records import Fan, SonarrecError
 from sonarrec.simulation.background import (
@@ -53,7 +55,7 @@ FAN = Fan(
 @pytest.fixture(scope="module")
 def scene() -> Scene:
     """A pan over a floor without landmarks, whose motion is known."""
-    drawn = random_scene("no_landmark", 5)
+    drawn = random_scene(5, "no_landmark")
     return replace(drawn, frames=FRAMES, objects=())
 
 
@@ -248,19 +250,13 @@ def test_a_series_is_recognised_and_scored_as_it_is(recording: Path, tmp_path: P
 def test_bad_input_is_one_line(
     words: list[str], told: str, recording: Path, tmp_path: Path
 ) -> None:
-    text = (
-        Path(load_landmarks.__code__.co_filename).parent / "landmark_sets/basin.toml"
-    ).read_text()
+    text = (BUILT_IN / "basin.toml").read_text()
     big = tmp_path / "big.toml"
     big.write_text(text.replace("radius_m = 0.15", "radius_m = 1.4"))
     assert "1.4" in big.read_text()
     given = [{"BIG": str(big), "POSES": str(big)}.get(word, word) for word in words]
     out = tmp_path / "out"
     words = ["simulate", "--background", str(recording), "-o", str(out), *given]
-    from click.testing import CliRunner
-
-    from sonarrec.cli import main
-
     result = CliRunner().invoke(main, words)
     assert result.exit_code in (1, 2)
     assert isinstance(result.exception, SystemExit)
