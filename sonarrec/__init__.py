@@ -6,7 +6,6 @@ may be texts or Path objects. `sonarrec help python` is a page of examples.
 
 import os
 from importlib import import_module
-from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -25,7 +24,8 @@ os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(2**24))
 # this when it is loaded; products as small as ours gain nothing by threads.
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
-__version__ = version("sonarrec")
+# Stated here: to find it among what is installed takes longer than all of click.
+__version__ = "0.1.0"
 
 _HOMES = {
     "Recogniser": "pipeline",

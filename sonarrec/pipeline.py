@@ -13,7 +13,7 @@ from typing import Any
 
 from sonarrec.config import Config
 from sonarrec.config import preset as config_of
-from sonarrec.drawing import disc_width_px
+from sonarrec.drawing.geometry import disc_width_px
 from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.prepared import Prepared, Used, prepared
 from sonarrec.readers.find import find_log
@@ -182,14 +182,16 @@ def process(
     *,
     name: str | None = None,
     overwrite: bool = False,
+    ahead: bool = False,
 ) -> Summary:
     """Run one log and write `out`/<name>/, by default under the log's own name.
 
     The same results are not made again, and those of another log not replaced, but with overwrite.
+    ahead: decode in a thread of its own, where there is a core for it; see `Log.decode_ahead`.
     Raises SonarrecError for input or settings that cannot be used.
     """
     told = given.origin.told if given.origin else str
-    with prepared(Path(path), Path(out), given, used, name) as it:
+    with prepared(Path(path), Path(out), given, used, name, ahead=ahead) as it:
         if not overwrite:
             held = held_results(it.folder, it.table)
             if held.up_to_date:

@@ -52,10 +52,11 @@ class Prepared:
 
 @contextmanager
 def prepared(
-    path: Path, out: Path, given: Given, used: Used, name: str | None
+    path: Path, out: Path, given: Given, used: Used, name: str | None, *, ahead: bool = False
 ) -> Iterator[Prepared]:
     """Open a log and make ready its run into `out`/<name>/, by default under its own name.
 
+    ahead: decode in a thread of its own.
     Raises SonarrecError for input or settings that cannot be used.
     """
     earlier = read_run(used.earlier_run)
@@ -66,6 +67,8 @@ def prepared(
     learned = _model(used, earlier)
     poses, more = _poses(path, given, earlier if same_log else read_run(None))
     with _opened(path, given) as log:
+        if ahead:
+            log.decode_ahead()
         span = given.frames or (0, None)
         frames = _within(log, span)
         first = next(frames, None)  # raises where there is no usable frame at all

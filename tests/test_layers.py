@@ -47,7 +47,7 @@ MAY_IMPORT = {
     "aiohttp": ("remote.store",),
     "sshfs": ("remote.store",),
     "platformdirs": ("remote.cache",),
-    "jinja2": ("report.page", "report.compare", "report.site_page"),
+    "jinja2": ("report.templates",),
     "tomli_w": ("results.write", "simulation.simulate", "simulation.background"),
     "cv2": (
         "geometry",
@@ -60,6 +60,7 @@ MAY_IMPORT = {
         "simulation",
         "overlay",
         "report.pictures",
+        "results.run_file",  # its version
     ),
 }
 """Of each package but numpy the modules that may import it, by how their names begin."""

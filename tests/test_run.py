@@ -13,29 +13,20 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import CliRunner
 
 from sonarrec.cli import main
 from sonarrec.recogniser.recogniser import Recogniser
 from sonarrec.simulation.mcap_writer import McapImageWriter
+from tests.support.command import SAMPLE, sonarrec
 
 ROOT = Path(__file__).resolve().parents[1]
-SAMPLE = ROOT / "sample_data" / "pan"
 FIELD = ROOT.parent / "shared" / "data"
 HEAVY = ("pandas", "scipy", "matplotlib")
 
 needs_field_data = pytest.mark.skipif(
     not FIELD.is_dir(), reason=f"test recordings not found in {FIELD}"
 )
-
-
-def sonarrec(*arguments: str | Path, code: int = 0) -> Result:
-    """One command; a traceback or another exit code than `code` fails the test."""
-    result = CliRunner().invoke(main, [str(a) for a in arguments])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    assert result.exit_code == code, result.output
-    return result
 
 
 def one_line_fault(*arguments: str | Path, code: int = 1) -> str:

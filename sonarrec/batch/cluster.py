@@ -5,8 +5,8 @@ from __future__ import annotations
 from time import monotonic, sleep
 from typing import Any
 
-from sonarrec.batch.processes import GRACE_S, Watch, Worker
-from sonarrec.batch.task import Outcome, Task
+from sonarrec.batch.processes import Watch, Worker
+from sonarrec.batch.task import GRACE_S, Outcome, Task
 from sonarrec.records import SonarrecError, UsageError
 from sonarrec.results.folders import LockedError
 

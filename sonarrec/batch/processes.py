@@ -17,12 +17,10 @@ from threading import Lock, Thread, Timer
 from time import monotonic
 from typing import IO, Any
 
-from sonarrec.batch.task import Outcome, Task, do
+from sonarrec.batch.task import GRACE_S, Outcome, Task, do
 from sonarrec.records import FrameResult, SonarrecError
 from sonarrec.remote.fetch import fetch_ahead
 
-GRACE_S = 10.0
-"""How long a process may take to write down what it has after SIGTERM, before SIGKILL."""
 # The paths are handed on, so that the child runs this very program. One thread a process: the logs
 # share the cores, and OpenCV's threads would only get into each other's way.
 _START = "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
@@ -77,14 +75,17 @@ class Worker:
         return Outcome("failed", monotonic() - begun, error=error, fault=fault)
 
     def stop(self) -> None:
-        """End what runs; the log keeps its frames so far in its part. Nothing new is begun."""
+        """End what runs; the log keeps its frames so far in its part. Nothing new is begun.
+
+        Returns at once; a process that does not end by itself is killed GRACE_S later.
+        """
         with self._starting:
             self._stopped = True
             if self._child is not None:
-                self._child.terminate()
+                Thread(target=_end, args=(self._child,), daemon=True).start()
 
     def close(self) -> None:
-        """Wait for the process to end; one that was stopped and does not end is killed."""
+        """Wait for the process to end; one that does not is killed after GRACE_S."""
         with self._starting:
             self._stopped = True
         if self._child is not None:

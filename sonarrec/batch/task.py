@@ -19,6 +19,8 @@ from sonarrec.results.folders import part_of
 from sonarrec.results.run_file import Given
 
 Status = Literal["waiting", "running", "done", "partial", "failed"]
+GRACE_S = 10.0
+"""How long a task's process may take to write down what it has after SIGTERM, before SIGKILL."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +34,7 @@ class Task:
     used: Used
     overwrite: bool = False
     elsewhere: Elsewhere | None = None  # what of it lies on servers
+    ahead: bool = False  # whether a second core decodes
 
     def absolute(self) -> Task:
         """The same for a process that works in another folder."""
@@ -110,6 +113,7 @@ def do(task: Task, observe: Observe | None = None, fetching: Told = untold) -> O
                 observe,
                 name=task.name,
                 overwrite=task.overwrite,
+                ahead=task.ahead,
             )
     except SonarrecError as error:
         return Outcome("failed", monotonic() - begun, error=error)

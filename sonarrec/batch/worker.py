@@ -13,7 +13,7 @@ from threading import Thread
 from time import monotonic, sleep
 from typing import IO
 
-from sonarrec.batch.task import Outcome, Task, do
+from sonarrec.batch.task import GRACE_S, Outcome, Task, do
 from sonarrec.records import FrameResult, SonarrecError
 
 TELL_EVERY_S = 0.2
@@ -67,6 +67,8 @@ def _watch_parent(parent: int) -> None:
     while os.getppid() == parent:
         sleep(TELL_EVERY_S)
     os.kill(os.getpid(), signal.SIGTERM)
+    sleep(GRACE_S)
+    os.kill(os.getpid(), signal.SIGKILL)
 
 
 def _stop(*_: object) -> None:

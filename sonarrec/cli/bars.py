@@ -2,9 +2,19 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any
+
+
+def _silent(quiet: bool) -> bool:
+    return quiet or not sys.stderr.isatty()  # asked here: tqdm itself is slow to load
+
+
+def _nothing(*_: object, **__: object) -> None:
+    """The step of a silent bar."""
 
 
 @contextmanager
@@ -15,10 +25,16 @@ def progress(
 
     title: what stands before it. Yields what to call after each frame: step(total=None, note="").
     """
+    if _silent(quiet):
+        yield _nothing
+        return
     from tqdm import tqdm
 
-    off = True if quiet else None
-    with tqdm(total=total, desc=title, unit="frame", leave=False, disable=off) as bar:
+    # By a descriptor of its own: readers send the one of stderr elsewhere while they decode.
+    with (
+        os.fdopen(os.dup(sys.stderr.fileno()), "w", encoding=sys.stderr.encoding) as terminal,
+        tqdm(total=total, desc=title, unit="frame", leave=False, file=terminal) as bar,
+    ):
 
         def step(total: int | None = None, note: str = "") -> None:
             if total is not None:
@@ -36,11 +52,13 @@ def progress_of_logs(quiet: bool, logs: int) -> Iterator[Callable[[float, str], 
 
     Yields what to call from time to time: at(logs done, with the shares of those that run; note).
     """
+    if _silent(quiet):
+        yield _nothing
+        return
     from tqdm import tqdm
 
     layout = "{percentage:3.0f}%|{bar}| {postfix} [{elapsed}<{remaining}]"
-    off = True if quiet else None
-    with tqdm(total=logs, bar_format=layout, leave=False, disable=off) as bar:
+    with tqdm(total=logs, bar_format=layout, leave=False) as bar:
 
         def at(done: float, note: str) -> None:
             bar.set_postfix_str(note, refresh=False)
@@ -55,6 +73,9 @@ def fetching(quiet: bool, name: str) -> Iterator[Callable[[int, int | None], Non
 
     Yields what to call as they come: step(came, of how many or None). Without a call, no bar.
     """
+    if _silent(quiet):
+        yield _nothing
+        return
     from tqdm import tqdm
 
     with ExitStack() as held:
@@ -64,8 +85,7 @@ def fetching(quiet: bool, name: str) -> Iterator[Callable[[int, int | None], Non
             nonlocal bar
             if bar is None:
                 told = {"desc": f"fetch {name}", "unit": "B", "unit_scale": True}
-                silent = True if quiet else None
-                bar = held.enter_context(tqdm(**told, leave=False, disable=silent))
+                bar = held.enter_context(tqdm(**told, leave=False))
             bar.total = of
             bar.update(came - bar.n)
 

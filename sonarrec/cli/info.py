@@ -170,7 +170,8 @@ def _check_preview(preview: Path, logs: Sequence[str]) -> None:
 
 def _draw_preview(path: str, preview: Path, landmarks: str | None, reading: dict[str, Any]) -> None:
     """Write the first usable frame under its geometry. Raises SonarrecError where there is none."""
-    from sonarrec.drawing import draw_preview, write_png
+    from sonarrec.drawing.geometry import draw_preview
+    from sonarrec.drawing.pen import write_png
     from sonarrec.landmarks import load_landmarks
     from sonarrec.readers import open_log
 

@@ -14,17 +14,8 @@ import cv2
 import numpy as np
 from mcap.writer import CompressionType, Writer
 
-from sonarrec.drawing import (
-    AROUND,
-    TRUTH,
-    UNNAMED,
-    Colour,
-    Mark,
-    caption,
-    disc_outline,
-    landmark_colours,
-    pixel_unit,
-)
+from sonarrec.drawing.pen import TRUTH, UNNAMED, Colour, disc_outline, landmark_colours, pixel_unit
+from sonarrec.drawing.results import AROUND, Mark, caption
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.outputs import OVERLAY_LIBRARY
 from sonarrec.overlay import detections

@@ -13,15 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from sonarrec.drawing import (
-    STRIP_FRAMES,
-    Mark,
-    Moment,
-    draw_frame,
-    draw_picture,
-    draw_strip,
-    trails,
-)
+from sonarrec.drawing.pen import draw_picture
+from sonarrec.drawing.results import STRIP_FRAMES, Mark, Moment, draw_frame, draw_strip, trails
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.outputs import Kind, check_output
 from sonarrec.overlay.foxglove_layout import write_layout
@@ -86,18 +79,7 @@ def write_overlay(
     UsageError where an option cannot be meant.
     """
     path = Path(path)
-    outputs: dict[Kind, Path | None] = {
-        "overlay": targets.mcap,
-        "video": targets.video,
-        "picture": targets.images,
-        "JSON": targets.layout,
-    }
-    for kind, target in outputs.items():
-        # A folder of pictures is checked picture by picture.
-        if target is not None and not (kind == "picture" and target.is_dir()):
-            check_output(target, kind, [path, ground_truth])
-        elif target is not None:
-            check_output(target / "000000.png", kind, [path])
+    _check_targets(targets, path, ground_truth)
     folder = _results_folder(path, results)
     run = read_run(folder / "run.toml")
     landmark_set = run.landmark_set(landmarks)
@@ -133,6 +115,22 @@ def write_overlay(
     if not written:
         raise UsageError(f"{path}: no frame lies in --frames {span[0]}:{span[1] or ''}")
     return Overlaid(method, written, problems)
+
+
+def _check_targets(targets: Targets, path: Path, ground_truth: Path | None) -> None:
+    """Raises UsageError where a target would replace what is not ours."""
+    outputs: dict[Kind, Path | None] = {
+        "overlay": targets.mcap,
+        "video": targets.video,
+        "picture": targets.images,
+        "JSON": targets.layout,
+    }
+    for kind, target in outputs.items():
+        # A folder of pictures is checked picture by picture.
+        if target is not None and not (kind == "picture" and target.is_dir()):
+            check_output(target, kind, [path, ground_truth])
+        elif target is not None:
+            check_output(target / "000000.png", kind, [path])
 
 
 def _cut_short(folder: Path) -> str:

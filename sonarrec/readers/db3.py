@@ -13,11 +13,11 @@ from urllib.parse import quote
 
 import numpy as np
 
-from sonarrec.readers.recording import MAX_MESSAGE_BYTES, Channel, Message
+from sonarrec.readers.recording import MAX_MESSAGE_BYTES, Channel, Faults, Message
 from sonarrec.records import SonarrecError, shown
 
 
-class Db3Recording:
+class Db3Recording(Faults):
     """A `Recording` of one database; of one that is cut, the messages before the cut."""
 
     def __init__(self, path: Path, at: Path | None = None) -> None:
@@ -25,8 +25,7 @@ class Db3Recording:
 
         Raises SonarrecError where it is none, or nothing in it can be read.
         """
-        self.path = path
-        self.faults: list[str] = []
+        super().__init__(path)
         self.profile, self.library = "ros2", "SQLite"
         self.chunks: dict[str, int] = {}
         # Its name goes into a URI, in which ? and # have meanings of their own.
@@ -54,22 +53,16 @@ class Db3Recording:
 
     def messages(self, channels: Collection[int]) -> Iterator[Message]:
         """The messages of some channels in log-time order."""
-        read, held = 0, sum(self.counts[c] for c in channels)
-        try:
-            for number, time, data in self._database.rows(channels):
-                read += 1
-                if isinstance(time, int) and time >= 0 and isinstance(data, bytes):
-                    yield Message(number, time, None, memoryview(data))
-                else:
-                    time = time if isinstance(time, int) and time >= 0 else 0
-                    yield Message(number, time, None, None, "malformed row in its database")
-        except Exception as error:
-            self.whole = False
-            self.fault(f"damaged ({_line(error)}): {held - read} of {held} frames are lost")
+        held = sum(self.counts[c] for c in channels)
+        return self.up_to_damage(self._messages(channels), held, _line)
 
-    def fault(self, text: str) -> None:
-        """Add a line about what is wrong."""
-        self.faults.append(f"{shown(self.path.name)}: {text}")
+    def _messages(self, channels: Collection[int]) -> Iterator[Message]:
+        for number, time, data in self._database.rows(channels):
+            if isinstance(time, int) and time >= 0 and isinstance(data, bytes):
+                yield Message(number, time, None, memoryview(data))
+            else:
+                time = time if isinstance(time, int) and time >= 0 else 0
+                yield Message(number, time, None, None, "malformed row in its database")
 
     def close(self) -> None:
         """Close the database."""

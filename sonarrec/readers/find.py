@@ -70,11 +70,15 @@ class Reader:
         """Whether a channel can be chosen."""
         return self.recording is not None
 
+    @property
+    def endings(self) -> tuple[str, ...]:
+        """How names of this kind end."""
+        packings = ("", *PACKINGS) if self.has_topics else ("",)
+        return tuple(suffix + packing for suffix in self.suffixes for packing in packings)
+
     def ending(self, name: str) -> str | None:
         """How a name of this kind ends, None where it is of another."""
-        packings = ("", *PACKINGS) if self.has_topics else ("",)
-        endings = (suffix + packing for suffix in self.suffixes for packing in packings)
-        return next((e for e in endings if name.lower().endswith(e)), None)
+        return next((e for e in self.endings if name.lower().endswith(e)), None)
 
 
 _IMAGES = Reader("image", IMAGE_SUFFIXES, ImageFiles)
@@ -90,6 +94,7 @@ READERS = (
     Reader("DIDSON", frozenset({".ddf"}), lambda files: DdfFrames(files[0])),
     Reader("Oculus", frozenset({".oculus", ".raw"}), lambda files: OculusPings(files[0])),
 )
+_LOG_ENDINGS = tuple(e for r in READERS if r is not _IMAGES for e in r.endings)
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,7 +210,7 @@ def log_name(path: Path) -> str:
 
 def names_a_log(name: str) -> bool:
     """Whether a file of this name is a log by itself: of a known kind, and no image."""
-    return any(r.ending(name) for r in READERS if r is not _IMAGES)
+    return name.lower().endswith(_LOG_ENDINGS)
 
 
 def is_log_file(path: Path) -> bool:

@@ -285,20 +285,10 @@ def _images(
         stated = replace(stated, layout="polar" if raw.polar else "fan")
     lacks = [key for key in stated.missing() if key == "tilt_deg" or not raw.polar]
     complete = _with_stand_ins(stated, lacks)
-    problems: list[str] = []
-    used = 0
-    plausibility = Plausibility()
     with Log(source.path, source.name, source.files, complete, raw, "log") as log:
-        try:
-            if not raw.polar:
-                complete.complete(where)
-            for frame in islice(log, 1 if quick else None):
-                used += 1
-                plausibility.look(frame)
-        except SonarrecError as error:
-            problems += log.problems or [str(error).partition("\n")[0]]
-        else:
-            problems += log.problems
+        used, problems, plausibility = _looked_through(
+            log, None if raw.polar else (complete, where), quick
+        )
     size = raw.sizes.most_common(1)
     geometry = log.sonar.as_table()
     origins = {
@@ -329,6 +319,25 @@ def _images(
         problems=[p for p in problems if p not in raw.faults],
     )
     return images, raw.faults
+
+
+def _looked_through(
+    log: Log, geometry: tuple[Sonar, str] | None, quick: bool
+) -> tuple[int, list[str], Plausibility]:
+    """(frames that can be used, a line for what cannot, what they show) of a log or its first.
+
+    geometry: to be complete, with its name; None where the log tells it.
+    """
+    used, plausibility = 0, Plausibility()
+    try:
+        if geometry is not None:
+            geometry[0].complete(geometry[1])
+        for frame in islice(log, 1 if quick else None):
+            used += 1
+            plausibility.look(frame)
+    except SonarrecError as error:
+        return used, log.problems or [str(error).partition("\n")[0]], plausibility
+    return used, log.problems, plausibility
 
 
 def _origin(key: str, flags: Sonar, stated: Sonar, where: str, raw: _Watched) -> str:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
+
+from sonarrec.records import shown
 
 MAX_MESSAGE_BYTES = 48 * 2**20  # an image of 4096 x 4096 pixels of three bytes
 
@@ -77,3 +79,32 @@ class Recording(Protocol):
     def close(self) -> None:
         """Close what is open."""
         ...
+
+
+class Faults:
+    """The part of a Recording that says what is wrong with it."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.faults: list[str] = []
+        self.whole = True
+
+    def fault(self, text: str) -> None:
+        """Add a line about what is wrong."""
+        self.faults.append(f"{shown(self.path.name)}: {text}")
+
+    def up_to_damage(
+        self, messages: Iterator[Message], held: int, line: Callable[[Exception], str]
+    ) -> Iterator[Message]:
+        """The messages that a library reads; what it raises, nowhere listed, is the damage.
+
+        held: how many there should be. line: what an error of the library says.
+        """
+        read = 0
+        try:
+            for message in messages:
+                read += 1
+                yield message
+        except Exception as error:
+            self.whole = False
+            self.fault(f"damaged ({line(error)}): {held - read} of {held} frames are lost")

@@ -11,13 +11,13 @@ from typing import Any
 
 import lz4.frame
 
-from sonarrec.readers.recording import MAX_MESSAGE_BYTES, Channel, Message
+from sonarrec.readers.recording import MAX_MESSAGE_BYTES, Channel, Faults, Message
 from sonarrec.records import SonarrecError, shown
 
 MAX_CHUNK_BYTES = 2**27  # inflated; it is held in memory. A recorder's own limit is below 1 MB
 
 
-class RosBag:
+class RosBag(Faults):
     """A `Recording` of one bag of ROS 1."""
 
     def __init__(self, path: Path, at: Path | None = None) -> None:
@@ -27,8 +27,7 @@ class RosBag:
         """
         from rosbags.rosbag1 import Reader
 
-        self.path = path
-        self.faults: list[str] = []
+        super().__init__(path)
         reader: Any = Reader(at or path)
         self._reader = reader
         try:
@@ -50,29 +49,22 @@ class RosBag:
                 f"{shown(path)}: not a whole bag of ROS 1 ({_line(error)}){hint}"
             ) from None
         self.profile, self.library = "ros1", ""
-        self.whole = True
 
     def messages(self, channels: Collection[int]) -> Iterator[Message]:
         """The messages of some channels in log-time order."""
+        held = sum(self.counts[c] for c in channels)
+        return self.up_to_damage(self._messages(channels), held, _line)
+
+    def _messages(self, channels: Collection[int]) -> Iterator[Message]:
         chosen = [c for c in self._reader.connections if c.id in channels]
-        read, held = 0, sum(self.counts[c] for c in channels)
         if not chosen:
             return  # to rosbags none means all
-        try:
-            for connection, time, data in self._reader.messages(chosen):
-                read += 1
-                if len(data) > MAX_MESSAGE_BYTES:
-                    problem = f"a message of {len(data)} bytes, more than is read"
-                    yield Message(connection.id, time, None, None, problem)
-                else:
-                    yield Message(connection.id, time, None, memoryview(data))
-        except Exception as error:
-            self.whole = False
-            self.fault(f"damaged ({_line(error)}): {held - read} of {held} frames are lost")
-
-    def fault(self, text: str) -> None:
-        """Add a line about what is wrong."""
-        self.faults.append(f"{shown(self.path.name)}: {text}")
+        for connection, time, data in self._reader.messages(chosen):
+            if len(data) > MAX_MESSAGE_BYTES:
+                problem = f"a message of {len(data)} bytes, more than is read"
+                yield Message(connection.id, time, None, None, problem)
+            else:
+                yield Message(connection.id, time, None, memoryview(data))
 
     def close(self) -> None:
         """Close the file."""

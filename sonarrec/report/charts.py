@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
-from sonarrec.drawing import Colour
+from sonarrec.drawing.pen import Colour
 from sonarrec.evaluation.pooled import PooledScored
 from sonarrec.evaluation.reliability import FEW, Reliability
 from sonarrec.evaluation.roc import roc as evaluation_roc

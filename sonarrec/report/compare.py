@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
 from sonarrec import __version__
 from sonarrec.evaluation import cells
 from sonarrec.evaluation.compare import (
@@ -23,6 +21,7 @@ from sonarrec.evaluation.metrics import BY_NAME, MAIN
 from sonarrec.evaluation.pairs import Pair
 from sonarrec.evaluation.uncertainty import LEVEL, MIN_UNITS, Difference
 from sonarrec.records import SonarrecError, shown
+from sonarrec.report.templates import filled
 from sonarrec.sonar import Sonar
 
 MOST = 10
@@ -120,17 +119,11 @@ def write_comparison_page(
 
 def render(found: Comparison) -> str:
     """The whole page as HTML."""
-    environment = Environment(
-        loader=PackageLoader("sonarrec.report", "."),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     # Mistakes are told as the stricter protocol counts them, as in the report.
     strict = any(r.protocol == "strict" for r in found.rates)
     protocol = "strict" if strict else "paper"
-    return environment.get_template("compare.html").render(
+    return filled(
+        "compare.html",
         version=__version__,
         old=shown(found.old),
         new=shown(found.new),

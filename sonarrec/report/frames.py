@@ -10,7 +10,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sonarrec.drawing import AROUND, Mark, caption, disc_outline
+from sonarrec.drawing.pen import disc_outline
+from sonarrec.drawing.results import AROUND, Mark, caption
 from sonarrec.readers.log import Log
 from sonarrec.records import ByteImage, Estimate, Fan, Frame, SonarrecError
 from sonarrec.report.logs import ReportedLog

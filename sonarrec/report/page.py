@@ -11,10 +11,8 @@ from datetime import UTC, datetime
 from importlib.resources import files
 from pathlib import Path
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
 from sonarrec import __version__
-from sonarrec.drawing import landmark_colours
+from sonarrec.drawing.pen import landmark_colours
 from sonarrec.evaluation import cells
 from sonarrec.evaluation.curves import Count
 from sonarrec.evaluation.evaluate import Evaluation
@@ -31,6 +29,7 @@ from sonarrec.report.mistakes import Episode, protocol_of_mistakes, told
 from sonarrec.report.pictures import Picture
 from sonarrec.report.settings import settings_tables
 from sonarrec.report.standing import Standing
+from sonarrec.report.templates import filled
 from sonarrec.results.sightings import PASS_GAP
 
 MOST_TRACKS = 12
@@ -157,16 +156,6 @@ def render(
     where there is no ground truth. wrong: of each method its mistakes.
     unused: one line for each part of the input that could not be used.
     """
-    environment = Environment(
-        loader=PackageLoader("sonarrec.report", "."),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.globals["number"] = _number
-    environment.globals["span"] = _span
-    environment.globals["time_of_day"] = _time_of_day
     script = (files("sonarrec.report") / "report.js").read_text(encoding="utf-8")
     landmarks = logs[0].results.landmarks
     most_tracks = MOST_TRACKS if len(logs) == 1 else max(1, 2 * MOST_TRACKS // len(logs))
@@ -176,7 +165,11 @@ def render(
     if evaluation is not None and pooled is not None:
         scores = _scores(logs[0].tracker, evaluation, pooled, wrong)
     map_picture = _map_picture(logs)
-    return environment.get_template("report.html").render(
+    return filled(
+        "report.html",
+        number=_number,
+        span=_span,
+        time_of_day=_time_of_day,
         version=__version__,
         title=_title(logs, many),
         contents=_contents(

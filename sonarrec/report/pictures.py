@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from sonarrec.drawing import Mark, draw_frame
+from sonarrec.drawing.results import Mark, draw_frame
 from sonarrec.records import ByteImage, Estimate, FloatArray, Frame
 from sonarrec.report.logs import ReportedLog
 

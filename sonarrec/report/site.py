@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from sonarrec.config import Config
-from sonarrec.drawing import Mark, draw_frame
+from sonarrec.drawing.results import Mark, draw_frame
 from sonarrec.evaluation.by_range import Rate, Recognised, recognised
 from sonarrec.evaluation.evaluate import evaluate_pairs
 from sonarrec.evaluation.pairs import Pair

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from sonarrec import __version__
 from sonarrec.evaluation.by_range import Rate
@@ -17,6 +16,7 @@ from sonarrec.evaluation.uncertainty import LEVEL, MIN_UNITS
 from sonarrec.report.charts import STYLES, UNIT, Axis, Chart, Dot, Shape, polyline
 from sonarrec.report.pictures import LARGEST, QUALITY, as_webp, shrunk
 from sonarrec.report.site import ENOUGH, AtContrast, Shown, Site
+from sonarrec.report.templates import filled
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,14 +45,8 @@ class Picture:
 
 def render(site: Site) -> str:
     """The whole page as HTML."""
-    environment = Environment(
-        loader=PackageLoader("sonarrec.report", "."),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("site.html").render(
+    return filled(
+        "site.html",
         version=__version__,
         site=site,
         level=f"{LEVEL:.0%}",

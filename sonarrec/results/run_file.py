@@ -7,12 +7,12 @@ import platform
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from importlib.metadata import version
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from cv2.version import opencv_version
 
 from sonarrec import __version__, config
 from sonarrec.geometry import fan_for_image
@@ -78,7 +78,7 @@ def _ran_on() -> dict[str, str]:
     return {
         "processor": " ".join([platform.machine(), *instructions]),
         "numpy": np.__version__,
-        "opencv": version("opencv-python-headless"),
+        "opencv": opencv_version,
     }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
@@ -81,7 +82,7 @@ class _Pass:
     end_ns: int = 0
     frames_declared: int = 0
     best_score: float = 0.0
-    means: dict[str, _Mean] = field(default_factory=dict)
+    means: dict[str, _Mean] = field(default_factory=lambda: defaultdict(_Mean))
 
     def add(
         self, frame: int, timestamp_ns: int, estimate: Estimate, place: tuple[float, float]
@@ -102,7 +103,7 @@ class _Pass:
             ("x", place[0]),
             ("y", place[1]),
         ):
-            self.means.setdefault(name, _Mean()).add(value)
+            self.means[name].add(value)
 
     def ended(self) -> Sighting:
         mean = {name: mean.value() for name, mean in self.means.items()}

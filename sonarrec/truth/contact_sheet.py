@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from sonarrec.drawing import Colour, disc_outline, landmark_colours
+from sonarrec.drawing.pen import Colour, disc_outline, landmark_colours
 from sonarrec.outputs import PICTURE_MARK
 from sonarrec.records import ByteImage, FloatArray, Frame, IntArray, SonarrecError
 from sonarrec.truth.check import CheckedTruth

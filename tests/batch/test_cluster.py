@@ -16,8 +16,6 @@ import pytest
 
 from tests.support.batch import command, environment, made, rows, tables
 
-DASK = [sys.executable, "-m", "distributed.cli.dask_"]
-
 
 def wait_for(port: int) -> None:
     limit = time.monotonic() + 30

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from sonarrec.batch.task import GRACE_S
 from tests.support.batch import SAMPLE, command, environment, made, rows, tables
 
 
@@ -84,6 +85,26 @@ def test_a_call_that_is_stopped_goes_on(sent: signal.Signals, code: int, tmp_pat
     fresh = tmp_path / "fresh"
     subprocess.run(command("run", *logs, "-o", fresh, "-q"), check=True)
     assert all(tables(out / log.name) == tables(fresh / log.name) for log in logs)
+
+
+@pytest.mark.parametrize(("sent", "code"), [(signal.SIGINT, 130), (signal.SIGKILL, -9)])
+def test_a_call_is_stopped_though_a_log_hangs(
+    sent: signal.Signals, code: int, tmp_path: Path
+) -> None:
+    logs = made(tmp_path, "a", "hangs")
+    call = command("run", *logs, "-j", 2, "-o", tmp_path / "out", "-q")
+    with subprocess.Popen(call, env=environment(tmp_path), stderr=subprocess.PIPE) as running:
+        while not (tmp_path / "hanging").is_file():
+            time.sleep(0.05)
+        running.send_signal(sent)
+        patience = time.monotonic() + GRACE_S + 5
+        try:
+            assert running.wait(GRACE_S + 5) == code
+        finally:
+            running.kill()
+    while subprocess.run(call, capture_output=True).returncode:  # its log's process holds the part
+        assert time.monotonic() < patience
+        time.sleep(0.5)
 
 
 def test_shares_make_up_the_whole(tmp_path: Path) -> None:

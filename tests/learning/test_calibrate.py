@@ -9,9 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 
-from sonarrec.cli import main
 from sonarrec.config import preset
 from sonarrec.landmarks import load_landmarks
 from sonarrec.learning.calibrate import FOLDS, learn
@@ -21,17 +19,10 @@ from sonarrec.recogniser.stage3_features.description import FEATURES
 from sonarrec.recogniser.stage3_features.model import AppearanceModel, load_model
 from sonarrec.simulation.random_scenes import random_scene
 from sonarrec.simulation.simulate import write_recording
+from tests.support.command import sonarrec
 
 BASIN = load_landmarks("basin")
 SAMPLES = Path(__file__).resolve().parents[2] / "sample_data"
-
-
-def sonarrec(*arguments: str | Path, code: int = 0) -> Result:
-    result = CliRunner().invoke(main, [str(a) for a in arguments])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    assert result.exit_code == code, result.output
-    return result
 
 
 # Curves

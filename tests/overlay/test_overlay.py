@@ -25,19 +25,21 @@ from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
 from sonarrec.cli import main
-from sonarrec.drawing import (
+from sonarrec.drawing.pen import (
     OKABE_ITO,
+    disc_outline,
+    draw_picture,
+    enlargement,
+    landmark_colours,
+)
+from sonarrec.drawing.results import (
     STRIP_FRAMES,
     TRAIL_FRAMES,
     Mark,
     Moment,
     caption,
-    disc_outline,
     draw_frame,
-    draw_picture,
     draw_strip,
-    enlargement,
-    landmark_colours,
     trails,
 )
 from sonarrec.geometry import pixel_from_polar

@@ -10,14 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from rosbags.typesys import Stores, get_typestore
 
-from sonarrec.cli import main
 from sonarrec.config import Config, preset
 from sonarrec.poses import PoseTable, pose_table
 from sonarrec.readers.mcap.poses import read_topic
@@ -28,10 +26,10 @@ from sonarrec.records import Frame, Motion, SonarrecError
 from sonarrec.simulation.motion import poses
 from sonarrec.simulation.scene import Scene, load_scene
 from sonarrec.simulation.simulate import SimulatedFrame, render
+from tests.support.command import SAMPLE, sonarrec
 from tests.support.drawn import make_fan
 from tests.support.logs import cdr_compressed_image
 
-SAMPLE = Path(__file__).resolve().parents[2] / "sample_data" / "pan"
 HEIGHT = 0.68
 
 
@@ -218,14 +216,6 @@ def pings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for name in (*(f"{n:06d}.png" for n in range(16)), "sonar.toml"):
         (folder / name).write_bytes((SAMPLE / name).read_bytes())
     return folder
-
-
-def sonarrec(*arguments: str | Path, code: int = 0) -> Result:
-    result = CliRunner().invoke(main, [str(a) for a in arguments])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    assert result.exit_code == code, result.output
-    return result
 
 
 def pan_table(path: Path, count: int = 16, per_second: float = 1.0) -> Path:

@@ -23,7 +23,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sonarrec.cli import main
-from sonarrec.drawing import landmark_colours
+from sonarrec.drawing.pen import landmark_colours
 from sonarrec.evaluation.evaluate import evaluate
 from sonarrec.evaluation.reliability import Reliability
 from sonarrec.evaluation.scoring import PROTOCOLS, score

@@ -79,7 +79,7 @@ def call(out: Path, folder: Path, *words: str | int | Path, stop_after: int = 0)
         stderr=subprocess.DEVNULL,
     )
     while stop_after and running.poll() is None:
-        if sum(path.name == "run.toml" for path in out.glob("*/run.toml")) >= stop_after:
+        if len([*out.glob("*/run.toml")]) >= stop_after:
             running.send_signal(signal.SIGKILL)
         time.sleep(0.1)
     running.wait()

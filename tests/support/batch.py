@@ -23,6 +23,7 @@ if "sonarrec" in "".join(sys.orig_argv):
             yield frame
             if self.name == "hangs":
                 signal.signal(signal.SIGTERM, signal.SIG_IGN)
+                (self.path.parent / "hanging").touch()
                 time.sleep(1000)
             if self.name == "slow":
                 time.sleep(0.2)

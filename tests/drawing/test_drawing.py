@@ -14,18 +14,9 @@ import pytest
 from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
-from sonarrec.drawing import (
-    FLOOR,
-    GRID,
-    STRIP_FRAMES,
-    TRUTH,
-    Moment,
-    disc_width_px,
-    draw_frame,
-    draw_preview,
-    draw_strip,
-    nice_steps,
-)
+from sonarrec.drawing.geometry import disc_width_px, draw_preview, nice_steps
+from sonarrec.drawing.pen import FLOOR, GRID, TRUTH
+from sonarrec.drawing.results import STRIP_FRAMES, Moment, draw_frame, draw_strip
 from sonarrec.landmarks import BUILT_IN, load_landmarks
 from sonarrec.records import Fan
 from tests.support.drawn import draw_on_floor, make_fan
@@ -33,7 +24,7 @@ from tests.support.logs import PERIOD_NS, cdr_image, frames, image_folder, mcap_
 
 BASIN = load_landmarks("basin")
 FAN = make_fan(rows=512)
-SAMPLE = Path(__file__).parents[1] / "sample_data"
+SAMPLE = Path(__file__).parents[2] / "sample_data"
 
 
 def blank(fan: Fan) -> np.ndarray:

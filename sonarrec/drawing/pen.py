@@ -1,0 +1,192 @@
+"""What every picture is drawn with: colours, a pen, a disc's outline; pictures put together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from sonarrec.geometry import (
+    STEEPEST,
+    floor_depth,
+    ground_range,
+    pixel_from_polar,
+    polar_from_pixel,
+    slant_range,
+)
+from sonarrec.outputs import marked
+from sonarrec.records import ByteImage, Fan, FloatArray, SonarrecError
+
+Colour = tuple[int, int, int]
+"""Red, green, blue, 0 to 255."""
+
+# Okabe and Ito's colours, told apart with any colour vision; those that stand out on black first.
+OKABE_ITO: tuple[Colour, ...] = (
+    (86, 180, 233),
+    (204, 121, 167),
+    (230, 159, 0),
+    (0, 158, 115),
+    (240, 228, 66),
+    (213, 94, 0),
+    (0, 114, 178),
+)
+UNNAMED: Colour = (200, 200, 200)
+TRUTH: Colour = (255, 255, 255)
+GRID: Colour = (110, 150, 160)
+FLOOR: Colour = (230, 159, 0)
+
+_SMALLEST = 512  # pixels of the longer side below which a frame is enlarged to be legible
+_FINE = 4  # fractional bits of the coordinates that OpenCV draws at
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+_BLACK: Colour = (0, 0, 0)
+
+
+def landmark_colours(ids: Sequence[int]) -> dict[int, Colour]:
+    """One colour per ID: Okabe and Ito's, then ever paler rounds of them."""
+    rounds = -(-len(ids) // len(OKABE_ITO))
+    colours = {}
+    for n, landmark in enumerate(ids):
+        pale = n // len(OKABE_ITO) / rounds
+        red, green, blue = (round(c + pale * (255 - c)) for c in OKABE_ITO[n % len(OKABE_ITO)])
+        colours[landmark] = (red, green, blue)
+    return colours
+
+
+def disc_outline(fan: Fan, radius_m: float, x_px: float, y_px: float) -> FloatArray:
+    """(48, 2) column and row, in fan pixels, of the edge of a floor disc centred at a fan pixel.
+
+    Exact for a flat floor: about an ellipse, squeezed along the range and stretched across it.
+    Where the centre is too near for the floor the shape of the nearest floor is drawn around it.
+    """
+    range_m, bearing_deg = polar_from_pixel(fan, x_px, y_px)
+    floor_m = np.maximum(range_m, STEEPEST * floor_depth(fan))
+    ground, bearing = ground_range(fan, floor_m), np.radians(bearing_deg)
+    turn = np.linspace(0, 2 * np.pi, 48, endpoint=False)
+    across = ground * np.sin(bearing) + radius_m * np.cos(turn)
+    along = ground * np.cos(bearing) + radius_m * np.sin(turn)
+    outline = np.column_stack(
+        pixel_from_polar(
+            fan,
+            slant_range(fan, np.hypot(across, along)),
+            np.degrees(np.arctan2(across, along)),
+        )
+    )
+    drawn_at = np.array(pixel_from_polar(fan, floor_m, bearing_deg))
+    return np.asarray(outline + np.array([x_px, y_px]) - drawn_at)
+
+
+def enlargement(fan: Fan) -> int:
+    """Whole number of times that draw_frame enlarges a fan image to be legible."""
+    return -(-_SMALLEST // max(fan.rows, fan.columns))
+
+
+def pixel_unit(longer_side: int) -> float:
+    """Pixels of a picture per pixel of text and line width laid out for 512 of them."""
+    return max(1.0, longer_side / 640)
+
+
+class Pen:
+    """Anti-aliased lines and text; lines in pixels of the image before its enlargement."""
+
+    def __init__(self, canvas: np.ndarray, unit: float, scale: int = 1) -> None:
+        self.canvas: ByteImage = np.asarray(canvas, np.uint8)
+        self._unit = unit
+        self._thickness = max(1, round(unit))
+        self._scale = scale
+
+    def _enlarged(self, points: FloatArray) -> FloatArray:
+        # Pixel centres are whole numbers before and after.
+        return np.asarray((points + 0.5) * self._scale - 0.5)
+
+    def lines(self, lines: FloatArray, colour: Colour, width: int, *, closed: bool = False) -> None:
+        """(lines, points, 2) of one colour."""
+        # Far outside is as good as farther outside, and fits into 32 bits.
+        fixed = np.clip(self._enlarged(lines) * 2**_FINE, -1e8, 1e8).round().astype(np.int32)
+        width = round(width * self._unit)
+        cv2.polylines(self.canvas, list(fixed), closed, colour[::-1], width, cv2.LINE_AA, _FINE)
+
+    def line(self, points: FloatArray, colour: Colour, width: int, *, closed: bool = False) -> None:
+        """(points, 2), set off from what is below it."""
+        self.lines(points[None], _BLACK, width + 1, closed=closed)
+        self.lines(points[None], colour, width, closed=closed)
+
+    def dashes(self, outline: FloatArray, colour: Colour) -> None:
+        """A closed line of (a multiple of 4, 2) points, broken."""
+        parts = np.roll(outline, 1, axis=0).reshape(-1, 4, 2)[:, :3]
+        self.lines(parts, _BLACK, 3)
+        self.lines(parts, colour, 1)
+
+    def label(self, text: str, outline: FloatArray, colour: Colour, below: bool = False) -> None:
+        """Text above (or below) an outline, kept inside the picture."""
+        if not text:
+            return
+        low, high = self._enlarged(outline.min(axis=0)), self._enlarged(outline.max(axis=0))
+        (width, height), drop = cv2.getTextSize(text, _FONT, self._unit / 2, self._thickness)
+        gap = 5 * self._unit
+        y = high[1] + gap + height if below or low[1] < gap + height else low[1] - gap
+        x = (low[0] + high[0] - width) / 2
+        x = min(max(x, 2), self.canvas.shape[1] - width - 2)
+        y = min(max(y, height + 2), self.canvas.shape[0] - drop)
+        rows = slice(max(0, round(y - height) - 3), round(y + drop))
+        self.canvas[rows, max(0, round(x) - 3) : round(x + width) + 3] //= 4
+        self.text(text, (x, y), colour)
+
+    def note(
+        self, text: str, at: FloatArray | tuple[float, float], colour: Colour, centred: bool = False
+    ) -> None:
+        """Text at a point of the image (its bottom left, or middle), kept inside the picture."""
+        (width, height), _ = cv2.getTextSize(text, _FONT, self._unit / 2, self._thickness)
+        x, y = self._enlarged(np.asarray(at, float))
+        x, y = x + 3 * self._unit, y - 3 * self._unit
+        x = min(max(x - (width / 2 if centred else 0), 2), self.canvas.shape[1] - width - 2)
+        y = min(max(y, height + 2), self.canvas.shape[0] - 3)
+        rows = slice(max(0, round(y - height) - 1), round(y) + 2)
+        self.canvas[rows, max(0, round(x) - 1) : round(x + width) + 1] //= 3
+        self.text(text, (x, y), colour)
+
+    def text(
+        self, text: str, at: tuple[float, float], colour: Colour, align_right: bool = False
+    ) -> None:
+        """Text from its bottom-left corner (or right), in pixels of the canvas."""
+        width = int(cv2.getTextSize(text, _FONT, self._unit / 2, self._thickness)[0][0])
+        corner = (round(at[0]) - (width if align_right else 0), round(at[1]))
+        cv2.putText(
+            self.canvas,
+            text,
+            corner,
+            _FONT,
+            self._unit / 2,
+            colour[::-1],
+            self._thickness,
+            cv2.LINE_AA,
+        )
+
+
+def pen_on(image: ByteImage, fan: Fan) -> Pen:
+    """A pen that draws in fan pixels on the image, enlarged to be legible."""
+    scale = enlargement(fan)
+    size = (fan.columns * scale, fan.rows * scale)
+    enlarged = cv2.resize(image, size, interpolation=cv2.INTER_LINEAR)
+    return Pen(cv2.cvtColor(enlarged, cv2.COLOR_GRAY2BGR), pixel_unit(max(size)), scale)
+
+
+def draw_picture(frame: ByteImage, strip: ByteImage) -> ByteImage:
+    """A drawn frame above its strip, both centred; sides even, as video codecs want them."""
+    rows, columns = frame.shape[0] + strip.shape[0], max(frame.shape[1], strip.shape[1])
+    picture = np.zeros((rows + rows % 2, columns + columns % 2, 3), np.uint8)
+    at = 0
+    for part in (frame, strip):
+        left = (picture.shape[1] - part.shape[1]) // 2
+        picture[at : at + part.shape[0], left : left + part.shape[1]] = part
+        at += part.shape[0]
+    return picture
+
+
+def write_png(path: Path, picture: ByteImage) -> None:
+    """Write (rows, columns, 3) uint8 BGR. Raises SonarrecError where it cannot be written."""
+    try:
+        path.write_bytes(marked(cv2.imencode(".png", picture)[1].tobytes()))
+    except OSError as error:
+        raise SonarrecError(f"{path}: cannot be written ({error.strerror})") from None

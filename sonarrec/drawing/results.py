@@ -1,0 +1,197 @@
+"""Draws what a method says onto a fan image, and the probabilities below it.
+
+The counterparts of the paper's Figure 13 (frames) and Figure 14 (probabilities over time).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+import numpy as np
+
+from sonarrec.drawing.geometry import draw_grid
+from sonarrec.drawing.pen import (
+    TRUTH,
+    UNNAMED,
+    Pen,
+    disc_outline,
+    landmark_colours,
+    pen_on,
+    pixel_unit,
+)
+from sonarrec.landmarks import LandmarkSet
+from sonarrec.records import ByteImage, Estimate, Fan, FloatArray
+
+AROUND = 1.15
+"""Radius, in discs, at which truth is drawn: it must not hide under an estimate."""
+TRAIL_FRAMES = 20
+STRIP_FRAMES = 120
+"""How far back trails and the probability strip reach."""
+
+_TICK_FRAMES = 20  # between ticks of the strip's time axis
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """A landmark that ground truth puts at (x_px, y_px) of the fan image."""
+
+    landmark: int
+    x_px: float
+    y_px: float
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """What one method says in one frame: its number, its time in ns and the estimates."""
+
+    index: int
+    timestamp_ns: int
+    estimates: tuple[Estimate, ...]
+
+
+def trails(history: Sequence[Moment]) -> dict[int, FloatArray]:
+    """(n, 2) fan pixels, oldest first, where each object of the newest frame has been.
+
+    Only of methods that follow objects: numbers of single-frame candidates say nothing.
+    """
+    paths: dict[int, list[tuple[float, float]]] = {
+        e.object: [] for e in history[-1].estimates if is_followed(e)
+    }
+    for result in history:
+        if history[-1].index - result.index <= TRAIL_FRAMES:
+            for e in result.estimates:
+                if e.object in paths:
+                    paths[e.object].append((e.x_px, e.y_px))
+    return {number: np.array(path) for number, path in paths.items()}
+
+
+def is_followed(estimate: Estimate) -> bool:
+    """Whether the object's number means the same object in the next frame."""
+    return estimate.method.partition(":")[0] != "smi" and estimate.object >= 0
+
+
+def probability(estimate: Estimate, landmarks: LandmarkSet) -> float:
+    """The probability of the most probable ID."""
+    return float(estimate.probabilities[landmarks.ids.index(estimate.landmark)])
+
+
+def caption(estimate: Estimate, landmarks: LandmarkSet, *, score: bool = False) -> str:
+    """What is written at an object: "ID.3  0.97", with "?" undeclared, "" for none of these.
+
+    score: the number is the score, as in tables of results, in place of the probability.
+    """
+    number = estimate.score if score else probability(estimate, landmarks)
+    if estimate.declared:
+        return f"ID.{estimate.landmark}  {number:.2f}"
+    if np.argmax(estimate.probabilities) == len(landmarks.ids):
+        return ""
+    return f"ID.{estimate.landmark}?  {number:.2f}"
+
+
+def draw_frame(
+    image: ByteImage,
+    fan: Fan,
+    landmarks: LandmarkSet,
+    estimates: Sequence[Estimate],
+    *,
+    paths: Mapping[int, FloatArray] | None = None,
+    truth: Sequence[Mark] = (),
+    grid: bool = False,
+    score: bool = False,
+) -> ByteImage:
+    """The frame with an outline, ID and probability for every estimate: one method's (Figure 13).
+
+    image: (fan.rows, fan.columns) uint8. estimates: declared ones in the ID's colour, others thin
+    and grey. paths: as `trails` gives them. truth: dashed white. grid: range rings and bearings
+    below all that. score: scores in place of probabilities.
+    Returns (rows, columns, 3) uint8 BGR, both sides `enlargement` times the fan's.
+    """
+    pen = pen_on(image, fan)
+    if grid:
+        draw_grid(pen, fan)
+    colours = landmark_colours(landmarks.ids)
+    # The declared last, on top of the others.
+    for e in sorted(estimates, key=lambda e: (e.declared, e.score)):
+        colour = colours[e.landmark] if e.declared else UNNAMED
+        if paths and e.object in paths:
+            pen.line(paths[e.object], colour, 1)
+        outline = disc_outline(fan, landmarks.radius_m, e.x_px, e.y_px)
+        pen.line(outline, colour, 2 if e.declared else 1, closed=True)
+        around = disc_outline(fan, AROUND * landmarks.radius_m, e.x_px, e.y_px)
+        pen.label(caption(e, landmarks, score=score), around, colour)
+    for mark in truth:
+        outline = disc_outline(fan, AROUND * landmarks.radius_m, mark.x_px, mark.y_px)
+        pen.dashes(outline, TRUTH)
+        pen.label(f"ID.{mark.landmark}", outline, TRUTH, below=True)
+    return pen.canvas
+
+
+def draw_strip(history: Sequence[Moment], landmarks: LandmarkSet, width: int) -> ByteImage:
+    """The probability of each ID along every track, up to the newest frame (Figure 14).
+
+    history: one method's results, of which the last STRIP_FRAMES frames are shown. Thick where
+    declared; of methods that do not follow objects, points. Returns (rows, width, 3) uint8 BGR.
+    """
+    newest = history[-1]
+    unit = pixel_unit(width)
+    colours = landmark_colours(landmarks.ids)
+    left, right = 34 * unit, width - 10 * unit
+    # A legend of many IDs takes more lines.
+    per_line = max(1, int((right - left - 210 * unit) / (46 * unit)))
+    top = (24 + 16 * ((len(colours) - 1) // per_line)) * unit
+    bottom = top + 92 * unit
+    pen = Pen(np.zeros((round(bottom + 24 * unit), width, 3), np.uint8), unit)
+    for n, (landmark, colour) in enumerate(colours.items()):
+        at = (left + n % per_line * 46 * unit, (15 + 16 * (n // per_line)) * unit)
+        pen.text(f"ID.{landmark}", at, colour)
+    told = f"frame {newest.index}  {_clock(newest.timestamp_ns)}"
+    pen.text(told, (right, 15 * unit), UNNAMED, align_right=True)
+    for share in (0.0, 0.5, 1.0):
+        level = bottom - share * (bottom - top)
+        pen.lines(np.array([[[left, level], [right, level]]]), (70, 70, 70), 1)
+        pen.text(f"{share:g}", (6 * unit, level + 5 * unit), UNNAMED)
+    step = (right - left) / (STRIP_FRAMES - 1)
+    for result in history:
+        ago = newest.index - result.index
+        if result.index % _TICK_FRAMES == 0 and ago < STRIP_FRAMES:
+            tick = right - ago * step
+            told = _clock(result.timestamp_ns, short=True)
+            pen.note(told, (tick, bottom + 21 * unit), UNNAMED, centred=True)
+            pen.lines(np.array([[[tick, bottom], [tick, bottom + 5 * unit]]]), UNNAMED, 1)
+
+    shown = [
+        (result.index, e)
+        for result in history
+        if newest.index - result.index < STRIP_FRAMES
+        for e in result.estimates
+    ]
+    if not shown:
+        return pen.canvas
+    # Sorted by track and time, each estimate is joined to the one before it on the same track.
+    shown.sort(key=lambda row: (row[1].object, row[0]))
+    frame = np.array([index for index, _ in shown])
+    track = np.array([e.object if is_followed(e) else -1 for _, e in shown])
+    named = np.array([e.landmark if e.declared else None for _, e in shown])
+    joined = np.append(False, (track[1:] == track[:-1]) & (track[1:] >= 0))
+    before = np.arange(len(shown)) - joined
+    x = right - (newest.index - frame) * step
+    beliefs = np.array([e.probabilities for _, e in shown])
+    for thick in (False, True):
+        for k, landmark in enumerate(landmarks.ids):
+            y = bottom - beliefs[:, k] * (bottom - top)
+            start = np.where(joined, x[before], x - step / 2)
+            lines = np.stack([[start, y[before]], [x, y]]).transpose(2, 0, 1)
+            pen.lines(lines[(named == landmark) == thick], colours[landmark], 1 + thick)
+    return pen.canvas
+
+
+def _clock(timestamp_ns: int, *, short: bool = False) -> str:
+    """Seconds, or the time of day where they count from 1970. short: for a tick."""
+    seconds = timestamp_ns / 1e9
+    if seconds < 1e8:
+        return f"{seconds:.1f} s" if short else f"{seconds:.2f} s"
+    if short:
+        return f"{datetime.fromtimestamp(seconds, UTC):%H:%M:%S}"
+    return f"{datetime.fromtimestamp(seconds, UTC):%H:%M:%S.%f}"[:-4] + " UTC"

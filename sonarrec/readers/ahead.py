@@ -1,0 +1,59 @@
+"""Items made in a thread a few ahead: while one is worked on, the next are read and decoded."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from queue import SimpleQueue
+from threading import Thread
+from typing import Generic, TypeVar
+
+T = TypeVar("T")
+DEPTH = 4
+"""How many wait at most; images are large."""
+
+
+class Ahead(Generic[T]):
+    """One pass over the items of an iterable, in order; an exception comes in its turn too.
+
+    The items are made in one thread and taken in another. To be closed in the end.
+    """
+
+    def __init__(self, items: Iterable[T]) -> None:
+        # Queues alone: Ctrl-C in the middle of a Semaphore would leave it locked for ever.
+        self._made: SimpleQueue[tuple[T] | BaseException | None] = SimpleQueue()
+        self._room: SimpleQueue[None] = SimpleQueue()
+        for _ in range(DEPTH):
+            self._room.put(None)
+        self._closed = False
+        self._thread = Thread(target=self._make, args=(items,), daemon=True)
+        self._thread.start()
+
+    def _make(self, items: Iterable[T]) -> None:
+        last: BaseException | None = None
+        try:
+            left = iter(items)
+            while self._has_room():
+                self._made.put((next(left),))
+        except StopIteration:
+            pass
+        except BaseException as error:
+            last = error
+        self._made.put(last)
+
+    def _has_room(self) -> bool:
+        """Wait until another item may be made; False where none is wanted any more."""
+        self._room.get()
+        return not self._closed
+
+    def __iter__(self) -> Iterator[T]:
+        while isinstance(made := self._made.get(), tuple):
+            self._room.put(None)
+            yield made[0]
+        if made is not None:
+            raise made
+
+    def close(self) -> None:
+        """End the thread, once it is through with the item it makes."""
+        self._closed = True
+        self._room.put(None)
+        self._thread.join()

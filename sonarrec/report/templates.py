@@ -1,0 +1,19 @@
+"""The templates of the pages: every name and number that fills them is escaped."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+
+def filled(template: str, **values: Any) -> str:
+    """A template of this folder as HTML."""
+    environment = Environment(
+        loader=PackageLoader("sonarrec.report", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template(template).render(values)

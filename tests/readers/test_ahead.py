@@ -1,0 +1,81 @@
+"""Items made ahead in a thread: the same in the same order, only a few, and no thread left."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from sonarrec.cli import main
+from sonarrec.readers.ahead import DEPTH, Ahead
+from tests.support.batch import made, tables
+
+
+def test_the_same_in_the_same_order() -> None:
+    ahead = Ahead(range(1000))
+    assert [*ahead] == [*range(1000)]
+    ahead.close()
+
+
+def test_an_exception_comes_behind_the_items_before_it() -> None:
+    def breaks() -> Iterator[int]:
+        yield from range(3)
+        raise KeyError("three")
+
+    ahead = Ahead(breaks())
+    items = iter(ahead)
+    time.sleep(0.1)  # the thread is done long before
+    assert [next(items) for _ in range(3)] == [0, 1, 2]
+    with pytest.raises(KeyError, match="three"):
+        next(items)
+    ahead.close()
+
+
+def test_only_a_few_wait_and_the_thread_ends_with_them() -> None:
+    made = []
+
+    def endless() -> Iterator[int]:
+        while True:
+            made.append(len(made))
+            yield made[-1]
+
+    before = threading.active_count()
+    ahead = Ahead(endless())
+    items = iter(ahead)
+    assert [next(items) for _ in range(10)] == [*range(10)]
+    time.sleep(0.1)
+    assert len(made) == 10 + DEPTH
+    ahead.close()
+    assert threading.active_count() == before
+    assert len(made) == 10 + DEPTH
+
+
+@pytest.mark.parametrize("damaged", [(), (5,), (0, 7, 8), range(12)])
+def test_a_run_is_the_same_with_and_without(
+    damaged: Sequence[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (log,) = made(tmp_path, "log", frames=12)
+    for number in damaged:
+        image = log / f"{number:06d}.png"
+        image.write_bytes(image.read_bytes()[:500] + b"?" + image.read_bytes()[501:])
+    told = {}
+    threads = []
+    make = Ahead._make
+    monkeypatch.setattr(Ahead, "_make", lambda *given: (threads.append(given), make(*given)))
+    before = threading.active_count()
+    for cores in (1, 2):
+        monkeypatch.setattr(os, "sched_getaffinity", lambda _, n=cores: {*range(n)})
+        out = tmp_path / str(cores)
+        done = CliRunner().invoke(main, ["run", str(log), "-o", str(out)])
+        told[cores] = done.exit_code, done.output.replace(str(out), "OUT")
+        assert len(threads) == cores - 1
+        if len(damaged) < 12:
+            told[cores] += (tables(out / "log"),)
+    assert told[1] == told[2]
+    assert told[1][0] == (1 if len(damaged) == 12 else 3 if damaged else 0)
+    assert threading.active_count() == before
