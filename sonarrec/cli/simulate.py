@@ -11,8 +11,10 @@ from sonarrec.cli.options import (
     ANY,
     INPUT,
     OUTPUT,
+    PARTLY,
     LogChoice,
     command,
+    leave,
     log_options,
     option,
     out_option,
@@ -188,7 +190,7 @@ def _lay(
     notes = list(background.notes)
     if laying.count is not None and layout.landmarks < laying.count:
         notes.append(f"there was room for {layout.landmarks} of {laying.count} landmarks")
-    tell([], notes)
+    tell(background.problems, notes)
     if not quiet:
         fakes = len(layout.discs) - layout.landmarks
         count = f"{layout.landmarks} landmark" + "s" * (layout.landmarks != 1)
@@ -196,3 +198,5 @@ def _lay(
             click.echo(
                 f"{folder}: {len(background.path)} frames, {count} and {fakes} fakes at {db:g} dB"
             )
+    if background.problems:
+        leave(PARTLY)

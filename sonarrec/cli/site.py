@@ -13,10 +13,12 @@ from sonarrec.cli.options import (
     FOLDER,
     INPUT,
     OUTPUT,
+    PARTLY,
     LogChoice,
     SettingsChoice,
     command,
     frames_option,
+    leave,
     log_options,
     option,
     out_option,
@@ -114,7 +116,7 @@ def site(
             step=lambda doing: step(note=doing),
         )
     write_site(out, found, render(found))
-    tell([], found.notes)
+    tell(background.problems, found.notes)
     if not quiet:
         click.echo(f"{out / 'site.html'}: {found.frames} frames, {layouts} layouts")
         for one in found.contrasts:
@@ -127,3 +129,5 @@ def site(
             )
         for sentence in found.sentences:
             click.echo(f"  {sentence}")
+    if background.problems:
+        leave(PARTLY)

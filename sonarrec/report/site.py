@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -140,37 +140,13 @@ def assess(
     process(log, results, given, used, claimed, name="as_it_is", overwrite=True)
     pairs: dict[float, list[Pair]] = {db: [] for db in contrasts}
     shown: list[Shown] = []
+    laid = Laid(background, landmarks, plate_db, beam_width_deg, used, keep)
     for number, layout in enumerate(drawn, 1):
-        folders = {
-            db: out / "recordings" / f"layout_{number}" / f"contrast_{db:g}" for db in contrasts
-        }
         doing = f"layout {number} of {layouts}"
-        write_backgrounds(
-            background,
-            layout,
-            landmarks,
-            folders,
-            plate_db,
-            beam_width_deg,
-            lambda doing=doing: step(f"{doing}, discs"),  # type: ignore[misc]
-        )
-        told = _most_telling(background, layout, landmarks) if number == 1 else -1
-        for db, folder in folders.items():
-            seen: list[Estimate] = []
-
-            def observe(result: FrameResult, _: int | None, db: float = db) -> None:
-                if result.index == told:  # noqa: B023 (called before the loop goes on)
-                    seen.extend(_declared(result))  # noqa: B023
-                step(f"{doing}, {db:g} dB")  # noqa: B023
-
-            name = f"layout_{number}_contrast_{db:g}"
-            process(folder, results, Given(), used, observe, name=name, overwrite=True)
-            pairs[db].append(Pair(results / name, folder / "gt.csv"))
+        for db, pair, picture in _run_layout(laid, layout, contrasts, out, number, doing, step):
+            pairs[db].append(pair)
             if number == 1:
-                shown.append(_picture(background, layout, landmarks, folder, told, db, seen))
-            if not keep:
-                for picture in folder.glob("*.png"):
-                    picture.unlink()
+                shown.append(picture)
     found = _scored(background, pairs)
     return Site(
         log=background.where,
@@ -187,8 +163,62 @@ def assess(
         empty=100 * claims / len(background.path),
         sentences=tuple(sentences(found, claims, len(background.path))),
         shown=tuple(shown),
-        notes=background.notes,
+        notes=(*background.problems, *background.notes),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Laid:
+    """What is the same of every recording that is made."""
+
+    background: Background
+    landmarks: LandmarkSet
+    plate_db: float
+    beam_width_deg: float
+    used: Used
+    keep: bool
+
+
+def _run_layout(
+    laid: Laid,
+    layout: Layout,
+    contrasts: Sequence[float],
+    out: Path,
+    number: int,
+    doing: str,
+    step: Step,
+) -> Iterator[tuple[float, Pair, Shown]]:
+    """Lay one layout at every contrast and run each: contrast, results with truth, a picture."""
+    background, landmarks = laid.background, laid.landmarks
+    under = out / "recordings" / f"layout_{number}"
+    folders = {db: under / f"contrast_{db:g}" for db in contrasts}
+    write_backgrounds(
+        background,
+        layout,
+        landmarks,
+        folders,
+        laid.plate_db,
+        laid.beam_width_deg,
+        lambda: step(f"{doing}, discs"),
+    )
+    told = _most_telling(background, layout, landmarks)
+    for db, folder in folders.items():
+        seen: list[Estimate] = []
+
+        def observe(
+            result: FrameResult, _: int | None, db: float = db, seen: list[Estimate] = seen
+        ) -> None:
+            if result.index == told:
+                seen.extend(_declared(result))
+            step(f"{doing}, {db:g} dB")
+
+        name = f"layout_{number}_contrast_{db:g}"
+        process(folder, out / "results", Given(), laid.used, observe, name=name, overwrite=True)
+        picture = _picture(background, layout, landmarks, folder, told, db, seen)
+        if not laid.keep:
+            for image in folder.glob("*.png"):
+                image.unlink()
+        yield db, Pair(out / "results" / name, folder / "gt.csv"), picture
 
 
 def _declared(result: FrameResult) -> list[Estimate]:

@@ -55,7 +55,8 @@ class Background:
     where: names it. path: the sonar's pose in every frame used, the first at the origin. lit:
     (fan.rows, fan.columns) where at least half of the frames show an echo. unknown: frames whose
     motion neither images nor poses told; the sonar is taken to have stood still. told: whether
-    poses told the motion. dynamic_range_db: from black to white.
+    poses told the motion. dynamic_range_db: from black to white. problems: a line for each thing
+    that could not be used.
     """
 
     where: str
@@ -69,6 +70,7 @@ class Background:
     told: bool
     dynamic_range_db: float
     notes: tuple[str, ...]
+    problems: tuple[str, ...]
 
     def frames(self) -> Iterator[Frame]:
         """The frames again, numbered from 0."""
@@ -132,18 +134,10 @@ def survey(
             raise UsageError(f"{where}: no frame lies in --frames {span[0]}:{span[1] or ''}")
         stated = log.sonar.dynamic_range_db
         rate = log.sonar.frame_rate_hz
-        notes = [*log.notes, *log.problems, *odometry.notes(), *odometry.problems()]
+        notes = [*log.notes, *odometry.notes()]
+        problems = [*log.problems, *odometry.problems()]
     usual = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
-    if stated is None:
-        notes.append(
-            f"{where}: grey is taken as {DYNAMIC_RANGE_DB:g} dB from black to white; state "
-            "dynamic_range_db where the sonar's is another, for contrasts go by it"
-        )
-    if unknown:
-        notes.append(
-            f"{where}: the motion into {unknown} of {len(path)} frames could not be measured; "
-            "discs stay where they were in the picture there, so give --odometry if it moved"
-        )
+    notes += _doubts(where, stated, unknown, len(path))
     return Background(
         where,
         open_,
@@ -156,6 +150,7 @@ def survey(
         poses is not None,
         stated or DYNAMIC_RANGE_DB,
         tuple(notes),
+        tuple(problems),
     )
 
 
@@ -295,6 +290,22 @@ def write_backgrounds(
             (folder / "sonar.toml").write_text(tomli_w.dumps(sonar), encoding="utf-8")
     except OSError as error:
         raise SonarrecError(f"{error.filename}: cannot be written ({error.strerror})") from None
+
+
+def _doubts(where: str, stated: float | None, unknown: int, frames: int) -> list[str]:
+    """What is assumed of a recording. stated: its dynamic range, dB. unknown: see Background."""
+    doubts = []
+    if stated is None:
+        doubts.append(
+            f"{where}: grey is taken as {DYNAMIC_RANGE_DB:g} dB from black to white; state "
+            "dynamic_range_db where the sonar's is another, for contrasts go by it"
+        )
+    if unknown:
+        doubts.append(
+            f"{where}: the motion into {unknown} of {frames} frames could not be measured; "
+            "discs stay where they were in the picture there, so give --odometry if it moved"
+        )
+    return doubts
 
 
 def _within(log: Log, span: Span) -> Iterator[Frame]:

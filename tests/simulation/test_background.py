@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -280,12 +281,23 @@ def test_a_log_without_geometry_and_a_folder_in_use_are_refused(
     assert "--plate is for --background" in told
 
 
+def test_a_frame_that_cannot_be_used_is_told_and_left_out(recording: Path, tmp_path: Path) -> None:
+    damaged = tmp_path / "damaged"
+    shutil.copytree(recording, damaged)
+    (damaged / "000003.png").write_bytes(b"no picture")
+    out = tmp_path / "out"
+    told = sonarrec("simulate", "--background", damaged, "--frames", "0:8", "-o", out, code=3)
+    assert "000003.png" in told.stderr
+    assert f"{out}: 7 frames" in told.stdout
+    assert len(list(out.glob("*.png"))) == 7
+
+
 def test_black_floor_has_no_room() -> None:
     """Where a recording shows no echo nobody would look for landmarks."""
     path = (Pose(0.0, 0.7, 0.0, 0.0),)
     dark = Background(
         *("dark", lambda: None, (0, None), FAN, path),  # type: ignore[arg-type]
-        *(np.zeros((FAN.rows, FAN.columns), dtype=bool), 4.0, 0, False, 50.0, ()),
+        *(np.zeros((FAN.rows, FAN.columns), dtype=bool), 4.0, 0, False, 50.0, (), ()),
     )
     with pytest.raises(SonarrecError, match="no place on the floor shows echoes"):
         draw_layout(dark, BASIN, 0)
