@@ -132,7 +132,8 @@ def survey(
                 step(log.frame_count)
         if odometry is None:
             raise UsageError(f"{where}: no frame lies in --frames {span[0]}:{span[1] or ''}")
-        stated = log.sonar.dynamic_range_db
+        # On other scales than linear the reader itself made the grey, by as many dB.
+        stated = log.reading().get("dynamic_range_db", log.sonar.dynamic_range_db)
         rate = log.sonar.frame_rate_hz
         notes = [*log.notes, *odometry.notes()]
         problems = [*log.problems, *odometry.problems()]

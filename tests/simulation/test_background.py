@@ -292,6 +292,25 @@ def test_a_frame_that_cannot_be_used_is_told_and_left_out(recording: Path, tmp_p
     assert len(list(out.glob("*.png"))) == 7
 
 
+def test_amplitudes_have_the_range_that_the_reader_gave_them(
+    recording: Path, tmp_path: Path
+) -> None:
+    """Grey that the reader makes of amplitudes is 50 dB by its own doing: nothing is assumed."""
+    folder = tmp_path / "amplitudes"
+    folder.mkdir()
+    (folder / "sonar.toml").write_bytes((recording / "sonar.toml").read_bytes())
+    for path in sorted(recording.glob("*.png"))[:2]:
+        grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        assert grey is not None
+        amplitude = np.where(grey > 0, 10 ** (grey / 255 * 2.5), 0) * 60
+        cv2.imwrite(str(folder / path.name), np.rint(amplitude).astype(np.uint16))
+    for scale, noted in (("log", False), ("linear", True)):
+        out = tmp_path / scale
+        words = ("--pixel-scale", scale, "--count", "1", "-o", out)
+        told = sonarrec("simulate", "--background", folder, *words).stderr
+        assert ("grey is taken as 50 dB" in told) == noted
+
+
 def test_black_floor_has_no_room() -> None:
     """Where a recording shows no echo nobody would look for landmarks."""
     path = (Pose(0.0, 0.7, 0.0, 0.0),)
