@@ -15,7 +15,7 @@ from sonarrec.poses import PoseTable
 from sonarrec.readers import open_log
 from sonarrec.readers.find import SONAR_FILE, find_log, log_name
 from sonarrec.readers.log import Log
-from sonarrec.readers.poses_csv import read_poses
+from sonarrec.readers.poses_csv import POSES_FILE, read_poses
 from sonarrec.recogniser.beam_width import beam_width_deg, usual_beam_width_deg
 from sonarrec.recogniser.side_by_side import SideBySide
 from sonarrec.recogniser.stage3_features.model import ModelFile, model_from_table, read_model
@@ -24,8 +24,6 @@ from sonarrec.results.run_file import Given, RunFile, read_run, run_table
 
 FRAMES_FOR_BEAMS = 4
 """So many are looked at for the width of the beams."""
-POSES_FILE = "poses.csv"
-"""Poses beside a log, or NAME.poses.csv, which are used where none are given."""
 
 
 @dataclass(frozen=True, slots=True)

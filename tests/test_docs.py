@@ -245,5 +245,19 @@ def test_the_columns_of_a_map_are_those_listed() -> None:
     assert listed_columns("map", "factors.csv") == [*FACTOR_COLUMNS]
 
 
+def test_the_columns_of_a_site_are_those_listed() -> None:
+    from sonarrec.report.site import COLUMNS
+
+    text = PAGES["site"].read_text(encoding="utf-8")
+    _, _, lines = text.partition("site.csv has a row")
+    listed = [
+        name
+        for line in lines.partition("## ")[0].splitlines()
+        if line.startswith("    ")
+        for name in re.split(r", ", re.split(r"  +", line.strip())[0])
+    ]
+    assert listed == [*COLUMNS]
+
+
 def test_the_readme_is_at_most_200_lines() -> None:
     assert len(README.read_text(encoding="utf-8").splitlines()) <= 200

@@ -48,7 +48,7 @@ MAY_IMPORT = {
     "sshfs": ("remote.store",),
     "platformdirs": ("remote.cache",),
     "jinja2": ("report.templates",),
-    "tomli_w": ("results.write", "simulation.simulate"),
+    "tomli_w": ("results.write", "simulation.simulate", "simulation.background"),
     "cv2": (
         "geometry",
         "drawing",

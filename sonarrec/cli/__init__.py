@@ -22,6 +22,7 @@ from sonarrec.cli.overlay import overlay
 from sonarrec.cli.report import report
 from sonarrec.cli.run import run
 from sonarrec.cli.simulate import simulate
+from sonarrec.cli.site import site
 from sonarrec.cli.status import status
 from sonarrec.cli.truth import truth
 from sonarrec.records import SonarrecError, UsageError
@@ -84,7 +85,7 @@ def main() -> None:
 
 
 for command in (
-    *(run, status, info, evaluate, report, overlay, map_, simulate, calibrate),
+    *(run, status, info, evaluate, report, overlay, map_, simulate, site, calibrate),
     *(config, truth, help_),
 ):
     main.add_command(command)

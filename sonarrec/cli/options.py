@@ -24,8 +24,9 @@ ANY = click.Path(path_type=Path)
 
 # The groups of --help, in this order.
 INPUT, SCORING, LEARNING, SETTINGS = "Input", "Scoring", "Learning", "Settings"
+BACKGROUND = "Into a recording"
 GEOMETRY, PIXELS, BATCH, OUTPUT = "Geometry", "Pixels", "Many logs", "Output"
-_GROUPS = (INPUT, SCORING, LEARNING, SETTINGS, GEOMETRY, PIXELS, BATCH, OUTPUT)
+_GROUPS = (INPUT, BACKGROUND, SCORING, LEARNING, SETTINGS, GEOMETRY, PIXELS, BATCH, OUTPUT)
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 
@@ -217,6 +218,10 @@ class LogChoice:
     """How a log is to be read, by the flags of the command line."""
 
     values: Mapping[str, Any]  # of the options by name, None where not given
+
+    def given(self) -> list[str]:
+        """The flags that were given."""
+        return [f"--{k.replace('_', '-')}" for k, v in self.values.items() if v is not None]
 
     def sonar(self) -> Any:
         """The Sonar that the flags alone state. Raises UsageError for what is no list."""

@@ -7,7 +7,21 @@ from pathlib import Path
 import click
 
 from sonarrec.cli.bars import progress
-from sonarrec.cli.options import ANY, INPUT, OUTPUT, command, option, out_option, quiet_option
+from sonarrec.cli.options import (
+    ANY,
+    INPUT,
+    OUTPUT,
+    PARTLY,
+    LogChoice,
+    command,
+    leave,
+    log_options,
+    option,
+    out_option,
+    quiet_option,
+    tell,
+)
+from sonarrec.cli.options_background import Laying, laying_options
 from sonarrec.records import UsageError
 
 
@@ -16,20 +30,35 @@ from sonarrec.records import UsageError
     INPUT,
     "--scene",
     "source",
-    default="paper",
-    show_default=True,
-    help="Built-in name (paper, basin, sample_pan, sample_polar) or a TOML file.",
+    help="Built-in name (paper, basin, sample_pan, sample_polar) or a TOML file.  [default: paper]",
 )
-@option(INPUT, "--seed", type=click.IntRange(min=0), help="In place of the scene's own.")
-@option(INPUT, "--frames", type=click.IntRange(min=1), help="In place of the scene's own number.")
+@option(
+    INPUT,
+    "--background",
+    metavar="LOG",
+    help="In place of a scene: a recording without landmarks, read as by `sonarrec run`, to lay "
+    "landmarks into.",
+)
+@option(
+    INPUT,
+    "--seed",
+    type=click.IntRange(min=0),
+    help="In place of the scene's own; with --background, of the places of the discs.",
+)
+@option(
+    INPUT,
+    "--frames",
+    metavar="N",
+    help="In place of the scene's own number; with --background A:B, only these frames of it.",
+)
+@laying_options
+@log_options(time=True)
 @option(
     OUTPUT,
     "--format",
     "image_format",
     type=click.Choice(["png", "mcap"]),
-    default="png",
-    show_default=True,
-    help="A folder of images, or one MCAP file.",
+    help="A folder of images, or one MCAP file; with --background images.  [default: png]",
 )
 @option(
     OUTPUT,
@@ -52,10 +81,13 @@ from sonarrec.records import UsageError
 )
 @quiet_option
 def simulate(
-    source: str,
+    source: str | None,
+    background: str | None,
     seed: int | None,
-    frames: int | None,
-    image_format: str,
+    frames: str | None,
+    laying: Laying,
+    log_choice: LogChoice,
+    image_format: str | None,
     schema: str | None,
     compression: str | None,
     out: Path,
@@ -63,33 +95,108 @@ def simulate(
 ) -> None:
     """Render a recording with known truth: frames, sonar.toml, gt.csv and the scene itself.
 
+    With --background landmarks are laid into a recording of your own that holds none, at random
+    places of the floor, where they stay as the sonar moves: its speckle, its light, its motion.
+
     \b
     Examples:
       sonarrec simulate --scene paper -o paper_log
       sonarrec simulate --scene my_scene.toml --frames 200 --format mcap -o log.mcap
       sonarrec simulate --scene sample_polar --format mcap -o pings.mcap \\
         --schema marine_acoustic_msgs/msg/ProjectedSonarImage
+      sonarrec simulate --background dive.mcap --tilt-deg 20 --contrast 6 -o dive_6db
+      sonarrec simulate --background dive.mcap --contrast 0,3,6,10 -o series
     """
+    if background is not None:
+        for flag, value in (
+            ("--scene", source),
+            ("--format", image_format),
+            ("--schema", schema),
+            ("--compression", compression),
+        ):
+            if value is not None:
+                raise UsageError(f"{flag} is of scenes, not of --background")
+        _lay(background, seed or 0, frames, laying, log_choice, out, quiet)
+        return
+    stray = [*laying.given(), *log_choice.given()]
+    if stray:
+        raise UsageError(f"{stray[0]} is for --background LOG; a scene states its own")
     if image_format != "mcap" and (schema or compression):
         raise UsageError("--schema and --compression are for --format mcap")
     from dataclasses import replace
 
     from sonarrec.simulation.simulate import load_scene, write_recording
 
-    scene = load_scene(source)
+    scene = load_scene(source or "paper")
     scene = replace(
         scene,
         seed=scene.seed if seed is None else seed,
-        frames=scene.frames if frames is None else frames,
+        frames=scene.frames if frames is None else _number(frames),
     )
     with progress(quiet, scene.frames) as step:
         write_recording(
             scene,
             out,
-            image_format,
+            image_format or "png",
             progress=lambda _: step(),
             schema=schema or "sensor_msgs/msg/Image",
             compression=compression or "zstd",
         )
     if not quiet:
         click.echo(f"{out}: {scene.frames} frames of scene {scene.name!r}")
+
+
+def _number(frames: str) -> int:
+    """The --frames of a scene. Raises UsageError."""
+    if not frames.isdecimal() or not 1 <= int(frames) < 10**9:
+        raise UsageError(f"--frames {frames}: of a scene it is a number of frames, 1 or more")
+    return int(frames)
+
+
+def _lay(
+    log: str,
+    seed: int,
+    frames: str | None,
+    laying: Laying,
+    log_choice: LogChoice,
+    out: Path,
+    quiet: bool,
+) -> None:
+    """Lay landmarks into a recording, at one contrast or several."""
+    from sonarrec.config import preset
+    from sonarrec.simulation.background import check_free, draw_layout, write_backgrounds
+
+    if out.suffix == ".mcap":
+        raise UsageError(f"{out}: --background writes a folder of images")
+    contrasts = laying.contrasts("6")
+    landmarks, config = laying.landmark_set(), preset("default")
+    folders = {db: out / f"contrast_{db:g}" for db in contrasts}
+    if len(contrasts) == 1:
+        folders = {contrasts[0]: out}
+    check_free(list(folders.values()))
+    with progress(quiet, title="motion") as step:
+        background = laying.survey(log, log_choice, frames, config, step)
+    layout = draw_layout(background, landmarks, seed, laying.count)
+    with progress(quiet, len(background.path), "discs") as step:
+        write_backgrounds(
+            background,
+            layout,
+            landmarks,
+            folders,
+            laying.plate_db,
+            laying.beam_width_deg(config, background.fan),
+            step,
+        )
+    notes = list(background.notes)
+    if laying.count is not None and layout.landmarks < laying.count:
+        notes.append(f"there was room for {layout.landmarks} of {laying.count} landmarks")
+    tell(background.problems, notes)
+    if not quiet:
+        fakes = len(layout.discs) - layout.landmarks
+        count = f"{layout.landmarks} landmark" + "s" * (layout.landmarks != 1)
+        for db, folder in folders.items():
+            click.echo(
+                f"{folder}: {len(background.path)} frames, {count} and {fakes} fakes at {db:g} dB"
+            )
+    if background.problems:
+        leave(PARTLY)

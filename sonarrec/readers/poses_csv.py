@@ -10,6 +10,8 @@ import numpy as np
 from sonarrec.poses import PoseTable, pose_table
 from sonarrec.records import SonarrecError
 
+POSES_FILE = "poses.csv"
+"""Poses beside a log, or NAME.poses.csv, which are used where none are given."""
 HEADER = "timestamp,yaw,x,y"
 # No table has its rows hours apart (10,000 s), nor as near as a hundredth of a millisecond.
 NANOSECONDS_FROM = 10_000

@@ -237,7 +237,7 @@ def small_disk(tmp_path: Path) -> Iterator[Callable[[int], Path]]:
         subprocess.run(["umount", str(one)], check=True)
 
 
-@pytest.mark.parametrize("pages", [10, 12, 14, 18])
+@pytest.mark.parametrize("pages", [10, 12, 14, 16])
 def test_a_full_file_system_is_one_line_and_costs_no_frame(
     log: Path, tmp_path: Path, small_disk: Callable[[int], Path], pages: int
 ) -> None:

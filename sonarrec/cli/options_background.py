@@ -1,0 +1,157 @@
+"""Laying landmarks into a recording: options of `sonarrec simulate` and `sonarrec site`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sonarrec.cli.options import BACKGROUND, FILE, LogChoice, as_one, option
+from sonarrec.records import UsageError
+
+if TYPE_CHECKING:
+    from sonarrec.config import Config
+    from sonarrec.landmarks import LandmarkSet
+    from sonarrec.records import Fan
+    from sonarrec.simulation.background import Background
+
+MOST_DB = 60.0
+
+_LAYING = {
+    "contrast": option(
+        BACKGROUND,
+        "--contrast",
+        metavar="DB[,DB]",
+        help="How far ring and sectors stand out from the floor, dB of power; several with commas "
+        "between make a series.  [default: 6; of site: 0,3,6,10]",
+    ),
+    "plate": option(
+        BACKGROUND,
+        "--plate",
+        type=click.FloatRange(-MOST_DB, MOST_DB),
+        metavar="DB",
+        help="The same of the plate between them.  [default: -6]",
+    ),
+    "landmarks": option(
+        BACKGROUND,
+        "--landmarks",
+        help="Landmark set: a built-in name or a TOML file.  [default: basin]",
+    ),
+    "count": option(
+        BACKGROUND,
+        "--count",
+        type=click.IntRange(min=1),
+        help="Landmarks to lay; for each round of the IDs a blank and a filled disc are laid as "
+        "well.  [default: six discs in view at most]",
+    ),
+    "beam_width": option(
+        BACKGROUND,
+        "--beam-width",
+        type=click.FloatRange(0, 5),
+        metavar="DEG",
+        help="By which the discs are smeared across the line of sight.  "
+        "[default: features.beam_width_deg, else by the field of view]",
+    ),
+    "odometry": option(
+        BACKGROUND,
+        "--odometry",
+        type=FILE,
+        help="CSV of the sonar's poses, as of `sonarrec run`.  [default: NAME.poses.csv or "
+        "poses.csv beside the log; without one the motion is measured between the images]",
+    ),
+    "odometry_topic": option(
+        BACKGROUND,
+        "--odometry-topic",
+        metavar="TOPIC",
+        help="Poses in the MCAP or bag itself, as of `sonarrec run`.",
+    ),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Laying:
+    """What the options ask for."""
+
+    values: Mapping[str, Any]
+
+    def given(self) -> list[str]:
+        """The flags that were given."""
+        return [f"--{k.replace('_', '-')}" for k, v in self.values.items() if v is not None]
+
+    def contrasts(self, default: str) -> list[float]:
+        """dB, rising. Raises UsageError for what is no list of numbers."""
+        text = self.values["contrast"] or default
+        try:
+            found = sorted(float(number) for number in text.split(","))
+        except ValueError:
+            found = [math.nan]
+        if not all(abs(db) <= MOST_DB for db in found):
+            raise UsageError(
+                f"--contrast {text}: expected numbers from -{MOST_DB:g} to {MOST_DB:g} dB with "
+                "commas between, such as 0,3,6,10"
+            )
+        if len(set(found)) < len(found):
+            raise UsageError(f"--contrast {text}: one of them is there twice")
+        return found
+
+    @property
+    def plate_db(self) -> float:
+        """Of the plate over the floor."""
+        return -6.0 if self.values["plate"] is None else float(self.values["plate"])
+
+    @property
+    def count(self) -> int | None:
+        """Landmarks to lay, where asked for."""
+        return None if self.values["count"] is None else int(self.values["count"])
+
+    def beam_width_deg(self, config: Config, fan: Fan) -> float:
+        """As stated, else as the settings have it, else what is usual for the field of view."""
+        from sonarrec.recogniser.beam_width import usual_beam_width_deg
+
+        stated = self.values["beam_width"]
+        if stated is not None:
+            return float(stated)
+        return config.features.beam_width_deg or usual_beam_width_deg(fan)
+
+    def landmark_set(self) -> LandmarkSet:
+        """The set that is laid."""
+        from sonarrec.landmarks import load_landmarks
+
+        return load_landmarks(self.values["landmarks"] or "basin")
+
+    def survey(
+        self,
+        log: str,
+        log_choice: LogChoice,
+        frames: str | None,
+        config: Config,
+        step: Callable[..., None],
+    ) -> Background:
+        """The recording, read once for its path."""
+        from sonarrec.readers import open_log
+        from sonarrec.results.run_file import frame_span
+        from sonarrec.simulation.background import poses_of, survey
+
+        if self.values["odometry"] is not None and self.values["odometry_topic"] is not None:
+            raise UsageError("--odometry and --odometry-topic: choose one of the two")
+        arguments = log_choice.arguments()
+        poses = poses_of(
+            log,
+            self.values["odometry"],
+            self.values["odometry_topic"],
+            arguments.get("time", "log"),
+        )
+        return survey(
+            lambda: open_log(log, **arguments),
+            self.landmark_set(),
+            config,
+            poses,
+            (0, None) if frames is None else frame_span(frames),
+            step,
+        )
+
+
+laying_options = as_one("laying", _LAYING, Laying)

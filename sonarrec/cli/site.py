@@ -1,0 +1,133 @@
+"""`sonarrec site`: would landmarks be recognised at the site of a recording?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from sonarrec.cli.bars import progress
+from sonarrec.cli.options import (
+    BACKGROUND,
+    FILE,
+    FOLDER,
+    INPUT,
+    OUTPUT,
+    PARTLY,
+    LogChoice,
+    SettingsChoice,
+    command,
+    frames_option,
+    leave,
+    log_options,
+    option,
+    out_option,
+    quiet_option,
+    settings_options,
+    tell,
+)
+from sonarrec.cli.options_background import Laying, laying_options
+
+
+@command(short_help="Say at which contrast, and how far, landmarks would be recognised.")
+@click.argument("log")
+@log_options(time=True)
+@frames_option("Use only these frames, from A up to, not including, B.")
+@laying_options
+@option(
+    BACKGROUND,
+    "--layouts",
+    type=click.IntRange(min=1),
+    default=4,
+    show_default=True,
+    help="How many times discs are laid at other places; more make intervals narrower.",
+)
+@option(
+    INPUT,
+    "--model",
+    type=FILE,
+    help="Appearance model of `sonarrec calibrate`.  [default: built in]",
+)
+@settings_options
+@out_option(FOLDER, "Folder of all that is written.  [default: sonarrec_site/<log name>]")
+@option(OUTPUT, "--keep", is_flag=True, help="Keep the images that were made, in OUT/recordings.")
+@quiet_option
+def site(
+    log: str,
+    log_choice: LogChoice,
+    frames: str | None,
+    laying: Laying,
+    layouts: int,
+    model: Path | None,
+    settings: SettingsChoice,
+    out: Path | None,
+    keep: bool,
+    quiet: bool,
+) -> None:
+    """Say whether landmarks would be recognised at the site of LOG, a recording without any.
+
+    Landmarks are laid into it at several contrasts, with blank and filled discs among them, as
+    `sonarrec simulate --background` does; each recording made so is run and scored. Writes
+    site.html (open it in a browser), site.csv and site.json.
+
+    \b
+    Examples:
+      sonarrec site dive.mcap --tilt-deg 20 --height-m 0.7
+      sonarrec site river.avi --contrast 0,6,12 --layouts 8 -o river_site
+    """
+    from sonarrec.prepared import Used
+    from sonarrec.readers.find import find_log
+    from sonarrec.report.site import assess, write_site
+    from sonarrec.report.site_page import render
+    from sonarrec.results.run_file import Given, frame_span
+    from sonarrec.simulation.background import check_free
+
+    config = settings.config()
+    contrasts, landmarks = laying.contrasts("0,3,6,10"), laying.landmark_set()
+    out = out or Path("sonarrec_site") / find_log(log).name
+    check_free([out])
+    with progress(quiet, title="motion") as step:
+        background = laying.survey(log, log_choice, frames, config, step)
+    values = laying.values
+    given = Given(
+        **log_choice.arguments(),
+        odometry=values["odometry"],
+        odometry_topic=values["odometry_topic"],
+        frames=None if frames is None else frame_span(frames),
+    )
+    # Of each layout the discs, then a run for each contrast; once the recording as it is.
+    passes = 1 + layouts * (1 + len(contrasts))
+    with progress(quiet, passes * len(background.path)) as step:
+        found = assess(
+            background,
+            Path(log),
+            given,
+            out,
+            landmarks,
+            config,
+            Used([config], values["landmarks"], model, settings.file),
+            contrasts=contrasts,
+            plate_db=laying.plate_db,
+            beam_width_deg=laying.beam_width_deg(config, background.fan),
+            layouts=layouts,
+            count=laying.count,
+            seed=settings.values["seed"] or 0,
+            keep=keep,
+            step=lambda doing: step(note=doing),
+        )
+    write_site(out, found, render(found))
+    tell(background.problems, found.notes)
+    if not quiet:
+        click.echo(f"{out / 'site.html'}: {found.frames} frames, {layouts} layouts")
+        for one in found.contrasts:
+            rate = one.found.tpr
+            false = one.found.false_per_100.value
+            far = f", 90% from {one.span}" if one.reaches else ""
+            click.echo(
+                f"  {one.contrast_db:4g} dB: TPR {rate.value:.3f} over {rate.units} passes, "
+                f"{false:.2f} false claims in 100 frames{far}"
+            )
+        for sentence in found.sentences:
+            click.echo(f"  {sentence}")
+    if background.problems:
+        leave(PARTLY)

@@ -1,0 +1,171 @@
+"""The page of `sonarrec site`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sonarrec import __version__
+from sonarrec.evaluation.by_range import Rate
+from sonarrec.evaluation.cells import Cell
+from sonarrec.evaluation.plots import COLOURS
+from sonarrec.evaluation.uncertainty import LEVEL, MIN_UNITS
+from sonarrec.report.charts import STYLES, UNIT, Axis, Chart, Dot, Shape, polyline
+from sonarrec.report.pictures import LARGEST, QUALITY, as_webp, shrunk
+from sonarrec.report.site import ENOUGH, AtContrast, Shown, Site
+from sonarrec.report.templates import filled
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A contrast's row of the table."""
+
+    contrast: str
+    tpr: Cell
+    frames: str
+    passes: int
+    far: str
+    false: Cell
+    by_range: list[Cell]
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A frame of one contrast."""
+
+    caption: str
+    alt: str
+    source: str
+    width: int
+    height: int
+
+
+def render(site: Site) -> str:
+    """The whole page as HTML."""
+    return filled(
+        "site.html",
+        version=__version__,
+        site=site,
+        level=f"{LEVEL:.0%}",
+        least=MIN_UNITS,
+        enough=f"{ENOUGH:.0%}",
+        colours=[COLOURS[n % len(COLOURS)] for n in range(len(site.contrasts))],
+        styles=STYLES,
+        steps=[f"{r.near_m:.1f} to {r.far_m:.1f} m" for r in site.contrasts[0].found.by_range],
+        rows=[_row(one) for one in site.contrasts],
+        over_contrast=_over_contrast(site.contrasts),
+        over_range=_over_range(site.contrasts),
+        false_claims=_false(site.contrasts),
+        pictures=[_picture(one) for one in site.shown],
+        landmarks=sum(layout.landmarks for layout in site.layouts),
+        fakes=sum(len(layout.discs) - layout.landmarks for layout in site.layouts),
+    )
+
+
+def _cell(rate: Rate, digits: int) -> Cell:
+    if math.isnan(rate.value):
+        return Cell("-")
+    if math.isnan(rate.low):
+        return Cell(f"{rate.value:.{digits}f}")
+    return Cell(f"{rate.value:.{digits}f}", f"{rate.low:.{digits}f}", f"{rate.high:.{digits}f}")
+
+
+def _row(one: AtContrast) -> Row:
+    found = one.found
+    return Row(
+        f"{one.contrast_db:g} dB",
+        _cell(found.tpr, 3),
+        f"{found.tpr.count:,} of {found.tpr.cases:,}",
+        found.tpr.units,
+        one.span,
+        _cell(found.false_per_100, 2),
+        [_cell(r.tpr, 2) for r in found.by_range],
+    )
+
+
+def _contrast_axis(found: Sequence[AtContrast]) -> Axis:
+    low, high = found[0].contrast_db, found[-1].contrast_db
+    margin = max(0.05 * (high - low), 0.5)
+    return Axis(low - margin, high + margin)
+
+
+def _over_contrast(found: Sequence[AtContrast]) -> Chart:
+    """TPR, with its interval as thin lines."""
+    axis = _contrast_axis(found)
+    x = axis.share(np.array([one.contrast_db for one in found]))
+    rates = [one.found.tpr for one in found]
+    value, low, high = (
+        np.array([getattr(rate, name) for rate in rates]) for name in ("value", "low", "high")
+    )
+    goal = polyline(np.array([0.0, 1.0]), np.array([ENOUGH, ENOUGH]))
+    shapes = [
+        Shape(goal, None, "line thin", f"{ENOUGH:.0%}"),
+        *(Shape(polyline(x, edge), 0, "faint", "interval") for edge in (low, high)),
+        Shape(polyline(x, value), 0, "line", "TPR"),
+    ]
+    told = [
+        f"{one.contrast_db:g} dB: TPR {rate.value:.3f}"
+        for one, rate in zip(found, rates, strict=True)
+    ]
+    dots = [
+        Dot(100 * float(at), 100 * float(y), text, 0)
+        for at, y, text in zip(x, value, told, strict=True)
+        if np.isfinite(y)
+    ]
+    labels = "contrast over the floor, dB", "TPR"
+    return Chart("; ".join(told), shapes, axis.ticks(), UNIT.ticks(5), dots, *labels)
+
+
+def _over_range(found: Sequence[AtContrast]) -> Chart:
+    """TPR at the middle of each step of slant range, a line for each contrast."""
+    steps = found[0].found.by_range
+    axis = Axis(steps[0].near_m, steps[-1].far_m)
+    x = axis.share(np.array([(r.near_m + r.far_m) / 2 for r in steps]))
+    shapes, dots, told = [], [], []
+    goal = polyline(np.array([0.0, 1.0]), np.array([ENOUGH, ENOUGH]))
+    shapes.append(Shape(goal, None, "line thin", f"{ENOUGH:.0%}"))
+    for n, one in enumerate(found):
+        value = np.array([r.tpr.value for r in one.found.by_range])
+        label = f"{one.contrast_db:g} dB"
+        shapes.append(Shape(polyline(x, value), n, f"line style-{n % STYLES}", label))
+        for at, rate in zip(x, one.found.by_range, strict=True):
+            if rate.tpr.cases:
+                text = f"{label}, {rate.near_m:.1f} to {rate.far_m:.1f} m: {rate.tpr.value:.2f}"
+                told.append(text)
+                dots.append(Dot(100 * float(at), 100 * rate.tpr.value, text, n))
+    return Chart(
+        "; ".join(told), shapes, axis.ticks(), UNIT.ticks(5), dots, "slant range, m", "TPR"
+    )
+
+
+def _false(found: Sequence[AtContrast]) -> Chart:
+    axis = _contrast_axis(found)
+    x = axis.share(np.array([one.contrast_db for one in found]))
+    value = np.array([one.found.false_per_100.value for one in found])
+    up = Axis(0.0, max(1.0, 1.1 * float(np.nanmax(value))))
+    y = up.share(value)
+    told = [
+        f"{one.contrast_db:g} dB: {v:.2f} in 100 frames"
+        for one, v in zip(found, value, strict=True)
+    ]
+    dots = [
+        Dot(100 * float(a), 100 * float(b), text, 0) for a, b, text in zip(x, y, told, strict=True)
+    ]
+    shapes = [Shape(polyline(x, y), 0, "line", "false claims per 100 frames")]
+    labels = "contrast over the floor, dB", "false claims per 100 frames"
+    return Chart("; ".join(told), shapes, axis.ticks(), up.ticks(5), dots, *labels)
+
+
+def _picture(one: Shown) -> Picture:
+    image = shrunk(one.image, LARGEST)
+    declared = f"{one.declared} of {one.truth} declared" if one.truth else "no landmark in view"
+    return Picture(
+        f"{one.contrast_db:g} dB, frame {one.frame}: {declared}.",
+        f"Sonar image at {one.contrast_db:g} dB, frame {one.frame}, with {one.truth} landmarks",
+        as_webp(image, QUALITY),
+        image.shape[1],
+        image.shape[0],
+    )

@@ -1,0 +1,233 @@
+"""Landmarks laid into real frames: the frame's own speckle and light under the disc's pattern.
+
+Grey is logarithmic: 255 levels are so many dB. With echoes as power P, a pixel of a disc is
+
+    P / mean of P over the fine scale * mean of P over the light's scale * gain
+
+which keeps the speckle (fine scale: a third of the disc's radius, 5 cm of a disc of 0.15 m, but
+FINE_BEAMS beam widths at least) and the light (7/3 of the radius, 35 cm), and drops what texture
+the floor has between them: the disc covers it. The gain is a level over the floor for ring and
+sectors and one for the plate, smeared as the sonar smears: by the beam's width across the line of
+sight, and SMEAR_M along it. Where the smear spills over the disc's edge both pictures are mixed by
+the disc's share.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from sonarrec.geometry import (
+    fan_mask,
+    floor_depth,
+    ground_range,
+    pixel_from_polar,
+    polar_from_pixel,
+    slant_range,
+)
+from sonarrec.landmarks import LandmarkSet
+from sonarrec.records import ByteImage, Fan, FloatArray
+from sonarrec.simulation.motion import Pose
+
+Floats = npt.NDArray[np.float32]
+
+FINE, LIGHT = 1 / 3, 7 / 3  # scales, in radii of the disc
+# The fine mean must hold several cells of speckle: the echo over the mean of its own cell is 1, and
+# a disc without speckle would be easier to recognise than a real one.
+FINE_BEAMS = 5  # in the middle of the window
+LEAST_FINE_PX = 5
+SMEAR_M = 0.02  # full width at half maximum along the range: a pulse
+_HALF_POWER = 2 * math.sqrt(2 * math.log(2))  # full width at half maximum of a Gaussian, in sigmas
+_TAIL = 2.0  # sigmas at which the smear ends, so that what lies beyond stays as it was
+_ACROSS = 40  # samples of the pattern along a radius, at least
+
+
+@dataclass(frozen=True, slots=True)
+class LaidDisc:
+    """A disc on the floor: a landmark, or a fake without (blank) or full of symbol (filled).
+
+    landmark: the ID, 0 of a fake. x_m, y_m: of its centre, right and ahead of the sonar at its
+    first frame. orientation_deg: counter-clockwise from that right, seen from above.
+    """
+
+    kind: Literal["landmark", "blank", "filled"]
+    landmark: int
+    x_m: float
+    y_m: float
+    orientation_deg: float
+
+
+def seen_from(disc: LaidDisc, pose: Pose) -> tuple[float, float]:
+    """(ground range in m, bearing in deg) of a disc's centre."""
+    dx, dy = disc.x_m - pose.x_m, disc.y_m - pose.y_m
+    bearing = math.degrees(math.atan2(dx, dy)) - pose.pan_deg
+    return math.hypot(dx, dy), (bearing + 180) % 360 - 180
+
+
+@dataclass(frozen=True, slots=True)
+class Surface:
+    """One frame as power. power: (rows, columns) float32, 0 where black. bare: the same with the
+    texture between the two scales taken out: what a disc is made of."""
+
+    power: Floats
+    bare: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Footprint:
+    """Where a disc shows in a frame. box: rows and columns. share: (box) float32, 0 to 1, of the
+    disc in a pixel, smear included. bright: (box) float32, of its ring and sectors."""
+
+    box: tuple[slice, slice]
+    share: Floats
+    bright: Floats
+
+
+class Composer:
+    """Lays discs of one landmark set into fan images of one geometry."""
+
+    def __init__(
+        self, fan: Fan, landmarks: LandmarkSet, dynamic_range_db: float, beam_width_deg: float
+    ) -> None:
+        """dynamic_range_db: from black to white."""
+        self.fan, self._landmarks = fan, landmarks
+        self._db = dynamic_range_db / 255
+        power = np.power(10, np.arange(256) * self._db / 10)
+        power[0] = 0  # black holds no echo to be amplified
+        self._power = power.astype(np.float32)
+        self._beam_deg = max(beam_width_deg, 1e-3)
+        self._inside = (fan_mask(fan) > 0).astype(np.float32)
+        row, column = np.mgrid[0 : fan.rows, 0 : fan.columns].astype(float)
+        range_m, bearing_deg = polar_from_pixel(fan, column, row)
+        self._range = range_m.astype(np.float32)
+        self._bearing = bearing_deg.astype(np.float32)
+        radius_px = landmarks.radius_m / fan.metres_per_pixel
+        middle_px = (fan.range_min_m + fan.range_max_m) / 2 / fan.metres_per_pixel
+        cells_px = FINE_BEAMS * math.radians(self._beam_deg) * middle_px
+        # Light must not become speckle: a third of its scale is the most.
+        cells_px = min(cells_px, LIGHT * radius_px / 3)
+        self._fine = _odd(max(FINE * radius_px, cells_px, LEAST_FINE_PX))
+        self._light = _odd(max(LIGHT * radius_px, 3 * self._fine))
+        self._seen = [self._box_mean(self._inside, n) for n in (self._fine, self._light)]
+
+    def surface(self, image: ByteImage) -> Surface:
+        """The frame, (fan.rows, fan.columns) uint8, as power."""
+        power = self._power[image] * self._inside
+        fine, light = (
+            self._box_mean(power, n) / np.maximum(seen, np.float32(1e-6))
+            for n, seen in zip((self._fine, self._light), self._seen, strict=True)
+        )
+        bare = power / np.maximum(fine, np.float32(1e-6)) * light
+        return Surface(np.asarray(power, np.float32), np.asarray(bare, np.float32))
+
+    def footprint(self, disc: LaidDisc, pose: Pose) -> Footprint | None:
+        """Where the disc shows, seen from a pose; None where nothing of it is in the image."""
+        fan, radius = self.fan, self._landmarks.radius_m
+        ground, bearing = seen_from(disc, pose)
+        if ground <= radius or abs(bearing) > 120:
+            return None
+        range_m = float(slant_range(fan, ground))
+        along_m = max(SMEAR_M, 2 * fan.metres_per_pixel) / _HALF_POWER
+        across_deg = self._beam_deg / _HALF_POWER
+        step_m = min(radius / _ACROSS, along_m / 2)
+        step_deg = min(math.degrees(radius / _ACROSS / ground), across_deg / 2)
+        tails = math.ceil(_TAIL * along_m / step_m), math.ceil(_TAIL * across_deg / step_deg)
+        near, far = (float(slant_range(fan, ground + side * radius)) for side in (-1, 1))
+        half_deg = math.degrees(math.asin(radius / ground))
+        first_m = near - (tails[0] + 2) * step_m
+        first_deg = bearing - half_deg - (tails[1] + 2) * step_deg
+        bins = math.ceil((far - first_m) / step_m) + tails[0] + 3
+        beams = math.ceil((bearing + half_deg - first_deg) / step_deg) + tails[1] + 3
+        patch_m = first_m + np.arange(bins) * step_m
+        patch_deg = first_deg + np.arange(beams) * step_deg
+        box = self._box(patch_m, patch_deg)
+        if box is None or range_m > fan.range_max_m + 2 * radius:
+            return None
+        share, bright = self._pattern(disc, pose, patch_m, patch_deg)
+        size = (2 * tails[1] + 1, 2 * tails[0] + 1)
+        across, along = across_deg / step_deg, along_m / step_m
+        maps = (
+            (self._bearing[box] - np.float32(first_deg)) / np.float32(step_deg),
+            (self._range[box] - np.float32(first_m)) / np.float32(step_m),
+        )
+        smeared = []
+        for sharp in (share, bright):
+            blurred = cv2.GaussianBlur(
+                sharp, size, sigmaX=across, sigmaY=along, borderType=cv2.BORDER_CONSTANT
+            )
+            laid = cv2.remap(blurred, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+            smeared.append(np.asarray(laid * self._inside[box], np.float32))
+        share, bright = smeared
+        return Footprint(box, np.minimum(share, 1), bright)
+
+    def lay(
+        self,
+        image: ByteImage,
+        surface: Surface,
+        footprints: list[Footprint],
+        contrast_db: float,
+        plate_db: float,
+    ) -> ByteImage:
+        """The frame with discs on it; pixels that no disc reaches are the frame's own.
+
+        contrast_db, plate_db: of ring and sectors, and of the plate, over the floor.
+        """
+        laid = image.copy()
+        ring, plate = (np.float32(10 ** (db / 10)) for db in (contrast_db, plate_db))
+        for one in footprints:
+            gain = ring * one.bright + plate * np.maximum(one.share - one.bright, 0)
+            power = (1 - one.share) * surface.power[one.box] + gain * surface.bare[one.box]
+            grey = np.log10(np.maximum(power, 1e-12)) * np.float32(10 / self._db)
+            where = one.share > 0
+            laid[one.box][where] = np.rint(np.clip(grey, 0, 255)).astype(np.uint8)[where]
+        return laid
+
+    def _pattern(
+        self, disc: LaidDisc, pose: Pose, patch_m: FloatArray, patch_deg: FloatArray
+    ) -> tuple[Floats, Floats]:
+        """(bins, beams) float32, 0 or 1: the disc, and its bright parts, on a polar patch."""
+        landmarks = self._landmarks
+        ground = np.nan_to_num(ground_range(self.fan, patch_m))[:, None]
+        world = np.radians(patch_deg + pose.pan_deg)
+        u = (pose.x_m + ground * np.sin(world) - disc.x_m) / landmarks.radius_m
+        v = (pose.y_m + ground * np.cos(world) - disc.y_m) / landmarks.radius_m
+        turn = math.radians(disc.orientation_deg)
+        u, v = (
+            u * math.cos(turn) + v * math.sin(turn),
+            v * math.cos(turn) - u * math.sin(turn),
+        )
+        rho = np.hypot(u, v)
+        share = (rho <= 1) & (patch_m > floor_depth(self.fan))[:, None]
+        if disc.kind == "landmark":
+            bright = landmarks.pattern(landmarks.ids.index(disc.landmark), u, v) > 0.5
+        elif disc.kind == "blank":
+            bright = (rho >= landmarks.ring[0]) & (rho <= landmarks.ring[1])
+        else:
+            bright = np.ones_like(share)
+        return share.astype(np.float32), (bright & share).astype(np.float32)
+
+    def _box(self, patch_m: FloatArray, patch_deg: FloatArray) -> tuple[slice, slice] | None:
+        """The part of the image that a polar patch covers; None where it covers nothing."""
+        bearing = np.array([patch_deg[0], patch_deg[-1], np.clip(0, patch_deg[0], patch_deg[-1])])
+        column, row = pixel_from_polar(self.fan, patch_m[[0, -1], None], bearing)
+        sides = []
+        for place, size in ((row, self.fan.rows), (column, self.fan.columns)):
+            low, high = max(math.floor(place.min()), 0), min(math.ceil(place.max()) + 1, size)
+            if low >= high:
+                return None
+            sides.append(slice(low, high))
+        return sides[0], sides[1]
+
+    @staticmethod
+    def _box_mean(image: Floats, width: int) -> Floats:
+        blurred = cv2.blur(image, (width, width), borderType=cv2.BORDER_CONSTANT)
+        return np.asarray(blurred, np.float32)
+
+
+def _odd(width: float) -> int:
+    return 2 * math.floor(width / 2) + 1

@@ -1,0 +1,137 @@
+"""Where discs are laid on the floor of a recording: at random, whole in view at some time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Literal
+
+import numpy as np
+
+from sonarrec.geometry import (
+    STEEPEST,
+    floor_depth,
+    ground_range,
+    in_fan,
+    pixel_from_polar,
+    slant_range,
+)
+from sonarrec.landmarks import LandmarkSet
+from sonarrec.records import BoolArray, Fan, SonarrecError
+from sonarrec.simulation.composite import LaidDisc
+from sonarrec.simulation.motion import Pose
+from sonarrec.simulation.simulate import visible_share
+
+APART = 2.4  # radii between centres, at least
+WHOLE = 0.99  # share of a disc in view in the frame that it is laid into
+LIT = 0.9  # share of it where that recording shows echoes at all
+MOST_IN_VIEW = 6  # discs at once, where their number is not asked for
+MOST_DISCS = 200
+TRIES = 400  # for one disc
+
+Kind = Literal["landmark", "blank", "filled"]
+
+
+def check_room(fan: Fan, landmarks: LandmarkSet, where: str) -> None:
+    """Raises SonarrecError where no disc can lie whole on floor that is in view."""
+    nearest = max(fan.range_min_m, STEEPEST * floor_depth(fan))
+    if nearest >= fan.range_max_m:
+        raise SonarrecError(
+            f"{where}: nothing of the floor is in view: from height_m = {floor_depth(fan):g} it "
+            f"begins at {nearest:.2f} m and range_max_m = {fan.range_max_m:g}; correct one of them"
+        )
+    near, far = (float(ground_range(fan, r)) for r in (nearest, fan.range_max_m))
+    middle = math.radians((fan.bearing_min_deg + fan.bearing_max_deg) / 2)
+    here = Pose(0.0, floor_depth(fan), 0.0, 0.0)
+    shares = [
+        visible_share(fan, here, g * math.sin(middle), g * math.cos(middle), landmarks.radius_m)
+        for g in np.linspace(near, far, 40).tolist()
+    ]
+    if max(shares) < WHOLE:
+        raise SonarrecError(
+            f"{where}: a disc of radius_m = {landmarks.radius_m:g} is nowhere whole in view: the "
+            f"fan shows {nearest:.2f} to {fan.range_max_m:.2f} m of the floor and "
+            f"{fan.bearing_max_deg - fan.bearing_min_deg:.1f} deg; choose smaller --landmarks"
+        )
+
+
+def lay_out(
+    fan: Fan,
+    path: Sequence[Pose],
+    lit: BoolArray,
+    landmarks: LandmarkSet,
+    rng: np.random.Generator,
+    count: int | None = None,
+) -> list[LaidDisc]:
+    """Discs at random places of the floor that the path shows, in random turns.
+
+    path: the sonar's pose in every frame. lit: (fan.rows, fan.columns) where the recording shows
+    echoes. count: landmarks, each ID as often as the others; for each round of IDs come a blank
+    and a filled disc. Default: as many as keep MOST_IN_VIEW in view at once. Fewer are laid where
+    there is no room.
+    """
+    near = float(ground_range(fan, max(fan.range_min_m, STEEPEST * floor_depth(fan))))
+    far = float(ground_range(fan, fan.range_max_m))
+    poses = np.array([(p.pan_deg, p.x_m, p.y_m) for p in path])
+    in_view = np.zeros(len(path), dtype=np.int64)
+    discs: list[LaidDisc] = []
+    for kind, landmark in _rounds(landmarks.ids, rng, count):
+        for _ in range(TRIES):
+            pose = path[int(rng.integers(len(path)))]
+            ground = rng.uniform(near, far)  # not by area: near discs are to be told of as well
+            bearing = rng.uniform(fan.bearing_min_deg, fan.bearing_max_deg)
+            world = math.radians(bearing + pose.pan_deg)
+            x, y = pose.x_m + ground * math.sin(world), pose.y_m + ground * math.cos(world)
+            apart = APART * landmarks.radius_m
+            if any(math.hypot(d.x_m - x, d.y_m - y) < apart for d in discs):
+                continue
+            there = _in_view(fan, poses, x, y)
+            if count is None and in_view[there].max(initial=0) >= MOST_IN_VIEW:
+                continue
+            if not _shows(fan, lit, landmarks.radius_m, ground, bearing):
+                continue
+            turn = rng.uniform(0, 360)
+            discs.append(LaidDisc(kind, landmark, x, y, turn))
+            in_view += there
+            break
+        else:
+            break  # no room for this one, nor for more
+    return discs
+
+
+def _rounds(
+    ids: Sequence[int], rng: np.random.Generator, count: int | None
+) -> Iterator[tuple[Kind, int]]:
+    """What is to be laid, in order: every ID, a blank and a filled disc, and so on."""
+    left = MOST_DISCS if count is None else count
+    while left > 0:
+        chosen = [ids[i] for i in rng.permutation(len(ids))][:left]
+        yield from (("landmark", landmark) for landmark in chosen)
+        yield "blank", 0
+        yield "filled", 0
+        left -= len(chosen) + (2 if count is None else 0)
+
+
+def _in_view(fan: Fan, poses: np.ndarray, x: float, y: float) -> BoolArray:
+    """(frames,) whether a place is in view. poses: (frames, 3) pan, x, y."""
+    dx, dy = x - poses[:, 1], y - poses[:, 2]
+    bearing = (np.degrees(np.arctan2(dx, dy)) - poses[:, 0] + 180) % 360 - 180
+    return np.asarray(in_fan(fan, slant_range(fan, np.hypot(dx, dy)), bearing), dtype=bool)
+
+
+def _shows(fan: Fan, lit: BoolArray, radius_m: float, ground: float, bearing: float) -> bool:
+    """Whether a disc is whole in view, and where echoes are."""
+    angle = math.radians(bearing)
+    x, y = ground * math.sin(angle), ground * math.cos(angle)
+    here = Pose(0.0, floor_depth(fan), 0.0, 0.0)
+    if visible_share(fan, here, x, y, radius_m) < WHOLE:
+        return False
+    n = np.arange(200) + 0.5
+    reach, turn = radius_m * np.sqrt(n / len(n)), n * (np.pi * (3 - math.sqrt(5)))
+    dx, dy = x + reach * np.cos(turn), y + reach * np.sin(turn)
+    column, row = pixel_from_polar(
+        fan, slant_range(fan, np.hypot(dx, dy)), np.degrees(np.arctan2(dx, dy))
+    )
+    column = np.clip(np.rint(column), 0, fan.columns - 1).astype(int)
+    row = np.clip(np.rint(row), 0, fan.rows - 1).astype(int)
+    return bool(lit[row, column].mean() >= LIT)
