@@ -118,7 +118,8 @@ def site(
     write_site(out, found, render(found))
     tell(background.problems, found.notes)
     if not quiet:
-        click.echo(f"{out / 'site.html'}: {found.frames} frames, {layouts} layouts")
+        told = "1 layout" if layouts == 1 else f"{layouts} layouts"
+        click.echo(f"{out / 'site.html'}: {found.frames} frames, {told}")
         for one in found.contrasts:
             rate = one.found.tpr
             false = one.found.false_per_100.value
