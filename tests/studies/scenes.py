@@ -25,6 +25,7 @@ from sonarrec.simulation.random_scenes import (
     ALL_KINDS,
     KINDS_OF_SCENE,
     STRETCH_KINDS,
+    UNLIKE_KINDS,
     random_scene,
 )
 from tests.studies.measured import Reliability, errors, honesty, reliability
@@ -154,7 +155,7 @@ def show_rates(rows: Sequence[Row]) -> None:
     pool = [r for r in rows if r.kind in KINDS_OF_SCENE]
     parts = [(kind, of_kind[kind], "strict") for kind in KINDS_OF_SCENE]
     parts += [("POOLED", pool, "strict"), ("POOLED, protocol paper", pool, "paper")]
-    parts += [(f"beside: {kind}", of_kind[kind], "strict") for kind in STRETCH_KINDS]
+    parts += [(f"beside: {kind}", of_kind[kind], "strict") for kind in STRETCH_KINDS + UNLIKE_KINDS]
     lines = []
     for label, some, protocol in parts:
         if some:
