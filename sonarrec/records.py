@@ -173,14 +173,17 @@ class Groups:
     """Stage 2: the particle groups (tracks) in view after one frame, by rising number.
 
     numbers: (n,) int, stable over frames. positions: (n, 2) float, (column, row) in plane pixels.
-    spread: (n, 2) standard deviation per axis in disc diameters. existence: (n,) 0 to 1.
-    remembered: (m,) numbers of those that left the view and may return.
+    spread: (n, 2) standard deviation per axis in disc diameters. existence: (n,) 0 to 1. sights:
+    (n,) deg counter-clockwise, seen from above, by how much the line of sight to the object has
+    turned over the floor since the track began: 0 of a sonar that only pans. remembered: (m,)
+    numbers of those that left the view and may return.
     """
 
     numbers: npt.NDArray[np.int64]
     positions: FloatArray
     spread: FloatArray
     existence: FloatArray
+    sights: FloatArray
     remembered: npt.NDArray[np.int64]
 
 
@@ -194,7 +197,8 @@ class Estimate:
     probabilities: (K + 1,) one per ID in the landmark set's order, then 'none of these'; sums to 1.
     landmark: the most probable ID. score: 0 to 1, what a ROC threshold sweeps.
     declared: the method claims the ID at its operating point. range_sigma_m, bearing_sigma_deg,
-    orientation_sigma_deg: standard errors, NaN where the method has none.
+    orientation_sigma_deg: standard errors, NaN where the method has none. sight_deg: as the
+    object's in Groups.sights; it is not written.
     """
 
     method: str
@@ -212,6 +216,7 @@ class Estimate:
     range_sigma_m: float = math.nan
     bearing_sigma_deg: float = math.nan
     orientation_sigma_deg: float = math.nan
+    sight_deg: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

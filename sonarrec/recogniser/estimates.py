@@ -9,11 +9,10 @@ from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.followed import Batch
 from sonarrec.recogniser.plane import Plane
 from sonarrec.recogniser.stage3_features import Beliefs, likeliest, settled
-from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES
+from sonarrec.recogniser.stage3_features.shape_matrix import STEP_DEG, whole_steps
 from sonarrec.recogniser.stage3_features.smi import Identification
 from sonarrec.records import BoolArray, Estimate, FloatArray, IntArray
 
-STEP_DEG = 360 / ANGLES
 # Standard error of a group's mean, in shares of its particles' spread: chosen on tuning seeds, held
 # against the truth by `make scenes`.
 POSITION_SHARE = 0.22
@@ -45,6 +44,7 @@ class EstimateMaker:
             scores,
             self._declare,
             self._plane.polar_sigma(batch.positions, POSITION_SHARE * batch.spread),
+            batch.sights,
         )
 
     def of_candidates(self, method: str, batch: Batch, found: Identification) -> list[Estimate]:
@@ -59,6 +59,7 @@ class EstimateMaker:
             found.score,
             self._declare_smi,
             (unknown, unknown),
+            np.zeros(len(batch.candidates)),
         )
 
     def _estimates(
@@ -71,17 +72,19 @@ class EstimateMaker:
         scores: FloatArray,
         threshold: float,
         sigma: tuple[FloatArray, FloatArray],
+        sights: FloatArray,
     ) -> list[Estimate]:
         """One Estimate for each of n objects.
 
-        objects, existence, scores: (n,). positions: (n, 2) working pixels. threshold: as
+        objects, existence, scores, sights: (n,). positions: (n, 2) working pixels. threshold: as
         `declared`. sigma: (n,) standard errors of slant range (m) and bearing (deg).
         """
         landmark_index, _ = likeliest(beliefs.probabilities)
         range_sigma, bearing_sigma = sigma
         column, row = self._plane.to_fan(*positions.T)
         range_m, bearing_deg = self._plane.to_polar(*positions.T)
-        orientation_deg = (90 - bearing_deg + beliefs.turn * STEP_DEG) % 360
+        _, left_deg = whole_steps(sights)
+        orientation_deg = (90 - bearing_deg - left_deg + beliefs.turn * STEP_DEG) % 360
         orientation_sigma = beliefs.turn_sigma * STEP_DEG
         claimed = declared(scores, threshold) & beliefs.earned
         return [
@@ -101,6 +104,7 @@ class EstimateMaker:
                 range_sigma_m=float(range_sigma[i]),
                 bearing_sigma_deg=float(bearing_sigma[i]),
                 orientation_sigma_deg=float(orientation_sigma[i]),
+                sight_deg=float(sights[i]),
             )
             for i in range(len(positions))
         ]

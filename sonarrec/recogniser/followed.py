@@ -56,6 +56,7 @@ class Batch:
         self.positions: FloatArray = np.concatenate([g.positions for g in self.groups])
         self.spread: FloatArray = np.concatenate([g.spread for g in self.groups])
         self.existence: FloatArray = np.concatenate([g.existence for g in self.groups])
+        self.sights: FloatArray = np.concatenate([g.sights for g in self.groups])
         self.gathered = Gathered.joined([f.gathered for f in frames])
 
     def results(self, single: list[Estimate], tracked: list[Estimate]) -> list[FrameResult]:

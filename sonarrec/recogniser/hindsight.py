@@ -30,7 +30,8 @@ class _Opinion:
     """How many there were."""
     last_frame: int = 0
     turns: dict[int, tuple[float, float, float]] = field(default_factory=dict)
-    """By ID, (score, degrees from the line of sight, their standard error) when surest of it."""
+    """By ID, when surest of it: (score, degrees from the line of sight as the track began, their
+    standard error)."""
 
     def beliefs(self) -> FloatArray:
         """(K + 1,) weighted geometric mean of the beliefs, which sums to 1."""
@@ -83,7 +84,7 @@ class Hindsight:
         opinion.beliefs_sum += estimate.probabilities
         opinion.last_frame = frame
         if estimate.score > opinion.turns.get(estimate.landmark, (0.0,))[0]:
-            turn = estimate.orientation_deg + estimate.bearing_deg
+            turn = estimate.orientation_deg + _from_image(estimate)
             sigma = estimate.orientation_sigma_deg
             opinion.turns[estimate.landmark] = (estimate.score, turn, sigma)
 
@@ -101,7 +102,7 @@ class Hindsight:
         if claimed and not opinion.borne_out(landmark_index):
             return estimate
         landmark = self._ids[landmark_index]
-        turn, sigma = estimate.orientation_deg + estimate.bearing_deg, np.nan
+        turn, sigma = estimate.orientation_deg + _from_image(estimate), np.nan
         if landmark in opinion.turns:
             _, turn, sigma = opinion.turns[landmark]
         return replace(
@@ -110,7 +111,15 @@ class Hindsight:
             landmark=landmark,
             score=float(score),
             declared=claimed,
-            # The line of sight turns with the bearing, the object as seen from it does not.
-            orientation_deg=(turn - estimate.bearing_deg) % 360,
+            orientation_deg=(turn - _from_image(estimate)) % 360,
             orientation_sigma_deg=sigma,
         )
+
+
+def _from_image(estimate: Estimate) -> float:
+    """Degrees from an angle in the image to one from the line of sight as the track began.
+
+    The line of sight turns in the image with the bearing, and over the floor as the sonar is
+    carried past; the object itself lies still.
+    """
+    return estimate.bearing_deg + estimate.sight_deg

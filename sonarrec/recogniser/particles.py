@@ -26,6 +26,8 @@ class Table:
     edge, where the score map ends, particles hang on when their object has gone."""
     existence: FloatArray
     """(n,) probability that there is an object, 0 to 1."""
+    sights: FloatArray
+    """(n,) deg, by how much the line of sight to it has turned over the floor since it began."""
 
     def __len__(self) -> int:
         return len(self.numbers)
@@ -59,6 +61,7 @@ class ParticleGroups(Table):
         numbers: IntArray,
         places: FloatArray,
         existence: FloatArray,
+        sights: FloatArray,
         count: int,
         sigma: float,
         rng: np.random.Generator,
@@ -66,7 +69,8 @@ class ParticleGroups(Table):
         """Groups that begin: `count` particles round each of (n, 2) places, `sigma` pixels wide."""
         cloud = rng.standard_normal((len(places), count, 2), np.float32) * np.float32(sigma)
         particles = cloud + places[:, None].astype(np.float32)
-        return cls(numbers, places, existence, np.zeros(len(places), np.int64), particles)
+        strikes = np.zeros(len(places), np.int64)
+        return cls(numbers, places, existence, sights, strikes, particles)
 
     def walk(self, sigma: float, rng: np.random.Generator) -> None:
         """Eq. 3: every particle goes at random, `sigma` pixels in each axis."""

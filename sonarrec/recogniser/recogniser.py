@@ -21,7 +21,11 @@ from sonarrec.recogniser.stage3_features import Measurement
 from sonarrec.recogniser.stage3_features.appearance import AppearanceMeasurement, Judge
 from sonarrec.recogniser.stage3_features.model import load_model
 from sonarrec.recogniser.stage3_features.published import PublishedMeasurement
-from sonarrec.recogniser.stage3_features.shape_matrix import ShapeSampler, turned_codes
+from sonarrec.recogniser.stage3_features.shape_matrix import (
+    ShapeSampler,
+    turned_codes,
+    whole_steps,
+)
 from sonarrec.recogniser.stage3_features.smi import identify
 from sonarrec.records import Fan, Frame, FrameResult
 
@@ -93,6 +97,8 @@ class Recogniser:
         n = len(selection.positions)
         places = np.concatenate([selection.positions, groups.positions])
         sight = self._plane.line_of_sight(places)
+        # Those of a group are turned in whole steps alone, to lie over each other exactly.
+        sight[n:] -= np.radians(whole_steps(groups.sights)[1])
         grey, seen = self._sampler(
             image, self._plane.inside, places, sight, selection.mean, selection.sigma
         )

@@ -41,7 +41,7 @@ class ContinuityFilter:
         self._diameter = 2 * np.array(plane.axes)
         self._share = plane.disc_share()
         self._next = 1
-        self._groups = self._new(np.empty(0, np.int64), np.empty((0, 2)), np.empty(0))
+        self._groups = self._new(np.empty(0, np.int64), np.empty((0, 2)), *np.empty((2, 0)))
         self._lost = _nobody()
 
     def step(self, selection: Selection, motion: Motion | None = None) -> Groups:
@@ -87,7 +87,14 @@ class ContinuityFilter:
             self._groups = self._groups.take(order)
             positions, spread = positions[order], spread[order]
         groups = self._groups
-        return Groups(groups.numbers, positions, spread, groups.existence, self._lost.numbers)
+        return Groups(
+            groups.numbers,
+            positions,
+            spread,
+            groups.existence,
+            groups.sights,
+            self._lost.numbers,
+        )
 
     def _predict(self, motion: Motion | None) -> None:
         """Eq. 3: a random walk; where the sonar's own motion is known a narrower one round it."""
@@ -145,9 +152,11 @@ class ContinuityFilter:
             groups.places = positions
             self._lost = _nobody()  # nobody knows where they are now
             return
+        groups.sights = groups.sights + self._plane.sight_turned(groups.places, motion)
         groups.places = self._plane.moved(groups.places, motion)
         groups.places[there] = positions[there]
         if len(lost):
+            lost.sights = lost.sights + self._plane.sight_turned(lost.places, motion)
             lost.places = self._plane.moved(lost.places, motion)
             away = np.hypot(*((lost.places - self._plane.apex) / self._diameter).T)
             turned = np.radians(motion.pan_sigma_deg) * away
@@ -210,6 +219,7 @@ class ContinuityFilter:
             groups.numbers[left],
             groups.places[left],
             groups.existence[left],
+            groups.sights[left],
             np.full(count, self._config.remember_frames),
             np.zeros(count),
             np.zeros(count, np.int64),
@@ -232,35 +242,39 @@ class ContinuityFilter:
             self._groups = self._groups.joined(self._new(*self._recall(born)))
         return born
 
-    def _recall(self, born: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
-        """(n,) numbers, the places, and (n,) existence of what begins at (n, 2) places.
+    def _recall(self, born: FloatArray) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
+        """(n,) numbers, the places, (n,) existence and sights of what begins at (n, 2) places.
 
         Those of the lost that it is; the nearest pair goes first. Else a new number.
         """
         lost = self._lost
         numbers = np.zeros(len(born), np.int64)
         existence: FloatArray = np.full(len(born), NEW_EXISTENCE)
+        sights: FloatArray = np.zeros(len(born))
         distance = self._distances(born, lost.places)
         distance[distance > self._gate()] = np.inf
         while distance.size and distance.min() < np.inf:
             new, old = np.unravel_index(distance.argmin(), distance.shape)
             numbers[new], existence[new] = lost.numbers[old], lost.existence[old]
+            sights[new] = lost.sights[old]
             distance[new], distance[:, old] = np.inf, np.inf
         self._lost = lost.take(~np.isin(lost.numbers, numbers))
         unknown = numbers == 0
         count = int(np.count_nonzero(unknown))
         numbers[unknown] = self._next + np.arange(count)
         self._next += count
-        return numbers, born, existence
+        return numbers, born, existence, sights
 
     def _gate(self) -> FloatArray:
         """(n,) disc diameters: how far from its place a candidate may be each of the lost."""
         config = self._config
         return np.minimum(config.recall + 2 * np.sqrt(self._lost.drift), config.recall_most)
 
-    def _new(self, numbers: IntArray, places: FloatArray, existence: FloatArray) -> ParticleGroups:
-        count = self._config.particles
-        return ParticleGroups.around(numbers, places, existence, count, self._sigma, self._rng)
+    def _new(
+        self, numbers: IntArray, places: FloatArray, existence: FloatArray, sights: FloatArray
+    ) -> ParticleGroups:
+        count, sigma = self._config.particles, self._sigma
+        return ParticleGroups.around(numbers, places, existence, sights, count, sigma, self._rng)
 
     def _shares(self, positions: FloatArray) -> FloatArray:
         """(n,) share of the disc inside the fan; -1 beyond the image."""
@@ -280,6 +294,7 @@ def _nobody() -> LostGroups:
     return LostGroups(
         np.empty(0, np.int64),
         np.empty((0, 2)),
+        np.empty(0),
         np.empty(0),
         np.empty(0, np.int64),
         np.empty(0),

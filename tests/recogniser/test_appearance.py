@@ -21,7 +21,12 @@ from sonarrec.recogniser.stage3_features.appearance import (
 )
 from sonarrec.recogniser.stage3_features.description import FEATURES, LIMIT, Describer
 from sonarrec.recogniser.stage3_features.model import AppearanceModel, load_model
-from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES, STEP, ShapeSampler
+from sonarrec.recogniser.stage3_features.shape_matrix import (
+    ANGLES,
+    STEP,
+    STEP_DEG,
+    ShapeSampler,
+)
 from sonarrec.recogniser.stage3_features.track_matrix import TrackMatrix
 from sonarrec.records import Groups, UsageError
 from tests.support.drawn import (
@@ -45,13 +50,14 @@ SURE = np.full(3, 0.9)  # that the objects exist
 SHARP = np.zeros(3)  # beams that smear nothing
 
 
-def groups(*in_view, remembered=()) -> Groups:
+def groups(*in_view, remembered=(), sights=None) -> Groups:
     n = len(in_view)
     return Groups(
         np.array(in_view, np.int64),
         np.zeros((n, 2)),
         np.zeros((n, 2)),
         np.full(n, 0.9),
+        np.zeros(n) if sights is None else np.array(sights, float),
         np.array(remembered, np.int64),
     )
 
@@ -116,6 +122,24 @@ def test_a_track_that_comes_back_earns_what_it_was_by_looking_the_same(same):
         np.testing.assert_allclose(found.brightness, now)
         np.testing.assert_allclose(found.count, count)
         assert found.frames.tolist() == [i + (3 if same else 1)]
+
+
+def test_what_is_passed_is_averaged_as_it_lies():
+    """Each frame's matrix counts from a line of sight that has turned by a step and more."""
+    matrix = TrackMatrix(20.0, 1)
+    picture = np.random.default_rng(3).normal(size=(1, 1, ANGLES))
+    seen = np.ones((1, 1, ANGLES), bool)
+    seen[..., 5] = False  # on the object, not in the matrix
+    for turned in (0, 1, 2, 4, 40, -3):
+        by = -turned  # as the line of sight turns one way, the object turns the other beneath it
+        found = matrix.step(
+            groups(7, sights=[turned * STEP_DEG + 0.3 * STEP_DEG]),
+            np.roll(picture, by, axis=2),
+            np.roll(seen, by, axis=2),
+        )
+        shown = np.roll(seen, by, axis=2)
+        np.testing.assert_allclose(found.brightness[shown], np.roll(picture, by, axis=2)[shown])
+        assert (found.count[~shown] == 0).all()
 
 
 def random_matrices(seed: int, n: int = 3) -> tuple[np.ndarray, np.ndarray]:

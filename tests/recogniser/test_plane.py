@@ -183,3 +183,26 @@ def test_line_of_sight_points_straight_away_from_the_sonar(kind):
     np.testing.assert_allclose(
         plane.line_of_sight(near), np.arctan2(-step[:, 1], step[:, 0]), atol=1e-6
     )
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    kind=st.sampled_from(["fan", "floor"]),
+    ahead_m=st.floats(1.0, 3.0),
+    right_m=st.floats(-0.6, 0.6),
+    carried=st.tuples(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3)),
+    pan_deg=st.floats(-20, 20),
+)
+def test_the_line_of_sight_turns_over_the_floor_as_the_sonar_is_carried(
+    kind, ahead_m, right_m, carried, pan_deg
+):
+    """Directions on a map that lies still: from where the sonar was, and from where it is."""
+    plane = working_plane(kind, make_fan(120, 1.25, 3.75, height_m=0.68), 0.15, 10.0)
+    slant = math.sqrt(ahead_m**2 + right_m**2 + 0.68**2)
+    bearing = math.degrees(math.atan2(right_m, ahead_m))
+    place = np.column_stack(plane.from_polar(np.array([slant]), np.array([bearing])))
+    before = math.degrees(math.atan2(ahead_m, right_m))
+    after = math.degrees(math.atan2(ahead_m - carried[1], right_m - carried[0]))
+    turned = plane.sight_turned(place, Motion(pan_deg, *carried))
+    assert turned[0] == pytest.approx(after - before, abs=1e-6)
+    assert plane.sight_turned(place, Motion(pan_deg))[0] == 0

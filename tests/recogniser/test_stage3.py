@@ -33,6 +33,7 @@ def groups(numbers, positions) -> Groups:
         np.asarray(positions, float).reshape(n, 2),
         np.zeros((n, 2)),
         np.full(n, 0.9),
+        np.zeros(n),
         np.empty(0, np.int64),
     )
 

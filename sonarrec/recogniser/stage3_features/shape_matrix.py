@@ -15,10 +15,11 @@ import numpy as np
 import numpy.typing as npt
 
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import ByteImage, FloatArray
+from sonarrec.records import ByteImage, FloatArray, IntArray
 
 ANGLES = 36
 STEP = 2 * np.pi / ANGLES
+STEP_DEG = 360 / ANGLES
 # Lines at the middle of equal parts of the symbol and the ring; for the track's average also of
 # the dark gap between them and of the floor just outside.
 SYMBOL_LINES = 3
@@ -26,6 +27,12 @@ RING_LINES = 3
 GAP_LINES = 2
 OUTER_LINES = 2
 OUTER = (1.12, 1.32)
+
+
+def whole_steps(angle_deg: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Angles as whole steps, and the degrees that are left: half a step at most."""
+    steps = np.rint(angle_deg / STEP_DEG).astype(np.int64)
+    return steps, angle_deg - steps * STEP_DEG
 
 
 def _middles(band: tuple[float, float], lines: int) -> FloatArray:

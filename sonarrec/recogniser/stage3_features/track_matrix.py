@@ -1,19 +1,21 @@
 """The shape matrix averaged along the track.
 
-It is kept in the object's own frame: angles count from the line of sight, which a pan leaves alone.
+It is kept in the object's own frame: angles count from the line of sight as the track began. A pan
+leaves the line of sight alone; a sonar that is carried past turns it over the floor.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from sonarrec.recogniser.stage3_features import Gathered
-from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES
-from sonarrec.records import FloatArray, Groups
+from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES, whole_steps
+from sonarrec.records import FloatArray, Groups, IntArray
 
+_T = TypeVar("_T", bound=np.generic)
 # What comes back is judged by what it shows now. What it showed before it left counts again, by a
 # share, where the two pictures are very much alike (correlation), or after so many frames somewhat:
 # speckle is frozen to the floor, so one landmark's are.
@@ -37,7 +39,7 @@ class _Picture(NamedTuple):
 
 
 class TrackMatrix:
-    """The running average of each track's shape matrix.
+    """The running average of each track's shape matrix, with angles from the line of sight.
 
     Frames fade with a memory of `memory_frames`; a cell counts by how often it was seen. A track
     that left the view and comes back begins anew, and has to earn what it was (FRAMES_TO_EARN).
@@ -57,6 +59,8 @@ class TrackMatrix:
 
         Tracks that are neither in view nor remembered are forgotten.
         """
+        steps, _ = whole_steps(groups.sights)
+        grey, seen = _turned(grey, steps), _turned(seen, steps)
         place = {number: i for i, number in enumerate(self._numbers)}
         numbers = groups.numbers.tolist()
         for number in groups.remembered.tolist():
@@ -89,4 +93,13 @@ class TrackMatrix:
                 if earned:
                     del self._before[number]
         self._numbers, self._sum, self._count, self._frames = numbers, total, count, frames
-        return Gathered(total / np.maximum(count, 1e-9), count, frames)
+        count = _turned(count, -steps)
+        return Gathered(_turned(total, -steps) / np.maximum(count, 1e-9), count, frames)
+
+
+def _turned(cells: npt.NDArray[_T], steps: IntArray) -> npt.NDArray[_T]:
+    """(n, L, ANGLES) matrices, each turned by so many of (n,) steps."""
+    if not steps.any():
+        return cells
+    index = (np.arange(ANGLES) - steps[:, None]) % ANGLES
+    return np.take_along_axis(cells, index[:, None], axis=2)
