@@ -11,6 +11,7 @@ import numpy as np
 from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.poses import PoseTable
+from sonarrec.recogniser.beam_width import usual_beam_width_deg
 from sonarrec.recogniser.estimates import EstimateMaker
 from sonarrec.recogniser.followed import Batch, Followed
 from sonarrec.recogniser.odometry import Odometry
@@ -61,7 +62,8 @@ class Recogniser:
         rng = np.random.default_rng(config.seed)
         select, features, radius_m = config.candidates, config.features, landmarks.radius_m
         self._plane = plane = working_plane(select.plane, fan, radius_m, select.disc_radius_px)
-        self._select = CandidateSelector(select, plane, landmarks)
+        beam_width_deg = features.beam_width_deg or usual_beam_width_deg(fan)
+        self._select = CandidateSelector(select, plane, landmarks, beam_width_deg)
         self.odometry = Odometry(plane, config.continuity, poses)
         self._continuity = ContinuityFilter(config.continuity, plane, rng)
         self._sampler = sampler = ShapeSampler(landmarks, plane.axes)
@@ -70,8 +72,9 @@ class Recogniser:
         if features.measurement == "single":
             self._measurement = PublishedMeasurement(features, bands, landmarks, fan.window_m)
         else:
-            model = model or load_model()
-            self._measurement = AppearanceMeasurement(features, plane, sampler, landmarks, model)
+            self._measurement = AppearanceMeasurement(
+                features, plane, sampler, landmarks, model or load_model(), beam_width_deg
+            )
         self._identify = partial(identify, bands=bands, turned=turned)
         self._estimates = EstimateMaker(config, plane, landmarks)
         self._method, self._smi = method, smi

@@ -15,12 +15,15 @@ import numpy.typing as npt
 from sonarrec.config import Candidates
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.plane import Plane
-from sonarrec.records import ByteImage, FloatArray, Selection
+from sonarrec.records import ByteImage, Fan, FloatArray, Selection
 
 # The ring filter's dark surroundings, in disc radii: part of the gap inside, the floor outside.
 GAP_MARGIN = 0.03
-# How much the gap counts of them: a ring stands out from its plate, whatever the floor is like.
-GAP_SHARE = 0.75
+# How much the gap counts of them: a ring stands out from its plate, whatever the floor is like. But
+# beams that are as wide as the gap fill it with the ring's echoes and the symbol's.
+GAP_SHARE, FILLED_GAP_SHARE = 0.75, 0.5
+# Width of the gap, in beams in the middle of the window, at which it is filled, and at which not.
+FILLED_BEAMS, CLEAR_BEAMS = 1.0, 1.5
 OUTSIDE = (1.08, 1.35)
 COARSE = 4  # pixels, of the grid on which the surroundings' brightness is measured
 LEAST_SIGMA = 0.5  # grey levels
@@ -35,7 +38,10 @@ FloatImage = npt.NDArray[np.float32]
 class CandidateSelector:
     """Finds circles of the landmarks' size in working images of one plane."""
 
-    def __init__(self, config: Candidates, plane: Plane, landmarks: LandmarkSet) -> None:
+    def __init__(
+        self, config: Candidates, plane: Plane, landmarks: LandmarkSet, beam_width_deg: float
+    ) -> None:
+        """beam_width_deg: of the sonar's beams, as in Features."""
         self._config = config
         self._inside = plane.inside
         self._cells = max(1, int(np.count_nonzero(plane.inside)))
@@ -45,7 +51,8 @@ class CandidateSelector:
         if config.detector == "edge":
             self._detector = EdgeScore(config, plane)
         else:
-            self._detector = RingScore(config, plane, landmarks, self._surroundings)
+            share = gap_share(landmarks, plane.fan, beam_width_deg)
+            self._detector = RingScore(config, plane, landmarks, self._surroundings, share)
 
     def __call__(self, image: ByteImage) -> Selection:
         """Candidates in a working image (uint8, the plane's shape)."""
@@ -190,7 +197,9 @@ class RingScore:
         plane: Plane,
         landmarks: LandmarkSet,
         surroundings: Surroundings,
+        share: float,
     ) -> None:
+        """share: of what lies round the ring, how much the gap counts."""
         self._full_contrast = config.ring_full_contrast
         self._surroundings = surroundings
         radius, pixel = _radii(plane)
@@ -200,9 +209,7 @@ class RingScore:
         )
         outside = _band(radius, OUTSIDE, pixel)
         self._kernel = (
-            ring / ring.sum()
-            - GAP_SHARE * gap / gap.sum()
-            - (1 - GAP_SHARE) * outside / outside.sum()
+            ring / ring.sum() - share * gap / gap.sum() - (1 - share) * outside / outside.sum()
         ).astype(np.float32)
         self._gain = _gain(plane, ring, config.min_visible)
 
@@ -221,6 +228,14 @@ class RingScore:
         local = self._surroundings.fine(local)
         score /= self._full_contrast * local
         return Hills(score, score, score, local)
+
+
+def gap_share(landmarks: LandmarkSet, fan: Fan, beam_width_deg: float) -> float:
+    """How much the gap counts of what lies round a ring, by how many beams wide it is."""
+    middle_m = (fan.range_min_m + fan.range_max_m) / 2
+    gap_m = (landmarks.ring[0] - landmarks.symbol[1]) * landmarks.radius_m
+    beams = gap_m / (np.radians(beam_width_deg) * middle_m)
+    return float(np.interp(beams, (FILLED_BEAMS, CLEAR_BEAMS), (FILLED_GAP_SHARE, GAP_SHARE)))
 
 
 def _reach(plane: Plane) -> int:

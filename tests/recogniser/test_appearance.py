@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 
 from sonarrec.config import Features
 from sonarrec.landmarks import load_landmarks
+from sonarrec.recogniser.beam_width import usual_beam_width_deg
 from sonarrec.recogniser.plane import FloorPlane
 from sonarrec.recogniser.stage3_features.appearance import (
     AppearanceMeasurement,
-    usual_beam_width_deg,
 )
 from sonarrec.recogniser.stage3_features.description import FEATURES, LIMIT, Describer
 from sonarrec.recogniser.stage3_features.model import AppearanceModel, load_model
@@ -407,8 +407,8 @@ def test_knots_that_do_not_rise_are_refused(tmp_path):
 def averaged(pattern, seed: int, frames: int = 16, range_m: float = 2.1, bearing_deg: float = 3.0):
     """Probabilities and turn after some frames of one speckled disc on its dark plate."""
     rng = np.random.default_rng(seed)
-    sharp = Features(memory_frames=20.0, beam_width_deg=0.01)
-    measurement = AppearanceMeasurement(sharp, PLANE, SAMPLER, BASIN, load_model())
+    memory = Features(memory_frames=20.0)
+    measurement = AppearanceMeasurement(memory, PLANE, SAMPLER, BASIN, load_model(), 0.01)
     disc, seen = draw_on_floor(FAN, range_m, bearing_deg, BASIN.radius_m, pattern)
     plate, _ = draw_on_floor(
         FAN, range_m, bearing_deg, BASIN.radius_m, lambda x, y: (np.hypot(x, y) <= 1) * 1.0
@@ -455,8 +455,8 @@ def test_beams_are_as_wide_as_is_usual_for_the_field_of_view(view_deg, width_deg
 @pytest.mark.parametrize(("width_deg", "needed"), [(0.4, 2), (4.0, 8)])
 def test_an_id_is_earned_by_frames_and_by_more_of_a_disc_few_beams_wide(width_deg, needed):
     """At 2 m a disc of 0.3 m is 21 beams of 0.4 deg wide, and two of 4 deg."""
-    config = Features(beam_width_deg=width_deg)
-    measurement = AppearanceMeasurement(config, PLANE, SAMPLER, BASIN, load_model())
+    judge = load_model()
+    measurement = AppearanceMeasurement(Features(), PLANE, SAMPLER, BASIN, judge, width_deg)
     centre = np.stack(PLANE.from_polar(np.array([2.0]), np.array([0.0])), axis=-1)
     track = dataclasses.replace(groups(1), positions=centre)
     grey = np.zeros((1, LINES, ANGLES))

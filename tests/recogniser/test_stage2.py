@@ -164,7 +164,7 @@ def test_a_narrow_frame_in_between_starts_the_count_again():
 def test_a_group_on_a_landmark_lives_with_a_spread_of_some_pixels(seed):
     """The trap: 4 to 8 px per axis after weighting, with the paper's edge map."""
     preset = config.preset("paper")
-    select = CandidateSelector(preset.candidates, PLANE, BASIN)
+    select = CandidateSelector(preset.candidates, PLANE, BASIN, 0.3)
     follow = new_filter(seed=seed)
     rng = np.random.default_rng(seed)
     pattern = disc_pattern(SECTORS[1 + seed], 0.7)

@@ -16,7 +16,6 @@ import numpy as np
 
 from sonarrec.config import Features
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.recogniser.beam_width import usual_beam_width_deg
 from sonarrec.recogniser.plane import Plane
 from sonarrec.recogniser.stage3_features import Beliefs, Gathered, likeliest
 from sonarrec.recogniser.stage3_features.description import Describer
@@ -46,6 +45,7 @@ class AppearanceMeasurement:
         sampler: ShapeSampler,
         landmarks: LandmarkSet,
         model: Judge,
+        beam_width_deg: float,
     ) -> None:
         self._plane = plane
         self._matrix = TrackMatrix(config.memory_frames, len(sampler.radii))
@@ -53,8 +53,7 @@ class AppearanceMeasurement:
             sampler.bands, sampler.radii, landmarks, alike=config.alike_radii
         )
         self._model = model
-        width_deg = config.beam_width_deg or usual_beam_width_deg(plane.fan)
-        self._beam_sigma = np.radians(width_deg / HALF_POWER)
+        self._beam_sigma = np.radians(beam_width_deg / HALF_POWER)
         self._radius_m = landmarks.radius_m
 
     def gather(self, groups: Groups, grey: FloatArray, seen: BoolArray) -> Gathered:
