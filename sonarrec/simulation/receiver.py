@@ -9,7 +9,7 @@ import numpy as np
 
 from sonarrec.geometry import in_fan, polar_from_pixel
 from sonarrec.records import ByteImage, Fan, FloatArray
-from sonarrec.simulation.scene import Scene, SonarSection, scene_bearings, vertical_beam_db
+from sonarrec.simulation.scene import Scene, SonarSection, scene_bearings
 
 GROUP = 8  # beams that share a gain; and beams this far apart fire together
 
@@ -26,17 +26,20 @@ def beam_pattern(sonar: SonarSection, offset_deg: FloatArray) -> FloatArray:
     return np.asarray(main + (1 - main) * side)
 
 
-def vertical_pattern(scene: Scene, height_m: float, range_m: FloatArray) -> FloatArray:
-    """Amplitude of floor echoes at slant ranges (m) against the beam axis; 0 above the floor.
+def vertical_pattern(
+    scene: Scene, depression_deg: FloatArray, sine: FloatArray, pitch_deg: float
+) -> FloatArray:
+    """Amplitude of floor echoes against the beam axis; 0 where there is no floor.
 
-    Two-way Gaussian beam about the true tilt, times sin(grazing angle) to the angle exponent.
+    depression_deg: below the sonar's horizon. sine: of the grazing angle, 0 where there is no
+    floor. Two-way Gaussian beam about the true tilt and pitch, times sine to the angle exponent.
     """
     sonar = scene.sonar
-    sine = np.minimum(height_m / np.maximum(range_m, 1e-6), 1.0)
     on_axis = max(math.sin(math.radians(sonar.tilt_deg)), 0.05)
-    beam = 10 ** (vertical_beam_db(sonar, height_m, range_m) / 10)
+    off_axis = (depression_deg - sonar.tilt_deg - pitch_deg) / sonar.vertical_beam_deg
+    beam = 10 ** (-40 * math.log10(2) * off_axis**2 / 10)
     power = beam * (sine / on_axis) ** scene.floor.angle_exponent
-    return np.asarray(np.where(range_m > height_m, np.sqrt(power), 0.0))
+    return np.asarray(np.where(sine > 0, np.sqrt(power), 0.0))
 
 
 class Receiver:

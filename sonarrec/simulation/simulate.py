@@ -18,7 +18,12 @@ import numpy as np
 
 from sonarrec.geometry import in_fan, pixel_from_polar
 from sonarrec.records import ByteImage, Fan, FloatArray, SonarrecError, UsageError
+from sonarrec.simulation.fish import Fishes, Shoal
+from sonarrec.simulation.grid import PolarGrid, SquareGrid
+from sonarrec.simulation.laid import raised_m
 from sonarrec.simulation.motion import Pose, ar1, poses
+from sonarrec.simulation.multipath import Multipath, shifted
+from sonarrec.simulation.plane import FLAT, Plane
 from sonarrec.simulation.random_scenes import KINDS_OF_SCENE, random_scene
 from sonarrec.simulation.receiver import Picture, Receiver, vertical_pattern
 from sonarrec.simulation.scene import (
@@ -28,6 +33,7 @@ from sonarrec.simulation.scene import (
     scene_fan,
     scene_sonar,
     scene_table,
+    travels,
 )
 from sonarrec.simulation.world import World, object_radius
 from sonarrec.sonar import Sonar
@@ -94,17 +100,6 @@ class SimulatedFrame:
     distractors: tuple[DistractorTruth, ...]
 
 
-def _shifted(image: np.ndarray, rows: int) -> np.ndarray:
-    """The image moved to higher rows (lower if negative), zeros where nothing came from."""
-    rows = max(-len(image), min(rows, len(image)))
-    moved = np.zeros_like(image)
-    if rows >= 0:
-        moved[rows:] = image[: len(image) - rows]
-    else:
-        moved[:rows] = image[-rows:]
-    return moved
-
-
 def _signal_gain_db(scene: Scene, rng: np.random.Generator) -> FloatArray:
     """(frames,) gain of the echoes: frames that fade alone, and bursts of them."""
     fading, frames = scene.fading, scene.frames
@@ -120,54 +115,80 @@ def _signal_gain_db(scene: Scene, rng: np.random.Generator) -> FloatArray:
     return np.asarray(gain)
 
 
-def _within_a_turn(bearing_deg: FloatArray | float) -> FloatArray:
-    """The same bearings, -180 to 180 deg: a vehicle may have turned right round."""
-    return np.asarray(bearing_deg - 360 * np.rint(np.asarray(bearing_deg) / 360))
+def visible_share(
+    fan: Fan,
+    pose: Pose,
+    x_m: float,
+    y_m: float,
+    radius_m: float,
+    plane: Plane = FLAT,
+    lean: tuple[float, float] = (0.0, 0.0),
+) -> float:
+    """Share of a floor disc's area inside the fan: a disc of 2,000 evenly spread points.
 
-
-def visible_share(fan: Fan, pose: Pose, x_m: float, y_m: float, radius_m: float) -> float:
-    """Share of a floor disc's area inside the fan: a disc of 2,000 evenly spread points."""
+    lean: how far it leans and towards which azimuth, deg; its lower edge touches the floor.
+    """
     n = np.arange(2000) + 0.5
     radius = radius_m * np.sqrt(n / len(n))
     angle = n * (np.pi * (3 - math.sqrt(5)))
-    x = x_m + radius * np.cos(angle) - pose.x_m
-    y = y_m + radius * np.sin(angle) - pose.y_m
-    slant = np.sqrt(x**2 + y**2 + pose.height_m**2)
-    bearing = _within_a_turn(np.degrees(np.arctan2(x, y)) - pose.pan_deg)
+    dx, dy = radius * np.cos(angle), radius * np.sin(angle)
+    up: FloatArray | float = 0.0
+    if lean[0]:
+        tilt, towards = math.radians(lean[0]), math.radians(lean[1])
+        along = dx * math.sin(towards) + dy * math.cos(towards)
+        up = (along + radius_m) * math.sin(tilt)
+        level = along * (math.cos(tilt) - 1)
+        dx, dy = dx + level * math.sin(towards), dy + level * math.cos(towards)
+    slant, bearing = plane.seen(pose, x_m + dx, y_m + dy, up)
     return float(np.mean(in_fan(fan, slant, bearing)))
 
 
 def _truth(
-    scene: Scene, fan: Fan, pose: Pose
+    scene: Scene, fan: Fan, pose: Pose, fishes: Fishes | None
 ) -> tuple[tuple[LandmarkTruth, ...], tuple[DistractorTruth, ...]]:
     """What shows in a frame, to the digits that gt.csv carries."""
     radius = scene.landmark_set.radius_m
+    plane = Plane.of(scene)
     things = [(item, radius) for item in scene.landmarks]
     things += [(item, object_radius(scene, item)) for item in scene.objects]  # type: ignore[misc]
     landmarks, distractors = [], []
     for item, size in things:
         azimuth = math.radians(item.azimuth_deg)
         x, y = item.ground_m * math.sin(azimuth), item.ground_m * math.cos(azimuth)
-        share = round(visible_share(fan, pose, x, y, size), 4)
+        lean = (item.lean_deg, item.lean_towards_deg)
+        share = round(visible_share(fan, pose, x, y, size, plane, lean), 4)
         if share == 0:
             continue
-        dx, dy = x - pose.x_m, y - pose.y_m
-        slant = math.sqrt(dx**2 + dy**2 + pose.height_m**2)
-        bearing = float(_within_a_turn(math.degrees(math.atan2(dx, dy)) - pose.pan_deg))
-        column, row = pixel_from_polar(fan, slant, bearing)
-        values = (
-            round(float(column), 3),
-            round(float(row), 3),
-            round(slant, 5),
-            round(bearing, 4),
-            share,
-            round((item.orientation_deg + pose.pan_deg) % 360, 3),
-        )
+        seen = plane.seen(pose, x, y, raised_m(item, size))
+        row = _row(fan, seen, share, item.orientation_deg + pose.pan_deg)
         if hasattr(item, "kind"):
-            distractors.append(DistractorTruth(item.kind, *values))
+            distractors.append(DistractorTruth(item.kind, *row))
         else:
-            landmarks.append(LandmarkTruth(item.id, *values))
+            landmarks.append(LandmarkTruth(item.id, *row))
+    if fishes is not None:
+        slant, bearing = plane.seen(pose, fishes.x_m, fishes.y_m, fishes.up_m)
+        for n in np.flatnonzero(in_fan(fan, slant, bearing)):
+            turn = 90 - float(fishes.heading_deg[n]) + pose.pan_deg
+            distractors.append(
+                DistractorTruth("fish", *_row(fan, (slant[n], bearing[n]), 1.0, turn))
+            )
     return tuple(landmarks), tuple(distractors)
+
+
+def _row(
+    fan: Fan, seen: tuple[FloatArray, FloatArray], share: float, turn_deg: float
+) -> tuple[float, float, float, float, float, float]:
+    """What a row of truth says of a thing after its name. seen: slant range and bearing."""
+    slant, bearing = (float(value) for value in seen)
+    column, row = pixel_from_polar(fan, slant, bearing)
+    return (
+        round(float(column), 3),
+        round(float(row), 3),
+        round(slant, 5),
+        round(bearing, 4),
+        share,
+        round(turn_deg % 360, 3),
+    )
 
 
 def render(
@@ -182,7 +203,10 @@ def render(
     check_scene(scene, scene.name)
     fan = scene_fan(scene)
     path = poses(scene) if path is None else path
-    world = World(ground or scene, np.random.default_rng([scene.seed, 1]))
+    seen = ground or scene
+    roams = ground is None and travels(scene.motion)
+    grid = SquareGrid(scene, path) if roams else PolarGrid(seen)
+    world = World(seen, np.random.default_rng([scene.seed, 1]), grid)
     receiver = Receiver(scene, np.random.default_rng([scene.seed, 3]))
     picture = Picture(scene, fan)
     noise_rng = np.random.default_rng([scene.seed, 4])
@@ -207,28 +231,35 @@ def render(
     noise_amplitude = np.float32(10 ** (-noise.snr_db / 20) / math.sqrt(2))
     glow_sigma = max(fading.ghost_blur_m / bin_m, 0.3)
     glow_shift = round(fading.ghost_shift_m / bin_m)
+    late = Multipath(scene, range_m)
+    shoal = Shoal(scene, grid.area()) if scene.fish.number else None
 
     for index, pose in enumerate(path):
         world.fade(object_db[index], patches[index], afterglow_db[index])
         heave = pose.height_m - sonar.height_m
         moved = np.array([pose.x_m, pose.y_m, heave]) * (math.sqrt(2) / scene.floor.speckle_m)
-        view = world.view(
-            range_m,
-            pose.pan_deg,
-            pose.height_m,
-            (pose.x_m, pose.y_m),
-            [time[index] / scene.floor.speckle_s, *moved],
-        )
+        view = world.view(range_m, pose, [time[index] / scene.floor.speckle_s, *moved])
+        fishes = shoal.at(time[index]) if shoal else None
+        if shoal and fishes:
+            rng = np.random.default_rng([scene.seed, 15, index])
+            shoal.swim_into(view, range_m, pose, fishes, rng)
         patterns = receiver.patterns(view.azimuth_deg, pose.pan_deg)
-        strength = vertical_pattern(scene, pose.height_m, range_m).astype(np.float32)[:, None]
+        strength = vertical_pattern(scene, view.depression_deg, view.sine, pose.pitch_deg)
+        strength = strength.astype(np.float32)
         field = receiver.beams(view.echoes * strength, patterns)
         # An afterglow is the sum of many late paths: smooth in power, not coherent.
         glow = (view.glow * strength**2) @ np.square(np.abs(patterns)).T
         glow = cv2.GaussianBlur(glow, (0, 0), sigmaX=1.0, sigmaY=glow_sigma)
-        glow = _shifted(glow, glow_shift)
+        glow = shifted(glow, glow_shift)
         signal = np.float32(10 ** (gain_db[index] / 20))
         hiss = noise_rng.standard_normal((*field.shape, 2), dtype=np.float32)
-        field = field * signal + hiss.view(np.complex64)[..., 0] * noise_amplitude
+        field = field * signal
+        random: np.ndarray | np.float32 = noise_amplitude
+        if late.comes:
+            # Speckle that is new in every frame is hiss, only not as even.
+            own = field.real**2 + field.imag**2
+            random = np.sqrt(random**2 + late.power(own, time[index]) / 2)
+        field = field + hiss.view(np.complex64)[..., 0] * random
         power = field.real**2 + field.imag**2
         if scene.floor.coherence < 1:
             power = power * np.float32(scene.floor.coherence)
@@ -239,7 +270,7 @@ def render(
             smooth = cv2.GaussianBlur(power, (0, 0), sigmaX=0.8, sigmaY=2.0)
             power += np.float32(noise.smear) * (smooth - power)
         power *= (receiver.gain * np.float32(10 ** (drift_db[index] / 20))) ** 2
-        truth, distractors = _truth(scene, fan, pose)
+        truth, distractors = _truth(scene, fan, pose, fishes)
         yield SimulatedFrame(
             index=index,
             timestamp_ns=round(index * 1e9 / scene.rate_hz),
