@@ -22,7 +22,8 @@ class Look:
     """What of the floor a sonar sees at slant ranges (bins,) and azimuths (n,).
 
     x_m, y_m: (bins, n) places of the floor, right and forward along it. depression_deg: (bins, n)
-    below the sonar's own horizon. sine: (bins, n) of the grazing angle, 0 where there is no floor.
+    below the sonar's own horizon. sine: (bins, n) of the grazing angle, 0 where there is no floor. All
+    are float32.
     """
 
     x_m: FloatArray
@@ -86,19 +87,28 @@ class Plane:
         # A ray of depression d meets it where up sin(d) - facing cos(d) = away / range.
         facing = across * np.sin(bearing) + ahead * np.cos(bearing)
         sine = (away / np.maximum(range_m, 1e-6))[:, None]
-        steep = np.minimum(sine / np.hypot(up, facing), 1.0)
-        depression = np.arcsin(steep) + np.arctan2(facing, up)
-        level = range_m[:, None] * np.cos(depression)
-        dx, dy = level * np.sin(bearing), level * np.cos(bearing)
+        # Single precision from here on: a grid of scatterers asks for no more.
+        steep = (sine / np.hypot(up, facing)).astype(np.float32)
+        floor = steep < 1
+        depression = np.arcsin(np.minimum(steep, np.float32(1)))
+        depression += np.arctan2(facing, up).astype(np.float32)
+        floor &= depression > 0
+        slant = range_m[:, None].astype(np.float32)
+        level = slant * np.cos(depression)
+        dx = level * np.sin(bearing).astype(np.float32)
+        dy = level * np.cos(bearing).astype(np.float32)
         if roll:
-            dx = dx * math.cos(roll) - range_m[:, None] * np.sin(depression) * math.sin(roll)
-        x = dx * math.cos(pan) + dy * math.sin(pan) + pose.x_m
-        y = dy * math.cos(pan) - dx * math.sin(pan) + pose.y_m
-        if slope:
-            along = (x * math.sin(towards) + y * math.cos(towards)) * (1 / math.cos(slope) - 1)
-            x, y = x + along * math.sin(towards), y + along * math.cos(towards)
-        floor = (steep < 1) & (depression > 0)
-        return Look(x, y, np.degrees(depression), np.where(floor, sine, 0.0))
+            dx = dx * np.float32(math.cos(roll))
+            dx += slant * np.sin(depression) * np.float32(math.sin(-roll))
+        # From the sonar's heading to the floor's axes, and along the slope: one matrix.
+        turn = np.array([[math.cos(pan), math.sin(pan)], [-math.sin(pan), math.cos(pan)]])
+        uphill = np.array([math.sin(towards), math.cos(towards)])
+        along = np.eye(2) + (1 / math.cos(slope) - 1) * np.outer(uphill, uphill)
+        matrix = (along @ turn).astype(np.float32)
+        first = (along @ np.array([pose.x_m, pose.y_m])).astype(np.float32)
+        x = matrix[0, 0] * dx + matrix[0, 1] * dy + first[0]
+        y = matrix[1, 0] * dx + matrix[1, 1] * dy + first[1]
+        return Look(x, y, np.degrees(depression), np.where(floor, sine.astype(np.float32), 0))
 
 
 FLAT = Plane()

@@ -101,7 +101,7 @@ def made_unlike(scene: Scene, kind: str, rng: np.random.Generator) -> Scene:
             schools=int(rng.integers(0, 4)),
             schooling=round(u(0.3, 0.9), 2),
             length_m=round(math.exp(u(math.log(0.04), math.log(0.3))), 3),
-            bright_db=round(u(8, 20), 1),
+            bright_db=round(u(10, 24), 1),
             height_m=round(u(0.05, 0.35), 3),
             speed_m_s=round(u(0.05, 0.5), 3),
         )

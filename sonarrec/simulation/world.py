@@ -339,7 +339,7 @@ class World:
             amplitude = amplitude * self._seen_now(cell, pose, azimuth, ground)
         echoes = scatter * spin * amplitude
         if isinstance(grid, SquareGrid):
-            echoes *= grid.evened(ground).astype(np.float32)
+            echoes *= grid.evened(ground.mean(axis=1, keepdims=True)).astype(np.float32)
         return View(azimuth, echoes, glow, amplitude**2, depression, sine)
 
     def _seen_now(
