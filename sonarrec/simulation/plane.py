@@ -21,9 +21,9 @@ def within_a_turn(bearing_deg: FloatArray | float) -> FloatArray:
 class Look:
     """What of the floor a sonar sees at slant ranges (bins,) and azimuths (n,).
 
-    x_m, y_m: (bins, n) places of the floor, right and forward along it. depression_deg: (bins, n)
-    below the sonar's own horizon. sine: (bins, n) of the grazing angle, 0 where there is no floor. All
-    are float32.
+    All (bins, n) float32. x_m, y_m: places of the floor, right and forward along it.
+    depression_deg: below the sonar's own horizon. sine: of the grazing angle, 0 where there is no
+    floor.
     """
 
     x_m: FloatArray
