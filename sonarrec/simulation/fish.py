@@ -48,8 +48,12 @@ class Shoal:
             [np.arange(schooled) % max(fish.schools, 1), fish.schools + np.arange(n - schooled)]
         ).astype(int)
         groups = fish.schools + n - schooled
-        self._low = np.array([area[0], area[2]]) - OUTSIDE_M
-        self._span = np.array([area[1], area[3]]) + OUTSIDE_M - self._low
+        # A school keeps about two lengths between neighbours.
+        size = np.bincount(self._group, minlength=groups)[self._group]
+        spread = np.where(size > 1, 1.2 * fish.length_m * np.sqrt(size), 0.0)
+        outside = OUTSIDE_M + 2 * spread.max(initial=0)
+        self._low = np.array([area[0], area[2]]) - outside
+        self._span = np.array([area[1], area[3]]) + outside - self._low
         self._start = rng.uniform(0, 1, (groups, 2)) * self._span
         self._heading = rng.uniform(0, 2 * np.pi, groups)
         self._speed = fish.speed_m_s * rng.gamma(4.0, 0.25, groups)
@@ -57,9 +61,6 @@ class Shoal:
         self._phase = rng.uniform(0, 2 * np.pi, groups)
         self._length = fish.length_m * np.exp(rng.normal(0, 0.25, n))
         self._up = rng.uniform(0.15, 1, n) * fish.height_m
-        # A school keeps about two lengths between neighbours.
-        size = np.bincount(self._group, minlength=groups)[self._group]
-        spread = np.where(size > 1, 1.2 * fish.length_m * np.sqrt(size), 0.0)
         self._aside = rng.normal(0, 1, (n, 2)) * spread[:, None]
         self._mill = rng.uniform(0, 2 * np.pi, (n, 2))
 

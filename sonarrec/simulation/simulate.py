@@ -1,8 +1,9 @@
 """The acoustic simulator: recordings with known truth.
 
-The world is sampled on a polar grid of scatterers fixed to the floor. A beam is the sum over
-scatterers of reflectivity times beam pattern, coherent, so speckle and its behaviour under motion
-follow from the geometry. One matrix holds main lobes, side lobes and leaks between beams.
+The world is sampled on a grid of scatterers fixed to the floor: a polar one, or squares where the
+sonar is on a vehicle. A beam is the sum over scatterers of reflectivity times beam pattern,
+coherent, so speckle and its behaviour under motion follow from the geometry. One matrix holds main
+lobes, side lobes and leaks between beams.
 """
 
 from __future__ import annotations
@@ -200,6 +201,7 @@ def render(
     scene whose window and sweep, seen from the floor's origin, hold all the floor that the path
     shows; default, the scene itself. Raises SonarrecError where the scene contradicts itself.
     """
+    # Longer than others: all that happens to a ping, in order.
     check_scene(scene, scene.name)
     fan = scene_fan(scene)
     path = poses(scene) if path is None else path
@@ -255,16 +257,19 @@ def render(
         hiss = noise_rng.standard_normal((*field.shape, 2), dtype=np.float32)
         field = field * signal
         random: np.ndarray | np.float32 = noise_amplitude
+        late_power = None
         if late.comes:
             # Speckle that is new in every frame is hiss, only not as even.
-            own = field.real**2 + field.imag**2
-            random = np.sqrt(random**2 + late.power(own, time[index]) / 2)
+            late_power = late.power(field.real**2 + field.imag**2, time[index])
+            random = np.sqrt(random**2 + late_power / 2)
         field = field + hiss.view(np.complex64)[..., 0] * random
         power = field.real**2 + field.imag**2
         if scene.floor.coherence < 1:
             power = power * np.float32(scene.floor.coherence)
             even = receiver.even(view.power * strength**2, patterns)
             power += np.float32(1 - scene.floor.coherence) * even * signal**2
+            if late_power is not None:
+                power += np.float32(1 - scene.floor.coherence) * late_power
         power += glow * signal**2
         if noise.smear:
             smooth = cv2.GaussianBlur(power, (0, 0), sigmaX=0.8, sigmaY=2.0)

@@ -96,16 +96,7 @@ def made_unlike(scene: Scene, kind: str, rng: np.random.Generator) -> Scene:
     if kind == "multipath":
         return _with_multipath(scene, rng)
     if kind == "fish":
-        shoal = FishSection(
-            number=int(rng.integers(6, 60)),
-            schools=int(rng.integers(0, 4)),
-            schooling=round(u(0.3, 0.9), 2),
-            length_m=round(math.exp(u(math.log(0.04), math.log(0.3))), 3),
-            bright_db=round(u(10, 24), 1),
-            height_m=round(u(0.05, 0.35), 3),
-            speed_m_s=round(u(0.05, 0.5), 3),
-        )
-        return replace(scene, fish=shoal)
+        return replace(scene, fish=_fish(rng))
     return scene
 
 
@@ -138,6 +129,19 @@ def _each_disc(
             replace(item, **drawn(rng)) if item.kind in (*_PLATED, "filled") else item
             for item in scene.objects
         ),
+    )
+
+
+def _fish(rng: np.random.Generator) -> FishSection:
+    u = rng.uniform
+    return FishSection(
+        number=int(rng.integers(6, 60)),
+        schools=int(rng.integers(0, 4)),
+        schooling=round(u(0.3, 0.9), 2),
+        length_m=round(math.exp(u(math.log(0.04), math.log(0.3))), 3),
+        bright_db=round(u(10, 24), 1),
+        height_m=round(u(0.05, 0.35), 3),
+        speed_m_s=round(u(0.05, 0.5), 3),
     )
 
 

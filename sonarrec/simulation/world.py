@@ -189,10 +189,9 @@ class World:
         paint: Callable[..., None],
         tall: np.ndarray,
     ) -> None:
-        """Paint a thing's parts, dB over the floor, and say how tall they are."""
-        scene = self._scene
+        """Paint a thing's parts, dB over the floor, and say how tall they are: a branch a kind."""
         u, v, rho, line, facing, radius = at
-        discs = scene.landmark_set
+        discs = self._scene.landmark_set
         ring = (rho >= discs.ring[0]) & (rho <= discs.ring[1])
         angle = np.arctan2(v, u)
         if isinstance(item, PlacedLandmark):
@@ -204,7 +203,7 @@ class World:
             return
         _, _, tallness, usual = KINDS[item.kind]
         bright_db = usual if item.bright_db is None else item.bright_db
-        long, wide = np.abs(u) * 2, np.abs(v) * 2 * radius / _size(scene, item)[1]
+        long, wide = np.abs(u) * 2, np.abs(v) * 2 * radius / _size(self._scene, item)[1]
         if item.kind in ("blank", "spokes", "half_ring", *SYMBOLS):
             paint(rho <= 1, item.plate_db)
             if item.kind == "half_ring":
