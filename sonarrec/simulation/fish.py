@@ -48,9 +48,9 @@ class Shoal:
             [np.arange(schooled) % max(fish.schools, 1), fish.schools + np.arange(n - schooled)]
         ).astype(int)
         groups = fish.schools + n - schooled
-        # A school keeps about two lengths between neighbours.
+        # A school keeps about a length between neighbours.
         size = np.bincount(self._group, minlength=groups)[self._group]
-        spread = np.where(size > 1, 1.2 * fish.length_m * np.sqrt(size), 0.0)
+        spread = np.where(size > 1, 0.6 * fish.length_m * np.sqrt(size), 0.0)
         outside = OUTSIDE_M + 2 * spread.max(initial=0)
         self._low = np.array([area[0], area[2]]) - outside
         self._span = np.array([area[1], area[3]]) + outside - self._low

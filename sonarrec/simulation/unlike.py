@@ -91,7 +91,7 @@ def made_unlike(scene: Scene, kind: str, rng: np.random.Generator) -> Scene:
             ripple_bends=round(u(0.1, 0.5), 2),
         )
     if kind in ("leaning", "silted"):
-        scene = _on_floor(scene, silt_m=round(u(0.03, 0.15), 3)) if kind == "silted" else scene
+        scene = _on_floor(scene, silt_m=round(u(0.02, 0.07), 3)) if kind == "silted" else scene
         return _each_disc(scene, _leaning if kind == "leaning" else _silted, rng)
     if kind == "multipath":
         return _with_multipath(scene, rng)
@@ -135,7 +135,7 @@ def _each_disc(
 def _fish(rng: np.random.Generator) -> FishSection:
     u = rng.uniform
     return FishSection(
-        number=int(rng.integers(6, 60)),
+        number=int(rng.integers(15, 90)),
         schools=int(rng.integers(0, 4)),
         schooling=round(u(0.3, 0.9), 2),
         length_m=round(math.exp(u(math.log(0.04), math.log(0.3))), 3),
