@@ -12,6 +12,7 @@ import csv
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields, replace
+from itertools import chain
 from pathlib import Path
 
 import cv2
@@ -354,6 +355,9 @@ def write_recording(
     for path in (folder / name for name in names):
         if path.is_file() or (path.is_dir() and (single or any(path.iterdir()))):
             raise SonarrecError(f"{path}: already exists and is not empty; choose another --out")
+    frames = render(scene)
+    # A scene that cannot be rendered leaves no folder behind.
+    frames = chain([next(frames)], frames)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with (folder / f"{prefix}gt.csv").open("w", newline="", encoding="utf-8") as file:
@@ -366,13 +370,13 @@ def write_recording(
                     compression=compression,
                     sonar=sonar.complete(scene.name) if polar else None,
                 ) as writer:
-                    for frame in render(scene):
+                    for frame in frames:
                         writer.write(frame.timestamp_ns, frame.image)
                         table.writerows([frame.index, *asdict(row).values()] for row in frame.truth)
                         if progress:
                             progress(frame.index + 1)
             else:
-                for frame in render(scene):
+                for frame in frames:
                     if not cv2.imwrite(str(out / f"{frame.index:06d}.png"), frame.image):
                         raise SonarrecError(f"{out}: frame {frame.index} cannot be written")
                     table.writerows([frame.index, *asdict(row).values()] for row in frame.truth)

@@ -12,7 +12,7 @@ from sonarrec.records import SonarrecError
 from sonarrec.simulation.motion import poses
 from sonarrec.simulation.random_scenes import random_scene
 from sonarrec.simulation.scene import MotionSection, PlacedLandmark, PlacedObject, Scene
-from sonarrec.simulation.simulate import render
+from sonarrec.simulation.simulate import render, write_recording
 from tests.support.bare import POLAR, power
 
 BIN_M = 2.5 / 512
@@ -119,6 +119,8 @@ def test_random_runs_keep_within_half_a_metre_and_twenty_degrees_a_second(seed: 
     np.testing.assert_allclose(path_of(few), path[:10], atol=1e-9)
 
 
-def test_too_long_a_run_is_one_clear_line() -> None:
+def test_too_long_a_run_is_one_clear_line_and_leaves_nothing(tmp_path) -> None:
+    scene = on_vehicle(4000, surge_m_s=0.5)
     with pytest.raises(SonarrecError, match=r"the vehicle sees .* too much for 512 range bins"):
-        next(render(on_vehicle(4000, surge_m_s=0.5)))
+        write_recording(scene, tmp_path / "log")
+    assert not (tmp_path / "log").exists()
