@@ -8,17 +8,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from sonarrec.records import FloatArray
-from sonarrec.simulation.scene import Scene
+from sonarrec.simulation.scene import Scene, speeds, travels
 
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Where the sonar truly is: pan (deg), height (m), translation to the right and forward (m)."""
+    """Where the sonar truly is: pan (deg), height (m), translation to the right and forward (m).
+
+    pitch_deg: how much more it is tilted than stated. roll_deg: how far its right side is down.
+    """
 
     pan_deg: float
     height_m: float
     x_m: float
     y_m: float
+    pitch_deg: float = 0.0
+    roll_deg: float = 0.0
 
 
 def sweep_deg(low: float, high: float, start: float, travelled: FloatArray | float) -> FloatArray:
@@ -42,6 +47,28 @@ def ar1(
     return drawn
 
 
+def run(scene: Scene) -> FloatArray:
+    """(frames, 3) heading (deg), x and y (m) of the vehicle; it begins with 0, 0, 0."""
+    motion = scene.motion
+    phase = np.random.default_rng([scene.seed, 9]).uniform(0, 2 * np.pi, 3)
+    # Tenths of a frame, so that the way does not depend on how the steps are summed.
+    time = np.arange((scene.frames - 1) * 10 + 1) / (10 * scene.rate_hz)
+    swing = np.sin(2 * np.pi * time[:, None] / motion.swing_period_s + phase)
+    throughout, amplitude = np.transpose(speeds(motion))
+    ahead, right, turn = (throughout + amplitude * swing).T
+    heading = _summed(turn, time)
+    sine, cosine = np.sin(np.radians(heading)), np.cos(np.radians(heading))
+    x = _summed(ahead * sine + right * cosine, time)
+    y = _summed(ahead * cosine - right * sine, time)
+    return np.column_stack([heading, x, y])[::10]
+
+
+def _summed(speed: FloatArray, time: FloatArray) -> FloatArray:
+    """What a speed comes to since the first moment, by the trapezoidal rule."""
+    steps = np.diff(time) * (speed[1:] + speed[:-1]) / 2
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
 def poses(scene: Scene) -> list[Pose]:
     """The sonar's true pose in every frame."""
     motion, frames = scene.motion, scene.frames
@@ -55,14 +82,19 @@ def poses(scene: Scene) -> list[Pose]:
     pan = pan + motion.yaw_jitter_deg * jitter
     heave = motion.heave_m * np.sin(2 * np.pi * time / motion.heave_period_s + phase[0])
     slow = 2 * np.pi * time / motion.sway_period_s
+    heading, x, y = run(scene).T if travels(motion) else np.zeros((3, frames))
+    tossed = np.random.default_rng([scene.seed, 10]).uniform(0, 2 * np.pi, 2)
+    toss = np.sin(2 * np.pi * time[:, None] / motion.attitude_period_s + tossed)
     return [
         Pose(*values)
         for values in np.column_stack(
             [
-                pan,
+                pan + heading,
                 scene.sonar.height_m + heave,
-                motion.sway_x_m * np.sin(slow + phase[1]),
-                motion.sway_y_m * np.sin(slow + phase[2]),
+                motion.sway_x_m * np.sin(slow + phase[1]) + x,
+                motion.sway_y_m * np.sin(slow + phase[2]) + y,
+                motion.pitch_deg * toss[:, 0],
+                motion.roll_deg * toss[:, 1],
             ]
         ).tolist()
     ]

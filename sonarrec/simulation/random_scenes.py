@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.records import SonarrecError
+from sonarrec.simulation.motion import Pose, poses
 from sonarrec.simulation.scene import (
     KINDS,
     SYMBOLS,
@@ -26,7 +28,7 @@ from sonarrec.simulation.scene import (
     vertical_beam_db,
 )
 from sonarrec.simulation.symbols import LEARNED_SYMBOLS, OTHER_SYMBOLS
-from sonarrec.simulation.unlike import LEARNED_UNLIKE, OTHER_UNLIKE, made_unlike
+from sonarrec.simulation.unlike import UNLIKE_KINDS, made_unlike, vehicle_motion
 from sonarrec.simulation.world import object_radius
 
 KINDS_OF_SCENE = (
@@ -46,12 +48,13 @@ KINDS_OF_SCENE = (
 # Beside the study's pool: discs of 0.06 m radius at the 2.5 m window, all that is hard at once,
 # and landmark sets, windows and images unlike the basin's.
 STRETCH_KINDS = ("tiny_discs", "all_hard", "other_sets")
-# Beyond the basin: see `simulation.unlike`.
-UNLIKE_KINDS = LEARNED_UNLIKE + OTHER_UNLIKE
+# And those beyond the basin.
 ALL_KINDS = KINDS_OF_SCENE + STRETCH_KINDS + UNLIKE_KINDS
 # Of the vertical beam where an object lies, against its axis. Where less sound falls on the floor
 # than this, the picture is black: nobody would look for landmarks there.
 LEAST_LIT_DB = -12.0
+RUN_FRAMES = 160  # of a vehicle: over so many its landmarks lie, however many are rendered
+FIRST_FRAMES = 16  # in which it sees the first two
 _UNSTEADY = ("jitter", "all_hard")
 _FADING = ("fading", "all_hard")
 _SYMBOLIC = ("symbols", "other_symbols")
@@ -200,10 +203,16 @@ def _other_set(sonar: SonarSection, rng: np.random.Generator) -> LandmarkSet:
 
 
 class _Floor:
-    """Finds free places: circles that touch no other and lie in the sonar's range window."""
+    """Finds free places: circles that touch no other and lie in the sonar's range window.
 
-    def __init__(self, sonar: SonarSection, rng: np.random.Generator) -> None:
+    path: of a vehicle; places lie before it at random moments, the first two at the beginning.
+    """
+
+    def __init__(
+        self, sonar: SonarSection, rng: np.random.Generator, path: Sequence[Pose] | None = None
+    ) -> None:
         self._rng = rng
+        self._path = path
         self._sonar = sonar
         self._near = math.sqrt(max(sonar.range_min_m**2 - sonar.height_m**2, 0.04))
         self._far = math.sqrt(sonar.range_max_m**2 - sonar.height_m**2)
@@ -222,12 +231,23 @@ class _Floor:
             slant = np.array(math.hypot(ground, self._sonar.height_m))
             if vertical_beam_db(self._sonar, self._sonar.height_m, slant) < LEAST_LIT_DB:
                 continue
+            if self._path is not None:
+                moments = len(self._path) if len(self._taken) > 1 else FIRST_FRAMES
+                pose = self._path[int(self._rng.integers(moments))]
+                ground, azimuth = _from_origin(pose, ground, azimuth * 0.3)
             x = ground * math.sin(math.radians(azimuth))
             y = ground * math.cos(math.radians(azimuth))
             if all(math.hypot(x - a, y - b) > radius_m + c + 0.05 for a, b, c in self._taken):
                 self._taken.append((x, y, radius_m))
                 return round(ground, 3), round(azimuth, 2)
         return None
+
+
+def _from_origin(pose: Pose, ground: float, bearing_deg: float) -> tuple[float, float]:
+    """(ground_m, azimuth_deg) from the floor's origin of a place before a sonar elsewhere."""
+    angle = math.radians(pose.pan_deg + bearing_deg)
+    x, y = pose.x_m + ground * math.sin(angle), pose.y_m + ground * math.cos(angle)
+    return math.hypot(x, y), math.degrees(math.atan2(x, y))
 
 
 def random_scene(seed: int, kind: str = "plain", wide: bool = False, **overrides: Any) -> Scene:
@@ -250,7 +270,11 @@ def random_scene(seed: int, kind: str = "plain", wide: bool = False, **overrides
         **_nuisances(kind, wide, rng),
     )
     discs = scene.landmark_set
-    floor = _Floor(scene.sonar, rng)
+    path = None
+    if kind == "vehicle":
+        scene = replace(scene, frames=RUN_FRAMES, motion=vehicle_motion(rng))
+        path = poses(scene)
+    floor = _Floor(scene.sonar, rng, path)
     # Far out the floor lies at the beam's edge: discs keep to where a sonar would be used.
     share = 0.6 if scene.sonar.range_max_m > 4 else 0.85
     faint = rng.uniform(3, 7 if wide else 5) if kind == "low_contrast" else 0.0
@@ -261,6 +285,8 @@ def random_scene(seed: int, kind: str = "plain", wide: bool = False, **overrides
     count = 0 if kind == "no_landmark" else int(rng.integers(3, 5))
     if kind in _SYMBOLIC:
         count = 2
+    if kind == "vehicle":
+        count = int(rng.integers(6, 11))
     for number in rng.choice(discs.ids, count, replace=count > len(discs.ids)):
         place = floor.place(discs.radius_m, share)
         if place:
@@ -304,7 +330,7 @@ def random_scene(seed: int, kind: str = "plain", wide: bool = False, **overrides
             objects.append(replace(draft, ground_m=place[0], azimuth_deg=place[1]))
     if kind == "occluded":
         objects += [_cover(landmark, discs.radius_m, rng) for landmark in landmarks]
-    if rng.uniform() < 0.5:
+    if rng.uniform() < 0.5 and kind != "vehicle":
         far = math.sqrt(scene.sonar.range_max_m**2 - scene.sonar.height_m**2)
         objects.append(
             PlacedObject("wall", round(0.95 * far, 3), 0.0, round(rng.uniform(-12, 12), 1))

@@ -34,8 +34,12 @@ from sonarrec.toml import (
 
 BUILT_IN = Path(__file__).parent / "scenes"
 
+NO_ECHO_DB = -60.0
+"""Of multipath: at this level and below there is none."""
+
 AtLeastOne = Annotated[int, bounds(1, 2**63 - 1)]
 Size = Annotated[int, bounds(16, 2**14)]
+Lean = Annotated[float, bounds(0, 45)]
 
 # What can lie on the floor besides landmarks.
 # kind: (size, width, height above the floor, all m; brightness, dB above the floor)
@@ -70,7 +74,7 @@ class SonarSection:
     beams: Size = 96
     field_of_view_deg: Positive = 28.8
     bearings: Literal["even", "didson"] = "even"  # didson: 0.37 deg apart, 0.22 at the edges
-    height_m: Positive = 0.68  # true height above the floor
+    height_m: Positive = 0.68  # true height above the floor straight below
     tilt_deg: Positive = 20.0  # true tilt, downward
     height_error_m: Finite = 0.0  # what sonar.toml says, less the truth
     tilt_error_deg: Finite = 0.0  # what sonar.toml says, less the truth
@@ -84,7 +88,11 @@ class SonarSection:
 
 @dataclass(frozen=True, slots=True)
 class MotionSection:
-    """How the sonar moves: a triangular pan sweep, and what disturbs it."""
+    """How the sonar moves: a triangular pan sweep, a vehicle's run, and what disturbs them.
+
+    The vehicle sets out above the floor's origin, and the sweep is about its heading. Its speeds
+    are along and across that heading: so much throughout, and a swing, a sine of its own phase.
+    """
 
     pan_min_deg: Finite = -40.0
     pan_max_deg: Finite = 40.0
@@ -97,6 +105,16 @@ class MotionSection:
     sway_x_m: NotNegative = 0.0  # amplitude of slow translation to the right
     sway_y_m: NotNegative = 0.0  # and forward
     sway_period_s: Positive = 60.0
+    surge_m_s: Finite = 0.0  # speed ahead, throughout
+    surge_swing_m_s: NotNegative = 0.0  # and amplitude
+    crab_m_s: Finite = 0.0  # speed to the right, throughout
+    crab_swing_m_s: NotNegative = 0.0
+    yaw_deg_s: Finite = 0.0  # turn to the right, throughout
+    yaw_swing_deg_s: NotNegative = 0.0
+    swing_period_s: Positive = 30.0
+    pitch_deg: NotNegative = 0.0  # amplitude of slow changes of the tilt, which nobody states
+    roll_deg: NotNegative = 0.0  # amplitude, about the heading
+    attitude_period_s: Positive = 6.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,6 +133,13 @@ class FloorSection:
     light_m: Positive = 0.4  # their size; their edges are sharp
     debris_db: NotNegative = 0.0  # how much brighter twigs and weed are, things under them as well
     debris_m: Positive = 0.2  # how far one winds before it turns
+    slope_deg: Annotated[float, bounds(0, 30)] = 0.0  # of the floor, which is a plane
+    slope_towards_deg: Finite = 0.0  # azimuth in which it rises
+    ripple_height_m: NotNegative = 0.0  # of sand ripples, trough to crest: lit fronts, shaded backs
+    ripple_length_m: Positive = 0.15  # from crest to crest
+    ripple_towards_deg: Finite = 0.0  # azimuth across the crests
+    ripple_bends: Share = 0.3  # how far crests stray from straight lines, in wavelengths
+    silt_m: Positive = 0.08  # size of the patches of silt on things that have some
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,6 +158,35 @@ class FadingSection:
     ghost_db: Finite = -16.0  # an object's blurred afterglow, below its own brightness
     ghost_shift_m: Finite = 0.10  # in range
     ghost_blur_m: NotNegative = 0.05  # standard deviation in range
+
+
+@dataclass(frozen=True, slots=True)
+class MultipathSection:
+    """Echoes by way of the surface, which moves: their speckle is new in every frame."""
+
+    copy_db: Finite = -100.0  # of a later, blurred copy of the scene, to the scene; -60: none
+    delay_m: Positive = 0.4  # how much farther away it shows
+    blur_m: NotNegative = 0.03  # standard deviation in range
+    blur_beams: NotNegative = 1.5  # and across
+    band_db: Finite = -100.0  # of a band of surface echo, relative to the floor; -60: none
+    band_m: Positive = 2.2  # its range; further ones, each 3 dB weaker, follow at band_step_m
+    band_step_m: Positive = 0.7
+    band_width_m: Positive = 0.05  # standard deviation
+    drift_m: NotNegative = 0.0  # amplitude of slow changes of delay and bands
+    drift_s: Positive = 8.0  # period
+
+
+@dataclass(frozen=True, slots=True)
+class FishSection:
+    """Fish that swim over the floor, singly and in schools; they echo, and cast shadows."""
+
+    number: Annotated[int, bounds(0, 500)] = 0  # over all the floor that the sonar may see
+    schools: Count = 0  # among which the schooling share is divided
+    schooling: Share = 0.5
+    length_m: Positive = 0.1  # of a fish, in the mean; a quarter as wide
+    bright_db: Finite = 14.0  # above the floor
+    height_m: NotNegative = 0.15  # above the floor, at most
+    speed_m_s: NotNegative = 0.2  # in the mean
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +215,7 @@ class PictureSection:
 
 @dataclass(frozen=True, slots=True)
 class PlacedLandmark:
-    """A landmark of the scene's set on the floor.
+    """A landmark of the scene's set on the floor; its place is along a floor that slopes.
 
     ground_m, azimuth_deg: of its centre along the floor from below the sonar's axis; azimuth
     positive to the right of pan 0. orientation_deg: where the first sector begins,
@@ -176,6 +230,9 @@ class PlacedLandmark:
     symbol_db: Finite = 11.0
     plate_db: Finite = -7.0
     relief_m: NotNegative = 0.0  # mean height of the gravel that ring and sectors are made of
+    lean_deg: Lean = 0.0  # of a disc that one edge of is raised
+    lean_towards_deg: Finite = 0.0  # azimuth of that edge from the disc's middle
+    silted: Share = 0.0  # of its area, under silt
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,6 +249,9 @@ class PlacedObject:
     plate_db: Finite = -7.0
     relief_m: NotNegative = 0.0  # as of a landmark, of what is bright of it
     number: Count = 0  # of symbols that no ID has: which one of the kind
+    lean_deg: Lean = 0.0  # as of a landmark
+    lean_towards_deg: Finite = 0.0
+    silted: Share = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,13 +267,15 @@ class Scene:
     motion: MotionSection = MotionSection()
     floor: FloorSection = FloorSection()
     fading: FadingSection = FadingSection()
+    multipath: MultipathSection = MultipathSection()
+    fish: FishSection = FishSection()
     noise: NoiseSection = NoiseSection()
     picture: PictureSection = PictureSection()
     landmarks: tuple[PlacedLandmark, ...] = field(default=(), metadata={"key": "landmark"})
     objects: tuple[PlacedObject, ...] = field(default=(), metadata={"key": "object"})
 
 
-_SECTIONS = ("sonar", "motion", "floor", "fading", "noise", "picture")
+_SECTIONS = ("sonar", "motion", "floor", "fading", "multipath", "fish", "noise", "picture")
 
 
 def scene_from_table(table: Mapping[str, Any], where: str) -> Scene:
@@ -243,6 +305,9 @@ def _check_as_a_whole(scene: Scene, where: str) -> None:
         raise SonarrecError(f"{where}: pan_start_deg must lie between pan_min_deg and pan_max_deg")
     if motion.pan_max_deg - motion.pan_min_deg > 300:
         raise SonarrecError(f"{where}: the pan sweep must be 300 deg or less")
+    leaning = [t.lean_deg for t in scene.landmarks] + [t.lean_deg for t in scene.objects]
+    if travels(motion) and any(leaning):
+        raise SonarrecError(f"{where}: discs lean before a standing sonar only, not a vehicle's")
     for landmark in scene.landmarks:
         if landmark.id not in scene.landmark_set.ids:
             raise SonarrecError(
@@ -254,6 +319,20 @@ def _check_as_a_whole(scene: Scene, where: str) -> None:
             raise SonarrecError(
                 f"{where}: unknown kind of object {shown(thing.kind)}; known: {', '.join(KINDS)}"
             )
+
+
+def speeds(motion: MotionSection) -> tuple[tuple[float, float], ...]:
+    """Ahead, to the right and turning: throughout, and the swing's amplitude."""
+    return (
+        (motion.surge_m_s, motion.surge_swing_m_s),
+        (motion.crab_m_s, motion.crab_swing_m_s),
+        (motion.yaw_deg_s, motion.yaw_swing_deg_s),
+    )
+
+
+def travels(motion: MotionSection) -> bool:
+    """Whether the sonar is on a vehicle that goes anywhere or turns."""
+    return any(amount for pair in speeds(motion) for amount in pair)
 
 
 def load_scene(source: str | Path) -> Scene:

@@ -1,8 +1,9 @@
 """The acoustic simulator: recordings with known truth.
 
-The world is sampled on a polar grid of scatterers fixed to the floor. A beam is the sum over
-scatterers of reflectivity times beam pattern, coherent, so speckle and its behaviour under motion
-follow from the geometry. One matrix holds main lobes, side lobes and leaks between beams.
+The world is sampled on a grid of scatterers fixed to the floor: a polar one, or squares where the
+sonar is on a vehicle. A beam is the sum over scatterers of reflectivity times beam pattern,
+coherent, so speckle and its behaviour under motion follow from the geometry. One matrix holds main
+lobes, side lobes and leaks between beams.
 """
 
 from __future__ import annotations
@@ -11,25 +12,30 @@ import csv
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields, replace
+from itertools import chain
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from sonarrec.geometry import in_fan, pixel_from_polar, polar_from_pixel
+from sonarrec.geometry import in_fan, pixel_from_polar
 from sonarrec.records import ByteImage, Fan, FloatArray, SonarrecError, UsageError
+from sonarrec.simulation.fish import Fishes, Shoal
+from sonarrec.simulation.grid import PolarGrid, SquareGrid
+from sonarrec.simulation.laid import raised_m
 from sonarrec.simulation.motion import Pose, ar1, poses
+from sonarrec.simulation.multipath import Multipath, shifted
+from sonarrec.simulation.plane import FLAT, Plane
 from sonarrec.simulation.random_scenes import KINDS_OF_SCENE, random_scene
+from sonarrec.simulation.receiver import Picture, Receiver, vertical_pattern
 from sonarrec.simulation.scene import (
     Scene,
-    SonarSection,
     check_scene,
     load_scene,
-    scene_bearings,
     scene_fan,
     scene_sonar,
     scene_table,
-    vertical_beam_db,
+    travels,
 )
 from sonarrec.simulation.world import World, object_radius
 from sonarrec.sonar import Sonar
@@ -46,8 +52,6 @@ __all__ = [
     "simulate",
     "write_recording",
 ]
-
-GROUP = 8  # beams that share a gain; and beams this far apart fire together
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,120 +102,6 @@ class SimulatedFrame:
     distractors: tuple[DistractorTruth, ...]
 
 
-def beam_pattern(sonar: SonarSection, offset_deg: FloatArray) -> FloatArray:
-    """Two-way amplitude of one beam at angles off its axis (deg): Gaussian lobe, side lobes.
-
-    Half power at beam_width_deg / 2. Side lobes alternate in sign and fall with the angle.
-    """
-    scaled = offset_deg / sonar.beam_width_deg
-    main = np.exp(-2 * math.log(2) * scaled**2)
-    level = 10 ** (sonar.side_lobe_db / 20)
-    side = level * np.cos(np.pi * scaled) / np.sqrt(1 + (scaled / 6) ** 2)
-    return np.asarray(main + (1 - main) * side)
-
-
-def vertical_pattern(scene: Scene, height_m: float, range_m: FloatArray) -> FloatArray:
-    """Amplitude of floor echoes at slant ranges (m) against the beam axis; 0 above the floor.
-
-    Two-way Gaussian beam about the true tilt, times sin(grazing angle) to the angle exponent.
-    """
-    sonar = scene.sonar
-    sine = np.minimum(height_m / np.maximum(range_m, 1e-6), 1.0)
-    on_axis = max(math.sin(math.radians(sonar.tilt_deg)), 0.05)
-    beam = 10 ** (vertical_beam_db(sonar, height_m, range_m) / 10)
-    power = beam * (sine / on_axis) ** scene.floor.angle_exponent
-    return np.asarray(np.where(range_m > height_m, np.sqrt(power), 0.0))
-
-
-class _Receiver:
-    """Turns echoes on the grid of scatterers into beams: patterns, leaks, gains, pulse."""
-
-    def __init__(self, scene: Scene, rng: np.random.Generator) -> None:
-        sonar, noise = scene.sonar, scene.noise
-        beams = sonar.beams
-        self._sonar = sonar
-        self._bearings = scene_bearings(scene)
-        apart = np.abs(np.arange(beams)[:, None] - np.arange(beams)[None, :])
-        together = (apart % GROUP == 0) & (apart > 0)
-        leak = 10 ** (sonar.cross_talk_db / 20) * (apart > 0)
-        leak += 10 ** (sonar.stray_db / 20) * together / np.maximum(apart / GROUP, 1)
-        phase = rng.uniform(0, 2 * np.pi, (beams, beams))
-        self._leak = (np.eye(beams) + leak * np.exp(1j * phase)).astype(np.complex64)
-        gain = np.repeat(rng.normal(0, noise.group_gain_db, -(-beams // GROUP)), GROUP)[:beams]
-        gain += rng.normal(0, noise.beam_gain_db, beams)
-        hot = rng.permutation(beams)[: noise.hot_beams]
-        gain[hot] += noise.hot_beam_db
-        self.gain = (10 ** (gain / 20)).astype(np.float32)
-        bin_m = (sonar.range_max_m - sonar.range_min_m) / sonar.range_bins
-        half = max(math.ceil(1.5 * sonar.pulse_m / bin_m), 1)
-        tap = np.arange(-half, half + 1) * bin_m / sonar.pulse_m
-        pulse = np.exp(-2 * math.log(2) * tap**2)
-        self._pulse = (pulse / np.sqrt(np.sum(pulse**2))).astype(np.float32)
-
-    def patterns(self, azimuth_deg: FloatArray, pan_deg: float) -> np.ndarray:
-        """(beams, azimuths) complex64; unit power over a floor of unit scatterers."""
-        offset = self._bearings[:, None] + pan_deg - azimuth_deg[None, :]
-        pattern = beam_pattern(self._sonar, offset).astype(np.float32)
-        pattern /= np.sqrt(np.mean(np.sum(pattern**2, axis=1)))
-        return np.asarray(self._leak @ pattern)
-
-    def beams(self, echoes: np.ndarray, patterns: np.ndarray) -> np.ndarray:
-        """(bins, azimuths) complex64 echoes to (bins, beams) complex64."""
-        field = echoes @ patterns.T
-        pairs = field.view(np.float32).reshape(*field.shape, 2)
-        # The pulse acts along range only: a column filter over real and imaginary parts.
-        pairs = cv2.sepFilter2D(pairs, -1, np.ones(1, np.float32), self._pulse)
-        return np.ascontiguousarray(pairs).view(np.complex64)[..., 0]
-
-    def even(self, power: np.ndarray, patterns: np.ndarray) -> np.ndarray:
-        """(bins, azimuths) power of scatterers to (bins, beams), without speckle."""
-        sums = power @ np.square(np.abs(patterns)).T
-        return np.asarray(cv2.sepFilter2D(sums, -1, np.ones(1, np.float32), np.square(self._pulse)))
-
-
-class _Picture:
-    """Log compression, and the fan image of the beams."""
-
-    def __init__(self, scene: Scene, fan: Fan) -> None:
-        self._picture = scene.picture
-        self._maps: tuple[np.ndarray, np.ndarray] | None = None
-        if scene.sonar.layout == "polar":
-            return
-        row, column = np.mgrid[0 : fan.rows, 0 : fan.columns]
-        range_m, bearing_deg = polar_from_pixel(fan, column, row)
-        bins, beams = scene.sonar.range_bins, scene.sonar.beams
-        beam = np.interp(bearing_deg, scene_bearings(scene), np.arange(beams))
-        bin_ = (range_m - fan.range_min_m) / (fan.range_max_m - fan.range_min_m) * bins - 0.5
-        bin_ = np.clip(bin_, 0, bins - 1)
-        self._maps = (beam.astype(np.float32), bin_.astype(np.float32))
-        self._outside = ~in_fan(fan, range_m, bearing_deg)
-
-    def __call__(self, power: np.ndarray) -> ByteImage:
-        """(bins, beams) power relative to the floor to the scene's 8-bit image."""
-        picture = self._picture
-        grey = (10 / math.log(10)) * np.log(power + np.float32(1e-9)) - picture.black_db
-        grey = np.clip(grey / picture.dynamic_range_db, 0, 1)
-        if picture.gamma != 1:
-            grey = grey**picture.gamma
-        image = np.rint(grey * 255).astype(np.uint8)
-        if self._maps is None:
-            return image
-        fan_image = cv2.remap(image, *self._maps, cv2.INTER_LINEAR)
-        fan_image[self._outside] = 0
-        return np.asarray(fan_image, dtype=np.uint8)
-
-
-def _shifted(image: np.ndarray, rows: int) -> np.ndarray:
-    """The image moved to higher rows (lower if negative), zeros where nothing came from."""
-    rows = max(-len(image), min(rows, len(image)))
-    moved = np.zeros_like(image)
-    if rows >= 0:
-        moved[rows:] = image[: len(image) - rows]
-    else:
-        moved[:rows] = image[-rows:]
-    return moved
-
-
 def _signal_gain_db(scene: Scene, rng: np.random.Generator) -> FloatArray:
     """(frames,) gain of the echoes: frames that fade alone, and bursts of them."""
     fading, frames = scene.fading, scene.frames
@@ -227,54 +117,80 @@ def _signal_gain_db(scene: Scene, rng: np.random.Generator) -> FloatArray:
     return np.asarray(gain)
 
 
-def _within_a_turn(bearing_deg: FloatArray | float) -> FloatArray:
-    """The same bearings, -180 to 180 deg: a vehicle may have turned right round."""
-    return np.asarray(bearing_deg - 360 * np.rint(np.asarray(bearing_deg) / 360))
+def visible_share(
+    fan: Fan,
+    pose: Pose,
+    x_m: float,
+    y_m: float,
+    radius_m: float,
+    plane: Plane = FLAT,
+    lean: tuple[float, float] = (0.0, 0.0),
+) -> float:
+    """Share of a floor disc's area inside the fan: a disc of 2,000 evenly spread points.
 
-
-def visible_share(fan: Fan, pose: Pose, x_m: float, y_m: float, radius_m: float) -> float:
-    """Share of a floor disc's area inside the fan: a disc of 2,000 evenly spread points."""
+    lean: how far it leans and towards which azimuth, deg; its lower edge touches the floor.
+    """
     n = np.arange(2000) + 0.5
     radius = radius_m * np.sqrt(n / len(n))
     angle = n * (np.pi * (3 - math.sqrt(5)))
-    x = x_m + radius * np.cos(angle) - pose.x_m
-    y = y_m + radius * np.sin(angle) - pose.y_m
-    slant = np.sqrt(x**2 + y**2 + pose.height_m**2)
-    bearing = _within_a_turn(np.degrees(np.arctan2(x, y)) - pose.pan_deg)
+    dx, dy = radius * np.cos(angle), radius * np.sin(angle)
+    up: FloatArray | float = 0.0
+    if lean[0]:
+        tilt, towards = math.radians(lean[0]), math.radians(lean[1])
+        along = dx * math.sin(towards) + dy * math.cos(towards)
+        up = (along + radius_m) * math.sin(tilt)
+        level = along * (math.cos(tilt) - 1)
+        dx, dy = dx + level * math.sin(towards), dy + level * math.cos(towards)
+    slant, bearing = plane.seen(pose, x_m + dx, y_m + dy, up)
     return float(np.mean(in_fan(fan, slant, bearing)))
 
 
 def _truth(
-    scene: Scene, fan: Fan, pose: Pose
+    scene: Scene, fan: Fan, pose: Pose, fishes: Fishes | None
 ) -> tuple[tuple[LandmarkTruth, ...], tuple[DistractorTruth, ...]]:
     """What shows in a frame, to the digits that gt.csv carries."""
     radius = scene.landmark_set.radius_m
+    plane = Plane.of(scene)
     things = [(item, radius) for item in scene.landmarks]
     things += [(item, object_radius(scene, item)) for item in scene.objects]  # type: ignore[misc]
     landmarks, distractors = [], []
     for item, size in things:
         azimuth = math.radians(item.azimuth_deg)
         x, y = item.ground_m * math.sin(azimuth), item.ground_m * math.cos(azimuth)
-        share = round(visible_share(fan, pose, x, y, size), 4)
+        lean = (item.lean_deg, item.lean_towards_deg)
+        share = round(visible_share(fan, pose, x, y, size, plane, lean), 4)
         if share == 0:
             continue
-        dx, dy = x - pose.x_m, y - pose.y_m
-        slant = math.sqrt(dx**2 + dy**2 + pose.height_m**2)
-        bearing = float(_within_a_turn(math.degrees(math.atan2(dx, dy)) - pose.pan_deg))
-        column, row = pixel_from_polar(fan, slant, bearing)
-        values = (
-            round(float(column), 3),
-            round(float(row), 3),
-            round(slant, 5),
-            round(bearing, 4),
-            share,
-            round((item.orientation_deg + pose.pan_deg) % 360, 3),
-        )
+        seen = plane.seen(pose, x, y, raised_m(item, size))
+        row = _row(fan, seen, share, item.orientation_deg + pose.pan_deg)
         if hasattr(item, "kind"):
-            distractors.append(DistractorTruth(item.kind, *values))
+            distractors.append(DistractorTruth(item.kind, *row))
         else:
-            landmarks.append(LandmarkTruth(item.id, *values))
+            landmarks.append(LandmarkTruth(item.id, *row))
+    if fishes is not None:
+        slant, bearing = plane.seen(pose, fishes.x_m, fishes.y_m, fishes.up_m)
+        for n in np.flatnonzero(in_fan(fan, slant, bearing)):
+            turn = 90 - float(fishes.heading_deg[n]) + pose.pan_deg
+            distractors.append(
+                DistractorTruth("fish", *_row(fan, (slant[n], bearing[n]), 1.0, turn))
+            )
     return tuple(landmarks), tuple(distractors)
+
+
+def _row(
+    fan: Fan, seen: tuple[FloatArray, FloatArray], share: float, turn_deg: float
+) -> tuple[float, float, float, float, float, float]:
+    """What a row of truth says of a thing after its name. seen: slant range and bearing."""
+    slant, bearing = (float(value) for value in seen)
+    column, row = pixel_from_polar(fan, slant, bearing)
+    return (
+        round(float(column), 3),
+        round(float(row), 3),
+        round(slant, 5),
+        round(bearing, 4),
+        share,
+        round(turn_deg % 360, 3),
+    )
 
 
 def render(
@@ -286,12 +202,16 @@ def render(
     scene whose window and sweep, seen from the floor's origin, hold all the floor that the path
     shows; default, the scene itself. Raises SonarrecError where the scene contradicts itself.
     """
+    # Longer than others: all that happens to a ping, in order.
     check_scene(scene, scene.name)
     fan = scene_fan(scene)
     path = poses(scene) if path is None else path
-    world = World(ground or scene, np.random.default_rng([scene.seed, 1]))
-    receiver = _Receiver(scene, np.random.default_rng([scene.seed, 3]))
-    picture = _Picture(scene, fan)
+    seen = ground or scene
+    roams = ground is None and travels(scene.motion)
+    grid = SquareGrid(scene, path) if roams else PolarGrid(seen)
+    world = World(seen, np.random.default_rng([scene.seed, 1]), grid)
+    receiver = Receiver(scene, np.random.default_rng([scene.seed, 3]))
+    picture = Picture(scene, fan)
     noise_rng = np.random.default_rng([scene.seed, 4])
     # One generator for each process, so that fewer frames are the first of the same log.
     rngs = np.random.default_rng([scene.seed, 5]).spawn(6)
@@ -314,39 +234,49 @@ def render(
     noise_amplitude = np.float32(10 ** (-noise.snr_db / 20) / math.sqrt(2))
     glow_sigma = max(fading.ghost_blur_m / bin_m, 0.3)
     glow_shift = round(fading.ghost_shift_m / bin_m)
+    late = Multipath(scene, range_m)
+    shoal = Shoal(scene, grid.area()) if scene.fish.number else None
 
     for index, pose in enumerate(path):
         world.fade(object_db[index], patches[index], afterglow_db[index])
         heave = pose.height_m - sonar.height_m
         moved = np.array([pose.x_m, pose.y_m, heave]) * (math.sqrt(2) / scene.floor.speckle_m)
-        view = world.view(
-            range_m,
-            pose.pan_deg,
-            pose.height_m,
-            (pose.x_m, pose.y_m),
-            [time[index] / scene.floor.speckle_s, *moved],
-        )
+        view = world.view(range_m, pose, [time[index] / scene.floor.speckle_s, *moved])
+        fishes = shoal.at(time[index]) if shoal else None
+        if shoal and fishes:
+            rng = np.random.default_rng([scene.seed, 15, index])
+            shoal.swim_into(view, range_m, pose, fishes, rng)
         patterns = receiver.patterns(view.azimuth_deg, pose.pan_deg)
-        strength = vertical_pattern(scene, pose.height_m, range_m).astype(np.float32)[:, None]
+        strength = vertical_pattern(scene, view.depression_deg, view.sine, pose.pitch_deg)
+        strength = strength.astype(np.float32)
         field = receiver.beams(view.echoes * strength, patterns)
         # An afterglow is the sum of many late paths: smooth in power, not coherent.
         glow = (view.glow * strength**2) @ np.square(np.abs(patterns)).T
         glow = cv2.GaussianBlur(glow, (0, 0), sigmaX=1.0, sigmaY=glow_sigma)
-        glow = _shifted(glow, glow_shift)
+        glow = shifted(glow, glow_shift)
         signal = np.float32(10 ** (gain_db[index] / 20))
         hiss = noise_rng.standard_normal((*field.shape, 2), dtype=np.float32)
-        field = field * signal + hiss.view(np.complex64)[..., 0] * noise_amplitude
+        field = field * signal
+        random: np.ndarray | np.float32 = noise_amplitude
+        late_power = None
+        if late.comes:
+            # Speckle that is new in every frame is hiss, only not as even.
+            late_power = late.power(field.real**2 + field.imag**2, time[index])
+            random = np.sqrt(random**2 + late_power / 2)
+        field = field + hiss.view(np.complex64)[..., 0] * random
         power = field.real**2 + field.imag**2
         if scene.floor.coherence < 1:
             power = power * np.float32(scene.floor.coherence)
             even = receiver.even(view.power * strength**2, patterns)
             power += np.float32(1 - scene.floor.coherence) * even * signal**2
+            if late_power is not None:
+                power += np.float32(1 - scene.floor.coherence) * late_power
         power += glow * signal**2
         if noise.smear:
             smooth = cv2.GaussianBlur(power, (0, 0), sigmaX=0.8, sigmaY=2.0)
             power += np.float32(noise.smear) * (smooth - power)
         power *= (receiver.gain * np.float32(10 ** (drift_db[index] / 20))) ** 2
-        truth, distractors = _truth(scene, fan, pose)
+        truth, distractors = _truth(scene, fan, pose, fishes)
         yield SimulatedFrame(
             index=index,
             timestamp_ns=round(index * 1e9 / scene.rate_hz),
@@ -425,6 +355,9 @@ def write_recording(
     for path in (folder / name for name in names):
         if path.is_file() or (path.is_dir() and (single or any(path.iterdir()))):
             raise SonarrecError(f"{path}: already exists and is not empty; choose another --out")
+    frames = render(scene)
+    # A scene that cannot be rendered leaves no folder behind.
+    frames = chain([next(frames)], frames)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with (folder / f"{prefix}gt.csv").open("w", newline="", encoding="utf-8") as file:
@@ -437,13 +370,13 @@ def write_recording(
                     compression=compression,
                     sonar=sonar.complete(scene.name) if polar else None,
                 ) as writer:
-                    for frame in render(scene):
+                    for frame in frames:
                         writer.write(frame.timestamp_ns, frame.image)
                         table.writerows([frame.index, *asdict(row).values()] for row in frame.truth)
                         if progress:
                             progress(frame.index + 1)
             else:
-                for frame in render(scene):
+                for frame in frames:
                     if not cv2.imwrite(str(out / f"{frame.index:06d}.png"), frame.image):
                         raise SonarrecError(f"{out}: frame {frame.index} cannot be written")
                     table.writerows([frame.index, *asdict(row).values()] for row in frame.truth)

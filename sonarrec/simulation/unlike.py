@@ -2,20 +2,45 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from sonarrec.simulation.scene import SYMBOLS, PlacedLandmark, PlacedObject, Scene
+from sonarrec.simulation.scene import (
+    SYMBOLS,
+    FishSection,
+    MotionSection,
+    MultipathSection,
+    PlacedLandmark,
+    PlacedObject,
+    Scene,
+)
 
-LEARNED_UNLIKE = ("any_floor", "relief", "light", "debris", "symbols", "wide")
-"""Any floor: ring and sectors 5 to 14 dB over a plate that is -12 to +6 dB over the floor, so that
+UNLIKE_KINDS = (
+    *("any_floor", "relief", "light", "debris", "symbols", "wide", "other_symbols"),
+    *("slope", "leaning", "silted", "ripples", "multipath", "fish", "vehicle"),
+)
+"""In the order in which they came, for a kind's number is part of its seed: new ones go last.
+
+Any floor: ring and sectors 5 to 14 dB over a plate that is -12 to +6 dB over the floor, so that
 the ring may be as bright as the floor, or darker; short and long pulses. Relief: gravel on a rough
 floor, with lit slopes and shadows, without or with little speckle. Light: patches of light and
 shade with sharp edges. Debris: twigs and weed, over the landmarks as well, on a coarse, blotchy
-floor. Symbols: rings with symbols that no ID has. Wide: 120 to 130 deg, 1-degree beams."""
-OTHER_UNLIKE = ("other_symbols",)
-"""Never learned from: symbols of other kinds."""
+floor. Symbols: rings with symbols that no ID has. Wide: 120 to 130 deg, 1-degree beams. Slope: the
+floor rises by up to 8 deg some way. Leaning: discs lie tilted by up to 15 deg. Silted: a tenth to
+two fifths of each disc is under silt. Ripples: in the sand around the discs. Multipath: a later
+copy of the scene, and bands, by way of the surface. Fish: singly and in schools. Vehicle: the
+sonar travels and turns, with pitch and roll."""
+LEARNED_UNLIKE = (
+    *("any_floor", "relief", "light", "debris", "symbols", "wide"),
+    *("leaning", "ripples", "fish", "vehicle"),
+)
+"""What `make model` learns from, beside the basin's."""
+OTHER_UNLIKE = tuple(kind for kind in UNLIKE_KINDS if kind not in LEARNED_UNLIKE)
+"""Never learned from: symbols of other kinds, slopes, silt and multipath."""
 _PLATED = ("blank", "spokes", "half_ring", *SYMBOLS)
 
 
@@ -54,7 +79,125 @@ def made_unlike(scene: Scene, kind: str, rng: np.random.Generator) -> Scene:
         sonar = replace(scene.sonar, pulse_m=round(u(0.005, 0.02), 4))
         scene = replace(scene, floor=floor, sonar=sonar)
         return _lit(scene, u(2, 8), rng) if u() < 0.5 else scene
+    if kind == "slope":
+        return _on_floor(scene, slope_deg=round(u(1.5, 8), 2), slope_towards_deg=_way(rng))
+    if kind == "ripples":
+        length = math.exp(u(math.log(0.05), math.log(0.3)))
+        return _on_floor(
+            scene,
+            ripple_length_m=round(length, 4),
+            ripple_height_m=round(length * math.exp(u(math.log(0.02), math.log(0.12))), 5),
+            ripple_towards_deg=_way(rng),
+            ripple_bends=round(u(0.1, 0.5), 2),
+        )
+    if kind in ("leaning", "silted"):
+        scene = _on_floor(scene, silt_m=round(u(0.02, 0.07), 3)) if kind == "silted" else scene
+        return _each_disc(scene, _leaning if kind == "leaning" else _silted, rng)
+    if kind == "multipath":
+        return _with_multipath(scene, rng)
+    if kind == "fish":
+        return replace(scene, fish=_fish(rng))
     return scene
+
+
+def _way(rng: np.random.Generator) -> float:
+    return round(rng.uniform(-180, 180), 1)
+
+
+def _on_floor(scene: Scene, **changed: float) -> Scene:
+    return replace(scene, floor=replace(scene.floor, **changed))
+
+
+def _leaning(rng: np.random.Generator) -> dict[str, Any]:
+    return {"lean_deg": round(rng.uniform(2, 15), 2), "lean_towards_deg": _way(rng)}
+
+
+def _silted(rng: np.random.Generator) -> dict[str, Any]:
+    return {"silted": round(rng.uniform(0.1, 0.4), 3)}
+
+
+def _each_disc(
+    scene: Scene,
+    drawn: Callable[[np.random.Generator], dict[str, Any]],
+    rng: np.random.Generator,
+) -> Scene:
+    """Landmarks and what looks like them: what befalls one must not tell them apart."""
+    return replace(
+        scene,
+        landmarks=tuple(replace(item, **drawn(rng)) for item in scene.landmarks),
+        objects=tuple(
+            replace(item, **drawn(rng)) if item.kind in (*_PLATED, "filled") else item
+            for item in scene.objects
+        ),
+    )
+
+
+def _fish(rng: np.random.Generator) -> FishSection:
+    u = rng.uniform
+    return FishSection(
+        number=int(rng.integers(15, 90)),
+        schools=int(rng.integers(0, 4)),
+        schooling=round(u(0.3, 0.9), 2),
+        length_m=round(math.exp(u(math.log(0.04), math.log(0.3))), 3),
+        bright_db=round(u(10, 24), 1),
+        height_m=round(u(0.05, 0.35), 3),
+        speed_m_s=round(u(0.05, 0.5), 3),
+    )
+
+
+def _with_multipath(scene: Scene, rng: np.random.Generator) -> Scene:
+    """A copy, bands, or both."""
+    u, sonar = rng.uniform, scene.sonar
+    which = int(rng.integers(3))
+    window = sonar.range_max_m - sonar.range_min_m
+    return replace(
+        scene,
+        multipath=MultipathSection(
+            copy_db=round(u(-14, -3), 1) if which != 1 else -100.0,
+            delay_m=round(u(0.08, 0.5) * window, 3),
+            blur_m=round(u(0.01, 0.08), 3),
+            blur_beams=round(u(0.5, 4), 2),
+            band_db=round(u(-4, 8), 1) if which != 0 else -100.0,
+            band_m=round(sonar.range_min_m + u(0, 0.8) * window, 3),
+            band_step_m=round(u(0.2, 0.6) * window, 3),
+            band_width_m=round(u(0.02, 0.12), 3),
+            drift_m=round(u(0, 0.1), 3),
+            drift_s=round(u(3, 15), 1),
+        ),
+    )
+
+
+def vehicle_motion(rng: np.random.Generator) -> MotionSection:
+    """A run past things, round and back to them, or to and fro; up to 0.5 m/s and 20 deg/s."""
+    u = rng.uniform
+    way = int(rng.integers(3))
+    surge = swing = turn = yaw_swing = 0.0
+    if way == 0:  # straight on, with a slow weave
+        surge, yaw_swing = u(0.05, 0.35), u(0.5, 4)
+    elif way == 1:  # round: a circle of 0.5 to 2 m radius
+        turn = u(4, 14) * rng.choice([-1, 1])
+        surge = min(u(0.5, 2) * math.radians(abs(turn)), 0.4)
+        yaw_swing = u(0, 4)
+    else:  # to and fro
+        swing, yaw_swing = u(0.1, 0.4), u(2, 16)
+    return MotionSection(
+        pan_min_deg=0.0,
+        pan_max_deg=0.0,
+        pan_start_deg=0.0,
+        pan_deg_s=0.0,
+        yaw_jitter_deg=round(u(0, 0.3), 3),
+        heave_m=round(u(0.003, 0.03), 4),
+        heave_period_s=round(u(4, 10), 1),
+        surge_m_s=round(surge, 3),
+        surge_swing_m_s=round(swing or u(0, 0.1), 3),
+        crab_swing_m_s=round(u(0, 0.2), 3),
+        yaw_deg_s=round(float(turn), 2),
+        yaw_swing_deg_s=round(yaw_swing, 2),
+        swing_period_s=round(u(8, 30), 1),
+        pitch_deg=round(u(0, 3), 2),
+        roll_deg=round(u(0, 3), 2),
+        attitude_period_s=round(u(3, 10), 1),
+    )
 
 
 def _lit(scene: Scene, light_db: float, rng: np.random.Generator) -> Scene:

@@ -5,18 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from sonarrec.records import FloatArray
+from sonarrec.simulation.grid import PolarGrid, SquareGrid, smooth_noise
+from sonarrec.simulation.laid import Raised, ripples, silt_over
+from sonarrec.simulation.motion import Pose
+from sonarrec.simulation.plane import Plane
 from sonarrec.simulation.scene import KINDS, ROUND, SYMBOLS, PlacedLandmark, PlacedObject, Scene
 from sonarrec.simulation.symbols import symbol
 
-STEP_DEG = 0.1  # azimuth between scatterers: three or more within a beam
-MARGIN_DEG = 4.0  # beyond the fan's edges, for side lobes
 TWIG = 0.12  # half the thickness of debris, in that over which it winds
-MARGIN_M = 0.25  # of slant range, for heave and sway
 
 
 def object_radius(scene: Scene, thing: PlacedObject) -> float:
@@ -31,14 +33,19 @@ def _size(scene: Scene, thing: PlacedObject) -> tuple[float, float]:
     return size, thing.width_m or width or size
 
 
-def smooth_noise(
-    rng: np.random.Generator, shape: tuple[int, int], cells: tuple[float, float]
-) -> np.ndarray:
-    """(shape) float32 Gaussian noise of unit variance, smooth over about `cells` rows, columns."""
-    coarse = tuple(max(round(n / c), 1) + 3 for n, c in zip(shape, cells, strict=True))
-    values = rng.standard_normal(coarse, dtype=np.float32)
-    full = cv2.resize(values, (shape[1], shape[0]), interpolation=cv2.INTER_CUBIC)
-    return np.asarray(full / max(float(full.std()), 1e-6))
+class Place(NamedTuple):
+    """Where the cells of a box lie on a thing: (box) arrays.
+
+    u, v: along and across it, in its radius_m. rho: from its middle. line: how far that way is the
+    line of sight, -1 to 1. facing: dB that ring edges which face the sonar gain.
+    """
+
+    u: np.ndarray
+    v: np.ndarray
+    rho: np.ndarray
+    line: np.ndarray
+    facing: np.ndarray
+    radius_m: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,66 +53,58 @@ class View:
     """The part of the world before the sonar, on its own grid of slant ranges and azimuths.
 
     azimuth_deg: (n,) in the world. echoes: (bins, n) complex64 amplitude of each scatterer.
-    glow: (bins, n) float32 power of objects that afterglow.
+    glow: (bins, n) float32 power of objects that afterglow. power: (bins, n) float32 mean power of
+    each scatterer. depression_deg, sine: (bins, 1) or (bins, n), as a Look has them.
     """
 
     azimuth_deg: FloatArray
     echoes: np.ndarray
     glow: np.ndarray
     power: np.ndarray
-    """(bins, n) float32 mean power of each scatterer."""
+    depression_deg: FloatArray
+    sine: FloatArray
 
 
 class World:
-    """Layers over nominal slant range (rows) and azimuth (columns) seen from the floor's origin.
+    """Layers over the floor's grid: of slant range and azimuth seen from its origin, or squares.
 
     Every cell holds one complex Gaussian scatterer with phases of its own; panning moves the
-    view along the columns and so keeps speckle, sway and heave turn the phases.
+    view along the columns and so keeps speckle, sway and heave turn the phases. Leaning discs, and
+    on a polar grid lit slopes and shadows, are as seen from the origin.
     """
 
     PATCHES = 6  # processes from which every place's own fading is mixed
 
-    def __init__(self, scene: Scene, rng: np.random.Generator) -> None:
+    def __init__(
+        self, scene: Scene, rng: np.random.Generator, grid: PolarGrid | SquareGrid
+    ) -> None:
         self._scene = scene
-        sonar, motion = scene.sonar, scene.motion
-        self._bin_m = bin_m = (sonar.range_max_m - sonar.range_min_m) / sonar.range_bins
-        first = max(sonar.range_min_m - MARGIN_M, bin_m)
-        rows = math.ceil((sonar.range_max_m + MARGIN_M - first) / bin_m)
-        self._first_m = first
-        sway = math.hypot(motion.sway_x_m, motion.sway_y_m)
-        reach = sonar.field_of_view_deg / 2 + MARGIN_DEG
-        self._reach_deg = reach
-        nearest = math.sqrt(max(first**2 - sonar.height_m**2, 0.25))
-        reach += 4 * motion.yaw_jitter_deg + math.degrees(sway / nearest) + 1
-        self._first_deg = motion.pan_min_deg - reach
-        columns = math.ceil((motion.pan_max_deg + reach - self._first_deg) / STEP_DEG) + 1
-        self._shape = shape = (rows, columns)
-
-        slant = first + (np.arange(rows) + 0.5) * bin_m
-        self._ground = np.sqrt(np.maximum(slant**2 - sonar.height_m**2, 1e-9))
-        azimuth = np.radians(self._first_deg + np.arange(columns) * STEP_DEG)
-        self._x = (self._ground[:, None] * np.sin(azimuth)).astype(np.float32)
-        self._y = (self._ground[:, None] * np.cos(azimuth)).astype(np.float32)
-        middle = (sonar.range_min_m + sonar.range_max_m) / 2
-        deg_per_m = math.degrees(1 / middle)
-
-        def cells(metres: float) -> tuple[float, float]:
-            return metres / bin_m, metres * deg_per_m / STEP_DEG
-
+        self._grid = grid
+        self._plane = Plane.of(scene)
+        self._shape = shape = grid.shape
+        cells = grid.cells
         level = scene.floor.texture_db * smooth_noise(rng, shape, cells(scene.floor.texture_m))
         owner = np.full(shape, -1, dtype=np.int16)
         height = np.zeros(shape, dtype=np.float32)
         relief = np.full(shape, scene.floor.relief_m, dtype=np.float32)
         things: list[PlacedLandmark | PlacedObject] = [*scene.landmarks, *scene.objects]
+        self._silt = self._lifted = None
+        if any(item.silted for item in things):
+            silt_rng = np.random.default_rng([scene.seed, 13])
+            self._silt = smooth_noise(silt_rng, shape, cells(scene.floor.silt_m))
+        if any(item.lean_deg for item in things):
+            self._lifted = np.zeros(shape, dtype=np.float32)
         for number, item in enumerate(things):
             self._draw(item, number, level, owner, height, relief)
-        self._relieve(cells, level, height, relief)
-        shadow = self._shadow(height)
+        self._rise: tuple[np.ndarray, np.ndarray] | None = None  # where squares rise, x and y
+        self._relieve(level, height, relief, owner)
+        self._height = height.ravel() if isinstance(grid, SquareGrid) and height.any() else None
+        shadow = self._shadow(height if self._lifted is None else height + self._lifted)
         amplitude = np.power(np.float32(10), level / 20)
         amplitude[shadow] *= 10 ** (scene.noise.shadow_db / 20)
-        amplitude[slant <= sonar.height_m] = 0
+        amplitude[grid.floorless] = 0
         # Edges no sharper than the scatterers they stand for.
-        amplitude = cv2.blur(amplitude, (3, 1))
+        amplitude = cv2.blur(amplitude, (3, 1) if isinstance(grid, PolarGrid) else (3, 3))
         self._amplitude = amplitude.ravel()
 
         self._cells = np.flatnonzero((owner >= 0) & ~shadow)
@@ -118,16 +117,16 @@ class World:
             ],
             axis=1,
         ) / np.float32(math.sqrt(self.PATCHES))
-        self._glow = np.zeros(rows * columns, dtype=np.float32)
+        self._glow = np.zeros(owner.size, dtype=np.float32)
 
-        self._scatter = rng.standard_normal((rows * columns, 2), dtype=np.float32)
+        self._scatter = rng.standard_normal((owner.size, 2), dtype=np.float32)
         self._scatter *= np.float32(math.sqrt(0.5))
         # How fast each scatterer's phase turns: with time, sway right, sway forward, heave. The
         # mean of exp(i phase) is the correlation: Cauchy rates make it exp(-time), Gaussian ones
         # exp(-distance^2 / 2).
-        self._turn = rng.standard_normal((4, rows * columns), dtype=np.float32)
+        self._turn = rng.standard_normal((4, owner.size), dtype=np.float32)
         with np.errstate(divide="ignore"):  # a draw of exactly 0 is clipped like any huge rate
-            self._turn[0] /= rng.standard_normal(rows * columns, dtype=np.float32)
+            self._turn[0] /= rng.standard_normal(owner.size, dtype=np.float32)
         np.clip(self._turn, -100, 100, out=self._turn)
 
     def _draw(
@@ -140,17 +139,21 @@ class World:
         relief: np.ndarray,
     ) -> None:
         """Lay one thing on the floor: its level (dB), its number, its height and relief (m)."""
-        scene = self._scene
+        scene, grid = self._scene, self._grid
         place = math.radians(item.azimuth_deg)
         x0, y0 = item.ground_m * math.sin(place), item.ground_m * math.cos(place)
         if isinstance(item, PlacedLandmark):
             radius = scene.landmark_set.radius_m
             reach = radius
         else:
-            radius, width = _size(scene, item)
+            radius, _ = _size(scene, item)
             reach = object_radius(scene, item)
-        box = self._box(item.ground_m, item.azimuth_deg, reach)
-        dx, dy = self._x[box] - x0, self._y[box] - y0
+        box = grid.box(item.ground_m, item.azimuth_deg, reach)
+        dx, dy = grid.x_m[box] - x0, grid.y_m[box] - y0
+        raised = None
+        if item.lean_deg:
+            raised = Raised(item, radius, scene.sonar.height_m, grid.x_m[box], grid.y_m[box])
+            dx, dy = raised.dx_m, raised.dy_m
         turn = math.radians(item.orientation_deg)
         u = (dx * math.cos(turn) + dy * math.sin(turn)) / radius
         v = (-dx * math.sin(turn) + dy * math.cos(turn)) / radius
@@ -168,7 +171,27 @@ class World:
             out[where] = (shade + 0.5 * texture)[where]
             who[where] = number
 
-        discs = scene.landmark_set
+        self._paint(item, number, Place(u, v, rho, line, facing, radius), paint, tall)
+        mine = who == number
+        if raised is not None and self._lifted is not None:
+            out[mine] += raised.lit_db(scene.fading.specular_db)[mine]
+            self._lifted[box][mine] = raised.lifted_m[mine]
+        if item.silted and self._silt is not None:
+            silt = silt_over(self._silt[box], mine, item.silted)
+            out += silt * (texture - out)
+            who[silt > 0.5] = -1
+
+    def _paint(
+        self,
+        item: PlacedLandmark | PlacedObject,
+        number: int,
+        at: Place,
+        paint: Callable[..., None],
+        tall: np.ndarray,
+    ) -> None:
+        """Paint a thing's parts, dB over the floor, and say how tall they are: a branch a kind."""
+        u, v, rho, line, facing, radius = at
+        discs = self._scene.landmark_set
         ring = (rho >= discs.ring[0]) & (rho <= discs.ring[1])
         angle = np.arctan2(v, u)
         if isinstance(item, PlacedLandmark):
@@ -180,7 +203,7 @@ class World:
             return
         _, _, tallness, usual = KINDS[item.kind]
         bright_db = usual if item.bright_db is None else item.bright_db
-        long, wide = np.abs(u) * 2, np.abs(v) * 2 * radius / width
+        long, wide = np.abs(u) * 2, np.abs(v) * 2 * radius / _size(self._scene, item)[1]
         if item.kind in ("blank", "spokes", "half_ring", *SYMBOLS):
             paint(rho <= 1, item.plate_db)
             if item.kind == "half_ring":
@@ -221,28 +244,28 @@ class World:
             tall[inside & (v > 0)] = tallness
 
     def _relieve(
-        self,
-        cells: Callable[[float], tuple[float, float]],
-        level: np.ndarray,
-        height: np.ndarray,
-        relief: np.ndarray,
+        self, level: np.ndarray, height: np.ndarray, relief: np.ndarray, owner: np.ndarray
     ) -> None:
-        """Raise bumps, and lighten and darken slopes that face the sonar and turn from it.
+        """Raise bumps and ripples; lighten and darken slopes that face the sonar and turn from it.
 
-        Then lay twigs, and patches of light and shade, over all. cells: rows and columns of so
-        many metres.
+        Then lay twigs, and patches of light and shade, over all.
         """
-        floor = self._scene.floor
+        floor, grid, cells = self._scene.floor, self._grid, self._grid.cells
         if relief.any():
             rng = np.random.default_rng([self._scene.seed, 6])
             noise = smooth_noise(rng, relief.shape, cells(floor.relief_size_m))
             height += relief * np.where(relief < 0, -np.abs(noise), noise)
-            ground = self._ground[:, None].astype(np.float32)
-            grazing = np.arctan(np.float32(self._scene.sonar.height_m) / ground)
-            slope = np.gradient(height, axis=0) / np.gradient(ground, axis=0)
-            # Lambert's law, there and back.
-            lit = np.sin(np.clip(grazing + np.arctan(slope), 0.02, np.pi / 2))
-            level += 20 * np.log10(lit / np.sin(grazing))
+        if floor.ripple_height_m:
+            height += ripples(self._scene, grid, owner < 0)
+        if relief.any() or floor.ripple_height_m:
+            if isinstance(grid, PolarGrid):
+                ground = grid.ground_m
+                grazing = np.arctan(np.float32(self._scene.sonar.height_m) / ground)
+                slope = np.gradient(height, axis=0) / np.gradient(ground, axis=0)
+                level += 20 * np.log10(_lit(grazing, slope))
+            else:
+                up, right = np.gradient(height, np.float32(grid.cell_m))
+                self._rise = right.ravel(), up.ravel()
         if floor.debris_db:
             rng = np.random.default_rng([self._scene.seed, 8])
             bends, where = (smooth_noise(rng, relief.shape, cells(floor.debris_m)) for _ in "ab")
@@ -254,25 +277,11 @@ class World:
             patches = smooth_noise(rng, relief.shape, cells(floor.light_m))
             level -= np.float32(floor.light_db) / (1 + np.exp(-patches / 0.06))
 
-    def _box(self, ground_m: float, azimuth_deg: float, reach_m: float) -> tuple[slice, slice]:
-        """Rows and columns of the grid that a circle of radius reach_m may touch."""
-        reach_m *= 1.4
-        near, far = np.searchsorted(self._ground, [ground_m - reach_m, ground_m + reach_m])
-        if reach_m >= ground_m:
-            return slice(near, far + 1), slice(0, self._shape[1])
-        half = math.degrees(math.asin(reach_m / ground_m))
-        left = (azimuth_deg - half - self._first_deg) / STEP_DEG
-        right = (azimuth_deg + half - self._first_deg) / STEP_DEG
-        return slice(near, far + 1), slice(max(math.floor(left), 0), max(math.ceil(right), 0) + 1)
-
     def _shadow(self, height: np.ndarray) -> np.ndarray:
-        """Cells hidden behind something taller: a ray over every nearer top clears the floor."""
-        sonar_height = self._scene.sonar.height_m
-        ground = self._ground[:, None].astype(np.float32)
-        # Depression of the line over each cell's top; what is nearer must not lie flatter.
-        slope = (sonar_height - height) / ground
-        flattest = np.minimum.accumulate(slope, axis=0)
-        return np.asarray(slope > flattest + 1e-4)
+        """Cells hidden behind something taller; of squares, which `view` looks at, none."""
+        if isinstance(self._grid, SquareGrid):
+            return np.zeros(self._shape, bool)
+        return _hidden(self._scene.sonar.height_m - height, self._grid.ground_m)
 
     def fade(self, object_db: FloatArray, patches: FloatArray, afterglow_db: FloatArray) -> None:
         """Set every object's brightness for a frame.
@@ -291,37 +300,30 @@ class World:
         glow = 10 ** ((fading.ghost_db + afterglow_db) / 10)
         self._glow[self._cells] = amplitude**2 * glow.astype(np.float32)[self._owner]
 
-    def view(
-        self,
-        range_m: FloatArray,
-        pan_deg: float,
-        height_m: float,
-        moved_m: tuple[float, float],
-        turned: Sequence[float],
-    ) -> View:
+    def view(self, range_m: FloatArray, pose: Pose, turned: Sequence[float]) -> View:
         """What lies before the sonar at slant ranges (bins,), seen from where it is now.
 
-        moved_m: translation to the right and forward. turned: (4,) how far the scatterers'
-        phases have turned, as self._turn counts them.
+        turned: (4,) how far the scatterers' phases have turned, as self._turn counts them.
         """
-        rows, columns = self._shape
-        start = math.floor((pan_deg - self._reach_deg - self._first_deg) / STEP_DEG)
-        stop = math.ceil((pan_deg + self._reach_deg - self._first_deg) / STEP_DEG) + 1
-        column = np.arange(start, stop)
-        azimuth = self._first_deg + column * STEP_DEG
-        ground = np.sqrt(np.maximum(range_m**2 - height_m**2, 0))[:, None]
-        nominal = self._scene.sonar.height_m
-        if moved_m == (0.0, 0.0):
-            slant0 = np.hypot(ground, nominal)
-            column0 = column[None, :]
+        grid = self._grid
+        azimuth = grid.azimuths(pose.pan_deg)
+        if pose.roll_deg or self._plane.slope_deg:
+            look = self._plane.look(pose, range_m, azimuth)
+            depression, sine = look.depression_deg, look.sine
+            ground = range_m[:, None] * np.cos(np.radians(depression))
+            cell = grid.index(look.x_m, look.y_m)
         else:
-            x = ground * np.sin(np.radians(azimuth)) + moved_m[0]
-            y = ground * np.cos(np.radians(azimuth)) + moved_m[1]
-            slant0 = np.sqrt(x**2 + y**2 + nominal**2)
-            column0 = np.rint((np.degrees(np.arctan2(x, y)) - self._first_deg) / STEP_DEG)
-        row0 = np.clip(np.floor((slant0 - self._first_m) / self._bin_m), 0, rows - 1)
-        column0 = np.clip(column0, 0, columns - 1)
-        cell = (row0 * columns + column0).astype(np.int32)
+            height_m = pose.height_m
+            sine = np.minimum(height_m / np.maximum(range_m, 1e-6), 1.0)[:, None]
+            depression = np.degrees(np.arcsin(sine))
+            sine = np.where(range_m[:, None] > height_m, sine, 0.0)
+            ground = np.sqrt(np.maximum(range_m**2 - height_m**2, 0))[:, None]
+            if isinstance(grid, PolarGrid) and (pose.x_m, pose.y_m) == (0.0, 0.0):
+                cell = grid.index_from_origin(ground, azimuth)
+            else:
+                x = ground * np.sin(np.radians(azimuth)) + pose.x_m
+                y = ground * np.cos(np.radians(azimuth)) + pose.y_m
+                cell = grid.index(x, y)
 
         phase = np.zeros(cell.shape, dtype=np.float32)
         for rate, amount in zip(self._turn, turned, strict=True):
@@ -331,4 +333,48 @@ class World:
         spin = np.empty(cell.shape, dtype=np.complex64)
         spin.real, spin.imag = np.cos(phase), np.sin(phase)
         amplitude = self._amplitude[cell]
-        return View(azimuth, scatter * spin * amplitude, self._glow[cell], amplitude**2)
+        glow = self._glow[cell]
+        if isinstance(grid, SquareGrid):
+            amplitude = amplitude * self._seen_now(cell, pose, azimuth, ground)
+        echoes = scatter * spin * amplitude
+        if isinstance(grid, SquareGrid):
+            echoes *= grid.evened(ground.mean(axis=1, keepdims=True)).astype(np.float32)
+        return View(azimuth, echoes, glow, amplitude**2, depression, sine)
+
+    def _seen_now(
+        self, cell: np.ndarray, pose: Pose, azimuth_deg: FloatArray, ground: FloatArray
+    ) -> np.ndarray | float:
+        """Amplitude that light and shadow leave of each cell of squares, seen from a pose."""
+        if self._height is None:
+            return 1.0
+        near = np.maximum(ground, 1e-3).astype(np.float32)
+        shaded = np.where(
+            _hidden(np.float32(pose.height_m) - self._height[cell], near),
+            np.float32(10 ** (self._scene.noise.shadow_db / 20)),
+            np.float32(1),
+        )
+        if self._rise is None:
+            return shaded
+        azimuth = np.radians(azimuth_deg).astype(np.float32)
+        slope = self._rise[0][cell] * np.sin(azimuth) + self._rise[1][cell] * np.cos(azimuth)
+        return np.asarray(shaded * _lit(np.arctan(np.float32(pose.height_m) / near), slope))
+
+
+def _hidden(below_m: np.ndarray, ground_m: np.ndarray) -> np.ndarray:
+    """Cells, near ones first, behind something taller: a ray over every nearer top clears them.
+
+    below_m: how far below the sonar each top is. ground_m: of the cells.
+    """
+    # Depression of the line over each cell's top; what is nearer must not lie flatter.
+    slope = below_m / ground_m
+    flattest = np.minimum.accumulate(slope, axis=0)
+    return np.asarray(slope > flattest + 1e-4)
+
+
+def _lit(grazing: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    """Amplitude of a slope that rises away from the sonar, to level floor: Lambert's law.
+
+    Sent there and back it is the square of the sine, in power. grazing: of the floor, rad.
+    """
+    lit = np.sin(np.clip(grazing + np.arctan(slope), 0.02, np.pi / 2))
+    return np.asarray(lit / np.sin(grazing))

@@ -19,11 +19,7 @@ from sonarrec.records import SonarrecError
 from sonarrec.simulation.motion import sweep_deg
 from sonarrec.simulation.scene import (
     BUILT_IN,
-    FadingSection,
-    FloorSection,
     MotionSection,
-    NoiseSection,
-    PictureSection,
     PlacedLandmark,
     PlacedObject,
     Scene,
@@ -42,38 +38,7 @@ from sonarrec.simulation.simulate import (
 )
 from sonarrec.simulation.world import object_radius
 from sonarrec.sonar import load_sonar
-
-# A still sonar over an even floor, without faults. speckle_s far below the frame time gives every
-# frame speckle of its own, so that a mean over frames tends to the expected power.
-BARE = Scene(
-    frames=1,
-    sonar=SonarSection(
-        side_lobe_db=-200,
-        stray_db=-200,
-        cross_talk_db=-200,
-        vertical_beam_deg=1000,
-        beam_width_deg=0.3,
-    ),
-    motion=MotionSection(pan_min_deg=0, pan_max_deg=0, pan_start_deg=0, pan_deg_s=0),
-    floor=FloorSection(texture_db=0, angle_exponent=0, speckle_s=1e9),
-    fading=FadingSection(
-        object_db=0, patch_db=0, specular_db=0, frame_probability=0, ghost_db=-200
-    ),
-    noise=NoiseSection(snr_db=80, smear=0, group_gain_db=0, beam_gain_db=0, hot_beams=0),
-    picture=PictureSection(black_db=-50, dynamic_range_db=80),
-)
-POLAR = replace(BARE, sonar=replace(BARE.sonar, layout="polar"))
-
-
-def power(image: np.ndarray, scene: Scene) -> np.ndarray:
-    """Undo the log compression."""
-    decibel = image / 255 * scene.picture.dynamic_range_db + scene.picture.black_db
-    return np.asarray(10 ** (decibel / 10))
-
-
-def mean_power(scene: Scene, frames: int) -> np.ndarray:
-    scene = replace(scene, frames=frames, floor=replace(scene.floor, speckle_s=1e-3))
-    return np.asarray(np.mean([power(f.image, scene) for f in render(scene)], axis=0))
+from tests.support.bare import BARE, POLAR, mean_power, power
 
 
 def test_truth_pixel_is_the_contract_formula() -> None:

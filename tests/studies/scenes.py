@@ -25,9 +25,9 @@ from sonarrec.simulation.random_scenes import (
     ALL_KINDS,
     KINDS_OF_SCENE,
     STRETCH_KINDS,
-    UNLIKE_KINDS,
     random_scene,
 )
+from sonarrec.simulation.unlike import UNLIKE_KINDS
 from tests.studies.measured import Reliability, errors, honesty, reliability
 from tests.support.simulated import METHODS, PRESETS, HoughRival, Job, recognise_all, score
 

@@ -1,0 +1,157 @@
+"""Fish that swim through a simulated scene: bright echoes with shadows, not fixed to the floor."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from sonarrec.records import FloatArray
+from sonarrec.simulation.motion import Pose
+from sonarrec.simulation.plane import Plane, within_a_turn
+from sonarrec.simulation.scene import Scene
+from sonarrec.simulation.world import View
+
+WIDTH = 0.25  # of a fish's length; and its height
+BROADSIDE_DB = 4.0  # how much brighter one is from the side than from head or tail
+OUTSIDE_M = 0.4  # beyond the floor that is seen: there they turn up anew
+
+
+@dataclass(frozen=True, slots=True)
+class Fishes:
+    """Where all fish are at one moment. x_m, y_m, up_m: (n,), up above the floor. heading_deg: (n,)
+    azimuth. length_m: (n,)."""
+
+    x_m: FloatArray
+    y_m: FloatArray
+    up_m: FloatArray
+    heading_deg: FloatArray
+    length_m: FloatArray
+
+
+class Shoal:
+    """All fish of a scene. Each swims straight on with a slow weave, those of a school together.
+
+    area: least and most x, least and most y (m) of the floor that the sonar may see; who leaves it
+    comes in again at the other side.
+    """
+
+    def __init__(self, scene: Scene, area: tuple[float, float, float, float]) -> None:
+        self._scene, fish = scene, scene.fish
+        self._plane = Plane.of(scene)
+        rng = np.random.default_rng([scene.seed, 11])
+        n = fish.number
+        schooled = round(n * fish.schooling) if fish.schools else 0
+        # Who swims with whom: schools first, then each by itself.
+        self._group = np.concatenate(
+            [np.arange(schooled) % max(fish.schools, 1), fish.schools + np.arange(n - schooled)]
+        ).astype(int)
+        groups = fish.schools + n - schooled
+        # A school keeps about a length between neighbours.
+        size = np.bincount(self._group, minlength=groups)[self._group]
+        spread = np.where(size > 1, 0.6 * fish.length_m * np.sqrt(size), 0.0)
+        outside = OUTSIDE_M + 2 * spread.max(initial=0)
+        self._low = np.array([area[0], area[2]]) - outside
+        self._span = np.array([area[1], area[3]]) + outside - self._low
+        self._start = rng.uniform(0, 1, (groups, 2)) * self._span
+        self._heading = rng.uniform(0, 2 * np.pi, groups)
+        self._speed = fish.speed_m_s * rng.gamma(4.0, 0.25, groups)
+        self._period = rng.uniform(3, 9, groups)
+        self._phase = rng.uniform(0, 2 * np.pi, groups)
+        self._length = fish.length_m * np.exp(rng.normal(0, 0.25, n))
+        self._up = rng.uniform(0.15, 1, n) * fish.height_m
+        self._aside = rng.normal(0, 1, (n, 2)) * spread[:, None]
+        self._mill = rng.uniform(0, 2 * np.pi, (n, 2))
+
+    def at(self, time_s: float) -> Fishes:
+        """Where they are."""
+        weave = 2 * np.pi * time_s / self._period + self._phase
+        ahead = np.column_stack([np.sin(self._heading), np.cos(self._heading)])
+        right = np.column_stack([ahead[:, 1], -ahead[:, 0]])
+        swing = self._speed * self._period / (2 * np.pi) * 0.5
+        way = (self._speed * time_s)[:, None] * ahead + (swing * np.sin(weave))[:, None] * right
+        middle = self._low + np.mod(self._start + way, self._span)
+        turned = self._heading + np.arctan(0.5 * np.cos(weave))
+        mill = self._scene.fish.length_m * np.sin(2 * np.pi * time_s / 5.0 + self._mill)
+        place = middle[self._group] + self._aside + np.where(self._aside != 0, mill, 0.0)
+        heading = np.degrees(turned[self._group]) + 40 * (self._aside != 0)[:, 0] * np.sin(
+            2 * np.pi * time_s / 5.0 + self._mill[:, 0]
+        )
+        return Fishes(place[:, 0], place[:, 1], self._up, heading, self._length)
+
+    def swim_into(
+        self, view: View, range_m: FloatArray, pose: Pose, now: Fishes, rng: np.random.Generator
+    ) -> None:
+        """Add echoes and shadows to a view of slant ranges (bins,)."""
+        slant, bearing = self._plane.seen(pose, now.x_m, now.y_m, now.up_m)
+        azimuth = bearing + pose.pan_deg
+        first, last = view.azimuth_deg[[0, -1]]
+        seen = (slant > range_m[0] - 0.5) & (slant < range_m[-1] + 0.5)
+        seen &= (azimuth > first - 5) & (azimuth < last + 5) & (now.up_m < pose.height_m)
+        dark = 1 - 10 ** (self._scene.noise.shadow_db / 20)
+        fishes = []
+        for n in np.flatnonzero(seen):
+            away = pose.height_m - now.up_m[n]
+            ground = math.sqrt(max(slant[n] ** 2 - away**2, 1e-4))
+            across = within_a_turn(now.heading_deg[n] - azimuth[n])
+            # Where the line past the fish meets the floor, everything is larger; and its height
+            # stretches the shadow along that line.
+            larger = pose.height_m / away
+            longer = WIDTH * now.length_m[n] * ground / away
+            body = _Body(slant[n], azimuth[n], ground, float(across), now.length_m[n])
+            shade = _Body(
+                slant[n] * larger,
+                azimuth[n],
+                ground * larger,
+                float(across),
+                now.length_m[n] * larger,
+                longer,
+            )
+            for box, mask in shade.on(view.azimuth_deg, range_m):
+                view.echoes[box] *= 1 - dark * mask
+                view.power[box] *= (1 - dark * mask) ** 2
+            fishes.append(body)
+        for body in fishes:
+            side = abs(math.sin(math.radians(body.across_deg))) - 0.5
+            level = self._scene.fish.bright_db + BROADSIDE_DB * side
+            for box, mask in body.on(view.azimuth_deg, range_m):
+                echo = mask * np.float32(10 ** (level / 20))
+                speckle = rng.standard_normal((*mask.shape, 2), dtype=np.float32)
+                view.echoes[box] += echo * speckle.view(np.complex64)[..., 0] * math.sqrt(0.5)
+                view.power[box] += echo**2
+
+
+@dataclass(frozen=True, slots=True)
+class _Body:
+    """A fish or its shadow. across_deg: heading from the line of sight. longer_m: along that."""
+
+    slant_m: float
+    azimuth_deg: float
+    ground_m: float
+    across_deg: float
+    length_m: float
+    longer_m: float = 0.0
+
+    def on(
+        self, azimuth_deg: FloatArray, range_m: FloatArray
+    ) -> list[tuple[tuple[slice, slice], np.ndarray]]:
+        """Its box of the view and how far it fills each cell, 0 to 1; nothing if out of view."""
+        reach = 0.7 * (self.length_m + self.longer_m)
+        angle = math.degrees(reach / self.ground_m)
+        rows = slice(*np.searchsorted(range_m, [self.slant_m - reach, self.slant_m + reach]))
+        columns = slice(
+            *np.searchsorted(azimuth_deg, [self.azimuth_deg - angle, self.azimuth_deg + angle])
+        )
+        away, beside = range_m[rows, None], azimuth_deg[None, columns]
+        if not away.size or not beside.size:
+            return []
+        away = (away - self.slant_m) * self.slant_m / self.ground_m
+        away = np.sign(away) * np.maximum(np.abs(away) - self.longer_m / 2, 0)
+        beside = np.radians(beside - self.azimuth_deg) * self.ground_m
+        turn = math.radians(self.across_deg)
+        along = away * math.cos(turn) + beside * math.sin(turn)
+        aside = beside * math.cos(turn) - away * math.sin(turn)
+        half = self.length_m / 2
+        square = (along / half) ** 2 + (aside / (WIDTH * half)) ** 2
+        return [((rows, columns), np.exp(-(square**2)).astype(np.float32))]

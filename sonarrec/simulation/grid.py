@@ -1,0 +1,193 @@
+"""The grids that the simulator's floor is sampled on; both are fixed to it.
+
+x and y are metres along the floor, to the right and forward of its origin, over which the sonar
+stands or sets out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from sonarrec.records import BoolArray, FloatArray, SonarrecError
+from sonarrec.simulation.motion import Pose
+from sonarrec.simulation.scene import Scene
+
+STEP_DEG = 0.1  # azimuth between scatterers: three or more within a beam
+MARGIN_DEG = 4.0  # beyond the fan's edges, for side lobes
+MARGIN_M = 0.25  # of slant range, for heave and sway
+MOST_CELLS = 2**24  # of a vehicle's floor: about a gigabyte
+_FILL = 0.9  # of a range bin: the side of a square
+
+
+def smooth_noise(
+    rng: np.random.Generator, shape: tuple[int, int], cells: tuple[float, float]
+) -> np.ndarray:
+    """(shape) float32 Gaussian noise of unit variance, smooth over about `cells` rows, columns."""
+    coarse = tuple(max(round(n / c), 1) + 3 for n, c in zip(shape, cells, strict=True))
+    values = rng.standard_normal(coarse, dtype=np.float32)
+    full = cv2.resize(values, (shape[1], shape[0]), interpolation=cv2.INTER_CUBIC)
+    return np.asarray(full / max(float(full.std()), 1e-6))
+
+
+def _area(x_m: np.ndarray, y_m: np.ndarray) -> tuple[float, float, float, float]:
+    return float(x_m.min()), float(x_m.max()), float(y_m.min()), float(y_m.max())
+
+
+class PolarGrid:
+    """Rows of nominal slant range, columns of azimuth, seen from above the floor's origin.
+
+    shape: (rows, columns). ground_m: (rows, 1) float32, along the floor. x_m, y_m: (rows, columns).
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        sonar, motion = scene.sonar, scene.motion
+        self._height_m = sonar.height_m
+        self._bin_m = bin_m = (sonar.range_max_m - sonar.range_min_m) / sonar.range_bins
+        self._first_m = first = max(sonar.range_min_m - MARGIN_M, bin_m)
+        rows = math.ceil((sonar.range_max_m + MARGIN_M - first) / bin_m)
+        sway = math.hypot(motion.sway_x_m, motion.sway_y_m)
+        reach = sonar.field_of_view_deg / 2 + MARGIN_DEG
+        self._reach_deg = reach
+        nearest = math.sqrt(max(first**2 - sonar.height_m**2, 0.25))
+        reach += 4 * motion.yaw_jitter_deg + math.degrees(sway / nearest) + 1
+        aside = sonar.height_m * math.sin(math.radians(motion.roll_deg))
+        reach += math.degrees(aside / nearest)
+        self._first_deg = motion.pan_min_deg - reach
+        columns = math.ceil((motion.pan_max_deg + reach - self._first_deg) / STEP_DEG) + 1
+        self.shape = rows, columns
+
+        slant = first + (np.arange(rows) + 0.5) * bin_m
+        self.floorless: BoolArray = slant <= sonar.height_m
+        self._ground = np.sqrt(np.maximum(slant**2 - sonar.height_m**2, 1e-9))
+        self.ground_m = self._ground[:, None].astype(np.float32)
+        azimuth = np.radians(self._first_deg + np.arange(columns) * STEP_DEG)
+        self.x_m = (self._ground[:, None] * np.sin(azimuth)).astype(np.float32)
+        self.y_m = (self._ground[:, None] * np.cos(azimuth)).astype(np.float32)
+        self._deg_per_m = math.degrees(2 / (sonar.range_min_m + sonar.range_max_m))
+
+    def cells(self, metres: float) -> tuple[float, float]:
+        """Rows and columns of so many metres, in the middle."""
+        return metres / self._bin_m, metres * self._deg_per_m / STEP_DEG
+
+    def box(self, ground_m: float, azimuth_deg: float, reach_m: float) -> tuple[slice, slice]:
+        """Rows and columns that a circle of radius reach_m may touch."""
+        reach_m *= 1.4
+        near, far = np.searchsorted(self._ground, [ground_m - reach_m, ground_m + reach_m])
+        if reach_m >= ground_m:
+            return slice(near, far + 1), slice(0, self.shape[1])
+        half = math.degrees(math.asin(reach_m / ground_m))
+        left = (azimuth_deg - half - self._first_deg) / STEP_DEG
+        right = (azimuth_deg + half - self._first_deg) / STEP_DEG
+        return slice(near, far + 1), slice(max(math.floor(left), 0), max(math.ceil(right), 0) + 1)
+
+    def azimuths(self, pan_deg: float) -> FloatArray:
+        """(n,) azimuths of the columns that lie before the sonar."""
+        start = math.floor((pan_deg - self._reach_deg - self._first_deg) / STEP_DEG)
+        stop = math.ceil((pan_deg + self._reach_deg - self._first_deg) / STEP_DEG) + 1
+        return self._first_deg + np.arange(start, stop) * STEP_DEG
+
+    def index(self, x: FloatArray, y: FloatArray) -> np.ndarray:
+        """Flat indices, int32, of the cells where these places lie; the nearest ones outside."""
+        slant = np.sqrt(x**2 + y**2 + self._height_m**2)
+        return self._index(slant, (np.degrees(np.arctan2(x, y)) - self._first_deg) / STEP_DEG)
+
+    def area(self) -> tuple[float, float, float, float]:
+        """Least and most x, least and most y (m)."""
+        return _area(self.x_m, self.y_m)
+
+    def index_from_origin(self, ground: FloatArray, azimuth_deg: FloatArray) -> np.ndarray:
+        """The same of ground ranges (bins, 1) and azimuths as `azimuths` has them."""
+        column = (azimuth_deg - self._first_deg) / STEP_DEG
+        return self._index(np.hypot(ground, self._height_m), column[None, :])
+
+    def _index(self, slant: FloatArray, column: FloatArray) -> np.ndarray:
+        rows, columns = self.shape
+        row = np.clip(np.floor((slant - self._first_m) / self._bin_m), 0, rows - 1)
+        column = np.clip(np.rint(column), 0, columns - 1)
+        return np.asarray((row * columns + column).astype(np.int32))
+
+
+class SquareGrid:
+    """Squares a little smaller than a range bin, over all the floor that a vehicle's run shows.
+
+    shape: (rows, columns), rows along y. ground_m: (rows, columns) float32 from the origin. x_m,
+    y_m: likewise. Raises SonarrecError where that is more floor than MOST_CELLS.
+    """
+
+    def __init__(self, scene: Scene, path: Sequence[Pose]) -> None:
+        sonar = scene.sonar
+        self._cell_m = cell = _FILL * (sonar.range_max_m - sonar.range_min_m) / sonar.range_bins
+        self._reach_deg = sonar.field_of_view_deg / 2 + MARGIN_DEG
+        poses = np.array([(p.pan_deg, p.x_m, p.y_m) for p in path])
+        edge = np.radians(poses[:, :1] + np.linspace(-self._reach_deg, self._reach_deg, 9))
+        x, y = poses[:, 1:2], poses[:, 2:3]
+        x = np.hstack([x, x + sonar.range_max_m * np.sin(edge)])
+        y = np.hstack([y, y + sonar.range_max_m * np.cos(edge)])
+        self._first = x.min() - MARGIN_M, y.min() - MARGIN_M
+        columns = math.ceil((x.max() + MARGIN_M - self._first[0]) / cell)
+        rows = math.ceil((y.max() + MARGIN_M - self._first[1]) / cell)
+        if rows * columns > MOST_CELLS:
+            raise SonarrecError(
+                f"{scene.name}: the vehicle sees {columns * cell:.0f} x {rows * cell:.0f} m of "
+                f"floor, too much for {sonar.range_bins} range bins; fewer frames or slower"
+            )
+        self.shape = rows, columns
+        self.floorless: BoolArray = np.zeros(rows, bool)
+        right = self._first[0] + (np.arange(columns) + 0.5) * cell
+        ahead = self._first[1] + (np.arange(rows) + 0.5) * cell
+        self.x_m = np.broadcast_to(right.astype(np.float32), self.shape)
+        self.y_m = np.broadcast_to(ahead.astype(np.float32)[:, None], self.shape)
+
+    @property
+    def cell_m(self) -> float:
+        """The side of a square."""
+        return self._cell_m
+
+    def cells(self, metres: float) -> tuple[float, float]:
+        """Rows and columns of so many metres."""
+        return metres / self._cell_m, metres / self._cell_m
+
+    def box(self, ground_m: float, azimuth_deg: float, reach_m: float) -> tuple[slice, slice]:
+        """Rows and columns that a circle of radius reach_m may touch."""
+        reach_m *= 1.4
+        azimuth = math.radians(azimuth_deg)
+        x, y = ground_m * math.sin(azimuth), ground_m * math.cos(azimuth)
+        rows, columns = (
+            slice(
+                max(math.floor((place - reach_m - first) / self._cell_m), 0),
+                max(math.ceil((place + reach_m - first) / self._cell_m), 0) + 1,
+            )
+            for place, first in ((y, self._first[1]), (x, self._first[0]))
+        )
+        return rows, columns
+
+    def azimuths(self, pan_deg: float) -> FloatArray:
+        """(n,) azimuths before the sonar."""
+        return pan_deg + np.arange(-self._reach_deg, self._reach_deg + STEP_DEG, STEP_DEG)
+
+    def index(self, x: FloatArray, y: FloatArray) -> np.ndarray:
+        """Flat indices, int32, of the cells where these places lie; the nearest ones outside."""
+        rows, columns = self.shape
+        column = np.clip(np.floor((x - self._first[0]) / self._cell_m), 0, columns - 1)
+        row = np.clip(np.floor((y - self._first[1]) / self._cell_m), 0, rows - 1)
+        return np.asarray((row * columns + column).astype(np.int32))
+
+    def area(self) -> tuple[float, float, float, float]:
+        """Least and most x, least and most y (m)."""
+        return _area(self.x_m, self.y_m)
+
+    def evened(self, ground: FloatArray) -> FloatArray:
+        """Amplitude that keeps the power of a beam where several columns of it share a cell.
+
+        ground: (bins, 1) m. Columns that share a scatterer add up in phase: of runs of n and n + 1
+        columns, L in the mean, the power is too high by the mean of their squares over L.
+        """
+        run = self._cell_m / (np.maximum(ground, 0.05) * math.radians(STEP_DEG))
+        run = np.maximum(run, 1.0)
+        whole = np.floor(run)
+        share = run - whole
+        return np.asarray(np.sqrt(run / (whole**2 * (1 - share) + (whole + 1) ** 2 * share)))

@@ -1,0 +1,114 @@
+"""Where places of the floor, a plane that may slope, lie as seen by a sonar that may roll."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from sonarrec.records import FloatArray
+from sonarrec.simulation.motion import Pose
+from sonarrec.simulation.scene import Scene
+
+
+def within_a_turn(bearing_deg: FloatArray | float) -> FloatArray:
+    """The same bearings, -180 to 180 deg: a vehicle may have turned right round."""
+    return np.asarray(bearing_deg - 360 * np.rint(np.asarray(bearing_deg) / 360))
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """What of the floor a sonar sees at slant ranges (bins,) and azimuths (n,).
+
+    All (bins, n) float32. x_m, y_m: places of the floor, right and forward along it.
+    depression_deg: below the sonar's own horizon. sine: of the grazing angle, 0 where there is no
+    floor.
+    """
+
+    x_m: FloatArray
+    y_m: FloatArray
+    depression_deg: FloatArray
+    sine: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Plane:
+    """The floor. x, y: right and forward of its origin, measured along the floor.
+
+    The sonar's height is above the floor straight below it. With a roll its right side is down by
+    so much, about its level heading, which moves and lights what it sees; a pitch changes its tilt
+    alone, for near the beam's axis bearings hardly change.
+    """
+
+    slope_deg: float = 0.0
+    towards_deg: float = 0.0
+
+    @classmethod
+    def of(cls, scene: Scene) -> Plane:
+        return cls(scene.floor.slope_deg, scene.floor.slope_towards_deg)
+
+    def seen(
+        self,
+        pose: Pose,
+        x_m: FloatArray | float,
+        y_m: FloatArray | float,
+        up_m: FloatArray | float = 0.0,
+    ) -> tuple[FloatArray, FloatArray]:
+        """(slant range in m, bearing in deg) of places up_m above the floor; shapes broadcast."""
+        slope, towards = math.radians(self.slope_deg), math.radians(self.towards_deg)
+        right, ahead = math.sin(towards), math.cos(towards)
+        along = x_m * right + y_m * ahead
+        level = along * (math.cos(slope) - 1) - up_m * math.sin(slope)
+        dx = x_m + level * right - pose.x_m
+        dy = y_m + level * ahead - pose.y_m
+        below = (pose.x_m * right + pose.y_m * ahead) * math.tan(slope)
+        dz = along * math.sin(slope) + up_m * math.cos(slope) - below - pose.height_m
+        slant = np.sqrt(dx**2 + dy**2 + dz**2)
+        bearing = np.degrees(np.arctan2(dx, dy)) - pose.pan_deg
+        if pose.roll_deg:
+            pan, roll = math.radians(pose.pan_deg), math.radians(pose.roll_deg)
+            across = dx * math.cos(pan) - dy * math.sin(pan)
+            across = across * math.cos(roll) - dz * math.sin(roll)
+            bearing = np.degrees(np.arctan2(across, dx * math.sin(pan) + dy * math.cos(pan)))
+        return np.asarray(slant), within_a_turn(bearing)
+
+    def look(self, pose: Pose, range_m: FloatArray, azimuth_deg: FloatArray) -> Look:
+        """What is seen along beams whose azimuths are these while the sonar is level."""
+        slope, towards = math.radians(self.slope_deg), math.radians(self.towards_deg)
+        pan, roll = math.radians(pose.pan_deg), math.radians(pose.roll_deg)
+        bearing = np.radians(azimuth_deg) - pan
+        # The floor's normal in the sonar's own axes, and how far below it the floor is.
+        across = -math.sin(slope) * math.sin(towards - pan)
+        ahead = -math.sin(slope) * math.cos(towards - pan)
+        up = across * math.sin(roll) + math.cos(slope) * math.cos(roll)
+        across = across * math.cos(roll) - math.cos(slope) * math.sin(roll)
+        away = pose.height_m * math.cos(slope)
+        # A ray of depression d meets it where up sin(d) - facing cos(d) = away / range.
+        facing = across * np.sin(bearing) + ahead * np.cos(bearing)
+        sine = (away / np.maximum(range_m, 1e-6))[:, None]
+        # Single precision from here on: a grid of scatterers asks for no more.
+        steep = (sine / np.hypot(up, facing)).astype(np.float32)
+        floor = steep < 1
+        depression = np.arcsin(np.minimum(steep, np.float32(1)))
+        depression += np.arctan2(facing, up).astype(np.float32)
+        floor &= depression > 0
+        slant = range_m[:, None].astype(np.float32)
+        level = slant * np.cos(depression)
+        dx = level * np.sin(bearing).astype(np.float32)
+        dy = level * np.cos(bearing).astype(np.float32)
+        if roll:
+            dx = dx * np.float32(math.cos(roll))
+            dx += slant * np.sin(depression) * np.float32(math.sin(-roll))
+        # From the sonar's heading to the floor's axes, and along the slope: one matrix.
+        turn = np.array([[math.cos(pan), math.sin(pan)], [-math.sin(pan), math.cos(pan)]])
+        uphill = np.array([math.sin(towards), math.cos(towards)])
+        along = np.eye(2) + (1 / math.cos(slope) - 1) * np.outer(uphill, uphill)
+        matrix = (along @ turn).astype(np.float32)
+        first = (along @ np.array([pose.x_m, pose.y_m])).astype(np.float32)
+        x = matrix[0, 0] * dx + matrix[0, 1] * dy + first[0]
+        y = matrix[1, 0] * dx + matrix[1, 1] * dy + first[1]
+        return Look(x, y, np.degrees(depression), np.where(floor, sine.astype(np.float32), 0))
+
+
+FLAT = Plane()

@@ -1,0 +1,120 @@
+"""The simulated receiver: beam patterns, leaks, gains and pulse, and the picture of the beams."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+
+from sonarrec.geometry import in_fan, polar_from_pixel
+from sonarrec.records import ByteImage, Fan, FloatArray
+from sonarrec.simulation.scene import Scene, SonarSection, scene_bearings
+
+GROUP = 8  # beams that share a gain; and beams this far apart fire together
+
+
+def beam_pattern(sonar: SonarSection, offset_deg: FloatArray) -> FloatArray:
+    """Two-way amplitude of one beam at angles off its axis (deg): Gaussian lobe, side lobes.
+
+    Half power at beam_width_deg / 2. Side lobes alternate in sign and fall with the angle.
+    """
+    scaled = offset_deg / sonar.beam_width_deg
+    main = np.exp(-2 * math.log(2) * scaled**2)
+    level = 10 ** (sonar.side_lobe_db / 20)
+    side = level * np.cos(np.pi * scaled) / np.sqrt(1 + (scaled / 6) ** 2)
+    return np.asarray(main + (1 - main) * side)
+
+
+def vertical_pattern(
+    scene: Scene, depression_deg: FloatArray, sine: FloatArray, pitch_deg: float
+) -> FloatArray:
+    """Amplitude of floor echoes against the beam axis; 0 where there is no floor.
+
+    depression_deg: below the sonar's horizon. sine: of the grazing angle, 0 where there is no
+    floor. Two-way Gaussian beam about the true tilt and pitch, times sine to the angle exponent.
+    """
+    sonar = scene.sonar
+    on_axis = max(math.sin(math.radians(sonar.tilt_deg)), 0.05)
+    off_axis = (depression_deg - sonar.tilt_deg - pitch_deg) / sonar.vertical_beam_deg
+    beam = 10 ** (-40 * math.log10(2) * off_axis**2 / 10)
+    power = beam * (sine / on_axis) ** scene.floor.angle_exponent
+    return np.asarray(np.where(sine > 0, np.sqrt(power), 0.0))
+
+
+class Receiver:
+    """Turns echoes on the grid of scatterers into beams: patterns, leaks, gains, pulse."""
+
+    def __init__(self, scene: Scene, rng: np.random.Generator) -> None:
+        sonar, noise = scene.sonar, scene.noise
+        beams = sonar.beams
+        self._sonar = sonar
+        self._bearings = scene_bearings(scene)
+        apart = np.abs(np.arange(beams)[:, None] - np.arange(beams)[None, :])
+        together = (apart % GROUP == 0) & (apart > 0)
+        leak = 10 ** (sonar.cross_talk_db / 20) * (apart > 0)
+        leak += 10 ** (sonar.stray_db / 20) * together / np.maximum(apart / GROUP, 1)
+        phase = rng.uniform(0, 2 * np.pi, (beams, beams))
+        self._leak = (np.eye(beams) + leak * np.exp(1j * phase)).astype(np.complex64)
+        gain = np.repeat(rng.normal(0, noise.group_gain_db, -(-beams // GROUP)), GROUP)[:beams]
+        gain += rng.normal(0, noise.beam_gain_db, beams)
+        hot = rng.permutation(beams)[: noise.hot_beams]
+        gain[hot] += noise.hot_beam_db
+        self.gain = (10 ** (gain / 20)).astype(np.float32)
+        bin_m = (sonar.range_max_m - sonar.range_min_m) / sonar.range_bins
+        half = max(math.ceil(1.5 * sonar.pulse_m / bin_m), 1)
+        tap = np.arange(-half, half + 1) * bin_m / sonar.pulse_m
+        pulse = np.exp(-2 * math.log(2) * tap**2)
+        self._pulse = (pulse / np.sqrt(np.sum(pulse**2))).astype(np.float32)
+
+    def patterns(self, azimuth_deg: FloatArray, pan_deg: float) -> np.ndarray:
+        """(beams, azimuths) complex64; unit power over a floor of unit scatterers."""
+        offset = self._bearings[:, None] + pan_deg - azimuth_deg[None, :]
+        pattern = beam_pattern(self._sonar, offset).astype(np.float32)
+        pattern /= np.sqrt(np.mean(np.sum(pattern**2, axis=1)))
+        return np.asarray(self._leak @ pattern)
+
+    def beams(self, echoes: np.ndarray, patterns: np.ndarray) -> np.ndarray:
+        """(bins, azimuths) complex64 echoes to (bins, beams) complex64."""
+        field = echoes @ patterns.T
+        pairs = field.view(np.float32).reshape(*field.shape, 2)
+        # The pulse acts along range only: a column filter over real and imaginary parts.
+        pairs = cv2.sepFilter2D(pairs, -1, np.ones(1, np.float32), self._pulse)
+        return np.ascontiguousarray(pairs).view(np.complex64)[..., 0]
+
+    def even(self, power: np.ndarray, patterns: np.ndarray) -> np.ndarray:
+        """(bins, azimuths) power of scatterers to (bins, beams), without speckle."""
+        sums = power @ np.square(np.abs(patterns)).T
+        return np.asarray(cv2.sepFilter2D(sums, -1, np.ones(1, np.float32), np.square(self._pulse)))
+
+
+class Picture:
+    """Log compression, and the fan image of the beams."""
+
+    def __init__(self, scene: Scene, fan: Fan) -> None:
+        self._picture = scene.picture
+        self._maps: tuple[np.ndarray, np.ndarray] | None = None
+        if scene.sonar.layout == "polar":
+            return
+        row, column = np.mgrid[0 : fan.rows, 0 : fan.columns]
+        range_m, bearing_deg = polar_from_pixel(fan, column, row)
+        bins, beams = scene.sonar.range_bins, scene.sonar.beams
+        beam = np.interp(bearing_deg, scene_bearings(scene), np.arange(beams))
+        bin_ = (range_m - fan.range_min_m) / (fan.range_max_m - fan.range_min_m) * bins - 0.5
+        bin_ = np.clip(bin_, 0, bins - 1)
+        self._maps = (beam.astype(np.float32), bin_.astype(np.float32))
+        self._outside = ~in_fan(fan, range_m, bearing_deg)
+
+    def __call__(self, power: np.ndarray) -> ByteImage:
+        """(bins, beams) power relative to the floor to the scene's 8-bit image."""
+        picture = self._picture
+        grey = (10 / math.log(10)) * np.log(power + np.float32(1e-9)) - picture.black_db
+        grey = np.clip(grey / picture.dynamic_range_db, 0, 1)
+        if picture.gamma != 1:
+            grey = grey**picture.gamma
+        image = np.rint(grey * 255).astype(np.uint8)
+        if self._maps is None:
+            return image
+        fan_image = cv2.remap(image, *self._maps, cv2.INTER_LINEAR)
+        fan_image[self._outside] = 0
+        return np.asarray(fan_image, dtype=np.uint8)
