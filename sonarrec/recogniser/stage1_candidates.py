@@ -199,11 +199,12 @@ class RingScore:
             radius, (landmarks.symbol[1] + GAP_MARGIN, landmarks.ring[0] - GAP_MARGIN), pixel
         )
         outside = _band(radius, OUTSIDE, pixel)
-        self._kernel = (
+        kernel = (
             ring / ring.sum()
             - GAP_SHARE * gap / gap.sum()
             - (1 - GAP_SHARE) * outside / outside.sum()
         ).astype(np.float32)
+        self._correlate = Correlation(kernel, plane.inside.shape)
         self._gain = _gain(plane, ring, config.min_visible)
 
     def __call__(
@@ -216,11 +217,36 @@ class RingScore:
         # Never far below the whole frame's: an even patch must not turn its noise into rings.
         least = (LEAST_LOCAL_SIGMA * sigma) ** 2
         local = np.sqrt(np.maximum(self._surroundings.mean(relief * relief), least))
-        score = _correlate(relief, self._kernel)
+        score = self._correlate(relief)
         score *= self._gain
         local = self._surroundings.fine(local)
         score /= self._full_contrast * local
         return Hills(score, score, score, local)
+
+
+class Correlation:
+    """What `_correlate` does, of many images of one shape with one kernel: it is transformed once.
+
+    Sums are of 64 bits.
+    """
+
+    def __init__(self, kernel: FloatImage, shape: tuple[int, int]) -> None:
+        """kernel: square, of an odd number of rows. shape: of the images."""
+        reach = kernel.shape[0] // 2
+        # So large that the kernel reaches from neither side of an image round to the other.
+        size = [cv2.getOptimalDFTSize(max(side, reach + 1) + reach) for side in shape]
+        self._image, self._product, whole = (np.zeros(size) for _ in range(3))
+        whole[: len(kernel), : len(kernel)] = kernel
+        self._kernel = cv2.dft(np.roll(whole, (-reach, -reach), axis=(0, 1)))
+
+    def __call__(self, image: FloatImage) -> FloatImage:
+        """(rows, columns) of an image with the kernel centred on each pixel; 0 beyond it."""
+        (rows, columns), product = image.shape, self._product
+        self._image[:rows, :columns] = image
+        cv2.dft(self._image, product, nonzeroRows=rows)
+        cv2.mulSpectrums(product, self._kernel, 0, product, conjB=True)
+        cv2.idft(product, product, cv2.DFT_SCALE | cv2.DFT_REAL_OUTPUT, nonzeroRows=rows)
+        return product[:rows, :columns].astype(np.float32)
 
 
 def _reach(plane: Plane) -> int:
