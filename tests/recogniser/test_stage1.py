@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from sonarrec import config
 from sonarrec.landmarks import load_landmarks
 from sonarrec.recogniser.plane import FanPlane, Plane, working_plane
-from sonarrec.recogniser.stage1_candidates import CandidateSelector
+from sonarrec.recogniser.stage1_candidates import CandidateSelector, Correlation
 from sonarrec.records import Fan, Selection
 from tests.support.drawn import SECTORS, disc_pattern, draw_on_floor, make_fan, speckled
 
@@ -193,3 +193,16 @@ def test_the_outline_s_score_is_the_count_of_edge_pixels_written_out():
                 hits = sum(on_edge[p] for p in there)
                 expected[r, c] = min(hits / len(outline) / math.sqrt(share), 1)
     np.testing.assert_allclose(score, expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("shape", [(40, 31), (9, 50), (7, 5), (1, 12)])
+def test_a_correlation_is_the_sum_written_out_for_image_after_image(shape):
+    """Also of images that the kernel is larger than, and of a kernel that no turn leaves alike."""
+    rng = np.random.default_rng(8)
+    kernel = rng.normal(size=(11, 11)).astype(np.float32)
+    correlation = Correlation(kernel, shape)
+    for _ in range(3):
+        image = rng.normal(size=shape).astype(np.float32)
+        windows = np.lib.stride_tricks.sliding_window_view(np.pad(image, 5), kernel.shape)
+        expected = np.einsum("ijkl,kl->ij", windows.astype(float), kernel.astype(float))
+        np.testing.assert_allclose(correlation(image), expected, rtol=1e-6, atol=1e-6)
