@@ -241,7 +241,7 @@ class Correlation:
         whole = np.roll(whole, (-reach, -reach), axis=(0, 1))
         # (half the columns, rows)
         self._kernel = np.ascontiguousarray(np.fft.rfft2(whole).T).conj()
-        self._image = np.zeros((shape[0], size[1]))
+        self._image = np.zeros((shape[0], whole.shape[1]))
         self._rows = np.empty((shape[0], len(self._kernel)), complex)
         self._both = np.empty(self._kernel.shape, complex)
 
@@ -250,7 +250,7 @@ class Correlation:
         rows, columns = image.shape
         self._image[:, :columns] = image
         np.fft.rfft(self._image, out=self._rows)
-        np.fft.fft(self._rows.T, self._both.shape[1], out=self._both)
+        np.fft.fft(self._rows.T, len(self._both.T), out=self._both)
         self._both *= self._kernel
         np.fft.ifft(self._both, out=self._both)
         self._rows[:] = self._both[:, :rows].T
