@@ -303,11 +303,10 @@ def _refine(
 ) -> FloatArray:
     """(n, 2) peaks to a part of a pixel, by a parabola through three samples in each axis."""
     rows, columns = score.shape
-    c = np.clip(column, 1, columns - 2)[:, None]
-    r = np.clip(row, 1, rows - 2)[:, None]
-    three = np.arange(-1, 2)
-    before, at, after = np.stack([score[r, c + three], score[r + three, c]], axis=1).T  # (2, n)
-    bend = before - 2 * at + after
+    pixels, step = score.ravel(), np.array([[1], [columns]])  # along a row, and down a column
+    at = row.clip(1, rows - 2) * columns + column.clip(1, columns - 2)
+    before, after = pixels[at - step], pixels[at + step]  # (2, n)
+    bend = before - 2 * pixels[at] + after
     shift = np.clip(0.5 * (before - after) / np.minimum(bend, np.float32(-1e-12)), -0.5, 0.5)
     shift[bend >= 0] = 0.0
-    return np.column_stack([column + shift[0], row + shift[1]]).astype(float)
+    return np.asarray((np.stack([column, row]) + shift).T, float)
