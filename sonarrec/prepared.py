@@ -188,7 +188,8 @@ def _with_companions(path: Path, given: Given, again: bool) -> tuple[Given, list
     source = find_log(path, given.up_to)
     notes = []
     geometry = source.beside(SONAR_FILE)
-    if given.sonar_file is None and geometry != find_log(path).beside(SONAR_FILE):
+    own = given.sonar_file is not None or given.up_to is None
+    if not own and geometry != find_log(path).beside(SONAR_FILE):
         notes.append(f"{path}: its geometry is that of {geometry}")
     if again or given.odometry is not None or given.odometry_topic is not None:
         return given, notes

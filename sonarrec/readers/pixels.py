@@ -167,7 +167,8 @@ def holds_amplitudes(images: Sequence[np.ndarray]) -> bool:
     if np.log(level).std() < _LEAST_RANGE:  # at one level a spread tells nothing
         return False
     slope = np.polyfit(np.log(level), np.log(spread), 1)[0]  # 1 of amplitudes, 0 of logarithms
-    skew = np.median((((block - level[:, None]) / spread[:, None]) ** 3).mean(axis=1))
+    off = (block - level[:, None]) / spread[:, None]
+    skew = np.median((off * off * off).mean(axis=1))  # a power takes twenty times as long
     return bool(slope + skew > _AMPLITUDES)
 
 

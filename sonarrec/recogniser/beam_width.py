@@ -65,6 +65,8 @@ def measured_width_deg(fan: Fan, images: Sequence[ByteImage]) -> float | None:
         a.astype(np.float32) for a in pixel_from_polar(fan, range_m[:, None], bearing[None])
     )
     pairs = len(bearing) - np.arange(lags)
+    # So long that no lag meets a bearing from the other end, and quickly transformed.
+    size = cv2.getOptimalDFTSize(len(bearing) + lags)
     found = []
     for image in images:
         polar = np.asarray(cv2.remap(image, column, row, cv2.INTER_LINEAR), np.float32)
@@ -73,8 +75,9 @@ def measured_width_deg(fan: Fan, images: Sequence[ByteImage]) -> float | None:
         sigma = float(polar.std())
         polar = np.clip(polar, -CLIP * sigma, CLIP * sigma)
         polar -= polar.mean(axis=1, keepdims=True)
-        power = np.abs(np.fft.rfft(polar, 2 * len(bearing), axis=1)) ** 2
-        product = np.fft.irfft(power, axis=1)[:, :lags] / pairs
+        spectrum = np.fft.rfft(polar, size, axis=1)
+        power = spectrum.real**2 + spectrum.imag**2
+        product = np.fft.irfft(power, size, axis=1)[:, :lags] / pairs
         lit = product[:, 0] > 1e-3
         found.append(product[lit] / product[lit, :1])
     rows = np.concatenate(found)

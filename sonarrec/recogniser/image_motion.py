@@ -120,10 +120,15 @@ class PanEstimator:
 
 @dataclass(slots=True)
 class _Drift:
-    """What the last frames, fading from one to the next, say of a translation."""
+    """What the last frames, fading from one to the next, say of a translation.
+
+    sigma: (2,) standard error of a steady motion (m a frame) that these frames would show; None
+    where there are none.
+    """
 
     pull: FloatArray
     weight: FloatArray
+    sigma: FloatArray | None = None
 
     @classmethod
     def none(cls) -> _Drift:
@@ -134,11 +139,9 @@ class _Drift:
         weight = np.linalg.inv(found.covariance[:2, :2] + 1e-9 * np.eye(2))
         self.pull = KEEP * self.pull + weight @ found.motion[:2]
         self.weight = KEEP * self.weight + weight
-        return float(self.pull @ np.linalg.solve(self.weight, self.pull)) * (1 + KEEP)
-
-    def sigma(self) -> FloatArray:
-        """(2,) standard error of a steady motion (m a frame) that these frames would show."""
-        return np.asarray(np.sqrt(np.diag(np.linalg.inv(self.weight)) / (1 + KEEP)))
+        inverse = np.linalg.inv(self.weight)
+        self.sigma = np.sqrt(np.diag(inverse) / (1 + KEEP))
+        return float(self.pull @ inverse @ self.pull) * (1 + KEEP)
 
 
 class ImageMotion:
@@ -200,9 +203,9 @@ class ImageMotion:
                 self._drift = _Drift.none()
                 self._drift.add(quick)
         self._usual += (match - self._usual) / USUAL_MEMORY
-        if match < self._min_match or self._pan_sigma is None or not self._drift.weight.any():
+        if match < self._min_match or self._pan_sigma is None or self._drift.sigma is None:
             return unknown(seconds)
-        right, ahead = self._drift.sigma().tolist()
+        right, ahead = self._drift.sigma.tolist()
         return Motion(pan_deg, 0.0, 0.0, self._pan_sigma, right, ahead)
 
     def _moving(self, before: FloatImage, match: float, seconds: float) -> Motion:

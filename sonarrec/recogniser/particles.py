@@ -33,7 +33,9 @@ class Table:
         return len(self.numbers)
 
     def take(self, rows: Rows) -> Self:
-        """These rows alone."""
+        """These rows alone; the table itself where a mask leaves none out."""
+        if rows.dtype == bool and rows.all():
+            return self
         return type(self)(*(getattr(self, f.name)[rows] for f in fields(self)))
 
     def joined(self, others: Self) -> Self:

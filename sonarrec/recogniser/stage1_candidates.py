@@ -208,9 +208,10 @@ class RingScore:
             radius, (landmarks.symbol[1] + GAP_MARGIN, landmarks.ring[0] - GAP_MARGIN), pixel
         )
         outside = _band(radius, OUTSIDE, pixel)
-        self._kernel = (
+        kernel = (
             ring / ring.sum() - share * gap / gap.sum() - (1 - share) * outside / outside.sum()
         ).astype(np.float32)
+        self._correlate = Correlation(kernel, plane.inside.shape)
         self._gain = _gain(plane, ring, config.min_visible)
 
     def __call__(
@@ -223,11 +224,45 @@ class RingScore:
         # Never far below the whole frame's: an even patch must not turn its noise into rings.
         least = (LEAST_LOCAL_SIGMA * sigma) ** 2
         local = np.sqrt(np.maximum(self._surroundings.mean(relief * relief), least))
-        score = _correlate(relief, self._kernel)
+        score = self._correlate(relief)
         score *= self._gain
         local = self._surroundings.fine(local)
         score /= self._full_contrast * local
         return Hills(score, score, score, local)
+
+
+class Correlation:
+    """What `_correlate` does, of many images of one shape with one kernel: it is transformed once.
+
+    Sums are of 64 bits. Arrays are kept from image to image, and columns are transformed as rows:
+    either is a good part of the time.
+    """
+
+    def __init__(self, kernel: FloatImage, shape: tuple[int, int]) -> None:
+        """kernel: square, of an odd number of rows. shape: of the images."""
+        reach = kernel.shape[0] // 2
+        # So large that the kernel reaches from neither side of an image round to the other.
+        size = [cv2.getOptimalDFTSize(max(side, reach + 1) + reach) for side in shape]
+        whole = np.zeros(size)
+        whole[: len(kernel), : len(kernel)] = kernel
+        whole = np.roll(whole, (-reach, -reach), axis=(0, 1))
+        # (half the columns, rows)
+        self._kernel = np.ascontiguousarray(np.fft.rfft2(whole).T).conj()
+        self._image = np.zeros((shape[0], whole.shape[1]))
+        self._rows = np.empty((shape[0], len(self._kernel)), complex)
+        self._both = np.empty(self._kernel.shape, complex)
+
+    def __call__(self, image: FloatImage) -> FloatImage:
+        """(rows, columns) of an image with the kernel centred on each pixel; 0 beyond it."""
+        rows, columns = image.shape
+        self._image[:, :columns] = image
+        np.fft.rfft(self._image, out=self._rows)
+        np.fft.fft(self._rows.T, len(self._both.T), out=self._both)
+        self._both *= self._kernel
+        np.fft.ifft(self._both, out=self._both)
+        self._rows[:] = self._both[:, :rows].T
+        found = np.fft.irfft(self._rows, self._image.shape[1])
+        return found[:, :columns].astype(np.float32)
 
 
 def gap_share(landmarks: LandmarkSet, fan: Fan, beam_width_deg: float) -> float:
@@ -283,11 +318,10 @@ def _refine(
 ) -> FloatArray:
     """(n, 2) peaks to a part of a pixel, by a parabola through three samples in each axis."""
     rows, columns = score.shape
-    c = np.clip(column, 1, columns - 2)[:, None]
-    r = np.clip(row, 1, rows - 2)[:, None]
-    three = np.arange(-1, 2)
-    before, at, after = np.stack([score[r, c + three], score[r + three, c]], axis=1).T  # (2, n)
-    bend = before - 2 * at + after
+    pixels, step = score.ravel(), np.array([[1], [columns]])  # along a row, and down a column
+    at = row.clip(1, rows - 2) * columns + column.clip(1, columns - 2)
+    before, after = pixels[at - step], pixels[at + step]  # (2, n)
+    bend = before - 2 * pixels[at] + after
     shift = np.clip(0.5 * (before - after) / np.minimum(bend, np.float32(-1e-12)), -0.5, 0.5)
     shift[bend >= 0] = 0.0
-    return np.column_stack([column + shift[0], row + shift[1]]).astype(float)
+    return np.asarray((np.stack([column, row]) + shift).T, float)

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 
+import cv2
 import numpy as np
 
 from sonarrec.config import Continuity
@@ -39,7 +40,10 @@ class ContinuityFilter:
         self._sigma = config.sigma_px * plane.scale
         self._sigma_known = config.sigma_known_px * plane.scale
         self._diameter = 2 * np.array(plane.axes)
-        self._share = plane.disc_share()
+        # With a border for all that lies beyond the image.
+        self._share = cv2.copyMakeBorder(
+            plane.disc_share(), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=-1
+        )
         self._next = 1
         self._groups = self._new(np.empty(0, np.int64), np.empty((0, 2)), *np.empty((2, 0)))
         self._lost = _nobody()
@@ -115,15 +119,16 @@ class ContinuityFilter:
         if len(groups) == 0 or len(candidates) == 0:
             return weight
         own = self._plane.moved(groups.places, motion)
-        nearest = self._distances(own, candidates).argmin(axis=1)
-        there = self._distances(own, candidates).min(axis=1) <= config.own_candidate
-        own[there] = candidates[nearest[there]]
         apart = self._distances(own, candidates)
+        there = apart.min(axis=1) <= config.own_candidate
+        own[there] = candidates[apart.argmin(axis=1)[there]]
+        apart = self._distances(own, candidates)
+        neighbours = (apart > config.own_candidate) & (apart < 1)
+        if not neighbours.any():
+            return weight
         theirs = np.zeros(weight.shape, bool)
-        for candidate, place in enumerate(candidates):
-            beside = (apart[:, candidate] > config.own_candidate) & (apart[:, candidate] < 1)
-            if not beside.any():
-                continue
+        for candidate in np.flatnonzero(neighbours.any(axis=0)):
+            place, beside = candidates[candidate], neighbours[:, candidate]
             # In disc diameters: on its own side of the line between the two.
             way = (place - own[beside]) / self._diameter**2
             middle = (place + own[beside]) / 2
@@ -142,8 +147,11 @@ class ContinuityFilter:
             return 0.0
         fan = self._plane.fan
         turned = math.radians(motion.pan_sigma_deg) * (fan.range_min_m + fan.range_max_m) / 2
-        sigma_m = math.hypot(turned, motion.right_sigma_m, motion.ahead_sigma_m)
-        return sigma_m * self._plane.scale / fan.metres_per_pixel
+        return self._pixels(math.hypot(turned, motion.right_sigma_m, motion.ahead_sigma_m))
+
+    def _pixels(self, metres: float) -> float:
+        """A length on the floor in working pixels."""
+        return metres * self._plane.scale / self._plane.fan.metres_per_pixel
 
     def _place(self, positions: FloatArray, there: BoolArray, motion: Motion | None) -> None:
         """Where the objects are now: where the group was a candidate, else moved with the floor."""
@@ -160,10 +168,10 @@ class ContinuityFilter:
             lost.places = self._plane.moved(lost.places, motion)
             away = np.hypot(*((lost.places - self._plane.apex) / self._diameter).T)
             turned = np.radians(motion.pan_sigma_deg) * away
-            fan, carried = self._plane.fan, 0.0
+            carried = 0.0
             if motion.right_m or motion.ahead_m:
                 carried = math.hypot(motion.right_sigma_m, motion.ahead_sigma_m)
-                carried *= self._plane.scale / fan.metres_per_pixel / self._diameter[0]
+                carried = self._pixels(carried) / self._diameter[0]
             lost.drift += turned**2 + carried**2 + self._config.recall_drift**2
 
     def _strike(self, spread: FloatArray, hit: BoolArray, in_view: BoolArray) -> None:
@@ -278,11 +286,9 @@ class ContinuityFilter:
 
     def _shares(self, positions: FloatArray) -> FloatArray:
         """(n,) share of the disc inside the fan; -1 beyond the image."""
-        column, row = np.rint(positions).astype(int).T
         rows, columns = self._share.shape
-        within = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
-        share = self._share[row.clip(0, rows - 1), column.clip(0, columns - 1)]
-        return np.where(within, share, -1.0)
+        column, row = np.rint(positions).astype(int).T + 1
+        return np.asarray(self._share[row.clip(0, rows - 1), column.clip(0, columns - 1)])
 
     def _distances(self, a: FloatArray, b: FloatArray) -> FloatArray:
         """(len(a), len(b)) distances in disc diameters, as measured on the disc's own ellipse."""

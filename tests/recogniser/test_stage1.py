@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from sonarrec import config
 from sonarrec.landmarks import load_landmarks
 from sonarrec.recogniser.plane import FanPlane, Plane, working_plane
-from sonarrec.recogniser.stage1_candidates import CandidateSelector, gap_share
+from sonarrec.recogniser.stage1_candidates import CandidateSelector, Correlation, gap_share
 from sonarrec.records import Fan, Selection
 from sonarrec.simulation.random_scenes import random_scene
 from sonarrec.simulation.scene import scene_fan
@@ -222,3 +222,16 @@ def test_discs_whose_gap_the_beams_fill_are_candidates(seed):
         off += [miss(plane, found, t.range_m, t.bearing_deg) for t in whole if found]
     assert len(off) > 8
     assert np.mean(np.array(off) < 0.3 * plane.axes[0]) > 0.97
+
+
+@pytest.mark.parametrize("shape", [(40, 31), (9, 50), (7, 5), (1, 12)])
+def test_a_correlation_is_the_sum_written_out_for_image_after_image(shape):
+    """Also of images that the kernel is larger than, and of a kernel that no turn leaves alike."""
+    rng = np.random.default_rng(8)
+    kernel = rng.normal(size=(11, 11)).astype(np.float32)
+    correlation = Correlation(kernel, shape)
+    for _ in range(3):
+        image = rng.normal(size=shape).astype(np.float32)
+        windows = np.lib.stride_tricks.sliding_window_view(np.pad(image, 5), kernel.shape)
+        expected = np.einsum("ijkl,kl->ij", windows.astype(float), kernel.astype(float))
+        np.testing.assert_allclose(correlation(image), expected, rtol=1e-6, atol=1e-6)

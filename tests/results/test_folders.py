@@ -175,7 +175,7 @@ def test_results_that_wait_to_be_revised_are_kept(log: Path, tmp_path: Path, num
     process = subprocess.Popen(command("run", "-q", many, "-o", out, "--preset", "offline"))
     part = part_of(out / "many")
     until(lambda: (part / "frames.csv").is_file())
-    time.sleep(0.3)
+    time.sleep(0.5)
     process.send_signal(number)
     assert process.wait(timeout=60) == 128 + number
     kept = frames(part)

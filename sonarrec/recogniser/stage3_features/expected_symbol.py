@@ -65,9 +65,8 @@ class _Expected(NamedTuple):
     flat: FloatArray
     """(cells, T) 0 on the plate to 1 on a symbol."""
     whitened: FloatArray
-    """(cells, T) the same times the precision."""
-    power: FloatArray
-    """(T,) the product of the two."""
+    """(cells, T) the same times the precision, over the root of the product of the two: of cells
+    that are as a symbol has them the product with it is the root of their variation."""
 
 
 class ExpectedSymbols:
@@ -111,32 +110,35 @@ class ExpectedSymbols:
         variation = (whitened * values).sum(axis=1)
         steps = np.minimum(np.rint(smear / SMEAR_STEP), MOST_STEPS).astype(int)
         symbols = ids + CROSS_TURNS + ANGLES * len(self._rivals)
-        product, power = np.empty((2, len(cells), symbols))
+        product = np.empty((len(cells), symbols))
         for step in set(steps.tolist()):
-            of, expected = steps == step, self.expected(step)
-            product[of], power[of] = values[of] @ expected.whitened, expected.power
-        least = LEAST_SHOWN * power
+            of = steps == step
+            product[of] = values[of] @ self.expected(step).whitened
         for i in np.flatnonzero(seen.any(axis=1) & ~seen.all(axis=1)):
             # Unseen cells leave the precision by their Schur complement.
-            expected, hidden = self.expected(int(steps[i])), np.flatnonzero(~seen[i])
-            likely = settled(product[i, ids:] / np.sqrt(power[i, ids:]))
-            rivals = ids + np.argsort(-likely, kind="stable")
-            some = np.r_[:ids, rivals[:MOST_RIVALS]]
-            sides = np.column_stack([whitened[i, hidden], expected.whitened[np.ix_(hidden, some)]])
-            solved = np.linalg.solve(self._precision[np.ix_(hidden, hidden)], sides)
+            expected, hidden = self.expected(int(steps[i])).whitened, np.flatnonzero(~seen[i])
+            likely = settled(product[i, ids:])
+            rank = max(len(likely) - MOST_RIVALS, 0)
+            rivals = np.flatnonzero(likely >= np.partition(likely, rank)[rank])
+            some = np.concatenate([np.arange(ids), ids + rivals])
+            sides = np.column_stack([whitened[i, hidden], expected[np.ix_(hidden, some)]])
+            # To multiply by the inverse takes half as long as to solve for so many sides.
+            solved = np.linalg.inv(self._precision[np.ix_(hidden, hidden)]) @ sides
             variation[i] -= sides[:, 0] @ solved[:, 0]
-            product[i, some] -= sides[:, 0] @ solved[:, 1:]
-            power[i, some] -= (sides[:, 1:] * solved[:, 1:]).sum(axis=0)
-            power[i, rivals[MOST_RIVALS:]] = 0
-        scale = np.sqrt(np.maximum(power * variation[:, None], 1e-12))
-        found = np.where(power > least, product / scale, 0.0)
-        return found[:, :ids].reshape(-1, ANGLES, self._ids), found[:, ids:].max(axis=1)
+            shown = product[i, some] - sides[:, 0] @ solved[:, 1:]
+            power = 1 - (sides[:, 1:] * solved[:, 1:]).sum(axis=0)
+            scale = np.sqrt(np.maximum(power, LEAST_SHOWN))
+            product[i, ids:] = 0
+            product[i, some] = np.where(power > LEAST_SHOWN, shown / scale, 0.0)
+        scale = np.sqrt(np.maximum(variation, 1e-12))
+        found = product[:, :ids] / scale[:, None]
+        return found.reshape(-1, ANGLES, self._ids), product[:, ids:].max(axis=1) / scale
 
     def _draw(self, steps: int) -> _Expected:
         """What the cells should show, smeared by `steps`."""
         flat = self._look(steps).reshape(len(self._precision), -1)
         whitened = self._precision @ flat
-        return _Expected(flat, whitened, (flat * whitened).sum(axis=0))
+        return _Expected(flat, whitened / np.sqrt((flat * whitened).sum(axis=0)))
 
     def _look(self, steps: int) -> FloatArray:
         """(lines, ANGLES, T) what the lines show of every ID and every rival at every turn."""
