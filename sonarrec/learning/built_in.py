@@ -24,9 +24,12 @@ from sonarrec.simulation.unlike import LEARNED_UNLIKE
 # Seeds of the built-in model. Those from 2000 on are for choosing settings, those from 3000 on for
 # figures that are reported: no recording serves two ends.
 MODEL_SEEDS = range(1000, 1060)
-# Of each kind so many, from the first on: the basin's kinds are alike, those beyond it are not.
-RECORDINGS = dict.fromkeys(KINDS_OF_SCENE + STRETCH_KINDS, 8) | dict.fromkeys(LEARNED_UNLIKE, 60)
-RECORDINGS["wide"] = 20  # they cost three times as much
+# Of each kind so many, from the first on: those beyond the basin differ more from one recording to
+# the next.
+RECORDINGS = dict.fromkeys(KINDS_OF_SCENE + STRETCH_KINDS, 24) | dict.fromkeys(LEARNED_UNLIKE, 60)
+RECORDINGS |= {"wide": 20}  # they cost three times as much
+# What changes the geometry or the floor alone is near the basin's.
+RECORDINGS |= dict.fromkeys(("leaning", "ripples", "fish", "vehicle"), 12)
 FRAMES = 64  # of each: more recordings teach more than longer ones
 
 

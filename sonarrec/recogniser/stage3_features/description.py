@@ -15,20 +15,16 @@ from sonarrec.records import BoolArray, FloatArray
 
 # Levels are in standard deviations of the frame. Those named "local" count the symbol from the gap
 # in the same direction: echoes that come late and light that falls unevenly lie over both alike.
-# That named "over_floor" counts it from the floor just outside in that direction. What these are
-# worth depends on how far the beam smears them: those named "smeared" are the same times the smear.
-FEATURES = (
+# That named "over_floor" counts it from the floor just outside in that direction.
+_PLAIN = (
     "correlation",  # with the ID's expected symbol and gap at the best rotation
-    "smeared_correlation",  # counted from what is typical
     # Logarithm of what the ID leaves unexplained, less that of the best symbol that no ID has.
     "rival_misfit",
-    "smeared_rival_misfit",
     "step",  # bright sectors over dark ones
     "dark_over_gap",  # dark sectors over the gap, 0 on a landmark
     "bright_over_ring",  # bright sectors over the ring, 0 on a landmark
     "bright_over_ring_share",  # in the ring's contrast over the gap, as all shares
     "local_weakest_bright",  # darkest bright sector over the gap
-    "smeared_weakest_bright",
     "strongest_dark",  # brightest dark sector over the gap, 0 on a landmark
     "local_strongest_dark",
     "strongest_dark_over_floor",
@@ -46,6 +42,22 @@ FEATURES = (
     "log_frames",  # natural logarithm of the frames gathered
     "existence",  # log odds that stage 2 gives
 )
+# What these are worth depends on how far the beam smears them: they are told again, times the smear.
+# The correlation, their first, is counted from what is typical.
+_SMEARED = (
+    "correlation",
+    "rival_misfit",
+    "step",
+    "dark_over_gap",
+    "local_weakest_bright",
+    "strongest_dark",
+    "edge",
+    "texture",
+    "ring_over_floor",
+    "log_frames",
+)
+FEATURES = (*_PLAIN, *(f"smeared_{name}" for name in _SMEARED))
+_AGAIN = [_PLAIN.index(name) for name in _SMEARED]
 TYPICAL_CORRELATION = 0.7
 BEST_FIT = 0.995  # correlation
 # Smears (standard deviation across the line of sight, in disc radii) count in this, up to so many.
@@ -163,22 +175,18 @@ class Describer:
         darkest_half = -_most(-half[0], half_shown[0] & self._halves)
         edge, weakest_edge = _steepness(symbol, weight, self._edges[turn, np.arange(ids)])
 
-        smeared = np.clip(smear[:, None] / SMEAR_UNIT, 0, MOST_SMEAR)
         odds = existence / (1 - existence)
         rival_misfit = np.log(_unexplained(best) / _unexplained(rival)[:, None])
         over_ring = dark + step - (ring_level - gap_level)[:, None]
         share = 1 / contrast[:, None]
         values = [
             best,
-            (best - TYPICAL_CORRELATION) * smeared,
             rival_misfit,
-            rival_misfit * smeared,
             step,
             dark,
             over_ring,
             over_ring * share,
             darkest,
-            darkest * smeared,
             brightest[0],
             brightest[1],
             brightest[2],
@@ -196,11 +204,16 @@ class Describer:
             np.log(frames),
             np.log(odds),
         ]
-        features = np.empty((objects, ids, len(FEATURES)))
+        features = np.empty((objects, ids, len(_PLAIN)))
         for i, value in enumerate(values):
             features[:, :, i] = value if value.ndim == 2 else value[:, None]
         exact, turn_sigma = _exact_turn(correlation, turn, best)
-        return Description(np.clip(features, -LIMIT, LIMIT), exact, turn_sigma)
+        features = np.clip(features, -LIMIT, LIMIT)
+        again = features[:, :, _AGAIN]
+        again[:, :, 0] -= TYPICAL_CORRELATION
+        again *= np.clip(smear[:, None, None] / SMEAR_UNIT, 0, MOST_SMEAR)
+        features = np.concatenate([features, np.clip(again, -LIMIT, LIMIT)], axis=2)
+        return Description(features, exact, turn_sigma)
 
     def _profiles(self, average: FloatArray, count: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(bands, n, ANGLES) mean over each band's lines, and how often its cells were seen."""
