@@ -218,9 +218,8 @@ def test_the_features_of_a_perfect_landmark_by_hand(landmark):
         "weakest_ring": 2 - 0.5 * (-1 + 0),
         "ring_texture_share": 0,
         "strongest_dark_over_floor": -1,
-        # These lie in how far the beam smears them: not at all.
-        "smeared_correlation": 0,
-        "smeared_weakest_bright": 0,
+        # The beam smears nothing.
+        **{name: 0 for name in FEATURES if name.startswith("smeared_")},
         "log_frames": math.log(8),
         "existence": math.log(9),
     }

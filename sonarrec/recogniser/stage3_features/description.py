@@ -42,8 +42,8 @@ _PLAIN = (
     "log_frames",  # natural logarithm of the frames gathered
     "existence",  # log odds that stage 2 gives
 )
-# What these are worth depends on how far the beam smears them: they are told again, times the smear.
-# The correlation, their first, is counted from what is typical.
+# What these are worth depends on how far the beam smears them: they count again, times the smear.
+# The correlation, their first, is taken from what is typical.
 _SMEARED = (
     "correlation",
     "rival_misfit",
