@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
 
+from sonarrec.cores import cores
 from sonarrec.evaluation.fit import Checked, Matched, checked, matched
 from sonarrec.evaluation.joined import join
 from sonarrec.evaluation.pairs import one_log
@@ -109,7 +110,7 @@ def survey_all(readings: Sequence[Reading], jobs: int | None) -> Iterator[Survey
     """
     _truth.cache_clear()  # the files may have changed since the last call
     if jobs is None:
-        jobs = min(multiprocessing.cpu_count(), sum(map(_bytes, readings)) // WORTH_BYTES)
+        jobs = min(cores(), sum(map(_bytes, readings)) // WORTH_BYTES)
     if min(jobs, len(readings)) < 2:
         yield from map(survey, readings)
         return

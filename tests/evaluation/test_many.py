@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from pathlib import Path
 
@@ -92,6 +93,16 @@ def test_one_bad_log_is_one_line(tmp_path: Path, jobs: str) -> None:
 
 
 def test_few_small_logs_start_no_process(pairs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(survey, "ProcessPoolExecutor", None)
+    assert len(evaluate_many(read_pairs(pairs)).logs) == 12
+
+
+def test_no_more_processes_than_the_cores_it_may_use(
+    pairs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(survey, "WORTH_BYTES", 1)
+    monkeypatch.setattr(os, "cpu_count", lambda: 64)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {5})
     monkeypatch.setattr(survey, "ProcessPoolExecutor", None)
     assert len(evaluate_many(read_pairs(pairs)).logs) == 12
 
