@@ -59,16 +59,14 @@ class ScoredPart:
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
-    """What one log, or some, add to an evaluation.
-
-    Small and kept, but for `blocks`: these are as long as the log, and put by in a store.
-    """
+class Totals:
+    """What there is to score: L logs, K IDs, M methods, U pass units, P passes."""
 
     logs: tuple[str, ...]
     ids: tuple[int, ...]
     methods: tuple[str, ...]
     placed: bool
+    """Whether positions are known wherever the strict protocol needs them."""
     timed: bool
     """Whether every frame stands for a known time."""
     frames: int
@@ -77,15 +75,24 @@ class Part:
     ignored: int
     """Truths partly in view."""
     gates: tuple[float, ...]
-    """Those met, m."""
+    """m, the distances within which a claim is right, rising."""
     estimates: IntArray
     """(M,) of each method."""
     unit_log: IntArray
     """(U,) into logs, of each unit of the kind "pass"."""
     passes: PassTable
-    scored: tuple[ScoredPart, ...]
     switches: tuple[Switches, ...]
     """Per method; empty where positions are not known."""
+
+
+@dataclass(frozen=True, slots=True)
+class Part(Totals):
+    """What one log, or some, add to an evaluation.
+
+    Small and kept, but for `blocks`: these are as long as the log, and put by in a store.
+    """
+
+    scored: tuple[ScoredPart, ...]
     blocks: dict[Hashable, npt.NDArray[Any]]
     """By what they hold: see `_blocks`."""
 

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from sonarrec.evaluation.behaviour import PassOutcomes, Switches
 from sonarrec.evaluation.counted import Claims, Values
 from sonarrec.evaluation.curves import Count, Curve
-from sonarrec.evaluation.parts import Part, PassTable, ScoredPart
+from sonarrec.evaluation.parts import Part, PassTable, ScoredPart, Totals
 from sonarrec.evaluation.passes import LOGS_ENOUGH, MOST_UNITS, UnitKind, fewer
 from sonarrec.evaluation.scoring import PROTOCOLS
 from sonarrec.evaluation.store import Store, summed
@@ -119,33 +119,12 @@ class Parts:
 
 
 @dataclass(frozen=True, slots=True)
-class Pooled:
-    """What was found over all logs: L logs, K IDs, P passes."""
+class Pooled(Totals):
+    """What was found over all logs."""
 
-    logs: tuple[str, ...]
-    ids: tuple[int, ...]
-    methods: tuple[str, ...]
-    placed: bool
-    """Whether positions are known wherever the strict protocol needs them."""
-    timed: bool
-    """Whether every frame stands for a known time."""
-    frames: int
-    positives: IntArray
-    """(K,) truths whole in view."""
-    ignored: int
-    """Truths partly in view."""
-    gates: tuple[float, ...]
-    """m, the distances within which a claim is right."""
-    estimates: IntArray
-    """(M,) of each method."""
-    unit_log: IntArray
-    """(all pass units,) into logs."""
-    passes: PassTable
     scored: tuple[PooledScored, ...]
     outcomes: tuple[PassOutcomes, ...]
     """As `scored`."""
-    switches: tuple[Switches, ...]
-    """Per method; empty where positions are not known."""
     parts: Parts
     min_visible: float
     folders: tuple[Path, ...] = ()
