@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from sonarrec.batch.task import Task
     from sonarrec.prepared import Used
     from sonarrec.readers.many import NamedLog
-    from sonarrec.remote.fetch import RemoteLog
+    from sonarrec.remote.find import RemoteLog
     from sonarrec.remote.upload import Outbox
     from sonarrec.results.run_file import Given
 
@@ -290,7 +290,7 @@ def _tasks(
 ) -> list[Task]:
     from sonarrec.batch.task import Task
     from sonarrec.pipeline import result_names
-    from sonarrec.remote.fetch import RemoteLog
+    from sonarrec.remote.find import RemoteLog
     from sonarrec.remote.run import Elsewhere
 
     tasks = []

@@ -16,7 +16,7 @@ from sonarrec.evaluation.counted import Counted, rate_counts
 from sonarrec.evaluation.evaluate import Evaluation, check_options, pool
 from sonarrec.evaluation.joined import Joined
 from sonarrec.evaluation.metrics import BY_NAME, MAIN
-from sonarrec.evaluation.pairs import Pair
+from sonarrec.evaluation.pairs import Elsewhere, Pair
 from sonarrec.evaluation.passes import Passes, find_passes, find_units
 from sonarrec.evaluation.scoring import Scored
 from sonarrec.evaluation.settings import SettingChange
@@ -153,6 +153,7 @@ def compare(
     tolerance_s: float | None = None,
     landmarks: str | None = None,
     sonar: Sonar | None = None,
+    elsewhere: Elsewhere | None = None,
 ) -> Comparison:
     """Compare two results folders, each of one log or of several, on the frames both hold.
 
@@ -162,7 +163,7 @@ def compare(
     used, logs differ or nothing is in common.
     """
     check_options(min_visible, tolerance_s)
-    sides = both_sides(old, new, ground_truth, tolerance_s, landmarks, sonar)
+    sides = both_sides(old, new, ground_truth, tolerance_s, landmarks, sonar, elsewhere)
     before, after = (pool(cases, min_visible) for cases in (sides.before, sides.after))
     return _compared((str(old), str(new)), before, after, sides)
 

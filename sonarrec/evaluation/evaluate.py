@@ -12,7 +12,7 @@ import numpy as np
 
 from sonarrec.evaluation.fit import Matched, fit, left_out
 from sonarrec.evaluation.joined import Joined, join
-from sonarrec.evaluation.pairs import Pair, found_beside, found_where
+from sonarrec.evaluation.pairs import Elsewhere, Pair, found_beside, found_where
 from sonarrec.evaluation.parts import part_of, score_all
 from sonarrec.evaluation.pooled import Parts, Pooled, pooled
 from sonarrec.evaluation.same import counted_once
@@ -108,15 +108,17 @@ def evaluate_many(
     tolerance_s: float | None = None,
     landmarks: str | None = None,
     sonar: Sonar | None = None,
+    elsewhere: Elsewhere | None = None,
 ) -> Pooled:
     """As `evaluate`, or `evaluate_pairs` where results is pairs, but each log is read, counted and
     let go: memory does not grow with the logs.
 
     jobs: processes side by side, as `survey.survey_all`; the result is the same however many.
+    elsewhere: finds truth beside logs on servers, as for `pairs.found_beside`.
     """
     options = min_visible, tolerance_s, landmarks, sonar
     if isinstance(results, str | Path):
-        given = _given(results, ground_truth, *options)
+        given = _given(results, ground_truth, *options, elsewhere)
     else:
         given = _of_pairs(results, *options)
     parts = Parts()
@@ -165,6 +167,7 @@ def _given(
     tolerance_s: float | None,
     landmarks: str | None,
     sonar: Sonar | None,
+    elsewhere: Elsewhere | None = None,
 ) -> _Given:
     results = Path(results)
     check_options(min_visible, tolerance_s)
@@ -176,7 +179,7 @@ def _given(
         "sonar": sonar,
     }
     if ground_truth is None:  # each log with the truth that lies beside it
-        pairs, without = found_beside(folders)
+        pairs, without = found_beside(folders, elsewhere)
         readings = [Reading(p.results, p.ground_truth, **options) for p in pairs]
         return _Given(readings, list(map(found_where, pairs)), without)
     path = Path(ground_truth)

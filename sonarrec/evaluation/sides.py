@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from sonarrec.evaluation.fit import Matched, checked, cut_short, fit, matched
-from sonarrec.evaluation.pairs import Pair, found_beside, found_where, truth_of
+from sonarrec.evaluation.pairs import Elsewhere, Pair, found_beside, found_where, truth_of
 from sonarrec.evaluation.same import counted_once, recording
 from sonarrec.evaluation.settings import SettingChange, changed_settings
 from sonarrec.records import SonarrecError
@@ -41,6 +41,7 @@ def both_sides(
     tolerance_s: float | None,
     landmarks: str | None,
     sonar: Sonar | None,
+    elsewhere: Elsewhere | None = None,
 ) -> Sides:
     """Read two results folders and what is true; the arguments are those of `compare.compare`.
 
@@ -57,7 +58,7 @@ def both_sides(
     together = [together[i] for i in once.kept]
     notes += [*once.notes, *once.unused]
     changes = changed_settings((b.name, a.run, b.run) for (_, a), (_, b) in together)
-    truths, said, without = _truths(together, ground_truth)
+    truths, said, without = _truths(together, ground_truth, elsewhere)
     notes += said
     unused += without
     cases: list[Matched] = []
@@ -135,7 +136,9 @@ def _sha256(read: Read) -> tuple[str, str | None] | None:
 
 
 def _truths(
-    together: Sequence[tuple[Read, Read]], ground_truth: Path | Sequence[Pair] | None
+    together: Sequence[tuple[Read, Read]],
+    ground_truth: Path | Sequence[Pair] | None,
+    elsewhere: Elsewhere | None,
 ) -> tuple[list[tuple[TruthTable, str] | None], list[str], list[str]]:
     """The truth of each log and the name it has there, None where there is none; a line for each
     that was found, and for each that has none."""
@@ -150,7 +153,7 @@ def _truths(
     folders = [now for _, (now, _) in together]
     said: list[str] = []
     if ground_truth is None:
-        pairs, without = found_beside(folders)
+        pairs, without = found_beside(folders, elsewhere)
         said = [found_where(pair) for pair in pairs]
         chosen = [next((p for p in pairs if p.results == folder), None) for folder in folders]
     else:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,30 +11,19 @@ from sonarrec.evaluation import cells
 from sonarrec.evaluation.compare import (
     Comparison,
     PassChange,
-    compare,
     frame_runs,
     outcome,
     settings_lines,
 )
 from sonarrec.evaluation.metrics import BY_NAME, MAIN
-from sonarrec.evaluation.pairs import Pair
 from sonarrec.evaluation.uncertainty import LEVEL, MIN_UNITS, Difference
 from sonarrec.records import SonarrecError, shown
 from sonarrec.report.templates import filled
-from sonarrec.sonar import Sonar
 
 MOST = 10
 """Passes, and runs of frames, that got better, and as many that got worse."""
 SIGNIFICANT = 0.05
 """A difference with a p below it is called better or worse."""
-
-
-@dataclass(frozen=True, slots=True)
-class ComparePage:
-    """What was written. unused: one line for each part of the input that could not be used."""
-
-    path: Path
-    unused: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,37 +72,14 @@ class Ranked:
     runs_left: int
 
 
-def write_comparison_page(
-    path: Path,
-    old: Path,
-    new: Path,
-    ground_truth: Path | Sequence[Pair] | None = None,
-    *,
-    min_visible: float = 0.9,
-    tolerance_s: float | None = None,
-    landmarks: str | None = None,
-    sonar: Sonar | None = None,
-) -> ComparePage:
-    """Write the page; the arguments are those of `evaluation.compare.compare`.
-
-    Raises SonarrecError where files cannot be used, read or written.
-    """
-    found = compare(
-        old,
-        new,
-        ground_truth,
-        min_visible=min_visible,
-        tolerance_s=tolerance_s,
-        landmarks=landmarks,
-        sonar=sonar,
-    )
+def write_comparison_page(path: Path, found: Comparison) -> None:
+    """Write the page. Raises SonarrecError where it cannot be written."""
     page = render(found)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(page, encoding="utf-8")
     except OSError as error:
         raise SonarrecError(f"{path}: cannot be written ({error.strerror})") from None
-    return ComparePage(path, found.unused)
 
 
 def render(found: Comparison) -> str:
