@@ -138,7 +138,9 @@ def evaluate(
         here = Here(held, cache.cache)
         truth = here.file(ground_truth)
         if compare is not None:
-            code = _compare(compare, truth, pairs, out, band, as_json, quiet, scoring, here)
+            code = _compare(
+                compare, truth, pairs, out, band, as_json, quiet, {**scoring, "jobs": jobs}, here
+            )
         else:
             shown = _Shown(details, as_json, quiet)
             code = _score(results, truth, pairs, out, unit, jobs, det, shown, scoring, here)

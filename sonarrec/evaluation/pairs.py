@@ -145,10 +145,22 @@ def _size(log: Source) -> int:
     return total
 
 
-def truth_of(pairs: Sequence[Pair], *folders: Path) -> Pair | None:
-    """The pair whose results are one of the folders, else the one of the same name."""
-    places = {folder.resolve() for folder in folders}
-    names = {place.name for place in places}
-    by_place = (pair for pair in pairs if pair.results.resolve() in places)
-    by_name = (pair for pair in pairs if (pair.log or pair.results.resolve().name) in names)
-    return next(by_place, next(by_name, None))
+def truth_by_folder(pairs: Sequence[Pair]) -> Callable[..., Pair | None]:
+    """Gives the pair whose results are one of some folders, else one of the same name: the first.
+
+    Looked up, not searched: there may be a thousand pairs for a thousand logs.
+    """
+    places: dict[Path, int] = {}
+    names: dict[str, int] = {}
+    for i, pair in enumerate(pairs):
+        place = pair.results.resolve()
+        places.setdefault(place, i)
+        names.setdefault(pair.log or place.name, i)
+
+    def of(*folders: Path) -> Pair | None:
+        there = [folder.resolve() for folder in folders]
+        found = [places[place] for place in there if place in places]
+        found = found or [names[place.name] for place in there if place.name in names]
+        return pairs[min(found)] if found else None
+
+    return of

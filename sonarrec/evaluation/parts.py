@@ -97,8 +97,13 @@ class Part(Totals):
     """By what they hold: see `_blocks`."""
 
 
-def part_of(joined: Joined, scored: Sequence[Scored] | None = None) -> Part:
-    """scored: every method under every protocol; default: they are scored here."""
+def part_of(
+    joined: Joined, scored: Sequence[Scored] | None = None, *, rates_only: bool = False
+) -> Part:
+    """scored: every method under every protocol; default: they are scored here.
+
+    rates_only: nothing of errors, false claims a minute, switches and calibration.
+    """
     if scored is None:
         scored = score_all(joined)
     passes, logs = find_passes(joined), len(joined.logs)
@@ -107,7 +112,7 @@ def part_of(joined: Joined, scored: Sequence[Scored] | None = None) -> Part:
     unit_log = np.zeros(units.count, dtype=np.int64)
     unit_log[units.of_frame] = joined.log_index
     unit_log[units.of_truth] = of_truth
-    nearest = on_truth(joined) if joined.placed else None
+    nearest = on_truth(joined) if joined.placed and not rates_only else None
     positive = joined.truth_positive
     return Part(
         logs=joined.logs,
@@ -139,7 +144,7 @@ def part_of(joined: Joined, scored: Sequence[Scored] | None = None) -> Part:
             for s in scored
         ),
         switches=() if nearest is None else tuple(switches(joined, nearest, passes)),
-        blocks=dict(_blocks(joined, scored, nearest)),
+        blocks=dict(_blocks(joined, scored, nearest, rates_only)),
     )
 
 
@@ -154,7 +159,7 @@ def score_all(joined: Joined) -> tuple[Scored, ...]:
 
 
 def _blocks(
-    joined: Joined, scored: Sequence[Scored], nearest: IntArray | None
+    joined: Joined, scored: Sequence[Scored], nearest: IntArray | None, rates_only: bool
 ) -> list[tuple[Hashable, npt.NDArray[Any]]]:
     """Arrays by key.
 
@@ -179,7 +184,7 @@ def _blocks(
             claims["score"], claims["unit"] = s.score[mine], group[mine]
             claims["effect"] = s.effect[mine]
             found.append((("claims", s.protocol, s.method, k), claims))
-        if s.protocol == "strict":
+        if s.protocol == "strict" and not rates_only:
             found += _errors(s, joined, units.of_truth)
     if nearest is not None:
         by_kind = {kind: find_units(joined, passes, kind) for kind in KINDS} | {"pass": units}

@@ -254,7 +254,6 @@ def _named_counts(names: Sequence[str], counts: Sequence[Count]) -> dict[str, An
 
 def comparison_as_json(found: Comparison) -> dict[str, Any]:
     """compare.json: what was compared and how it was made, rates, tests, passes; 0/0 is null."""
-    verdicts = [change.verdict for change in found.frames]
     return {
         "old": found.old,
         "new": found.new,
@@ -266,7 +265,7 @@ def comparison_as_json(found: Comparison) -> dict[str, Any]:
         "rates": [_record(rate) | {"worse_by": _known(rate.worse)} for rate in found.rates],
         "differences": [_record(difference) for difference in found.differences],
         "passes": [asdict(change) for change in found.passes],
-        "frames_and_ids": {name: verdicts.count(name) for name in ("better", "worse", "other")},
+        "frames_and_ids": found.frames.verdicts(),
         "lost": list(found.lost),
         "gained": list(found.gained),
         "notes": list(found.notes),

@@ -11,7 +11,6 @@ from sonarrec.evaluation import cells
 from sonarrec.evaluation.compare import (
     Comparison,
     PassChange,
-    frame_runs,
     outcome,
     settings_lines,
 )
@@ -138,17 +137,19 @@ def _ranked(found: Comparison, protocol: str, verdict: str) -> Ranked:
     sign = -1 if verdict == "worse" else 1
     passes = [p for p in found.passes if p.protocol == protocol and sign * (p.new - p.old) > 0]
     passes.sort(key=lambda p: -abs(p.new - p.old))
-    changes = [c for c in found.frames if c.protocol == protocol and c.verdict == verdict]
-    runs = [
+    runs, count = found.frames.runs(MOST, protocol, verdict)
+    told = [
         Run(
-            log=run[0].log,
-            frames=f"{run[0].frame}" if len(run) == 1 else f"{run[0].frame} to {run[-1].frame}",
-            method=run[0].method,
-            landmark=run[0].landmark,
-            was=outcome(run[0].old),
-            now=outcome(run[0].new),
-            count=len(run),
+            log=run.first.log,
+            frames=f"{run.first.frame}"
+            if run.count == 1
+            else f"{run.first.frame} to {run.last_frame}",
+            method=run.first.method,
+            landmark=run.first.landmark,
+            was=outcome(run.first.old),
+            now=outcome(run.first.new),
+            count=run.count,
         )
-        for run in frame_runs(changes)
+        for run in runs
     ]
-    return Ranked(verdict, passes[:MOST], len(passes[MOST:]), runs[:MOST], len(runs[MOST:]))
+    return Ranked(verdict, passes[:MOST], len(passes[MOST:]), told, count - len(told))
