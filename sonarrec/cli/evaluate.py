@@ -224,7 +224,8 @@ def _compare(
     unused = [*here.unused, *found.unused]
     tell(unused)
     if as_json:
-        click.echo(write.json_text(write.comparison_as_json(found)), nl=False)
+        for piece in write.comparison_json(found):
+            click.echo(piece, nl=False)
     elif not quiet:
         click.echo(compare.screen(found))
         for note in found.notes:

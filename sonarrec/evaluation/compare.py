@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -84,6 +84,31 @@ class PassChange:
 
 
 @dataclass(frozen=True, slots=True)
+class PassChanges:
+    """All of them, each made as it is asked for: of many logs they are many."""
+
+    outcomes: tuple[tuple[PassOutcomes, PassOutcomes], ...]
+    """Before and after, of each method under each protocol."""
+    found: Pooled
+
+    def __iter__(self) -> Iterator[PassChange]:
+        found, passes = self.found, self.found.passes
+        for a, b in self.outcomes:
+            for i in np.flatnonzero(a.right != b.right).tolist():
+                yield PassChange(
+                    protocol=a.protocol,
+                    method=a.method,
+                    log=found.logs[passes.log_index[i]],
+                    landmark=found.ids[passes.landmark_index[i]],
+                    first_frame=int(passes.first_frame[i]),
+                    last_frame=int(passes.last_frame[i]),
+                    frames=int(b.frames[i]),
+                    old=int(a.right[i]),
+                    new=int(b.right[i]),
+                )
+
+
+@dataclass(frozen=True, slots=True)
 class Comparison:
     """What `compare` found."""
 
@@ -99,7 +124,7 @@ class Comparison:
     """What differs in how the results were made."""
     rates: tuple[RateChange, ...]
     frames: FrameChanges
-    passes: tuple[PassChange, ...]
+    passes: PassChanges
     differences: tuple[Difference, ...]
     """New less old, per ID and in total, with interval and p-value."""
     lost: tuple[str, ...]
@@ -223,7 +248,7 @@ def _compared(both: _Both, **told: Any) -> Comparison:
     weights, tosses = bootstrap_weights(units.count, rng), coin_tosses(units.count, rng)
     olds = {(s.protocol, s.method): n for n, s in enumerate(before.scored)}
     rates: list[RateChange] = []
-    of_passes: list[PassChange] = []
+    outcomes = []
     found: list[Difference] = []
     methods = []
     for m, b in enumerate(after.scored):
@@ -233,7 +258,7 @@ def _compared(both: _Both, **told: Any) -> Comparison:
             old = [*metrics.rates_of(metrics.Case(before, units), before.scored[n])]
             new = [*metrics.rates_of(metrics.Case(after, units), b)]
             rates += _rate_changes(old, new)
-            of_passes += _pass_changes(before.outcomes[n], after.outcomes[m], after)
+            outcomes.append((before.outcomes[n], after.outcomes[m]))
             for was, now in zip(old, new, strict=True):
                 was_tally, now_tally = (metrics.tally(metrics.rates, side) for side in (was, now))
                 found += differences(was_tally, now_tally, weights, tosses)
@@ -244,7 +269,7 @@ def _compared(both: _Both, **told: Any) -> Comparison:
         landmarks=after.ids,
         rates=tuple(rates),
         frames=both.frames(tuple(methods)),
-        passes=tuple(of_passes),
+        passes=PassChanges(tuple(outcomes), after),
         differences=tuple(found),
         lost=tuple(m for m in before.methods if m not in after.methods),
         gained=tuple(m for m in after.methods if m not in before.methods),
@@ -261,22 +286,6 @@ def _rate_changes(old: Sequence[Counted], new: Sequence[Counted]) -> Iterable[Ra
             if not (math.isnan(was) and math.isnan(now)):
                 of = fp + tn if name == "fpr" else tp + fn
                 yield RateChange(*labels, name, was, now, of)
-
-
-def _pass_changes(a: PassOutcomes, b: PassOutcomes, found: Pooled) -> Iterable[PassChange]:
-    passes = found.passes
-    for i in np.flatnonzero(a.right != b.right).tolist():
-        yield PassChange(
-            protocol=a.protocol,
-            method=a.method,
-            log=found.logs[passes.log_index[i]],
-            landmark=found.ids[passes.landmark_index[i]],
-            first_frame=int(passes.first_frame[i]),
-            last_frame=int(passes.last_frame[i]),
-            frames=int(b.frames[i]),
-            old=int(a.right[i]),
-            new=int(b.right[i]),
-        )
 
 
 def screen(found: Comparison, most: int = 12) -> str:

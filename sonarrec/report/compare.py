@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -135,8 +136,15 @@ def _row(d: Difference, label: str) -> Row:
 
 def _ranked(found: Comparison, protocol: str, verdict: str) -> Ranked:
     sign = -1 if verdict == "worse" else 1
-    passes = [p for p in found.passes if p.protocol == protocol and sign * (p.new - p.old) > 0]
-    passes.sort(key=lambda p: -abs(p.new - p.old))
+    passes: list[PassChange] = []
+    more = 0
+    for one in found.passes:
+        if one.protocol == protocol and sign * (one.new - one.old) > 0:
+            passes.append(one)
+            more += 1
+        if len(passes) > 2 * MOST:
+            passes = _most_changed(passes)
+    passes = _most_changed(passes)
     runs, count = found.frames.runs(MOST, protocol, verdict)
     told = [
         Run(
@@ -152,4 +160,8 @@ def _ranked(found: Comparison, protocol: str, verdict: str) -> Ranked:
         )
         for run in runs
     ]
-    return Ranked(verdict, passes[:MOST], len(passes[MOST:]), told, count - len(told))
+    return Ranked(verdict, passes, more - len(passes), told, count - len(told))
+
+
+def _most_changed(passes: Sequence[PassChange]) -> list[PassChange]:
+    return sorted(passes, key=lambda p: -abs(p.new - p.old))[:MOST]
