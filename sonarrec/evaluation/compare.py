@@ -255,11 +255,12 @@ def _compared(both: _Both, **told: Any) -> Comparison:
         n = olds.get((b.protocol, b.method))
         if n is not None:
             methods.append((b.protocol, b.method))
-            old = [*metrics.rates_of(metrics.Case(before, units), before.scored[n])]
-            new = [*metrics.rates_of(metrics.Case(after, units), b)]
-            rates += _rate_changes(old, new)
             outcomes.append((before.outcomes[n], after.outcomes[m]))
+            # An ID at a time: a curve of many logs is long.
+            old = metrics.rates_of(metrics.Case(before, units), before.scored[n])
+            new = metrics.rates_of(metrics.Case(after, units), b)
             for was, now in zip(old, new, strict=True):
+                rates += _rate_changes(was, now)
                 was_tally, now_tally = (metrics.tally(metrics.rates, side) for side in (was, now))
                 found += differences(was_tally, now_tally, weights, tosses)
     return Comparison(
@@ -277,15 +278,13 @@ def _compared(both: _Both, **told: Any) -> Comparison:
     )
 
 
-def _rate_changes(old: Sequence[Counted], new: Sequence[Counted]) -> Iterable[RateChange]:
-    for a, b in zip(old, new, strict=True):
-        tp, tn, fp, fn = b.exact.made[0].tolist()
-        labels = a.protocol, a.method, a.landmark_text
-        for name in MAIN:
-            was, now = (BY_NAME[name].value(side) for side in (a, b))
-            if not (math.isnan(was) and math.isnan(now)):
-                of = fp + tn if name == "fpr" else tp + fn
-                yield RateChange(*labels, name, was, now, of)
+def _rate_changes(a: Counted, b: Counted) -> Iterable[RateChange]:
+    tp, tn, fp, fn = b.exact.made[0].tolist()
+    for name in MAIN:
+        was, now = (BY_NAME[name].value(side) for side in (a, b))
+        if not (math.isnan(was) and math.isnan(now)):
+            of = fp + tn if name == "fpr" else tp + fn
+            yield RateChange(b.protocol, b.method, b.landmark_text, name, was, now, of)
 
 
 def screen(found: Comparison, most: int = 12) -> str:
