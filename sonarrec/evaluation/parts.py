@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -106,6 +106,8 @@ def part_of(
     """
     if scored is None:
         scored = score_all(joined)
+    if not scored:  # of a log without any method others still need what there was to claim
+        scored = score_all(replace(joined, methods=("",)))
     passes, logs = find_passes(joined), len(joined.logs)
     units = pass_units(joined, passes)
     of_truth = joined.log_index[joined.truth_frame_index]

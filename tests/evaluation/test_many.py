@@ -17,11 +17,12 @@ from hypothesis import strategies as st
 from sonarrec.cli import main
 from sonarrec.evaluation import store, survey
 from sonarrec.evaluation.evaluate import evaluate_many, evaluate_pairs
-from sonarrec.evaluation.pairs import read_pairs
+from sonarrec.evaluation.pairs import Pair, read_pairs
 from sonarrec.evaluation.passes import UnitKind
 from sonarrec.evaluation.store import Store, ranked, summed
 from sonarrec.evaluation.summary import summarise
 from sonarrec.evaluation.write import write_evaluation
+from tests.evaluation.test_evaluation import write_case
 from tests.studies.scoring import peak_of_comparing, peak_of_scoring
 from tests.support.made_up import make_logs, make_sides
 
@@ -143,6 +144,19 @@ def test_memory_of_a_comparison_does_not_grow_with_the_logs(tmp_path: Path) -> N
         peak_of_comparing(*make_sides(tmp_path / str(logs), logs, 1000)) for logs in (40, 160)
     )
     assert many - few < 25
+
+
+def test_a_log_without_any_estimate_counts_as_nothing_claimed(tmp_path: Path) -> None:
+    """Of another program, whose run.toml names no method."""
+    truth = [(f, 1, 2.0, 0.0, 1.0) for f in range(5, 25)]
+    pairs = []
+    for name, last in (("a", 20), ("b", 0)):
+        claims = [(f, "m", 2.0, 0.0, 1, 0.9, 1) for f in range(5, last)]
+        pairs.append(Pair(*write_case(tmp_path / name, range(40), claims, truth), name))
+    for name, found in (("w", evaluate_pairs(pairs).pooled()), ("e", evaluate_many(pairs))):
+        write_evaluation(tmp_path / name, found, summarise(found))
+        assert found.scored[0].count().fn == 5 + 20
+    assert files(tmp_path / "e") == files(tmp_path / "w")
 
 
 def test_few_small_logs_start_no_process(pairs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
