@@ -31,7 +31,7 @@ from sonarrec.records import (
     UsageError,
     shown,
 )
-from sonarrec.remote.fetch import RemoteLog
+from sonarrec.remote.find import RemoteLog
 from sonarrec.results.folders import folder_names
 from sonarrec.results.run_file import Given, Held, held_results
 from sonarrec.results.sightings import Sighting, Sightings

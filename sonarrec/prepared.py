@@ -83,9 +83,7 @@ def prepared(
         recogniser = SideBySide(
             configs, first.fan, landmarks, learned.model if learned else None, poses
         )
-        folder = out / (name or log.name)
-        if folder.resolve() == path.resolve():
-            raise UsageError(f"{shown(folder)}: this is the log itself; choose another --out")
+        folder = _results_of(path, out / (name or log.name))
         source = (shown(log.name), *log.digest_source())
         table = run_table(
             configs,
@@ -117,6 +115,13 @@ def prepared(
             folder,
             [*notes, *more, *more_of_beams],
         )
+
+
+def _results_of(log: Path, folder: Path) -> Path:
+    """The folder of a log's results. Raises UsageError where it would replace the log."""
+    if folder.resolve() == log.resolve():
+        raise UsageError(f"{shown(folder)}: this is the log itself; choose another --out")
+    return folder
 
 
 def _with_beams(

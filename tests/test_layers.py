@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 FLOORS = (
-    {"records"},
+    {"records", "cores"},
     {"toml", "outputs", "parquet"},
     {"config", "sonar", "landmarks", "poses", "tables"},
     {"geometry"},

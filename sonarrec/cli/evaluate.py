@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +29,7 @@ from sonarrec.cli.options_remote import ANY_OR_URL, FILE_OR_URL, CacheChoice, ca
 from sonarrec.records import UsageError
 
 if TYPE_CHECKING:
+    from sonarrec.evaluation.compare import Comparison
     from sonarrec.remote.run import Here
 
 
@@ -137,7 +138,9 @@ def evaluate(
         here = Here(held, cache.cache)
         truth = here.file(ground_truth)
         if compare is not None:
-            code = _compare(compare, truth, pairs, out, band, as_json, quiet, scoring, here)
+            code = _compare(
+                compare, truth, pairs, out, band, as_json, quiet, {**scoring, "jobs": jobs}, here
+            )
         else:
             shown = _Shown(details, as_json, quiet)
             code = _score(results, truth, pairs, out, unit, jobs, det, shown, scoring, here)
@@ -178,19 +181,24 @@ def _score(
         folder = here.output(out or pairs.parent / "evaluation")
     else:
         results = results or Path("sonarrec_out")
-        found = evaluate_many(here.results(results), ground_truth, jobs=jobs, **scoring)
+        found = evaluate_many(
+            here.results(results), ground_truth, jobs=jobs, elsewhere=here.beside, **scoring
+        )
         folder = here.output(out or inside(results, "evaluation"))
+    found = replace(
+        found, notes=tuple(map(here.told, found.notes)), unused=tuple(map(here.told, found.unused))
+    )
     summary = summarise(found, unit)
     written = write.write_evaluation(folder, found, summary, det)
-    unused = [*here.unused, *map(here.told, found.unused)]
+    unused = [*here.unused, *found.unused]
     tell(unused)
     if shown.as_json:
-        click.echo(here.told(write.json_text(write.as_json(found, summary))), nl=False)
+        click.echo(write.json_text(write.as_json(found, summary)), nl=False)
     elif not shown.quiet:
         click.echo(tabulate.screen(found))
         click.echo(tabulate.summary_screen(found, summary, shown.details))
         for note in (*found.notes, *summary.notes):
-            click.echo(f"note: {here.told(note)}")
+            click.echo(f"note: {note}")
         click.echo(f"{here.told(str(folder))}: {', '.join(written)}")
     return PARTLY if unused else 0
 
@@ -208,23 +216,44 @@ def _compare(
 ) -> int:
     """The exit code."""
     from sonarrec.evaluation import compare, write
-    from sonarrec.evaluation.pairs import read_pairs
     from sonarrec.remote.run import inside
 
-    truth = read_pairs(pairs) if pairs is not None else ground_truth
-    old, new = map(here.results, sides)
-    found = compare.compare(old, new, truth, **scoring)
+    found = compared(sides, ground_truth, pairs, scoring, here)
     folder = here.output(out or inside(sides[1], "evaluation"))
     written = write.write_comparison(folder, found)
-    unused = [*here.unused, *map(here.told, found.unused)]
+    unused = [*here.unused, *found.unused]
     tell(unused)
     if as_json:
-        click.echo(here.told(write.json_text(write.comparison_as_json(found))), nl=False)
+        for piece in write.comparison_json(found):
+            click.echo(piece, nl=False)
     elif not quiet:
         click.echo(compare.screen(found))
         for note in found.notes:
-            click.echo(f"note: {here.told(note)}")
+            click.echo(f"note: {note}")
         click.echo(f"{here.told(str(folder))}: {', '.join(written)}")
     regressions = [] if band is None else found.regressions(band)
     tell(f"worse: {line}" for line in regressions)
     return 1 if regressions else PARTLY if unused else 0
+
+
+def compared(
+    sides: tuple[Path | str, Path | str],
+    ground_truth: Path | None,
+    pairs: Path | None,
+    scoring: dict[str, Any],
+    here: Here,
+) -> Comparison:
+    """Two results, wherever they lie, as `evaluation.compare.compare`."""
+    from sonarrec.evaluation.compare import compare
+    from sonarrec.evaluation.pairs import read_pairs
+
+    truth = read_pairs(pairs) if pairs is not None else ground_truth
+    old, new = map(here.results, sides)
+    found = compare(old, new, truth, elsewhere=here.beside, **scoring)
+    return replace(
+        found,
+        old=here.told(found.old),
+        new=here.told(found.new),
+        notes=tuple(map(here.told, found.notes)),
+        unused=tuple(map(here.told, found.unused)),
+    )

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from sonarrec.readers.info import Channel, Container, Images, LogInfo
     from sonarrec.readers.many import NamedLog
     from sonarrec.records import Origin
-    from sonarrec.remote.fetch import RemoteLog
+    from sonarrec.remote.find import RemoteLog
 
 
 @command(short_help="Show what is in a log, and whether it is whole.")

@@ -171,12 +171,11 @@ def _compare(
     here: Here,
 ) -> tuple[Sequence[str], str]:
     """Write the page; what could not be used, and what to print."""
-    from sonarrec.evaluation.pairs import read_pairs
+    from sonarrec.cli.evaluate import compared
     from sonarrec.remote.run import inside
     from sonarrec.report.compare import write_comparison_page
 
-    truth = read_pairs(pairs) if pairs is not None else ground_truth
     page = here.output(out or inside(sides[1], "compare.html"), "compare.html")
-    old, new = map(here.results, sides)
-    written = write_comparison_page(page, old, new, truth, **scoring)
-    return written.unused, f"{written.path}: {written.path.stat().st_size / 1e6:.2f} MB"
+    found = compared(sides, ground_truth, pairs, scoring, here)
+    write_comparison_page(page, found)
+    return found.unused, f"{page}: {page.stat().st_size / 1e6:.2f} MB"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -43,7 +42,7 @@ if TYPE_CHECKING:
     from sonarrec.batch.task import Task
     from sonarrec.prepared import Used
     from sonarrec.readers.many import NamedLog
-    from sonarrec.remote.fetch import RemoteLog
+    from sonarrec.remote.find import RemoteLog
     from sonarrec.remote.upload import Outbox
     from sonarrec.results.run_file import Given
 
@@ -196,6 +195,7 @@ def run(
       sonarrec run s3://dives/2026-11-20/ -o s3://dives/results
     """
     from sonarrec.cli.run_watch import RunWatch
+    from sonarrec.cores import cores
     from sonarrec.parquet import check_parquet
     from sonarrec.prepared import Used
     from sonarrec.results.run_file import Given, frame_span
@@ -225,7 +225,7 @@ def run(
     if dry_run:
         _plan(tasks)
         return
-    jobs = min(jobs or _cores(), len(tasks))
+    jobs = min(jobs or cores(), len(tasks))
     watch = RunWatch(tasks, out, box, jobs=jobs, quiet=quiet, verbose=verbose, json=as_json)
     folders = [out / task.name for task in tasks if task.name is not None]
     with _stoppable(folders), watch:
@@ -253,6 +253,7 @@ def _run(
     tasks: list[Task], watch: Watch, jobs: int, timeout: float | None, scheduler: str | None
 ) -> None:
     from sonarrec.batch.processes import run_apart, run_here
+    from sonarrec.cores import cores
 
     if scheduler is not None:
         from sonarrec.batch.cluster import run_on_cluster
@@ -260,18 +261,11 @@ def _run(
         run_on_cluster(tasks, scheduler, watch, timeout)
         return
     # A log of images takes two cores where they are free: one decodes ahead.
-    tasks = [replace(task, ahead=_cores() >= 2 * jobs) for task in tasks]
+    tasks = [replace(task, ahead=cores() >= 2 * jobs) for task in tasks]
     if jobs > 1 or timeout is not None:
         run_apart(tasks, jobs, watch, timeout)
     else:
         run_here(tasks, watch)
-
-
-def _cores() -> int:
-    """How many this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def _outbox(out: Path | str, cache: CacheChoice) -> Outbox | None:
@@ -296,7 +290,7 @@ def _tasks(
 ) -> list[Task]:
     from sonarrec.batch.task import Task
     from sonarrec.pipeline import result_names
-    from sonarrec.remote.fetch import RemoteLog
+    from sonarrec.remote.find import RemoteLog
     from sonarrec.remote.run import Elsewhere
 
     tasks = []

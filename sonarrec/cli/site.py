@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -27,6 +29,9 @@ from sonarrec.cli.options import (
     tell,
 )
 from sonarrec.cli.options_background import Laying, laying_options
+
+if TYPE_CHECKING:
+    from sonarrec.report.site import Site
 
 
 @command(short_help="Say at which contrast, and how far, landmarks would be recognised.")
@@ -118,17 +123,21 @@ def site(
     write_site(out, found, render(found))
     tell(background.problems, found.notes)
     if not quiet:
-        told = "1 layout" if layouts == 1 else f"{layouts} layouts"
-        click.echo(f"{out / 'site.html'}: {found.frames} frames, {told}")
-        for one in found.contrasts:
-            rate = one.found.tpr
-            false = one.found.false_per_100.value
-            far = f", 90% from {one.span}" if one.reaches else ""
-            click.echo(
-                f"  {one.contrast_db:4g} dB: TPR {rate.value:.3f} over {rate.units} passes, "
-                f"{false:.2f} false claims in 100 frames{far}"
-            )
-        for sentence in found.sentences:
-            click.echo(f"  {sentence}")
+        click.echo("\n".join(_told(found, out / "site.html", layouts)))
     if background.problems:
         leave(PARTLY)
+
+
+def _told(found: Site, page: Path, layouts: int) -> Iterator[str]:
+    """What was found, a line for each contrast."""
+    told = "1 layout" if layouts == 1 else f"{layouts} layouts"
+    yield f"{page}: {found.frames} frames, {told}"
+    for one in found.contrasts:
+        rate = one.found.tpr
+        false = one.found.false_per_100.value
+        far = f", 90% from {one.span}" if one.reaches else ""
+        yield (
+            f"  {one.contrast_db:4g} dB: TPR {rate.value:.3f} over {rate.units} passes, "
+            f"{false:.2f} false claims in 100 frames{far}"
+        )
+    yield from (f"  {sentence}" for sentence in found.sentences)

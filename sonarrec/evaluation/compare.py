@@ -3,32 +3,36 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sonarrec.evaluation import metrics
-from sonarrec.evaluation.behaviour import pass_outcomes
-from sonarrec.evaluation.counted import Counted, rate_counts
-from sonarrec.evaluation.evaluate import Evaluation, check_options, pool
-from sonarrec.evaluation.joined import Joined
+from sonarrec.evaluation.behaviour import PassOutcomes
+from sonarrec.evaluation.both import BothCounted, BothReading, count_both
+from sonarrec.evaluation.changes import FrameChanges, put
+from sonarrec.evaluation.counted import Counted
+from sonarrec.evaluation.evaluate import check_options, other_ids
+from sonarrec.evaluation.fit import fit
 from sonarrec.evaluation.metrics import BY_NAME, MAIN
-from sonarrec.evaluation.pairs import Pair
-from sonarrec.evaluation.passes import Passes, find_passes, find_units
-from sonarrec.evaluation.scoring import Scored
+from sonarrec.evaluation.pairs import Elsewhere, Pair
+from sonarrec.evaluation.pooled import Parts, Pooled, pooled
 from sonarrec.evaluation.settings import SettingChange
-from sonarrec.evaluation.sides import Sides, both_sides
+from sonarrec.evaluation.sides import both_sides
+from sonarrec.evaluation.store import Store
 from sonarrec.evaluation.summary import UNITS
+from sonarrec.evaluation.survey import each
 from sonarrec.evaluation.uncertainty import (
     Difference,
     bootstrap_weights,
     coin_tosses,
     differences,
 )
-from sonarrec.records import printable
+from sonarrec.records import SonarrecError, printable
 from sonarrec.sonar import Sonar
 
 FRAMES_FREE = 2
@@ -63,26 +67,6 @@ class RateChange:
 
 
 @dataclass(frozen=True, slots=True)
-class FrameChange:
-    """A frame and ID that one method no longer counts as before."""
-
-    protocol: str
-    method: str
-    log: str
-    frame: int
-    landmark: int
-    old: tuple[int, int, int]
-    new: tuple[int, int, int]
-    """TP, FP, FN there."""
-
-    @property
-    def verdict(self) -> str:
-        """better, worse or other, by the number of errors."""
-        more = sum(self.new[1:]) - sum(self.old[1:])
-        return "worse" if more > 0 else "better" if more < 0 else "other"
-
-
-@dataclass(frozen=True, slots=True)
 class PassChange:
     """A pass of a landmark through the view in which one method has more right frames, or fewer."""
 
@@ -100,6 +84,31 @@ class PassChange:
 
 
 @dataclass(frozen=True, slots=True)
+class PassChanges:
+    """All of them, each made as it is asked for: of many logs they are many."""
+
+    outcomes: tuple[tuple[PassOutcomes, PassOutcomes], ...]
+    """Before and after, of each method under each protocol."""
+    found: Pooled
+
+    def __iter__(self) -> Iterator[PassChange]:
+        found, passes = self.found, self.found.passes
+        for a, b in self.outcomes:
+            for i in np.flatnonzero(a.right != b.right).tolist():
+                yield PassChange(
+                    protocol=a.protocol,
+                    method=a.method,
+                    log=found.logs[passes.log_index[i]],
+                    landmark=found.ids[passes.landmark_index[i]],
+                    first_frame=int(passes.first_frame[i]),
+                    last_frame=int(passes.last_frame[i]),
+                    frames=int(b.frames[i]),
+                    old=int(a.right[i]),
+                    new=int(b.right[i]),
+                )
+
+
+@dataclass(frozen=True, slots=True)
 class Comparison:
     """What `compare` found."""
 
@@ -114,8 +123,8 @@ class Comparison:
     settings: tuple[SettingChange, ...]
     """What differs in how the results were made."""
     rates: tuple[RateChange, ...]
-    frames: tuple[FrameChange, ...]
-    passes: tuple[PassChange, ...]
+    frames: FrameChanges
+    passes: PassChanges
     differences: tuple[Difference, ...]
     """New less old, per ID and in total, with interval and p-value."""
     lost: tuple[str, ...]
@@ -149,12 +158,16 @@ def compare(
     new: Path,
     ground_truth: Path | Sequence[Pair] | None = None,
     *,
+    jobs: int | None = None,
     min_visible: float = 0.9,
     tolerance_s: float | None = None,
     landmarks: str | None = None,
     sonar: Sonar | None = None,
+    elsewhere: Elsewhere | None = None,
 ) -> Comparison:
     """Compare two results folders, each of one log or of several, on the frames both hold.
+
+    Each log is read, counted and let go: memory does not grow with the logs.
 
     Logs go together by name or SHA-256, or where each side has one log. ground_truth: one table,
     or pairs, of which each log takes that of its results; None: the truth beside each log. The
@@ -162,96 +175,116 @@ def compare(
     used, logs differ or nothing is in common.
     """
     check_options(min_visible, tolerance_s)
-    sides = both_sides(old, new, ground_truth, tolerance_s, landmarks, sonar)
-    before, after = (pool(cases, min_visible) for cases in (sides.before, sides.after))
-    return _compared((str(old), str(new)), before, after, sides)
-
-
-def _compared(
-    names: tuple[str, str], before: Evaluation, after: Evaluation, sides: Sides
-) -> Comparison:
-    joined = after.joined
-    passes = find_passes(joined)
-    units = find_units(joined, passes)
-    rng = np.random.default_rng(0)
-    weights, tosses = bootstrap_weights(units.count, rng), coin_tosses(units.count, rng)
-    olds = {(s.protocol, s.method): s for s in before.scored}
-    rates: list[RateChange] = []
-    frames: list[FrameChange] = []
-    of_passes: list[PassChange] = []
-    found: list[Difference] = []
-    for b in after.scored:
-        a = olds.get((b.protocol, b.method))
-        if a is not None:
-            old, new = rate_counts(a, units), rate_counts(b, units)
-            rates += _rate_changes(old, new)
-            frames += _frame_changes(a, b, joined)
-            of_passes += _pass_changes(a, b, joined, passes)
-            for was, now in zip(old, new, strict=True):
-                was_tally, now_tally = (metrics.tally(metrics.rates, side) for side in (was, now))
-                found += differences(was_tally, now_tally, weights, tosses)
-    ours, theirs = before.joined.methods, after.joined.methods
-    return Comparison(
-        old=names[0],
-        new=names[1],
-        logs=joined.logs,
-        frames_compared=len(joined.frame),
-        units=f"{units.count} {UNITS[units.kind]}",
-        landmarks=joined.ids,
+    sides = both_sides(old, new, ground_truth, landmarks, elsewhere)
+    options = min_visible, tolerance_s, landmarks, sonar
+    readings = [
+        BothReading(one.was, one.now, one.ground_truth, one.name, *options) for one in sides.logs
+    ]
+    both = _counted(readings, jobs, min_visible)
+    notes = [*dict.fromkeys(sides.notes), *both.notes]
+    unused = [*dict.fromkeys([*sides.unused, *both.cut]), *both.unused]
+    return _compared(
+        both,
+        old=str(old),
+        new=str(new),
         settings=tuple(sides.settings),
-        rates=tuple(rates),
-        frames=tuple(frames),
-        passes=tuple(of_passes),
-        differences=tuple(found),
-        lost=tuple(m for m in ours if m not in theirs),
-        gained=tuple(m for m in theirs if m not in ours),
-        notes=tuple(map(printable, sides.notes)),
-        unused=tuple(map(printable, sides.unused)),
+        notes=tuple(map(printable, notes)),
+        unused=tuple(map(printable, unused)),
     )
 
 
-def _rate_changes(old: Sequence[Counted], new: Sequence[Counted]) -> Iterable[RateChange]:
-    for a, b in zip(old, new, strict=True):
-        tp, tn, fp, fn = b.exact.made[0].tolist()
-        labels = a.protocol, a.method, a.landmark_text
-        for name in MAIN:
-            was, now = (BY_NAME[name].value(side) for side in (a, b))
-            if not (math.isnan(was) and math.isnan(now)):
-                of = fp + tn if name == "fpr" else tp + fn
-                yield RateChange(*labels, name, was, now, of)
+@dataclass(frozen=True, slots=True)
+class _Both:
+    """All logs on both sides, each of which was read once and let go."""
+
+    before: Pooled
+    after: Pooled
+    """Of the same logs, frames and passes."""
+    frames: Callable[[tuple[tuple[str, str], ...]], FrameChanges]
+    """What changed, of each protocol and method that is asked for."""
+    notes: list[str]
+    cut: list[str]
+    """A line for each part of a log that is not compared."""
+    unused: list[str]
+    """A line for each log that is not."""
 
 
-def _frame_changes(a: Scored, b: Scored, joined: Joined) -> Iterable[FrameChange]:
-    frames = len(joined.frame)
-    cells = [s.declared_by(np.arange(frames), joined.truth_frame_index, frames) for s in (a, b)]
-    old, new = (c[:, :, [0, 2, 3]] for c in cells)
-    for f, k in np.argwhere((old != new).any(axis=2)).tolist():
-        was, now = old[f, k].tolist(), new[f, k].tolist()
-        yield FrameChange(
-            protocol=a.protocol,
-            method=a.method,
-            log=joined.logs[joined.log_index[f]],
-            frame=int(joined.frame[f]),
-            landmark=a.ids[k],
-            old=(was[0], was[1], was[2]),
-            new=(now[0], now[1], now[2]),
-        )
+def _counted(readings: Sequence[BothReading], jobs: int | None, min_visible: float) -> _Both:
+    store = Store()
+    before, after = Parts(store, "old"), Parts(store, "new")
+    logs: list[BothCounted] = []
+    numbers: dict[int, int] = {}
+    ids: tuple[int, ...] | None = None
+    for i, log in enumerate(each(count_both, readings, jobs)):
+        one = log
+        if one.sides is not None:
+            ids = ids or one.ids
+            if one.ids != ids and set(one.ids) == set(ids):  # in the order of the first
+                one = count_both(replace(readings[i], ids=ids))
+        if one.sides is not None:
+            numbers[i] = before.put(one.sides[0])
+            after.put(one.sides[1])
+            put(store, numbers[i], one.changes)
+        logs.append(replace(one, sides=None, changes={}))
+    found = fit([log.checked for log in logs])
+    used = [logs[i] for i in found.usable]
+    for log in used:
+        if set(log.ids) != set(used[0].ids):
+            raise other_ids(used[0].name, log.name)
+    kept, names = [numbers[i] for i in found.usable], [log.name for log in used]
+    old, new = (pooled(parts, kept, names, min_visible) for parts in (before, after))
+    if not (old.methods and new.methods):
+        raise SonarrecError(f"{', '.join(names)}: estimates.csv names no method to score")
+    named = tuple(zip(kept, names, strict=True))
+    cut = [line for log in logs for line in log.unused]
+    return _Both(old, new, partial(FrameChanges, store, named), found.notes, cut, found.unused)
 
 
-def _pass_changes(a: Scored, b: Scored, joined: Joined, passes: Passes) -> Iterable[PassChange]:
-    old, new = (pass_outcomes(scored, joined, passes) for scored in (a, b))
-    for i in np.flatnonzero(old.right != new.right).tolist():
-        yield PassChange(
-            protocol=a.protocol,
-            method=a.method,
-            log=joined.logs[passes.log_index[i]],
-            landmark=joined.ids[passes.landmark_index[i]],
-            first_frame=int(joined.frame[passes.first_frame_index[i]]),
-            last_frame=int(joined.frame[passes.last_frame_index[i]]),
-            frames=int(new.frames[i]),
-            old=int(old.right[i]),
-            new=int(new.right[i]),
-        )
+def _compared(both: _Both, **told: Any) -> Comparison:
+    """told: the fields of Comparison that are known already."""
+    before, after = both.before, both.after
+    units = after.units()
+    rng = np.random.default_rng(0)
+    weights, tosses = bootstrap_weights(units.count, rng), coin_tosses(units.count, rng)
+    olds = {(s.protocol, s.method): n for n, s in enumerate(before.scored)}
+    rates: list[RateChange] = []
+    outcomes = []
+    found: list[Difference] = []
+    methods = []
+    for m, b in enumerate(after.scored):
+        n = olds.get((b.protocol, b.method))
+        if n is not None:
+            methods.append((b.protocol, b.method))
+            outcomes.append((before.outcomes[n], after.outcomes[m]))
+            # An ID at a time: a curve of many logs is long.
+            old = metrics.rates_of(metrics.Case(before, units), before.scored[n])
+            new = metrics.rates_of(metrics.Case(after, units), b)
+            for was, now in zip(old, new, strict=True):
+                rates += _rate_changes(was, now)
+                was_tally, now_tally = (metrics.tally(metrics.rates, side) for side in (was, now))
+                found += differences(was_tally, now_tally, weights, tosses)
+    return Comparison(
+        logs=after.logs,
+        frames_compared=after.frames,
+        units=f"{units.count} {UNITS[units.kind]}",
+        landmarks=after.ids,
+        rates=tuple(rates),
+        frames=both.frames(tuple(methods)),
+        passes=PassChanges(tuple(outcomes), after),
+        differences=tuple(found),
+        lost=tuple(m for m in before.methods if m not in after.methods),
+        gained=tuple(m for m in after.methods if m not in before.methods),
+        **told,
+    )
+
+
+def _rate_changes(a: Counted, b: Counted) -> Iterable[RateChange]:
+    tp, tn, fp, fn = b.exact.made[0].tolist()
+    for name in MAIN:
+        was, now = (BY_NAME[name].value(side) for side in (a, b))
+        if not (math.isnan(was) and math.isnan(now)):
+            of = fp + tn if name == "fpr" else tp + fn
+            yield RateChange(b.protocol, b.method, b.landmark_text, name, was, now, of)
 
 
 def screen(found: Comparison, most: int = 12) -> str:
@@ -276,21 +309,21 @@ def screen(found: Comparison, most: int = 12) -> str:
         lines.append(f"no p-values: {few}")
     lines += [f"{method}: only in the old results" for method in found.lost]
     lines += [f"{method}: only in the new results" for method in found.gained]
-    verdicts = [c.verdict for c in found.frames]
+    verdicts = found.frames.verdicts()
     lines.append(
-        f"frames and IDs: {verdicts.count('better')} better, {verdicts.count('worse')} worse, "
-        f"{verdicts.count('other')} otherwise changed"
+        f"frames and IDs: {verdicts['better']} better, {verdicts['worse']} worse, "
+        f"{verdicts['other']} otherwise changed"
     )
-    runs = frame_runs(found.frames)
-    for run in runs[:most]:
-        first, last = run[0], run[-1]
-        span = f"frame {first.frame}" if len(run) == 1 else f"frames {first.frame}-{last.frame}"
+    runs, count = found.frames.runs(most)
+    for run in runs:
+        first, last = run.first, run.last_frame
+        span = f"frame {first.frame}" if run.count == 1 else f"frames {first.frame}-{last}"
         lines.append(
             f"  {first.verdict}: {first.log} {span}, {first.method}, {first.protocol}, "
             f"ID.{first.landmark}: {outcome(first.old)} -> {outcome(first.new)}"
         )
-    if len(runs) > most:
-        lines.append(f"  and {len(runs) - most} more runs; changes.csv has all")
+    if count > most:
+        lines.append(f"  and {count - most} more runs; changes.csv has all")
     return "\n".join(map(printable, lines))
 
 
@@ -309,18 +342,3 @@ def outcome(counts: tuple[int, int, int]) -> str:
     """TP, FP, FN of one frame and ID in words."""
     named = [n for n, c in zip(("TP", "FP", "FN"), counts, strict=True) for _ in range(c)]
     return " + ".join(named) or "TN"
-
-
-def frame_runs(changes: Iterable[FrameChange]) -> list[list[FrameChange]]:
-    """Equal changes in neighbouring frames, put together; the longest first."""
-
-    def key(c: FrameChange) -> tuple[Any, ...]:
-        return c.protocol, c.method, c.log, c.landmark, c.old, c.new
-
-    runs: list[list[FrameChange]] = []
-    for change in sorted(changes, key=lambda c: (*key(c), c.frame)):
-        if runs and key(runs[-1][-1]) == key(change) and change.frame - runs[-1][-1].frame <= 2:
-            runs[-1].append(change)
-        else:
-            runs.append([change])
-    return sorted(runs, key=lambda run: -len(run))

@@ -12,8 +12,6 @@ from typing import Any
 import numpy as np
 
 from sonarrec.evaluation.curves import FPR_POINTS, Curve, ratio
-from sonarrec.evaluation.passes import Units
-from sonarrec.evaluation.scoring import Scored
 from sonarrec.evaluation.store import Blocks, ranked
 from sonarrec.records import BoolArray, FloatArray, IntArray
 
@@ -76,23 +74,6 @@ class Spread:
         total = self.reached[:, -1:]
         found = self.edges[np.argmax(self.reached >= share * total - 1e-3, axis=1)]  # counts: whole
         return np.where(total[:, 0] > 0, found, np.nan)
-
-
-def rate_counts(scored: Scored, units: Units) -> list[Counted]:
-    """Rates at the operating point and the ROC: per ID, then in total."""
-    base = scored.base_by(units.of_frame, units.of_truth, units.count)
-    declared = scored.declared_by(units.of_frame, units.of_truth, units.count)
-    group = scored.claims_by(units.of_frame, units.of_truth)
-    found = []
-    for k, landmark in enumerate(scored.ids):
-        mine = scored.landmark_index == k
-        claims = [(scored.score[mine], scored.effect[mine], group[mine])]
-        labels = (scored.protocol, scored.method, str(landmark))
-        found.append(rate_count(labels, base[:, k], declared[:, k], scored.curve(k), claims))
-    labels = (scored.protocol, scored.method, "total")
-    claims = [(scored.score, scored.effect, group)]
-    whole = base.sum(axis=1), declared.sum(axis=1)
-    return [*found, rate_count(labels, *whole, scored.curve(), claims)]
 
 
 def rate_count(

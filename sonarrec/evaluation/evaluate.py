@@ -12,12 +12,12 @@ import numpy as np
 
 from sonarrec.evaluation.fit import Matched, fit, left_out
 from sonarrec.evaluation.joined import Joined, join
-from sonarrec.evaluation.pairs import Pair, found_beside, found_where
+from sonarrec.evaluation.pairs import Elsewhere, Pair, found_beside, found_where
 from sonarrec.evaluation.parts import part_of, score_all
 from sonarrec.evaluation.pooled import Parts, Pooled, pooled
 from sonarrec.evaluation.same import counted_once
 from sonarrec.evaluation.scoring import Scored
-from sonarrec.evaluation.survey import Reading, Surveyed, survey, survey_all
+from sonarrec.evaluation.survey import Reading, Surveyed, each, survey
 from sonarrec.records import IntArray, SonarrecError, UsageError, printable
 from sonarrec.results.read import find_logs, read_frames
 from sonarrec.sonar import Sonar
@@ -108,15 +108,17 @@ def evaluate_many(
     tolerance_s: float | None = None,
     landmarks: str | None = None,
     sonar: Sonar | None = None,
+    elsewhere: Elsewhere | None = None,
 ) -> Pooled:
     """As `evaluate`, or `evaluate_pairs` where results is pairs, but each log is read, counted and
     let go: memory does not grow with the logs.
 
-    jobs: processes side by side, as `survey.survey_all`; the result is the same however many.
+    jobs: processes side by side, as `survey.each`; the result is the same however many.
+    elsewhere: finds truth beside logs on servers, as for `pairs.found_beside`.
     """
     options = min_visible, tolerance_s, landmarks, sonar
     if isinstance(results, str | Path):
-        given = _given(results, ground_truth, *options)
+        given = _given(results, ground_truth, *options, elsewhere)
     else:
         given = _of_pairs(results, *options)
     parts = Parts()
@@ -124,7 +126,7 @@ def evaluate_many(
 
     def counted() -> Iterable[Surveyed]:
         ids: tuple[int, ...] | None = None
-        for i, one in enumerate(survey_all(given.readings, jobs)):
+        for i, one in enumerate(each(survey, given.readings, jobs)):
             ids = ids or one.ids
             if one.ids != ids and set(one.ids) == set(ids):  # in the order of the first
                 one = survey(replace(given.readings[i], ids=ids))
@@ -165,6 +167,7 @@ def _given(
     tolerance_s: float | None,
     landmarks: str | None,
     sonar: Sonar | None,
+    elsewhere: Elsewhere | None = None,
 ) -> _Given:
     results = Path(results)
     check_options(min_visible, tolerance_s)
@@ -176,7 +179,7 @@ def _given(
         "sonar": sonar,
     }
     if ground_truth is None:  # each log with the truth that lies beside it
-        pairs, without = found_beside(folders)
+        pairs, without = found_beside(folders, elsewhere)
         readings = [Reading(p.results, p.ground_truth, **options) for p in pairs]
         return _Given(readings, list(map(found_where, pairs)), without)
     path = Path(ground_truth)
@@ -258,7 +261,7 @@ def _gathered(given: _Given, surveyed: Iterable[Surveyed]) -> _Gathered:
     first = logs[used[0]]
     for i in used:
         if set(logs[i].ids) != set(first.ids):
-            raise _other_ids(first.name, logs[i].name)
+            raise other_ids(first.name, logs[i].name)
     return _Gathered(
         logs,
         used,
@@ -299,7 +302,7 @@ def pool(
     logs, truths = [case.log for case in cases], [case.truth for case in cases]
     for log in logs:
         if set(log.landmarks.ids) != set(logs[0].landmarks.ids):
-            raise _other_ids(logs[0].name, log.name)
+            raise other_ids(logs[0].name, log.name)
     joined = join(logs, truths, min_visible)
     told_of = [
         _Told(log.name, truth.rows, truth.between, log.methods)
@@ -315,7 +318,7 @@ def pool(
     return Evaluation(joined, folders, score_all(joined), min_visible, *told)
 
 
-def _other_ids(first: str, other: str) -> SonarrecError:
+def other_ids(first: str, other: str) -> SonarrecError:
     return SonarrecError(
         f"logs {first} and {other} were run with different landmark IDs and "
         "cannot be pooled; evaluate them one by one, or give --landmarks"

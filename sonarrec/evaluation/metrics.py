@@ -24,7 +24,7 @@ from sonarrec.evaluation.behaviour import (
 )
 from sonarrec.evaluation.counted import QUANTILES, Counted, Rates, Spread, rate_count
 from sonarrec.evaluation.curves import FPR_POINTS, PARTIAL_FPR, area, ratio, tpr_at
-from sonarrec.evaluation.pooled import Pooled, PooledUnits
+from sonarrec.evaluation.pooled import Pooled, PooledScored, PooledUnits
 from sonarrec.evaluation.reliability import Calibration, calibration_counts
 from sonarrec.evaluation.uncertainty import Tally
 from sonarrec.records import FloatArray, IntArray
@@ -48,15 +48,20 @@ class Case:
 
 def rates(case: Case) -> Iterable[Counted]:
     """Of Rates, under every protocol."""
+    for scored in case.pooled.scored:
+        yield from rates_of(case, scored)
+
+
+def rates_of(case: Case, s: PooledScored) -> Iterable[Counted]:
+    """Of Rates, of one method under one protocol."""
     pooled, units = case.pooled, case.units
-    for s in pooled.scored:
-        base = pooled.sums(("base", s.protocol), units)
-        declared = base + pooled.sums(("made", s.protocol, s.method), units)
-        for k, landmark in enumerate(s.ids):
-            labels, claims = (s.protocol, s.method, str(landmark)), pooled.claims(s, k, units)
-            yield rate_count(labels, base[:, k], declared[:, k], s.curve(k), claims)
-        labels, claims = (s.protocol, s.method, "total"), pooled.claims(s, None, units)
-        yield rate_count(labels, base.sum(axis=1), declared.sum(axis=1), s.curve(), claims)
+    base = pooled.sums(("base", s.protocol), units)
+    declared = base + pooled.sums(("made", s.protocol, s.method), units)
+    for k, landmark in enumerate(s.ids):
+        labels, claims = (s.protocol, s.method, str(landmark)), pooled.claims(s, k, units)
+        yield rate_count(labels, base[:, k], declared[:, k], s.curve(k), claims)
+    labels, claims = (s.protocol, s.method, "total"), pooled.claims(s, None, units)
+    yield rate_count(labels, base.sum(axis=1), declared.sum(axis=1), s.curve(), claims)
 
 
 def waits(case: Case) -> Iterable[Counted]:

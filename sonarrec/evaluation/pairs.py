@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from sonarrec.readers.find import Source, find_log
+from sonarrec.readers.find import Source, find_log, log_name
 from sonarrec.readers.images import MAX_FILE_BYTES, is_image
 from sonarrec.records import SonarrecError, UsageError
 from sonarrec.remote.urls import is_url
@@ -17,6 +17,8 @@ from sonarrec.tables import line_number, read_header, read_table
 from sonarrec.truth.table import HEADER
 
 TRUTH_FILE = "gt.csv"
+Elsewhere = Callable[[str, str], tuple[Path | None, int | None]]
+"""Of a log's URL and a name the file that lies beside it, None without one, and the log's bytes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,18 +63,20 @@ def one_log(folder: Path) -> Path:
     return folder
 
 
-def found_beside(folders: Iterable[Path]) -> tuple[list[Pair], list[str]]:
+def found_beside(
+    folders: Iterable[Path], elsewhere: Elsewhere | None = None
+) -> tuple[list[Pair], list[str]]:
     """Each results folder with the truth beside its log, and a line for each that has none.
 
-    The log is where run.toml says. Raises UsageError where no folder has any, SonarrecError where
-    several logs share one that does not tell them apart.
+    The log is where run.toml says; elsewhere: looks where that is a URL. Raises UsageError where
+    no folder has any, SonarrecError where several logs share one that does not tell them apart.
     """
     pairs, without = [], []
     sharing: dict[Path, dict[Hashable, Path]] = defaultdict(dict)
     for folder in folders:
         run = read_run(folder / "run.toml")
         try:
-            truth = _truth_beside(folder, run.input)
+            truth = _truth_beside(folder, run.input, elsewhere)
         except SonarrecError as error:
             without.append(str(error))
             continue
@@ -96,7 +100,7 @@ def found_where(pair: Pair) -> str:
     return f"{pair.results}: ground truth {pair.ground_truth}, beside its log"
 
 
-def _truth_beside(folder: Path, source: Input) -> Path:
+def _truth_beside(folder: Path, source: Input, elsewhere: Elsewhere | None) -> Path:
     """NAME.gt.csv, else gt.csv, beside the log that results were made from; of images in the folder
     the gt.csv among them.
 
@@ -104,20 +108,24 @@ def _truth_beside(folder: Path, source: Input) -> Path:
     """
     if source.path is None:
         raise SonarrecError(f"{folder}: no ground truth: run.toml does not tell where the log is")
-    if is_url(source.path):
-        raise SonarrecError(f"{folder}: no ground truth: its log is on a server, {source.path}")
     try:
-        log = find_log(source.path)
+        if is_url(source.path):
+            if elsewhere is None:
+                raise SonarrecError(f"its log is on a server, {source.path}")
+            log, own = source.path, f"{log_name(Path(source.path))}.{TRUTH_FILE}, nor "
+            truth, size = elsewhere(log, TRUTH_FILE)
+        else:
+            found = find_log(source.path)
+            log = str(found.path)
+            own = f"{found.path.stem}.{TRUTH_FILE}, nor " if found.files == [found.path] else ""
+            truth, size = found.beside(TRUTH_FILE), _size(found)
     except SonarrecError as error:
         raise SonarrecError(f"{folder}: no ground truth: {error}") from None
-    truth = log.beside(TRUTH_FILE)
     if truth is None:
-        own = f"{log.path.stem}.{TRUTH_FILE}, nor " if log.files == [log.path] else ""
-        raise SonarrecError(f"{folder}: no ground truth: no {own}{TRUTH_FILE} beside {log.path}")
-    size = _size(log)
-    if source.bytes not in (None, size):
+        raise SonarrecError(f"{folder}: no ground truth: no {own}{TRUTH_FILE} beside {log}")
+    if size is not None and source.bytes not in (None, size):
         raise SonarrecError(
-            f"{folder}: no ground truth: {log.path} is not the log it was (it had "
+            f"{folder}: no ground truth: {log} is not the log it was (it had "
             f"{source.bytes} bytes and has {size}), so {truth} may not be its truth"
         )
     return truth
@@ -137,10 +145,22 @@ def _size(log: Source) -> int:
     return total
 
 
-def truth_of(pairs: Sequence[Pair], *folders: Path) -> Pair | None:
-    """The pair whose results are one of the folders, else the one of the same name."""
-    places = {folder.resolve() for folder in folders}
-    names = {place.name for place in places}
-    by_place = (pair for pair in pairs if pair.results.resolve() in places)
-    by_name = (pair for pair in pairs if (pair.log or pair.results.resolve().name) in names)
-    return next(by_place, next(by_name, None))
+def truth_by_folder(pairs: Sequence[Pair]) -> Callable[..., Pair | None]:
+    """Gives the pair whose results are one of some folders, else one of the same name: the first.
+
+    Looked up, not searched: there may be a thousand pairs for a thousand logs.
+    """
+    places: dict[Path, int] = {}
+    names: dict[str, int] = {}
+    for i, pair in enumerate(pairs):
+        place = pair.results.resolve()
+        places.setdefault(place, i)
+        names.setdefault(pair.log or place.name, i)
+
+    def of(*folders: Path) -> Pair | None:
+        there = [folder.resolve() for folder in folders]
+        found = [places[place] for place in there if place in places]
+        found = found or [names[place.name] for place in there if place.name in names]
+        return pairs[min(found)] if found else None
+
+    return of

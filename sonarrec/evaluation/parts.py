@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -59,16 +59,14 @@ class ScoredPart:
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
-    """What one log, or some, add to an evaluation.
-
-    Small and kept, but for `blocks`: these are as long as the log, and put by in a store.
-    """
+class Totals:
+    """What there is to score: L logs, K IDs, M methods, U pass units, P passes."""
 
     logs: tuple[str, ...]
     ids: tuple[int, ...]
     methods: tuple[str, ...]
     placed: bool
+    """Whether positions are known wherever the strict protocol needs them."""
     timed: bool
     """Whether every frame stands for a known time."""
     frames: int
@@ -77,30 +75,46 @@ class Part:
     ignored: int
     """Truths partly in view."""
     gates: tuple[float, ...]
-    """Those met, m."""
+    """m, the distances within which a claim is right, rising."""
     estimates: IntArray
     """(M,) of each method."""
     unit_log: IntArray
     """(U,) into logs, of each unit of the kind "pass"."""
     passes: PassTable
-    scored: tuple[ScoredPart, ...]
     switches: tuple[Switches, ...]
     """Per method; empty where positions are not known."""
+
+
+@dataclass(frozen=True, slots=True)
+class Part(Totals):
+    """What one log, or some, add to an evaluation.
+
+    Small and kept, but for `blocks`: these are as long as the log, and put by in a store.
+    """
+
+    scored: tuple[ScoredPart, ...]
     blocks: dict[Hashable, npt.NDArray[Any]]
     """By what they hold: see `_blocks`."""
 
 
-def part_of(joined: Joined, scored: Sequence[Scored] | None = None) -> Part:
-    """scored: every method under every protocol; default: they are scored here."""
+def part_of(
+    joined: Joined, scored: Sequence[Scored] | None = None, *, rates_only: bool = False
+) -> Part:
+    """scored: every method under every protocol; default: they are scored here.
+
+    rates_only: nothing of errors, false claims a minute, switches and calibration.
+    """
     if scored is None:
         scored = score_all(joined)
+    if not scored:  # of a log without any method others still need what there was to claim
+        scored = score_all(replace(joined, methods=("",)))
     passes, logs = find_passes(joined), len(joined.logs)
     units = pass_units(joined, passes)
     of_truth = joined.log_index[joined.truth_frame_index]
     unit_log = np.zeros(units.count, dtype=np.int64)
     unit_log[units.of_frame] = joined.log_index
     unit_log[units.of_truth] = of_truth
-    nearest = on_truth(joined) if joined.placed else None
+    nearest = on_truth(joined) if joined.placed and not rates_only else None
     positive = joined.truth_positive
     return Part(
         logs=joined.logs,
@@ -132,7 +146,7 @@ def part_of(joined: Joined, scored: Sequence[Scored] | None = None) -> Part:
             for s in scored
         ),
         switches=() if nearest is None else tuple(switches(joined, nearest, passes)),
-        blocks=dict(_blocks(joined, scored, nearest)),
+        blocks=dict(_blocks(joined, scored, nearest, rates_only)),
     )
 
 
@@ -147,7 +161,7 @@ def score_all(joined: Joined) -> tuple[Scored, ...]:
 
 
 def _blocks(
-    joined: Joined, scored: Sequence[Scored], nearest: IntArray | None
+    joined: Joined, scored: Sequence[Scored], nearest: IntArray | None, rates_only: bool
 ) -> list[tuple[Hashable, npt.NDArray[Any]]]:
     """Arrays by key.
 
@@ -172,7 +186,7 @@ def _blocks(
             claims["score"], claims["unit"] = s.score[mine], group[mine]
             claims["effect"] = s.effect[mine]
             found.append((("claims", s.protocol, s.method, k), claims))
-        if s.protocol == "strict":
+        if s.protocol == "strict" and not rates_only:
             found += _errors(s, joined, units.of_truth)
     if nearest is not None:
         by_kind = {kind: find_units(joined, passes, kind) for kind in KINDS} | {"pass": units}

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from sonarrec.evaluation.behaviour import PassOutcomes, Switches
 from sonarrec.evaluation.counted import Claims, Values
 from sonarrec.evaluation.curves import Count, Curve
-from sonarrec.evaluation.parts import Part, PassTable, ScoredPart
+from sonarrec.evaluation.parts import Part, PassTable, ScoredPart, Totals
 from sonarrec.evaluation.passes import LOGS_ENOUGH, MOST_UNITS, UnitKind, fewer
 from sonarrec.evaluation.scoring import PROTOCOLS
 from sonarrec.evaluation.store import Store, summed
@@ -72,8 +72,9 @@ class PooledUnits:
 class Parts:
     """Parts of an evaluation in the order of its logs, their blocks in a store."""
 
-    def __init__(self) -> None:
-        self._store = Store()
+    def __init__(self, store: Store | None = None, side: str = "") -> None:
+        """store: where others lie as well, told apart by their side."""
+        self._store, self._side = store or Store(), side
         self._given: list[Part] = []
         self._used: dict[int, tuple[int, int]] = {}
 
@@ -81,7 +82,7 @@ class Parts:
         """Put a part by; its number."""
         number = len(self._given)
         for key, array in part.blocks.items():
-            self._store.put(key, number, array)
+            self._store.put((self._side, key), number, array)
         self._given.append(replace(part, blocks={}))
         return number
 
@@ -95,7 +96,7 @@ class Parts:
 
     def blocks(self, key: Hashable) -> Iterator[tuple[int, int, npt.NDArray[Any]]]:
         """(the first log, the first pass unit, array) of each part that counts and has it."""
-        for number, array in self._store.get(key):
+        for number, array in self._store.get((self._side, key)):
             if number in self._used:
                 yield *self._used[number], array
 
@@ -104,7 +105,7 @@ class Parts:
     ) -> tuple[FloatArray, IntArray]:
         """(n,) distinct scores, rising, and (n, 4) what the claims of each add."""
         key = ("scores", protocol, method, k)
-        for _, found in self._store.get(key):
+        for _, found in self._store.get((self._side, key)):
             return found["score"], found["effect"]
         if k is None:
             each = (self.scores(protocol, method, ids, i) for i in range(ids))
@@ -114,38 +115,17 @@ class Parts:
             score, effect = summed((c["score"], c["effect"]) for _, _, c in claims)
         found = np.empty(len(score), dtype=[("score", "f8"), ("effect", "i4", 4)])
         found["score"], found["effect"] = score, effect
-        self._store.put(key, -1, found)
+        self._store.put((self._side, key), -1, found)
         return score, found["effect"]
 
 
 @dataclass(frozen=True, slots=True)
-class Pooled:
-    """What was found over all logs: L logs, K IDs, P passes."""
+class Pooled(Totals):
+    """What was found over all logs."""
 
-    logs: tuple[str, ...]
-    ids: tuple[int, ...]
-    methods: tuple[str, ...]
-    placed: bool
-    """Whether positions are known wherever the strict protocol needs them."""
-    timed: bool
-    """Whether every frame stands for a known time."""
-    frames: int
-    positives: IntArray
-    """(K,) truths whole in view."""
-    ignored: int
-    """Truths partly in view."""
-    gates: tuple[float, ...]
-    """m, the distances within which a claim is right."""
-    estimates: IntArray
-    """(M,) of each method."""
-    unit_log: IntArray
-    """(all pass units,) into logs."""
-    passes: PassTable
     scored: tuple[PooledScored, ...]
     outcomes: tuple[PassOutcomes, ...]
     """As `scored`."""
-    switches: tuple[Switches, ...]
-    """Per method; empty where positions are not known."""
     parts: Parts
     min_visible: float
     folders: tuple[Path, ...] = ()

@@ -7,10 +7,13 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
+from typing import Protocol, TypeVar
 
+from sonarrec.cores import cores
 from sonarrec.evaluation.fit import Checked, Matched, checked, matched
 from sonarrec.evaluation.joined import join
 from sonarrec.evaluation.pairs import one_log
@@ -41,6 +44,10 @@ class Reading:
     landmarks: str | None = None
     sonar: Sonar | None = None
 
+    @property
+    def folders(self) -> tuple[Path, ...]:
+        return (self.folder,)
+
 
 @dataclass(frozen=True, slots=True)
 class Surveyed:
@@ -67,7 +74,7 @@ def survey(reading: Reading, *, whole: bool = False) -> Surveyed:
 
     Raises SonarrecError where the log or its truth cannot be read.
     """
-    table = _truth(reading.ground_truth)
+    table = truth_table(reading.ground_truth)
     log = read_log(one_log(reading.folder), reading.landmarks, reading.sonar)
     log = log if reading.log is None else replace(log, name=reading.log)
     case: Matched | None = None
@@ -96,27 +103,40 @@ def survey(reading: Reading, *, whole: bool = False) -> Surveyed:
 
 
 @lru_cache(maxsize=1)
-def _truth(path: Path) -> TruthTable:
-    """That of the log before as well, where one file covers several."""
+def truth_table(path: Path) -> TruthTable:
+    """The table; that of the log before as well, where one file covers several."""
     return read_truth(path)
 
 
-def survey_all(readings: Sequence[Reading], jobs: int | None) -> Iterator[Surveyed]:
-    """`survey` of each, in their order; jobs: that many processes side by side.
+class Readable(Protocol):
+    """What is read of one log."""
+
+    @property
+    def folders(self) -> tuple[Path, ...]: ...
+
+
+Asked = TypeVar("Asked", bound=Readable)
+Found = TypeVar("Found")
+
+
+def each(
+    work: Callable[[Asked], Found], readings: Sequence[Asked], jobs: int | None
+) -> Iterator[Found]:
+    """`work`, such as `survey`, of each, in their order; jobs: that many processes side by side.
 
     By default as many as there are cores, and fewer of logs so small that it would not pay.
-    Raises what `survey` raises, of the first log that raises anything.
+    Raises what `work` raises, of the first log that raises anything.
     """
-    _truth.cache_clear()  # the files may have changed since the last call
+    truth_table.cache_clear()  # the files may have changed since the last call
     if jobs is None:
-        jobs = min(multiprocessing.cpu_count(), sum(map(_bytes, readings)) // WORTH_BYTES)
+        jobs = min(cores(), sum(map(_bytes, readings)) // WORTH_BYTES)
     if min(jobs, len(readings)) < 2:
-        yield from map(survey, readings)
+        yield from map(work, readings)
         return
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(min(jobs, len(readings)), context) as workers:
         try:
-            yield from _in_order((partial(workers.submit, survey, r) for r in readings), jobs)
+            yield from _in_order((partial(workers.submit, work, r) for r in readings), jobs)
         except BrokenProcessPool:
             raise SonarrecError(
                 "a process that read results was ended from outside, as when memory runs out; "
@@ -126,9 +146,9 @@ def survey_all(readings: Sequence[Reading], jobs: int | None) -> Iterator[Survey
             workers.shutdown(wait=False, cancel_futures=True)
 
 
-def _in_order(starts: Iterable[Callable[[], Future[Surveyed]]], jobs: int) -> Iterator[Surveyed]:
+def _in_order(starts: Iterable[Callable[[], Future[Found]]], jobs: int) -> Iterator[Found]:
     """Results as they were asked for; only some ahead, for each is held until its turn."""
-    ahead: deque[Future[Surveyed]] = deque()
+    ahead: deque[Future[Found]] = deque()
     for start in starts:
         ahead.append(start())
         if len(ahead) > 2 * jobs:
@@ -137,8 +157,9 @@ def _in_order(starts: Iterable[Callable[[], Future[Surveyed]]], jobs: int) -> It
         yield ahead.popleft().result()
 
 
-def _bytes(reading: Reading) -> int:
-    try:
-        return estimates_of(reading.folder).stat().st_size
-    except OSError:  # told where it is read
-        return 0
+def _bytes(reading: Readable) -> int:
+    total = 0
+    for folder in reading.folders:
+        with suppress(OSError):  # told where it is read
+            total += estimates_of(folder).stat().st_size
+    return total

@@ -5,9 +5,10 @@ from __future__ import annotations
 import csv
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from textwrap import indent
 from typing import Any
 
 from sonarrec.evaluation.compare import Comparison, RateChange
@@ -98,8 +99,8 @@ def write_comparison(folder: Path, found: Comparison) -> tuple[str, ...]:
         folder.mkdir(parents=True, exist_ok=True)
         write_table(folder / "compare.csv", COMPARE, rates)
         write_table(folder / "changes.csv", CHANGES, changes)
-        text = json_text(comparison_as_json(found))
-        (folder / "compare.json").write_text(text, encoding="utf-8")
+        with (folder / "compare.json").open("w", encoding="utf-8") as file:
+            file.writelines(comparison_json(found))
     except OSError as error:
         raise SonarrecError(f"{folder}: cannot be written ({error})") from None
     return ("compare.csv", "changes.csv", "compare.json")
@@ -252,10 +253,10 @@ def _named_counts(names: Sequence[str], counts: Sequence[Count]) -> dict[str, An
     }
 
 
-def comparison_as_json(found: Comparison) -> dict[str, Any]:
-    """compare.json: what was compared and how it was made, rates, tests, passes; 0/0 is null."""
-    verdicts = [change.verdict for change in found.frames]
-    return {
+def comparison_json(found: Comparison) -> Iterator[str]:
+    """compare.json piece by piece: what was compared and how it was made, rates, tests, passes;
+    0/0 is null."""
+    document = {
         "old": found.old,
         "new": found.new,
         "logs": list(found.logs),
@@ -265,13 +266,22 @@ def comparison_as_json(found: Comparison) -> dict[str, Any]:
         "settings": [asdict(change) for change in found.settings],
         "rates": [_record(rate) | {"worse_by": _known(rate.worse)} for rate in found.rates],
         "differences": [_record(difference) for difference in found.differences],
-        "passes": [asdict(change) for change in found.passes],
-        "frames_and_ids": {name: verdicts.count(name) for name in ("better", "worse", "other")},
+        "passes": [],
+        "frames_and_ids": found.frames.verdicts(),
         "lost": list(found.lost),
         "gained": list(found.gained),
         "notes": list(found.notes),
         "unused": list(found.unused),
     }
+    # Of many logs the passes are many. No text in the document holds the key as it stands here:
+    # in one its quotes are escaped.
+    before, after = json_text(document).split('"passes": []')
+    yield f'{before}"passes": ['
+    end = ""
+    for change in found.passes:
+        yield ("," if end else "") + "\n" + indent(json.dumps(asdict(change), indent=2), " " * 4)
+        end = "\n  "
+    yield f"{end}]{after}"
 
 
 def _record(record: Figure | Difference | RateChange) -> dict[str, Any]:

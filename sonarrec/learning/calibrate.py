@@ -18,7 +18,7 @@ from sonarrec.recogniser.stage3_features.model import AppearanceModel, load_mode
 from sonarrec.records import Clock, FloatArray, Frame, SonarrecError, UsageError
 from sonarrec.sonar import Sonar
 from sonarrec.truth.match import Truth, match_truth
-from sonarrec.truth.table import read_truth
+from sonarrec.truth.table import TruthTable, read_truth
 
 # Parts of the tracks, each left out once; with fewer tracks of landmarks, or of others, that
 # would measure nothing.
@@ -100,15 +100,7 @@ def learn(
             "the appearance model serves features.measurement = track; this preset measures "
             "single frames by the published model and learns nothing"
         )
-    table = read_truth(ground_truth)
-    if table.position is None:
-        raise SonarrecError(
-            f"{ground_truth}: learning needs positions; add x_px,y_px or range_m,bearing_deg"
-        )
-    if len(paths) > 1 and table.log is None:
-        raise UsageError(
-            f"{ground_truth}: of {len(paths)} logs, the truth needs a log column that names them"
-        )
+    table = _truth_with_places(ground_truth, len(paths))
     parts: list[Samples] = []
     names: list[str] = []
     problems: list[str] = []
@@ -137,18 +129,41 @@ def learn(
     model = fit(parts, prior)
     seen = _seen(parts, landmarks)
     before, after = _left_out(parts, prior)
+    notes += _not_taught(landmarks, seen, before, after)
+    return Lesson(model, landmarks, tuple(names), frames, seen, before, after, problems, notes)
+
+
+def _truth_with_places(path: Path, logs: int) -> TruthTable:
+    """The truth that so many logs are learned from. Raises SonarrecError where it tells too
+    little."""
+    table = read_truth(path)
+    if table.position is None:
+        raise SonarrecError(
+            f"{path}: learning needs positions; add x_px,y_px or range_m,bearing_deg"
+        )
+    if logs > 1 and table.log is None:
+        raise UsageError(f"{path}: of {logs} logs, the truth needs a log column that names them")
+    return table
+
+
+def _not_taught(
+    landmarks: LandmarkSet,
+    seen: Sequence[tuple[int, int]],
+    before: float | None,
+    after: float | None,
+) -> Iterator[str]:
+    """A line on each thing that the recordings do not teach; the arguments are as in Lesson."""
     unseen = [f"ID.{i}" for i, (n, _) in zip(landmarks.ids, seen[:-1], strict=True) if not n]
     if unseen:
-        notes.append(
+        yield (
             f"{', '.join(unseen)} never seen: the curves are common to all IDs, but that they "
             "serve here as well is not shown"
         )
     if before is not None and after is not None and after < before:
-        notes.append(
+        yield (
             "the built-in model judges the tracks left out better than what is learned without "
             "them; label more passes, or keep to the built-in model"
         )
-    return Lesson(model, landmarks, tuple(names), frames, seen, before, after, problems, notes)
 
 
 def _counted(frames: Iterable[Frame], observe: Callable[[], object] | None) -> Iterator[Frame]:

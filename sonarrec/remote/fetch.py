@@ -7,27 +7,22 @@ it there too, and a line that names a file is told with the server's name of it.
 from __future__ import annotations
 
 import threading
-from collections import defaultdict, deque
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sonarrec.readers.bag_folder import METADATA, are_parts
-from sonarrec.readers.find import log_name, names_a_log
-from sonarrec.readers.images import names_an_image, natural_order
-from sonarrec.records import MissingError, Origin, SonarrecError, UsageError
+from sonarrec.records import Origin, SonarrecError
 from sonarrec.remote.cache import Cache, Entry, NoRoomError, key_of
+from sonarrec.remote.find import RemoteLog, relative, wanted
 from sonarrec.remote.urls import Url, parse_url
 from sonarrec.results.folders import TABLES
 
 if TYPE_CHECKING:
     from sonarrec.remote.store import Item, Store
 
-COMPANIONS = ("sonar.toml", "poses.csv", "gt.csv")
-"""What belongs to a log: these, and each as NAME.sonar.toml and so on."""
 RESULTS = ("run.toml", *TABLES)
 """What is read of results. run.toml is uploaded last: without it they are not finished."""
 _LARGE = 2**20  # bytes of a file that is written down at once, lest it be fetched anew after a kill
@@ -37,32 +32,6 @@ Told = Callable[[int, int | None], None]
 
 def untold(_came: int, _all: int | None) -> None:
     pass
-
-
-@dataclass(frozen=True, slots=True)
-class RemoteLog:
-    """A log on a server: a file, a folder, or a glob of images. up_to: the folder that was given
-    and holds it, up to which what belongs to it is looked for."""
-
-    url: Url
-    up_to: Url | None = None
-
-    @property
-    def path(self) -> Path:
-        """As if the server were a disk: what results are named by. Of a glob its folder."""
-        url = _fixed(self.url)
-        host = url.front.partition("://")[2].rpartition("@")[2]
-        return Path("/", host, url.path.strip("/"))
-
-    @property
-    def shown(self) -> str:
-        """The URL for lines and files, without its secrets."""
-        return self.url.shown
-
-    @property
-    def name(self) -> str:
-        """Of its results."""
-        return log_name(self.path) if _is_file(self.url) else self.path.name
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,146 +47,6 @@ class Fetched:
     origin: Origin
     up_to: Path | None = None
     unused: tuple[str, ...] = ()
-
-
-def find(text: str, *, recursive: bool = False) -> list[RemoteLog]:
-    """The logs that a URL names, in natural order: one, those of a folder, those that match a glob.
-
-    A folder of images or a bag is one log, and so are the images that match. Of a server that does
-    not answer the URL itself is the log, which is told when its turn comes.
-    Raises UsageError where the URL cannot be meant, or a folder holds images and other logs.
-    """
-    url = parse_url(text)
-    try:
-        return _found(url, recursive)
-    except SonarrecError as error:
-        if isinstance(error, UsageError) and not isinstance(error, MissingError):
-            raise
-        return [RemoteLog(url)]
-
-
-def _found(url: Url, recursive: bool) -> list[RemoteLog]:
-    from sonarrec.remote.store import Store
-
-    if _is_glob(url):
-        logs = _bags_as_one(Store(url), url)
-        up_to = _fixed(url)
-    elif _is_file(url):
-        return [RemoteLog(url)]
-    else:
-        logs, up_to = list(_below(Store(url), url, recursive)), url
-    if not logs or [log.path.rstrip("/") for log in logs] == [url.path.rstrip("/")]:
-        return [RemoteLog(url)]
-    logs.sort(key=lambda log: natural_order(Path(log.path)))
-    return [RemoteLog(log, up_to) for log in logs]
-
-
-def _bags_as_one(store: Store, pattern: Url) -> list[Url]:
-    """The logs that match, parts of a bag as the bag."""
-    matching = [item.url for item in store.glob(pattern) if names_a_log(item.url.name)]
-    names = defaultdict[Url, list[str]](list)
-    for url in matching:
-        names[url.parent].append(url.name)
-    bags = {
-        folder
-        for folder, inside in names.items()
-        if are_parts(inside, folder.name) or store.companion(folder.child(METADATA))
-    }
-    logs = (url.parent if url.parent in bags else url for url in matching)
-    return list(dict.fromkeys(logs))
-
-
-def _below(store: Store, folder: Url, recursive: bool) -> Iterator[Url]:
-    files, folders = store.listing(folder)
-    names = [item.url.name for item in files]
-    if "frames.csv" in names:  # results, whose pictures are no logs
-        return
-    if METADATA in names or are_parts(names, folder.name):
-        yield folder
-        return
-    if any(map(names_an_image, names)):
-        if any(map(names_a_log, names)):
-            raise UsageError(f"{folder.shown}: holds images and other logs; choose by a glob")
-        yield folder
-        return
-    yield from (item.url for item in files if names_a_log(item.url.name))
-    for name in folders:
-        if name[0] != ".":
-            below = list(_below(store, folder.child(name), recursive)) if recursive else []
-            yield from below
-
-
-def _is_file(url: Url) -> bool:
-    named = names_a_log(url.name) or names_an_image(url.name)
-    return named and not url.path.endswith("/") and not _is_glob(url)
-
-
-def _is_glob(url: Url) -> bool:
-    marks = "*[" if url.is_web else "*?["
-    return any(mark in url.path for mark in marks)
-
-
-def _fixed(url: Url) -> Url:
-    """The folder in front of the first wildcard; without one the URL itself."""
-    while _is_glob(url):
-        url = url.parent
-    return url
-
-
-def _wanted(log: RemoteLog, store: Store) -> tuple[Url, str, list[Item]]:
-    """(the folder that all of it lies in, the log's name there, its files and companions)."""
-    url = log.url
-    if _is_file(url):
-        folder, items, root = url.parent, [store.file(url)], log.up_to or url.parent
-    else:
-        folder = _fixed(url)
-        root = log.up_to or folder.parent
-        if _is_glob(url):
-            items = [i for i in store.glob(url) if names_an_image(i.url.name)]
-            pattern = url.name
-            items = [i for i in items if fnmatchcase(i.url.name, pattern)]
-        else:
-            files, _ = store.listing(url)
-            kept = (*COMPANIONS, METADATA)
-            items = [i for i in files if _belongs(i.url.name, kept)]
-        if not any(names_a_log(i.url.name) or names_an_image(i.url.name) for i in items):
-            raise SonarrecError(f"{url.shown}: no log and no image here")
-        items = store.described(items)
-    items += _companions(log, store, folder, root, {str(i.url) for i in items})
-    return root, _relative(url, root), items
-
-
-def _belongs(name: str, kept: tuple[str, ...]) -> bool:
-    return names_a_log(name) or names_an_image(name) or name in kept or name.endswith(COMPANIONS)
-
-
-def _companions(
-    log: RemoteLog, store: Store, folder: Url, root: Url, there: set[str]
-) -> list[Item]:
-    """What belongs to the log and is there, in its folder and in those above up to `root`.
-
-    Above a folder that was given itself only that which bears its name.
-    """
-    own = [f"{log.name}.{name}" for name in COMPANIONS]
-    places = [(folder, [*own, *COMPANIONS])]
-    while folder.path.strip("/") != root.path.strip("/"):
-        folder = folder.parent
-        places.append((folder, own if log.up_to is None else [*own, *COMPANIONS]))
-    urls = [place.child(name) for place, names in places for name in names]
-    found = [store.companion(url) for url in urls if str(url) not in there]
-    return [item for item in found if item is not None]
-
-
-def _relative(url: Url, root: Url) -> str:
-    """A place below `root`. Raises SonarrecError where it is no name for a local file."""
-    relative = url.path.removeprefix(root.path).strip("/")
-    parts = PurePosixPath(relative).parts
-    if not parts or {".", ".."} & set(relative.split("/")) or "\\" in relative or "\0" in relative:
-        raise SonarrecError(f"{url.shown}: a name that cannot be kept in a local folder")
-    return relative
-
-
-# Into the cache
 
 
 @contextmanager
@@ -243,7 +72,7 @@ def hold(
     """wait: for room that other logs in use take, instead of NoRoomError."""
     from sonarrec.remote.store import Store
 
-    root, name, items = _wanted(log, Store(log.url, stop))
+    root, name, items = wanted(log, Store(log.url, stop))
     with _kept(log.url.shown, root, items, cache, told, stop, wait) as entry:
         origin = Origin(log.url.shown, str(entry.files), root.place.rstrip("/"))
         yield Fetched(entry.files / name, origin, entry.files if log.up_to else None)
@@ -273,7 +102,7 @@ def fetched_file(text: str, cache: Cache) -> Iterator[Fetched]:
     with _kept(url.shown, root, items, cache, untold, threading.Event(), True) as entry:
         origin = Origin(url.shown, str(entry.files), root.place.rstrip("/"))
         with origin.translated():
-            yield Fetched(entry.files / _relative(url, root), origin)
+            yield Fetched(entry.files / relative(url, root), origin)
 
 
 @contextmanager
@@ -304,7 +133,7 @@ def fetched_results(text: str, cache: Cache) -> Iterator[Fetched]:
     with _kept(url.shown, root, items, cache, untold, threading.Event(), True) as entry:
         origin = Origin(url.shown, str(entry.files), root.place.rstrip("/"))
         with origin.translated():
-            yield Fetched(entry.files / _relative(url, root), origin, None, tuple(unused))
+            yield Fetched(entry.files / relative(url, root), origin, None, tuple(unused))
 
 
 def _finished(store: Store, folder: Url) -> tuple[list[Item], bool]:
@@ -330,7 +159,7 @@ def _kept(
     """The entry with just these files, held: as it is where they are there, else fetched."""
     key = key_of(f"{url.rstrip('/')} {root.shown}")
     # Of a name that comes twice, by a glob or an index page, the one file.
-    names = {_relative(item.url, root): item for item in items}
+    names = {relative(item.url, root): item for item in items}
     renewed = False
     while True:
         with cache.hold(key, alone=False, stop=stop) as entry:

@@ -6,11 +6,13 @@ from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from sonarrec.readers.many import NamedLog, find_logs, named
 from sonarrec.records import Origin
 from sonarrec.remote.cache import Cache
-from sonarrec.remote.fetch import Fetched, RemoteLog, fetched, fetched_file, fetched_results, find
+from sonarrec.remote.fetch import Fetched, fetched, fetched_file, fetched_results
+from sonarrec.remote.find import RemoteLog, beside, find
 from sonarrec.remote.urls import Url, is_url
 
 
@@ -49,6 +51,7 @@ class Here:
     def __init__(self, held: ExitStack, cache: Callable[[], Cache]) -> None:
         self._held, self._cache = held, cache
         self._origins: list[Origin] = []
+        self._beside: dict[Url, Path] = {}
         self.unused: list[str] = []
 
     def results(self, place: Path | str) -> Path:
@@ -66,6 +69,22 @@ class Here:
     def log(self, place: Path | str) -> Path:
         """What to open of a log."""
         return self._enter(fetched(str(place), self._cache())) if is_url(place) else Path(place)
+
+    def beside(self, log: str, name: str) -> tuple[Path | None, int | None]:
+        """Of a log on a server `find.beside`, a small file that is fetched without the cache."""
+        from sonarrec.remote.store import Store  # with fsspec, only where needed
+
+        item, size = beside(log, name)
+        if item is None:
+            return None, size
+        if item.url not in self._beside:
+            place = Path(self._held.enter_context(TemporaryDirectory(prefix="sonarrec-")))
+            Store(item.url).fetch(item, place / item.url.name)
+            origin = Origin(item.url.shown, str(place), item.url.parent.place)
+            self._held.enter_context(origin.translated())
+            self._origins.append(origin)
+            self._beside[item.url] = place / item.url.name
+        return self._beside[item.url], size
 
     def output(self, place: Path | str, name: str = "") -> Path:
         """Where to write a folder, or the file of this name."""

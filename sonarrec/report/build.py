@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -65,7 +66,7 @@ def write_report(
     """
     check_output(path, "report", [ground_truth, pairs, *recordings])
     sonar = sonar or Sonar()
-    scoring = {
+    scoring: dict[str, Any] = {
         "min_visible": min_visible,
         "tolerance_s": tolerance_s,
         "landmarks": landmarks,
@@ -83,28 +84,18 @@ def write_report(
     if in_all > MOST_LOGS:  # read one at a time; only some are shown
         if rows:
             given = rows if results is None else results
-            pooled = evaluate_many(given, ground_truth, **scoring)  # type: ignore[arg-type]
+            pooled = evaluate_many(given, ground_truth, **scoring)
         stand = standing(folders, pooled, results, method)
         numbers = chosen(folders, stand)
         folders = [folders[i] for i in numbers]
         rows = [rows[i] for i in numbers] if rows else rows
     evaluation: Evaluation | None = None
     if pairs is not None or (in_all > MOST_LOGS and rows):
-        evaluation = evaluate_pairs(rows, **scoring)  # type: ignore[arg-type]
+        evaluation = evaluate_pairs(rows, **scoring)
     elif ground_truth is not None:
         assert results is not None
-        evaluation = evaluate(results, ground_truth, **scoring)  # type: ignore[arg-type]
-    tables = {file: read_truth(file) for file in {row.ground_truth for row in rows}}
-    truths = [tables[row.ground_truth] for row in rows] if rows else [None] * len(folders)
-    names = [row.log for row in rows] or [None] * len(folders)
-    logs = read_logs(folders, truths, names, **scoring, method=method)  # type: ignore[arg-type]
-    if evaluation is not None:  # which tells equal names apart, and counts copies of a log once
-        scored = dict(zip(evaluation.folders, evaluation.joined.logs, strict=True))
-        logs = [
-            replace(log, results=replace(log.results, name=scored[folder]))
-            for log, folder in zip(logs, folders, strict=True)
-            if folder in scored
-        ]
+        evaluation = evaluate(results, ground_truth, **scoring)
+    logs = _with_panels(folders, rows, evaluation, scoring, method)
     wrong = {}
     if evaluation is not None:
         wrong = {method: episodes(evaluation, method) for method in evaluation.joined.methods}
@@ -120,6 +111,29 @@ def write_report(
     except OSError as error:
         raise SonarrecError(f"{path}: cannot be written ({error.strerror})") from None
     return Report(path, len(drawn.pictures), sum(len(s.frames) for s in drawn.shown), unused)
+
+
+def _with_panels(
+    folders: Sequence[Path],
+    rows: Sequence[Pair],
+    evaluation: Evaluation | None,
+    scoring: dict[str, Any],
+    method: str | None,
+) -> list[ReportedLog]:
+    """The logs that have panels. rows: the truth of each, where it is known."""
+    tables = {file: read_truth(file) for file in {row.ground_truth for row in rows}}
+    truths = [tables[row.ground_truth] for row in rows] if rows else [None] * len(folders)
+    names = [row.log for row in rows] or [None] * len(folders)
+    logs = read_logs(folders, truths, names, **scoring, method=method)
+    if evaluation is None:
+        return logs
+    # It tells equal names apart, and counts copies of a log once.
+    scored = dict(zip(evaluation.folders, evaluation.joined.logs, strict=True))
+    return [
+        replace(log, results=replace(log.results, name=scored[folder]))
+        for log, folder in zip(logs, folders, strict=True)
+        if folder in scored
+    ]
 
 
 def _left_out(logs: Sequence[ReportedLog]) -> Iterator[str]:

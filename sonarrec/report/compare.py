@@ -12,30 +12,18 @@ from sonarrec.evaluation import cells
 from sonarrec.evaluation.compare import (
     Comparison,
     PassChange,
-    compare,
-    frame_runs,
     outcome,
     settings_lines,
 )
 from sonarrec.evaluation.metrics import BY_NAME, MAIN
-from sonarrec.evaluation.pairs import Pair
 from sonarrec.evaluation.uncertainty import LEVEL, MIN_UNITS, Difference
 from sonarrec.records import SonarrecError, shown
 from sonarrec.report.templates import filled
-from sonarrec.sonar import Sonar
 
 MOST = 10
 """Passes, and runs of frames, that got better, and as many that got worse."""
 SIGNIFICANT = 0.05
 """A difference with a p below it is called better or worse."""
-
-
-@dataclass(frozen=True, slots=True)
-class ComparePage:
-    """What was written. unused: one line for each part of the input that could not be used."""
-
-    path: Path
-    unused: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,37 +72,14 @@ class Ranked:
     runs_left: int
 
 
-def write_comparison_page(
-    path: Path,
-    old: Path,
-    new: Path,
-    ground_truth: Path | Sequence[Pair] | None = None,
-    *,
-    min_visible: float = 0.9,
-    tolerance_s: float | None = None,
-    landmarks: str | None = None,
-    sonar: Sonar | None = None,
-) -> ComparePage:
-    """Write the page; the arguments are those of `evaluation.compare.compare`.
-
-    Raises SonarrecError where files cannot be used, read or written.
-    """
-    found = compare(
-        old,
-        new,
-        ground_truth,
-        min_visible=min_visible,
-        tolerance_s=tolerance_s,
-        landmarks=landmarks,
-        sonar=sonar,
-    )
+def write_comparison_page(path: Path, found: Comparison) -> None:
+    """Write the page. Raises SonarrecError where it cannot be written."""
     page = render(found)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(page, encoding="utf-8")
     except OSError as error:
         raise SonarrecError(f"{path}: cannot be written ({error.strerror})") from None
-    return ComparePage(path, found.unused)
 
 
 def render(found: Comparison) -> str:
@@ -171,19 +136,32 @@ def _row(d: Difference, label: str) -> Row:
 
 def _ranked(found: Comparison, protocol: str, verdict: str) -> Ranked:
     sign = -1 if verdict == "worse" else 1
-    passes = [p for p in found.passes if p.protocol == protocol and sign * (p.new - p.old) > 0]
-    passes.sort(key=lambda p: -abs(p.new - p.old))
-    changes = [c for c in found.frames if c.protocol == protocol and c.verdict == verdict]
-    runs = [
+    passes: list[PassChange] = []
+    more = 0
+    for one in found.passes:
+        if one.protocol == protocol and sign * (one.new - one.old) > 0:
+            passes.append(one)
+            more += 1
+        if len(passes) > 2 * MOST:
+            passes = _most_changed(passes)
+    passes = _most_changed(passes)
+    runs, count = found.frames.runs(MOST, protocol, verdict)
+    told = [
         Run(
-            log=run[0].log,
-            frames=f"{run[0].frame}" if len(run) == 1 else f"{run[0].frame} to {run[-1].frame}",
-            method=run[0].method,
-            landmark=run[0].landmark,
-            was=outcome(run[0].old),
-            now=outcome(run[0].new),
-            count=len(run),
+            log=run.first.log,
+            frames=f"{run.first.frame}"
+            if run.count == 1
+            else f"{run.first.frame} to {run.last_frame}",
+            method=run.first.method,
+            landmark=run.first.landmark,
+            was=outcome(run.first.old),
+            now=outcome(run.first.new),
+            count=run.count,
         )
-        for run in frame_runs(changes)
+        for run in runs
     ]
-    return Ranked(verdict, passes[:MOST], len(passes[MOST:]), runs[:MOST], len(runs[MOST:]))
+    return Ranked(verdict, passes, more - len(passes), told, count - len(told))
+
+
+def _most_changed(passes: Sequence[PassChange]) -> list[PassChange]:
+    return sorted(passes, key=lambda p: -abs(p.new - p.old))[:MOST]

@@ -155,7 +155,7 @@ def render(
     logs, evaluation: of those that have panels. pooled: of all. evaluation, pooled, truth: None
     where there is no ground truth. wrong: of each method its mistakes.
     unused: one line for each part of the input that could not be used.
-    """
+    """  # long, for it lists all that the template is given
     script = (files("sonarrec.report") / "report.js").read_text(encoding="utf-8")
     landmarks = logs[0].results.landmarks
     most_tracks = MOST_TRACKS if len(logs) == 1 else max(1, 2 * MOST_TRACKS // len(logs))

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -15,13 +17,14 @@ from hypothesis import strategies as st
 from sonarrec.cli import main
 from sonarrec.evaluation import store, survey
 from sonarrec.evaluation.evaluate import evaluate_many, evaluate_pairs
-from sonarrec.evaluation.pairs import read_pairs
+from sonarrec.evaluation.pairs import Pair, read_pairs
 from sonarrec.evaluation.passes import UnitKind
 from sonarrec.evaluation.store import Store, ranked, summed
 from sonarrec.evaluation.summary import summarise
 from sonarrec.evaluation.write import write_evaluation
-from tests.studies.scoring import peak_of_scoring
-from tests.support.made_up import make_logs
+from tests.evaluation.test_evaluation import write_case
+from tests.studies.scoring import peak_of_comparing, peak_of_scoring
+from tests.support.made_up import make_logs, make_sides
 
 FLOATS = st.lists(
     st.lists(st.floats(0, 5, width=16) | st.just(float("inf")), max_size=30), min_size=1, max_size=5
@@ -91,7 +94,82 @@ def test_one_bad_log_is_one_line(tmp_path: Path, jobs: str) -> None:
     assert not (tmp_path / "made" / "evaluation").exists()
 
 
+# SHA-256 of what --compare wrote and printed when it still held all logs at once.
+RECORDED = {
+    4: {
+        "changes.csv": "bd302837c132756e",
+        "compare.csv": "22bfc72fa9932424",
+        "compare.html": "d67316c7f851e500",
+        "compare.json": "99dee0cf1c9dd989",
+        "printed": "463d98b030b55df0",
+    },
+    12: {
+        "changes.csv": "e7af7e1f80a56157",
+        "compare.csv": "648b5f8d3b5efdff",
+        "compare.html": "0002d0cd870a44b6",
+        "compare.json": "6250dc5e4010e14f",
+        "printed": "4cf742bbb364f240",
+    },
+}
+
+
+@pytest.mark.parametrize("logs", RECORDED)
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_compared_one_at_a_time_as_all_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, logs: int, jobs: str
+) -> None:
+    """By passes and by logs; of one log the new results hold another method."""
+    make_sides(tmp_path / "made", logs, 700, 3)
+    monkeypatch.chdir(tmp_path)
+    odd = Path("made/new/log0002")
+    text = (odd / "estimates.csv").read_text()
+    (odd / "estimates.csv").unlink()
+    (odd / "estimates.csv").write_text(text.replace(",smi,", ",another,"))
+    run = (odd / "run.toml").read_text()
+    (odd / "run.toml").write_text(run.replace('"smi"', '"another"'))
+    sides = ["--pairs", "made/pairs.csv", "--compare", "made/out", "made/new"]
+    done = CliRunner().invoke(main, ["evaluate", *sides, "-o", "found", "-j", jobs])
+    assert done.exit_code == (3 if logs > 4 else 0), done.output
+    page = CliRunner().invoke(main, ["report", *sides, "-o", "found/compare.html"])
+    assert page.exit_code == done.exit_code
+    found = {name: sha256(data).hexdigest()[:16] for name, data in files(Path("found")).items()}
+    assert found | {"printed": sha256(done.output.encode()).hexdigest()[:16]} == RECORDED[logs]
+
+
+def test_memory_of_a_comparison_does_not_grow_with_the_logs(tmp_path: Path) -> None:
+    """40 logs, of which the store lies on disk already, and 160. What was read of a log is twice
+    that of `test_memory_does_not_grow_with_the_logs`: were it kept, 120 more would be over 100 MB.
+    """
+    few, many = (
+        peak_of_comparing(*make_sides(tmp_path / str(logs), logs, 1000)) for logs in (40, 160)
+    )
+    assert many - few < 25
+
+
+def test_a_log_without_any_estimate_counts_as_nothing_claimed(tmp_path: Path) -> None:
+    """Of another program, whose run.toml names no method."""
+    truth = [(f, 1, 2.0, 0.0, 1.0) for f in range(5, 25)]
+    pairs = []
+    for name, last in (("a", 20), ("b", 0)):
+        claims = [(f, "m", 2.0, 0.0, 1, 0.9, 1) for f in range(5, last)]
+        pairs.append(Pair(*write_case(tmp_path / name, range(40), claims, truth), name))
+    for name, found in (("w", evaluate_pairs(pairs).pooled()), ("e", evaluate_many(pairs))):
+        write_evaluation(tmp_path / name, found, summarise(found))
+        assert found.scored[0].count().fn == 5 + 20
+    assert files(tmp_path / "e") == files(tmp_path / "w")
+
+
 def test_few_small_logs_start_no_process(pairs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(survey, "ProcessPoolExecutor", None)
+    assert len(evaluate_many(read_pairs(pairs)).logs) == 12
+
+
+def test_no_more_processes_than_the_cores_it_may_use(
+    pairs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(survey, "WORTH_BYTES", 1)
+    monkeypatch.setattr(os, "cpu_count", lambda: 64)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {5})
     monkeypatch.setattr(survey, "ProcessPoolExecutor", None)
     assert len(evaluate_many(read_pairs(pairs)).logs) == 12
 

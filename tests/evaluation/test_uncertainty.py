@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from sonarrec.evaluation.counted import rate_counts
+from sonarrec.evaluation.counted import rate_count
 from sonarrec.evaluation.metrics import METRICS, rates, tally
 from sonarrec.evaluation.passes import MOST_UNITS, find_passes, find_units
 from sonarrec.evaluation.scoring import score
@@ -39,7 +39,21 @@ def ratio_tally(labels, names, parts, wholes) -> Tally:
 
 
 def rate_tallies(scored, units) -> list[Tally]:
-    return [tally(rates, counted) for counted in rate_counts(scored, units)]
+    """Per ID, then in total, of all claims at once."""
+    base = scored.base_by(units.of_frame, units.of_truth, units.count)
+    declared = scored.declared_by(units.of_frame, units.of_truth, units.count)
+    group = scored.claims_by(units.of_frame, units.of_truth)
+    found = []
+    for k, landmark in enumerate(scored.ids):
+        mine = scored.landmark_index == k
+        claims = [(scored.score[mine], scored.effect[mine], group[mine])]
+        labels = (scored.protocol, scored.method, str(landmark))
+        found.append(rate_count(labels, base[:, k], declared[:, k], scored.curve(k), claims))
+    labels = (scored.protocol, scored.method, "total")
+    claims = [(scored.score, scored.effect, group)]
+    whole = base.sum(axis=1), declared.sum(axis=1)
+    found.append(rate_count(labels, *whole, scored.curve(), claims))
+    return [tally(rates, counted) for counted in found]
 
 
 # --- Passes and units ----------------------------------------------------------------------------

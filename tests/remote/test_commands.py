@@ -186,6 +186,104 @@ def test_evaluate_and_report_read_results_there_and_put_theirs_beside(
     assert Path("page.html").exists()
 
 
+def write_truth(path: Path, frames: int = 6) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    rows = [f"{k},1,2.0,0.0" for k in range(frames)]
+    path.write_text("\n".join(["frame,landmark,range_m,bearing_deg", *rows]) + "\n")
+    return path
+
+
+def positives(evaluation: Path) -> int:
+    return int(json.loads((evaluation / "evaluation.json").read_text())["positives"])
+
+
+@pytest.mark.parametrize("out", ["here", "s3://dives/out"])
+@pytest.mark.usefixtures("day")
+def test_evaluate_finds_the_truth_beside_a_log_on_a_server(
+    sonarrec: Sonarrec, s3: Any, tmp_path: Path, out: str
+) -> None:
+    upload(s3, write_truth(tmp_path / "own.csv", 4), "day/a.gt.csv")
+    upload(s3, write_truth(tmp_path / "all.csv", 2), "day/gt.csv")
+    assert sonarrec("run", "s3://dives/day/*.mcap", "-o", out, "-q").exit_code == 0
+    found = sonarrec("evaluate", out, "-o", "found")
+    assert found.exit_code == 0, found.stderr
+    for name, truth in (("a", "a.gt.csv"), ("b", "gt.csv")):
+        told = f"note: {out}/{name}: ground truth s3://dives/day/{truth}, beside its log"
+        assert told in found.stdout.splitlines()
+    assert "s3://dives/day/a.gt.csv" in Path("found/evaluation.json").read_text()
+    assert str(tmp_path) not in Path("found/evaluation.json").read_text()
+    assert positives(Path("found")) == 4 + 2
+    given = sonarrec("evaluate", f"{out}/a", "--ground-truth", str(tmp_path / "own.csv"), "-o", "g")
+    assert given.exit_code == 0
+    each = sonarrec("evaluate", f"{out}/a", "-o", "each")
+    assert each.exit_code == 0
+    for name in ("confusion.csv", "per_log.csv", "passes.csv", "figures.csv"):
+        assert Path("each", name).read_bytes() == Path("g", name).read_bytes()
+
+
+@pytest.mark.usefixtures("day")
+def test_of_a_log_on_a_server_without_truth_or_that_changed_a_line_says_so(
+    sonarrec: Sonarrec, s3: Any, tmp_path: Path
+) -> None:
+    upload(s3, write_truth(tmp_path / "own.csv"), "day/a.gt.csv")
+    assert sonarrec("run", "s3://dives/day/*.mcap", "-q").exit_code == 0
+    without = (
+        "sonarrec_out/b: no ground truth: no b.gt.csv, nor gt.csv beside s3://dives/day/b.mcap"
+    )
+    partly = sonarrec("evaluate")
+    assert partly.exit_code == 3
+    assert partly.stderr == f"sonarrec: {without}; not scored\n"
+    alone = sonarrec("evaluate", "sonarrec_out/b")
+    assert alone.exit_code == 2
+    assert alone.stderr == f"sonarrec: {without}; give --ground-truth, or --pairs\n"
+    upload(s3, small_mcap(tmp_path / "longer.mcap", 9), "day/a.mcap")
+    changed = sonarrec("evaluate", "sonarrec_out/a")
+    assert changed.exit_code == 2
+    assert "s3://dives/day/a.mcap is not the log it was (it had " in changed.stderr
+    s3.delete_object(Bucket="dives", Key="day/a.mcap")
+    assert (
+        "s3://dives/day/a.mcap: nothing is there" in sonarrec("evaluate", "sonarrec_out/a").stderr
+    )
+
+
+@pytest.mark.usefixtures("day")
+def test_compare_finds_the_truth_beside_a_log_on_a_server(
+    sonarrec: Sonarrec, s3: Any, tmp_path: Path
+) -> None:
+    upload(s3, write_truth(tmp_path / "own.csv"), "day/gt.csv")
+    for out, seed in (("s3://dives/old", "0"), ("new", "1")):
+        assert sonarrec("run", "s3://dives/day/a.mcap", "-o", out, "--seed", seed).exit_code == 0
+    done = sonarrec("evaluate", "--compare", "s3://dives/old", "new")
+    assert done.exit_code == 0, done.stderr
+    note = "new/a: ground truth s3://dives/day/gt.csv, beside its log"
+    assert f"note: {note}" in done.stdout
+    told = json.loads(Path("new/evaluation/compare.json").read_text())
+    assert (told["old"], told["new"], told["notes"]) == ("s3://dives/old", "new", [note])
+    page = sonarrec("report", "--compare", "s3://dives/old", "new")
+    assert page.exit_code == 0, page.stderr
+    assert str(tmp_path) not in Path("new/compare.html").read_text()
+
+
+def test_truth_of_a_web_server_is_asked_for_by_its_name(sonarrec: Sonarrec, tmp_path: Path) -> None:
+    """Of a file without any index page; of a folder of images it is the one inside."""
+    site = tmp_path / "site"
+    small_mcap(site / "a.mcap")
+    image_folder(site / "pings", frames(3))
+    write_truth(site / "a.gt.csv", 5)
+    write_truth(site / "pings" / "gt.csv", 3)
+    with web_server(site) as web:
+        assert sonarrec("run", f"{web.url}/a.mcap", f"{web.url}/pings/", "-q").exit_code == 0
+        web.asked.clear()
+        done = sonarrec("evaluate")
+        assert done.exit_code == 0, done.stderr
+        assert f"sonarrec_out/a: ground truth {web.url}/a.gt.csv, beside its log" in done.stdout
+        assert f"{web.url}/pings/gt.csv, beside its log" in done.stdout
+        got = {path for method, path, _ in web.asked if method == "GET"}
+        assert {"/a.gt.csv", "/pings/gt.csv", "/pings/"} <= got
+        assert not [path for path in got if path == "/" or path.endswith((".mcap", ".png"))]
+    assert positives(Path("sonarrec_out/evaluation")) == 5 + 3
+
+
 @pytest.mark.usefixtures("day")
 def test_with_one_job_the_results_are_those_of_several(sonarrec: Sonarrec) -> None:
     logs = [f"s3://dives/day/{n}.mcap" for n in "ab"]

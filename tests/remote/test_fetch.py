@@ -13,7 +13,8 @@ import pytest
 from sonarrec.records import SonarrecError
 from sonarrec.remote import store
 from sonarrec.remote.cache import Cache, size_bytes
-from sonarrec.remote.fetch import RemoteLog, fetch_ahead, fetched, find
+from sonarrec.remote.fetch import fetch_ahead, fetched
+from sonarrec.remote.find import RemoteLog, find
 from sonarrec.remote.urls import parse_url
 from tests.support.logs import SONAR_TOML
 from tests.support.servers import web_server

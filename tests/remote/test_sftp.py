@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+import fsspec
 import pytest
 
 from sonarrec.records import SonarrecError
 from sonarrec.remote.cache import Cache
-from sonarrec.remote.fetch import fetched, fetched_results, find
+from sonarrec.remote.fetch import fetched, fetched_results
+from sonarrec.remote.find import beside, find
 from sonarrec.remote.upload import Outbox
 from sonarrec.remote.urls import parse_url
 from tests.support.servers import sftp_server
@@ -43,6 +45,24 @@ def test_logs_come_with_what_lies_beside_them(url: str, disk: Path, cache: Cache
             assert here.path.read_bytes() == (disk / "dives" / log.url.name).read_bytes()
             assert here.path.with_name("sonar.toml").exists()
             assert PASSWORD not in here.origin.url
+
+
+def test_truth_is_found_beside_a_log(url: str, disk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert beside(f"{url}/dives/a.mcap", "gt.csv") == (None, 9000 * len("dives/a.mcap"))
+    for name in ("dives/gt.csv", "dives/b.gt.csv", "dives.gt.csv"):
+        (disk / name).write_text("frame,landmark\n")
+    for log, truth in (("a.mcap", "gt.csv"), ("b.mcap", "b.gt.csv")):
+        item, _ = beside(f"{url}/dives/{log}", "gt.csv")
+        assert item is not None
+        assert item.url.name == truth
+    with pytest.raises(SonarrecError, match="nothing is there"):
+        beside(f"{url}/dives/none.mcap", "gt.csv")
+    # As run.toml has it, without the password: this is told, and not tried.
+    with pytest.raises(SonarrecError, match="gives access there is not written down"):
+        beside(parse_url(f"{url}/dives/a.mcap").shown, "gt.csv")
+    monkeypatch.setitem(fsspec.config.conf, "sftp", {"password": PASSWORD})
+    item, _ = beside(f"{url.replace(f':{PASSWORD}', '')}/dives/a.mcap", "gt.csv")
+    assert item is not None
 
 
 def test_results_go_there_and_come_back(url: str, disk: Path, cache: Cache) -> None:

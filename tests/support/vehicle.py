@@ -167,6 +167,16 @@ def truth_of(run: VehicleRun) -> FloatArray:
     return np.array(rows)
 
 
+def from_first(path: FloatArray, rows: FloatArray) -> FloatArray:
+    """Truth as `truth_of`, (n, 4), in the frame of the first pose of a path."""
+    yaw, x, y = path[0]
+    cos, sin = math.cos(math.radians(yaw)), math.sin(math.radians(yaw))
+    right, ahead = rows[:, 1] - x, rows[:, 2] - y
+    return np.column_stack(
+        [rows[:, 0], right * cos - ahead * sin, right * sin + ahead * cos, rows[:, 3] - yaw]
+    )
+
+
 def drifting(path: FloatArray, rng: np.random.Generator, m: float, deg: float) -> FloatArray:
     """The path as dead reckoning tells it: random walks of place and yaw that reach m, deg a
     minute; laid on the true first pose."""
@@ -200,11 +210,11 @@ def write_poses(path: Path, poses: FloatArray) -> None:
             table.writerow([round(n * 1e9 / RATE_HZ), f"{yaw:.5f}", f"{x:.5f}", f"{y:.5f}"])
 
 
-def recognise_run(run: VehicleRun, told: Mapping[Path, FloatArray]) -> None:
+def recognise_run(run: VehicleRun, told: Mapping[Path, FloatArray | None]) -> None:
     """Render the run once, and write results as `sonarrec run --odometry` does.
 
     told: of each results' folder the poses that it is told, (N, 3), which are written beside it
-    as <name>.poses.csv.
+    as <name>.poses.csv; None for none, so that the motion is measured between the images.
     """
     scene, fan, landmarks = run.scene, scene_fan(run.scene), run.scene.landmark_set
     config = preset("default")
@@ -213,15 +223,18 @@ def recognise_run(run: VehicleRun, told: Mapping[Path, FloatArray]) -> None:
         for folder, poses in told.items():
             shutil.rmtree(folder, ignore_errors=True)
             folder.parent.mkdir(parents=True, exist_ok=True)
-            odometry = folder.parent / f"{folder.name}.poses.csv"
-            write_poses(odometry, poses)
-            table = read_poses(odometry)
+            table = None
+            if poses is not None:
+                odometry = folder.parent / f"{folder.name}.poses.csv"
+                write_poses(odometry, poses)
+                table = read_poses(odometry)
             recogniser = SideBySide([config], fan, landmarks, None, table)
             source = (folder.name, 0, "")
             of_run = run_table(
                 [config], recogniser.methods, scene_sonar(scene), fan, landmarks, source
             )
-            of_run["odometry"] = dict(table.source)
+            if table is not None:
+                of_run["odometry"] = dict(table.source)
             of_run["input"]["path"] = str(folder.parent / f"{folder.name}.mcap")
             writer = stack.enter_context(ResultsWriter(folder, landmarks, of_run))
             outputs.append((recogniser, writer))

@@ -1,0 +1,192 @@
+"""Frames and IDs that a method no longer counts as before: found log by log, and put by.
+
+So that memory does not grow with the logs, however much changed.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sonarrec.evaluation.joined import Joined
+from sonarrec.evaluation.scoring import PROTOCOLS, Scored, score
+from sonarrec.evaluation.store import Store
+from sonarrec.records import IntArray
+
+CHANGE = np.dtype([("frame", "i8"), ("landmark", "i8"), ("old", "i4", 3), ("new", "i4", 3)])
+VERDICTS = ("better", "worse", "other")
+GAP = 2
+"""Frames from one change to an equal one of the same run at the most."""
+
+ByMethod = Mapping[tuple[str, str], npt.NDArray[Any]]
+"""Of each protocol and method CHANGEs, by frame, then in the order of the IDs."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrameChange:
+    """A frame and ID that one method no longer counts as before."""
+
+    protocol: str
+    method: str
+    log: str
+    frame: int
+    landmark: int
+    old: tuple[int, int, int]
+    new: tuple[int, int, int]
+    """TP, FP, FN there."""
+
+    @property
+    def verdict(self) -> str:
+        """better, worse or other, by the number of errors."""
+        more = sum(self.new[1:]) - sum(self.old[1:])
+        return "worse" if more > 0 else "better" if more < 0 else "other"
+
+
+@dataclass(frozen=True, slots=True)
+class FrameRun:
+    """Equal changes in neighbouring frames, put together."""
+
+    first: FrameChange
+    last_frame: int
+    count: int
+    """Frames that changed."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrameChanges:
+    """All changes, read from a store each time they are asked for."""
+
+    store: Store
+    """By protocol, method and number of a log."""
+    logs: tuple[tuple[int, str], ...]
+    """Number and name of each log that counts, in order."""
+    methods: tuple[tuple[str, str], ...]
+    """Protocol and method of what is compared, in order."""
+
+    def __iter__(self) -> Iterator[FrameChange]:
+        for protocol, method in self.methods:
+            for number, log in self.logs:
+                for row in self._rows(protocol, method, number):
+                    yield _change(protocol, method, log, row)
+
+    def verdicts(self) -> dict[str, int]:
+        """How many got better, worse and otherwise changed."""
+        found: Counter[str] = Counter()
+        for of in self.methods:
+            for number, _ in self.logs:
+                more = _more_errors(self._rows(*of, number))
+                worse, better = int((more > 0).sum()), int((more < 0).sum())
+                found.update(worse=worse, better=better, other=len(more) - worse - better)
+        return {name: found[name] for name in VERDICTS}
+
+    def runs(
+        self, most: int, protocol: str | None = None, verdict: str | None = None
+    ) -> tuple[list[FrameRun], int]:
+        """The longest runs, and how many there are; of one protocol and verdict, where given.
+
+        Runs as long as each other stand by protocol, method, log, ID, and what changed.
+        """
+        numbers: dict[str, list[int]] = {}
+        for number, log in self.logs:
+            numbers.setdefault(log, []).append(number)
+        longest: list[FrameRun] = []
+        count = 0
+        for of in sorted(m for m in self.methods if protocol in (None, m[0])):
+            for log in sorted(numbers):
+                rows = np.concatenate([self._rows(*of, number) for number in numbers[log]])
+                if verdict is not None:
+                    rows = rows[np.sign(_more_errors(rows)) == _SIGN[verdict]]
+                rows, start, length = _runs(rows)
+                count += len(start)
+                for i in np.argsort(-length, kind="stable")[:most].tolist():
+                    first, last = rows[start[i]], rows[start[i] + length[i] - 1]
+                    run = FrameRun(_change(*of, log, first), int(last["frame"]), int(length[i]))
+                    longest.append(run)
+                # Stable, so that of those as long as each other the first ones stay.
+                longest = heapq.nsmallest(most, longest, key=lambda run: -run.count)
+        return longest, count
+
+    def _rows(self, protocol: str, method: str, number: int) -> npt.NDArray[Any]:
+        for _, rows in self.store.get((protocol, method, number)):
+            return rows
+        return np.empty(0, dtype=CHANGE)
+
+
+_SIGN = {"worse": 1, "better": -1, "other": 0}
+
+
+def put(store: Store, number: int, found: ByMethod) -> None:
+    """Put the changes of one log by, for `FrameChanges`."""
+    for of, rows in found.items():
+        store.put((*of, number), number, rows)
+
+
+def changed_frames(
+    before: tuple[Joined, Sequence[Scored]], after: tuple[Joined, Sequence[Scored]]
+) -> ByMethod:
+    """What changed in one log, of the same frames and truth on both sides.
+
+    A method that one side does not hold claims nothing there.
+    """
+    methods = tuple(dict.fromkeys((*before[0].methods, *after[0].methods)))
+    placed = before[0].placed and after[0].placed
+    found = {}
+    for protocol in PROTOCOLS if placed else PROTOCOLS[:1]:
+        for method in methods:
+            a, b = (_scored(*side, protocol, method) for side in (before, after))
+            rows = _between(a, b, after[0])
+            if len(rows):
+                found[protocol, method] = rows
+    return found
+
+
+def _scored(joined: Joined, scored: Sequence[Scored], protocol: str, method: str) -> Scored:
+    for one in scored:
+        if (one.protocol, one.method) == (protocol, method):
+            return one
+    more = replace(joined, methods=(*joined.methods, method))
+    return score(more, len(joined.methods), protocol)
+
+
+def _between(a: Scored, b: Scored, joined: Joined) -> npt.NDArray[Any]:
+    frames = len(joined.frame)
+    cells = [s.declared_by(np.arange(frames), joined.truth_frame_index, frames) for s in (a, b)]
+    old, new = (c[:, :, [0, 2, 3]] for c in cells)
+    frame, k = np.nonzero((old != new).any(axis=2))
+    rows = np.empty(len(frame), dtype=CHANGE)
+    rows["frame"], rows["landmark"] = joined.frame[frame], np.array(joined.ids)[k]
+    rows["old"], rows["new"] = old[frame, k], new[frame, k]
+    return rows
+
+
+def _more_errors(rows: npt.NDArray[Any]) -> IntArray:
+    """(n,) by how many errors there are more than before."""
+    more = rows["new"][:, 1:].sum(axis=1) - rows["old"][:, 1:].sum(axis=1)
+    return np.asarray(more, dtype=np.int64)
+
+
+def _runs(rows: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], IntArray, IntArray]:
+    """(rows by ID, change and frame; (R,) where each run begins; (R,) how long it is)."""
+    keys = [rows["landmark"], *rows["old"].T, *rows["new"].T, rows["frame"]]
+    rows = rows[np.lexsort(keys[::-1])]
+    new = np.ones(len(rows), dtype=bool)
+    new[1:] = np.diff(rows["frame"]) > GAP
+    new[1:] |= np.diff(rows["landmark"]) != 0
+    for side in ("old", "new"):
+        new[1:] |= (np.diff(rows[side], axis=0) != 0).any(axis=1)
+    start = np.flatnonzero(new)
+    return rows, start, np.diff(np.append(start, len(rows)))
+
+
+def _change(protocol: str, method: str, log: str, row: Any) -> FrameChange:
+    frame, landmark, old, new = row["frame"], row["landmark"], row["old"], row["new"]
+    return FrameChange(
+        *(protocol, method, log, int(frame), int(landmark)),
+        *((int(o[0]), int(o[1]), int(o[2])) for o in (old, new)),
+    )

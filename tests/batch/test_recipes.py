@@ -1,0 +1,159 @@
+"""The recipes of help/cluster.md, run as they stand there, as far as one machine goes.
+
+srun, ssh and GNU parallel are scripts that do here what these do elsewhere: srun runs its words,
+ssh gives its text to a shell, parallel puts each line of its input for {} and gives that to one.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import socket
+import stat
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from ruamel.yaml import YAML
+
+from tests.support.batch import rows
+from tests.support.logs import cdr_image, frames, mcap_file
+from tests.test_docs import PAGES, code_lines
+
+BIN = Path(sys.executable).parent
+LOGS = ("a", "b", "c", "d")
+STANDING_IN = {
+    "srun": 'exec "$@"\n',
+    "ssh": 'shift\nexec sh -c "$*"\n',
+    "parallel": """
+while [ "${1#--}" != "$1" ]; do
+    [ "$1" != --workdir ] || cd "$2"
+    shift 2
+done
+while read -r line; do
+    sh -c "$(printf '%s\\n' "$*" | sed "s|{}|$line|g")" < /dev/null || exit
+done
+""",
+}
+
+
+def recipe(beginning: str) -> str:
+    """The block of the page that has a line beginning so, as it would be in a file."""
+    text = "\n".join(code_lines(PAGES["cluster"]))
+    (found,) = [b for b in re.split(r"\n\n+", text) if re.search(f"(?m)^{beginning}", b)]
+    return found + "\n"
+
+
+@pytest.fixture
+def shared(tmp_path: Path) -> Path:
+    """A folder that all machines see, with four logs in two folders and the program's .venv."""
+    place = tmp_path / "shared"
+    for n, name in enumerate(LOGS):
+        log = place / "dives" / str(n % 2) / f"{name}.mcap"
+        images = frames(3, seed=n)
+        mcap_file(log, [("/s", k * 10**8, cdr_image(image)) for k, image in enumerate(images)])
+    (place / ".venv").mkdir()
+    (place / ".venv" / "bin").symlink_to(BIN)
+    (tmp_path / "bin").mkdir()
+    for name, script in STANDING_IN.items():
+        file = tmp_path / "bin" / name
+        file.write_text(f"#!/bin/sh\n{script}")
+        file.chmod(file.stat().st_mode | stat.S_IXUSR)
+    return place
+
+
+def printed(words: Sequence[str], cwd: Path, **environment: object) -> str:
+    """What a recipe prints; it has to end well."""
+    path = os.pathsep.join(
+        [*(f"{at}/bin" for at in (cwd, cwd.parent)), str(BIN), os.environ["PATH"]]
+    )
+    env = os.environ | {"PATH": path} | {name: str(v) for name, v in environment.items()}
+    done = subprocess.run(words, cwd=cwd, env=env, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def assert_once(shares: Sequence[str], out: Path) -> None:
+    """Every log is done, by one of the shares, of which none had nothing to do."""
+    done = [re.findall(r"results/(\w): 3 frames", text) for text in shares]
+    assert Counter(name for share in done for name in share) == Counter(LOGS)
+    assert all(done)
+    assert {name: row["status"] for name, row in rows(out).items()} == dict.fromkeys(LOGS, "done")
+
+
+def test_a_slurm_array(shared: Path) -> None:
+    script = shared / "job.sh"
+    script.write_text(recipe("#SBATCH"))
+    given = {"SLURM_ARRAY_TASK_COUNT": 2, "SLURM_CPUS_PER_TASK": 1, "SCRATCH": shared}
+
+    def task(number: int) -> str:
+        return printed(["sh", str(script)], shared, SLURM_ARRAY_TASK_ID=number, **given)
+
+    assert_once([task(number) for number in (1, 2)], shared / "results")
+    assert "2 up to date" in task(1)
+
+
+def test_a_kubernetes_job(shared: Path) -> None:
+    """Volumes are folders here, in place of the paths at which a container sees them."""
+    job = YAML(typ="safe").load(recipe("kind: Job"))
+    spec = job["spec"]
+    assert (job["apiVersion"], spec["completionMode"]) == ("batch/v1", "Indexed")
+    pod = spec["template"]["spec"]
+    (container,) = pod["containers"]
+    mounts = {m["name"]: m["mountPath"] for m in container["volumeMounts"]}
+    assert sorted(mounts) == sorted(volume["name"] for volume in pod["volumes"])
+    (shared / "dives").rename(shared / "logs")
+    command = container["command"]
+    for name, path in mounts.items():
+        assert path in command[-1]
+        command = [re.sub(rf"(?<![\w.]){path}\b", str(shared / name), word) for word in command]
+    shares = [
+        printed(command, shared, JOB_COMPLETION_INDEX=index) for index in range(spec["completions"])
+    ]
+    assert_once(shares, shared / "results")
+
+
+@pytest.mark.parametrize("beginning", ["for i in", "seq"])
+def test_machines_over_ssh(shared: Path, beginning: str) -> None:
+    text = recipe(beginning)
+    assert "/shared" in text
+    said = printed(["sh", "-c", text.replace("/shared", str(shared))], shared.parent)
+    assert_once([said], shared / "results")
+
+
+def test_a_dask_cluster(shared: Path) -> None:
+    """With the address of this machine, another port, and as many workers as it has cores."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    text = recipe("dask scheduler").replace("first", "127.0.0.1").replace("8786", str(port))
+    *servers, run = text.replace("--nworkers 8", "--nworkers 2").splitlines()
+    running = []
+    try:
+        for line in servers:
+            words = [str(BIN / "dask"), *line.partition("#")[0].split()[1:], "--no-dashboard"]
+            running.append(
+                subprocess.Popen(
+                    words,
+                    cwd=shared,
+                    stdout=subprocess.DEVNULL,
+                    stderr=subprocess.DEVNULL,
+                    start_new_session=True,  # so that workers end with what started them
+                )
+            )
+            limit = time.monotonic() + 30
+            while time.monotonic() < limit:
+                with suppress(OSError), socket.create_connection(("127.0.0.1", port), 1):
+                    break
+                time.sleep(0.1)
+        assert_once([printed(["sh", "-c", run], shared)], shared / "results")
+    finally:
+        for process in running:
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, 9)
+            process.wait()
