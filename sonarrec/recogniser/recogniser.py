@@ -18,15 +18,10 @@ from sonarrec.recogniser.odometry import Odometry
 from sonarrec.recogniser.plane import working_plane
 from sonarrec.recogniser.stage1_candidates import CandidateSelector
 from sonarrec.recogniser.stage2_continuity import ContinuityFilter
-from sonarrec.recogniser.stage3_features import Measurement
+from sonarrec.recogniser.stage3_features import Measurement, shape_matrix
 from sonarrec.recogniser.stage3_features.appearance import AppearanceMeasurement, Judge
 from sonarrec.recogniser.stage3_features.model import load_model
 from sonarrec.recogniser.stage3_features.published import PublishedMeasurement
-from sonarrec.recogniser.stage3_features.shape_matrix import (
-    ShapeSampler,
-    turned_codes,
-    whole_steps,
-)
 from sonarrec.recogniser.stage3_features.smi import identify
 from sonarrec.records import Fan, Frame, FrameResult
 
@@ -66,8 +61,8 @@ class Recogniser:
         self._select = CandidateSelector(select, plane, landmarks, beam_width_deg)
         self.odometry = Odometry(plane, config.continuity, poses)
         self._continuity = ContinuityFilter(config.continuity, plane, rng)
-        self._sampler = sampler = ShapeSampler(landmarks, plane.axes)
-        bands, turned = sampler.bands, turned_codes(landmarks)
+        self._sampler = sampler = shape_matrix.ShapeSampler(landmarks, plane.axes)
+        bands, turned = sampler.bands, shape_matrix.turned_codes(landmarks)
         self._measurement: Measurement
         if features.measurement == "single":
             self._measurement = PublishedMeasurement(features, bands, landmarks, fan.window_m)
@@ -101,22 +96,13 @@ class Recogniser:
         places = np.concatenate([selection.positions, groups.positions])
         sight = self._plane.line_of_sight(places)
         # Those of a group are turned in whole steps alone, to lie over each other exactly.
-        sight[n:] -= np.radians(whole_steps(groups.sights)[1])
+        sight[n:] -= np.radians(shape_matrix.whole_steps(groups.sights)[1])
         grey, seen = self._sampler(
             image, self._plane.inside, places, sight, selection.mean, selection.sigma
         )
         gathered = self._measurement.gather(groups, grey[n:], seen[n:])
-        return Followed(
-            frame=frame.index,
-            timestamp_ns=frame.timestamp_ns,
-            candidates=selection.positions,
-            scores=selection.scores,
-            grey=grey[:n],
-            seen=seen[:n],
-            groups=groups,
-            gathered=gathered,
-            motion=motion,
-        )
+        found = (selection.positions, selection.scores, grey[:n], seen[:n])
+        return Followed(frame.index, frame.timestamp_ns, *found, groups, gathered, motion)
 
     def judge(self, frames: Sequence[Followed]) -> list[FrameResult]:
         """Stage 3 of some frames, at least one, that come after those judged before.
