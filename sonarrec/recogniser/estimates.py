@@ -15,7 +15,7 @@ from sonarrec.records import BoolArray, Estimate, FloatArray, IntArray
 
 # Standard error of a group's mean, in shares of its particles' spread: chosen on tuning seeds, held
 # against the truth by `make scenes`.
-POSITION_SHARE = 0.22
+POSITION_SHARE = 0.33
 
 
 def declared(score: FloatArray | float, threshold: float) -> BoolArray:
