@@ -271,7 +271,7 @@ def test_the_smeared_features_are_the_others_in_tenths_of_a_radius_three_at_most
         named = dict(zip(FEATURES, found.features[0, k], strict=True))
         for name, plain in (
             ("smeared_correlation", named["correlation"] - 0.7),
-            ("smeared_weakest_bright", named["local_weakest_bright"]),
+            ("smeared_local_weakest_bright", named["local_weakest_bright"]),
         ):
             assert named[name] == pytest.approx(counts * plain)
 
