@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -250,6 +250,75 @@ def _from_origin(pose: Pose, ground: float, bearing_deg: float) -> tuple[float, 
     return math.hypot(x, y), math.degrees(math.atan2(x, y))
 
 
+@dataclass(frozen=True, slots=True)
+class _Looks:
+    """Of what lies on a scene's floor: dB over it, and in which nearest share of the window."""
+
+    bright: float
+    plate: float
+    share: float
+
+
+def _landmarks(
+    kind: str, discs: LandmarkSet, floor: _Floor, looks: _Looks, rng: np.random.Generator
+) -> list[PlacedLandmark]:
+    """As many as the kind has, where there is room for them."""
+    count = 0 if kind == "no_landmark" else int(rng.integers(3, 5))
+    if kind in _SYMBOLIC:
+        count = 2
+    if kind == "vehicle":
+        count = int(rng.integers(6, 11))
+    landmarks = []
+    for number in rng.choice(discs.ids, count, replace=count > len(discs.ids)):
+        place = floor.place(discs.radius_m, looks.share)
+        if place:
+            landmarks.append(
+                PlacedLandmark(
+                    int(number),
+                    *place,
+                    orientation_deg=round(rng.uniform(0, 360), 1),
+                    bright_db=round(looks.bright + rng.normal(0, 0.7), 2),
+                    symbol_db=round(looks.bright + rng.normal(-0.7, 0.7), 2),
+                    plate_db=round(looks.plate + rng.normal(0, 0.7), 2),
+                )
+            )
+    return landmarks
+
+
+def _objects(
+    kind: str, scene: Scene, floor: _Floor, looks: _Looks, rng: np.random.Generator
+) -> list[PlacedObject]:
+    """What is no landmark, by what the kind of scene is about, where there is room for it."""
+    names = ["blank", "filled", "tyre", "stone", "stone"]
+    names += [str(k) for k in rng.choice(["mesh", "beam", "stone"], 2)]
+    if kind == "symbols":
+        names += [str(k) for k in rng.choice(LEARNED_SYMBOLS, 5)]
+    elif kind == "other_symbols":
+        names += [str(k) for k in rng.choice(OTHER_SYMBOLS, 5)]
+    elif kind in ("any_floor", "relief", "light", "debris", "wide"):
+        names += [str(k) for k in rng.choice([*LEARNED_SYMBOLS, "blank", "half_ring"], 2)]
+    elif kind in _FAKES:
+        names += ["spokes", "half_ring", "blank", "filled"]
+    else:
+        names += [str(k) for k in rng.choice(["spokes", "half_ring", "blank", "filled"], 1)]
+    objects = []
+    for name in names:
+        draft = PlacedObject(
+            name,
+            1.0,
+            0.0,
+            orientation_deg=round(rng.uniform(0, 360), 1),
+            size_m=_random_size(name, scene.landmark_set.radius_m, rng),
+            bright_db=round(KINDS[name][3] + (looks.bright - 12) + rng.normal(0, 1), 2),
+            plate_db=round(looks.plate + rng.normal(0, 0.7), 2),
+            number=int(rng.integers(2**31)) if name in SYMBOLS else 0,
+        )
+        place = floor.place(object_radius(scene, draft), looks.share)
+        if place:
+            objects.append(replace(draft, ground_m=place[0], azimuth_deg=place[1]))
+    return objects
+
+
 def random_scene(seed: int, kind: str = "plain", wide: bool = False, **overrides: Any) -> Scene:
     """Draw a scene: landmarks and distractors at random, nuisances by kind (ALL_KINDS).
 
@@ -269,67 +338,22 @@ def random_scene(seed: int, kind: str = "plain", wide: bool = False, **overrides
         sonar=sonar,
         **_nuisances(kind, wide, rng),
     )
-    discs = scene.landmark_set
     path = None
     if kind == "vehicle":
         scene = replace(scene, frames=RUN_FRAMES, motion=vehicle_motion(rng))
         path = poses(scene)
     floor = _Floor(scene.sonar, rng, path)
-    # Far out the floor lies at the beam's edge: discs keep to where a sonar would be used.
-    share = 0.6 if scene.sonar.range_max_m > 4 else 0.85
     faint = rng.uniform(3, 7 if wide else 5) if kind == "low_contrast" else 0.0
-    bright = rng.uniform(9, 14) - faint
-    plate = rng.uniform(-10, -4) + faint / 2
-
-    landmarks = []
-    count = 0 if kind == "no_landmark" else int(rng.integers(3, 5))
-    if kind in _SYMBOLIC:
-        count = 2
-    if kind == "vehicle":
-        count = int(rng.integers(6, 11))
-    for number in rng.choice(discs.ids, count, replace=count > len(discs.ids)):
-        place = floor.place(discs.radius_m, share)
-        if place:
-            landmarks.append(
-                PlacedLandmark(
-                    int(number),
-                    *place,
-                    orientation_deg=round(rng.uniform(0, 360), 1),
-                    bright_db=round(bright + rng.normal(0, 0.7), 2),
-                    symbol_db=round(bright + rng.normal(-0.7, 0.7), 2),
-                    plate_db=round(plate + rng.normal(0, 0.7), 2),
-                )
-            )
-
-    kinds = ["blank", "filled", "tyre", "stone", "stone"]
-    kinds += [str(k) for k in rng.choice(["mesh", "beam", "stone"], 2)]
-    if kind == "symbols":
-        kinds += [str(k) for k in rng.choice(LEARNED_SYMBOLS, 5)]
-    elif kind == "other_symbols":
-        kinds += [str(k) for k in rng.choice(OTHER_SYMBOLS, 5)]
-    elif kind in ("any_floor", "relief", "light", "debris", "wide"):
-        kinds += [str(k) for k in rng.choice([*LEARNED_SYMBOLS, "blank", "half_ring"], 2)]
-    elif kind in _FAKES:
-        kinds += ["spokes", "half_ring", "blank", "filled"]
-    else:
-        kinds += [str(k) for k in rng.choice(["spokes", "half_ring", "blank", "filled"], 1)]
-    objects = []
-    for name in kinds:
-        draft = PlacedObject(
-            name,
-            1.0,
-            0.0,
-            orientation_deg=round(rng.uniform(0, 360), 1),
-            size_m=_random_size(name, discs.radius_m, rng),
-            bright_db=round(KINDS[name][3] + (bright - 12) + rng.normal(0, 1), 2),
-            plate_db=round(plate + rng.normal(0, 0.7), 2),
-            number=int(rng.integers(2**31)) if name in SYMBOLS else 0,
-        )
-        place = floor.place(object_radius(scene, draft), share)
-        if place:
-            objects.append(replace(draft, ground_m=place[0], azimuth_deg=place[1]))
+    looks = _Looks(
+        bright=rng.uniform(9, 14) - faint,
+        plate=rng.uniform(-10, -4) + faint / 2,
+        # Far out the floor lies at the beam's edge: discs keep to where a sonar would be used.
+        share=0.6 if scene.sonar.range_max_m > 4 else 0.85,
+    )
+    landmarks = _landmarks(kind, scene.landmark_set, floor, looks, rng)
+    objects = _objects(kind, scene, floor, looks, rng)
     if kind == "occluded":
-        objects += [_cover(landmark, discs.radius_m, rng) for landmark in landmarks]
+        objects += [_cover(landmark, scene.landmark_set.radius_m, rng) for landmark in landmarks]
     if rng.uniform() < 0.5 and kind != "vehicle":
         far = math.sqrt(scene.sonar.range_max_m**2 - scene.sonar.height_m**2)
         objects.append(

@@ -38,7 +38,7 @@ from sonarrec.simulation.scene import (
     travels,
 )
 from sonarrec.simulation.world import World, object_radius
-from sonarrec.sonar import Sonar
+from sonarrec.sonar import Geometry, Sonar
 
 __all__ = [
     "KINDS_OF_SCENE",
@@ -332,7 +332,7 @@ def write_recording(
     """
     import tomli_w  # only writers of TOML need it
 
-    from sonarrec.simulation.mcap_writer import McapImageWriter, check_schema, is_polar
+    from sonarrec.simulation.mcap_writer import check_schema, is_polar
 
     if image_format not in ("png", "mcap"):
         raise SonarrecError(f'image format must be "png" or "mcap", not {image_format!r}')
@@ -358,30 +358,21 @@ def write_recording(
     frames = render(scene)
     # A scene that cannot be rendered leaves no folder behind.
     frames = chain([next(frames)], frames)
+    if image_format == "mcap":
+        complete = sonar.complete(scene.name) if polar else None
+        file_name = out if single else out / "frames.mcap"
+        written = _to_mcap(frames, file_name, schema, compression, complete)
+    else:
+        written = _to_png(frames, out)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with (folder / f"{prefix}gt.csv").open("w", newline="", encoding="utf-8") as file:
             table = csv.writer(file, lineterminator="\n")
             table.writerow(["frame", *(f.name for f in fields(LandmarkTruth))])
-            if image_format == "mcap":
-                with McapImageWriter(
-                    out if single else out / "frames.mcap",
-                    schema=schema,
-                    compression=compression,
-                    sonar=sonar.complete(scene.name) if polar else None,
-                ) as writer:
-                    for frame in frames:
-                        writer.write(frame.timestamp_ns, frame.image)
-                        table.writerows([frame.index, *asdict(row).values()] for row in frame.truth)
-                        if progress:
-                            progress(frame.index + 1)
-            else:
-                for frame in frames:
-                    if not cv2.imwrite(str(out / f"{frame.index:06d}.png"), frame.image):
-                        raise SonarrecError(f"{out}: frame {frame.index} cannot be written")
-                    table.writerows([frame.index, *asdict(row).values()] for row in frame.truth)
-                    if progress:
-                        progress(frame.index + 1)
+            for frame in written:
+                table.writerows([frame.index, *asdict(row).values()] for row in frame.truth)
+                if progress:
+                    progress(frame.index + 1)
         # Last: a folder without geometry is not taken for a whole recording.
         for name, document in (
             ("scene", scene_table(scene)),
@@ -394,3 +385,27 @@ def write_recording(
             )
     except OSError as error:
         raise SonarrecError(f"{out}: cannot be written ({error})") from None
+
+
+def _to_png(frames: Iterator[SimulatedFrame], folder: Path) -> Iterator[SimulatedFrame]:
+    """The frames, each once it is NNNNNN.png in the folder."""
+    for frame in frames:
+        if not cv2.imwrite(str(folder / f"{frame.index:06d}.png"), frame.image):
+            raise SonarrecError(f"{folder}: frame {frame.index} cannot be written")
+        yield frame
+
+
+def _to_mcap(
+    frames: Iterator[SimulatedFrame],
+    path: Path,
+    schema: str,
+    compression: str,
+    sonar: Geometry | None,
+) -> Iterator[SimulatedFrame]:
+    """The frames, each once it is a message of the file. sonar: of polar pings."""
+    from sonarrec.simulation.mcap_writer import McapImageWriter
+
+    with McapImageWriter(path, schema=schema, compression=compression, sonar=sonar) as writer:
+        for frame in frames:
+            writer.write(frame.timestamp_ns, frame.image)
+            yield frame
