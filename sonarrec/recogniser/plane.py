@@ -114,16 +114,16 @@ class Plane(ABC):
             [self.apex[0] + x * cos + y * sin, self.apex[1] - x * sin + y * cos], axis=-1
         )
 
-    def sight_turned(self, position: FloatArray, motion: Motion) -> FloatArray:
+    def sight_turned(self, before: FloatArray, after: FloatArray, motion: Motion) -> FloatArray:
         """(n,) by how much a motion turns the line of sight to still objects over the floor, deg.
 
-        position: (n, 2) working pixels before the motion. Counter-clockwise, seen from above; 0
-        where the sonar only turns about itself.
+        before, after: (n, 2) working pixels; the latter from `moved`. Counter-clockwise, seen from
+        above; 0 where the sonar only turns about itself.
         """
         if not (motion.right_m or motion.ahead_m):
-            return np.zeros(len(position))
-        after = self.line_of_sight(self.moved(position, motion))
-        turned = np.degrees(after - self.line_of_sight(position)) - motion.pan_deg
+            return np.zeros(len(before))
+        turned = np.degrees(self.line_of_sight(after) - self.line_of_sight(before))
+        turned -= motion.pan_deg
         return np.asarray((turned + 180) % 360 - 180)
 
     def line_of_sight(self, position: FloatArray) -> FloatArray:

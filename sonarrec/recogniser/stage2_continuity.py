@@ -160,12 +160,10 @@ class ContinuityFilter:
             groups.places = positions
             self._lost = _nobody()  # nobody knows where they are now
             return
-        groups.sights = groups.sights + self._plane.sight_turned(groups.places, motion)
-        groups.places = self._plane.moved(groups.places, motion)
+        self._carry(groups, motion)
         groups.places[there] = positions[there]
         if len(lost):
-            lost.sights = lost.sights + self._plane.sight_turned(lost.places, motion)
-            lost.places = self._plane.moved(lost.places, motion)
+            self._carry(lost, motion)
             away = np.hypot(*((lost.places - self._plane.apex) / self._diameter).T)
             turned = np.radians(motion.pan_sigma_deg) * away
             carried = 0.0
@@ -173,6 +171,12 @@ class ContinuityFilter:
                 carried = math.hypot(motion.right_sigma_m, motion.ahead_sigma_m)
                 carried = self._pixels(carried) / self._diameter[0]
             lost.drift += turned**2 + carried**2 + self._config.recall_drift**2
+
+    def _carry(self, table: ParticleGroups | LostGroups, motion: Motion) -> None:
+        """Move places with the floor, and turn the lines of sight to them."""
+        after = self._plane.moved(table.places, motion)
+        table.sights = table.sights + self._plane.sight_turned(table.places, after, motion)
+        table.places = after
 
     def _strike(self, spread: FloatArray, hit: BoolArray, in_view: BoolArray) -> None:
         """Strikes for spread groups, and the Bayes filter of existence from hits and misses.
