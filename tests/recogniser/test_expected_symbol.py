@@ -131,7 +131,7 @@ def test_it_is_the_correlation_of_generalised_least_squares(
     covariance += np.diag(OWN * radii.mean() / np.abs(place))
     of = seen[EXPECTED.lines].ravel()
     factor = np.linalg.cholesky(covariance[np.ix_(of, of)])
-    flat = EXPECTED.expected(round(smear / SMEAR_STEP)).flat[:, : ANGLES * 4]
+    flat = EXPECTED.expected(round(smear / SMEAR_STEP))[..., : ANGLES * 4]
     flat = flat.reshape(-1, ANGLES, 4)
     for k, turn in ((0, 0), (1, 7), (2, 20), (3, 31)):
         columns = [matrix[EXPECTED.lines].ravel(), ring, ~ring, flat[:, turn, k]]

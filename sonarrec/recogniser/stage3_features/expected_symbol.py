@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import math
 from functools import cache
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -58,22 +57,11 @@ CROSS_TURNS = ANGLES // 4
 LEAST_SHOWN = 0.1  # share of a whole symbol's evidence below which nothing of it has shown
 
 
-class _Expected(NamedTuple):
-    """What T symbols should show: every ID at every turn (ANGLES x K), a cross at CROSS_TURNS, and
-    every other rival at every turn."""
-
-    flat: FloatArray
-    """(cells, T) 0 on the plate to 1 on a symbol."""
-    whitened: FloatArray
-    """(cells, T) the same times the precision, over the root of the product of the two: of cells
-    that are as a symbol has them the product with it is the root of their variation."""
-
-
 class ExpectedSymbols:
     """Compares symbols, the gap and the ring round them, with what every ID of a set should show.
 
-    lines: which lines of the shape matrix take part. expected: from a smear in whole SMEAR_STEPs to
-    what their cells should show.
+    T symbols take part: every ID at every turn (ANGLES x K), a cross at CROSS_TURNS, and every
+    other rival at every turn. lines: which lines of the shape matrix take part.
     """
 
     def __init__(
@@ -91,7 +79,7 @@ class ExpectedSymbols:
         self._rivals = _rivals(landmarks)
         self._precision = _precision(self._radii, alike, landmarks.ring[0])
         # Only the smears that a log's ranges call for are ever drawn.
-        self.expected = cache(self._draw)
+        self._expected = cache(self._whitened)
 
     def correlation(
         self, cells: FloatArray, seen: npt.NDArray[np.bool_], smear: FloatArray
@@ -113,10 +101,10 @@ class ExpectedSymbols:
         product = np.empty((len(cells), symbols))
         for step in set(steps.tolist()):
             of = steps == step
-            product[of] = values[of] @ self.expected(step).whitened
+            product[of] = values[of] @ self._expected(step)
         for i in np.flatnonzero(seen.any(axis=1) & ~seen.all(axis=1)):
             # Unseen cells leave the precision by their Schur complement.
-            expected, hidden = self.expected(int(steps[i])).whitened, np.flatnonzero(~seen[i])
+            expected, hidden = self._expected(int(steps[i])), np.flatnonzero(~seen[i])
             likely = settled(product[i, ids:])
             rank = max(len(likely) - MOST_RIVALS, 0)
             rivals = np.flatnonzero(likely >= np.partition(likely, rank)[rank])
@@ -134,14 +122,20 @@ class ExpectedSymbols:
         found = product[:, :ids] / scale[:, None]
         return found.reshape(-1, ANGLES, self._ids), product[:, ids:].max(axis=1) / scale
 
-    def _draw(self, steps: int) -> _Expected:
-        """What the cells should show, smeared by `steps`."""
-        flat = self._look(steps).reshape(len(self._precision), -1)
-        whitened = self._precision @ flat
-        return _Expected(flat, whitened / np.sqrt((flat * whitened).sum(axis=0)))
+    def _whitened(self, steps: int) -> FloatArray:
+        """(cells, T) `expected` times the precision, over the root of the product of the two.
 
-    def _look(self, steps: int) -> FloatArray:
-        """(lines, ANGLES, T) what the lines show of every ID and every rival at every turn."""
+        Of cells that are as a symbol has them the product with it is the root of their variation.
+        """
+        flat = self.expected(steps).reshape(len(self._precision), -1)
+        whitened = self._precision @ flat
+        return np.asarray(whitened / np.sqrt((flat * whitened).sum(axis=0)))
+
+    def expected(self, steps: int) -> FloatArray:
+        """(lines, ANGLES, T) what the lines show of every symbol, 0 on the plate to 1 on a symbol.
+
+        steps: the smear in whole SMEAR_STEPs.
+        """
         discs = self._landmarks
         radius, angle, share = _points(self._radii, steps * SMEAR_STEP)
         ring = (radius >= discs.ring[0]) & (radius <= discs.ring[1])
