@@ -26,10 +26,13 @@ from sonarrec.simulation.unlike import LEARNED_UNLIKE
 MODEL_SEEDS = range(1000, 1060)
 # Of each kind so many, from the first on: those beyond the basin differ more from one recording to
 # the next.
-RECORDINGS = dict.fromkeys(KINDS_OF_SCENE + STRETCH_KINDS, 24) | dict.fromkeys(LEARNED_UNLIKE, 60)
-RECORDINGS |= {"wide": 20}  # they cost three times as much
-# What changes the geometry or the floor alone is near the basin's.
-RECORDINGS |= dict.fromkeys(("leaning", "ripples", "fish", "vehicle"), 12)
+RECORDINGS = {
+    **dict.fromkeys(KINDS_OF_SCENE + STRETCH_KINDS, 24),
+    **dict.fromkeys(LEARNED_UNLIKE, 60),
+    "wide": 20,  # they cost three times as much
+    # What changes the geometry or the floor alone is near the basin's.
+    **dict.fromkeys(("leaning", "ripples", "fish", "vehicle"), 12),
+}
 FRAMES = 64  # of each: more recordings teach more than longer ones
 
 

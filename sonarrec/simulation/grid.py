@@ -33,8 +33,11 @@ def smooth_noise(
     return np.asarray(full / max(float(full.std()), 1e-6))
 
 
-def _area(x_m: np.ndarray, y_m: np.ndarray) -> tuple[float, float, float, float]:
-    return float(x_m.min()), float(x_m.max()), float(y_m.min()), float(y_m.max())
+def area(grid: PolarGrid | SquareGrid) -> tuple[float, float, float, float]:
+    """Least and most x, least and most y (m) of a grid's cells."""
+    ends = (end(values) for values in (grid.x_m, grid.y_m) for end in (np.min, np.max))
+    low_x, high_x, low_y, high_y = map(float, ends)
+    return low_x, high_x, low_y, high_y
 
 
 class PolarGrid:
@@ -95,10 +98,6 @@ class PolarGrid:
         slant = np.sqrt(x**2 + y**2 + self._height_m**2)
         return self._index(slant, (np.degrees(np.arctan2(x, y)) - self._first_deg) / STEP_DEG)
 
-    def area(self) -> tuple[float, float, float, float]:
-        """Least and most x, least and most y (m)."""
-        return _area(self.x_m, self.y_m)
-
     def index_from_origin(self, ground: FloatArray, azimuth_deg: FloatArray) -> np.ndarray:
         """The same of ground ranges (bins, 1) and azimuths as `azimuths` has them."""
         column = (azimuth_deg - self._first_deg) / STEP_DEG
@@ -114,13 +113,13 @@ class PolarGrid:
 class SquareGrid:
     """Squares a little smaller than a range bin, over all the floor that a vehicle's run shows.
 
-    shape: (rows, columns), rows along y. ground_m: (rows, columns) float32 from the origin. x_m,
-    y_m: likewise. Raises SonarrecError where that is more floor than MOST_CELLS.
+    shape: (rows, columns), rows along y. x_m, y_m: (rows, columns) float32. cell_m: the side of a
+    square. Raises SonarrecError where that is more floor than MOST_CELLS.
     """
 
     def __init__(self, scene: Scene, path: Sequence[Pose]) -> None:
         sonar = scene.sonar
-        self._cell_m = cell = _FILL * (sonar.range_max_m - sonar.range_min_m) / sonar.range_bins
+        self.cell_m = cell = _FILL * (sonar.range_max_m - sonar.range_min_m) / sonar.range_bins
         self._reach_deg = sonar.field_of_view_deg / 2 + MARGIN_DEG
         poses = np.array([(p.pan_deg, p.x_m, p.y_m) for p in path])
         edge = np.radians(poses[:, :1] + np.linspace(-self._reach_deg, self._reach_deg, 9))
@@ -142,14 +141,9 @@ class SquareGrid:
         self.x_m = np.broadcast_to(right.astype(np.float32), self.shape)
         self.y_m = np.broadcast_to(ahead.astype(np.float32)[:, None], self.shape)
 
-    @property
-    def cell_m(self) -> float:
-        """The side of a square."""
-        return self._cell_m
-
     def cells(self, metres: float) -> tuple[float, float]:
         """Rows and columns of so many metres."""
-        return metres / self._cell_m, metres / self._cell_m
+        return metres / self.cell_m, metres / self.cell_m
 
     def box(self, ground_m: float, azimuth_deg: float, reach_m: float) -> tuple[slice, slice]:
         """Rows and columns that a circle of radius reach_m may touch."""
@@ -158,8 +152,8 @@ class SquareGrid:
         x, y = ground_m * math.sin(azimuth), ground_m * math.cos(azimuth)
         rows, columns = (
             slice(
-                max(math.floor((place - reach_m - first) / self._cell_m), 0),
-                max(math.ceil((place + reach_m - first) / self._cell_m), 0) + 1,
+                max(math.floor((place - reach_m - first) / self.cell_m), 0),
+                max(math.ceil((place + reach_m - first) / self.cell_m), 0) + 1,
             )
             for place, first in ((y, self._first[1]), (x, self._first[0]))
         )
@@ -172,13 +166,9 @@ class SquareGrid:
     def index(self, x: FloatArray, y: FloatArray) -> np.ndarray:
         """Flat indices, int32, of the cells where these places lie; the nearest ones outside."""
         rows, columns = self.shape
-        column = np.clip(np.floor((x - self._first[0]) / self._cell_m), 0, columns - 1)
-        row = np.clip(np.floor((y - self._first[1]) / self._cell_m), 0, rows - 1)
+        column = np.clip(np.floor((x - self._first[0]) / self.cell_m), 0, columns - 1)
+        row = np.clip(np.floor((y - self._first[1]) / self.cell_m), 0, rows - 1)
         return np.asarray((row * columns + column).astype(np.int32))
-
-    def area(self) -> tuple[float, float, float, float]:
-        """Least and most x, least and most y (m)."""
-        return _area(self.x_m, self.y_m)
 
     def evened(self, ground: FloatArray) -> FloatArray:
         """Amplitude that keeps the power of a beam where several columns of it share a cell.
@@ -186,7 +176,7 @@ class SquareGrid:
         ground: (bins, 1) m. Columns that share a scatterer add up in phase: of runs of n and n + 1
         columns, L in the mean, the power is too high by the mean of their squares over L.
         """
-        run = self._cell_m / (np.maximum(ground, 0.05) * math.radians(STEP_DEG))
+        run = self.cell_m / (np.maximum(ground, 0.05) * math.radians(STEP_DEG))
         run = np.maximum(run, 1.0)
         whole = np.floor(run)
         share = run - whole

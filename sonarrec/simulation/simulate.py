@@ -21,7 +21,7 @@ import numpy as np
 from sonarrec.geometry import in_fan, pixel_from_polar
 from sonarrec.records import ByteImage, Fan, FloatArray, SonarrecError, UsageError
 from sonarrec.simulation.fish import Fishes, Shoal
-from sonarrec.simulation.grid import PolarGrid, SquareGrid
+from sonarrec.simulation.grid import PolarGrid, SquareGrid, area
 from sonarrec.simulation.laid import raised_m
 from sonarrec.simulation.motion import Pose, ar1, poses
 from sonarrec.simulation.multipath import Multipath, shifted
@@ -235,7 +235,7 @@ def render(
     glow_sigma = max(fading.ghost_blur_m / bin_m, 0.3)
     glow_shift = round(fading.ghost_shift_m / bin_m)
     late = Multipath(scene, range_m)
-    shoal = Shoal(scene, grid.area()) if scene.fish.number else None
+    shoal = Shoal(scene, area(grid)) if scene.fish.number else None
 
     for index, pose in enumerate(path):
         world.fade(object_db[index], patches[index], afterglow_db[index])
