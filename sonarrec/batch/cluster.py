@@ -12,6 +12,8 @@ from sonarrec.results.folders import LockedError
 
 RETRIES = 2
 """How often a task is begun anew whose worker was lost."""
+PATIENCE = "10s"
+"""How long a scheduler is waited for."""
 
 
 def run_on_cluster(
@@ -28,7 +30,7 @@ def run_on_cluster(
         raise UsageError("--scheduler needs pip install 'sonarrec[cluster]'") from None
     dask: Any = distributed  # it is typed in part only
     try:
-        client = dask.Client(address, timeout="10s", set_as_default=False)
+        client = dask.Client(address, timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError) as error:
         raise UsageError(f"--scheduler {address}: no scheduler answers there ({error})") from None
     with client:

@@ -10,12 +10,16 @@ from pathlib import Path
 
 SAMPLE = Path(__file__).parents[2] / "sample_data" / "pan"
 FRAMES = 6
+GRACE_S = 3.0
+"""So long a process that is to end has in the tests, in place of `task.GRACE_S`."""
 BEHAVIOUR = '''
 """Read by every process at its start: logs of these names misbehave while they are read."""
 import os, signal, sys, time
 if "sonarrec" in "".join(sys.orig_argv):
+    from sonarrec.batch import task
     from sonarrec.readers import log
 
+    task.GRACE_S = {grace}
     iterate = log.Log.__iter__
 
     def misbehave(self):
@@ -50,7 +54,7 @@ def environment(folder: Path) -> dict[str, str]:
     """In which logs misbehave by their names."""
     home = folder / "behaviour"
     home.mkdir(exist_ok=True)
-    (home / "sitecustomize.py").write_text(BEHAVIOUR)
+    (home / "sitecustomize.py").write_text(BEHAVIOUR.replace("{grace}", str(GRACE_S)))
     return os.environ | {"PYTHONPATH": str(home)}
 
 
