@@ -8,13 +8,19 @@ from __future__ import annotations
 import glob
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from sonarrec.readers.bag_folder import bag_files, is_bag_folder
 from sonarrec.readers.ddf.frames import DdfFrames
-from sonarrec.readers.images import IMAGE_SUFFIXES, ImageFiles, is_image, natural_order
+from sonarrec.readers.images import (
+    IMAGE_SUFFIXES,
+    ImageFiles,
+    ImagePaths,
+    is_image,
+    natural_order,
+)
 from sonarrec.readers.oculus import OculusPings
 from sonarrec.readers.packed import PACKINGS, unpacked
 from sonarrec.readers.raw import RawLog
@@ -62,7 +68,7 @@ class Reader:
 
     kind: str
     suffixes: frozenset[str]
-    open: Callable[[list[Path]], RawLog] | None = None
+    open: Callable[[Sequence[Path]], RawLog] | None = None
     recording: Callable[[Path, Path], Recording] | None = None
 
     @property
@@ -107,7 +113,7 @@ class Source:
 
     path: Path
     name: str
-    files: list[Path]
+    files: Sequence[Path]
     reader: Reader
     up_to: Path | None = None
 
@@ -228,6 +234,7 @@ def matches(pattern: Path) -> list[Path]:
 
 def _found(path: Path, up_to: Path | None) -> Source:
     reader = None
+    files: Sequence[Path]
     if not path.exists() and glob.has_magic(str(path)):
         files = _glob_images(path)
         if is_log_file(files[0]):
@@ -262,13 +269,13 @@ def _named(name: str) -> str:
     return "log" if text in ("", ".", "..") else text
 
 
-def _glob_images(pattern: Path) -> list[Path]:
+def _glob_images(pattern: Path) -> Sequence[Path]:
     """The images that match, else the one log that does."""
     found = matches(pattern)
     if not found:
         raise SonarrecError(f"{shown(pattern)}: no file matches this pattern")
     logs = sorted(filter(is_log_file, found), key=natural_order)
-    files = logs or [m for m in found if is_image(m)]
+    files = logs or ImagePaths(filter(is_image, found))
     if len(logs) > 1:
         raise SonarrecError(
             f"{shown(pattern)}: matches {len(logs)} logs, {shown(logs[0].name)} the first; "
@@ -276,28 +283,27 @@ def _glob_images(pattern: Path) -> list[Path]:
         )
     if not files:
         raise SonarrecError(f"{shown(pattern)}: matches no image, video, MCAP or ROS bag")
-    return sorted(files, key=natural_order)
+    return files
 
 
-def _folder_images(folder: Path) -> list[Path]:
+def _folder_images(folder: Path) -> ImagePaths:
+    if files := ImagePaths(filter(is_image, folder.iterdir())):
+        return files
     entries = list(folder.iterdir())
     if not entries:
         raise SonarrecError(f"{shown(folder)}: the folder is empty")
-    files = [e for e in entries if is_image(e)]
-    logs = [] if files else sorted(filter(is_log_file, entries), key=natural_order)
+    logs = sorted(filter(is_log_file, entries), key=natural_order)
     if logs:
         raise SonarrecError(
             f"{shown(folder)}: a folder of {len(logs)} logs, {shown(logs[0].name)} the first; open "
             "each by itself"
         )
-    if not files:
-        hint = next((h for e in sorted(entries) if (h := _hint(e))), None)
-        raise SonarrecError(
-            f"{shown(folder)}: no log and no image in this folder "
-            f"({', '.join(sorted(IMAGE_SUFFIXES))}); "
-            + (hint or "--recursive looks into the folders below")
-        )
-    return sorted(files, key=natural_order)
+    hint = next((h for e in sorted(entries) if (h := _hint(e))), None)
+    raise SonarrecError(
+        f"{shown(folder)}: no log and no image in this folder "
+        f"({', '.join(sorted(IMAGE_SUFFIXES))}); "
+        + (hint or "--recursive looks into the folders below")
+    )
 
 
 def _hint(path: Path) -> str | None:

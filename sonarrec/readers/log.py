@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import chain, islice
 from pathlib import Path
@@ -33,7 +33,7 @@ class Log:
     """
 
     def __init__(
-        self, path: Path, name: str, files: list[Path], stated: Sonar, raw: RawLog, time: Clock
+        self, path: Path, name: str, files: Sequence[Path], stated: Sonar, raw: RawLog, time: Clock
     ) -> None:
         """files: what the log consists of, in order. time: which of its times names a frame."""
         self.path = path

@@ -76,7 +76,7 @@ def _found(url: Url, recursive: bool) -> list[RemoteLog]:
         logs, up_to = list(_below(Store(url), url, recursive)), url
     if not logs or [log.path.rstrip("/") for log in logs] == [url.path.rstrip("/")]:
         return [RemoteLog(url)]
-    logs.sort(key=lambda log: natural_order(Path(log.path)))
+    logs.sort(key=lambda log: natural_order(log.path))
     return [RemoteLog(log, up_to) for log in logs]
 
 

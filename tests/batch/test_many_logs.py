@@ -136,7 +136,7 @@ def test_a_share_that_cannot_be(share: str, tmp_path: Path) -> None:
 
 
 def test_status_tells_the_table_while_it_grows_and_after(tmp_path: Path) -> None:
-    logs = made(tmp_path, "a", "slow", frames=10)
+    logs = made(tmp_path, "a", "slow", frames=20)
     out = tmp_path / "out"
     with subprocess.Popen(
         command("run", *logs, "-j", 2, "-o", out, "-q"), env=environment(tmp_path)
@@ -148,7 +148,7 @@ def test_status_tells_the_table_while_it_grows_and_after(tmp_path: Path) -> None
                 states |= set(json.loads(told.stdout)["counts"])
     assert "running" in states
     told = subprocess.run(command("status", out), capture_output=True, text=True)
-    assert told.stdout.startswith("2 logs: 2 done\n20 frames, 0 unusable")
+    assert told.stdout.startswith("2 logs: 2 done\n40 frames, 0 unusable")
 
 
 def test_status_without_a_table(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ import zstandard
 
 from sonarrec.geometry import PolarToFan
 from sonarrec.readers import open_log
+from sonarrec.readers.images import ImagePaths
 from sonarrec.readers.log import MAX_PROBLEM_LINES
 from sonarrec.records import Frame, SonarrecError, UsageError
 from sonarrec.simulation.mcap_writer import SCHEMAS, McapImageWriter, is_polar
@@ -232,6 +233,19 @@ def test_polar_becomes_a_fan(tmp_path: Path) -> None:
         np.testing.assert_array_equal(frame.image, to_fan(image))
     with pytest.raises(SonarrecError, match="3 bearings but the images have 24"):
         read(log, sonar=Sonar(bearings_deg=(-1.0, 0.0, 1.0)))
+
+
+def test_many_images_take_little_room_and_lie_in_order() -> None:
+    """A list of paths would hold some 370 bytes each, and sorting it as much again."""
+    names = [Path("/dives/today", f"ping{(7919 * i) % 20_000}.png") for i in range(20_000)]
+    tracemalloc.start()
+    paths = ImagePaths(iter(names))
+    held, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert held < 110 * len(names)
+    assert most < 400 * len(names)
+    assert list(paths) == [Path("/dives/today", f"ping{i}.png") for i in range(20_000)]
+    assert paths[-2:] == [Path("/dives/today/ping19998.png"), Path("/dives/today/ping19999.png")]
 
 
 def test_natural_order_glob_and_digest(tmp_path: Path) -> None:
