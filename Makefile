@@ -19,7 +19,7 @@ SAMPLE := sample_data/pan
 	@touch $@
 
 test: .venv/installed  # pytest fails where it finds no test (exit code 5)
-	$(BIN)/pytest
+	PYTHONDONTWRITEBYTECODE= $(BIN)/pytest  # it starts hundreds of processes: compile once
 
 lint: .venv/installed
 	$(BIN)/ruff format --check .

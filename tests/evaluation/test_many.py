@@ -117,8 +117,7 @@ RECORDED = {
 }
 
 
-@pytest.mark.parametrize("logs", RECORDED)
-@pytest.mark.parametrize("jobs", ["1", "2"])
+@pytest.mark.parametrize(("logs", "jobs"), [(4, "2"), (12, "1"), (12, "2")])
 def test_compared_one_at_a_time_as_all_at_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, logs: int, jobs: str
 ) -> None:
