@@ -4,7 +4,7 @@ BIN := .venv/bin
 SAMPLE := sample_data/pan
 
 .PHONY: test lint demo bench memory fuzz paper paper-world paper-choices \
-	paper-prediction scenes returns worlds ablation study maps model regression kills scale scoring \
+	paper-prediction scenes returns worlds ablation study speeds maps model regression kills scale scoring \
 	clean
 
 .venv/program: pyproject.toml  # what a user needs
@@ -73,6 +73,9 @@ ablation: .venv/installed  # the default with one idea at a time put back
 
 study: .venv/installed  # the paper's scene thirty times over: intervals and tests
 	$(BIN)/python -m tests.studies.study
+
+speeds: .venv/installed  # vehicles of several speeds: the motion measured, and the IDs
+	$(BIN)/python -m tests.studies.speeds
 
 maps: .venv/installed  # maps of simulated vehicle runs, and what they do for the path
 	$(BIN)/python -m tests.studies.maps

@@ -34,6 +34,9 @@ BETTER = 0.1
 USUAL_SHARE, FIRST_USUAL, USUAL_MEMORY = 0.75, 0.8, 20.0
 # So often, in frames, a standing sonar that matches as usual is looked at for what a turn leaves.
 LOOK_EVERY = 4
+# Where a turn explains nothing, any motion is searched for: again after so many frames, then after
+# twice as many and so on. Of a fast vehicle about every second pair of frames tells.
+MOST_PAUSE = 8
 # Forgetting of what says that the sonar moves, from frame to frame; chi-squares (2) above which it
 # sets out, and below which it stands again.
 KEEP = 0.9
@@ -159,6 +162,7 @@ class ImageMotion:
         self._speed: FloatArray | None = None  # (3,) a second; None: it stands
         self._under_way = self._lost = self._unseen = 0  # frames
         self._pan_sigma: float | None = None  # of a turn, as last looked at
+        self._pause = self._unsearched = 0  # frames
 
     def step(self, image: ByteImage, seconds: float | None) -> Motion | None:
         """The motion since the last image, `known` where it may be built upon.
@@ -183,8 +187,10 @@ class ImageMotion:
     def _standing(self, before: FloatImage, pan_deg: float, match: float, seconds: float) -> Motion:
         """Of a sonar that stood so far."""
         turn = math.radians(pan_deg)
-        poor, drifts, quick = match < USUAL_SHARE * self._usual, False, None
+        lost, drifts, quick = match < self._min_match, False, None
         self._unseen += 1
+        self._unsearched += 1
+        poor = match < USUAL_SHARE * self._usual or (lost and self._unsearched >= self._pause)
         if poor or self._pan_sigma is None or self._unseen >= LOOK_EVERY:
             self._unseen = 0
             quick = self._registration.quick(before, self.pan.picture, turn)
@@ -196,9 +202,12 @@ class ImageMotion:
             least = match if drifts else match + BETTER
             if found is not None and found.match > least:
                 self._drift, self._under_way = _Drift.none(), 0
+                self._pause = 0
                 return self._went(found, seconds)
             # So this is how a sonar that stands matches here.
             self._usual = match
+            self._unsearched = 0
+            self._pause = min(max(2 * self._pause, 1), MOST_PAUSE)
             if drifts and quick is not None:
                 self._drift = _Drift.none()
                 self._drift.add(quick)

@@ -323,8 +323,9 @@ def random_scene(seed: int, kind: str = "plain", wide: bool = False, **overrides
     """Draw a scene: landmarks and distractors at random, nuisances by kind (ALL_KINDS).
 
     wide: for learning, fading and faint scenes reach farther than a recording anyone would use.
-    overrides: fields of Scene put in place of those drawn. `sonar` and `landmark_set` take part in
-    the layout; with `landmarks` or `objects` given, none of these is drawn.
+    overrides: fields of Scene put in place of those drawn. `sonar`, `landmark_set` and a
+    vehicle's `motion` take part in the layout; with `landmarks` or `objects` given, none of these
+    is drawn.
     Raises SonarrecError on an unknown kind or a scene that contradicts itself.
     """
     if kind not in ALL_KINDS:
@@ -340,7 +341,8 @@ def random_scene(seed: int, kind: str = "plain", wide: bool = False, **overrides
     )
     path = None
     if kind == "vehicle":
-        scene = replace(scene, frames=RUN_FRAMES, motion=vehicle_motion(rng))
+        motion = vehicle_motion(rng)
+        scene = replace(scene, frames=RUN_FRAMES, motion=overrides.get("motion", motion))
         path = poses(scene)
     floor = _Floor(scene.sonar, rng, path)
     faint = rng.uniform(3, 7 if wide else 5) if kind == "low_contrast" else 0.0
