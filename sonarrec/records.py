@@ -139,7 +139,7 @@ class Motion:
 
     pan_deg: how far it turned, positive to the right. right_m, ahead_m: how far it was carried, to
     the right and ahead as it looked before. The sigmas: their standard errors, 0 of poses that
-    are told. known: False where it is a guess, with wide sigmas.
+    are told. known: False where nothing tells it, with wide sigmas.
     """
 
     pan_deg: float
@@ -198,7 +198,7 @@ class Estimate:
     landmark: the most probable ID. score: 0 to 1, what a ROC threshold sweeps.
     declared: the method claims the ID at its operating point. range_sigma_m, bearing_sigma_deg,
     orientation_sigma_deg: standard errors, NaN where the method has none. sight_deg: as the
-    object's in Groups.sights; it is not written.
+    object's in Groups.sights. chapter: as in Gathered. These two are not written.
     """
 
     method: str
@@ -217,6 +217,7 @@ class Estimate:
     bearing_sigma_deg: float = math.nan
     orientation_sigma_deg: float = math.nan
     sight_deg: float = 0.0
+    chapter: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -45,6 +45,7 @@ class EstimateMaker:
             self._declare,
             self._plane.polar_sigma(batch.positions, POSITION_SHARE * batch.spread),
             batch.sights,
+            batch.gathered.chapters,
         )
 
     def of_candidates(self, method: str, batch: Batch, found: Identification) -> list[Estimate]:
@@ -60,6 +61,7 @@ class EstimateMaker:
             self._declare_smi,
             (unknown, unknown),
             np.zeros(len(batch.candidates)),
+            np.zeros(len(batch.candidates), np.int64),
         )
 
     def _estimates(
@@ -73,11 +75,12 @@ class EstimateMaker:
         threshold: float,
         sigma: tuple[FloatArray, FloatArray],
         sights: FloatArray,
+        chapters: IntArray,
     ) -> list[Estimate]:
         """One Estimate for each of n objects.
 
-        objects, existence, scores, sights: (n,). positions: (n, 2) working pixels. threshold: as
-        `declared`. sigma: (n,) standard errors of slant range (m) and bearing (deg).
+        objects, existence, scores, sights, chapters: (n,). positions: (n, 2) working pixels.
+        threshold: as `declared`. sigma: (n,) standard errors of slant range (m) and bearing (deg).
         """
         landmark_index, _ = likeliest(beliefs.probabilities)
         range_sigma, bearing_sigma = sigma
@@ -105,6 +108,7 @@ class EstimateMaker:
                 bearing_sigma_deg=float(bearing_sigma[i]),
                 orientation_sigma_deg=float(orientation_sigma[i]),
                 sight_deg=float(sights[i]),
+                chapter=int(chapters[i]),
             )
             for i in range(len(positions))
         ]

@@ -16,9 +16,12 @@ LEAST_BORNE_OUT = 0.5  # mean belief of a track's frames in an ID from which it 
 LEAST_BELIEF = 1e-2  # in a logarithm: no single frame rules an ID out for good
 
 
+_Chapter = tuple[int, int]  # an object's, see Gathered
+
+
 @dataclass(slots=True)
 class _Opinion:
-    """What a track's frames said of it, all taken together."""
+    """What the frames of a chapter of a track's life said of it, all taken together."""
 
     log_beliefs: FloatArray
     """(K + 1,) weighted sum over the frames of log belief."""
@@ -38,6 +41,15 @@ class _Opinion:
         mean = np.exp(self.log_beliefs / self.weight)
         return np.asarray(mean / mean.sum())
 
+    def join(self, other: _Opinion) -> None:
+        """Take in what other frames of the same object said."""
+        self.log_beliefs += other.log_beliefs
+        self.beliefs_sum += other.beliefs_sum
+        self.weight += other.weight
+        self.frames += other.frames
+        for landmark, turn in other.turns.items():
+            self.turns[landmark] = max(turn, self.turns.get(landmark, turn))
+
     def borne_out(self, landmark_index: int) -> bool:
         """Whether its frames, each counting the same, mostly held it to be this one."""
         return bool(self.beliefs_sum[landmark_index] >= LEAST_BORNE_OUT * self.frames)
@@ -52,6 +64,8 @@ class Hindsight:
     track is known badly.
 
     An ID that most of the frames speak against is not spread over them: these stay as they were.
+    Where a track comes back with another picture, it is another object that took up its number: a
+    belief holds for one chapter of a track's life.
     """
 
     def __init__(self, method: str, config: Config, landmarks: LandmarkSet) -> None:
@@ -59,7 +73,10 @@ class Hindsight:
         self._lag = config.features.lag_frames
         self._threshold = config.features.declare
         self._ids = landmarks.ids
-        self._opinions: dict[int, _Opinion] = {}
+        # By object and chapter; the chapter that an object is in; chapters that went on in others.
+        self._opinions: dict[_Chapter, _Opinion] = {}
+        self._now: dict[int, int] = {}
+        self._joined: dict[_Chapter, _Chapter] = {}
 
     def learn(self, result: FrameResult) -> None:
         """Take in a frame's estimates."""
@@ -69,11 +86,17 @@ class Hindsight:
         # No result still waiting is of an older track.
         oldest = result.index - 2 * self._lag
         self._opinions = {k: o for k, o in self._opinions.items() if o.last_frame >= oldest}
+        self._joined = {k: into for k, into in self._joined.items() if into in self._opinions}
+        self._now = {k: c for k, c in self._now.items() if (k, c) in self._opinions}
 
     def _add(self, frame: int, estimate: Estimate) -> None:
-        opinion = self._opinions.setdefault(
-            estimate.object, _Opinion(*np.zeros((2, len(self._ids) + 1)))
-        )
+        key = (estimate.object, estimate.chapter)
+        opinion = self._opinions.setdefault(key, _Opinion(*np.zeros((2, len(self._ids) + 1))))
+        last = self._now.get(estimate.object, estimate.chapter)
+        self._now[estimate.object] = estimate.chapter
+        if last > estimate.chapter:  # what came back is what it was
+            self._joined[estimate.object, last] = key
+            opinion.join(self._opinions.pop((estimate.object, last)))
         opinion.frames += 1
         beliefs = np.maximum(estimate.probabilities, LEAST_BELIEF)
         # Minus the entropy: its exponential is 1 where the frame is sure, 1 / (K + 1) where it is
@@ -95,7 +118,8 @@ class Hindsight:
     def _revise(self, estimate: Estimate) -> Estimate:
         if estimate.method != self._method:
             return estimate
-        opinion = self._opinions[estimate.object]
+        key = (estimate.object, estimate.chapter)
+        opinion = self._opinions[self._joined.get(key, key)]
         beliefs = opinion.beliefs()
         (landmark_index,), (score,) = likeliest(beliefs[None])
         claimed = bool(declared(score, self._threshold))

@@ -34,8 +34,8 @@ BETTER = 0.1
 USUAL_SHARE, FIRST_USUAL, USUAL_MEMORY = 0.75, 0.8, 20.0
 # So often, in frames, a standing sonar that matches as usual is looked at for what a turn leaves.
 LOOK_EVERY = 4
-# Where a turn explains nothing, any motion is searched for: again after so many frames, then after
-# twice as many and so on. Of a fast vehicle about every second pair of frames tells.
+# Where a turn explains little, any motion is searched for: in the next frame again, then after two,
+# four and so on, up to so many. Of a fast vehicle about every second pair of frames tells.
 MOST_PAUSE = 8
 # Forgetting of what says that the sonar moves, from frame to frame; chi-squares (2) above which it
 # sets out, and below which it stands again.
@@ -187,10 +187,10 @@ class ImageMotion:
     def _standing(self, before: FloatImage, pan_deg: float, match: float, seconds: float) -> Motion:
         """Of a sonar that stood so far."""
         turn = math.radians(pan_deg)
-        lost, drifts, quick = match < self._min_match, False, None
+        worse, drifts, quick = match < USUAL_SHARE * FIRST_USUAL, False, None
         self._unseen += 1
         self._unsearched += 1
-        poor = match < USUAL_SHARE * self._usual or (lost and self._unsearched >= self._pause)
+        poor = match < USUAL_SHARE * self._usual or (worse and self._unsearched >= self._pause)
         if poor or self._pan_sigma is None or self._unseen >= LOOK_EVERY:
             self._unseen = 0
             quick = self._registration.quick(before, self.pan.picture, turn)
@@ -235,7 +235,7 @@ class ImageMotion:
             return unknown(seconds)
         right, ahead, turn = start.tolist()
         metres, degrees = LOST_M_S * seconds, LOST_DEG_S * seconds
-        return Motion(math.degrees(turn), right, ahead, degrees, metres, metres, known=False)
+        return Motion(math.degrees(turn), right, ahead, degrees, metres, metres)
 
     def _registered(
         self, before: FloatImage, start: FloatArray, *, searched: bool

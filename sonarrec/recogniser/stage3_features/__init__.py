@@ -41,6 +41,8 @@ class Gathered:
     """(n, L, ANGLES) how often each cell was seen."""
     frames: IntArray
     """(n,) frames since the object began, or came back."""
+    chapters: IntArray
+    """(n,) of the track's life, through which its picture stays the same; 0 where nobody looks."""
 
     @classmethod
     def joined(cls, parts: Sequence[Gathered]) -> Gathered:

@@ -137,7 +137,8 @@ class PublishedMeasurement:
     ) -> Gathered:
         """The frame itself: nothing is gathered."""
         brightness = np.where(seen, grey, 0.0)
-        return Gathered(brightness, seen.astype(float), np.ones(len(grey), np.int64))
+        n = len(grey)
+        return Gathered(brightness, seen.astype(float), np.ones(n, np.int64), np.zeros(n, np.int64))
 
     def beliefs(self, groups: Sequence[Groups], gathered: Gathered) -> Beliefs:
         """See Measurement. What is no landmark is normalised away: 'none of these' has 0."""

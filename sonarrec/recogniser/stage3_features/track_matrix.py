@@ -27,6 +27,7 @@ class _Picture(NamedTuple):
 
     total: FloatArray
     seen: FloatArray
+    chapter: int
 
     def alike(self, other: _Picture) -> float:
         """Correlation over the cells that both have shown; 0 where these are too few."""
@@ -42,7 +43,9 @@ class TrackMatrix:
     """The running average of each track's shape matrix, with angles from the line of sight.
 
     Frames fade with a memory of `memory_frames`; a cell counts by how often it was seen. A track
-    that left the view and comes back begins anew, and has to earn what it was (FRAMES_TO_EARN).
+    that left the view and comes back begins anew, and has to earn what it was (FRAMES_TO_EARN). Its
+    life has chapters: a new one begins as it comes back; where it has earned what it was, the one
+    before goes on.
     """
 
     def __init__(self, memory_frames: float, lines: int) -> None:
@@ -51,6 +54,8 @@ class TrackMatrix:
         self._sum: FloatArray = np.empty((0, lines, ANGLES))
         self._count: FloatArray = np.empty((0, lines, ANGLES))
         self._frames = np.empty(0, np.int64)
+        self._chapters = np.empty(0, np.int64)
+        self._last_chapter = 0
         # What those that left showed, and those that came back and have not earned it yet.
         self._before: dict[int, _Picture] = {}
 
@@ -66,14 +71,18 @@ class TrackMatrix:
         for number in groups.remembered.tolist():
             if number in place and number not in self._before:
                 i = place[number]
-                self._before[number] = _Picture(self._sum[i].copy(), self._count[i].copy())
+                self._before[number] = _Picture(
+                    self._sum[i].copy(), self._count[i].copy(), int(self._chapters[i])
+                )
         total = np.zeros((len(numbers), *self._sum.shape[1:]))
         count = np.zeros_like(total)
         frames = np.zeros(len(numbers), np.int64)
+        chapters = self._last_chapter + 1 + np.arange(len(numbers))
+        self._last_chapter += len(numbers)
         known = [i for i, number in enumerate(numbers) if number in place]
         before = [place[numbers[i]] for i in known]
         total[known], count[known] = self._sum[before], self._count[before]
-        frames[known] = self._frames[before]
+        frames[known], chapters[known] = self._frames[before], self._chapters[before]
         total = self._keep * total + np.where(seen, grey, 0.0)
         count = self._keep * count + seen
         frames += 1
@@ -83,18 +92,20 @@ class TrackMatrix:
             for i, number in enumerate(numbers):
                 if (picture := self._before.get(number)) is None:
                     continue
-                alike = picture.alike(_Picture(total[i], count[i]))
+                alike = picture.alike(_Picture(total[i], count[i], 0))
                 earned = frames[i] >= FRAMES_TO_EARN
                 if alike >= (LEAST_ALIKE if earned else VERY_ALIKE):
                     total[i] += OLD_SHARE * picture.total
                     count[i] += OLD_SHARE * picture.seen
                     frames[i] = max(frames[i], FRAMES_TO_EARN)
+                    chapters[i] = picture.chapter
                     earned = True
                 if earned:
                     del self._before[number]
-        self._numbers, self._sum, self._count, self._frames = numbers, total, count, frames
+        self._numbers, self._sum, self._count = numbers, total, count
+        self._frames, self._chapters = frames, chapters
         count = _turned(count, -steps)
-        return Gathered(_turned(total, -steps) / np.maximum(count, 1e-9), count, frames)
+        return Gathered(_turned(total, -steps) / np.maximum(count, 1e-9), count, frames, chapters)
 
 
 def _turned(cells: npt.NDArray[_T], steps: IntArray) -> npt.NDArray[_T]:

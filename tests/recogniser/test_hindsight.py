@@ -1,0 +1,59 @@
+"""What hindsight spreads over a track, and over which of its frames."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sonarrec.config import preset
+from sonarrec.landmarks import load_landmarks
+from sonarrec.recogniser.hindsight import Hindsight
+from sonarrec.records import Estimate, FrameResult
+
+BASIN = load_landmarks("basin")
+SURE = np.array([0.004, 0.002, 0.98, 0.004, 0.01])  # of the third ID
+NONE = np.array([0.002, 0.002, 0.002, 0.004, 0.99])
+UNSURE = np.array([0.1, 0.1, 0.5, 0.1, 0.2])
+
+
+def result(frame: int, chapter: int, beliefs: np.ndarray) -> FrameResult:
+    """A frame in which track 7 is seen, in a chapter of its life."""
+    best = int(beliefs[:-1].argmax())
+    score = float(beliefs[best])
+    place = (10.0, 10.0, 2.0, 0.0, 0.0, 0.9)
+    estimate = Estimate(
+        "m", 7, *place, beliefs, BASIN.ids[best], score, score > 0.75, chapter=chapter
+    )
+    return FrameResult(frame, frame * 10**8, 1, 1, (estimate,))
+
+
+def revised(frames: list[FrameResult]) -> list[Estimate]:
+    hindsight = Hindsight("m", preset("offline"), BASIN)
+    for frame in frames:
+        hindsight.learn(frame)
+    return [hindsight.revised(frame).estimates[0] for frame in frames]
+
+
+def test_one_belief_for_all_frames_of_a_chapter() -> None:
+    found = revised([result(i, 1, UNSURE if i < 4 else SURE) for i in range(12)])
+    assert len({tuple(e.probabilities) for e in found}) == 1
+    assert all(e.declared and e.landmark == 3 for e in found)
+
+
+@pytest.mark.parametrize("second", [1, 2])
+def test_another_object_that_took_up_the_number_is_a_chapter_of_its_own(second: int) -> None:
+    """Held for one life, the twenty frames that come later would outweigh the six before."""
+    frames = [result(i, 1, SURE) for i in range(6)]
+    frames += [result(40 + i, second, NONE) for i in range(20)]
+    found = revised(frames)
+    assert all(e.declared for e in found[:6]) == (second == 2)
+    assert not any(e.declared for e in found[6:])
+
+
+def test_what_came_back_and_proved_to_be_the_same_shares_its_belief() -> None:
+    frames = [result(i, 1, SURE) for i in range(6)]
+    frames += [result(40 + i, 2, UNSURE) for i in range(2)]
+    frames += [result(42 + i, 1, SURE) for i in range(6)]
+    found = revised(frames)
+    assert len({tuple(e.probabilities) for e in found}) == 1
+    assert all(e.declared for e in found)
