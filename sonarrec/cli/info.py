@@ -60,6 +60,7 @@ if TYPE_CHECKING:
 @option(OUTPUT, "--json", "as_json", is_flag=True, help="Print JSON. Keys: sonarrec help info.")
 @cache_options
 @quiet_option
+# Long by its options and its help.
 def info(
     log: tuple[str, ...],
     recursive: bool,

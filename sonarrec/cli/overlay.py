@@ -54,6 +54,7 @@ from sonarrec.records import UsageError
 @frames_option("Draw only these frames, from A up to, not including, B.")
 @option(OUTPUT, "--grid", is_flag=True, help="Range rings and bearings in videos and images.")
 @quiet_option
+# Long by its options and its help.
 def overlay(
     log: str,
     results: Path,

@@ -142,6 +142,7 @@ INTERRUPTED, TERMINATED = 130, 143
 @cache_options
 @verbose_option
 @quiet_option
+# Long by its options and its help.
 def run(
     log: tuple[str, ...],
     recursive: bool,

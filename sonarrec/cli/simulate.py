@@ -80,6 +80,7 @@ from sonarrec.records import UsageError
     required=True,
 )
 @quiet_option
+# Long by its options and its help.
 def simulate(
     source: str | None,
     background: str | None,

@@ -57,6 +57,7 @@ if TYPE_CHECKING:
 @out_option(FOLDER, "Folder of all that is written.  [default: sonarrec_site/<log name>]")
 @option(OUTPUT, "--keep", is_flag=True, help="Keep the images that were made, in OUT/recordings.")
 @quiet_option
+# Long by its options and its help.
 def site(
     log: str,
     log_choice: LogChoice,

@@ -53,6 +53,7 @@ class Overlaid:
     problems: list[str]
 
 
+# Long by its parameters and what is said of them.
 def write_overlay(
     path: str | Path,
     targets: Targets,

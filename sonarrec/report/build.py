@@ -40,6 +40,7 @@ class Report:
     unused: tuple[str, ...]
 
 
+# Long by its parameters and what is said of them.
 def write_report(
     path: Path,
     results: Path | None = None,

@@ -104,6 +104,7 @@ class Site:
     notes: tuple[str, ...]
 
 
+# Long by its parameters and what is said of them.
 def assess(
     background: Background,
     log: Path,

@@ -330,8 +330,6 @@ def write_recording(
     polar pings, sonar.toml says only what they do not tell. Raises SonarrecError where `out`
     cannot be written or is in use.
     """
-    import tomli_w  # only writers of TOML need it
-
     from sonarrec.simulation.mcap_writer import check_schema, is_polar
 
     if image_format not in ("png", "mcap"):
@@ -374,17 +372,20 @@ def write_recording(
                 if progress:
                     progress(frame.index + 1)
         # Last: a folder without geometry is not taken for a whole recording.
-        for name, document in (
-            ("scene", scene_table(scene)),
-            ("sonar", {"sonar": stated.as_table()}),
-        ):
-            (folder / f"{prefix}{name}.toml").write_text(tomli_w.dumps(document), encoding="utf-8")
-        if scene.landmark_set.name != "basin":
-            (folder / f"{prefix}landmarks.toml").write_text(
-                tomli_w.dumps(scene.landmark_set.as_table()), encoding="utf-8"
-            )
+        _describe(scene, stated, folder, prefix)
     except OSError as error:
         raise SonarrecError(f"{out}: cannot be written ({error})") from None
+
+
+def _describe(scene: Scene, stated: Sonar, folder: Path, prefix: str) -> None:
+    """Write scene.toml, sonar.toml and, of another set than the built-in, landmarks.toml."""
+    import tomli_w  # only writers of TOML need it
+
+    documents = {"scene": scene_table(scene), "sonar": {"sonar": stated.as_table()}}
+    if scene.landmark_set.name != "basin":
+        documents["landmarks"] = scene.landmark_set.as_table()
+    for name, document in documents.items():
+        (folder / f"{prefix}{name}.toml").write_text(tomli_w.dumps(document), encoding="utf-8")
 
 
 def _to_png(frames: Iterator[SimulatedFrame], folder: Path) -> Iterator[SimulatedFrame]:
