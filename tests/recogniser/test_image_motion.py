@@ -164,3 +164,14 @@ def test_what_is_measured_carries_a_landmark_s_place_along() -> None:
         assert motion is not None
         exact = plane.moved(place, Motion(true[2], true[0], true[1]))
         assert np.hypot(*(plane.moved(place, motion) - exact).T) < 2  # pixels: .17 disc radii
+
+
+def test_a_motion_that_was_not_found_at_first_is_searched_for_again() -> None:
+    """The first frame is noise: how little it is like the second says nothing of the third."""
+    run, images = run_of(8702)
+    fan, rng = scene_fan(run.scene), np.random.default_rng(4)
+    noise = np.where(images[0] > 0, rng.integers(1, 255, images[0].shape), 0).astype(np.uint8)
+    motions = measured([noise, *images[12:20]], fan, run.scene.landmark_set.radius_m)
+    found, _ = as_rows(motions)
+    true = truth(run.poses()[12:20])
+    np.testing.assert_allclose(found[4:, 1], true[3:, 1], atol=0.02)
