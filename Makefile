@@ -4,8 +4,8 @@ BIN := .venv/bin
 SAMPLE := sample_data/pan
 
 .PHONY: test lint demo bench memory fuzz paper paper-world paper-choices \
-	paper-prediction scenes returns worlds ablation study speeds maps model regression kills scale scoring \
-	clean
+	paper-prediction scenes returns worlds ablation study speeds maps model regression kills scale \
+	scoring clean
 
 .venv/program: pyproject.toml  # what a user needs
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \

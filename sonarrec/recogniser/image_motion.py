@@ -165,7 +165,7 @@ class ImageMotion:
         self._pause = self._unsearched = 0  # frames
 
     def step(self, image: ByteImage, seconds: float | None) -> Motion | None:
-        """The motion since the last image, `known` where it may be built upon.
+        """The motion since the last image; its last speed where a sonar under way loses the floor.
 
         image: the working image. seconds: since the last one, None for the first, which has none.
         """

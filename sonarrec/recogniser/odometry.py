@@ -27,8 +27,8 @@ class Odometry:
     def step(self, image: ByteImage, timestamp_ns: int) -> Motion | None:
         """The motion since the last frame; None for the first, and where neither source looked.
 
-        Of what neither source knows the motion is a guess, not `known`. image: the working image.
-        timestamp_ns: of the frame.
+        Of what neither source tells it is not `known`. image: the working image. timestamp_ns: of
+        the frame.
         """
         before, self._before_ns = self._before_ns, timestamp_ns
         told = None

@@ -199,7 +199,7 @@ NUMBERS = [
 @pytest.mark.parametrize("name", PRESETS)
 @pytest.mark.parametrize("value", [0, 1, 2])
 def test_extreme_settings_are_refused_or_run(name, value):
-    log = drawn_log(SECTORS[1], 2, fan=make_fan(160))
+    log = drawn_log(SECTORS[1], 3, fan=make_fan(160))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for section, key in NUMBERS:

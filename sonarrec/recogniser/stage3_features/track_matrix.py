@@ -92,7 +92,7 @@ class TrackMatrix:
             for i, number in enumerate(numbers):
                 if (picture := self._before.get(number)) is None:
                     continue
-                alike = picture.alike(_Picture(total[i], count[i], 0))
+                alike = picture.alike(_Picture(total[i], count[i], int(chapters[i])))
                 earned = frames[i] >= FRAMES_TO_EARN
                 if alike >= (LEAST_ALIKE if earned else VERY_ALIKE):
                     total[i] += OLD_SHARE * picture.total
