@@ -187,11 +187,12 @@ def process(
     """Run one log and write `out`/<name>/, by default under the log's own name.
 
     The same results are not made again, and those of another log not replaced, but with overwrite.
-    ahead: decode in a thread of its own, where there is a core for it; see `Log.decode_ahead`.
+    ahead: read frames and select their candidates in a thread of its own, where there is a core
+    for it. What the process writes to descriptor 2 meanwhile may be lost: see `decode_image`.
     Raises SonarrecError for input or settings that cannot be used.
     """
     told = given.origin.told if given.origin else str
-    with prepared(Path(path), Path(out), given, used, name, ahead=ahead) as it:
+    with prepared(Path(path), Path(out), given, used, name) as it:
         if not overwrite:
             held = held_results(it.folder, it.table)
             if held.up_to_date:
@@ -202,7 +203,7 @@ def process(
         with ResultsWriter(
             it.folder, it.landmarks, it.table, sightings, parquet=used.parquet
         ) as writer:
-            _recognise(it, writer, plausibility, observe)
+            _recognise(it, writer, plausibility, observe, ahead=ahead)
             problems = [told(line) for line in (*it.log.problems, *it.recogniser.problems())]
             writer.finish(problems, it.log.unusable)
         it.notes.extend([*it.log.notes, *it.recogniser.notes(), *_doubts(it, writer, plausibility)])
@@ -244,12 +245,18 @@ def _held(it: Prepared, held: Held) -> Summary:
 
 
 def _recognise(
-    it: Prepared, writer: ResultsWriter, plausibility: Plausibility, observe: Observe | None
+    it: Prepared,
+    writer: ResultsWriter,
+    plausibility: Plausibility,
+    observe: Observe | None,
+    *,
+    ahead: bool,
 ) -> None:
     """Every frame through the recogniser and into the tables, also those before an interrupt."""
     stamps = deque[Stamps]()  # of the frames whose results are waited for
     try:
-        for result in it.recogniser.recognise(_noted(it.frames, stamps, plausibility)):
+        frames = _noted(it.frames, stamps, plausibility)
+        for result in it.recogniser.recognise(frames, ahead=ahead):
             writer.write(result, stamps.popleft())
             if observe is not None:
                 observe(result, it.frame_count)

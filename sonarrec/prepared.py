@@ -56,11 +56,10 @@ class Prepared:
 
 @contextmanager
 def prepared(
-    path: Path, out: Path, given: Given, used: Used, name: str | None, *, ahead: bool = False
+    path: Path, out: Path, given: Given, used: Used, name: str | None
 ) -> Iterator[Prepared]:
     """Open a log and make ready its run into `out`/<name>/, by default under its own name.
 
-    ahead: decode in a thread of its own.
     Raises SonarrecError for input or settings that cannot be used.
     """
     earlier = read_run(used.earlier_run)
@@ -71,8 +70,6 @@ def prepared(
     learned = _model(used, earlier)
     poses, more = _poses(path, given, earlier if same_log else read_run(None))
     with _opened(path, given) as log:
-        if ahead:
-            log.decode_ahead()
         span = given.frames or (0, None)
         frames = _within(log, span)
         first = next(frames, None)  # raises where there is no usable frame at all

@@ -261,7 +261,7 @@ def _run(
 
         run_on_cluster(tasks, scheduler, watch, timeout)
         return
-    # A log of images takes two cores where they are free: one decodes ahead.
+    # A log takes two cores where they are free: one reads and selects candidates ahead.
     tasks = [replace(task, ahead=cores() >= 2 * jobs) for task in tasks]
     if jobs > 1 or timeout is not None:
         run_apart(tasks, jobs, watch, timeout)

@@ -11,9 +11,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from sonarrec.readers.ahead import Ahead
 from sonarrec.readers.fans import FanImages
-from sonarrec.readers.images import MAX_FILE_BYTES, ImageFiles, is_image
+from sonarrec.readers.images import MAX_FILE_BYTES, is_image
 from sonarrec.readers.raw import RawFrame, RawLog, UnusableError
 from sonarrec.records import Clock, Fan, Frame, SonarrecError, shown
 from sonarrec.sonar import Sonar
@@ -44,7 +43,6 @@ class Log:
         self.problems: list[str] = []
         self._files = files
         self._raw = raw
-        self._ahead: Ahead[RawFrame] | None = None
         self._time = time
         tells = "headers" if raw.told.header else "messages"
         self._images = FanImages(stated, shown(path), tells)
@@ -86,18 +84,7 @@ class Log:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        if self._ahead is not None:
-            self._ahead.close()
         self._raw.close()
-
-    def decode_ahead(self) -> None:
-        """Decode image files in a thread of their own; of other logs nothing changes.
-
-        To call before the pass. What the process writes to descriptor 2 during the pass may be
-        lost: see `decode_image`.
-        """
-        if isinstance(self._raw, ImageFiles):
-            self._ahead = Ahead(self._raw)
 
     def __iter__(self) -> Iterator[Frame]:
         """The usable frames in order; each keeps its number in the log.
@@ -107,7 +94,7 @@ class Log:
         geometry do not match the images.
         """
         used = self.unusable = 0
-        frames = _settled(self._ahead or self._raw)
+        frames = _settled(self._raw)
         first = list(islice(frames, SETTLING_FRAMES))
         self._images.settle(first)
         frames = chain(first, frames)

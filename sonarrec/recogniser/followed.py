@@ -1,4 +1,4 @@
-"""What stages 1 and 2 hand to stage 3: frame by frame, and several frames at once."""
+"""What the stages hand on: frame by frame, and several frames at once."""
 
 from __future__ import annotations
 
@@ -8,7 +8,29 @@ from dataclasses import dataclass
 import numpy as np
 
 from sonarrec.recogniser.stage3_features import Gathered
-from sonarrec.records import BoolArray, Estimate, FloatArray, FrameResult, Groups, IntArray, Motion
+from sonarrec.records import (
+    BoolArray,
+    ByteImage,
+    Estimate,
+    FloatArray,
+    FrameResult,
+    Groups,
+    IntArray,
+    Motion,
+    Selection,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Looked:
+    """What stage 1 made of one frame, whatever the frames before it were."""
+
+    frame: int
+    """The frame's number."""
+    timestamp_ns: int
+    image: ByteImage
+    """The working image."""
+    selection: Selection
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing, nullcontext
 from functools import partial
 from itertools import islice
 
+import cv2
 import numpy as np
 
 from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.poses import PoseTable
+from sonarrec.recogniser.ahead import Ahead
 from sonarrec.recogniser.beam_width import usual_beam_width_deg
 from sonarrec.recogniser.estimates import EstimateMaker
-from sonarrec.recogniser.followed import Batch, Followed
+from sonarrec.recogniser.followed import Batch, Followed, Looked
 from sonarrec.recogniser.odometry import Odometry
 from sonarrec.recogniser.plane import working_plane
 from sonarrec.recogniser.stage1_candidates import CandidateSelector
@@ -80,15 +83,19 @@ class Recogniser:
 
     def step(self, frame: Frame) -> FrameResult:
         """The three stages over the log's next frame alone."""
-        return self.judge([self.follow(frame)])[0]
+        return self.judge([self.follow(self.look(frame))])[0]
 
-    def follow(self, frame: Frame) -> Followed:
-        """Stages 1 and 2 of the log's next frame, and the shape matrices for stage 3."""
+    def look(self, frame: Frame) -> Looked:
+        """Stage 1 of any frame of the log."""
         image = self._plane.warp(frame.image)
         # Stage 1, candidate selection (Section 3.2): where could a landmark's circle be?
-        selection = self._select(image)
+        return Looked(frame.index, frame.timestamp_ns, image, self._select(image))
+
+    def follow(self, looked: Looked) -> Followed:
+        """Stage 2 of the log's next frame, and the shape matrices for stage 3."""
+        image, selection = looked.image, looked.selection
         # Stage 2, continuity evaluation (Section 3.3): which candidates are objects that persist?
-        motion = self.odometry.step(image, frame.timestamp_ns)
+        motion = self.odometry.step(image, looked.timestamp_ns)
         known = motion if motion is not None and motion.known else None
         groups = self._continuity.step(selection, known)
         # Shape matrices (Section 3.4.2) of the candidates, then of the groups.
@@ -102,7 +109,7 @@ class Recogniser:
         )
         gathered = self._measurement.gather(groups, grey[n:], seen[n:])
         found = (selection.positions, selection.scores, grey[:n], seen[:n])
-        return Followed(frame.index, frame.timestamp_ns, *found, groups, gathered, motion)
+        return Followed(looked.frame, looked.timestamp_ns, *found, groups, gathered, motion)
 
     def judge(self, frames: Sequence[Followed]) -> list[FrameResult]:
         """Stage 3 of some frames, at least one, that come after those judged before.
@@ -122,25 +129,27 @@ class Recogniser:
 
 
 def together(
-    recognisers: Sequence[Recogniser], frames: Iterable[Frame]
-) -> Iterator[list[FrameResult]]:
+    recognisers: Sequence[Recogniser], frames: Iterable[Frame], *, ahead: bool = False
+) -> Iterator[tuple[FrameResult, ...]]:
     """Several recognisers over the same frames: of each frame the result of each, in order.
 
     Results come FRAMES_AT_ONCE at once. Whatever breaks the frames off is raised when the results
-    of those before it are out.
+    of those before it are out. ahead: read frames and do stage 1 in a thread of its own.
     """
-    left = iter(frames)
-    broken: BaseException | None = None
-    while broken is None:
-        followed: list[list[Followed]] = []
-        try:
-            for frame in islice(left, FRAMES_AT_ONCE):
-                followed.append([recogniser.follow(frame) for recogniser in recognisers])
-        except BaseException as error:  # Ctrl-C as well
-            broken = error
-        if not followed:
-            break
-        judged = [r.judge(f) for r, f in zip(recognisers, zip(*followed, strict=True), strict=True)]
-        yield from map(list, zip(*judged, strict=True))
+    cv2.ipp.setUseIPP(False)  # off for one thread at a time, and this may be a new one
+    looked = ([r.look(frame) for r in recognisers] for frame in frames)
+    with closing(Ahead(looked)) if ahead else nullcontext(looked) as looks:
+        left, broken = iter(looks), None
+        while broken is None:
+            followed: list[list[Followed]] = []
+            try:
+                for look in islice(left, FRAMES_AT_ONCE):
+                    followed.append([r.follow(x) for r, x in zip(recognisers, look, strict=True)])
+            except BaseException as error:  # Ctrl-C as well
+                broken = error
+            if not followed:
+                break
+            each = zip(recognisers, zip(*followed, strict=True), strict=True)
+            yield from zip(*(r.judge(its) for r, its in each), strict=True)
     if broken is not None:
         raise broken

@@ -51,15 +51,15 @@ class SideBySide:
             for config, method in zip(configs, self.tracking, strict=True)
         ]
         self._lag = max(config.features.lag_frames for config in configs)
-        self._pending: deque[list[FrameResult]] = deque()
+        self._pending: deque[tuple[FrameResult, ...]] = deque()
 
-    def recognise(self, frames: Iterable[Frame]) -> Iterator[FrameResult]:
+    def recognise(self, frames: Iterable[Frame], *, ahead: bool = False) -> Iterator[FrameResult]:
         """The results in the log's order, each when it is final.
 
         Whatever breaks the frames off is raised when the results of those before it are out, but
-        for those that wait to be revised: see `waiting`.
+        for those that wait to be revised: see `waiting`. ahead: as in `together`.
         """
-        for results in together(self._recognisers, frames):
+        for results in together(self._recognisers, frames, ahead=ahead):
             for hindsight, result in zip(self._hindsight, results, strict=True):
                 if hindsight is not None:
                     hindsight.learn(result)

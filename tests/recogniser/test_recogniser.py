@@ -6,6 +6,7 @@ import math
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
+from threading import Thread
 
 import cv2
 import numpy as np
@@ -290,6 +291,19 @@ def test_all_at_once_says_what_frame_by_frame_does():
     ):
         alike(one, other)
         alike(one, other, SMI)
+
+
+@pytest.mark.parametrize("ahead", [False, True])
+def test_a_thread_says_the_same_to_the_bit(ahead: bool):
+    log = still_log(2, FRAMES_AT_ONCE + 3)
+    here = side_by_side(log, "default")
+    there: list[FrameResult] = []
+    both = SideBySide([config.preset("default")], log[0].fan, BASIN)
+    thread = Thread(target=lambda: there.extend(both.recognise(log, ahead=ahead)))
+    thread.start()
+    thread.join()
+    for one, other in zip(there, here, strict=True):
+        assert repr(one.estimates) == repr(other.estimates)
 
 
 @pytest.mark.parametrize("fault", [ValueError, KeyboardInterrupt])

@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from sonarrec.cli import main
-from sonarrec.readers.ahead import DEPTH, Ahead
+from sonarrec.recogniser.ahead import DEPTH, Ahead
 from tests.support.batch import made, tables
 
 
@@ -73,7 +73,7 @@ def test_a_run_is_the_same_with_and_without(
         out = tmp_path / str(cores)
         done = CliRunner().invoke(main, ["run", str(log), "-o", str(out)])
         told[cores] = done.exit_code, done.output.replace(str(out), "OUT")
-        assert len(threads) == cores - 1
+        assert len(threads) == (cores - 1) * (len(damaged) < 12)
         if len(damaged) < 12:
             told[cores] += (tables(out / "log"),)
     assert told[1] == told[2]

@@ -1,4 +1,4 @@
-"""Items made in a thread a few ahead: while one is worked on, the next are read and decoded."""
+"""Items made in a thread a few ahead: while one is worked on, the next are made."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from collections.abc import Iterable, Iterator
 from queue import SimpleQueue
 from threading import Thread
 from typing import Generic, TypeVar
+
+import cv2
 
 T = TypeVar("T")
 DEPTH = 4
@@ -29,6 +31,7 @@ class Ahead(Generic[T]):
         self._thread.start()
 
     def _make(self, items: Iterable[T]) -> None:
+        cv2.ipp.setUseIPP(False)  # as in the package: it is off for one thread at a time
         last: BaseException | None = None
         try:
             left = iter(items)
