@@ -100,7 +100,10 @@ class ResultsWriter:
         try:
             restore(folder)
             if self._part.exists():
-                shutil.rmtree(self._part)  # of a run that was stopped
+                # Of a run that was stopped. The table made last goes first: a part that has it is
+                # whole, also where this run is stopped right here.
+                (self._part / "sightings.csv").unlink(missing_ok=True)
+                shutil.rmtree(self._part)
             self._part.mkdir()
             self._write_run(finished=False)
             self._estimates = _Table(self._part / "estimates.csv", [c.name for c in self._columns])
