@@ -11,8 +11,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from sonarrec.records import SonarrecError, UsageError
-from sonarrec.toml import (
+from sonarrec.files.toml import (
     Count,
     NotNegative,
     Share,
@@ -25,6 +24,7 @@ from sonarrec.toml import (
     shown,
     types_of,
 )
+from sonarrec.records import SonarrecError, UsageError
 
 
 def _setting(default: Any, unit: str, meaning: str) -> Any:

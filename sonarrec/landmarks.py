@@ -8,8 +8,17 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
+from sonarrec.files.toml import (
+    Positive,
+    Share,
+    Whole,
+    from_table,
+    length,
+    named_file,
+    read_toml,
+    shown,
+)
 from sonarrec.records import FloatArray, SonarrecError
-from sonarrec.toml import Positive, Share, Whole, from_table, length, named_file, read_toml, shown
 
 BUILT_IN = Path(__file__).parent / "landmark_sets"
 

@@ -9,8 +9,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from sonarrec.files.toml import Finite, from_table, read_toml
 from sonarrec.records import SonarrecError
-from sonarrec.toml import Finite, from_table, read_toml
 
 MIN_WINDOW_M = 0.01
 EXAMPLE_SONAR_TOML = """\

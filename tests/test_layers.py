@@ -11,8 +11,8 @@ import pytest
 
 FLOORS = (
     {"records", "cores"},
-    {"toml", "outputs", "parquet"},
-    {"config", "sonar", "landmarks", "poses", "tables"},
+    {"files"},
+    {"config", "sonar", "landmarks", "poses"},
     {"geometry"},
     {"recogniser", "readers", "results", "drawing"},
     {"remote"},
@@ -38,10 +38,10 @@ MAY_IMPORT = {
     "ruamel": ("readers.bag_folder",),
     "google": ("readers.mcap.foxglove",),  # protobuf
     "distributed": ("batch.cluster",),
-    "msgspec": ("toml",),
-    "tomllib": ("toml",),
-    "pandas": ("tables", "parquet", "results.frames", "report.mistakes"),
-    "pyarrow": ("parquet",),
+    "msgspec": ("files.toml",),
+    "tomllib": ("files.toml",),
+    "pandas": ("files.tables", "files.parquet", "results.frames", "report.mistakes"),
+    "pyarrow": ("files.parquet",),
     "matplotlib": ("evaluation.plots", "mapping.picture", "report.charts", "truth.contact_sheet"),
     "fsspec": ("remote.store",),
     "aiohttp": ("remote.store",),
@@ -265,7 +265,11 @@ def test_imports_run_downward_only() -> None:
         ("readers.images", "import mcap.reader", "readers.images must not import mcap"),
         ("simulation.world", "def f():\n    import pandas", "must not import pandas"),
         ("results.read", "import requests", "results.read must not import requests"),
-        ("pipeline", "from sonarrec.tables import read_table", "pipeline loads pandas, by tables"),
+        (
+            "pipeline",
+            "from sonarrec.files.tables import read_table",
+            "pipeline loads pandas, by files.tables",
+        ),
         ("cli.run", "from sonarrec.pipeline import process", "before a command is run"),
         ("", "from sonarrec.readers import open_log", "nothing of ours as it is loaded"),
     ],

@@ -65,9 +65,9 @@ def calibrate(
       sonarrec run next.mcap --model model.toml
       sonarrec calibrate day_1/ day_2/ --ground-truth both.csv -o model.toml --landmarks my.toml
     """
+    from sonarrec.files.outputs import check_output
     from sonarrec.landmarks import load_landmarks
     from sonarrec.learning.calibrate import learn
-    from sonarrec.outputs import check_output
 
     if not out.parent.is_dir():
         raise UsageError(f"--out {out}: there is no folder {out.parent}")

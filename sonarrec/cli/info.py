@@ -164,7 +164,7 @@ def _check_preview(preview: Path, logs: Sequence[str]) -> None:
         raise UsageError(f"--preview {preview}: draws one log; {len(logs)} are given")
     if preview.suffix.lower() != ".png":
         raise UsageError(f"--preview {preview}: a picture is written as NAME.png")
-    from sonarrec.outputs import check_output
+    from sonarrec.files.outputs import check_output
 
     check_output(preview, "picture", logs)
 

@@ -197,7 +197,7 @@ def run(
     """
     from sonarrec.cli.run_watch import RunWatch
     from sonarrec.cores import cores
-    from sonarrec.parquet import check_parquet
+    from sonarrec.files.parquet import check_parquet
     from sonarrec.prepared import Used
     from sonarrec.results.run_file import Given, frame_span
 
@@ -243,7 +243,7 @@ def run(
 
 def _check_odometry_out(path: Path, tasks: Sequence[Task], odometry: Path | None) -> None:
     """Raise UsageError where the path of the sonar cannot be written to a file."""
-    from sonarrec.outputs import check_output
+    from sonarrec.files.outputs import check_output
 
     if len(tasks) > 1:
         raise UsageError(f"--odometry-out is of one log, and there are {len(tasks)}; run it alone")

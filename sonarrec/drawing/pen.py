@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from sonarrec.files.outputs import marked
 from sonarrec.geometry import (
     STEEPEST,
     floor_depth,
@@ -16,7 +17,6 @@ from sonarrec.geometry import (
     polar_from_pixel,
     slant_range,
 )
-from sonarrec.outputs import marked
 from sonarrec.records import ByteImage, Fan, FloatArray, SonarrecError
 
 Colour = tuple[int, int, int]

@@ -7,13 +7,13 @@ from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from sonarrec.files.tables import line_number, read_header, read_table
 from sonarrec.readers.find import Source, find_log, log_name
 from sonarrec.readers.images import MAX_FILE_BYTES, is_image
 from sonarrec.records import SonarrecError, UsageError
 from sonarrec.remote.urls import is_url
 from sonarrec.results.read import find_logs
 from sonarrec.results.run_file import Input, read_run
-from sonarrec.tables import line_number, read_header, read_table
 from sonarrec.truth.table import HEADER
 
 TRUTH_FILE = "gt.csv"

@@ -11,11 +11,11 @@ import numpy as np
 from sonarrec.evaluation.pairs import Elsewhere, Pair, found_beside, found_where, truth_by_folder
 from sonarrec.evaluation.same import Recording, counted_once, recording
 from sonarrec.evaluation.settings import SettingChange, changed_settings
+from sonarrec.files.tables import read_header
 from sonarrec.records import IntArray, SonarrecError, shown
 from sonarrec.results.read import find_logs, read_frames, read_log
 from sonarrec.results.run_file import RunFile, read_run
 from sonarrec.results.same_log import check_one_log
-from sonarrec.tables import read_header
 from sonarrec.truth.table import HEADER
 
 Both = tuple[Path, Path]

@@ -18,7 +18,7 @@ from sonarrec.evaluation.pooled import Pooled, PooledScored
 from sonarrec.evaluation.reliability import BINS
 from sonarrec.evaluation.summary import Summary
 from sonarrec.evaluation.uncertainty import Difference, Figure
-from sonarrec.outputs import check_output
+from sonarrec.files.outputs import check_output
 from sonarrec.records import SonarrecError
 
 COUNTS = ("tpr", "fpr", "tp", "tn", "fp", "fn", "total")

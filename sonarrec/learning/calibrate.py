@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.config import Config
+from sonarrec.files.outputs import MODEL_MARK
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.learning.fit import fit
 from sonarrec.learning.samples import Samples, Tracks, describe, label
-from sonarrec.outputs import MODEL_MARK
 from sonarrec.readers import open_log
 from sonarrec.recogniser.stage3_features.model import AppearanceModel, load_model
 from sonarrec.records import Clock, FloatArray, Frame, SonarrecError, UsageError

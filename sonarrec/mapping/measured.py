@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from sonarrec.files.tables import Kind, Table, read_table
 from sonarrec.mapping.path import Motions, SonarPath, measured_path
 from sonarrec.records import SonarrecError, shown
-from sonarrec.tables import Kind, Table, read_table
 
 FRAMES = "frame,timestamp_ns,dx_m,dy_m,dyaw_deg,dx_sigma_m,dy_sigma_m,dyaw_sigma_deg"
 MOVED = ("dyaw_deg", "dx_m", "dy_m")

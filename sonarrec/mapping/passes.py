@@ -12,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
+from sonarrec.files.tables import Table, line_number
 from sonarrec.geometry import floor_depth, ground_range, polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.mapping.path import SonarPath
 from sonarrec.records import Fan, FloatArray, IntArray, SonarrecError
 from sonarrec.results.read import estimate_tables
 from sonarrec.results.sightings import PASS_GAP, follows
-from sonarrec.tables import Table, line_number
 
 ROWS = 20_000
 """Of estimates.csv, read at a time."""

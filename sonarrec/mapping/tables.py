@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+from sonarrec.files.outputs import check_output
 from sonarrec.mapping.build import SiteMap
-from sonarrec.outputs import check_output
 from sonarrec.records import FloatArray
 
 MAP_COLUMNS = (

@@ -16,8 +16,8 @@ from mcap.writer import CompressionType, Writer
 
 from sonarrec.drawing.pen import TRUTH, UNNAMED, Colour, disc_outline, landmark_colours, pixel_unit
 from sonarrec.drawing.results import AROUND, Mark, caption
+from sonarrec.files.outputs import OVERLAY_LIBRARY
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.outputs import OVERLAY_LIBRARY
 from sonarrec.overlay import detections
 from sonarrec.readers.mcap.foxglove import json_schema
 from sonarrec.records import Estimate, FloatArray, Frame, SonarrecError

@@ -15,8 +15,8 @@ import numpy as np
 
 from sonarrec.drawing.pen import draw_picture
 from sonarrec.drawing.results import STRIP_FRAMES, Mark, Moment, draw_frame, draw_strip, trails
+from sonarrec.files.outputs import Kind, check_output
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.outputs import Kind, check_output
 from sonarrec.overlay.foxglove_layout import write_layout
 from sonarrec.overlay.foxglove_mcap import FAN_TOPIC, FoxgloveFile
 from sonarrec.overlay.video import ImageFolder, VideoFile

@@ -10,7 +10,7 @@ from types import TracebackType
 import cv2
 
 from sonarrec.drawing.pen import write_png
-from sonarrec.outputs import VIDEO_MARK, check_output
+from sonarrec.files.outputs import VIDEO_MARK, check_output
 from sonarrec.records import ByteImage, SonarrecError, UsageError
 
 

@@ -25,7 +25,7 @@ def read_poses(path: Path) -> PoseTable:
     time the first counts. Raises SonarrecError where the table cannot be used.
     """
     # With pandas, which only runs with such a table need.
-    from sonarrec.tables import Kind, read_table
+    from sonarrec.files.tables import Kind, read_table
 
     kinds: dict[str, Kind] = dict.fromkeys(("timestamp", "yaw", "x", "y"), "number")
     table = read_table(path, {"timestamp_ns": "whole", **kinds}, ("yaw",), HEADER)

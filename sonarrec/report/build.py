@@ -11,7 +11,7 @@ import numpy as np
 
 from sonarrec.evaluation.evaluate import Evaluation, evaluate, evaluate_many, evaluate_pairs
 from sonarrec.evaluation.pairs import Pair, read_pairs
-from sonarrec.outputs import check_output
+from sonarrec.files.outputs import check_output
 from sonarrec.records import SonarrecError
 from sonarrec.report import frames
 from sonarrec.report.logs import ReportedLog, Seen, read_logs, seen, told_false

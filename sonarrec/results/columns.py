@@ -11,7 +11,7 @@ from sonarrec.records import Estimate, FrameResult, Stamps
 from sonarrec.results.sightings import Sighting
 
 if TYPE_CHECKING:
-    from sonarrec.tables import Kind  # with pandas, which a run does not need
+    from sonarrec.files.tables import Kind  # with pandas, which a run does not need
 
 Part = TypeVar("Part")
 

@@ -10,6 +10,15 @@ from types import MappingProxyType
 import numpy as np
 import numpy.typing as npt
 
+from sonarrec.files.tables import (
+    Kind,
+    Table,
+    cut,
+    line_number,
+    position_pair,
+    read_table,
+    read_tables,
+)
 from sonarrec.geometry import plane_position
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.records import (
@@ -34,7 +43,6 @@ from sonarrec.results.columns import (
 from sonarrec.results.folders import estimates_of, part_of
 from sonarrec.results.run_file import RunFile, read_run
 from sonarrec.sonar import Sonar
-from sonarrec.tables import Kind, Table, cut, line_number, position_pair, read_table, read_tables
 
 METHODS = ("smi", "framework")
 """The methods that a run of one preset holds, also where one of them saw nothing."""

@@ -15,12 +15,12 @@ import numpy as np
 from cv2.version import opencv_version
 
 from sonarrec import __version__, config
+from sonarrec.files.toml import Count, checked, read_toml, types_of
 from sonarrec.geometry import fan_for_image
 from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
 from sonarrec.records import Clock, Fan, Origin, SonarrecError, UsageError
 from sonarrec.results.folders import ESTIMATES, TABLES, estimates_of
 from sonarrec.sonar import Sonar, sonar_from_table
-from sonarrec.toml import Count, checked, read_toml, types_of
 
 
 def run_table(

@@ -20,7 +20,7 @@ from sonarrec.results.sightings import Sighting, Sightings
 from sonarrec.sonar import Sonar
 
 if TYPE_CHECKING:
-    from sonarrec.tables import Kind  # with pandas, which a run does not need
+    from sonarrec.files.tables import Kind  # with pandas, which a run does not need
 
 ROWS = 20_000
 """Of estimates.csv, read at a time."""
@@ -81,8 +81,8 @@ def _declared(
     folder: Path, run: RunFile, landmarks: str | None, sonar: Sonar | None
 ) -> Iterator[tuple[int, Estimate]]:
     """(frame, estimate) of every declared row of estimates.csv."""
+    from sonarrec.files.tables import POSITION_KINDS
     from sonarrec.results.read import estimate_tables
-    from sonarrec.tables import POSITION_KINDS
 
     path, fan = estimates_of(folder), run.fan(sonar)
     for _, table in estimate_tables(path, run.landmark_set(landmarks), ROWS, SIGMAS):

@@ -14,8 +14,8 @@ from typing import Any, Self
 
 import tomli_w
 
+from sonarrec.files.parquet import convert
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.parquet import convert
 from sonarrec.records import NO_STAMPS, FrameResult, SonarrecError, Stamps, shown
 from sonarrec.results.columns import FRAME_COLUMNS, SIGHTING_COLUMNS, estimate_columns
 from sonarrec.results.folders import exchange, lock, part_of, release, restore

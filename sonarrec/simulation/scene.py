@@ -13,12 +13,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from sonarrec.geometry import fan_for_image, fan_for_polar
-from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
-from sonarrec.records import Fan, FloatArray, SonarrecError, UsageError
-from sonarrec.simulation.symbols import LEARNED_SYMBOLS, OTHER_SYMBOLS
-from sonarrec.sonar import Sonar
-from sonarrec.toml import (
+from sonarrec.files.toml import (
     Count,
     Finite,
     NotNegative,
@@ -31,6 +26,11 @@ from sonarrec.toml import (
     read_toml,
     shown,
 )
+from sonarrec.geometry import fan_for_image, fan_for_polar
+from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
+from sonarrec.records import Fan, FloatArray, SonarrecError, UsageError
+from sonarrec.simulation.symbols import LEARNED_SYMBOLS, OTHER_SYMBOLS
+from sonarrec.sonar import Sonar
 
 BUILT_IN = Path(__file__).parent / "scenes"
 

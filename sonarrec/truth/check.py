@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
+from sonarrec.files.tables import POSITION_KINDS, read_table
 from sonarrec.geometry import ground_range, pixel_from_polar, polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.readers.log import Log
 from sonarrec.records import BoolArray, Fan, FloatArray, IntArray, SonarrecError
-from sonarrec.tables import POSITION_KINDS, read_table
 from sonarrec.truth.in_view import share_in_fan
 from sonarrec.truth.match import match_times
 from sonarrec.truth.table import HEADER, TruthTable, read_rows, repeated_rows

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from sonarrec.drawing.pen import Colour, disc_outline, landmark_colours
-from sonarrec.outputs import PICTURE_MARK
+from sonarrec.files.outputs import PICTURE_MARK
 from sonarrec.records import ByteImage, FloatArray, Frame, IntArray, SonarrecError
 from sonarrec.truth.check import CheckedTruth
 

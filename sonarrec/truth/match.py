@@ -7,10 +7,10 @@ from typing import Protocol
 
 import numpy as np
 
+from sonarrec.files.tables import line_number
 from sonarrec.geometry import pixel_from_plane, plane_position
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.records import BoolArray, Fan, FloatArray, IntArray, SonarrecError
-from sonarrec.tables import line_number
 from sonarrec.truth.table import TruthTable
 
 

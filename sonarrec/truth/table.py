@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from sonarrec.records import FloatArray, IntArray, SonarrecError
-from sonarrec.tables import (
+from sonarrec.files.tables import (
     POSITION_KINDS,
     Kind,
     line_number,
@@ -19,6 +18,7 @@ from sonarrec.tables import (
     read_header,
     read_table,
 )
+from sonarrec.records import FloatArray, IntArray, SonarrecError
 
 HEADER = "frame,landmark,x_px,y_px,visible"
 _PIXELS = "x_px,y_px (pixels of the fan image)"

@@ -14,8 +14,8 @@ import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner, Result
 
-from sonarrec import parquet
 from sonarrec.cli import main
+from sonarrec.files import parquet
 from sonarrec.landmarks import load_landmarks
 from sonarrec.records import FrameResult, SonarrecError
 from sonarrec.results.folders import estimates_of, part_of

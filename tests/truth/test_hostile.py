@@ -9,9 +9,9 @@ import pytest
 
 from sonarrec.evaluation.evaluate import evaluate_pairs
 from sonarrec.evaluation.pairs import Pair, read_pairs
+from sonarrec.files.tables import read_table
 from sonarrec.landmarks import load_landmarks
 from sonarrec.records import SonarrecError, printable
-from sonarrec.tables import read_table
 from sonarrec.truth.annotations import cvat, read_annotations
 from sonarrec.truth.convert import convert
 from sonarrec.truth.table import read_truth

@@ -15,9 +15,9 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from sonarrec.files.toml import Finite, checked, from_table, length, parse_toml, read_text, shown
 from sonarrec.recogniser.stage3_features.description import FEATURES
 from sonarrec.records import FloatArray, UsageError
-from sonarrec.toml import Finite, checked, from_table, length, parse_toml, read_text, shown
 
 BUILT_IN = Path(__file__).parent / "appearance.toml"
 

@@ -13,9 +13,9 @@ from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sonarrec import toml
 from sonarrec.cli import main
 from sonarrec.config import Config, configs, with_assignments
+from sonarrec.files import toml
 from sonarrec.landmarks import load_landmarks
 from sonarrec.recogniser.stage3_features.description import FEATURES
 from sonarrec.recogniser.stage3_features.model import read_model
@@ -28,7 +28,7 @@ LINES = [f"{name} = {{ at = [0, 1], log_odds = [0, 1] }}\n" for name in FEATURES
 SET = 'name = "x"\nradius_m = 1\nring = [0.5, 1]\nsymbol = [0, 0.5]\n'
 
 TABLES = ("input", "sonar", "fan", "landmarks", "odometry", "model")
-SAMPLE = Path(__file__).parents[1] / "sample_data" / "pan"
+SAMPLE = Path(__file__).parents[2] / "sample_data" / "pan"
 
 # reader, what of its file is sound, a number in it
 READERS: dict[str, tuple[Callable[[Path], object], str, str]] = {

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
-from sonarrec.parquet import PARQUET, read_parts
+from sonarrec.files.parquet import PARQUET, read_parts
 from sonarrec.records import BoolArray, FloatArray, IntArray, SonarrecError
 
 Kind = Literal["whole", "number", "blank or number", "share", "flag", "text", "label"]

@@ -1,0 +1,1 @@
+"""Files of our kinds: TOML, tables and Parquet read, and what may be written over."""
