@@ -1,1 +1,1 @@
-"""Many logs in one call: a process for each, what became of them, a cluster."""
+"""Many logs in one call: processes side by side, what became of each, a cluster."""

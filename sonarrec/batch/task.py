@@ -9,8 +9,8 @@ from pathlib import Path
 from time import monotonic
 from typing import Literal
 
-from sonarrec.pipeline import Observe, Summary, planned, process
-from sonarrec.prepared import Used
+from sonarrec.pipeline.prepared import Used
+from sonarrec.pipeline.run import Observe, Summary, planned, process
 from sonarrec.readers.find import log_name
 from sonarrec.records import SonarrecError
 from sonarrec.remote.fetch import Told, fetched, untold

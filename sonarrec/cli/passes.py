@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sonarrec.pipeline import Summary
+    from sonarrec.pipeline.run import Summary
     from sonarrec.results.sightings import Sighting
 
 YEAR_2000_NS = 946_684_800 * 10**9

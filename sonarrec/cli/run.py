@@ -40,7 +40,7 @@ from sonarrec.records import SonarrecError, UsageError, shown
 if TYPE_CHECKING:
     from sonarrec.batch.processes import Watch
     from sonarrec.batch.task import Task
-    from sonarrec.prepared import Used
+    from sonarrec.pipeline.prepared import Used
     from sonarrec.readers.many import NamedLog
     from sonarrec.remote.find import RemoteLog
     from sonarrec.remote.upload import Outbox
@@ -195,10 +195,10 @@ def run(
       sonarrec run --from-file dives.txt
       sonarrec run s3://dives/2026-11-20/ -o s3://dives/results
     """
+    from sonarrec.batch.cores import cores
     from sonarrec.cli.run_watch import RunWatch
-    from sonarrec.cores import cores
     from sonarrec.files.parquet import check_parquet
-    from sonarrec.prepared import Used
+    from sonarrec.pipeline.prepared import Used
     from sonarrec.results.run_file import Given, frame_span
 
     if odometry is not None and odometry_topic is not None:
@@ -253,8 +253,8 @@ def _check_odometry_out(path: Path, tasks: Sequence[Task], odometry: Path | None
 def _run(
     tasks: list[Task], watch: Watch, jobs: int, timeout: float | None, scheduler: str | None
 ) -> None:
+    from sonarrec.batch.cores import cores
     from sonarrec.batch.processes import run_apart, run_here
-    from sonarrec.cores import cores
 
     if scheduler is not None:
         from sonarrec.batch.cluster import run_on_cluster
@@ -290,7 +290,7 @@ def _tasks(
     cache: CacheChoice,
 ) -> list[Task]:
     from sonarrec.batch.task import Task
-    from sonarrec.pipeline import result_names
+    from sonarrec.pipeline.run import result_names
     from sonarrec.remote.find import RemoteLog
     from sonarrec.remote.run import Elsewhere
 

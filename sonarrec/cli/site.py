@@ -81,7 +81,7 @@ def site(
       sonarrec site dive.mcap --tilt-deg 20 --height-m 0.7
       sonarrec site river.avi --contrast 0,6,12 --layouts 8 -o river_site
     """
-    from sonarrec.prepared import Used
+    from sonarrec.pipeline.prepared import Used
     from sonarrec.readers.find import find_log
     from sonarrec.report.site import assess, write_site
     from sonarrec.report.site_page import render

@@ -13,7 +13,7 @@ from functools import lru_cache, partial
 from pathlib import Path
 from typing import Protocol, TypeVar
 
-from sonarrec.cores import cores
+from sonarrec.batch.cores import cores
 from sonarrec.evaluation.fit import Checked, Matched, checked, matched
 from sonarrec.evaluation.joined import join
 from sonarrec.evaluation.pairs import one_log

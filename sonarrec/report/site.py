@@ -24,8 +24,8 @@ from sonarrec.evaluation.pairs import Pair
 from sonarrec.evaluation.uncertainty import LEVEL, MIN_UNITS
 from sonarrec.geometry import STEEPEST, floor_depth
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.pipeline import process
-from sonarrec.prepared import Used
+from sonarrec.pipeline.prepared import Used
+from sonarrec.pipeline.run import process
 from sonarrec.readers.pixels import decode_image
 from sonarrec.recogniser.recogniser import FRAMEWORK
 from sonarrec.records import ByteImage, Estimate, FrameResult, SonarrecError

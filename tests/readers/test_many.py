@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
-from sonarrec.pipeline import result_names
+from sonarrec.pipeline.run import result_names
 from sonarrec.readers.find import companion, find_log
 from sonarrec.readers.many import find_logs
 from sonarrec.records import SonarrecError, UsageError

@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sonarrec import config
-from sonarrec.pipeline import run as run_log
+from sonarrec.pipeline.run import run as run_log
 from sonarrec.readers.mcap.fields import Fields
 from sonarrec.readers.mcap.messages import decoder_for, read_projected_sonar_image
 from sonarrec.readers.raw import UnusableError

@@ -14,8 +14,8 @@ from click.testing import CliRunner, Result
 from sonarrec import config
 from sonarrec.cli import main
 from sonarrec.geometry import PolarToFan, polar_from_pixel
-from sonarrec.pipeline import process
-from sonarrec.prepared import Used
+from sonarrec.pipeline.prepared import Used
+from sonarrec.pipeline.run import process
 from sonarrec.readers import open_log
 from sonarrec.readers.fans import FanImages, looks_beam_major
 from sonarrec.readers.raw import RawFrame, UnusableError

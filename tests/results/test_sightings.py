@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from sonarrec.cli import main
 from sonarrec.landmarks import load_landmarks
-from sonarrec.pipeline import MOST_SIGHTINGS, run
+from sonarrec.pipeline.run import MOST_SIGHTINGS, run
 from sonarrec.poses import pose_table
 from sonarrec.records import Estimate, FrameResult, SonarrecError
 from sonarrec.results.folders import part_of
@@ -250,7 +250,7 @@ def test_json_is_the_one_thing_on_stdout(results: Path, tmp_path: Path) -> None:
 def test_the_table_is_bounded_and_says_how_many_more(tmp_path: Path) -> None:
     """Of thirty passes the longest, in order, with the calendar's time."""
     from sonarrec.cli.passes import table
-    from sonarrec.pipeline import Summary, _longest
+    from sonarrec.pipeline.run import Summary, _longest
 
     start = 1_700_000_000 * 10**9
     with ResultsWriter(tmp_path / "dive", BASIN, tables()) as writer:

@@ -24,7 +24,7 @@ import numpy as np
 from sonarrec.config import Config, preset
 from sonarrec.evaluation.evaluate import evaluate
 from sonarrec.landmarks import load_landmarks
-from sonarrec.pipeline import run as run_log
+from sonarrec.pipeline.run import run as run_log
 from sonarrec.recogniser.odometry import Odometry
 from sonarrec.recogniser.plane import FloorPlane
 from sonarrec.recogniser.recogniser import Recogniser

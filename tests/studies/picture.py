@@ -15,7 +15,7 @@ import numpy as np
 from sonarrec.config import preset
 from sonarrec.landmarks import load_landmarks
 from sonarrec.overlay.overlay import Targets, write_overlay
-from sonarrec.pipeline import run as run_log
+from sonarrec.pipeline.run import run as run_log
 from sonarrec.readers import open_log
 
 SAMPLES = Path(__file__).resolve().parents[2] / "sample_data"

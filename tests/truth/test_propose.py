@@ -12,7 +12,7 @@ from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
 from sonarrec.config import preset
-from sonarrec.pipeline import run as run_log
+from sonarrec.pipeline.run import run as run_log
 from sonarrec.truth.table import read_truth
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"

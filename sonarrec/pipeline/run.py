@@ -15,7 +15,7 @@ from sonarrec.config import Config
 from sonarrec.config import preset as config_of
 from sonarrec.drawing.geometry import disc_width_px
 from sonarrec.landmarks import LandmarkSet, load_landmarks
-from sonarrec.prepared import Prepared, Used, prepared
+from sonarrec.pipeline.prepared import Prepared, Used, prepared
 from sonarrec.readers.find import find_log
 from sonarrec.readers.log import Log
 from sonarrec.readers.plausible import Plausibility

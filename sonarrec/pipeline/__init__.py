@@ -1,0 +1,1 @@
+"""One log through the recogniser and onto disk."""
