@@ -29,7 +29,7 @@ from sonarrec.cli.options_remote import ANY_OR_URL, FILE_OR_URL, CacheChoice, ca
 from sonarrec.records import UsageError
 
 if TYPE_CHECKING:
-    from sonarrec.evaluation.compare import Comparison
+    from sonarrec.evaluation.compare.compare import Comparison
     from sonarrec.remote.run import Here
 
 
@@ -215,7 +215,8 @@ def _compare(
     here: Here,
 ) -> int:
     """The exit code."""
-    from sonarrec.evaluation import compare, write
+    from sonarrec.evaluation import write
+    from sonarrec.evaluation.compare import compare
     from sonarrec.remote.run import inside
 
     found = compared(sides, ground_truth, pairs, scoring, here)
@@ -244,7 +245,7 @@ def compared(
     here: Here,
 ) -> Comparison:
     """Two results, wherever they lie, as `evaluation.compare.compare`."""
-    from sonarrec.evaluation.compare import compare
+    from sonarrec.evaluation.compare.compare import compare
     from sonarrec.evaluation.pairs import read_pairs
 
     truth = read_pairs(pairs) if pairs is not None else ground_truth

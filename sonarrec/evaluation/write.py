@@ -11,7 +11,7 @@ from pathlib import Path
 from textwrap import indent
 from typing import Any
 
-from sonarrec.evaluation.compare import Comparison, RateChange
+from sonarrec.evaluation.compare.compare import Comparison, RateChange
 from sonarrec.evaluation.curves import Count, macro_curve
 from sonarrec.evaluation.plots import draw_det, draw_reliability, draw_roc, draw_roc_by_id
 from sonarrec.evaluation.pooled import Pooled, PooledScored

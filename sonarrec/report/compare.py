@@ -9,7 +9,7 @@ from pathlib import Path
 
 from sonarrec import __version__
 from sonarrec.evaluation import cells
-from sonarrec.evaluation.compare import (
+from sonarrec.evaluation.compare.compare import (
     Comparison,
     PassChange,
     outcome,

@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
-from sonarrec.evaluation.compare import compare
+from sonarrec.evaluation.compare.compare import compare
 from sonarrec.evaluation.evaluate import evaluate, evaluate_pairs
 from sonarrec.evaluation.pairs import Pair, read_pairs
 from sonarrec.records import SonarrecError

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sonarrec.evaluation.changes import ByMethod, changed_frames
+from sonarrec.evaluation.compare.changes import ByMethod, changed_frames
 from sonarrec.evaluation.fit import Checked, checked, cut_short, matched
 from sonarrec.evaluation.joined import join
 from sonarrec.evaluation.parts import Part, part_of, score_all

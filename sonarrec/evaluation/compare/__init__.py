@@ -1,0 +1,1 @@
+"""Two sets of results on one truth, held against each other."""
