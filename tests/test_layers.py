@@ -24,6 +24,8 @@ FLOORS = (
     {"__main__"},
 )
 """The rooms from the ground up. A room imports from floors below its own; of its own, itself."""
+PARTS = ("evaluation.matching", "evaluation.counting")
+"""Folders that the rest of their room is built on: each knows of it only those named before."""
 STAGES = ("stage1_candidates", "stage2_continuity", "stage3_features")
 MAY_IMPORT = {
     "click": ("cli",),
@@ -168,6 +170,10 @@ def faults(sources: Sources) -> list[str]:
         for other in ours(sources, name):
             if room(other) != room(name) and floor[room(other)] >= floor[room(name)]:
                 found.append(f"{name} imports uphill from {other}")
+            for i, part in enumerate(PARTS):
+                within = begins(name, (part,)) and room(other) == room(name)
+                if within and not begins(other, PARTS[: i + 1]):
+                    found.append(f"{name} imports uphill from {other}")
             if stage(name) and stage(other) and stage(name) != stage(other):
                 found.append(f"{name}: a stage imports another, {other}")
         if name in with_cli:  # else `sonarrec --help` waits for what it does not need
@@ -218,7 +224,7 @@ def test_every_room_has_a_floor() -> None:
 
 
 def test_every_name_in_the_tables_is_there() -> None:
-    for prefix in {*LIGHT, *(f"recogniser.{s}" for s in STAGES)} | {
+    for prefix in {*LIGHT, *PARTS, *(f"recogniser.{s}" for s in STAGES)} | {
         p for prefixes in MAY_IMPORT.values() for p in prefixes
     }:
         assert any(begins(name, (prefix,)) for name in SOURCES), prefix
@@ -258,8 +264,13 @@ def test_imports_run_downward_only() -> None:
             "from sonarrec.recogniser.stage1_candidates import CandidateSelector",
             "a stage imports another",
         ),
-        ("evaluation.joined", "from . import passes", "relative import"),
-        ("evaluation.joined", "from sonarrec.evaluation import passes", "import each other"),
+        ("evaluation.counting.passes", "from . import parts", "relative import"),
+        ("evaluation.survey", "from sonarrec.evaluation import evaluate", "import each other"),
+        (
+            "evaluation.matching.joined",
+            "from sonarrec.evaluation.counting import passes",
+            "uphill from evaluation.counting.passes",
+        ),
         ("pipeline.run", "import click", "pipeline.run must not import click"),
         ("readers.log", "from tqdm import tqdm", "readers.log must not import tqdm"),
         ("readers.images", "import mcap.reader", "readers.images must not import mcap"),

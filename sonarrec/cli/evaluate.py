@@ -172,7 +172,7 @@ def _score(
     """The exit code."""
     from sonarrec.evaluation import tabulate, write
     from sonarrec.evaluation.evaluate import evaluate_many
-    from sonarrec.evaluation.pairs import read_pairs
+    from sonarrec.evaluation.matching.pairs import read_pairs
     from sonarrec.evaluation.summary import summarise
     from sonarrec.remote.run import inside
 
@@ -246,7 +246,7 @@ def compared(
 ) -> Comparison:
     """Two results, wherever they lie, as `evaluation.compare.compare`."""
     from sonarrec.evaluation.compare.compare import compare
-    from sonarrec.evaluation.pairs import read_pairs
+    from sonarrec.evaluation.matching.pairs import read_pairs
 
     truth = read_pairs(pairs) if pairs is not None else ground_truth
     old, new = map(here.results, sides)

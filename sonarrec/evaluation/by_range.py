@@ -12,11 +12,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from sonarrec.evaluation.behaviour import right_claims
+from sonarrec.evaluation.counting.behaviour import right_claims
+from sonarrec.evaluation.counting.passes import find_passes, find_units
+from sonarrec.evaluation.counting.scoring import Scored
+from sonarrec.evaluation.counting.uncertainty import MIN_UNITS, bootstrap_weights, interval
 from sonarrec.evaluation.evaluate import Evaluation
-from sonarrec.evaluation.passes import find_passes, find_units
-from sonarrec.evaluation.scoring import Scored
-from sonarrec.evaluation.uncertainty import MIN_UNITS, bootstrap_weights, interval
 from sonarrec.records import FloatArray, IntArray
 
 SEED = 0

@@ -6,11 +6,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from sonarrec.evaluation.curves import Count
+from sonarrec.evaluation.counting.curves import Count
+from sonarrec.evaluation.counting.pooled import Pooled, PooledScored
+from sonarrec.evaluation.counting.uncertainty import Difference, Figure
 from sonarrec.evaluation.metrics import BY_NAME, METRICS
-from sonarrec.evaluation.pooled import Pooled, PooledScored
 from sonarrec.evaluation.summary import Summary
-from sonarrec.evaluation.uncertainty import Difference, Figure
 
 HEADLINE = ("tpr", "fpr")
 """Told by themselves, before the other figures."""

@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from sonarrec.evaluation.fit import Matched, fit, left_out
-from sonarrec.evaluation.joined import Joined, join
-from sonarrec.evaluation.pairs import Elsewhere, Pair, found_beside, found_where
-from sonarrec.evaluation.parts import part_of, score_all
-from sonarrec.evaluation.pooled import Parts, Pooled, pooled
-from sonarrec.evaluation.same import counted_once
-from sonarrec.evaluation.scoring import Scored
+from sonarrec.evaluation.counting.parts import part_of, score_all
+from sonarrec.evaluation.counting.pooled import Parts, Pooled, pooled
+from sonarrec.evaluation.counting.scoring import Scored
+from sonarrec.evaluation.matching.fit import Matched, fit, left_out
+from sonarrec.evaluation.matching.joined import Joined, join
+from sonarrec.evaluation.matching.pairs import Elsewhere, Pair, found_beside, found_where
+from sonarrec.evaluation.matching.same import counted_once
 from sonarrec.evaluation.survey import Reading, Surveyed, each, survey
 from sonarrec.records import IntArray, SonarrecError, UsageError, printable
 from sonarrec.results.read import find_logs, read_frames

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from sonarrec.evaluation.behaviour import (
+from sonarrec.evaluation.counting.behaviour import (
     FalseClaims,
     Switched,
     error_counts,
@@ -22,11 +22,11 @@ from sonarrec.evaluation.behaviour import (
     switch_counts,
     wait_counts,
 )
-from sonarrec.evaluation.counted import QUANTILES, Counted, Rates, Spread, rate_count
-from sonarrec.evaluation.curves import FPR_POINTS, PARTIAL_FPR, area, ratio, tpr_at
-from sonarrec.evaluation.pooled import Pooled, PooledScored, PooledUnits
-from sonarrec.evaluation.reliability import Calibration, calibration_counts
-from sonarrec.evaluation.uncertainty import Tally
+from sonarrec.evaluation.counting.counted import QUANTILES, Counted, Rates, Spread, rate_count
+from sonarrec.evaluation.counting.curves import FPR_POINTS, PARTIAL_FPR, area, ratio, tpr_at
+from sonarrec.evaluation.counting.pooled import Pooled, PooledScored, PooledUnits
+from sonarrec.evaluation.counting.reliability import Calibration, calibration_counts
+from sonarrec.evaluation.counting.uncertainty import Tally
 from sonarrec.records import FloatArray, IntArray
 
 

@@ -12,11 +12,11 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from sonarrec.evaluation.curves import macro_curve
-from sonarrec.evaluation.pooled import PooledScored
-from sonarrec.evaluation.reliability import BINS, FEW, Reliability
+from sonarrec.evaluation.counting.curves import macro_curve
+from sonarrec.evaluation.counting.pooled import PooledScored
+from sonarrec.evaluation.counting.reliability import BINS, FEW, Reliability
+from sonarrec.evaluation.counting.scoring import PROTOCOLS
 from sonarrec.evaluation.roc import Point, fpr_end, roc
-from sonarrec.evaluation.scoring import PROTOCOLS
 from sonarrec.records import FloatArray
 
 # Okabe and Ito's colours, told apart with any colour vision; line styles tell them apart in grey.

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sonarrec.evaluation.curves import PUBLISHED
-from sonarrec.evaluation.pooled import PooledScored
+from sonarrec.evaluation.counting.curves import PUBLISHED
+from sonarrec.evaluation.counting.pooled import PooledScored
 from sonarrec.records import FloatArray
 
 

@@ -9,13 +9,12 @@ from itertools import combinations
 import numpy as np
 
 from sonarrec.evaluation import metrics
-from sonarrec.evaluation.behaviour import PassOutcomes, Switches
-from sonarrec.evaluation.evaluate import Evaluation
-from sonarrec.evaluation.parts import PassTable
-from sonarrec.evaluation.passes import UnitKind
-from sonarrec.evaluation.pooled import Pooled, PooledUnits
-from sonarrec.evaluation.reliability import Reliability, reliability
-from sonarrec.evaluation.uncertainty import (
+from sonarrec.evaluation.counting.behaviour import PassOutcomes, Switches
+from sonarrec.evaluation.counting.parts import PassTable
+from sonarrec.evaluation.counting.passes import UnitKind
+from sonarrec.evaluation.counting.pooled import Pooled, PooledUnits
+from sonarrec.evaluation.counting.reliability import Reliability, reliability
+from sonarrec.evaluation.counting.uncertainty import (
     LEVEL,
     MIN_UNITS,
     Difference,
@@ -28,6 +27,7 @@ from sonarrec.evaluation.uncertainty import (
     macro,
     replicates,
 )
+from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.records import FloatArray, printable
 
 UNITS = {"pass": "passes", "log": "logs"}

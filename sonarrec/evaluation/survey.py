@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import Protocol, TypeVar
 
 from sonarrec.batch.cores import cores
-from sonarrec.evaluation.fit import Checked, Matched, checked, matched
-from sonarrec.evaluation.joined import join
-from sonarrec.evaluation.pairs import one_log
-from sonarrec.evaluation.parts import Part, part_of
-from sonarrec.evaluation.same import Recording, recording
+from sonarrec.evaluation.counting.parts import Part, part_of
+from sonarrec.evaluation.matching.fit import Checked, Matched, checked, matched
+from sonarrec.evaluation.matching.joined import join
+from sonarrec.evaluation.matching.pairs import one_log
+from sonarrec.evaluation.matching.same import Recording, recording
 from sonarrec.records import SonarrecError
 from sonarrec.results.folders import estimates_of
 from sonarrec.results.read import read_log

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 from sonarrec.evaluation import cells
 from sonarrec.evaluation.cells import Cell, number
+from sonarrec.evaluation.counting.pooled import Pooled, PooledScored
+from sonarrec.evaluation.counting.uncertainty import LEVEL, MIN_UNITS
 from sonarrec.evaluation.metrics import BY_NAME, MAIN
-from sonarrec.evaluation.pooled import Pooled, PooledScored
 from sonarrec.evaluation.summary import UNITS, Summary
-from sonarrec.evaluation.uncertainty import LEVEL, MIN_UNITS
 from sonarrec.records import printable
 
 WIDTH = 100

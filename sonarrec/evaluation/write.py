@@ -12,12 +12,12 @@ from textwrap import indent
 from typing import Any
 
 from sonarrec.evaluation.compare.compare import Comparison, RateChange
-from sonarrec.evaluation.curves import Count, macro_curve
+from sonarrec.evaluation.counting.curves import Count, macro_curve
+from sonarrec.evaluation.counting.pooled import Pooled, PooledScored
+from sonarrec.evaluation.counting.reliability import BINS
+from sonarrec.evaluation.counting.uncertainty import Difference, Figure
 from sonarrec.evaluation.plots import draw_det, draw_reliability, draw_roc, draw_roc_by_id
-from sonarrec.evaluation.pooled import Pooled, PooledScored
-from sonarrec.evaluation.reliability import BINS
 from sonarrec.evaluation.summary import Summary
-from sonarrec.evaluation.uncertainty import Difference, Figure
 from sonarrec.files.outputs import check_output
 from sonarrec.records import SonarrecError
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from sonarrec.evaluation.evaluate import Evaluation, evaluate, evaluate_many, evaluate_pairs
-from sonarrec.evaluation.pairs import Pair, read_pairs
+from sonarrec.evaluation.matching.pairs import Pair, read_pairs
 from sonarrec.files.outputs import check_output
 from sonarrec.records import SonarrecError
 from sonarrec.report import frames

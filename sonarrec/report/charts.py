@@ -16,8 +16,8 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 
 from sonarrec.drawing.pen import Colour
-from sonarrec.evaluation.pooled import PooledScored
-from sonarrec.evaluation.reliability import FEW, Reliability
+from sonarrec.evaluation.counting.pooled import PooledScored
+from sonarrec.evaluation.counting.reliability import FEW, Reliability
 from sonarrec.evaluation.roc import roc as evaluation_roc
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.records import FloatArray, IntArray

@@ -15,8 +15,8 @@ from sonarrec.evaluation.compare.compare import (
     outcome,
     settings_lines,
 )
+from sonarrec.evaluation.counting.uncertainty import LEVEL, MIN_UNITS, Difference
 from sonarrec.evaluation.metrics import BY_NAME, MAIN
-from sonarrec.evaluation.uncertainty import LEVEL, MIN_UNITS, Difference
 from sonarrec.records import SonarrecError, shown
 from sonarrec.report.templates import filled
 

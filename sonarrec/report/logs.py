@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sonarrec.evaluation.joined import join, nearest_truth
+from sonarrec.evaluation.matching.joined import join, nearest_truth
 from sonarrec.records import BoolArray, FloatArray, IntArray, SonarrecError, UsageError
 from sonarrec.results.read import LogResults, read_log
 from sonarrec.results.run_file import RunFile, read_run

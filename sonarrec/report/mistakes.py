@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from sonarrec.evaluation.counting.scoring import Scored
 from sonarrec.evaluation.evaluate import Evaluation
-from sonarrec.evaluation.joined import Joined, nearest_truth
-from sonarrec.evaluation.scoring import Scored
+from sonarrec.evaluation.matching.joined import Joined, nearest_truth
 from sonarrec.records import IntArray
 
 GAP = 4

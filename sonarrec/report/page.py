@@ -14,13 +14,13 @@ from pathlib import Path
 from sonarrec import __version__
 from sonarrec.drawing.pen import landmark_colours
 from sonarrec.evaluation import cells
-from sonarrec.evaluation.curves import Count
+from sonarrec.evaluation.counting.curves import Count
+from sonarrec.evaluation.counting.pooled import Pooled
+from sonarrec.evaluation.counting.reliability import FEW
+from sonarrec.evaluation.counting.uncertainty import LEVEL
 from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.evaluation.plots import COLOURS
-from sonarrec.evaluation.pooled import Pooled
-from sonarrec.evaluation.reliability import FEW
 from sonarrec.evaluation.summary import UNITS, summarise
-from sonarrec.evaluation.uncertainty import LEVEL
 from sonarrec.report import charts
 from sonarrec.report.frames import MOST_BYTES, ShownLog
 from sonarrec.report.logs import ReportedLog, Seen, Track, seen, tracks, true_landmark

@@ -19,9 +19,9 @@ import numpy as np
 from sonarrec.config import Config
 from sonarrec.drawing.results import Mark, draw_frame
 from sonarrec.evaluation.by_range import Rate, Recognised, recognised
+from sonarrec.evaluation.counting.uncertainty import LEVEL, MIN_UNITS
 from sonarrec.evaluation.evaluate import evaluate_pairs
-from sonarrec.evaluation.pairs import Pair
-from sonarrec.evaluation.uncertainty import LEVEL, MIN_UNITS
+from sonarrec.evaluation.matching.pairs import Pair
 from sonarrec.geometry import STEEPEST, floor_depth
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.pipeline.prepared import Used

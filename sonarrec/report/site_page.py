@@ -11,8 +11,8 @@ import numpy as np
 from sonarrec import __version__
 from sonarrec.evaluation.by_range import Rate
 from sonarrec.evaluation.cells import Cell
+from sonarrec.evaluation.counting.uncertainty import LEVEL, MIN_UNITS
 from sonarrec.evaluation.plots import COLOURS
-from sonarrec.evaluation.uncertainty import LEVEL, MIN_UNITS
 from sonarrec.report.charts import STYLES, UNIT, Axis, Chart, Dot, Shape, polyline
 from sonarrec.report.pictures import LARGEST, QUALITY, as_webp, shrunk
 from sonarrec.report.site import ENOUGH, AtContrast, Shown, Site

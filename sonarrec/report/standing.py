@@ -10,7 +10,7 @@ import numpy as np
 
 from sonarrec.batch import logs_table
 from sonarrec.evaluation import cells
-from sonarrec.evaluation.pooled import Pooled
+from sonarrec.evaluation.counting.pooled import Pooled
 from sonarrec.records import SonarrecError, shown
 from sonarrec.report.logs import follows_by_default
 from sonarrec.results.run_file import read_run

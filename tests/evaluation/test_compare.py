@@ -13,7 +13,7 @@ from click.testing import CliRunner, Result
 from sonarrec.cli import main
 from sonarrec.evaluation.compare.compare import compare
 from sonarrec.evaluation.evaluate import evaluate, evaluate_pairs
-from sonarrec.evaluation.pairs import Pair, read_pairs
+from sonarrec.evaluation.matching.pairs import Pair, read_pairs
 from sonarrec.records import SonarrecError
 from tests.evaluation.test_evaluation import (
     TRUTH_HEADER,

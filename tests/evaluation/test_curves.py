@@ -14,8 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sonarrec.cli import main
-from sonarrec.evaluation.curves import Curve, macro_curve
-from sonarrec.evaluation.scoring import score
+from sonarrec.evaluation.counting.curves import Curve, macro_curve
+from sonarrec.evaluation.counting.scoring import score
 from tests.evaluation.test_evaluation import paper_case
 from tests.support.claims import IDS, joined
 

@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 
 from sonarrec.cli import main
 from sonarrec.evaluation.cells import rate
+from sonarrec.evaluation.counting.scoring import Scored
 from sonarrec.evaluation.evaluate import Evaluation, evaluate
-from sonarrec.evaluation.scoring import Scored
 from sonarrec.evaluation.tabulate import screen
 from sonarrec.landmarks import load_landmarks
 

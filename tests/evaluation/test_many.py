@@ -15,12 +15,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sonarrec.cli import main
-from sonarrec.evaluation import store, survey
+from sonarrec.evaluation import survey
+from sonarrec.evaluation.counting import store
+from sonarrec.evaluation.counting.passes import UnitKind
+from sonarrec.evaluation.counting.pooled import Pooled
+from sonarrec.evaluation.counting.store import Store, ranked, summed
 from sonarrec.evaluation.evaluate import Evaluation, evaluate_many, evaluate_pairs
-from sonarrec.evaluation.pairs import Pair, read_pairs
-from sonarrec.evaluation.passes import UnitKind
-from sonarrec.evaluation.pooled import Pooled
-from sonarrec.evaluation.store import Store, ranked, summed
+from sonarrec.evaluation.matching.pairs import Pair, read_pairs
 from sonarrec.evaluation.summary import summarise
 from sonarrec.evaluation.write import write_evaluation
 from tests.evaluation.test_evaluation import write_case

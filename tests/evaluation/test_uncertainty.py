@@ -9,12 +9,10 @@ from itertools import product
 import numpy as np
 import pytest
 
-from sonarrec.evaluation.counted import rate_count
-from sonarrec.evaluation.metrics import METRICS, rates, tally
-from sonarrec.evaluation.passes import MOST_UNITS, find_passes, find_units
-from sonarrec.evaluation.scoring import score
-from sonarrec.evaluation.summary import summarise
-from sonarrec.evaluation.uncertainty import (
+from sonarrec.evaluation.counting.counted import rate_count
+from sonarrec.evaluation.counting.passes import MOST_UNITS, find_passes, find_units
+from sonarrec.evaluation.counting.scoring import score
+from sonarrec.evaluation.counting.uncertainty import (
     Tally,
     bootstrap_weights,
     coin_tosses,
@@ -23,6 +21,8 @@ from sonarrec.evaluation.uncertainty import (
     intervals,
     replicates,
 )
+from sonarrec.evaluation.metrics import METRICS, rates, tally
+from sonarrec.evaluation.summary import summarise
 from tests.support.claims import evaluated, joined
 
 LABELS = ("strict", "m", "total")

@@ -24,9 +24,9 @@ from hypothesis import strategies as st
 
 from sonarrec.cli import main
 from sonarrec.drawing.pen import landmark_colours
+from sonarrec.evaluation.counting.reliability import Reliability
+from sonarrec.evaluation.counting.scoring import PROTOCOLS, score
 from sonarrec.evaluation.evaluate import evaluate
-from sonarrec.evaluation.reliability import Reliability
-from sonarrec.evaluation.scoring import PROTOCOLS, score
 from sonarrec.evaluation.summary import summarise
 from sonarrec.landmarks import load_landmarks
 from sonarrec.report import charts, frames

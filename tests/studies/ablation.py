@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from sonarrec.config import Config, preset, with_assignments
-from sonarrec.evaluation.passes import find_passes
+from sonarrec.evaluation.counting.passes import find_passes
 from sonarrec.recogniser.recogniser import FRAMEWORK
 from sonarrec.simulation.random_scenes import ALL_KINDS, KINDS_OF_SCENE, random_scene
 from tests.studies.scenes import FRAMES, REPORTED, seeds, show, told

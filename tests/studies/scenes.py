@@ -17,9 +17,9 @@ import numpy as np
 import pandas as pd
 
 from sonarrec.config import preset
-from sonarrec.evaluation.curves import Count
+from sonarrec.evaluation.counting.curves import Count
+from sonarrec.evaluation.counting.passes import find_passes
 from sonarrec.evaluation.evaluate import Evaluation
-from sonarrec.evaluation.passes import find_passes
 from sonarrec.evaluation.summary import Summary, summarise
 from sonarrec.simulation.random_scenes import (
     ALL_KINDS,

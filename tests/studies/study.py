@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.config import preset
-from sonarrec.evaluation.curves import PUBLISHED
+from sonarrec.evaluation.counting.curves import PUBLISHED
+from sonarrec.evaluation.counting.uncertainty import LEVEL
 from sonarrec.evaluation.summary import Summary, summarise
-from sonarrec.evaluation.uncertainty import LEVEL
 from sonarrec.evaluation.write import write_evaluation
 from sonarrec.records import FloatArray, SonarrecError
 from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene, load_scene

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sonarrec.config import PRESETS, preset
-from sonarrec.evaluation.curves import PUBLISHED
+from sonarrec.evaluation.counting.curves import PUBLISHED
 from sonarrec.learning.built_in import MODEL_SEEDS
 from sonarrec.recogniser.stage3_features.published import TABLE_3
 from sonarrec.simulation.motion import poses

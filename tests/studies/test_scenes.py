@@ -16,8 +16,8 @@ from sklearn.metrics import brier_score_loss
 
 from sonarrec.cli import main as sonarrec
 from sonarrec.config import preset
+from sonarrec.evaluation.counting.scoring import Scored
 from sonarrec.evaluation.evaluate import Evaluation
-from sonarrec.evaluation.scoring import Scored
 from sonarrec.landmarks import load_landmarks
 from sonarrec.learning.built_in import MODEL_SEEDS
 from sonarrec.records import SonarrecError

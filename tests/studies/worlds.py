@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from sonarrec.evaluation.curves import Count
+from sonarrec.evaluation.counting.curves import Count
 from sonarrec.evaluation.evaluate import evaluate
 from sonarrec.recogniser.recogniser import FRAMEWORK
 from tests.studies.scenes import show, told

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from sonarrec.evaluation.counting.scoring import PROTOCOLS, score
 from sonarrec.evaluation.evaluate import Evaluation
-from sonarrec.evaluation.joined import Joined
-from sonarrec.evaluation.scoring import PROTOCOLS, score
+from sonarrec.evaluation.matching.joined import Joined
 
 IDS = (1, 2, 3, 4)
 GATE_M = 0.15

@@ -21,7 +21,7 @@ from tqdm import tqdm
 
 from sonarrec.config import Config
 from sonarrec.evaluation.evaluate import Evaluation, pool
-from sonarrec.evaluation.fit import matched
+from sonarrec.evaluation.matching.fit import matched
 from sonarrec.geometry import polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.recogniser import FRAMEWORK, SMI

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from sonarrec.evaluation.evaluate import evaluate_pairs
-from sonarrec.evaluation.pairs import Pair, read_pairs
+from sonarrec.evaluation.matching.pairs import Pair, read_pairs
 from sonarrec.files.tables import read_table
 from sonarrec.landmarks import load_landmarks
 from sonarrec.records import SonarrecError, printable

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from sonarrec.evaluation.compare.changes import ByMethod, changed_frames
-from sonarrec.evaluation.fit import Checked, checked, cut_short, matched
-from sonarrec.evaluation.joined import join
-from sonarrec.evaluation.parts import Part, part_of, score_all
+from sonarrec.evaluation.counting.parts import Part, part_of, score_all
+from sonarrec.evaluation.matching.fit import Checked, checked, cut_short, matched
+from sonarrec.evaluation.matching.joined import join
 from sonarrec.evaluation.survey import truth_table
 from sonarrec.records import SonarrecError
 from sonarrec.results.read import LogResults, read_log

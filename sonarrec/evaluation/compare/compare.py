@@ -12,26 +12,26 @@ from typing import Any
 import numpy as np
 
 from sonarrec.evaluation import metrics
-from sonarrec.evaluation.behaviour import PassOutcomes
 from sonarrec.evaluation.compare.both import BothCounted, BothReading, count_both
 from sonarrec.evaluation.compare.changes import FrameChanges, put
 from sonarrec.evaluation.compare.settings import SettingChange
 from sonarrec.evaluation.compare.sides import both_sides
-from sonarrec.evaluation.counted import Counted
-from sonarrec.evaluation.evaluate import check_options, other_ids
-from sonarrec.evaluation.fit import fit
-from sonarrec.evaluation.metrics import BY_NAME, MAIN
-from sonarrec.evaluation.pairs import Elsewhere, Pair
-from sonarrec.evaluation.pooled import Parts, Pooled, pooled
-from sonarrec.evaluation.store import Store
-from sonarrec.evaluation.summary import UNITS
-from sonarrec.evaluation.survey import each
-from sonarrec.evaluation.uncertainty import (
+from sonarrec.evaluation.counting.behaviour import PassOutcomes
+from sonarrec.evaluation.counting.counted import Counted
+from sonarrec.evaluation.counting.pooled import Parts, Pooled, pooled
+from sonarrec.evaluation.counting.store import Store
+from sonarrec.evaluation.counting.uncertainty import (
     Difference,
     bootstrap_weights,
     coin_tosses,
     differences,
 )
+from sonarrec.evaluation.evaluate import check_options, other_ids
+from sonarrec.evaluation.matching.fit import fit
+from sonarrec.evaluation.matching.pairs import Elsewhere, Pair
+from sonarrec.evaluation.metrics import BY_NAME, MAIN
+from sonarrec.evaluation.summary import UNITS
+from sonarrec.evaluation.survey import each
 from sonarrec.records import SonarrecError, printable
 from sonarrec.sonar import Sonar
 

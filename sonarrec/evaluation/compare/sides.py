@@ -9,8 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.evaluation.compare.settings import SettingChange, changed_settings
-from sonarrec.evaluation.pairs import Elsewhere, Pair, found_beside, found_where, truth_by_folder
-from sonarrec.evaluation.same import Recording, counted_once, recording
+from sonarrec.evaluation.matching.pairs import (
+    Elsewhere,
+    Pair,
+    found_beside,
+    found_where,
+    truth_by_folder,
+)
+from sonarrec.evaluation.matching.same import Recording, counted_once, recording
 from sonarrec.files.tables import read_header
 from sonarrec.records import IntArray, SonarrecError, shown
 from sonarrec.results.read import find_logs, read_frames, read_log

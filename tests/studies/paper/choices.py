@@ -21,8 +21,8 @@ import numpy as np
 import tomli_w
 
 from sonarrec.config import Config, preset, with_table
+from sonarrec.evaluation.counting.scoring import Scored
 from sonarrec.evaluation.evaluate import Evaluation
-from sonarrec.evaluation.scoring import Scored
 from sonarrec.recogniser.recogniser import FRAMEWORK, SMI
 from tests.studies.paper.published import FRAMES
 from tests.studies.paper.world import World, kept_worlds, mean_similarities

@@ -22,8 +22,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from sonarrec.config import preset
+from sonarrec.evaluation.counting.uncertainty import LEVEL
 from sonarrec.evaluation.summary import Summary, summarise
-from sonarrec.evaluation.uncertainty import LEVEL
 from sonarrec.evaluation.write import write_evaluation
 from sonarrec.recogniser.recogniser import FRAMEWORK, SMI
 from sonarrec.records import FloatArray

@@ -24,7 +24,7 @@ import numpy as np
 import tomli_w
 
 from sonarrec.config import Config, preset, with_table
-from sonarrec.evaluation.behaviour import on_truth
+from sonarrec.evaluation.counting.behaviour import on_truth
 from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.recogniser.recogniser import SMI
 from sonarrec.recogniser.stage3_features.published import TABLE_3

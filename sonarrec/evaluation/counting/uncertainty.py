@@ -15,7 +15,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from sonarrec.evaluation.curves import ratio
+from sonarrec.evaluation.counting.curves import ratio
 from sonarrec.records import FloatArray
 
 LEVEL = 0.95

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sonarrec.evaluation.behaviour import (
+from sonarrec.evaluation.counting.behaviour import (
     PassOutcomes,
     Switches,
     false_claims,
@@ -21,10 +21,16 @@ from sonarrec.evaluation.behaviour import (
     right_claims,
     switches,
 )
-from sonarrec.evaluation.joined import Joined
-from sonarrec.evaluation.passes import UnitKind, find_passes, find_units, pass_units, unit_of_pass
-from sonarrec.evaluation.reliability import calibration
-from sonarrec.evaluation.scoring import PROTOCOLS, Scored, score
+from sonarrec.evaluation.counting.passes import (
+    UnitKind,
+    find_passes,
+    find_units,
+    pass_units,
+    unit_of_pass,
+)
+from sonarrec.evaluation.counting.reliability import calibration
+from sonarrec.evaluation.counting.scoring import PROTOCOLS, Scored, score
+from sonarrec.evaluation.matching.joined import Joined
 from sonarrec.records import FloatArray, IntArray
 
 CLAIM = np.dtype([("score", "f8"), ("unit", "i4"), ("effect", "i1", 4)])

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from sonarrec.evaluation.curves import FPR_POINTS, Curve, ratio
-from sonarrec.evaluation.store import Blocks, ranked
+from sonarrec.evaluation.counting.curves import FPR_POINTS, Curve, ratio
+from sonarrec.evaluation.counting.store import Blocks, ranked
 from sonarrec.records import BoolArray, FloatArray, IntArray
 
 FPR_GRID = np.unique(

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sonarrec.evaluation.curves import Count, Curve
-from sonarrec.evaluation.joined import Joined, nearest_truth
+from sonarrec.evaluation.counting.curves import Count, Curve
+from sonarrec.evaluation.matching.joined import Joined, nearest_truth
 from sonarrec.records import BoolArray, FloatArray, IntArray
 
 PROTOCOLS = ("paper", "strict")

@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from sonarrec.evaluation.joined import Joined
+from sonarrec.evaluation.matching.joined import Joined
 from sonarrec.records import IntArray
 
 PASS_GAP = 10

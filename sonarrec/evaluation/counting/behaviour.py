@@ -9,11 +9,17 @@ from functools import partial
 
 import numpy as np
 
-from sonarrec.evaluation.counted import Counted, Values, by_landmark, spread_count, sum_count
-from sonarrec.evaluation.joined import Joined, distance, nearest_truth
-from sonarrec.evaluation.passes import Passes, Units
-from sonarrec.evaluation.scoring import Scored
-from sonarrec.evaluation.store import ranked
+from sonarrec.evaluation.counting.counted import (
+    Counted,
+    Values,
+    by_landmark,
+    spread_count,
+    sum_count,
+)
+from sonarrec.evaluation.counting.passes import Passes, Units
+from sonarrec.evaluation.counting.scoring import Scored
+from sonarrec.evaluation.counting.store import ranked
+from sonarrec.evaluation.matching.joined import Joined, distance, nearest_truth
 from sonarrec.records import FloatArray, IntArray
 
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sonarrec.evaluation.counted import Counted
-from sonarrec.evaluation.curves import ratio
-from sonarrec.evaluation.joined import Joined
-from sonarrec.evaluation.passes import Units
+from sonarrec.evaluation.counting.counted import Counted
+from sonarrec.evaluation.counting.curves import ratio
+from sonarrec.evaluation.counting.passes import Units
+from sonarrec.evaluation.matching.joined import Joined
 from sonarrec.records import BoolArray, FloatArray, IntArray
 
 BINS = 10

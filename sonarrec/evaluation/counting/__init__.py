@@ -1,0 +1,1 @@
+"""What is counted of each log, added up over logs, and how sure it is."""

@@ -1,0 +1,1 @@
+"""Which truth goes with which results, and which claim lies on which landmark."""
