@@ -24,7 +24,7 @@ from sonarrec.cli.options import (
     settings_options,
     tell,
 )
-from sonarrec.records import SonarrecError, UsageError
+from sonarrec.records import UsageError
 
 
 @command(short_help="Learn from labelled logs how landmarks look.")
@@ -65,7 +65,7 @@ def calibrate(
       sonarrec run next.mcap --model model.toml
       sonarrec calibrate day_1/ day_2/ --ground-truth both.csv -o model.toml --landmarks my.toml
     """
-    from sonarrec.files.outputs import check_output
+    from sonarrec.files.outputs import check_output, writing
     from sonarrec.landmarks import load_landmarks
     from sonarrec.learning.calibrate import learn
 
@@ -83,10 +83,8 @@ def calibrate(
             from_scratch=from_scratch,
             observe=step,
         )
-    try:
+    with writing(out):
         out.write_text(lesson.as_toml(), encoding="utf-8")
-    except OSError as error:
-        raise SonarrecError(f"{out}: cannot be written ({error.strerror})") from None
     tell(lesson.problems, lesson.notes)
     if not quiet:
         for line in lesson.told():

@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from sonarrec.files.outputs import marked
+from sonarrec.files.outputs import marked, writing
 from sonarrec.geometry import (
     STEEPEST,
     floor_depth,
@@ -17,7 +17,7 @@ from sonarrec.geometry import (
     polar_from_pixel,
     slant_range,
 )
-from sonarrec.records import ByteImage, Fan, FloatArray, SonarrecError
+from sonarrec.records import ByteImage, Fan, FloatArray
 
 Colour = tuple[int, int, int]
 """Red, green, blue, 0 to 255."""
@@ -186,7 +186,5 @@ def draw_picture(frame: ByteImage, strip: ByteImage) -> ByteImage:
 
 def write_png(path: Path, picture: ByteImage) -> None:
     """Write (rows, columns, 3) uint8 BGR. Raises SonarrecError where it cannot be written."""
-    try:
+    with writing(path):
         path.write_bytes(marked(cv2.imencode(".png", picture)[1].tobytes()))
-    except OSError as error:
-        raise SonarrecError(f"{path}: cannot be written ({error.strerror})") from None

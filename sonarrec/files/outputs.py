@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import csv
 import struct
 import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal
 
@@ -79,6 +81,30 @@ def _is_of(kind: Kind, path: Path, header: str) -> bool:
         "JSON": lambda: head.startswith(b"{"),
     }
     return not head or tests[kind]()  # an empty file holds nothing to lose
+
+
+@contextmanager
+def writing(place: object) -> Iterator[None]:
+    """What the disk refuses inside is a SonarrecError that names the place."""
+    try:
+        yield
+    except OSError as error:
+        raise SonarrecError(f"{place}: cannot be written ({error.strerror})") from None
+
+
+def write_csv(path: Path, header: Iterable[str], rows: Iterable[Iterable[object]]) -> None:
+    """A CSV table with the line ends of all our tables. Raises OSError."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file, lineterminator="\n")
+        table.writerow(header)
+        table.writerows(rows)
+
+
+def write_page(path: Path, page: str) -> None:
+    """A page, in a folder that is made if need be. Raises SonarrecError."""
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(page, encoding="utf-8")
 
 
 def marked(png: bytes) -> bytes:

@@ -7,7 +7,8 @@ With pyarrow, which is imported only here and where tables are read: pip install
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -45,17 +46,12 @@ def convert(table: Path, parquet: Path) -> None:
     kinds = {name: pa.int64() for name in _WHOLE} | {"method": pa.string()}
     schema = pa.schema([(name, kinds.get(name, pa.float64())) for name in first.columns])
     with pq.ParquetWriter(new, schema) as writer:
-        for part in _all(first, parts):
+        for part in chain([first], parts):
             writer.write_table(pa.Table.from_pandas(part, schema, preserve_index=False))
     with new.open("rb") as file:
         os.fsync(file.fileno())
     new.rename(parquet)
     table.unlink()
-
-
-def _all(first: Any, rest: Iterable[Any]) -> Iterator[Any]:
-    yield first
-    yield from rest
 
 
 def read_parts(path: Path, rows: int | None) -> tuple[list[str], Iterator[Any]]:

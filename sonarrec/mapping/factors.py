@@ -24,20 +24,9 @@ from sonarrec.mapping.tables import write_table
 from sonarrec.records import FloatArray, IntArray
 
 FACTOR_COLUMNS = (
-    "log",
-    "frame",
-    "timestamp_ns",
-    "pose_vertex",
-    "landmark_vertex",
-    "number",
-    "landmark",
-    "range_m",
-    "ground_range_m",
-    "bearing_deg",
-    "orientation_deg",
-    "ground_range_sigma_m",
-    "bearing_sigma_deg",
-    "orientation_sigma_deg",
+    *("log", "frame", "timestamp_ns", "pose_vertex", "landmark_vertex", "number", "landmark"),
+    *("range_m", "ground_range_m", "bearing_deg", "orientation_deg"),
+    *("ground_range_sigma_m", "bearing_sigma_deg", "orientation_sigma_deg"),
 )
 PER_PASS = 5
 """Measurements of one pass, at most."""

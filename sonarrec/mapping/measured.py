@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from pathlib import Path
 
 import numpy as np
 
+from sonarrec.files.outputs import write_csv, writing
 from sonarrec.files.tables import Kind, Table, read_table
 from sonarrec.mapping.path import Motions, SonarPath, measured_path
 from sonarrec.records import SonarrecError, shown
@@ -83,14 +82,10 @@ def write_path(folder: Path, out: Path) -> None:
     sigma = np.sqrt(
         np.maximum(np.column_stack([path.yaw_variance(row), place[:, 0, 0], place[:, 1, 1]]), 0)
     )
-    text = io.StringIO()
-    rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(PATH_COLUMNS)
-    for at, (yaw, x, y), s in zip(path.timestamp_ns[row], pose, sigma, strict=True):
-        of = [f"{s[0]:.4f}", f"{s[1]:.5f}", f"{s[2]:.5f}"]
-        rows.writerow([int(at), f"{yaw:.5f}", f"{x:.6f}", f"{y:.6f}", *of])
-    try:
+    rows = (
+        [int(at), f"{yaw:.5f}", f"{x:.6f}", f"{y:.6f}", f"{a:.4f}", f"{b:.5f}", f"{c:.5f}"]
+        for at, (yaw, x, y), (a, b, c) in zip(path.timestamp_ns[row], pose, sigma, strict=True)
+    )
+    with writing(shown(out)):
         out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_text(text.getvalue(), encoding="utf-8", newline="")
-    except OSError as error:
-        raise SonarrecError(f"{shown(out)}: cannot be written ({error.strerror})") from None
+        write_csv(out, PATH_COLUMNS, rows)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 from collections.abc import Iterable, Sequence
@@ -11,51 +10,19 @@ from pathlib import Path
 
 import numpy as np
 
-from sonarrec.files.outputs import check_output
+from sonarrec.files.outputs import check_output, write_csv
 from sonarrec.mapping.build import SiteMap
 from sonarrec.records import FloatArray
 
+_PLACE = ("x_m", "y_m", "xx_m2", "xy_m2", "yy_m2")  # of `_numbers`
+_TURN = ("orientation_deg", "orientation_sigma_deg")  # of `_turn`
 MAP_COLUMNS = (
-    "number",
-    "landmark",
-    "x_m",
-    "y_m",
-    "xx_m2",
-    "xy_m2",
-    "yy_m2",
-    "orientation_deg",
-    "orientation_sigma_deg",
-    "passes",
-    "frames",
-    "logs",
-    "mean_score",
-    "near_m",
-    "far_m",
-    "first_ns",
-    "last_ns",
-    "other_frames",
+    *("number", "landmark", *_PLACE, *_TURN, "passes", "frames", "logs", "mean_score"),
+    *("near_m", "far_m", "first_ns", "last_ns", "other_frames"),
 )
 PASS_COLUMNS = (
-    "number",
-    "log",
-    "landmark",
-    "track",
-    "first_frame",
-    "last_frame",
-    "frames",
-    "mean_score",
-    "x_m",
-    "y_m",
-    "xx_m2",
-    "xy_m2",
-    "yy_m2",
-    "orientation_deg",
-    "orientation_sigma_deg",
-    "near_m",
-    "far_m",
-    "sonar_x_m",
-    "sonar_y_m",
-    "sonar_yaw_deg",
+    *("number", "log", "landmark", "track", "first_frame", "last_frame", "frames", "mean_score"),
+    *(*_PLACE, *_TURN, "near_m", "far_m", "sonar_x_m", "sonar_y_m", "sonar_yaw_deg"),
 )
 CHI2_95 = 5.991
 """Squared Mahalanobis distance within which 95 % of the places in a plane lie."""
@@ -126,15 +93,9 @@ class Origin:
 
 
 def write_table(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """A CSV table with the line ends of our others.
-
-    Raises UsageError where a file that is no such table is there.
-    """
+    """A CSV table. Raises UsageError where a file that is no such table is there."""
     check_output(path, "table", header=",".join(header[:3]))
-    with path.open("w", newline="", encoding="utf-8") as file:
-        table = csv.writer(file, lineterminator="\n")
-        table.writerow(header)
-        table.writerows(rows)
+    write_csv(path, header, rows)
 
 
 def _numbers(place: FloatArray, covariance: FloatArray) -> list[str]:

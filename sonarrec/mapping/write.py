@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from sonarrec.files.outputs import writing
 from sonarrec.mapping.build import SiteMap
 from sonarrec.mapping.factors import factors, graph_of, write_factors, write_g2o
 from sonarrec.mapping.picture import draw_map
 from sonarrec.mapping.tables import Origin, write_geojson, write_map, write_passes
-from sonarrec.records import SonarrecError
 
 
 def write_all(folder: Path, site: SiteMap, origin: Origin | None = None) -> list[Path]:
@@ -20,7 +20,7 @@ def write_all(folder: Path, site: SiteMap, origin: Origin | None = None) -> list
     graph = graph_of(site, found)
     paths = {name: folder / name for name in ("map.csv", "passes.csv", "factors.csv", "graph.g2o")}
     picture, earth = folder / "map.png", folder / "map.geojson"
-    try:
+    with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         write_map(paths["map.csv"], site)
         write_passes(paths["passes.csv"], site)
@@ -30,6 +30,4 @@ def write_all(folder: Path, site: SiteMap, origin: Origin | None = None) -> list
         earth.unlink(missing_ok=True)  # of a map before, with an origin
         if origin is not None:
             write_geojson(earth, site, origin)
-    except OSError as error:
-        raise SonarrecError(f"{folder}: cannot be written ({error.strerror})") from None
     return [*paths.values(), picture, *([earth] if origin else [])]

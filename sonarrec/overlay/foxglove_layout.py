@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+from sonarrec.files.outputs import writing
 from sonarrec.overlay.foxglove_mcap import ANNOTATIONS_TOPIC, DETECTIONS_TOPIC
-from sonarrec.records import SonarrecError
 
 
 def write_layout(path: Path, image_topic: str) -> None:
@@ -51,7 +51,5 @@ def write_layout(path: Path, image_topic: str) -> None:
             "splitPercentage": 65,
         },
     }
-    try:
+    with writing(path):
         path.write_text(json.dumps(layout, indent=2) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise SonarrecError(f"{path}: cannot be written ({error.strerror})") from None

@@ -7,7 +7,6 @@ import base64
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import cv2
@@ -16,7 +15,7 @@ from mcap.writer import CompressionType, Writer
 
 from sonarrec.drawing.pen import TRUTH, UNNAMED, Colour, disc_outline, landmark_colours, pixel_unit
 from sonarrec.drawing.results import AROUND, Mark, caption
-from sonarrec.files.outputs import OVERLAY_LIBRARY
+from sonarrec.files.outputs import OVERLAY_LIBRARY, writing
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.overlay import detections
 from sonarrec.readers.mcap.foxglove import json_schema
@@ -39,12 +38,10 @@ class FoxgloveFile:
         """Raises SonarrecError where the file cannot be made."""
         self._path = path
         self._landmarks = landmarks
-        try:
+        with writing(path):
             self._file = path.open("wb")
             self._writer = Writer(self._file, compression=CompressionType.ZSTD)
             self._writer.start(library=OVERLAY_LIBRARY)
-        except OSError as error:
-            raise SonarrecError(f"{path}: cannot be written ({error.strerror})") from None
         self._annotations = self._channel(ANNOTATIONS_TOPIC, "foxglove.ImageAnnotations")
         self._images = self._channel(FAN_TOPIC, "foxglove.CompressedImage") if with_images else None
         schema = self._writer.register_schema(detections.NAME, "ros2msg", detections.definition())
@@ -77,20 +74,13 @@ class FoxgloveFile:
         return self._writer.register_channel(topic, "json", number)
 
     def _add(self, channel: int, message: bytes, log_time: int) -> None:
-        try:
+        with writing(self._path):
             self._writer.add_message(channel, log_time, message, log_time)
-        except OSError as error:
-            raise SonarrecError(f"{self._path}: cannot be written ({error.strerror})") from None
 
     def __enter__(self) -> FoxgloveFile:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, *_: object) -> None:
         """Close the file. Raises SonarrecError where the disk takes no more."""
         try:
             with self._file:

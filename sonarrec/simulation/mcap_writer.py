@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from types import TracebackType
 from typing import Any, cast
 
 import numpy as np
@@ -16,6 +15,7 @@ from mcap.writer import CompressionType, Writer
 from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
 
+from sonarrec.files.outputs import writing
 from sonarrec.readers.mcap import foxglove
 from sonarrec.readers.mcap.ros import known_messages
 from sonarrec.records import SonarrecError, UsageError
@@ -197,10 +197,8 @@ class McapImageWriter:
         make_family = _foxglove_family if name in _FOXGLOVE_TYPES else _ros_family
         self._family = family = make_family(name.replace("/msg/", "/"), encoding)
         self._sonar = sonar
-        try:
+        with writing(path):
             self._file = path.open("wb")
-        except OSError as error:
-            raise SonarrecError(f"{path}: cannot be written ({error.strerror})") from None
         self._writer = Writer(self._file, compression=_COMPRESSIONS[compression])
         profile = {"cdr": "ros2", "ros1": "ros1"}.get(family.message_encoding, "")
         self._writer.start(profile=profile, library="sonarrec")
@@ -230,12 +228,7 @@ class McapImageWriter:
     def __enter__(self) -> McapImageWriter:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, *_: object) -> None:
         if kind is None:
             self._writer.finish()  # type: ignore[no-untyped-call]
         else:

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 
 from sonarrec.drawing.pen import Colour, disc_outline, landmark_colours
-from sonarrec.files.outputs import PICTURE_MARK
-from sonarrec.records import ByteImage, FloatArray, Frame, IntArray, SonarrecError
+from sonarrec.files.outputs import PICTURE_MARK, writing
+from sonarrec.records import ByteImage, FloatArray, Frame, IntArray
 from sonarrec.truth.check import CheckedTruth
 
 TILES = 8
@@ -169,7 +169,5 @@ def _draw(
             line.set_clip_path(frame)
             axes.text(x, y + SIDE + 10, caption, color=ink, fontsize=8, va="center")
     axes.set(xlim=(0, width), ylim=(height, 0), aspect="auto")
-    try:
+    with writing(out):
         figure.savefig(out, format="png", facecolor=_GROUND, metadata=PICTURE_MARK)
-    except OSError as error:
-        raise SonarrecError(f"{out}: cannot be written ({error.strerror})") from None
