@@ -7,7 +7,7 @@ The presets are one code path with different numbers. What the paper leaves open
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -361,11 +361,7 @@ def _plain(value: str) -> float | str:
 
 def as_table(config: Config) -> dict[str, Any]:
     """The configuration as plain TOML values."""
-    table: dict[str, Any] = {"preset": config.preset, "seed": config.seed}
-    for name in SECTIONS:
-        section = getattr(config, name)
-        table[name] = {f.name: getattr(section, f.name) for f in fields(section)}
-    return table
+    return asdict(config)
 
 
 def as_commented_toml(config: Config) -> str:

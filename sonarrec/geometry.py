@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -47,25 +48,14 @@ def fan_for_polar(sonar: Geometry, range_bins: int) -> Fan:
     corners do, so that nothing recorded is cut off.
     """
     scale = (sonar.range_max_m - sonar.range_min_m) / range_bins
-    low, high = sonar.bearing_min_deg, sonar.bearing_max_deg
-    widest = max(abs(low), abs(high))
+    widest = max(abs(sonar.bearing_min_deg), abs(sonar.bearing_max_deg))
     rows = math.ceil(
         (sonar.range_max_m - sonar.range_min_m * math.cos(math.radians(widest))) / scale
     )
     half = math.floor(sonar.range_max_m * math.sin(math.radians(widest)) / scale)
-    return Fan(
-        rows=rows,
-        columns=2 * half + 1,
-        metres_per_pixel=scale,
-        apex_column=float(half),
-        apex_row=sonar.range_max_m / scale - 0.5,
-        range_min_m=sonar.range_min_m,
-        range_max_m=sonar.range_max_m,
-        bearing_min_deg=low,
-        bearing_max_deg=high,
-        tilt_deg=sonar.tilt_deg,
-        height_m=sonar.height_m,
-    )
+    apex = float(half), sonar.range_max_m / scale - 0.5
+    drawn = replace(sonar, metres_per_pixel=scale, apex_px=apex)
+    return fan_for_image(drawn, rows, 2 * half + 1)
 
 
 def pixel_from_polar(

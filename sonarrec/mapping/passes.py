@@ -13,12 +13,13 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.files.tables import Table, line_number
-from sonarrec.geometry import floor_depth, ground_range, polar_from_pixel
+from sonarrec.geometry import floor_depth, ground_range
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.mapping.path import SonarPath
 from sonarrec.records import Fan, FloatArray, IntArray, SonarrecError
 from sonarrec.results.read import estimate_tables
 from sonarrec.results.sightings import PASS_GAP, follows
+from sonarrec.results.stream import places
 
 ROWS = 20_000
 """Of estimates.csv, read at a time."""
@@ -102,10 +103,7 @@ def read_seen(path: Path, method: str, landmarks: LandmarkSet, fan: Fan, frame: 
         def column(name: str, table: Table = table, blank: FloatArray = blank) -> FloatArray:
             return np.asarray(table.get(name, blank), dtype=float)
 
-        drawn = polar_from_pixel(fan, column("x_px"), column("y_px"))
-        polar = [column("range_m"), column("bearing_deg")]
-        known = np.isfinite(polar[0]) & np.isfinite(polar[1])
-        range_m, bearing_deg = (np.where(known, a, b) for a, b in zip(polar, drawn, strict=True))
+        _, _, range_m, bearing_deg = places(table, fan)
         track = np.asarray(table.get("object", np.full(len(blank), -1)), dtype=float)
         rows = np.column_stack(
             [

@@ -87,10 +87,7 @@ def write_overlay(
     given = run.lay_under(Given(sonar or Sonar(), sonar_file, topic), same_log=True)
     table = estimates_of(folder)
     method = choose_method(table, method)
-    time = given.time or "log"
-    with open_log(
-        path, sonar=given.sonar, sonar_file=given.sonar_file, topic=given.topic, time=time
-    ) as log:
+    with open_log(path, **given.reading()) as log:
         check_same_log(log, folder, run)
         problems = [] if run.finished else [_cut_short(folder)]
         frames = iter(log)

@@ -69,9 +69,9 @@ def prepared(
     landmarks = earlier.landmark_set(used.landmarks)
     learned = _model(used, earlier)
     poses, more = _poses(path, given, earlier if same_log else read_run(None))
-    with _opened(path, given) as log:
+    with open_log(path, **given.reading()) as log:
         span = given.frames or (0, None)
-        frames = _within(log, span)
+        frames = log.within(span)
         first = next(frames, None)  # raises where there is no usable frame at all
         if first is None:
             raise UsageError(f"{shown(path)}: no frame lies in --frames {_told(span)}")
@@ -149,15 +149,6 @@ def _with_beams(
     return found, [f"{shown(log.path)}: {note} (features.beam_width_deg sets another)"]
 
 
-def _within(log: Log, span: tuple[int, int | None]) -> Iterator[Frame]:
-    """The frames from the first number up to, not including, the second, if there is one."""
-    for frame in log:
-        if span[1] is not None and frame.index >= span[1]:
-            break
-        if frame.index >= span[0]:
-            yield frame
-
-
 def _told(span: tuple[int, int | None]) -> str:
     return f"{span[0]}:{'' if span[1] is None else span[1]}"
 
@@ -168,17 +159,6 @@ def _count(log: Log, span: tuple[int, int | None]) -> int | None:
         return None
     end = log.frame_count if span[1] is None else min(span[1], log.frame_count)
     return max(end - span[0], 0)
-
-
-def _opened(path: Path, given: Given) -> Log:
-    return open_log(
-        path,
-        sonar=given.sonar,
-        sonar_file=given.sonar_file,
-        topic=given.topic,
-        time=given.time or "log",
-        up_to=given.up_to,
-    )
 
 
 def _with_companions(path: Path, given: Given, again: bool) -> tuple[Given, list[str]]:

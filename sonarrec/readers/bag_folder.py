@@ -10,7 +10,7 @@ import heapq
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -140,13 +140,13 @@ class _Part:
     lost: Counter[int] = field(default_factory=Counter)
 
 
-class BagFolder:
+class BagFolder(Recording):
     """A `Recording` of all parts of a bag. One part is open at a time, more only where they overlap
     in time. A part that is cut, damaged or missing costs its own messages."""
 
     def __init__(self, path: Path, open_part: Open) -> None:
         """open_part: opens one file. Raises SonarrecError where not one part can be read."""
-        self.path = path
+        super().__init__(path)
         self._open = open_part
         self.channels: dict[int, Channel] = {}
         self.counts: Counter[int] = Counter()
@@ -278,13 +278,7 @@ class BagFolder:
             for own, message in self._read(part, wanted):
                 passed[wanted[own]] += 1
                 last = max(last, message.log_time)
-                yield Message(
-                    wanted[own],
-                    message.log_time,
-                    message.publish_time,
-                    message.data,
-                    message.problem,
-                )
+                yield replace(message, channel=wanted[own])
         for number in channels:
             gone = part.found[number] + part.lost[number] - passed[number]
             if part.lost[number]:
@@ -309,10 +303,6 @@ class BagFolder:
         finally:
             log.close()
             self.faults += [fault for fault in log.faults if fault not in part.faults]
-
-    def fault(self, text: str) -> None:
-        """Add a line about what is wrong."""
-        self.faults.append(f"{shown(self.path.name)}: {text}")
 
     def close(self) -> None:
         """Nothing stays open but what a pass is reading, which ends with it."""

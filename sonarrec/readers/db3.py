@@ -13,11 +13,11 @@ from urllib.parse import quote
 
 import numpy as np
 
-from sonarrec.readers.recording import MAX_MESSAGE_BYTES, Channel, Faults, Message
+from sonarrec.readers.recording import MAX_MESSAGE_BYTES, Channel, Message, Recording
 from sonarrec.records import SonarrecError, shown
 
 
-class Db3Recording(Faults):
+class Db3Recording(Recording):
     """A `Recording` of one database; of one that is cut, the messages before the cut."""
 
     def __init__(self, path: Path, at: Path | None = None) -> None:

@@ -13,7 +13,7 @@ from typing import overload
 import numpy as np
 
 from sonarrec.readers.pixels import decode_image
-from sonarrec.readers.raw import NOTHING_TOLD, RawFrame, UnusableError
+from sonarrec.readers.raw import RawFrame, RawLog, UnusableError
 from sonarrec.records import shown
 
 MAX_FILE_BYTES = 2**27  # an image of 4096 x 4096 pixels of eight bytes
@@ -80,19 +80,16 @@ class ImagePaths(Sequence[Path]):
         return len(self._texts)
 
 
-class ImageFiles:
+class ImageFiles(RawLog):
     """One image file a frame, in natural order of the names.
 
     Names of exactly 19 digits, where all are, are times in nanoseconds.
     """
 
     def __init__(self, files: Sequence[Path]) -> None:
+        super().__init__()
         self.files = files if isinstance(files, ImagePaths) else ImagePaths(files)
-        self.frame_count: int | None = len(self.files)
-        self.topic: str | None = None
-        self.polar = False
-        self.faults: list[str] = []
-        self.told = NOTHING_TOLD
+        self.frame_count = len(self.files)
         self._stamped = all(
             re.fullmatch(r"[0-9]{19}", f.stem) and int(f.stem) < 2**63 for f in self.files
         )
@@ -106,6 +103,3 @@ class ImageFiles:
                 yield RawFrame(name, timestamp_ns, None, str(error))
             else:
                 yield RawFrame(name, timestamp_ns, pixels)
-
-    def close(self) -> None:
-        """Nothing stays open between frames."""

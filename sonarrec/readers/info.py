@@ -141,10 +141,11 @@ class LogInfo:
         return bool(self.faults) or any(i.problems for i in self.images)
 
 
-class _Watched:
+class _Watched(RawLog):
     """A RawLog that keeps count of what passes through it."""
 
     def __init__(self, raw: RawLog, observe: Observe | None) -> None:
+        super().__init__()
         self._raw = raw
         self._observe = observe
         self.frame_count, self.topic = raw.frame_count, raw.topic

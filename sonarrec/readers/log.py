@@ -8,7 +8,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import chain, islice
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from sonarrec.readers.fans import FanImages
@@ -78,13 +77,16 @@ class Log:
     def __enter__(self) -> Log:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._raw.close()
+
+    def within(self, span: tuple[int, int | None]) -> Iterator[Frame]:
+        """The frames from the first number up to, not including, the second, if there is one."""
+        for frame in self:
+            if span[1] is not None and frame.index >= span[1]:
+                break
+            if frame.index >= span[0]:
+                yield frame
 
     def __iter__(self) -> Iterator[Frame]:
         """The usable frames in order; each keeps its number in the log.

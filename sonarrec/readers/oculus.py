@@ -21,6 +21,7 @@ from sonarrec.readers.raw import (
     MAX_FRAME_BYTES,
     Ping,
     RawFrame,
+    RawLog,
     Told,
     UnusableError,
     ping_geometry,
@@ -246,15 +247,13 @@ def _messages(
         at = end
 
 
-class OculusPings:
+class OculusPings(RawLog):
     """The pings of a raw stream or of an `.oculus` log, in the order of the file."""
 
     def __init__(self, path: Path) -> None:
         """Raises SonarrecError where the file holds no ping that can be read."""
-        self.frame_count: int | None = None
-        self.topic: str | None = None
+        super().__init__()
         self.polar = True
-        self.faults: list[str] = []
         self._name = shown(path.name)
         self._file = FileBytes(path)
         try:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 
@@ -63,10 +62,7 @@ class Told:
     notes: tuple[str, ...] = ()
 
 
-NOTHING_TOLD = Told()
-
-
-class RawLog(Protocol):
+class RawLog:
     """One opened log: a single pass over its frames, in time order, one in memory at a time.
 
     frame_count: frames to come, None where unknown before the end. topic: the channel read, None
@@ -74,15 +70,18 @@ class RawLog(Protocol):
     faults: lines about what is wrong with the log as a whole, complete after the pass.
     """
 
-    frame_count: int | None
-    topic: str | None
-    polar: bool
-    faults: list[str]
-    told: Told
+    def __init__(self) -> None:
+        self.frame_count: int | None = None
+        self.topic: str | None = None
+        self.polar = False
+        self.faults: list[str] = []
+        self.told = Told()
 
-    def __iter__(self) -> Iterator[RawFrame]: ...
+    def __iter__(self) -> Iterator[RawFrame]:
+        raise NotImplementedError
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Close what is open; of some nothing stays open between frames."""
 
 
 def ping_geometry(ranges_m: FloatArray, bearings_deg: FloatArray) -> PingGeometry:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 from sonarrec.records import shown
 
@@ -37,7 +36,7 @@ class Channel:
     message_encoding: str
 
 
-class Recording(Protocol):
+class Recording:
     """A container of messages, opened.
 
     channels: by a number of the container's own. counts: messages of each. profile, library: what
@@ -46,48 +45,28 @@ class Recording(Protocol):
     faults: a line for each thing that is wrong, complete after a pass over its messages.
     """
 
-    @property
-    def path(self) -> Path: ...
-    @property
-    def channels(self) -> Mapping[int, Channel]: ...
-    @property
-    def counts(self) -> Mapping[int, int]: ...
-    @property
-    def profile(self) -> str: ...
-    @property
-    def library(self) -> str: ...
-    @property
-    def span(self) -> tuple[int, int] | None: ...
-    @property
-    def chunks(self) -> Mapping[str, int]: ...
-    @property
-    def whole(self) -> bool: ...
-    @property
-    def faults(self) -> list[str]: ...
+    channels: Mapping[int, Channel]
+    counts: Mapping[int, int]
+    profile: str
+    library: str
+    span: tuple[int, int] | None
+    chunks: Mapping[str, int]
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.faults: list[str] = []
+        self.whole = True
 
     def messages(self, channels: Collection[int]) -> Iterator[Message]:
         """One pass over the messages of some channels, in the order of log time.
 
         Raises SonarrecError where nothing more can be read.
         """
-        ...
-
-    def fault(self, text: str) -> None:
-        """Add a line about what is wrong."""
-        ...
+        raise NotImplementedError
 
     def close(self) -> None:
         """Close what is open."""
-        ...
-
-
-class Faults:
-    """The part of a Recording that says what is wrong with it."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.faults: list[str] = []
-        self.whole = True
+        raise NotImplementedError
 
     def fault(self, text: str) -> None:
         """Add a line about what is wrong."""

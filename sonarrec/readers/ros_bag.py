@@ -11,13 +11,13 @@ from typing import Any
 
 import lz4.frame
 
-from sonarrec.readers.recording import MAX_MESSAGE_BYTES, Channel, Faults, Message
+from sonarrec.readers.recording import MAX_MESSAGE_BYTES, Channel, Message, Recording
 from sonarrec.records import SonarrecError, shown
 
 MAX_CHUNK_BYTES = 2**27  # inflated; it is held in memory. A recorder's own limit is below 1 MB
 
 
-class RosBag(Faults):
+class RosBag(Recording):
     """A `Recording` of one bag of ROS 1."""
 
     def __init__(self, path: Path, at: Path | None = None) -> None:

@@ -8,17 +8,18 @@ from pathlib import Path
 
 import cv2
 
-from sonarrec.readers.raw import NOTHING_TOLD, RawFrame
+from sonarrec.readers.raw import RawFrame, RawLog
 from sonarrec.records import SonarrecError, shown
 
 VIDEO_SUFFIXES = frozenset({".avi", ".mp4", ".mkv"})
 
 
-class VideoFrames:
+class VideoFrames(RawLog):
     """The frames of a video, timed by its container."""
 
     def __init__(self, path: Path) -> None:
         """Raises SonarrecError where OpenCV cannot open the file as a video."""
+        super().__init__()
         try:
             str(path).encode()
         except UnicodeEncodeError:  # of which OpenCV dies
@@ -37,10 +38,6 @@ class VideoFrames:
         rate = self._video.get(cv2.CAP_PROP_FPS)
         self._period_ns = 1e9 / rate if 0 < rate < 1e6 else None
         self._path = path
-        self.topic: str | None = None
-        self.polar = False
-        self.faults: list[str] = []
-        self.told = NOTHING_TOLD
 
     def __iter__(self) -> Iterator[RawFrame]:
         index, last_ns = 0, -1

@@ -99,10 +99,19 @@ def fetched_file(text: str, cache: Cache) -> Iterator[Fetched]:
 
     url = parse_url(text)
     items, root = [Store(url).file(url)], url.parent
+    with _found(url, root, items, cache) as found:
+        yield found
+
+
+@contextmanager
+def _found(
+    url: Url, root: Url, items: Sequence[Item], cache: Cache, unused: Sequence[str] = ()
+) -> Iterator[Fetched]:
+    """These files, which lie below `root`, as `fetched`."""
     with _kept(url.shown, root, items, cache, untold, threading.Event(), True) as entry:
         origin = Origin(url.shown, str(entry.files), root.place.rstrip("/"))
         with origin.translated():
-            yield Fetched(entry.files / relative(url, root), origin)
+            yield Fetched(entry.files / relative(url, root), origin, None, tuple(unused))
 
 
 @contextmanager
@@ -129,11 +138,8 @@ def fetched_results(text: str, cache: Cache) -> Iterator[Fetched]:
     if not items:
         why = unused[0] if unused else f"{url.shown}: holds no results of `sonarrec run`"
         raise SonarrecError(why)
-    items, root = store.described(items), url.parent
-    with _kept(url.shown, root, items, cache, untold, threading.Event(), True) as entry:
-        origin = Origin(url.shown, str(entry.files), root.place.rstrip("/"))
-        with origin.translated():
-            yield Fetched(entry.files / relative(url, root), origin, None, tuple(unused))
+    with _found(url, url.parent, store.described(items), cache, unused) as there:
+        yield there
 
 
 def _finished(store: Store, folder: Url) -> tuple[list[Item], bool]:

@@ -116,8 +116,3 @@ def parse_url(text: object) -> Url:
         return Url(scheme, f"sftp://{host}", slash + path)
     path, mark, query = path.partition("#")[0].partition("?")
     return Url(scheme, f"{scheme}://{host}", unquote(slash + path), mark + query)
-
-
-def shown_place(text: object) -> str:
-    """A path as it is, a URL without its secrets."""
-    return parse_url(text).shown if is_url(text) else str(text)

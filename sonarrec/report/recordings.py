@@ -22,7 +22,7 @@ _FILES = {s for reader in READERS if reader.kind != "image" for s in reader.suff
 def open_recording(path: Path, log: ReportedLog, sonar: Sonar, topic: str | None) -> Log:
     """The recording, read as the run read it."""
     given = log.run.lay_under(Given(sonar, topic=topic), same_log=True)
-    return open_log(path, sonar=given.sonar, topic=given.topic, time=given.time or "log")
+    return open_log(path, **given.reading())
 
 
 def match_recordings(

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
 
 from sonarrec.files.tables import (
-    Kind,
     Table,
     cut,
     line_number,
@@ -173,18 +171,16 @@ def estimate_tables(
     path: Path,
     landmarks: LandmarkSet,
     rows: int | None = None,
-    more: Mapping[str, Kind] = MappingProxyType({}),
 ) -> Iterator[tuple[int, Table]]:
     """estimates.csv, whole or at most `rows` rows at a time: (the first row, 0-based; columns).
 
-    more: columns to read beside those that are always read, and what their cells must be.
     Raises SonarrecError, with the line, on a cell that cannot be meant; the rows before it are
     given first.
     """
     columns = estimate_columns(landmarks.ids)
     ids = np.asarray(landmarks.ids)
-    wanted = kinds(columns) | dict(more)
-    for first, table in read_tables(path, wanted, needed(columns), ESTIMATES_HEADER, rows):
+    header = needed(columns), ESTIMATES_HEADER
+    for first, table in read_tables(path, kinds(columns), *header, rows):
         known = np.isin(table["landmark"], ids)
         if not known.all():
             row = int(np.argmin(known))

@@ -193,6 +193,11 @@ class Given:
     up_to: Path | None = None  # the folder up to which what lies beside the log is looked for
     origin: Origin | None = None  # where a log that was fetched is from; run.toml says that
 
+    def reading(self) -> dict[str, Any]:
+        """Keyword arguments of `open_log`."""
+        named = {key: getattr(self, key) for key in ("sonar", "sonar_file", "topic", "up_to")}
+        return named | {"time": self.time or "log"}
+
 
 @dataclass(frozen=True, slots=True)
 class Input:
@@ -206,6 +211,11 @@ class Input:
     time: Clock | None = None
     frames: str | None = None
     problems: tuple[str, ...] = ()
+
+    @property
+    def recording(self) -> tuple[str, str | None] | None:
+        """SHA-256 of the recording and its topic; None where it is not told."""
+        return (self.sha256, self.topic) if self.sha256 else None
 
 
 @dataclass(frozen=True, slots=True)

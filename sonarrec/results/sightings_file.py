@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import csv
-import math
 from collections.abc import Iterator
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from sonarrec.geometry import polar_from_pixel
 from sonarrec.records import Estimate, SonarrecError
 from sonarrec.results.columns import SIGHTING_COLUMNS
 from sonarrec.results.folders import estimates_of
@@ -19,14 +17,8 @@ from sonarrec.results.run_file import RunFile, read_run
 from sonarrec.results.sightings import Sighting, Sightings
 from sonarrec.sonar import Sonar
 
-if TYPE_CHECKING:
-    from sonarrec.files.tables import Kind  # with pandas, which a run does not need
-
 ROWS = 20_000
 """Of estimates.csv, read at a time."""
-SIGMAS: dict[str, Kind] = dict.fromkeys(
-    ("range_sigma_m", "bearing_sigma_deg", "orientation_sigma_deg"), "blank or number"
-)
 
 
 def read_sightings(
@@ -81,40 +73,10 @@ def _declared(
     folder: Path, run: RunFile, landmarks: str | None, sonar: Sonar | None
 ) -> Iterator[tuple[int, Estimate]]:
     """(frame, estimate) of every declared row of estimates.csv."""
-    from sonarrec.files.tables import POSITION_KINDS
     from sonarrec.results.read import estimate_tables
+    from sonarrec.results.stream import estimates_in
 
-    path, fan = estimates_of(folder), run.fan(sonar)
-    for _, table in estimate_tables(path, run.landmark_set(landmarks), ROWS, SIGMAS):
+    own, fan = run.landmark_set(landmarks), run.fan(sonar)
+    for _, table in estimate_tables(estimates_of(folder), own, ROWS):
         declared = np.flatnonzero(table["declared"])
-        blank = np.full(len(table["frame"]), math.nan)
-        x_px, y_px, range_m, bearing_deg, turn, *sigmas = (
-            table.get(name, blank) for name in (*POSITION_KINDS, "orientation_deg", *SIGMAS)
-        )
-        if fan is not None:
-            told = np.isfinite(range_m) & np.isfinite(bearing_deg)
-            measured = polar_from_pixel(fan, x_px, y_px)
-            range_m = np.where(told, range_m, measured[0])
-            bearing_deg = np.where(told, bearing_deg, measured[1])
-        objects = table.get("object", np.full(len(blank), -1))
-        for n in declared.tolist():
-            yield (
-                int(table["frame"][n]),
-                Estimate(
-                    method=str(table["method"][n]),
-                    object=int(objects[n]),
-                    x_px=float(x_px[n]),
-                    y_px=float(y_px[n]),
-                    range_m=float(range_m[n]),
-                    bearing_deg=float(bearing_deg[n]),
-                    orientation_deg=float(turn[n]),
-                    existence=math.nan,
-                    probabilities=np.empty(0),
-                    landmark=int(table["landmark"][n]),
-                    score=float(table["score"][n]),
-                    declared=True,
-                    range_sigma_m=float(sigmas[0][n]),
-                    bearing_sigma_deg=float(sigmas[1][n]),
-                    orientation_sigma_deg=float(sigmas[2][n]),
-                ),
-            )
+        yield from ((frame, e) for _, frame, e in estimates_in(table, declared, own, fan))

@@ -12,12 +12,13 @@ import numpy as np
 from sonarrec.files.tables import POSITION_KINDS, Table, line_number, read_tables
 from sonarrec.geometry import pixel_from_polar, polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import Estimate, Fan, FloatArray, SonarrecError, UsageError
+from sonarrec.records import Estimate, Fan, FloatArray, IntArray, SonarrecError, UsageError
 from sonarrec.results.columns import ESTIMATES_HEADER, belief_names, estimate_columns, needed
 from sonarrec.results.read import estimate_tables
 
 ROWS = 500
 """Read at a time."""
+SIGMAS = ("range_sigma_m", "bearing_sigma_deg", "orientation_sigma_deg")
 
 
 def choose_method(path: Path, wanted: str | None) -> str:
@@ -54,7 +55,7 @@ def read_estimates(
     rows = (
         item
         for first, table in estimate_tables(path, landmarks, ROWS)
-        for item in _estimates(path, first, table, method, landmarks, fan)
+        for item in _placed(path, first, table, method, landmarks, fan)
     )
     last = -1
     for frame, group in groupby(rows, key=lambda item: item[1]):
@@ -68,7 +69,7 @@ def read_estimates(
         yield frame, tuple(estimate for _, _, estimate in found)
 
 
-def _estimates(
+def _placed(
     path: Path, first: int, table: Table, method: str, landmarks: LandmarkSet, fan: Fan
 ) -> Iterator[tuple[int, int, Estimate]]:
     """(row of the file, frame, estimate) of each row of the method; `first`: of the table's first.
@@ -76,56 +77,57 @@ def _estimates(
     Raises SonarrecError at a row without a place.
     """
     mine = np.flatnonzero(np.asarray(table["method"] == method))
-    x_px, y_px, range_m, bearing_deg = (place[mine] for place in _places(table, fan))
-    objects = table["object"][mine] if "object" in table else np.full(len(mine), -1)
-    existence = table["existence"][mine] if "existence" in table else np.ones(len(mine))
-    beliefs = _beliefs(table, landmarks)[mine]
-    blank = np.full(len(table["frame"]), np.nan)
-    orientation, *sigmas = (
-        table.get(name, blank)[mine]
-        for name in (
-            "orientation_deg",
-            "range_sigma_m",
-            "bearing_sigma_deg",
-            "orientation_sigma_deg",
-        )
-    )
-    for n, row in enumerate(mine.tolist()):
-        if math.isnan(x_px[n]):
+    for row, frame, estimate in estimates_in(table, mine, landmarks, fan):
+        if math.isnan(estimate.x_px):
             raise SonarrecError(
                 f"{path} line {line_number(path, first + row)}: no place: neither x_px,y_px nor "
                 "range_m,bearing_deg"
             )
-        yield (
-            first + row,
-            int(table["frame"][row]),
-            Estimate(
-                method=method,
-                object=int(objects[n]),
-                x_px=float(x_px[n]),
-                y_px=float(y_px[n]),
-                range_m=float(range_m[n]),
-                bearing_deg=float(bearing_deg[n]),
-                orientation_deg=float(orientation[n]),
-                existence=1.0 if math.isnan(existence[n]) else float(existence[n]),
-                probabilities=beliefs[n],
-                landmark=int(table["landmark"][row]),
-                score=float(table["score"][row]),
-                declared=bool(table["declared"][row]),
-                range_sigma_m=float(sigmas[0][n]),
-                bearing_sigma_deg=float(sigmas[1][n]),
-                orientation_sigma_deg=float(sigmas[2][n]),
-            ),
+        yield first + row, frame, estimate
+
+
+def estimates_in(
+    table: Table, rows: IntArray, landmarks: LandmarkSet, fan: Fan | None
+) -> Iterator[tuple[int, int, Estimate]]:
+    """(row, frame, estimate) of some rows of a table; what is not told is NaN, or as it follows."""
+    x_px, y_px, range_m, bearing_deg = places(table, fan)
+    names, count = table["method"].categories, len(table["frame"])
+    methods = np.array([str(name) for name in names], dtype=object)[table["method"].codes]
+    blank = np.full(count, np.nan)
+    objects = table.get("object", np.full(count, -1))
+    existence = np.nan_to_num(table.get("existence", blank), nan=1.0)
+    beliefs = _beliefs(table, landmarks)
+    turn, *sigmas = (table.get(name, blank) for name in ("orientation_deg", *SIGMAS))
+    for n in rows.tolist():
+        estimate = Estimate(
+            method=methods[n],
+            object=int(objects[n]),
+            x_px=float(x_px[n]),
+            y_px=float(y_px[n]),
+            range_m=float(range_m[n]),
+            bearing_deg=float(bearing_deg[n]),
+            orientation_deg=float(turn[n]),
+            existence=float(existence[n]),
+            probabilities=beliefs[n],
+            landmark=int(table["landmark"][n]),
+            score=float(table["score"][n]),
+            declared=bool(table["declared"][n]),
+            range_sigma_m=float(sigmas[0][n]),
+            bearing_sigma_deg=float(sigmas[1][n]),
+            orientation_sigma_deg=float(sigmas[2][n]),
         )
+        yield n, int(table["frame"][n]), estimate
 
 
-def _places(table: Table, fan: Fan) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def places(table: Table, fan: Fan | None) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """x_px, y_px, range_m and bearing_deg, (rows,) each, NaN where neither pair is told.
 
-    Either pair as the table has it; one that is not told from the other.
+    Either pair as the table has it; one that is not told from the other, where the fan is known.
     """
     blank = np.full(len(table["frame"]), np.nan)
     x_px, y_px, range_m, bearing_deg = (table.get(name, blank) for name in POSITION_KINDS)
+    if fan is None:
+        return x_px, y_px, range_m, bearing_deg
     in_pixels = np.isfinite(x_px) & np.isfinite(y_px)
     in_polar = np.isfinite(range_m) & np.isfinite(bearing_deg)
     drawn = pixel_from_polar(fan, range_m, bearing_deg)

@@ -17,7 +17,8 @@ import cv2
 import numpy as np
 
 from sonarrec.config import Config
-from sonarrec.geometry import floor_depth, pixel_from_polar, slant_range
+from sonarrec.files.outputs import write_csv
+from sonarrec.geometry import floor_depth, slant_range
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.poses import PoseTable
 from sonarrec.readers.find import find_log
@@ -40,7 +41,7 @@ from sonarrec.records import (
 from sonarrec.simulation.composite import Composer, LaidDisc, seen_from
 from sonarrec.simulation.layout import check_room, lay_out
 from sonarrec.simulation.motion import Pose
-from sonarrec.simulation.simulate import LandmarkTruth, visible_share
+from sonarrec.simulation.simulate import LandmarkTruth, truth_row, visible_share
 from sonarrec.sonar import Sonar
 
 Span = tuple[int, int | None]
@@ -75,7 +76,7 @@ class Background:
     def frames(self) -> Iterator[Frame]:
         """The frames again, numbered from 0."""
         with self.open() as log:
-            for number, frame in enumerate(_within(log, self.span)):
+            for number, frame in enumerate(log.within(self.span)):
                 if number == len(self.path):  # it has grown since
                     return
                 yield replace(frame, index=number)
@@ -115,7 +116,7 @@ def survey(
         stamps: list[int] = []
         echoes = np.zeros(0)
         unknown = 0
-        for frame in _within(log, span):
+        for frame in log.within(span):
             if odometry is None:
                 fan = frame.fan
                 check_room(fan, landmarks, where)
@@ -309,14 +310,6 @@ def _doubts(where: str, stated: float | None, unknown: int, frames: int) -> list
     return doubts
 
 
-def _within(log: Log, span: Span) -> Iterator[Frame]:
-    for frame in log:
-        if span[1] is not None and frame.index >= span[1]:
-            break
-        if frame.index >= span[0]:
-            yield frame
-
-
 def _moved(before: Pose | None, motion: Motion | None, height_m: float) -> Pose:
     """The pose after a motion as the recogniser has it: carried first, then turned."""
     if before is None:
@@ -342,16 +335,8 @@ def _truth(disc: LaidDisc, pose: Pose, fan: Fan, landmarks: LandmarkSet) -> Land
         return None
     ground, bearing = seen_from(disc, pose)
     slant = float(slant_range(fan, ground))
-    column, row = pixel_from_polar(fan, slant, bearing)
-    return LandmarkTruth(
-        disc.landmark,
-        round(float(column), 3),
-        round(float(row), 3),
-        round(slant, 5),
-        round(bearing, 4),
-        share,
-        round((disc.orientation_deg + pose.pan_deg) % 360, 3),
-    )
+    turn = disc.orientation_deg + pose.pan_deg
+    return LandmarkTruth(disc.landmark, *truth_row(fan, (slant, bearing), share, turn))
 
 
 def _sonar(background: Background) -> Sonar:
@@ -378,12 +363,11 @@ def _sonar(background: Background) -> Sonar:
 
 
 def _write_poses(path: Path, background: Background) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["timestamp_ns", "yaw", "x", "y"])
-        for number, pose in enumerate(background.path):
-            stamp = round(number * 1e9 / background.rate_hz)
-            writer.writerow([stamp, *(round(v, 6) for v in (pose.pan_deg, pose.x_m, pose.y_m))])
+    rows = (
+        [round(n * 1e9 / background.rate_hz), *(round(v, 6) for v in (p.pan_deg, p.x_m, p.y_m))]
+        for n, p in enumerate(background.path)
+    )
+    write_csv(path, ["timestamp_ns", "yaw", "x", "y"], rows)
 
 
 def _told(

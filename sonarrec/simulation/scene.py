@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -275,9 +275,6 @@ class Scene:
     objects: tuple[PlacedObject, ...] = field(default=(), metadata={"key": "object"})
 
 
-_SECTIONS = ("sonar", "motion", "floor", "fading", "multipath", "fish", "noise", "picture")
-
-
 def scene_from_table(table: Mapping[str, Any], where: str) -> Scene:
     """A Scene from the keys of its TOML; `where` names it in errors (SonarrecError)."""
     listed = table.get("landmark_set", "basin")
@@ -349,21 +346,18 @@ def load_scene(source: str | Path) -> Scene:
 
 def scene_table(scene: Scene) -> dict[str, Any]:
     """The scene as plain TOML values, as load_scene reads them."""
-    table: dict[str, Any] = {
-        "name": scene.name,
-        "seed": scene.seed,
-        "frames": scene.frames,
-        "rate_hz": scene.rate_hz,
-        "landmark_set": scene.landmark_set.as_table(),
-    }
-    for key in _SECTIONS:
-        table[key] = asdict(getattr(scene, key))
-    for key, rows in (("landmark", scene.landmarks), ("object", scene.objects)):
-        table[key] = [
-            {name: value for name, value in asdict(row).items() if value is not None}
-            for row in rows
-        ]
-    return table
+    return {f.metadata.get("key", f.name): _plain(getattr(scene, f.name)) for f in fields(scene)}
+
+
+def _plain(value: Any) -> Any:
+    """A field of a Scene as TOML has it, which has no None."""
+    if isinstance(value, LandmarkSet):
+        return value.as_table()
+    if isinstance(value, tuple):
+        return [_plain(row) for row in value]
+    if is_dataclass(value) and not isinstance(value, type):
+        return {name: v for name, v in asdict(value).items() if v is not None}
+    return value
 
 
 def vertical_beam_db(sonar: SonarSection, height_m: float, range_m: FloatArray) -> FloatArray:

@@ -26,7 +26,6 @@ from sonarrec.simulation.laid import raised_m
 from sonarrec.simulation.motion import Pose, ar1, poses
 from sonarrec.simulation.multipath import Multipath, shifted
 from sonarrec.simulation.plane import FLAT, Plane
-from sonarrec.simulation.random_scenes import KINDS_OF_SCENE, random_scene
 from sonarrec.simulation.receiver import Picture, Receiver, vertical_pattern
 from sonarrec.simulation.scene import (
     Scene,
@@ -39,19 +38,6 @@ from sonarrec.simulation.scene import (
 )
 from sonarrec.simulation.world import World, object_radius
 from sonarrec.sonar import Geometry, Sonar
-
-__all__ = [
-    "KINDS_OF_SCENE",
-    "DistractorTruth",
-    "LandmarkTruth",
-    "Scene",
-    "SimulatedFrame",
-    "load_scene",
-    "random_scene",
-    "render",
-    "simulate",
-    "write_recording",
-]
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +148,7 @@ def _truth(
         if share == 0:
             continue
         seen = plane.seen(pose, x, y, raised_m(item, size))
-        row = _row(fan, seen, share, item.orientation_deg + pose.pan_deg)
+        row = truth_row(fan, seen, share, item.orientation_deg + pose.pan_deg)
         if hasattr(item, "kind"):
             distractors.append(DistractorTruth(item.kind, *row))
         else:
@@ -172,13 +158,13 @@ def _truth(
         for n in np.flatnonzero(in_fan(fan, slant, bearing)):
             turn = 90 - float(fishes.heading_deg[n]) + pose.pan_deg
             distractors.append(
-                DistractorTruth("fish", *_row(fan, (slant[n], bearing[n]), 1.0, turn))
+                DistractorTruth("fish", *truth_row(fan, (slant[n], bearing[n]), 1.0, turn))
             )
     return tuple(landmarks), tuple(distractors)
 
 
-def _row(
-    fan: Fan, seen: tuple[FloatArray, FloatArray], share: float, turn_deg: float
+def truth_row(
+    fan: Fan, seen: tuple[FloatArray | float, FloatArray | float], share: float, turn_deg: float
 ) -> tuple[float, float, float, float, float, float]:
     """What a row of truth says of a thing after its name. seen: slant range and bearing."""
     slant, bearing = (float(value) for value in seen)

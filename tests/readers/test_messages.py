@@ -20,7 +20,8 @@ from sonarrec.pipeline.run import run as run_log
 from sonarrec.readers.mcap.fields import Fields
 from sonarrec.readers.mcap.messages import decoder_for, read_projected_sonar_image
 from sonarrec.readers.raw import UnusableError
-from sonarrec.simulation.simulate import load_scene, render
+from sonarrec.simulation.scene import load_scene
+from sonarrec.simulation.simulate import render
 from tests.support import messages
 from tests.support.logs import PERIOD_NS, SONAR_TOML, image_folder, mcap_file
 from tests.support.messages import (

@@ -15,7 +15,8 @@ import pytest
 
 from sonarrec.evaluation.by_range import RangeRate, Rate, Recognised
 from sonarrec.report.site import AtContrast, sentences
-from sonarrec.simulation.simulate import random_scene, write_recording
+from sonarrec.simulation.random_scenes import random_scene
+from sonarrec.simulation.simulate import write_recording
 from tests.support.browser import chromium, look
 from tests.support.command import sonarrec
 

@@ -30,8 +30,9 @@ from sonarrec.simulation.background import (
 )
 from sonarrec.simulation.composite import Composer, LaidDisc
 from sonarrec.simulation.motion import Pose, poses
+from sonarrec.simulation.random_scenes import random_scene
 from sonarrec.simulation.scene import Scene
-from sonarrec.simulation.simulate import random_scene, write_recording
+from sonarrec.simulation.simulate import write_recording
 from tests.support.command import sonarrec
 
 BASIN = load_landmarks("basin")

@@ -17,6 +17,7 @@ from mcap.reader import make_reader
 from sonarrec.cli import main
 from sonarrec.records import SonarrecError
 from sonarrec.simulation.motion import sweep_deg
+from sonarrec.simulation.random_scenes import KINDS_OF_SCENE, random_scene
 from sonarrec.simulation.scene import (
     BUILT_IN,
     MotionSection,
@@ -24,18 +25,13 @@ from sonarrec.simulation.scene import (
     PlacedObject,
     Scene,
     SonarSection,
+    load_scene,
     scene_bearings,
     scene_from_table,
     scene_sonar,
     scene_table,
 )
-from sonarrec.simulation.simulate import (
-    KINDS_OF_SCENE,
-    load_scene,
-    random_scene,
-    render,
-    write_recording,
-)
+from sonarrec.simulation.simulate import render, write_recording
 from sonarrec.simulation.world import object_radius
 from sonarrec.sonar import load_sonar
 from tests.support.bare import BARE, POLAR, mean_power, power

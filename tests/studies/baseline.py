@@ -225,7 +225,8 @@ def tune() -> Settings:
     import tempfile
 
     from sonarrec.evaluation.evaluate import evaluate
-    from sonarrec.simulation.simulate import random_scene, write_recording
+    from sonarrec.simulation.random_scenes import random_scene
+    from sonarrec.simulation.simulate import write_recording
 
     landmarks = load_landmarks("basin")
     with tempfile.TemporaryDirectory() as name:

@@ -33,8 +33,9 @@ from sonarrec.recogniser.stage2_continuity import ContinuityFilter
 from sonarrec.recogniser.stage3_features.shape_matrix import ShapeSampler
 from sonarrec.results.write import ResultsWriter
 from sonarrec.simulation.mcap_writer import McapImageWriter
-from sonarrec.simulation.scene import MotionSection, PlacedLandmark, Scene
-from sonarrec.simulation.simulate import load_scene, random_scene, write_recording
+from sonarrec.simulation.random_scenes import random_scene
+from sonarrec.simulation.scene import MotionSection, PlacedLandmark, Scene, load_scene
+from sonarrec.simulation.simulate import write_recording
 from tests.studies.baseline import METHOD, HoughSmi, fan_of, read_grey, write_estimates
 
 FRAMES = 144

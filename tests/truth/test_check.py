@@ -20,7 +20,8 @@ from sonarrec.cli.truth import truth as truth_group
 from sonarrec.geometry import fan_for_image, polar_from_pixel
 from sonarrec.landmarks import load_landmarks
 from sonarrec.readers import open_log
-from sonarrec.simulation.simulate import Pose, visible_share
+from sonarrec.simulation.motion import Pose
+from sonarrec.simulation.simulate import visible_share
 from sonarrec.sonar import load_sonar
 from sonarrec.truth.check import CheckedTruth, Fault, check_truth
 from sonarrec.truth.contact_sheet import MOST_STRIPS, SIDE, draw_contact_sheet

@@ -17,7 +17,7 @@ import numpy as np
 from sonarrec.readers.ddf.aris import Aris
 from sonarrec.readers.ddf.didson import Didson
 from sonarrec.readers.file_bytes import FileBytes
-from sonarrec.readers.raw import MAX_FRAME_BYTES, RawFrame, Told, UnusableError
+from sonarrec.readers.raw import MAX_FRAME_BYTES, RawFrame, RawLog, Told, UnusableError
 from sonarrec.records import SonarrecError, Stamps, shown
 from sonarrec.sonar import PingGeometry
 
@@ -61,14 +61,13 @@ LAYOUTS: dict[int, Layout] = {3: Didson(3), 4: Didson(4), 5: Aris()}
 """By the version that the file's first bytes tell."""
 
 
-class DdfFrames:
+class DdfFrames(RawLog):
     """The frames of one DDF file, in the order of the file."""
 
     def __init__(self, path: Path) -> None:
         """Raises SonarrecError where the file is no DDF, or holds not one whole frame."""
-        self.topic: str | None = None
+        super().__init__()
         self.polar = True
-        self.faults: list[str] = []
         self._name = shown(path.name)
         self._file = FileBytes(path)
         try:
@@ -102,7 +101,7 @@ class DdfFrames:
                 f"{where}: holds no whole frame: a frame takes {self._length} bytes, and {room} "
                 "follow the header of the file"
             )
-        self.frame_count: int | None = room // self._length
+        self.frame_count = room // self._length
         headers = self._headers_all_over()
         told = layout.told(self._header, headers) if headers else Told()
         stated = int(self._header["FrameCount"])

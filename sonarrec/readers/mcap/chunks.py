@@ -20,9 +20,8 @@ import zstandard
 
 from sonarrec.records import SonarrecError
 
-MAX_CHUNK_BYTES = (
-    2**31
-)  # inflated; what declares more, or inflates to more than it declares, is not
+# Inflated: what declares more, or inflates to more than it declares, is not read.
+MAX_CHUNK_BYTES = 2**31
 HELD_BYTES = 64 * 2**20  # of inflated chunks in memory together; what exceeds it goes to disk
 MAX_WINDOW_BYTES = 2**27  # zstd keeps as much of what it wrote in memory
 RECORD_HEAD = struct.Struct("<BQ")  # opcode, length of what follows

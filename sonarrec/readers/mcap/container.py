@@ -9,12 +9,12 @@ from mcap.records import Schema
 
 from sonarrec.readers.mcap.in_order import MessageReader
 from sonarrec.readers.mcap.salvage import McapFile
-from sonarrec.readers.recording import Channel, Message
+from sonarrec.readers.recording import Channel, Message, Recording
 
 _NO_SCHEMA = Schema(id=0, name="", encoding="", data=b"")
 
 
-class McapRecording:
+class McapRecording(Recording):
     """A `Recording`; also of a file that is damaged or cut, as far as it goes."""
 
     def __init__(self, path: Path, at: Path | None = None) -> None:
@@ -23,7 +23,7 @@ class McapRecording:
         Raises SonarrecError where the file is no MCAP, OSError where it cannot be read.
         """
         log = self._log = McapFile(path, at)
-        self.path = path
+        super().__init__(path)
         self.channels: dict[int, Channel] = {}
         for channel in log.channels.values():
             schema = log.schemas.get(channel.schema_id, _NO_SCHEMA)
@@ -40,10 +40,6 @@ class McapRecording:
     def messages(self, channels: Collection[int]) -> Iterator[Message]:
         """The messages of some channels in log-time order, those at one time as in the file."""
         return iter(MessageReader(self._log, channels))
-
-    def fault(self, text: str) -> None:
-        """Add a line about what is wrong."""
-        self._log.fault(text)
 
     def close(self) -> None:
         """Close the file."""

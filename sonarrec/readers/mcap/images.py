@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from sonarrec.readers.mcap.fields import DefinitionError
 from sonarrec.readers.mcap.messages import READABLE, Decoder, decoder_for
-from sonarrec.readers.raw import NOTHING_TOLD, RawFrame, UnusableError
+from sonarrec.readers.raw import RawFrame, RawLog, UnusableError
 from sonarrec.readers.recording import Recording
 from sonarrec.records import SonarrecError, Stamps, UsageError, shown
 
@@ -31,7 +31,7 @@ def image_decoders(log: Recording) -> dict[int, Decoder]:
     return decoders
 
 
-class ChannelImages:
+class ChannelImages(RawLog):
     """The messages of one image topic, decoded, in log-time order."""
 
     def __init__(self, log: Recording, topic: str | None = None) -> None:
@@ -40,17 +40,17 @@ class ChannelImages:
         Raises SonarrecError where it has no image channel, UsageError where several image topics
         ask for a choice or the topic chosen is none of them.
         """
+        super().__init__()
         self._log = log
         try:
             self._decoders = _choose(log, topic)
         except BaseException:
             log.close()
             raise
-        self.topic: str | None = log.channels[next(iter(self._decoders))].topic
+        self.topic = log.channels[next(iter(self._decoders))].topic
         self.polar = any(decoder.polar for decoder in self._decoders.values())
         self.faults = log.faults
-        self.told = NOTHING_TOLD
-        self.frame_count: int | None = sum(log.counts.get(c, 0) for c in self._decoders)
+        self.frame_count = sum(log.counts.get(c, 0) for c in self._decoders)
 
     def close(self) -> None:
         """Close the recording."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 from array import array
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -197,9 +197,6 @@ def by_index(
         place = there[0]
         retimed += place.log_time != time
         if not chunk.start_time <= place.log_time <= chunk.end_time:
-            place = Place(
-                time, place.position, place.offset, channel, place.publish_time, contents,
-                place.length,
-            )  # fmt: skip
+            place = replace(place, log_time=time)
         found.append(place)
     return sorted(found), retimed
