@@ -30,7 +30,11 @@ from sonarrec.records import UsageError
 
 if TYPE_CHECKING:
     from sonarrec.evaluation.compare.compare import Comparison
+    from sonarrec.evaluation.matching.options import ScoringOptions
+    from sonarrec.evaluation.matching.pairs import Pair
     from sonarrec.remote.run import Here
+
+    Truth = Path | list[Pair] | None  # one table, pairs, or that beside each log
 
 
 @command(short_help="Score results against ground truth, or compare two.")
@@ -103,7 +107,7 @@ def evaluate(
     band: float | None,
     unit: Any,
     jobs: int | None,
-    scoring: dict[str, Any],
+    scoring: ScoringOptions,
     details: bool,
     det: bool,
     as_json: bool,
@@ -132,17 +136,16 @@ def evaluate(
         raise UsageError("--compare takes OLD and NEW; give no RESULTS beside it")
     if band is not None and compare is None:
         raise UsageError("--fail-on-regression goes with --compare")
+    from sonarrec.evaluation.matching.pairs import read_pairs
     from sonarrec.remote.run import Here
 
     with ExitStack() as held:  # what was written is uploaded as it closes, so nothing leaves inside
         here = Here(held, cache.cache)
-        truth = here.file(ground_truth)
+        truth = here.file(ground_truth) if pairs is None else read_pairs(pairs)
+        shown = _Shown(details, as_json, quiet)
         if compare is not None:
-            code = _compare(
-                compare, truth, pairs, out, band, as_json, quiet, {**scoring, "jobs": jobs}, here
-            )
+            code = _compare(compare, truth, out, band, jobs, shown, scoring, here)
         else:
-            shown = _Shown(details, as_json, quiet)
             code = _score(results, truth, pairs, out, unit, jobs, det, shown, scoring, here)
     if code:
         leave(code)
@@ -159,31 +162,31 @@ class _Shown:
 
 def _score(
     results: Path | str | None,
-    ground_truth: Path | None,
+    truth: Truth,
     pairs: Path | None,
     out: Path | str | None,
     unit: Any,
     jobs: int | None,
     det: bool,
     shown: _Shown,
-    scoring: dict[str, Any],
+    scoring: ScoringOptions,
     here: Here,
 ) -> int:
     """The exit code."""
     from sonarrec.evaluation import tabulate, write
     from sonarrec.evaluation.evaluate import evaluate_many
-    from sonarrec.evaluation.matching.pairs import read_pairs
     from sonarrec.evaluation.summary import summarise
     from sonarrec.remote.run import inside
 
     if pairs is not None:
-        found = evaluate_many(read_pairs(pairs), jobs=jobs, **scoring)
+        assert isinstance(truth, list)
+        found = evaluate_many(truth, None, scoring, jobs=jobs)
         folder = here.output(out or pairs.parent / "evaluation")
     else:
         results = results or Path("sonarrec_out")
-        found = evaluate_many(
-            here.results(results), ground_truth, jobs=jobs, elsewhere=here.beside, **scoring
-        )
+        assert not isinstance(truth, list)
+        given = here.results(results)
+        found = evaluate_many(given, truth, scoring, jobs=jobs, elsewhere=here.beside)
         folder = here.output(out or inside(results, "evaluation"))
     found = replace(
         found, notes=tuple(map(here.told, found.notes)), unused=tuple(map(here.told, found.unused))
@@ -205,13 +208,12 @@ def _score(
 
 def _compare(
     sides: tuple[Path | str, Path | str],
-    ground_truth: Path | None,
-    pairs: Path | None,
+    truth: Truth,
     out: Path | str | None,
     band: float | None,
-    as_json: bool,
-    quiet: bool,
-    scoring: dict[str, Any],
+    jobs: int | None,
+    shown: _Shown,
+    scoring: ScoringOptions,
     here: Here,
 ) -> int:
     """The exit code."""
@@ -219,15 +221,15 @@ def _compare(
     from sonarrec.evaluation.compare import compare
     from sonarrec.remote.run import inside
 
-    found = compared(sides, ground_truth, pairs, scoring, here)
+    found = compared(sides, truth, scoring, here, jobs)
     folder = here.output(out or inside(sides[1], "evaluation"))
     written = write.write_comparison(folder, found)
     unused = [*here.unused, *found.unused]
     tell(unused)
-    if as_json:
+    if shown.as_json:
         for piece in write.comparison_json(found):
             click.echo(piece, nl=False)
-    elif not quiet:
+    elif not shown.quiet:
         click.echo(compare.screen(found))
         for note in found.notes:
             click.echo(f"note: {note}")
@@ -239,18 +241,16 @@ def _compare(
 
 def compared(
     sides: tuple[Path | str, Path | str],
-    ground_truth: Path | None,
-    pairs: Path | None,
-    scoring: dict[str, Any],
+    truth: Truth,
+    scoring: ScoringOptions,
     here: Here,
+    jobs: int | None = None,
 ) -> Comparison:
     """Two results, wherever they lie, as `evaluation.compare.compare`."""
     from sonarrec.evaluation.compare.compare import compare
-    from sonarrec.evaluation.matching.pairs import read_pairs
 
-    truth = read_pairs(pairs) if pairs is not None else ground_truth
     old, new = map(here.results, sides)
-    found = compare(old, new, truth, elsewhere=here.beside, **scoring)
+    found = compare(old, new, truth, scoring, jobs=jobs, elsewhere=here.beside)
     return replace(
         found,
         old=here.told(found.old),

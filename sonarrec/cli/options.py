@@ -308,12 +308,14 @@ _SCORING = {
 }
 
 
-def _scoring(values: dict[str, Any]) -> dict[str, Any]:
+def _scoring(values: dict[str, Any]) -> Any:
+    from sonarrec.evaluation.matching.options import ScoringOptions
+
     given = {key: values[key] for key in _SCORING}
-    return given | {"sonar": LogChoice(values).sonar_without_log()}
+    return ScoringOptions(**given, sonar=LogChoice(values).sonar_without_log())
 
 
-# --min-visible, --tolerance, --landmarks and the geometry, as one `scoring`: keyword arguments.
+# --min-visible, --tolerance, --landmarks and the geometry, as one `scoring`: ScoringOptions.
 scoring_options = as_one("scoring", _SCORING | _GEOMETRY, _scoring)
 
 
@@ -383,6 +385,14 @@ class SettingsChoice:
 
 
 settings_options = as_one("settings", _SETTINGS, SettingsChoice)
+
+
+model_option = option(
+    INPUT,
+    "--model",
+    type=FILE,
+    help="Appearance model of `sonarrec calibrate`.  [default: built in]",
+)
 
 
 # What goes out

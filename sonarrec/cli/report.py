@@ -34,6 +34,7 @@ from sonarrec.cli.options_remote import (
 from sonarrec.records import UsageError
 
 if TYPE_CHECKING:
+    from sonarrec.evaluation.matching.options import ScoringOptions
     from sonarrec.remote.run import Here
 
 
@@ -84,7 +85,7 @@ def report(
     pairs: Path | None,
     recordings: tuple[Path | str, ...],
     topic: str | None,
-    scoring: dict[str, Any],
+    scoring: ScoringOptions,
     method: str | None,
     out: Path | str | None,
     cache: CacheChoice,
@@ -122,7 +123,7 @@ def report(
         if compare is not None:
             unused, told = _compare(compare, truth, pairs, out, scoring, here)
         else:
-            given = {"topic": topic, "method": method, **scoring}
+            given = {"topic": topic, "method": method, "options": scoring}
             unused, told = _report(results, truth, pairs, recordings, out, given, here)
         unused = [*here.unused, *map(here.told, unused)]
         tell(unused)
@@ -167,15 +168,17 @@ def _compare(
     ground_truth: Path | None,
     pairs: Path | None,
     out: Path | str | None,
-    scoring: dict[str, Any],
+    scoring: ScoringOptions,
     here: Here,
 ) -> tuple[Sequence[str], str]:
     """Write the page; what could not be used, and what to print."""
     from sonarrec.cli.evaluate import compared
+    from sonarrec.evaluation.matching.pairs import read_pairs
     from sonarrec.remote.run import inside
     from sonarrec.report.compare import write_comparison_page
 
     page = here.output(out or inside(sides[1], "compare.html"), "compare.html")
-    found = compared(sides, ground_truth, pairs, scoring, here)
+    truth = ground_truth if pairs is None else read_pairs(pairs)
+    found = compared(sides, truth, scoring, here)
     write_comparison_page(page, found)
     return found.unused, f"{page}: {page.stat().st_size / 1e6:.2f} MB"

@@ -27,6 +27,7 @@ from sonarrec.cli.options import (
     leave,
     log_options,
     many_logs_options,
+    model_option,
     named_logs,
     option,
     out_option,
@@ -70,12 +71,7 @@ INTERRUPTED, TERMINATED = 130, 143
     help="Poses in the MCAP or bag itself: nav_msgs/Odometry or geometry_msgs/PoseStamped.",
 )
 @frames_option("Recognise only these frames, from A up to, not including, B.")
-@option(
-    INPUT,
-    "--model",
-    type=FILE,
-    help="Appearance model of `sonarrec calibrate`.  [default: built in]",
-)
+@model_option
 @settings_options
 @out_option(
     FOLDER_OR_URL, "Results go to OUT/<log name>.", default=Path("sonarrec_out"), show_default=True

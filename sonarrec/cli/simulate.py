@@ -126,7 +126,8 @@ def simulate(
         raise UsageError("--schema and --compression are for --format mcap")
     from dataclasses import replace
 
-    from sonarrec.simulation.simulate import load_scene, write_recording
+    from sonarrec.simulation.scene import load_scene
+    from sonarrec.simulation.simulate import write_recording
 
     scene = load_scene(source or "paper")
     scene = replace(

@@ -11,9 +11,7 @@ import click
 from sonarrec.cli.bars import progress
 from sonarrec.cli.options import (
     BACKGROUND,
-    FILE,
     FOLDER,
-    INPUT,
     OUTPUT,
     PARTLY,
     LogChoice,
@@ -22,6 +20,7 @@ from sonarrec.cli.options import (
     frames_option,
     leave,
     log_options,
+    model_option,
     option,
     out_option,
     quiet_option,
@@ -47,12 +46,7 @@ if TYPE_CHECKING:
     show_default=True,
     help="How many times discs are laid at other places; more make intervals narrower.",
 )
-@option(
-    INPUT,
-    "--model",
-    type=FILE,
-    help="Appearance model of `sonarrec calibrate`.  [default: built in]",
-)
+@model_option
 @settings_options
 @out_option(FOLDER, "Folder of all that is written.  [default: sonarrec_site/<log name>]")
 @option(OUTPUT, "--keep", is_flag=True, help="Keep the images that were made, in OUT/recordings.")

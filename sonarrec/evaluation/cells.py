@@ -155,16 +155,17 @@ def figure(found: Figure | None, name: str) -> Cell:
     """A figure of the metric of this name; a dash where there is none."""
     if found is None:
         return NONE
-    return _cell(found.value, found.low, found.high, BY_NAME[name].digits)
+    return cell(found.value, found.low, found.high, BY_NAME[name].digits)
 
 
 def difference(d: Difference) -> Cell:
     """A difference, signed, with its p or why there is none."""
     test = d.note if math.isnan(d.p) else f"p = {d.p:.2g}"
-    return replace(_cell(d.value, d.low, d.high, BY_NAME[d.name].digits, "+"), test=test)
+    return replace(cell(d.value, d.low, d.high, BY_NAME[d.name].digits, "+"), test=test)
 
 
-def _cell(value: float, low: float, high: float, digits: int, sign: str = "") -> Cell:
+def cell(value: float, low: float, high: float, digits: int, sign: str = "") -> Cell:
+    """A value with its interval, where that is known; a dash for none."""
     span = ("", "") if math.isnan(low) else (number(v, digits, sign) for v in (low, high))
     return Cell(number(value, digits, sign), *span)
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,13 +13,16 @@ from sonarrec.evaluation.counting.pooled import Parts, Pooled, pooled
 from sonarrec.evaluation.counting.scoring import Scored
 from sonarrec.evaluation.matching.fit import Matched, fit, left_out
 from sonarrec.evaluation.matching.joined import Joined, join
+from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import Elsewhere, Pair, found_beside, found_where
 from sonarrec.evaluation.matching.same import counted_once
 from sonarrec.evaluation.survey import Reading, Surveyed, each, survey
-from sonarrec.records import IntArray, SonarrecError, UsageError, printable
+from sonarrec.records import IntArray, SonarrecError, printable
 from sonarrec.results.read import find_logs, read_frames
 from sonarrec.sonar import Sonar
 from sonarrec.truth.table import TruthTable, read_truth
+
+DEFAULT = ScoringOptions()
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,48 +80,44 @@ def evaluate(
 
     Raises SonarrecError where files cannot be used or have no frame in common.
     """
-    given = _given(results, ground_truth, min_visible, tolerance_s, landmarks, sonar)
-    return _in_memory(_gathered(given, (survey(r, whole=True) for r in given.readings)), given)
+    options = ScoringOptions(min_visible, tolerance_s, landmarks, sonar)
+    return evaluate_whole(results, ground_truth, options)
 
 
-def evaluate_pairs(
-    pairs: Sequence[Pair],
-    *,
-    min_visible: float = 0.9,
-    tolerance_s: float | None = None,
-    landmarks: str | None = None,
-    sonar: Sonar | None = None,
+def evaluate_whole(
+    results: str | Path | Sequence[Pair],
+    ground_truth: str | Path | None = None,
+    options: ScoringOptions = DEFAULT,
 ) -> Evaluation:
-    """Score several logs, each with a truth of its own, and pool them; see `evaluate`.
+    """As `evaluate`. results: or pairs, logs each with a truth of its own, to be pooled.
 
     Logs of equal name are told apart by their folders as given.
     """
-    given = _of_pairs(pairs, min_visible, tolerance_s, landmarks, sonar)
-    return _in_memory(_gathered(given, (survey(r, whole=True) for r in given.readings)), given)
+    given = _given(results, ground_truth, options)
+    found = _gathered(given, (survey(r, whole=True) for r in given.readings))
+    cases = []
+    for i, name in zip(found.used, found.names, strict=True):
+        case = found.logs[i].case
+        assert case is not None
+        cases.append(replace(case, log=replace(case.log, name=name)))
+    return pool(cases, options.min_visible, found.notes, found.unused)
 
 
 def evaluate_many(
     results: str | Path | Sequence[Pair],
     ground_truth: str | Path | None = None,
+    options: ScoringOptions = DEFAULT,
     *,
     jobs: int | None = None,
-    min_visible: float = 0.9,
-    tolerance_s: float | None = None,
-    landmarks: str | None = None,
-    sonar: Sonar | None = None,
     elsewhere: Elsewhere | None = None,
 ) -> Pooled:
-    """As `evaluate`, or `evaluate_pairs` where results is pairs, but each log is read, counted and
-    let go: memory does not grow with the logs.
+    """As `evaluate_whole`, but each log is read, counted and let go: memory does not grow with the
+    logs.
 
     jobs: processes side by side, as `survey.each`; the result is the same however many.
     elsewhere: finds truth beside logs on servers, as for `pairs.found_beside`.
     """
-    options = min_visible, tolerance_s, landmarks, sonar
-    if isinstance(results, str | Path):
-        given = _given(results, ground_truth, *options, elsewhere)
-    else:
-        given = _of_pairs(results, *options)
+    given = _given(results, ground_truth, options, elsewhere)
     parts = Parts()
     numbers: dict[int, int] = {}
 
@@ -135,7 +132,7 @@ def evaluate_many(
             yield replace(one, part=None)
 
     found = _gathered(given, counted())
-    result = pooled(parts, [numbers[i] for i in found.used], found.names, min_visible)
+    result = pooled(parts, [numbers[i] for i in found.used], found.names, options.min_visible)
     logs = [found.logs[i] for i in found.used]
     facts = result.methods, result.placed, result.estimates, result.ids, result.positives
     notes = [*found.notes, *_notes(_told(logs, found.names), *facts)]
@@ -161,53 +158,24 @@ class _Given:
 
 
 def _given(
-    results: str | Path,
+    results: str | Path | Sequence[Pair],
     ground_truth: str | Path | None,
-    min_visible: float,
-    tolerance_s: float | None,
-    landmarks: str | None,
-    sonar: Sonar | None,
+    options: ScoringOptions,
     elsewhere: Elsewhere | None = None,
 ) -> _Given:
-    results = Path(results)
-    check_options(min_visible, tolerance_s)
-    folders = find_logs(results)
-    options: dict[str, Any] = {
-        "min_visible": min_visible,
-        "tolerance_s": tolerance_s,
-        "landmarks": landmarks,
-        "sonar": sonar,
-    }
+    options.check()
+    if not isinstance(results, str | Path):
+        if not results:
+            raise SonarrecError("no pair of results and ground truth to score")
+        return _Given([Reading(p.results, p.ground_truth, options, p.log) for p in results], [], [])
+    folders = find_logs(Path(results))
     if ground_truth is None:  # each log with the truth that lies beside it
         pairs, without = found_beside(folders, elsewhere)
-        readings = [Reading(p.results, p.ground_truth, **options) for p in pairs]
+        readings = [Reading(p.results, p.ground_truth, options) for p in pairs]
         return _Given(readings, list(map(found_where, pairs)), without)
     path = Path(ground_truth)
-    readings = [Reading(folder, path, **options) for folder in folders]
-    return _Given(readings, [], [], read_truth(path), results)
-
-
-def _of_pairs(
-    pairs: Sequence[Pair],
-    min_visible: float,
-    tolerance_s: float | None,
-    landmarks: str | None,
-    sonar: Sonar | None,
-) -> _Given:
-    check_options(min_visible, tolerance_s)
-    if not pairs:
-        raise SonarrecError("no pair of results and ground truth to score")
-    return _Given(
-        [
-            Reading(
-                *(pair.results, pair.ground_truth, pair.log, None),
-                *(min_visible, tolerance_s, landmarks, sonar),
-            )
-            for pair in pairs
-        ],
-        [],
-        [],
-    )
+    readings = [Reading(folder, path, options) for folder in folders]
+    return _Given(readings, [], [], read_truth(path), Path(results))
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,23 +237,6 @@ def _gathered(given: _Given, surveyed: Iterable[Surveyed]) -> _Gathered:
         [*given.notes, *once.notes, *found.notes],
         [*given.unused, *found.unused, *lost, *once.unused],
     )
-
-
-def _in_memory(found: _Gathered, given: _Given) -> Evaluation:
-    cases = []
-    for i, name in zip(found.used, found.names, strict=True):
-        case = found.logs[i].case
-        assert case is not None
-        cases.append(replace(case, log=replace(case.log, name=name)))
-    return pool(cases, given.readings[0].min_visible, found.notes, found.unused)
-
-
-def check_options(min_visible: float, tolerance_s: float | None) -> None:
-    """Raises UsageError where one of them cannot be meant."""
-    if not 0 <= min_visible <= 1:
-        raise UsageError(f"--min-visible is a share of the disc, 0 to 1, not {min_visible:g}")
-    if tolerance_s is not None and not 0 <= tolerance_s < math.inf:
-        raise UsageError(f"--tolerance is a time in seconds, 0 or more, not {tolerance_s:g}")
 
 
 def pool(

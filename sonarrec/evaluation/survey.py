@@ -17,12 +17,12 @@ from sonarrec.batch.cores import cores
 from sonarrec.evaluation.counting.parts import Part, part_of
 from sonarrec.evaluation.matching.fit import Checked, Matched, checked, matched
 from sonarrec.evaluation.matching.joined import join
+from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import one_log
 from sonarrec.evaluation.matching.same import Recording, recording
 from sonarrec.records import SonarrecError
 from sonarrec.results.folders import estimates_of
 from sonarrec.results.read import read_log
-from sonarrec.sonar import Sonar
 from sonarrec.truth.table import TruthTable, read_truth
 
 WORTH_BYTES = 4_000_000
@@ -35,14 +35,11 @@ class Reading:
 
     folder: Path
     ground_truth: Path
+    options: ScoringOptions
     log: str | None = None
     """Its name, where the folder's own is not wanted."""
     ids: tuple[int, ...] | None = None
     """The order that its IDs are wanted in; default, that of its landmark set."""
-    min_visible: float = 0.9
-    tolerance_s: float | None = None
-    landmarks: str | None = None
-    sonar: Sonar | None = None
 
     @property
     def folders(self) -> tuple[Path, ...]:
@@ -75,19 +72,20 @@ def survey(reading: Reading, *, whole: bool = False) -> Surveyed:
     Raises SonarrecError where the log or its truth cannot be read.
     """
     table = truth_table(reading.ground_truth)
-    log = read_log(one_log(reading.folder), reading.landmarks, reading.sonar)
+    options = reading.options
+    log = read_log(one_log(reading.folder), options.landmarks, options.sonar)
     log = log if reading.log is None else replace(log, name=reading.log)
     case: Matched | None = None
     found: Checked | None = None
     error: SonarrecError | None = None
     try:
-        case = matched(reading.folder, table, log, reading.tolerance_s)
+        case = matched(reading.folder, table, log, options.tolerance_s)
         found = checked(case)
     except SonarrecError as fault:  # of a log that counts already it does not matter
         error = fault
     part = None
     if case is not None and found is not None and found.fault is None and not whole:
-        part = part_of(join([log], [case.truth], reading.min_visible, reading.ids))
+        part = part_of(join([log], [case.truth], options.min_visible, reading.ids))
     return Surveyed(
         folder=reading.folder,
         name=log.name,

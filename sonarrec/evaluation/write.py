@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -18,7 +17,7 @@ from sonarrec.evaluation.counting.reliability import BINS
 from sonarrec.evaluation.counting.uncertainty import Difference, Figure
 from sonarrec.evaluation.plots import draw_det, draw_reliability, draw_roc, draw_roc_by_id
 from sonarrec.evaluation.summary import Summary
-from sonarrec.files.outputs import check_output
+from sonarrec.files.outputs import check_output, write_csv
 from sonarrec.records import SonarrecError
 
 COUNTS = ("tpr", "fpr", "tp", "tn", "fp", "fn", "total")
@@ -114,13 +113,11 @@ def _check_tables(folder: Path, headers: Mapping[str, Sequence[str]]) -> None:
 
 def write_table(path: Path, header: tuple[str, ...], rows: Iterable[tuple[Any, ...]]) -> None:
     """A CSV file; NaN is an empty cell."""
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        for row in rows:
-            writer.writerow(
-                "" if isinstance(cell, float) and math.isnan(cell) else cell for cell in row
-            )
+    known = (
+        ["" if isinstance(cell, float) and math.isnan(cell) else cell for cell in row]
+        for row in rows
+    )
+    write_csv(path, header, known)
 
 
 def _cells(scored: PooledScored) -> list[tuple[str, Count]]:
@@ -154,15 +151,8 @@ def _roc(evaluation: Pooled) -> Iterable[tuple[Any, ...]]:
         for name, k in [*which, ("total", None)]:
             curve = s.curve(k)
             at = curve.turns()
-            columns = (
-                curve.threshold,
-                curve.tpr,
-                curve.fpr,
-                curve.tp,
-                curve.tn,
-                curve.fp,
-                curve.fn,
-            )
+            rates = curve.threshold, curve.tpr, curve.fpr
+            columns = *rates, curve.tp, curve.tn, curve.fp, curve.fn
             for row in zip(*(column[at].tolist() for column in columns), strict=True):
                 yield s.protocol, s.method, name, *row
         fpr, tpr = macro_curve(s.curve(k) for k in range(len(s.ids)))

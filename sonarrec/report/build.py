@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from sonarrec.evaluation.evaluate import Evaluation, evaluate, evaluate_many, evaluate_pairs
+from sonarrec.evaluation.evaluate import DEFAULT, Evaluation, evaluate_many, evaluate_whole
+from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import Pair, read_pairs
-from sonarrec.files.outputs import check_output
-from sonarrec.records import SonarrecError
+from sonarrec.files.outputs import check_output, write_page
 from sonarrec.report import frames
 from sonarrec.report.logs import ReportedLog, Seen, read_logs, seen, told_false
 from sonarrec.report.mistakes import Episode, episodes, told
@@ -48,31 +47,20 @@ def write_report(
     ground_truth: Path | None = None,
     pairs: Path | None = None,
     recordings: Sequence[Path] = (),
-    min_visible: float = 0.9,
-    tolerance_s: float | None = None,
-    landmarks: str | None = None,
-    sonar: Sonar | None = None,
+    options: ScoringOptions = DEFAULT,
     topic: str | None = None,
     method: str | None = None,
 ) -> Report:
     """Write the report on a results folder (of one log or of several) to `path`.
 
-    pairs: in place of results and ground_truth, a table of them as for `evaluate_pairs`.
+    pairs: in place of results and ground_truth, a table of them.
     recordings: the logs that the results came from, or folders with such logs, told apart by
-    their names; without them the page has no frames. The other arguments are those of
-    `evaluation.evaluate.evaluate`; topic chooses the channel of an MCAP recording, where run.toml
-    does not tell it; method is the one whose sightings and tracks are shown, as in
-    `logs.read_logs`.
+    their names; without them the page has no frames. options: as of
+    `evaluation.evaluate.evaluate_whole`. topic: chooses the channel of an MCAP recording, where
+    run.toml does not tell it. method: whose sightings and tracks are shown, as in `logs.read_logs`.
     Raises SonarrecError where files cannot be used, read or written.
     """
     check_output(path, "report", [ground_truth, pairs, *recordings])
-    sonar = sonar or Sonar()
-    scoring: dict[str, Any] = {
-        "min_visible": min_visible,
-        "tolerance_s": tolerance_s,
-        "landmarks": landmarks,
-        "sonar": sonar,
-    }
     rows = [] if pairs is None else read_pairs(pairs)
     if pairs is None:
         assert results is not None
@@ -85,32 +73,28 @@ def write_report(
     if in_all > MOST_LOGS:  # read one at a time; only some are shown
         if rows:
             given = rows if results is None else results
-            pooled = evaluate_many(given, ground_truth, **scoring)
+            pooled = evaluate_many(given, ground_truth, options)
         stand = standing(folders, pooled, results, method)
         numbers = chosen(folders, stand)
         folders = [folders[i] for i in numbers]
         rows = [rows[i] for i in numbers] if rows else rows
     evaluation: Evaluation | None = None
     if pairs is not None or (in_all > MOST_LOGS and rows):
-        evaluation = evaluate_pairs(rows, **scoring)
+        evaluation = evaluate_whole(rows, None, options)
     elif ground_truth is not None:
         assert results is not None
-        evaluation = evaluate(results, ground_truth, **scoring)
-    logs = _with_panels(folders, rows, evaluation, scoring, method)
+        evaluation = evaluate_whole(results, ground_truth, options)
+    logs = _with_panels(folders, rows, evaluation, options, method)
     wrong = {}
     if evaluation is not None:
         wrong = {method: episodes(evaluation, method) for method in evaluation.joined.methods}
-    drawn, missing = _draw_all(logs, evaluation, wrong, recordings, sonar, topic)
+    drawn, missing = _draw_all(logs, evaluation, wrong, recordings, options.sonar or Sonar(), topic)
     pooled = pooled or (None if evaluation is None else evaluation.pooled())
     unused = pooled.unused if pooled is not None else tuple(_left_out(logs))
     unused = (*unused, *missing)
     many = Many(in_all, stand)
     page = render(logs, evaluation, pooled, wrong, pairs or ground_truth, drawn, unused, many)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise SonarrecError(f"{path}: cannot be written ({error.strerror})") from None
+    write_page(path, page)
     return Report(path, len(drawn.pictures), sum(len(s.frames) for s in drawn.shown), unused)
 
 
@@ -118,14 +102,14 @@ def _with_panels(
     folders: Sequence[Path],
     rows: Sequence[Pair],
     evaluation: Evaluation | None,
-    scoring: dict[str, Any],
+    options: ScoringOptions,
     method: str | None,
 ) -> list[ReportedLog]:
     """The logs that have panels. rows: the truth of each, where it is known."""
     tables = {file: read_truth(file) for file in {row.ground_truth for row in rows}}
     truths = [tables[row.ground_truth] for row in rows] if rows else [None] * len(folders)
     names = [row.log for row in rows] or [None] * len(folders)
-    logs = read_logs(folders, truths, names, **scoring, method=method)
+    logs = read_logs(folders, truths, names, options, method)
     if evaluation is None:
         return logs
     # It tells equal names apart, and counts copies of a log once.

@@ -17,7 +17,8 @@ from sonarrec.evaluation.compare.compare import (
 )
 from sonarrec.evaluation.counting.uncertainty import LEVEL, MIN_UNITS, Difference
 from sonarrec.evaluation.metrics import BY_NAME, MAIN
-from sonarrec.records import SonarrecError, shown
+from sonarrec.files.outputs import write_page
+from sonarrec.records import shown
 from sonarrec.report.templates import filled
 
 MOST = 10
@@ -74,12 +75,7 @@ class Ranked:
 
 def write_comparison_page(path: Path, found: Comparison) -> None:
     """Write the page. Raises SonarrecError where it cannot be written."""
-    page = render(found)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise SonarrecError(f"{path}: cannot be written ({error.strerror})") from None
+    write_page(path, render(found))
 
 
 def render(found: Comparison) -> str:

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.evaluation.matching.joined import join, nearest_truth
+from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.records import BoolArray, FloatArray, IntArray, SonarrecError, UsageError
 from sonarrec.results.read import LogResults, read_log
 from sonarrec.results.run_file import RunFile, read_run
 from sonarrec.results.sightings import Sighting, follows
 from sonarrec.results.sightings_file import read_sightings
-from sonarrec.sonar import Sonar
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import TruthTable
 
@@ -79,11 +79,7 @@ def read_logs(
     folders: Sequence[Path],
     truths: Sequence[TruthTable | None],
     names: Sequence[str | None],
-    *,
-    min_visible: float,
-    tolerance_s: float | None,
-    landmarks: str | None,
-    sonar: Sonar,
+    options: ScoringOptions,
     method: str | None,
 ) -> list[ReportedLog]:
     """Read the results of each log, with the truth that goes with it.
@@ -95,12 +91,13 @@ def read_logs(
     """
     logs = []
     for folder, truth, name in zip(folders, truths, names, strict=True):
-        found = read_log(folder, landmarks, sonar)
+        found = read_log(folder, options.landmarks, options.sonar)
         found = found if name is None else replace(found, name=name)
-        matched = None if truth is None else match_truth(truth, found, tolerance_s)
+        matched = None if truth is None else match_truth(truth, found, options.tolerance_s)
         follow = method or follows_by_default(found.methods)
-        passes = [s for s in read_sightings(folder, landmarks, sonar) if s.method == follow]
-        logs.append(_reported(folder, found, matched, min_visible, follow, passes))
+        every = read_sightings(folder, options.landmarks, options.sonar)
+        passes = [s for s in every if s.method == follow]
+        logs.append(_reported(folder, found, matched, options.min_visible, follow, passes))
     for log in logs:
         if log.results.landmarks.ids != logs[0].results.landmarks.ids:
             raise SonarrecError(

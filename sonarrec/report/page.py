@@ -274,9 +274,7 @@ def _scores(
     return Scores(
         protocols=protocols,
         rates=cells.rates(found, summary),
-        rates_per_log=sorted(per_log, key=_mistakes_of)[:MOST_RATES]
-        if len(per_log) > MOST_RATES
-        else per_log,
+        rates_per_log=per_log,
         units=f"{summary.units.count} {UNITS[summary.units.kind]}",
         level=f"{LEVEL:.0%}",
         others=cells.figures(summary, protocols[0], methods, beside=cells.HEADLINE),

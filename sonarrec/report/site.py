@@ -20,7 +20,8 @@ from sonarrec.config import Config
 from sonarrec.drawing.results import Mark, draw_frame
 from sonarrec.evaluation.by_range import Rate, Recognised, recognised
 from sonarrec.evaluation.counting.uncertainty import LEVEL, MIN_UNITS
-from sonarrec.evaluation.evaluate import evaluate_pairs
+from sonarrec.evaluation.evaluate import evaluate_whole
+from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import Pair
 from sonarrec.geometry import STEEPEST, floor_depth
 from sonarrec.landmarks import LandmarkSet
@@ -232,7 +233,8 @@ def _scored(background: Background, pairs: dict[float, list[Pair]]) -> list[AtCo
     edges = np.linspace(nearest, fan.range_max_m, RANGE_STEPS + 1).tolist()
     found = []
     for db, rows in pairs.items():
-        one = recognised(evaluate_pairs(rows, min_visible=MIN_VISIBLE), FRAMEWORK, edges)
+        scored = evaluate_whole(rows, options=ScoringOptions(min_visible=MIN_VISIBLE))
+        one = recognised(scored, FRAMEWORK, edges)
         near = far = math.nan
         for each in (r for r in one.by_range if r.tpr.cases):
             if each.tpr.value < ENOUGH:
@@ -384,16 +386,12 @@ def _rounded(value: float | None) -> float | None:
 
 def as_document(site: Site) -> dict[str, Any]:
     """All figures and what they rest on, as plain values."""
+    stated = (
+        *("log", "frames", "landmarks", "radius_m", "plate_db", "beam_width_deg"),
+        *("dynamic_range_db", "preset", "seed"),
+    )
     return {
-        "log": site.log,
-        "frames": site.frames,
-        "landmarks": site.landmarks,
-        "radius_m": site.radius_m,
-        "plate_db": site.plate_db,
-        "beam_width_deg": site.beam_width_deg,
-        "dynamic_range_db": site.dynamic_range_db,
-        "preset": site.preset,
-        "seed": site.seed,
+        **{name: getattr(site, name) for name in stated},
         "layouts": [{"seed": one.seed, "landmarks": one.landmarks} for one in site.layouts],
         "claims_per_100_as_it_is": round(site.empty, 4),
         "summary": list(site.sentences),

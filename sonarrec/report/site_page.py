@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from sonarrec import __version__
+from sonarrec.evaluation import cells
 from sonarrec.evaluation.by_range import Rate
 from sonarrec.evaluation.cells import Cell
 from sonarrec.evaluation.counting.uncertainty import LEVEL, MIN_UNITS
@@ -66,11 +66,7 @@ def render(site: Site) -> str:
 
 
 def _cell(rate: Rate, digits: int) -> Cell:
-    if math.isnan(rate.value):
-        return Cell("-")
-    if math.isnan(rate.low):
-        return Cell(f"{rate.value:.{digits}f}")
-    return Cell(f"{rate.value:.{digits}f}", f"{rate.low:.{digits}f}", f"{rate.high:.{digits}f}")
+    return cells.cell(rate.value, rate.low, rate.high, digits)
 
 
 def _row(one: AtContrast) -> Row:

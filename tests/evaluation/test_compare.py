@@ -12,7 +12,7 @@ from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
 from sonarrec.evaluation.compare.compare import compare
-from sonarrec.evaluation.evaluate import evaluate, evaluate_pairs
+from sonarrec.evaluation.evaluate import evaluate, evaluate_whole
 from sonarrec.evaluation.matching.pairs import Pair, read_pairs
 from sonarrec.records import SonarrecError
 from tests.evaluation.test_evaluation import (
@@ -285,7 +285,7 @@ def test_pairs_are_pooled(tmp_path: Path) -> None:
         [(f"{n}/out", f"{n}/gt.csv", n) for n in ("one", "two")],
     )
     pairs = read_pairs(tmp_path / "pairs.csv")
-    pooled = evaluate_pairs(pairs)
+    pooled = evaluate_whole(pairs)
     assert pooled.joined.logs == ("one", "two")
     for protocol in ("paper", "strict"):
         parts = [scored(one, protocol) for one in alone]
@@ -299,7 +299,7 @@ def test_pairs_are_pooled(tmp_path: Path) -> None:
     with (tmp_path / "evaluation" / "per_log.csv").open() as file:
         assert {r["log"] for r in csv.DictReader(file)} == {"one", "two"}
     # Without names both are called "out", and told apart by their folders.
-    unnamed = evaluate_pairs([Pair(p.results, p.ground_truth) for p in pairs])
+    unnamed = evaluate_whole([Pair(p.results, p.ground_truth) for p in pairs])
     assert unnamed.joined.logs == tuple(str(p.results) for p in pairs)
 
 
@@ -307,11 +307,11 @@ def test_pairs_take_the_rows_of_their_log(tmp_path: Path) -> None:
     results, _ = write_case(tmp_path, FRAMES, claims({5, 6}), [])
     rows = [("x", *row) for row in TRUTH] + [("y", 0, 2, 2.0, 0.0, 1.0)]
     write_csv(tmp_path / "both.csv", ("log", *TRUTH_HEADER), rows)
-    found = evaluate_pairs([Pair(results, tmp_path / "both.csv", "x")])
+    found = evaluate_whole([Pair(results, tmp_path / "both.csv", "x")])
     assert scored(found, "strict").count().fn == 18
     assert found.unused == ()
     with pytest.raises(SonarrecError, match="its log column names none of out"):
-        evaluate_pairs([Pair(results, tmp_path / "both.csv")])
+        evaluate_whole([Pair(results, tmp_path / "both.csv")])
 
 
 def test_a_pair_is_one_log(tmp_path: Path) -> None:
@@ -323,13 +323,13 @@ def test_a_pair_is_one_log(tmp_path: Path) -> None:
     for name in ("a", "b"):
         (tmp_path / f"root_{name}").rename(root / name)
     with pytest.raises(SonarrecError, match="holds 2 logs; give each a row of its own"):
-        evaluate_pairs([Pair(root, tmp_path / "a" / "gt.csv")])
+        evaluate_whole([Pair(root, tmp_path / "a" / "gt.csv")])
     with pytest.raises(SonarrecError, match="no pair"):
-        evaluate_pairs([])
+        evaluate_whole([])
 
 
 def test_a_method_missing_from_one_log_is_said(tmp_path: Path) -> None:
     one, gt = write_case(tmp_path / "a", FRAMES, claims({5}) + claims({6}, method="n"), TRUTH)
     two, _ = write_case(tmp_path / "b", FRAMES, claims({5}), TRUTH)
-    found = evaluate_pairs([Pair(one, gt, "a"), Pair(two, gt, "b")])
+    found = evaluate_whole([Pair(one, gt, "a"), Pair(two, gt, "b")])
     assert "b: holds nothing of n, which counts as no claim" in found.notes

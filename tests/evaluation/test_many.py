@@ -20,7 +20,7 @@ from sonarrec.evaluation.counting import store
 from sonarrec.evaluation.counting.passes import UnitKind
 from sonarrec.evaluation.counting.pooled import Pooled
 from sonarrec.evaluation.counting.store import Store, ranked, summed
-from sonarrec.evaluation.evaluate import Evaluation, evaluate_many, evaluate_pairs
+from sonarrec.evaluation.evaluate import Evaluation, evaluate_many, evaluate_whole
 from sonarrec.evaluation.matching.pairs import Pair, read_pairs
 from sonarrec.evaluation.summary import summarise
 from sonarrec.evaluation.write import write_evaluation
@@ -56,13 +56,13 @@ def files(folder: Path) -> dict[str, bytes]:
 def test_all_at_once_or_one_at_a_time_is_the_same(
     tmp_path: Path, pairs: Path, unit: UnitKind, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """All logs on one axis of frames, as `evaluate_pairs` joins them, are the independent way."""
+    """All logs on one axis of frames, as `evaluate_whole` joins them, are the independent way."""
     rows = read_pairs(pairs)
 
     def write(name: str, found: Evaluation | Pooled) -> None:
         write_evaluation(tmp_path / name, found, summarise(found, unit), det=True)
 
-    write("whole", evaluate_pairs(rows).pooled())
+    write("whole", evaluate_whole(rows).pooled())
     write("each", evaluate_many(rows))
     monkeypatch.setattr(store, "IN_MEMORY", 1)
     monkeypatch.setattr(store, "AT_ONCE", 100)
@@ -157,7 +157,7 @@ def test_a_log_without_any_estimate_counts_as_nothing_claimed(tmp_path: Path) ->
     for name, last in (("a", 20), ("b", 0)):
         claims = [(f, "m", 2.0, 0.0, 1, 0.9, 1) for f in range(5, last)]
         pairs.append(Pair(*write_case(tmp_path / name, range(40), claims, truth), name))
-    for name, found in (("w", evaluate_pairs(pairs).pooled()), ("e", evaluate_many(pairs))):
+    for name, found in (("w", evaluate_whole(pairs).pooled()), ("e", evaluate_many(pairs))):
         write_evaluation(tmp_path / name, found, summarise(found))
         assert found.scored[0].count().fn == 5 + 20
     assert files(tmp_path / "e") == files(tmp_path / "w")
@@ -187,7 +187,7 @@ def test_ids_in_another_order_are_put_in_that_of_the_first(tmp_path: Path) -> No
         ring = 'name = "x"\nradius_m = 0.15\nring = [0.8, 1.0]\nsymbol = [0.0, 0.62]\n'
         run.write_text(run.read_text() + "[landmarks]\n" + ring + "".join(of))
     rows = read_pairs(pairs)
-    whole, each = evaluate_pairs(rows).pooled(), evaluate_many(rows)
+    whole, each = evaluate_whole(rows).pooled(), evaluate_many(rows)
     assert each.ids == (1, 2, 3, 4)
     write_evaluation(tmp_path / "a", whole, summarise(whole))
     write_evaluation(tmp_path / "b", each, summarise(each))

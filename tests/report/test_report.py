@@ -27,6 +27,7 @@ from sonarrec.drawing.pen import landmark_colours
 from sonarrec.evaluation.counting.reliability import Reliability
 from sonarrec.evaluation.counting.scoring import PROTOCOLS, score
 from sonarrec.evaluation.evaluate import evaluate
+from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.summary import summarise
 from sonarrec.landmarks import load_landmarks
 from sonarrec.report import charts, frames
@@ -605,10 +606,7 @@ def reported(folder: Path, truth: Path | None = None) -> ReportedLog:
         [folder],
         [read_truth(truth or folder / "gt.csv")],
         [None],
-        min_visible=0.9,
-        tolerance_s=None,
-        landmarks=None,
-        sonar=Sonar(),
+        ScoringOptions(sonar=Sonar()),
         method=None,
     )[0]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from sonarrec.evaluation.evaluate import evaluate_pairs
+from sonarrec.evaluation.evaluate import evaluate_whole
 from sonarrec.evaluation.matching.pairs import Pair, read_pairs
 from sonarrec.files.tables import read_table
 from sonarrec.landmarks import load_landmarks
@@ -114,7 +114,7 @@ def test_one_result_is_not_several_logs(tmp_path: Path, again: str) -> None:
     else:
         second = first / ".." / "out"
     pairs = [Pair(folder, tmp_path / "gt.csv", str(n)) for n, folder in enumerate((first, second))]
-    found = evaluate_pairs(pairs)
+    found = evaluate_whole(pairs)
     assert found.joined.logs == ("0",)
     assert found.unused == ()
     assert any(f"{second}: the same log as {first} (by its tables)" in n for n in found.notes)

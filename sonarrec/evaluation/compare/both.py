@@ -12,10 +12,10 @@ from sonarrec.evaluation.compare.changes import ByMethod, changed_frames
 from sonarrec.evaluation.counting.parts import Part, part_of, score_all
 from sonarrec.evaluation.matching.fit import Checked, checked, cut_short, matched
 from sonarrec.evaluation.matching.joined import join
+from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.survey import truth_table
 from sonarrec.records import SonarrecError
 from sonarrec.results.read import LogResults, read_log
-from sonarrec.sonar import Sonar
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,10 +28,7 @@ class BothReading:
     ground_truth: Path
     name: str
     """Of the log, as it is told, and as the log column of the truth has it."""
-    min_visible: float
-    tolerance_s: float | None
-    landmarks: str | None
-    sonar: Sonar | None
+    options: ScoringOptions
     ids: tuple[int, ...] | None = None
     """As of `survey.Reading`."""
 
@@ -60,9 +57,9 @@ def count_both(reading: BothReading) -> BothCounted:
 
     Raises SonarrecError where one of them or the truth cannot be read, or they share no frame.
     """
-    was, now = reading.folders
+    (was, now), options = reading.folders, reading.options
     table = truth_table(reading.ground_truth)
-    old, new = (read_log(f, reading.landmarks, reading.sonar) for f in reading.folders)
+    old, new = (read_log(f, options.landmarks, options.sonar) for f in reading.folders)
     common = np.intersect1d(old.frame, new.frame)
     if not len(common):
         raise SonarrecError(f"{new.name}: {was} and {now} have no frame in common")
@@ -72,14 +69,14 @@ def count_both(reading: BothReading) -> BothCounted:
         unused += [f"{log.name}: {alone} frames are in {side} only; not compared"] * bool(alone)
         unused += cut_short(log)
     old, new = (_only(replace(log, name=reading.name), common) for log in (old, new))
-    case = matched(now, table, new, reading.tolerance_s)
+    case = matched(now, table, new, options.tolerance_s)
     found = checked(case)
     told = reading.name, new.landmarks.ids, found, unused
     if found.fault is not None:
         return BothCounted(*told, None, {})
     sides = []
     for log in (old, new):
-        joined = join([log], [case.truth], reading.min_visible, reading.ids)
+        joined = join([log], [case.truth], options.min_visible, reading.ids)
         sides.append((joined, score_all(joined)))
     before, after = (part_of(*side, rates_only=True) for side in sides)
     return BothCounted(*told, (before, after), changed_frames(*sides))

@@ -26,14 +26,14 @@ from sonarrec.evaluation.counting.uncertainty import (
     coin_tosses,
     differences,
 )
-from sonarrec.evaluation.evaluate import check_options, other_ids
+from sonarrec.evaluation.evaluate import DEFAULT, other_ids
 from sonarrec.evaluation.matching.fit import fit
+from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import Elsewhere, Pair
 from sonarrec.evaluation.metrics import BY_NAME, MAIN
 from sonarrec.evaluation.summary import UNITS
 from sonarrec.evaluation.survey import each
 from sonarrec.records import SonarrecError, printable
-from sonarrec.sonar import Sonar
 
 FRAMES_FREE = 2
 """Frames that may turn worse whatever the band: two of 24 are no trend, though they are .083."""
@@ -157,12 +157,9 @@ def compare(
     old: Path,
     new: Path,
     ground_truth: Path | Sequence[Pair] | None = None,
+    options: ScoringOptions = DEFAULT,
     *,
     jobs: int | None = None,
-    min_visible: float = 0.9,
-    tolerance_s: float | None = None,
-    landmarks: str | None = None,
-    sonar: Sonar | None = None,
     elsewhere: Elsewhere | None = None,
 ) -> Comparison:
     """Compare two results folders, each of one log or of several, on the frames both hold.
@@ -170,17 +167,16 @@ def compare(
     Each log is read, counted and let go: memory does not grow with the logs.
 
     Logs go together by name or SHA-256, or where each side has one log. ground_truth: one table,
-    or pairs, of which each log takes that of its results; None: the truth beside each log. The
-    other arguments are those of `evaluate.evaluate`. Raises SonarrecError where files cannot be
+    or pairs, of which each log takes that of its results; None: the truth beside each log. jobs,
+    elsewhere: as of `evaluate.evaluate_many`. Raises SonarrecError where files cannot be
     used, logs differ or nothing is in common.
     """
-    check_options(min_visible, tolerance_s)
-    sides = both_sides(old, new, ground_truth, landmarks, elsewhere)
-    options = min_visible, tolerance_s, landmarks, sonar
+    options.check()
+    sides = both_sides(old, new, ground_truth, options.landmarks, elsewhere)
     readings = [
-        BothReading(one.was, one.now, one.ground_truth, one.name, *options) for one in sides.logs
+        BothReading(one.was, one.now, one.ground_truth, one.name, options) for one in sides.logs
     ]
-    both = _counted(readings, jobs, min_visible)
+    both = _counted(readings, jobs, options.min_visible)
     notes = [*dict.fromkeys(sides.notes), *both.notes]
     unused = [*dict.fromkeys([*sides.unused, *both.cut]), *both.unused]
     return _compared(

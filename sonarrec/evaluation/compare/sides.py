@@ -85,10 +85,7 @@ def _name(folder: Path) -> str:
 
 
 def _recording(folder: Path, landmarks: str | None) -> Recording:
-    source = _run(folder).input
-    if source.sha256:
-        return source.sha256, source.topic
-    return recording(folder, read_log(folder, landmarks))
+    return _run(folder).input.recording or recording(folder, read_log(folder, landmarks))
 
 
 def _checked(pair: Both, landmarks: str | None) -> list[str]:
@@ -119,11 +116,11 @@ def _pair_up(old: Path, new: Path) -> tuple[list[Both], list[str]]:
     of_digest: dict[tuple[str, str | None], list[Path]] = {}
     for was in before:
         of_name.setdefault(_name(was), []).append(was)
-        if (digest := _sha256(was)) is not None:
+        if (digest := _run(was).input.recording) is not None:
             of_digest.setdefault(digest, []).append(was)
     pairs = []
     for now in after:
-        digest = _sha256(now)
+        digest = _run(now).input.recording
         same = [] if digest is None else of_digest.get(digest, [])
         named = of_name.get(_name(now), [])
         chosen = next((was for was in named if was in same), None)
@@ -140,12 +137,6 @@ def _pair_up(old: Path, new: Path) -> tuple[list[Both], list[str]]:
         if folder not in used
     ]
     return pairs, alone
-
-
-def _sha256(folder: Path) -> tuple[str, str | None] | None:
-    """Of the recording, with its topic; None where run.toml does not say."""
-    source = _run(folder).input
-    return (source.sha256, source.topic) if source.sha256 else None
 
 
 def _with_truth(

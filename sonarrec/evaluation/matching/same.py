@@ -59,9 +59,8 @@ def counted_once(
 def recording(folder: Path, log: LogResults) -> Recording:
     """What tells one recording from another: SHA-256 and topic; where run.toml does not tell them,
     what the tables hold, for a link, or a copy, has the same."""
-    source = log.run.input
-    if source.sha256:
-        return source.sha256, source.topic
+    if log.run.input.recording:
+        return log.run.input.recording
     # Two logs in which nothing was found may be alike; run.toml tells one from the other.
     place = None if len(log.frame_index) or log.run.table else folder.resolve()
     return None, (_tables(folder), str(log.run.table), place)
