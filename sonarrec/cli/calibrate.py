@@ -10,13 +10,12 @@ from sonarrec.cli.bars import progress
 from sonarrec.cli.options import (
     LEARNING,
     NEW_FILE,
-    PARTLY,
     LogChoice,
     SettingsChoice,
     command,
+    end,
     ground_truth_option,
     landmarks_option,
-    leave,
     log_options,
     option,
     out_option,
@@ -90,5 +89,4 @@ def calibrate(
         for line in lesson.told():
             click.echo(line)
         click.echo(f"{out}: model, for `sonarrec run --model`")
-    if lesson.problems:
-        leave(PARTLY)
+    end(lesson.problems)

@@ -14,11 +14,10 @@ from sonarrec.cli.options import (
     FOLDER,
     INPUT,
     OUTPUT,
-    PARTLY,
     command,
+    end,
     geometry_options,
     landmarks_option,
-    leave,
     option,
     out_option,
     quiet_option,
@@ -119,8 +118,7 @@ def map_(
         click.echo(f"{out}: {logs}")
         for line in lines(site):
             click.echo(f"  {line}")
-    if site.problems:
-        leave(PARTLY)
+    end(site.problems)
 
 
 def _origin(text: str) -> Any:

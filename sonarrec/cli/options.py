@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial, wraps
@@ -423,6 +423,12 @@ def tell(problems: Iterable[str], notes: Iterable[str] = ()) -> None:
             click.echo(f"sonarrec: note: {note}", err=True)
         for problem in problems:
             click.echo(f"sonarrec: {problem}", err=True)
+
+
+def end(problems: Collection[object]) -> None:
+    """End a command that is done: with PARTLY where part of the input could not be used."""
+    if problems:
+        leave(PARTLY)
 
 
 def leave(code: int) -> NoReturn:

@@ -11,13 +11,12 @@ from sonarrec.cli.options import (
     ANY,
     NEW_FILE,
     OUTPUT,
-    PARTLY,
     LogChoice,
     command,
+    end,
     frames_option,
     ground_truth_option,
     landmarks_option,
-    leave,
     log_options,
     option,
     quiet_option,
@@ -115,5 +114,4 @@ def overlay(
     if not quiet:
         for target in filter(None, targets.values()):
             click.echo(f"{target}: {done.frames} frames, {done.method}")
-    if done.problems:
-        leave(PARTLY)
+    end(done.problems)

@@ -13,10 +13,9 @@ from sonarrec.cli.options import (
     FILE,
     INPUT,
     OUTPUT,
-    PARTLY,
     command,
+    end,
     ground_truth_option,
-    leave,
     option,
     out_option,
     quiet_option,
@@ -129,8 +128,7 @@ def report(
         tell(unused)
         if not quiet:
             click.echo(here.told(told))
-    if unused:
-        leave(PARTLY)
+    end(unused)
 
 
 def _report(

@@ -11,10 +11,9 @@ from sonarrec.cli.options import (
     ANY,
     INPUT,
     OUTPUT,
-    PARTLY,
     LogChoice,
     command,
-    leave,
+    end,
     log_options,
     option,
     out_option,
@@ -200,5 +199,4 @@ def _lay(
             click.echo(
                 f"{folder}: {len(background.path)} frames, {count} and {fakes} fakes at {db:g} dB"
             )
-    if background.problems:
-        leave(PARTLY)
+    end(background.problems)

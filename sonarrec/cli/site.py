@@ -13,12 +13,11 @@ from sonarrec.cli.options import (
     BACKGROUND,
     FOLDER,
     OUTPUT,
-    PARTLY,
     LogChoice,
     SettingsChoice,
     command,
+    end,
     frames_option,
-    leave,
     log_options,
     model_option,
     option,
@@ -119,8 +118,7 @@ def site(
     tell(background.problems, found.notes)
     if not quiet:
         click.echo("\n".join(_told(found, out / "site.html", layouts)))
-    if background.problems:
-        leave(PARTLY)
+    end(background.problems)
 
 
 def _told(found: Site, page: Path, layouts: int) -> Iterator[str]:

@@ -11,12 +11,11 @@ from sonarrec.cli.options import (
     FILE,
     NEW_FILE,
     OUTPUT,
-    PARTLY,
     SCORING,
     LogChoice,
     command,
+    end,
     landmarks_option,
-    leave,
     log_options,
     option,
     quiet_option,
@@ -103,5 +102,4 @@ def check(
         click.echo(f"{sheet}: contact sheet")
     elif not strips:
         click.echo("note: no row has a position on a frame of the log, so there is no sheet")
-    if checked.faults or checked.problems:
-        leave(PARTLY)
+    end(checked.faults or checked.problems)

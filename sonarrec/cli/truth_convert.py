@@ -11,11 +11,10 @@ from sonarrec.cli.options import (
     ANY,
     INPUT,
     NEW_FILE,
-    PARTLY,
     LogChoice,
     command,
+    end,
     landmarks_option,
-    leave,
     log_options,
     option,
     out_option,
@@ -117,5 +116,4 @@ def convert(
         click.echo(f"{out}: {sum(done.counts.values())} rows from {done.format} ({counts})")
     for line in done.notes:
         click.echo(f"note: {line}")
-    if done.unused:
-        leave(PARTLY)
+    end(done.unused)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -34,10 +33,7 @@ def open_log(
     or time cannot be meant.
     """
     source = find_log(path, up_to)
-    if topic is not None and not source.reader.has_topics:
-        raise UsageError(
-            f"{shown(path)}: --topic chooses a channel of an MCAP or a ROS bag; this is none"
-        )
+    source.check_topic(topic, path)
     if time not in get_args(Clock):
         raise UsageError(
             f"{shown(path)}: time is {time!r}, not one of {', '.join(get_args(Clock))}"
@@ -49,9 +45,7 @@ def open_log(
     file = None if sonar_file is None else Path(sonar_file)
     resolved, where = source.stated_sonar(sonar_from(sonar), file)
     raw = source.open(topic)
-    resolved = raw.told.sonar.updated(resolved)
-    if resolved.layout is None:
-        resolved = replace(resolved, layout="polar" if raw.polar else "fan")
+    resolved = raw.geometry(resolved)
     try:
         if not raw.polar:
             resolved.complete(where)

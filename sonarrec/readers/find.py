@@ -26,7 +26,7 @@ from sonarrec.readers.packed import PACKINGS, unpacked
 from sonarrec.readers.raw import RawLog
 from sonarrec.readers.recording import Recording
 from sonarrec.readers.video import VIDEO_SUFFIXES, VideoFrames
-from sonarrec.records import MissingError, SonarrecError, shown
+from sonarrec.records import MissingError, SonarrecError, UsageError, shown
 from sonarrec.sonar import Sonar, load_sonar
 
 SONAR_FILE = "sonar.toml"
@@ -121,6 +121,13 @@ class Source:
         """The file that belongs to the log, such as its sonar.toml; None without one."""
         at = self.path if self.path.exists() else self.files[0].parent  # a glob of images
         return companion(at, name, self.up_to)
+
+    def check_topic(self, topic: str | None, where: str | Path) -> None:
+        """Raises UsageError, which names the log as given, where none can be chosen."""
+        if topic is not None and not self.reader.has_topics:
+            raise UsageError(
+                f"{shown(where)}: --topic chooses a channel of an MCAP or a ROS bag; this is none"
+            )
 
     def open(self, topic: str | None = None) -> RawLog:
         """Open it. Raises SonarrecError where it cannot be read."""

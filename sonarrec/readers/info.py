@@ -203,10 +203,7 @@ def describe(
     topic that is not there.
     """
     source = find_log(path, up_to)
-    if topic is not None and not source.reader.has_topics:
-        raise UsageError(
-            f"{shown(path)}: --topic chooses a channel of an MCAP or a ROS bag; this is none"
-        )
+    source.check_topic(topic, path)
     flags = sonar or Sonar()
     stated, where = source.stated_sonar(flags, sonar_file)
     container: Container | None = None
@@ -281,9 +278,7 @@ def _images(
     faults of the file that reading it brought up.
     """
     raw = _Watched(source.open(topic), observe)
-    by_user, stated = stated, raw.told.sonar.updated(stated)
-    if stated.layout is None:
-        stated = replace(stated, layout="polar" if raw.polar else "fan")
+    by_user, stated = stated, raw.geometry(stated)
     lacks = [key for key in stated.missing() if key == "tilt_deg" or not raw.polar]
     complete = _with_stand_ins(stated, lacks)
     with Log(source.path, source.name, source.files, complete, raw, "log") as log:

@@ -77,6 +77,12 @@ class RawLog:
         self.faults: list[str] = []
         self.told = Told()
 
+    def geometry(self, stated: Sonar) -> Sonar:
+        """What is stated over what its headers tell, its layout as the frames have it."""
+        sonar = self.told.sonar.updated(stated)
+        usual = Sonar(layout="polar" if self.polar else "fan")
+        return sonar if sonar.layout else sonar.updated(usual)
+
     def __iter__(self) -> Iterator[RawFrame]:
         raise NotImplementedError
 
