@@ -18,7 +18,7 @@ from sonarrec.files.toml import (
     read_toml,
     shown,
 )
-from sonarrec.records import FloatArray, SonarrecError
+from sonarrec.records import FloatArray, IntArray, SonarrecError
 
 BUILT_IN = Path(__file__).parent / "landmark_sets"
 
@@ -47,6 +47,11 @@ class LandmarkSet:
         table = np.asarray(self.sectors, dtype=float)
         sector = np.floor(np.mod(angles_rad, 2 * np.pi) / (2 * np.pi) * table.shape[1]).astype(int)
         return np.asarray(table[:, np.minimum(sector, table.shape[1] - 1)])
+
+    def indices(self, ids: IntArray) -> IntArray:
+        """(n,) the place in the set of each ID, all of which it has."""
+        order = np.argsort(self.ids)
+        return np.asarray(order[np.searchsorted(self.ids, ids, sorter=order)])
 
     def pattern(self, k: int, x: FloatArray, y: FloatArray) -> FloatArray:
         """Ideal brightness, 0 or 1, of the k-th landmark at points of its unit disc.

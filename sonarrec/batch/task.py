@@ -28,7 +28,7 @@ class Task:
     """A log to run; it can be pickled, and handed to another process or machine."""
 
     path: str  # of a log on a server its URL without secrets
-    name: str | None  # of its results, see pipeline.result_names
+    name: str | None  # of its results, see pipeline.run.result_names
     out: str  # where they are made
     given: Given
     used: Used

@@ -246,7 +246,7 @@ def compared(
     here: Here,
     jobs: int | None = None,
 ) -> Comparison:
-    """Two results, wherever they lie, as `evaluation.compare.compare`."""
+    """Two results, wherever they lie, as `evaluation.compare.compare.compare`."""
     from sonarrec.evaluation.compare.compare import compare
 
     old, new = map(here.results, sides)

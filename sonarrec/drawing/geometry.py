@@ -16,10 +16,7 @@ from sonarrec.drawing.pen import (
     pen_on,
     pixel_unit,
 )
-from sonarrec.geometry import (
-    floor_depth,
-    pixel_from_polar,
-)
+from sonarrec.geometry import floor_depth, pixel_from_polar
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.records import ByteImage, Fan, FloatArray
 

@@ -92,7 +92,7 @@ def learn(
     """Learn an appearance model from logs and their gt.csv.
 
     from_scratch: forget the built-in model, in place of starting from it. observe: called at
-    every frame. The rest is as in `run.process`.
+    every frame. The rest is as in `pipeline.run.process`.
     Raises SonarrecError where logs or truth cannot be used or hold too little.
     """
     if config.features.measurement != "track":

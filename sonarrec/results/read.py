@@ -9,14 +9,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from sonarrec.files.tables import (
-    Table,
-    cut,
-    line_number,
-    position_pair,
-    read_table,
-    read_tables,
-)
+from sonarrec.files.tables import Table, cut, line_number, position_pair, read_table, read_tables
 from sonarrec.geometry import plane_position
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.records import (
@@ -128,8 +121,6 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
     names = [printable(str(name)) for name in table["method"].categories]
     methods = _methods(run, names)
     renumber = np.array([methods.index(m) for m in names], dtype=np.int64)
-    ids = np.asarray(landmark_set.ids)
-    by_id = np.argsort(ids)
     return LogResults(
         name=shown(folder.resolve().name),
         landmarks=landmark_set,
@@ -139,7 +130,7 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
         methods=tuple(methods),
         method=renumber[table["method"].codes[listed]],
         frame_index=np.searchsorted(frame, table["frame"][listed]),
-        landmark_index=by_id[np.searchsorted(ids, table["landmark"][listed], sorter=by_id)],
+        landmark_index=landmark_set.indices(table["landmark"][listed]),
         score=table["score"][listed],
         declared=table["declared"][listed],
         position=None if position is None else position[listed],

@@ -144,9 +144,7 @@ def _beliefs(table: Table, landmarks: LandmarkSet) -> FloatArray:
     """(rows, K + 1) probabilities as told, else what is certain from the score."""
     score, names = table["score"], belief_names(landmarks.ids)
     found = np.zeros((len(score), len(names)))
-    by_id = np.argsort(landmarks.ids)
-    ranked = np.searchsorted(landmarks.ids, table["landmark"], sorter=by_id)
-    found[np.arange(len(score)), by_id[ranked]] = score
+    found[np.arange(len(score)), landmarks.indices(table["landmark"])] = score
     found[:, -1] = 1 - score
     if all(name in table for name in names):
         told = np.column_stack([table[name] for name in names])

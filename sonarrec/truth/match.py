@@ -91,11 +91,10 @@ def match_truth(table: TruthTable, log: ReadLog, tolerance_s: float | None = Non
     position = None
     if table.position is not None:
         position = plane_position(table.position, log.fan)
-    by_id = np.argsort(ids)
     chosen = np.flatnonzero(mine)[kept]
     return Truth(
         frame_index=row[kept],
-        landmark_index=by_id[np.searchsorted(ids, table.landmark[chosen], sorter=by_id)],
+        landmark_index=log.landmarks.indices(table.landmark[chosen]),
         visible=table.visible[chosen],
         position=None if position is None else position[chosen],
         orientation=None if table.orientation is None else table.orientation[chosen],

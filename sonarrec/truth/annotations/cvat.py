@@ -71,10 +71,6 @@ def _box(a: Mapping[str, str]) -> tuple[float, float]:
     ) / 2
 
 
-def _ellipse(a: Mapping[str, str]) -> tuple[float, float]:
-    return coordinate(a["cx"]), coordinate(a["cy"])
-
-
 def _mask(a: Mapping[str, str]) -> tuple[float, float]:
     return (
         coordinate(a["left"]) + coordinate(a["width"]) / 2,
@@ -96,7 +92,7 @@ def _point(a: Mapping[str, str]) -> tuple[float, float]:
 
 _CENTRES: dict[str, Callable[[Mapping[str, str]], tuple[float, float]]] = {
     "box": _box,
-    "ellipse": _ellipse,
+    "ellipse": lambda a: (coordinate(a["cx"]), coordinate(a["cy"])),
     "mask": _mask,
     "polygon": lambda a: centre_of_area(_points(a)),
     "points": _point,
