@@ -248,7 +248,8 @@ def two_cores(cores: list[int]) -> None:
         def on(some: list[int]) -> float:
             os.sched_setaffinity(0, some)  # the command inherits it
             begun = time.perf_counter()
-            subprocess.run([*command, "--out", f"{name}/out"], check=True, stdout=subprocess.DEVNULL)
+            run = [*command, "--out", f"{name}/out"]
+            subprocess.run(run, check=True, stdout=subprocess.DEVNULL)
             return time.perf_counter() - begun
 
         pairs = [(on(cores[:1]), on(cores)) for _ in range(REPEATS)]
