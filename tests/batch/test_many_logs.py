@@ -74,6 +74,7 @@ def test_a_call_that_is_stopped_goes_on(
     with subprocess.Popen(call, env=environment(tmp_path), stderr=subprocess.PIPE) as running:
         part = out / "slow.part" / "frames.csv"
         while not (part.is_file() and len(part.read_text().splitlines()) > 2):
+            assert running.poll() is None, "ended before it was stopped"
             time.sleep(0.05)
         running.send_signal(sent)
         assert running.wait(30) == code
@@ -103,6 +104,7 @@ def test_a_call_is_stopped_though_a_log_hangs(
     call = command("run", *logs, "-j", 2, "-o", tmp_path / "out", "-q")
     with subprocess.Popen(call, env=environment(tmp_path), stderr=subprocess.PIPE) as running:
         while not (tmp_path / "hanging").is_file():
+            assert running.poll() is None, "ended before it was stopped"
             time.sleep(0.05)
         running.send_signal(sent)
         patience = time.monotonic() + GRACE_S + 5

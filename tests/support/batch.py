@@ -55,7 +55,8 @@ def environment(folder: Path) -> dict[str, str]:
     home = folder / "behaviour"
     home.mkdir(exist_ok=True)
     (home / "sitecustomize.py").write_text(BEHAVIOUR.replace("{grace}", str(GRACE_S)))
-    return os.environ | {"PYTHONPATH": str(home)}
+    path = [str(home), *filter(None, [os.environ.get("PYTHONPATH")])]
+    return os.environ | {"PYTHONPATH": os.pathsep.join(path)}
 
 
 def command(*words: str | Path) -> list[str]:
