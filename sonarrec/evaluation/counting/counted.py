@@ -94,6 +94,8 @@ def rate_count(
             for c in range(4):
                 added = np.bincount(cell, effect[:, c], minlength=size).reshape(-1, bins)
                 steps[first : first + len(added), c] += added
+    # A curve of sums is the sum of curves: added up here, once, and not in each draw.
+    np.cumsum(steps, axis=2, out=steps)
     return Counted(
         *labels,
         sums=np.hstack([declared, steps.reshape(units, -1)]).astype(np.float32),
@@ -103,14 +105,11 @@ def rate_count(
 
 
 def _rates(rows: FloatArray) -> Rates:
-    """From (R, 4 + 4 * bins): the operating point, then what each step of the curve adds."""
-    tp, tn, fp, fn = np.moveaxis(np.cumsum(rows[:, 4:].reshape(len(rows), 4, -1), axis=2), 1, 0)
-    start = np.zeros((len(rows), 1), dtype=rows.dtype)
-    return Rates(
-        rows[:, :4],
-        np.hstack([start, ratio(tp, tp + fn)]),
-        np.hstack([start, ratio(fp, fp + tn)]),
-    )
+    """From (R, 4 + 4 * bins): the operating point, then the counts at each step of the curve."""
+    tp, tn, fp, fn = np.moveaxis(rows[:, 4:].reshape(len(rows), 4, -1), 1, 0)
+    tpr, fpr = np.zeros((2, len(rows), tp.shape[1] + 1), dtype=rows.dtype)
+    tpr[:, 1:], fpr[:, 1:] = ratio(tp, tp + fn), ratio(fp, fp + tn)
+    return Rates(rows[:, :4], tpr, fpr)
 
 
 def spread_count(
@@ -127,8 +126,9 @@ def spread_count(
             size = (int(unit.max()) - first + 1) * len(edges)
             added = np.bincount(place, minlength=size).reshape(-1, len(edges))
             sums[first : first + len(added)] += added
+    np.cumsum(sums, axis=1, out=sums)
     exact = exact_spread(lambda: (some for some, _ in values()), edges)
-    return Counted(*labels, sums, lambda rows: Spread(edges, np.cumsum(rows, axis=1)), exact)
+    return Counted(*labels, sums, lambda rows: Spread(edges, rows), exact)
 
 
 def exact_spread(values: Blocks, edges: FloatArray) -> Spread:
