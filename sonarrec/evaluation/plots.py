@@ -198,9 +198,11 @@ def draw_reliability(path: Path, curves: Sequence[Reliability]) -> None:
         few = top.count < FEW
         label = f"most probable; hollow: fewer than {FEW}"
         held = np.where(few, np.nan, top.right)
-        axes.plot(top.mean, held, "o-", color=COLOURS[0], lw=1, label=label)
-        axes.plot(top.mean[few], top.right[few], "o", color="white", mec=COLOURS[0])
-        axes.set(title=top.method, xlim=(0, 1), ylim=(0, 1.02))
+        # Points at 0 and 1 are whole, and over the legend.
+        above = {"clip_on": False, "zorder": 6}
+        axes.plot(top.mean, held, "o-", color=COLOURS[0], lw=1, label=label, **above)
+        axes.plot(top.mean[few], top.right[few], "o", color="white", mec=COLOURS[0], **above)
+        axes.set(title=top.method, xlim=(0, 1), ylim=(0, 1))
         axes.grid(color="0.9")
         bars.bar(middles, np.maximum(top.count, 0.5), width=0.09, color=COLOURS[0])
         bars.set(xlabel="probability stated", yscale="log", ylim=(0.5, None))
