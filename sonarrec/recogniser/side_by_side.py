@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 
 from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
@@ -42,16 +43,19 @@ class SideBySide:
         ]
         both = zip(single, self.tracking, strict=True)
         self.methods = [name for pair in both for name in pair if name is not None]
-        self._recognisers = [
-            Recogniser(config, fan, landmarks, model, method, smi=smi, poses=poses)
-            for config, method, smi in zip(configs, self.tracking, single, strict=True)
-        ]
+        # Those that differ in hindsight alone share the three stages.
+        alike = [replace(c, preset="", features=replace(c.features, lag_frames=0)) for c in configs]
+        self._whose = [alike.index(one) for one in alike]
+        self._recognisers = {
+            i: Recogniser(configs[i], fan, landmarks, model, self.tracking[i], single[i], poses)
+            for i in dict.fromkeys(self._whose)
+        }
         self._hindsight = [
             Hindsight(method, config, landmarks) if config.features.lag_frames else None
             for config, method in zip(configs, self.tracking, strict=True)
         ]
         self._lag = max(config.features.lag_frames for config in configs)
-        self._pending: deque[tuple[FrameResult, ...]] = deque()
+        self._pending: deque[list[FrameResult]] = deque()
 
     def recognise(self, frames: Iterable[Frame], *, ahead: bool = False) -> Iterator[FrameResult]:
         """The results in the log's order, each when it is final.
@@ -59,7 +63,8 @@ class SideBySide:
         Whatever breaks the frames off is raised when the results of those before it are out, but
         for those that wait to be revised: see `waiting`. ahead: as in `together`.
         """
-        for results in together(self._recognisers, frames, ahead=ahead):
+        for found in together([*self._recognisers.values()], frames, ahead=ahead):
+            results = self._of_each(dict(zip(self._recognisers, found, strict=True)))
             for hindsight, result in zip(self._hindsight, results, strict=True):
                 if hindsight is not None:
                     hindsight.learn(result)
@@ -68,6 +73,18 @@ class SideBySide:
                 yield self._final()
         yield from self.waiting()
 
+    def _of_each(self, found: Mapping[int, FrameResult]) -> list[FrameResult]:
+        """One frame's result of each configuration, from those of the recognisers."""
+        results = []
+        for i, whose in enumerate(self._whose):
+            result = found[whose]
+            if i != whose:
+                own = (e for e in result.estimates if e.method == self.tracking[whose])
+                renamed = tuple(replace(e, method=self.tracking[i]) for e in own)
+                result = replace(result, estimates=renamed)
+            results.append(result)
+        return results
+
     def waiting(self) -> Iterator[FrameResult]:
         """The results that wait to be revised, as they are seen now; to call when frames end."""
         while self._pending:
@@ -75,11 +92,13 @@ class SideBySide:
 
     def problems(self) -> list[str]:
         """What of the poses could not be used, so far."""
-        return list(dict.fromkeys(p for r in self._recognisers for p in r.odometry.problems()))
+        each = (r.odometry.problems() for r in self._recognisers.values())
+        return list(dict.fromkeys(chain.from_iterable(each)))
 
     def notes(self) -> list[str]:
         """What of the poses the frames contradict, so far."""
-        return list(dict.fromkeys(n for r in self._recognisers for n in r.odometry.notes()))
+        each = (r.odometry.notes() for r in self._recognisers.values())
+        return list(dict.fromkeys(chain.from_iterable(each)))
 
     def _final(self) -> FrameResult:
         results = [

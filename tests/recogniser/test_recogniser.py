@@ -347,6 +347,17 @@ def test_each_preset_gives_side_by_side_what_it_gives_alone():
             assert single == rows(all_of_them, f"{SMI}:{name}", "x")
 
 
+def test_presets_that_differ_in_hindsight_alone_share_the_stages(monkeypatch):
+    looked: list[int] = []
+    look = Recogniser.look
+    monkeypatch.setattr(
+        Recogniser, "look", lambda self, frame: looked.append(frame.index) or look(self, frame)
+    )
+    log = still_log(3, 3)
+    side_by_side(log, "default", "paper", "offline")
+    assert looked == [0, 0, 1, 1, 2, 2]  # paper once, default and offline together once
+
+
 def alike(one: FrameResult, other: FrameResult, method: str = FRAMEWORK) -> None:
     """The same estimates to the rounding of sums, which depends on how many are taken at once."""
     assert (one.index, one.candidates, one.tracks) == (other.index, other.candidates, other.tracks)
