@@ -1,3 +1,9 @@
 """Every test process is set up as the program is."""
 
 import sonarrec  # noqa: F401 - before numpy: it has BLAS run in one thread, as users have it
+from sonarrec.batch.cores import cores
+
+
+def pytest_xdist_auto_num_workers() -> int:
+    """One test process more than there are cores: some tests wait for a log that hangs."""
+    return cores() + 1
