@@ -21,7 +21,7 @@ SMOOTHNESS = 30.0
 # How much more strongly a curve is drawn towards that of a prior. A track's frames share a memory
 # of 40 (features.memory_frames): so many say hardly more than one does. By
 # `python -m tests.studies.prior` 300 does next to no harm where a recording or two are all there
-# is, and helps where landmarks look unlike those of the simulator; with 100 two recordings do harm
+# is, and helps where landmarks look unlike those of the simulator; with 40 two recordings do harm
 # there.
 PRIOR_WEIGHT = 300.0
 
