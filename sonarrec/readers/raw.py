@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
@@ -62,7 +63,7 @@ class Told:
     notes: tuple[str, ...] = ()
 
 
-class RawLog:
+class RawLog(ABC):
     """One opened log: a single pass over its frames, in time order, one in memory at a time.
 
     frame_count: frames to come, None where unknown before the end. topic: the channel read, None
@@ -83,11 +84,11 @@ class RawLog:
         usual = Sonar(layout="polar" if self.polar else "fan")
         return sonar if sonar.layout else sonar.updated(usual)
 
-    def __iter__(self) -> Iterator[RawFrame]:
-        raise NotImplementedError
+    @abstractmethod
+    def __iter__(self) -> Iterator[RawFrame]: ...
 
-    def close(self) -> None:
-        """Close what is open; of some nothing stays open between frames."""
+    def close(self) -> None:  # noqa: B027 - not abstract: of some nothing is open between frames
+        """Close what is open."""
 
 
 def ping_geometry(ranges_m: FloatArray, bearings_deg: FloatArray) -> PingGeometry:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,7 +37,7 @@ class Channel:
     message_encoding: str
 
 
-class Recording:
+class Recording(ABC):
     """A container of messages, opened.
 
     channels: by a number of the container's own. counts: messages of each. profile, library: what
@@ -57,16 +58,16 @@ class Recording:
         self.faults: list[str] = []
         self.whole = True
 
+    @abstractmethod
     def messages(self, channels: Collection[int]) -> Iterator[Message]:
         """One pass over the messages of some channels, in the order of log time.
 
         Raises SonarrecError where nothing more can be read.
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def close(self) -> None:
         """Close what is open."""
-        raise NotImplementedError
 
     def fault(self, text: str) -> None:
         """Add a line about what is wrong."""
