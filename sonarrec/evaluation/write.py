@@ -17,8 +17,7 @@ from sonarrec.evaluation.counting.reliability import BINS
 from sonarrec.evaluation.counting.uncertainty import Difference, Figure
 from sonarrec.evaluation.plots import draw_det, draw_reliability, draw_roc, draw_roc_by_id
 from sonarrec.evaluation.summary import Summary
-from sonarrec.files.outputs import check_output, write_csv
-from sonarrec.records import SonarrecError
+from sonarrec.files.outputs import check_output, write_csv, writing
 
 COUNTS = ("tpr", "fpr", "tp", "tn", "fp", "fn", "total")
 CONFUSION = ("protocol", "method", "landmark", *COUNTS)
@@ -61,7 +60,7 @@ def write_evaluation(
     pictures = ["roc.png", "roc_by_id.png"]
     _check_tables(folder, {name: header for name, (header, _) in tables.items()})
     check_output(folder / "evaluation.json", "JSON")
-    try:
+    with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "evaluation.json").unlink(missing_ok=True)
         for name, (header, rows) in tables.items():
@@ -75,8 +74,6 @@ def write_evaluation(
             draw_reliability(folder / "reliability.png", summary.reliability)
             pictures.append("reliability.png")
         (folder / "evaluation.json").write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise SonarrecError(f"{folder}: cannot be written ({error})") from None
     return (*tables, *pictures, "evaluation.json")
 
 
@@ -94,14 +91,12 @@ def write_comparison(folder: Path, found: Comparison) -> tuple[str, ...]:
         for c in found.frames
     )
     _check_tables(folder, {"compare.csv": COMPARE, "changes.csv": CHANGES})
-    try:
+    with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         write_table(folder / "compare.csv", COMPARE, rates)
         write_table(folder / "changes.csv", CHANGES, changes)
         with (folder / "compare.json").open("w", encoding="utf-8") as file:
             file.writelines(comparison_json(found))
-    except OSError as error:
-        raise SonarrecError(f"{folder}: cannot be written ({error})") from None
     return ("compare.csv", "changes.csv", "compare.json")
 
 

@@ -85,11 +85,12 @@ def _is_of(kind: Kind, path: Path, header: str) -> bool:
 
 @contextmanager
 def writing(place: object) -> Iterator[None]:
-    """What the disk refuses inside is a SonarrecError that names the place."""
+    """What the disk refuses inside is a SonarrecError that names the file, else the place."""
     try:
         yield
     except OSError as error:
-        raise SonarrecError(f"{place}: cannot be written ({error.strerror})") from None
+        where = shown(error.filename or place)
+        raise SonarrecError(f"{where}: cannot be written ({error.strerror})") from None
 
 
 def write_csv(path: Path, header: Iterable[str], rows: Iterable[Iterable[object]]) -> None:

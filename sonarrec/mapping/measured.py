@@ -9,7 +9,7 @@ import numpy as np
 from sonarrec.files.outputs import write_csv, writing
 from sonarrec.files.tables import Kind, Table, read_table
 from sonarrec.mapping.path import Motions, SonarPath, measured_path
-from sonarrec.records import SonarrecError, shown
+from sonarrec.records import SonarrecError
 
 FRAMES = "frame,timestamp_ns,dx_m,dy_m,dyaw_deg,dx_sigma_m,dy_sigma_m,dyaw_sigma_deg"
 MOVED = ("dyaw_deg", "dx_m", "dy_m")
@@ -86,6 +86,6 @@ def write_path(folder: Path, out: Path) -> None:
         [int(at), f"{yaw:.5f}", f"{x:.6f}", f"{y:.6f}", f"{a:.4f}", f"{b:.5f}", f"{c:.5f}"]
         for at, (yaw, x, y), (a, b, c) in zip(path.timestamp_ns[row], pose, sigma, strict=True)
     )
-    with writing(shown(out)):
+    with writing(out):
         out.parent.mkdir(parents=True, exist_ok=True)
         write_csv(out, PATH_COLUMNS, rows)

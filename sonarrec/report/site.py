@@ -23,13 +23,14 @@ from sonarrec.evaluation.counting.uncertainty import LEVEL, MIN_UNITS
 from sonarrec.evaluation.evaluate import evaluate_whole
 from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import Pair
+from sonarrec.files.outputs import writing
 from sonarrec.geometry import STEEPEST, floor_depth
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.pipeline.prepared import Used
 from sonarrec.pipeline.run import process
 from sonarrec.readers.pixels import decode_image
 from sonarrec.recogniser.recogniser import FRAMEWORK
-from sonarrec.records import ByteImage, Estimate, FrameResult, SonarrecError
+from sonarrec.records import ByteImage, Estimate, FrameResult
 from sonarrec.results.run_file import Given
 from sonarrec.simulation.background import (
     Background,
@@ -410,7 +411,7 @@ def as_document(site: Site) -> dict[str, Any]:
 
 def write_site(out: Path, site: Site, page: str) -> None:
     """site.html, site.csv and site.json. Raises SonarrecError where they cannot be written."""
-    try:
+    with writing(out):
         with (out / "site.csv").open("w", newline="", encoding="utf-8") as file:
             writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
             writer.writeheader()
@@ -418,5 +419,3 @@ def write_site(out: Path, site: Site, page: str) -> None:
         text = json.dumps(as_document(site), indent=2, ensure_ascii=False)
         (out / "site.json").write_text(text + "\n", encoding="utf-8")
         (out / "site.html").write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise SonarrecError(f"{error.filename}: cannot be written ({error.strerror})") from None

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from sonarrec.config import Config
-from sonarrec.files.outputs import write_csv
+from sonarrec.files.outputs import write_csv, writing
 from sonarrec.geometry import floor_depth, slant_range
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.poses import PoseTable
@@ -255,7 +255,7 @@ def write_backgrounds(
     import tomli_w  # only writers of TOML need it
 
     check_free([*folders.values()])
-    try:
+    with writing(", ".join(map(str, folders.values()))):
         truth: list[list[Any]] = []
         for folder in folders.values():
             folder.mkdir(parents=True, exist_ok=True)
@@ -290,8 +290,6 @@ def write_backgrounds(
             # Last: a folder without geometry is not taken for a whole recording.
             sonar = {"sonar": _sonar(background).as_table()}
             (folder / "sonar.toml").write_text(tomli_w.dumps(sonar), encoding="utf-8")
-    except OSError as error:
-        raise SonarrecError(f"{error.filename}: cannot be written ({error.strerror})") from None
 
 
 def _doubts(where: str, stated: float | None, unknown: int, frames: int) -> list[str]:

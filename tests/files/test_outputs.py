@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 from pathlib import Path
@@ -12,7 +13,8 @@ import pytest
 from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
-from sonarrec.files.outputs import marked
+from sonarrec.files.outputs import marked, writing
+from sonarrec.records import SonarrecError
 
 SAMPLE = Path(__file__).parents[2] / "sample_data"
 
@@ -143,3 +145,18 @@ def test_a_marked_png_is_the_same_picture() -> None:
     data = marked(cv2.imencode(".png", picture)[1].tobytes())
     read = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     np.testing.assert_array_equal(read, picture)
+
+
+@pytest.mark.parametrize(
+    ("fault", "told"),
+    [
+        ((errno.ENOSPC, "No space left on device"), "maps: cannot be written (No space left"),
+        ((errno.EACCES, "Permission denied", "maps/a.csv"), "maps/a.csv: cannot be written (Perm"),
+    ],
+)
+def test_what_the_disk_refuses_names_the_file_where_it_is_known(
+    fault: tuple[object, ...], told: str
+) -> None:
+    with pytest.raises(SonarrecError) as raised, writing("maps"):
+        raise OSError(*fault)
+    assert str(raised.value).startswith(told)
