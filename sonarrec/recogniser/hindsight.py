@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 
@@ -10,43 +11,32 @@ from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.estimates import declared
 from sonarrec.recogniser.stage3_features import likeliest
+from sonarrec.recogniser.stage3_features.opinions import NOW, SO_FAR, Opinion, Opinions
 from sonarrec.records import Estimate, FloatArray, FrameResult
 
 LEAST_BORNE_OUT = 0.5  # mean belief of a track's frames in an ID from which it is spread over them
-LEAST_BELIEF = 1e-2  # in a logarithm: no single frame rules an ID out for good
 
 
-_Chapter = tuple[int, int]  # an object's, see Gathered
+@dataclass  # slots would make it another class than the one that super() knows
+class _Opinion(Opinion):
+    """What the frames of a chapter of a track's life said of it, and what else they told."""
 
-
-@dataclass(slots=True)
-class _Opinion:
-    """What the frames of a chapter of a track's life said of it, all taken together."""
-
-    log_beliefs: FloatArray
-    """(K + 1,) weighted sum over the frames of log belief."""
-    beliefs_sum: FloatArray
+    beliefs_sum: FloatArray = field(kw_only=True)
     """(K + 1,) plain sum over the frames of belief."""
-    weight: float = 0.0
-    """Sum of the weights."""
-    frames: int = 0
-    """How many there were."""
     last_frame: int = 0
     turns: dict[int, tuple[float, float, float]] = field(default_factory=dict)
     """By ID, when surest of it: (score, degrees from the line of sight as the track began, their
     standard error)."""
 
     def beliefs(self) -> FloatArray:
-        """(K + 1,) weighted geometric mean of the beliefs, which sums to 1."""
-        mean = np.exp(self.log_beliefs / self.weight)
-        return np.asarray(mean / mean.sum())
+        """(K + 1,) the frames' pool, as sure as what is believed of a frame; it sums to 1."""
+        pool = np.exp((NOW + SO_FAR) * self.mean())
+        return np.asarray(pool / pool.sum())
 
-    def join(self, other: _Opinion) -> None:
+    def join(self, other: Self) -> None:
         """Take in what other frames of the same object said."""
-        self.log_beliefs += other.log_beliefs
+        super().join(other)
         self.beliefs_sum += other.beliefs_sum
-        self.weight += other.weight
-        self.frames += other.frames
         for landmark, turn in other.turns.items():
             self.turns[landmark] = max(turn, self.turns.get(landmark, turn))
 
@@ -73,10 +63,11 @@ class Hindsight:
         self._lag = config.features.lag_frames
         self._threshold = config.features.declare
         self._ids = landmarks.ids
-        # By object and chapter; the chapter that an object is in; chapters that went on in others.
-        self._opinions: dict[_Chapter, _Opinion] = {}
-        self._now: dict[int, int] = {}
-        self._joined: dict[_Chapter, _Chapter] = {}
+        self._opinions = Opinions(self._unheard)
+
+    def _unheard(self) -> _Opinion:
+        none = np.zeros((2, len(self._ids) + 1))
+        return _Opinion(none[0], beliefs_sum=none[1])
 
     def learn(self, result: FrameResult) -> None:
         """Take in a frame's estimates."""
@@ -85,25 +76,11 @@ class Hindsight:
                 self._add(result.index, estimate)
         # No result still waiting is of an older track.
         oldest = result.index - 2 * self._lag
-        self._opinions = {k: o for k, o in self._opinions.items() if o.last_frame >= oldest}
-        self._joined = {k: into for k, into in self._joined.items() if into in self._opinions}
-        self._now = {k: c for k, c in self._now.items() if (k, c) in self._opinions}
+        self._opinions.keep(lambda _, opinion: opinion.last_frame >= oldest)
 
     def _add(self, frame: int, estimate: Estimate) -> None:
-        key = (estimate.object, estimate.chapter)
-        opinion = self._opinions.setdefault(key, _Opinion(*np.zeros((2, len(self._ids) + 1))))
-        last = self._now.get(estimate.object, estimate.chapter)
-        self._now[estimate.object] = estimate.chapter
-        if last > estimate.chapter:  # what came back is what it was
-            self._joined[estimate.object, last] = key
-            opinion.join(self._opinions.pop((estimate.object, last)))
-        opinion.frames += 1
-        beliefs = np.maximum(estimate.probabilities, LEAST_BELIEF)
-        # Minus the entropy: its exponential is 1 where the frame is sure, 1 / (K + 1) where it is
-        # not. Squared: tuning seeds.
-        weight = opinion.frames * float(np.exp(beliefs @ np.log(beliefs))) ** 2
-        opinion.weight += weight
-        opinion.log_beliefs += weight * np.log(beliefs)
+        opinion = self._opinions.now(estimate.object, estimate.chapter)
+        opinion.add(estimate.probabilities)
         opinion.beliefs_sum += estimate.probabilities
         opinion.last_frame = frame
         if estimate.score > opinion.turns.get(estimate.landmark, (0.0,))[0]:
@@ -118,8 +95,7 @@ class Hindsight:
     def _revise(self, estimate: Estimate) -> Estimate:
         if estimate.method != self._method:
             return estimate
-        key = (estimate.object, estimate.chapter)
-        opinion = self._opinions[self._joined.get(key, key)]
+        opinion = self._opinions.of(estimate.object, estimate.chapter)
         beliefs = opinion.beliefs()
         (landmark_index,), (score,) = likeliest(beliefs[None])
         claimed = bool(declared(score, self._threshold))

@@ -2,9 +2,8 @@
 
 The paper measures each frame by itself and normalises away 'this is no landmark'. Here the grey
 shape matrix is averaged in the object's own frame (track_matrix.py), described under every ID
-(description.py), and judged by a model of what landmarks look like (model.py). The average holds
-what earlier frames showed, so the model's probabilities are the belief: there is no prior belief
-to carry on (Eq. 5) and no confusion of IDs to weigh it with (Eq. 6 to 8).
+(description.py), and judged by a model of what landmarks look like (model.py). What the model says
+of the track's frames so far is pooled (opinions.py), in place of Eq. 5 to 8.
 """
 
 from __future__ import annotations
@@ -19,6 +18,7 @@ from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.plane import Plane
 from sonarrec.recogniser.stage3_features import Beliefs, Gathered, likeliest
 from sonarrec.recogniser.stage3_features.description import Describer
+from sonarrec.recogniser.stage3_features.opinions import TrackBelief
 from sonarrec.recogniser.stage3_features.shape_matrix import ShapeSampler
 from sonarrec.recogniser.stage3_features.track_matrix import TrackMatrix
 from sonarrec.records import BoolArray, FloatArray, Groups
@@ -36,7 +36,7 @@ class Judge(Protocol):
 
 
 class AppearanceMeasurement:
-    """Beliefs from each track's averaged shape matrix."""
+    """Beliefs from each track's averaged shape matrix, frame after frame."""
 
     def __init__(
         self,
@@ -53,6 +53,7 @@ class AppearanceMeasurement:
             sampler.bands, sampler.radii, landmarks, alike=config.alike_radii
         )
         self._model = model
+        self._belief = TrackBelief(len(landmarks.ids))
         self._beam_sigma = np.radians(beam_width_deg / HALF_POWER)
         self._radius_m = landmarks.radius_m
 
@@ -66,7 +67,8 @@ class AppearanceMeasurement:
         positions = np.concatenate([g.positions for g in groups])
         smear = self._smear(positions)
         description = self._describe(gathered.brightness, gathered.count, existence, smear)
-        probabilities = self._model.probabilities(description.features)
+        of_frames = self._model.probabilities(description.features)
+        probabilities = self._belief(groups, gathered, of_frames)
         best, _ = likeliest(probabilities)
         at = (np.arange(len(best)), best)
         # A beam is HALF_POWER deviations wide, a disc two radii.

@@ -1,0 +1,126 @@
+"""How what a track's frames say is pooled."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from sonarrec.recogniser.stage3_features import Gathered
+from sonarrec.recogniser.stage3_features.opinions import (
+    LEAST_BELIEF,
+    LEAST_NOW,
+    NOW,
+    SO_FAR,
+    Opinion,
+    Opinions,
+    TrackBelief,
+)
+from sonarrec.records import Groups
+
+IDS = 4
+said = arrays(float, (6, IDS + 1), elements=st.floats(0.0, 1.0)).map(
+    lambda a: (a + 1e-6) / (a + 1e-6).sum(axis=1, keepdims=True)
+)
+
+
+def groups(*numbers: int, remembered: tuple[int, ...] = ()) -> Groups:
+    n = len(numbers)
+    return Groups(
+        numbers=np.array(numbers, np.int64),
+        positions=np.zeros((n, 2)),
+        existence=np.ones(n),
+        spread=np.ones((n, 2)),
+        sights=np.zeros(n),
+        remembered=np.array(remembered, np.int64),
+    )
+
+
+def gathered(*chapters: int) -> Gathered:
+    n = len(chapters)
+    cells = np.zeros((n, 1, 1))
+    return Gathered(cells, cells, np.ones(n, np.int64), np.array(chapters, np.int64))
+
+
+def beliefs_of(chapters: list[int], frames: np.ndarray) -> np.ndarray:
+    """Of track 7, seen in so many frames, each in a chapter of its life."""
+    return TrackBelief(IDS)([groups(7)] * len(frames), gathered(*chapters), frames)
+
+
+@given(said)
+def test_the_pool_is_the_weighted_geometric_mean_so_far(frames: np.ndarray) -> None:
+    """Against the formula, written out with a product and a power for each frame."""
+    found = beliefs_of([1] * 6, frames)
+    for i in range(6):
+        floored = np.maximum(frames[: i + 1], LEAST_BELIEF)
+        sure = np.prod(floored**floored, axis=1) ** 2
+        weight = sure * np.arange(1, i + 2)
+        so_far = np.prod(floored ** (weight / weight.sum())[:, None], axis=0)
+        expected = np.maximum(frames[i], LEAST_NOW) ** NOW * so_far**SO_FAR
+        np.testing.assert_allclose(found[i], expected / expected.sum(), atol=1e-12)
+
+
+@given(said, st.integers(1, 5))
+def test_the_same_whatever_frames_come_together(frames: np.ndarray, first: int) -> None:
+    whole = beliefs_of([1] * 6, frames)
+    belief = TrackBelief(IDS)
+    parts = [
+        belief([groups(7)] * len(some), gathered(*[1] * len(some)), some)
+        for some in (frames[:first], frames[first:])
+    ]
+    np.testing.assert_array_equal(np.concatenate(parts), whole)
+
+
+@given(said)
+def test_tracks_know_nothing_of_each_other(frames: np.ndarray) -> None:
+    """Two tracks whose rows alternate, against each by itself."""
+    together = TrackBelief(IDS)([groups(3, 9)] * 3, gathered(1, 2, 1, 2, 1, 2), frames)
+    for k in range(2):
+        np.testing.assert_array_equal(together[k::2], beliefs_of([1] * 3, frames[k::2]))
+
+
+def test_what_all_frames_say_is_believed_a_little_more_than_one_frame_says_it() -> None:
+    one = np.array([[0.8, 0.05, 0.05, 0.05, 0.05]])
+    found = beliefs_of([1] * 20, np.repeat(one, 20, axis=0))
+    np.testing.assert_allclose(found, found[:1].repeat(20, axis=0))
+    assert 0.8 < found[0, 0] < 0.85
+
+
+def test_one_frame_that_disagrees_does_not_overturn_many() -> None:
+    sure = np.array([[0.95, 0.01, 0.01, 0.01, 0.02]]).repeat(10, axis=0)
+    other = np.array([[0.02, 0.93, 0.01, 0.02, 0.02]])
+    found = beliefs_of([1] * 11, np.concatenate([sure, other]))
+    assert found[9, 0] > 0.95
+    assert found[10, 1] < 0.75  # by itself it would claim another ID
+
+
+@pytest.mark.parametrize("returns_to", [1, 2])
+def test_a_new_chapter_forgets_until_the_old_one_goes_on(returns_to: int) -> None:
+    none = [0.01, 0.01, 0.01, 0.01, 0.96]
+    first = [0.96, 0.01, 0.01, 0.01, 0.01]
+    frames = np.array([none] * 8 + [first] * 3)
+    found = beliefs_of([1] * 8 + [2, 2, returns_to], frames)
+    alone = beliefs_of([2, 2, 2], frames[8:])
+    np.testing.assert_array_equal(found[8:10], alone[:2])
+    if returns_to == 2:
+        np.testing.assert_array_equal(found[10], alone[2])
+    else:
+        assert found[10, 0] < alone[2, 0]  # the eight frames count again
+
+
+def test_chapters_that_prove_to_be_one_share_their_opinion() -> None:
+    opinions = Opinions(lambda: Opinion(np.zeros(IDS + 1)))
+    for chapter in (1, 1, 2, 1):
+        opinions.now(7, chapter).add(np.full(IDS + 1, 0.2))
+    assert opinions.of(7, 1) is opinions.of(7, 2)
+    assert opinions.of(7, 1).frames == 4
+
+
+def test_tracks_that_are_gone_are_forgotten_and_those_away_are_not() -> None:
+    belief = TrackBelief(IDS)
+    row = np.full((1, IDS + 1), 0.2)
+    belief([groups(1), groups(2), groups(3)], gathered(1, 2, 3), row.repeat(3, axis=0))
+    belief([groups(4, remembered=(3,))], gathered(4), row)
+    assert set(belief._opinions._chapter) == {3, 4}
