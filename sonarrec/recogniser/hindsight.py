@@ -48,10 +48,9 @@ class _Opinion(Opinion):
 class Hindsight:
     """Revises past estimates of one method by what was learned of their tracks since.
 
-    A track is one object, so one belief holds for all its frames: the mean of what each frame
-    said, in logarithms, weighed by how many frames it had seen by then and by how sure it was. The
-    last word alone would not do: as it leaves the view, or is taken for another on its return, a
-    track is known badly.
+    A track is one object, so one belief holds for all its frames: the pool of what was believed of
+    it in each (see Opinion). The last word alone would not do: as it leaves the view, or is taken
+    for another on its return, a track is known badly.
 
     An ID that most of the frames speak against is not spread over them: these stay as they were.
     Where a track comes back with another picture, it is another object that took up its number: a
