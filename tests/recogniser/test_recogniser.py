@@ -385,6 +385,7 @@ def test_hindsight_tells_from_the_start_what_the_log_shows_later():
         return {e.landmark for e in result.estimates if e.method == FRAMEWORK and e.declared}
 
     assert not any(named(result) for result in at_once[:8])  # a blank disc so far
+    assert all(named(result) == {3} for result in at_once[16:])  # shown for as long
     assert all(named(result) == {3} for result in later[1:])
     for one, other in zip(at_once, later, strict=True):
         assert (one.index, one.timestamp_ns) == (other.index, other.timestamp_ns)
