@@ -17,13 +17,12 @@ from sonarrec.records import Estimate, FloatArray, FrameResult
 LEAST_BORNE_OUT = 0.5  # mean belief of a track's frames in an ID from which it is spread over them
 
 
-@dataclass  # slots would make it another class than the one that super() knows
+@dataclass
 class _Opinion(Opinion):
     """What the frames of a chapter of a track's life said of it, and what else they told."""
 
     beliefs_sum: FloatArray = field(kw_only=True)
     """(K + 1,) plain sum over the frames of belief."""
-    last_frame: int = 0
     turns: dict[int, tuple[float, float, float]] = field(default_factory=dict)
     """By ID, when surest of it: (score, degrees from the line of sight as the track began, their
     standard error)."""
@@ -74,14 +73,12 @@ class Hindsight:
             if estimate.method == self._method:
                 self._add(result.index, estimate)
         # No result still waiting is of an older track.
-        oldest = result.index - 2 * self._lag
-        self._opinions.keep(lambda _, opinion: opinion.last_frame >= oldest)
+        self._opinions.forget(result.index - 2 * self._lag)
 
     def _add(self, frame: int, estimate: Estimate) -> None:
-        opinion = self._opinions.now(estimate.object, estimate.chapter)
+        opinion = self._opinions.now(estimate.object, estimate.chapter, frame)
         opinion.add(estimate.probabilities)
         opinion.beliefs_sum += estimate.probabilities
-        opinion.last_frame = frame
         if estimate.score > opinion.turns.get(estimate.landmark, (0.0,))[0]:
             turn = estimate.orientation_deg + _from_image(estimate)
             sigma = estimate.orientation_sigma_deg

@@ -71,7 +71,13 @@ class Recogniser:
             self._measurement = PublishedMeasurement(features, bands, landmarks, fan.window_m)
         else:
             self._measurement = AppearanceMeasurement(
-                features, plane, sampler, landmarks, model or load_model(), beam_width_deg
+                features,
+                plane,
+                sampler,
+                landmarks,
+                model or load_model(),
+                beam_width_deg,
+                config.continuity.remember_frames,
             )
         self._identify = partial(identify, bands=bands, turned=turned)
         self._estimates = EstimateMaker(config, plane, landmarks)

@@ -422,7 +422,7 @@ def averaged(pattern, seed: int, frames: int = 16, range_m: float = 2.1, bearing
     """Probabilities and turn after some frames of one speckled disc on its dark plate."""
     rng = np.random.default_rng(seed)
     memory = Features(memory_frames=20.0)
-    measurement = AppearanceMeasurement(memory, PLANE, SAMPLER, BASIN, load_model(), 0.01)
+    measurement = AppearanceMeasurement(memory, PLANE, SAMPLER, BASIN, load_model(), 0.01, 400)
     disc, seen = draw_on_floor(FAN, range_m, bearing_deg, BASIN.radius_m, pattern)
     plate, _ = draw_on_floor(
         FAN, range_m, bearing_deg, BASIN.radius_m, lambda x, y: (np.hypot(x, y) <= 1) * 1.0
@@ -470,7 +470,7 @@ def test_beams_are_as_wide_as_is_usual_for_the_field_of_view(view_deg, width_deg
 def test_an_id_is_earned_by_frames_and_by_more_of_a_disc_few_beams_wide(width_deg, needed):
     """At 2 m a disc of 0.3 m is 21 beams of 0.4 deg wide, and two of 4 deg."""
     judge = load_model()
-    measurement = AppearanceMeasurement(Features(), PLANE, SAMPLER, BASIN, judge, width_deg)
+    measurement = AppearanceMeasurement(Features(), PLANE, SAMPLER, BASIN, judge, width_deg, 400)
     centre = np.stack(PLANE.from_polar(np.array([2.0]), np.array([0.0])), axis=-1)
     track = dataclasses.replace(groups(1), positions=centre)
     grey = np.zeros((1, LINES, ANGLES))

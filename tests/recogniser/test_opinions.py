@@ -46,7 +46,7 @@ def gathered(*chapters: int) -> Gathered:
 
 def beliefs_of(chapters: list[int], frames: np.ndarray) -> np.ndarray:
     """Of track 7, seen in so many frames, each in a chapter of its life."""
-    return TrackBelief(IDS)([groups(7)] * len(frames), gathered(*chapters), frames)
+    return TrackBelief(IDS, 400)([groups(7)] * len(frames), gathered(*chapters), frames)
 
 
 @given(said)
@@ -65,7 +65,7 @@ def test_the_pool_is_the_weighted_geometric_mean_so_far(frames: np.ndarray) -> N
 @given(said, st.integers(1, 5))
 def test_the_same_whatever_frames_come_together(frames: np.ndarray, first: int) -> None:
     whole = beliefs_of([1] * 6, frames)
-    belief = TrackBelief(IDS)
+    belief = TrackBelief(IDS, 400)
     parts = [
         belief([groups(7)] * len(some), gathered(*[1] * len(some)), some)
         for some in (frames[:first], frames[first:])
@@ -76,7 +76,7 @@ def test_the_same_whatever_frames_come_together(frames: np.ndarray, first: int) 
 @given(said)
 def test_tracks_know_nothing_of_each_other(frames: np.ndarray) -> None:
     """Two tracks whose rows alternate, against each by itself."""
-    together = TrackBelief(IDS)([groups(3, 9)] * 3, gathered(1, 2, 1, 2, 1, 2), frames)
+    together = TrackBelief(IDS, 400)([groups(3, 9)] * 3, gathered(1, 2, 1, 2, 1, 2), frames)
     for k in range(2):
         np.testing.assert_array_equal(together[k::2], beliefs_of([1] * 3, frames[k::2]))
 
@@ -112,15 +112,23 @@ def test_a_new_chapter_forgets_until_the_old_one_goes_on(returns_to: int) -> Non
 
 def test_chapters_that_prove_to_be_one_share_their_opinion() -> None:
     opinions = Opinions(lambda: Opinion(np.zeros(IDS + 1)))
-    for chapter in (1, 1, 2, 1):
-        opinions.now(7, chapter).add(np.full(IDS + 1, 0.2))
+    for frame, chapter in enumerate((1, 1, 2, 1)):
+        opinions.now(7, chapter, frame).add(np.full(IDS + 1, 0.2))
     assert opinions.of(7, 1) is opinions.of(7, 2)
     assert opinions.of(7, 1).frames == 4
 
 
-def test_tracks_that_are_gone_are_forgotten_and_those_away_are_not() -> None:
-    belief = TrackBelief(IDS)
+def test_what_cannot_come_back_is_forgotten() -> None:
+    """Of a track that returns again and again, the chapters that came to nothing too."""
+    belief = TrackBelief(IDS, 10)
     row = np.full((1, IDS + 1), 0.2)
-    belief([groups(1), groups(2), groups(3)], gathered(1, 2, 3), row.repeat(3, axis=0))
-    belief([groups(4, remembered=(3,))], gathered(4), row)
-    assert set(belief._opinions._chapter) == {3, 4}
+    for chapter in range(100):
+        belief([groups(7)] * 3, gathered(chapter, chapter, chapter), row.repeat(3, axis=0))
+        assert len(belief._opinions._of) <= 5  # ten frames hold parts of five chapters at most
+    before = belief([groups(1)], gathered(200), np.eye(IDS + 1)[:1])
+    belief([groups(2)] * 10, gathered(*[300] * 10), row.repeat(10, axis=0))
+    again = belief([groups(1)], gathered(200), row)  # away for ten frames: still known
+    assert again[0, 0] > 0.5
+    belief([groups(2)] * 11, gathered(*[300] * 11), row.repeat(11, axis=0))
+    np.testing.assert_allclose(belief([groups(1)], gathered(200), row), row)
+    assert before[0, 0] > 0.99

@@ -46,14 +46,16 @@ class AppearanceMeasurement:
         landmarks: LandmarkSet,
         model: Judge,
         beam_width_deg: float,
+        remember_frames: int,
     ) -> None:
+        """remember_frames: as in TrackBelief."""
         self._plane = plane
         self._matrix = TrackMatrix(config.memory_frames, len(sampler.radii))
         self._describe = Describer(
             sampler.bands, sampler.radii, landmarks, alike=config.alike_radii
         )
         self._model = model
-        self._belief = TrackBelief(len(landmarks.ids))
+        self._belief = TrackBelief(len(landmarks.ids), remember_frames)
         self._beam_sigma = np.radians(beam_width_deg / HALF_POWER)
         self._radius_m = landmarks.radius_m
 

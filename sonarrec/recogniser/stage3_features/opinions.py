@@ -25,7 +25,7 @@ LEAST_NOW = 1e-6  # the same, in what this frame says of itself: the digits that
 NOW, SO_FAR = 0.5, 0.6
 
 
-@dataclass(slots=True)
+@dataclass
 class Opinion:
     """The pool of what frames said of one chapter of a track's life."""
 
@@ -69,54 +69,62 @@ class Opinions(Generic[AnyOpinion]):
     def __init__(self, new: Callable[[], AnyOpinion]) -> None:
         self._new = new
         self._of: dict[tuple[int, int], AnyOpinion] = {}
+        self._heard: dict[tuple[int, int], int] = {}  # the last frame in which each was asked for
         self._chapter: dict[int, int] = {}
 
-    def now(self, track: int, chapter: int) -> AnyOpinion:
+    def now(self, track: int, chapter: int, frame: int) -> AnyOpinion:
         """The opinion that a frame adds to, of a track that is in a chapter now.
 
         Where an older chapter goes on, what came back is what it was: the two share one opinion.
         """
         key = (track, chapter)
-        opinion = self._of.setdefault(key, self._new())
+        if key not in self._of:
+            self._of[key] = self._new()
+        opinion = self._of[key]
         last = self._chapter.get(track, chapter)
         if last > chapter:
             opinion.join(self._of[track, last])
             self._of[track, last] = opinion
-        self._chapter[track] = chapter
+        self._chapter[track], self._heard[key] = chapter, frame
         return opinion
 
     def of(self, track: int, chapter: int) -> AnyOpinion:
         """The opinion of a track in a chapter that `now` was asked for."""
         return self._of[track, chapter]
 
-    def keep(self, wanted: Callable[[int, AnyOpinion], bool]) -> None:
-        """Forget all others. wanted: of a track and its opinion."""
-        self._of = {key: o for key, o in self._of.items() if wanted(key[0], o)}
-        self._chapter = {k: c for k, c in self._chapter.items() if (k, c) in self._of}
+    def forget(self, before: int) -> None:
+        """Drop what `now` was asked for in no frame from `before` on."""
+        for key in [k for k, frame in self._heard.items() if frame < before]:
+            del self._of[key], self._heard[key]
+            if self._chapter.get(key[0]) == key[1]:
+                del self._chapter[key[0]]
 
 
 class TrackBelief:
     """From what frames say by themselves to what is believed of their tracks."""
 
-    def __init__(self, ids: int) -> None:
+    def __init__(self, ids: int, remember_frames: int) -> None:
+        """remember_frames: a track that was away for longer does not come back."""
         self._opinions = Opinions(lambda: Opinion(np.zeros(ids + 1)))
+        self._remember = remember_frames
+        self._frame = 0
 
     def __call__(
         self, groups: Sequence[Groups], gathered: Gathered, probabilities: FloatArray
     ) -> FloatArray:
-        """(n, K + 1) beliefs in the n groups of some frames, at least one, one after another.
+        """(n, K + 1) beliefs in the n groups of some frames, one frame after another.
 
         probabilities: (n, K + 1) by each frame's picture alone. Rows of both sum to 1.
         """
         so_far = np.empty_like(probabilities)
         i = 0
         for group in groups:
+            self._frame += 1
             for track in group.numbers.tolist():
-                opinion = self._opinions.now(track, int(gathered.chapters[i]))
+                opinion = self._opinions.now(track, int(gathered.chapters[i]), self._frame)
                 opinion.add(probabilities[i])
                 so_far[i] = opinion.mean()
                 i += 1
-        there = {*groups[-1].numbers.tolist(), *groups[-1].remembered.tolist()}
-        self._opinions.keep(lambda track, _: track in there)
+        self._opinions.forget(self._frame - self._remember)
         beliefs = np.exp(NOW * np.log(np.maximum(probabilities, LEAST_NOW)) + SO_FAR * so_far)
         return np.asarray(beliefs / beliefs.sum(axis=1, keepdims=True))
