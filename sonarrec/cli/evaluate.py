@@ -146,6 +146,7 @@ def evaluate(
         if compare is not None:
             code = _compare(compare, truth, out, band, jobs, shown, scoring, here)
         else:
+            results = results or Path("sonarrec_out")
             code = _score(results, truth, pairs, out, unit, jobs, det, shown, scoring, here)
     if code:
         leave(code)
@@ -161,7 +162,7 @@ class _Shown:
 
 
 def _score(
-    results: Path | str | None,
+    results: Path | str,
     truth: Truth,
     pairs: Path | None,
     out: Path | str | None,
@@ -178,16 +179,12 @@ def _score(
     from sonarrec.evaluation.summary import summarise
     from sonarrec.remote.run import inside
 
-    if pairs is not None:
-        assert isinstance(truth, list)
+    if isinstance(truth, list):  # they name the results too
         found = evaluate_many(truth, None, scoring, jobs=jobs)
-        folder = here.output(out or pairs.parent / "evaluation")
     else:
-        results = results or Path("sonarrec_out")
-        assert not isinstance(truth, list)
         given = here.results(results)
         found = evaluate_many(given, truth, scoring, jobs=jobs, elsewhere=here.beside)
-        folder = here.output(out or inside(results, "evaluation"))
+    folder = here.output(out or inside(results if pairs is None else pairs.parent, "evaluation"))
     found = replace(
         found, notes=tuple(map(here.told, found.notes)), unused=tuple(map(here.told, found.unused))
     )
