@@ -64,13 +64,10 @@ def _same(one: Path, other: Path) -> bool:
 
 
 def _is_of(kind: Kind, path: Path, header: str) -> bool:
-    try:
-        with path.open("rb") as file:
-            head = file.read(_HEAD)
-            file.seek(max(path.stat().st_size - len(VIDEO_MARK), 0))
-            tail = file.read()
-    except OSError as error:
-        raise SonarrecError(f"{shown(path)}: cannot be written ({error.strerror})") from None
+    with writing(path), path.open("rb") as file:
+        head = file.read(_HEAD)
+        file.seek(max(path.stat().st_size - len(VIDEO_MARK), 0))
+        tail = file.read()
     tests: dict[Kind, Callable[[], bool]] = {
         "report": lambda: b"<!doctype html>" in head.lower() and b"sonarrec report</title>" in head,
         "picture": lambda: head[:4] == b"\x89PNG" and b"Software\0sonarrec" in head,

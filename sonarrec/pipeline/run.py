@@ -54,11 +54,10 @@ class Summary:
     """What became of one log.
 
     folder: where the results are. frames: how many were processed. unusable: how many could not
-    be. problems: what could not be
-    used, a line each. notes: what is stated against the log's own messages. candidates: over all
-    frames. passes: how many sightings.csv has of each method that follows objects. sightings: of
-    each of these the MOST_SIGHTINGS declared in the most frames, in order of first sight.
-    up_to_date: these very results were there, so nothing was done.
+    be. problems: what could not be used, a line each. notes: what is stated against the log's own
+    messages. candidates: over all frames. passes: how many sightings.csv has of each method that
+    follows objects. sightings: of each of these the MOST_SIGHTINGS declared in the most frames, in
+    order of first sight. up_to_date: these very results were there, so nothing was done.
     """
 
     folder: Path
