@@ -112,6 +112,19 @@ def in_fan(fan: Fan, range_m: FloatArray, bearing_deg: FloatArray) -> np.ndarray
     )
 
 
+def in_image(fan: Fan, range_m: FloatArray, bearing_deg: FloatArray) -> np.ndarray:
+    """Which of them its image shows: bool, shapes broadcast.
+
+    An image whose rows reach from range_max_m to range_min_m straight ahead, as most are, cuts the
+    near corners of a wide fan off.
+    """
+    column, row = pixel_from_polar(fan, range_m, bearing_deg)
+    shown = in_fan(fan, range_m, bearing_deg)
+    shown &= (row >= -0.5) & (row <= fan.rows - 0.5)
+    # Fans are drawn as wide as whole pixels go: what is cut off there is cut by more than one.
+    return np.asarray(shown & (column >= -1) & (column <= fan.columns))
+
+
 def fan_mask(fan: Fan) -> ByteImage:
     """(rows, columns) uint8: 255 where the image holds sonar data, 0 outside the fan."""
     mask = np.empty((fan.rows, fan.columns), np.uint8)

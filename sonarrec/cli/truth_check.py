@@ -62,7 +62,7 @@ def check(
     """Find what cannot be true in GT.CSV, and draw it on LOG.
 
     Reported, line by line: IDs not in the set, frames not in the log, discs wholly outside the
-    fan, `visible` outside 0 to 1 or above the share of the disc inside the fan,
+    fan, `visible` outside 0 to 1 or above the share of the disc in the fan image,
     repeated rows, landmarks that lie on each other or change their ID, pixels that contradict
     range and bearing, and jumps that no pan explains. The contact sheet shows every pass of a
     landmark at a few frames, outlined. Exit code 3: something was found.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import platform
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -267,8 +268,12 @@ class RunFile:
         if sonar.metres_per_pixel is None or sonar.apex_px is None:
             return None
         geometry = sonar.complete(str(self.path) if self.table else "command line")
-        # Scale and apex are stated, so the image's size does not enter the conversion.
-        return fan_for_image(geometry, rows=1, columns=1)
+        # Where nothing tells the image's size it has room for the whole fan.
+        room = math.ceil(geometry.range_max_m / sonar.metres_per_pixel)
+        size = self.table.get("fan", {})
+        rows = size.get("rows", math.ceil(sonar.apex_px[1]) + room)
+        columns = size.get("columns", math.ceil(sonar.apex_px[0]) + room)
+        return fan_for_image(geometry, int(rows), int(columns))
 
 
 _SHAPES: dict[str, Any] = {
@@ -297,8 +302,8 @@ def read_run(path: Path | None) -> RunFile:
             if key in found
         }
 
-    for name in ("sonar", "fan"):
-        stated(name, types_of(Sonar))
+    stated("sonar", types_of(Sonar))
+    stated("fan", types_of(Sonar) | {"rows": Count, "columns": Count})
     stated("odometry", types_of(Input))
     configs = table.get("config", [])
     return RunFile(

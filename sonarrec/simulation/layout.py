@@ -12,7 +12,7 @@ from sonarrec.geometry import (
     STEEPEST,
     floor_depth,
     ground_range,
-    in_fan,
+    in_image,
     pixel_from_polar,
     slant_range,
 )
@@ -116,7 +116,7 @@ def _in_view(fan: Fan, poses: np.ndarray, x: float, y: float) -> BoolArray:
     """(frames,) whether a place is in view. poses: (frames, 3) pan, x, y."""
     dx, dy = x - poses[:, 1], y - poses[:, 2]
     bearing = (np.degrees(np.arctan2(dx, dy)) - poses[:, 0] + 180) % 360 - 180
-    return np.asarray(in_fan(fan, slant_range(fan, np.hypot(dx, dy)), bearing), dtype=bool)
+    return np.asarray(in_image(fan, slant_range(fan, np.hypot(dx, dy)), bearing), dtype=bool)
 
 
 def _shows(fan: Fan, lit: BoolArray, radius_m: float, ground: float, bearing: float) -> bool:

@@ -18,7 +18,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from sonarrec.geometry import in_fan, pixel_from_polar
+from sonarrec.geometry import in_image, pixel_from_polar
 from sonarrec.records import ByteImage, Fan, FloatArray, SonarrecError, UsageError
 from sonarrec.simulation.fish import Fishes, Shoal
 from sonarrec.simulation.grid import PolarGrid, SquareGrid, area
@@ -45,7 +45,7 @@ class LandmarkTruth:
     """One landmark of which something shows in a frame: a row of gt.csv.
 
     x_px, y_px: centre in fan pixels. range_m: slant range. bearing_deg: positive to the right.
-    visible: share of the floor disc's area inside the fan, 0 to 1. orientation_deg: where the
+    visible: share of the floor disc's area in the fan image, 0 to 1. orientation_deg: where the
     first sector begins, counter-clockwise from the image's right, seen from above.
     """
 
@@ -112,7 +112,7 @@ def visible_share(
     plane: Plane = FLAT,
     lean: tuple[float, float] = (0.0, 0.0),
 ) -> float:
-    """Share of a floor disc's area inside the fan: a disc of 2,000 evenly spread points.
+    """Share of a floor disc's area in the fan image: a disc of 2,000 evenly spread points.
 
     lean: how far it leans and towards which azimuth, deg; its lower edge touches the floor.
     """
@@ -128,7 +128,7 @@ def visible_share(
         level = along * (math.cos(tilt) - 1)
         dx, dy = dx + level * math.sin(towards), dy + level * math.cos(towards)
     slant, bearing = plane.seen(pose, x_m + dx, y_m + dy, up)
-    return float(np.mean(in_fan(fan, slant, bearing)))
+    return float(np.mean(in_image(fan, slant, bearing)))
 
 
 def _truth(
@@ -155,7 +155,7 @@ def _truth(
             landmarks.append(LandmarkTruth(item.id, *row))
     if fishes is not None:
         slant, bearing = plane.seen(pose, fishes.x_m, fishes.y_m, fishes.up_m)
-        for n in np.flatnonzero(in_fan(fan, slant, bearing)):
+        for n in np.flatnonzero(in_image(fan, slant, bearing)):
             turn = 90 - float(fishes.heading_deg[n]) + pose.pan_deg
             distractors.append(
                 DistractorTruth("fish", *truth_row(fan, (slant[n], bearing[n]), 1.0, turn))

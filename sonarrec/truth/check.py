@@ -12,7 +12,7 @@ from sonarrec.geometry import ground_range, pixel_from_polar, polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.readers.log import Log
 from sonarrec.records import BoolArray, Fan, FloatArray, IntArray, SonarrecError
-from sonarrec.truth.in_view import share_in_fan
+from sonarrec.truth.in_view import share_in_image
 from sonarrec.truth.match import match_times
 from sonarrec.truth.table import HEADER, TruthTable, read_rows, repeated_rows
 
@@ -213,8 +213,8 @@ def _outside(
 
     A landmark may be hidden by something else as well, so less than the geometry allows is sound.
     """
-    share = share_in_fan(fan, places.range_m, places.bearing_deg, radius_m)
-    near = share_in_fan(fan, places.range_m, places.bearing_deg, radius_m * (1 + SLACK))
+    share = share_in_image(fan, places.range_m, places.bearing_deg, radius_m)
+    near = share_in_image(fan, places.range_m, places.bearing_deg, radius_m * (1 + SLACK))
     faults = []
     for n in np.flatnonzero((near == 0) | ((visible <= 1) & (visible > share + SLACK))):
         if near[n] == 0:
@@ -222,7 +222,7 @@ def _outside(
             text = f"the whole disc is outside the fan ({where})"
             faults.append(Fault(int(line[n]), "outside", text))
         else:
-            text = f"visible {visible[n]:.2f}, but {share[n]:.2f} of the disc is inside the fan"
+            text = f"visible {visible[n]:.2f}, but {share[n]:.2f} of the disc is in the fan image"
             faults.append(Fault(int(line[n]), "visible", text))
     return faults
 

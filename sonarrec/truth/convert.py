@@ -19,7 +19,7 @@ from sonarrec.records import Fan, FloatArray, SonarrecError, UsageError
 from sonarrec.sonar import Sonar
 from sonarrec.truth.annotations import read_annotations
 from sonarrec.truth.annotations.shapes import Annotations, Shape
-from sonarrec.truth.in_view import share_in_fan
+from sonarrec.truth.in_view import share_in_image
 from sonarrec.truth.table import HEADER, write_truth
 
 _PLAIN_LABEL = re.compile(r"(?:(?:id|landmark)[\s._-]*)?(\d{1,18})", re.IGNORECASE)
@@ -236,7 +236,7 @@ def _in_fan_pixels(
         range_m, bearing_deg = polar_from_pixel(fan, x, y)
     else:
         raise _wrong_size(source, found, f"{fan.columns} x {fan.rows}")
-    return x, y, np.minimum(visible, share_in_fan(fan, range_m, bearing_deg, radius_m))
+    return x, y, np.minimum(visible, share_in_image(fan, range_m, bearing_deg, radius_m))
 
 
 def _polar_pixels(

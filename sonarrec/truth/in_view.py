@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from sonarrec.geometry import floor_depth, ground_range, in_fan
+from sonarrec.geometry import floor_depth, ground_range, in_image
 from sonarrec.records import Fan, FloatArray
 
 _POINTS = 500  # of a disc: shares are good to a hundredth
 _BATCH = 2_000  # discs at a time, which bounds the memory
 
 
-def share_in_fan(
+def share_in_image(
     fan: Fan, range_m: FloatArray, bearing_deg: FloatArray, radius_m: float
 ) -> FloatArray:
-    """(N,) share, 0 to 1, of floor discs that lies inside the fan.
+    """(N,) share, 0 to 1, of floor discs that the fan image shows.
 
     range_m: (N,) slant range of the centres; nearer than the floor it counts as straight below.
     bearing_deg: (N,) positive to the right. radius_m: of every disc.
@@ -32,5 +32,5 @@ def share_in_fan(
         across = ground * np.sin(bearing) + right
         along = ground * np.cos(bearing) + ahead
         slant = np.sqrt(across**2 + along**2 + floor_depth(fan) ** 2)
-        share[batch] = in_fan(fan, slant, np.degrees(np.arctan2(across, along))).mean(axis=1)
+        share[batch] = in_image(fan, slant, np.degrees(np.arctan2(across, along))).mean(axis=1)
     return share

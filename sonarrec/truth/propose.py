@@ -12,7 +12,7 @@ from sonarrec.geometry import ground_range, pixel_from_polar, polar_from_plane
 from sonarrec.records import Fan, FloatArray, SonarrecError, UsageError
 from sonarrec.results.folders import estimates_of
 from sonarrec.results.read import LogResults, find_logs, read_log
-from sonarrec.truth.in_view import share_in_fan
+from sonarrec.truth.in_view import share_in_image
 from sonarrec.truth.table import write_truth
 
 FILLED_IN = "interpolated"
@@ -49,7 +49,7 @@ def propose(
 
     A track is taken, over its whole life, where it declared one ID in LEAST_DECLARED frames or
     more and its best score reaches `min_score`. Up to `max_gap` frames that it misses are filled
-    in, linear in range and bearing. `visible` is the share of the disc inside the fan.
+    in, linear in range and bearing. `visible` is the share of the disc in the fan image.
     Raises SonarrecError where the results cannot be used or `out` exists, UsageError on numbers
     that cannot be meant.
     """
@@ -158,7 +158,7 @@ def _rows(
     range_m = np.interp(at, track.frame_index, track.range_m)
     bearing_deg = np.interp(at, track.frame_index, track.bearing_deg)
     x, y = pixel_from_polar(fan, range_m, bearing_deg)
-    visible = share_in_fan(fan, range_m, bearing_deg, log.landmarks.radius_m)
+    visible = share_in_image(fan, range_m, bearing_deg, log.landmarks.radius_m)
     floor, turn = ground_range(fan, range_m), np.radians(bearing_deg)
     place = np.column_stack([floor * np.sin(turn), floor * np.cos(turn)])
     source = np.where(np.isin(at, track.frame_index), "tracked", FILLED_IN)

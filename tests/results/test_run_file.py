@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from sonarrec.geometry import in_image, pixel_from_polar
 from sonarrec.records import SonarrecError
 from sonarrec.results.run_file import Given, read_run
 from sonarrec.results.same_log import check_same_log
@@ -53,6 +55,21 @@ def test_what_it_tells(tmp_path: Path) -> None:
     assert fan is not None
     assert (fan.metres_per_pixel, fan.apex_column, fan.apex_row) == (0.01, 99.5, 400.0)
     assert run.landmark_set().name == "basin"
+
+
+def test_the_fan_ends_with_the_image_and_where_none_is_stated_nowhere(tmp_path: Path) -> None:
+    near_corner = np.array([1.02]), np.array([14.5])
+    fan = read_run(written(tmp_path, RUN)).fan()
+    assert fan is not None
+    assert pixel_from_polar(fan, *near_corner)[1] > 300
+    assert not in_image(fan, *near_corner)
+    unstated = RUN.replace("rows = 300\ncolumns = 200\n", "")
+    fan = read_run(written(tmp_path, unstated)).fan()
+    assert fan is not None
+    assert in_image(fan, *near_corner)
+    wrong = RUN.replace("rows = 300", 'rows = "many"')
+    with pytest.raises(SonarrecError, match=r"run.toml: fan.rows must be"):
+        read_run(written(tmp_path, wrong))
 
 
 @pytest.mark.parametrize("text", [None, ""])

@@ -15,6 +15,7 @@ from click.testing import CliRunner
 from mcap.reader import make_reader
 
 from sonarrec.cli import main
+from sonarrec.geometry import pixel_from_polar
 from sonarrec.records import SonarrecError
 from sonarrec.simulation.motion import sweep_deg
 from sonarrec.simulation.random_scenes import KINDS_OF_SCENE, random_scene
@@ -34,6 +35,7 @@ from sonarrec.simulation.scene import (
 from sonarrec.simulation.simulate import render, write_recording
 from sonarrec.simulation.world import object_radius
 from sonarrec.sonar import load_sonar
+from sonarrec.truth.in_view import share_in_image
 from tests.support.bare import BARE, POLAR, mean_power, power
 
 
@@ -146,8 +148,42 @@ def test_visible_share_against_monte_carlo() -> None:
         slant = np.sqrt(x**2 + y**2 + 0.68**2)
         bearing = np.degrees(np.arctan2(x, y))
         seen = (slant > 1.25) & (slant < 3.75) & (np.abs(bearing) < 14.4)
+        seen &= slant * np.cos(np.radians(bearing)) > 1.25  # the image's last row
         assert rows[item.id] == pytest.approx(seen.mean(), abs=0.005)
         assert 0 < rows[item.id] < 1
+
+
+def test_what_the_image_of_a_wide_fan_cuts_off_is_not_visible() -> None:
+    """Its rows end at range_min_m straight ahead, far above the fan's near corners."""
+    landmarks = tuple(
+        PlacedLandmark(i, g, a)
+        for i, g, a in [(1, 1.6, 0.0), (2, 1.6, 42.0), (3, 1.5, -46.0), (4, 1.4, 60.0)]
+    )
+    wide = replace(BARE.sonar, field_of_view_deg=130.0, beams=256, beam_width_deg=1.0)
+    scene = replace(BARE, frames=1, sonar=wide, landmarks=landmarks)
+    (frame,) = render(scene)
+    shown = np.pad(np.ones(frame.image.shape, bool), 400)
+    rng = np.random.default_rng(0)
+    radius, angle = 0.15 * np.sqrt(rng.random(200_000)), 2 * np.pi * rng.random(200_000)
+    expected = {}
+    for item in landmarks:
+        place = math.radians(item.azimuth_deg)
+        x = item.ground_m * math.sin(place) + radius * np.cos(angle)
+        y = item.ground_m * math.cos(place) + radius * np.sin(angle)
+        slant, bearing = np.sqrt(x**2 + y**2 + 0.68**2), np.degrees(np.arctan2(x, y))
+        column, row = pixel_from_polar(frame.fan, slant, bearing)
+        at = np.rint(row).astype(int) + 400, np.rint(column).astype(int) + 400
+        seen = shown[at] & (slant > 1.25) & (slant < 3.75) & (np.abs(bearing) < 65)
+        expected[item.id] = seen.mean()
+    assert expected[1] == 1
+    assert 0 < expected[3] < expected[2] < 1
+    assert expected.pop(4) == 0
+    truth = {row.landmark: row for row in frame.truth}
+    assert {i: row.visible for i, row in truth.items()} == pytest.approx(expected, abs=0.01)
+    for item in truth.values():
+        place = np.array([item.range_m]), np.array([item.bearing_deg])
+        share = share_in_image(frame.fan, *place, 0.15)
+        assert share[0] == pytest.approx(expected[item.landmark], abs=0.01)
 
 
 def test_speckle_is_rayleigh_and_of_unit_power() -> None:

@@ -22,7 +22,7 @@ from sonarrec.readers import open_log
 from sonarrec.sonar import Sonar
 from sonarrec.truth.annotations.shapes import centre_of_area
 from sonarrec.truth.convert import convert
-from sonarrec.truth.in_view import share_in_fan
+from sonarrec.truth.in_view import share_in_image
 from tests.support.drawn import make_fan
 from tests.support.logs import frames, image_folder
 
@@ -530,7 +530,7 @@ def test_share_inside_a_bearing_edge_is_a_circular_segment(
     for edge in (fan.bearing_max_deg - bearing_deg, bearing_deg - fan.bearing_min_deg):
         d = np.clip(ground * math.sin(math.radians(edge)) / radius_m, -1, 1)
         expected += 1 - (math.acos(d) - d * math.sqrt(1 - d * d)) / math.pi
-    share = share_in_fan(fan, np.array([range_m]), np.array([bearing_deg]), radius_m)
+    share = share_in_image(fan, np.array([range_m]), np.array([bearing_deg]), radius_m)
     assert share[0] == pytest.approx(max(expected, 0), abs=0.01)  # 500 points
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from sonarrec.geometry import polar_from_plane
 from sonarrec.records import BoolArray, SonarrecError
 from sonarrec.results.read import LogResults
-from sonarrec.truth.in_view import share_in_fan
+from sonarrec.truth.in_view import share_in_image
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import TruthTable
 
@@ -156,7 +156,7 @@ def _outside(case: Matched) -> BoolArray:
         | (np.radians(np.abs(aside)) * range_m > radius)
     )
     # Exactly, on the floor, of those alone: it takes long.
-    share = share_in_fan(fan, range_m[outside], bearing_deg[outside], radius)
+    share = share_in_image(fan, range_m[outside], bearing_deg[outside], radius)
     outside[outside] = share == 0
     return outside
 
