@@ -93,7 +93,7 @@ class Continuity:
         "frames, and the walk is sigma_known_px wide",
     )
     sigma_known_px: NotNegative = _setting(
-        4.0, "fan pixels", "image: random walk about the known pan"
+        4.0, "fan pixels", "image: random walk about the known pan, and how wide a group begins"
     )
     min_match: NotNegative = _setting(
         0.25, "correlation", "image: frames that match less are not believed: the wide walk serves"

@@ -39,6 +39,9 @@ class ContinuityFilter:
         self._plane = plane
         self._sigma = config.sigma_px * plane.scale
         self._sigma_known = config.sigma_known_px * plane.scale
+        # A candidate's place is known far better than the wide walk's reach: a group that began as
+        # wide would stray to hills beside its own before it has gathered.
+        self._sigma_new = self._sigma if config.motion == "random_walk" else self._sigma_known
         self._diameter = 2 * np.array(plane.axes)
         # With a border for all that lies beyond the image.
         self._share = cv2.copyMakeBorder(
@@ -84,7 +87,7 @@ class ContinuityFilter:
         # Begin.
         born = self._begin(positions[kept], selection)
         positions = np.concatenate([positions[kept], born])
-        wide = np.full((len(born), 2), self._sigma) / self._diameter
+        wide = np.full((len(born), 2), self._sigma_new) / self._diameter
         spread = np.concatenate([spread[kept], wide])
         if len(born):  # those that came back go to their old place
             order = np.argsort(self._groups.numbers)
@@ -285,7 +288,7 @@ class ContinuityFilter:
     def _new(
         self, numbers: IntArray, places: FloatArray, existence: FloatArray, sights: FloatArray
     ) -> ParticleGroups:
-        count, sigma = self._config.particles, self._sigma
+        count, sigma = self._config.particles, self._sigma_new
         return ParticleGroups.around(numbers, places, existence, sights, count, sigma, self._rng)
 
     def _shares(self, positions: FloatArray) -> FloatArray:

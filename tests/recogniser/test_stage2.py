@@ -443,3 +443,20 @@ def test_a_group_stays_with_its_own_candidate_beside_a_broader_hill(own_candidat
         groups = follow.step(selection(score, true, other), Motion(0.0))
     (first,) = groups.positions[groups.numbers == 1]
     assert (np.hypot(*(first - true)) < 0.05 * DIAMETER) == stays
+
+
+@pytest.mark.parametrize(("sigma_known_px", "stays"), [(4.0, True), (10.0, False)])
+def test_a_new_group_does_not_stray_to_a_hill_beside_its_own(sigma_known_px, stays):
+    """A third of a radius off lies a higher hill, of no disc: real floors have such. The group
+    begins at its candidate, no wider than it walks, and does not leave it in the next frames."""
+    true, other = START, (START[0] + 0.17 * DIAMETER, START[1])
+    hills = [peaks(true, width=0.05 * DIAMETER, height=0.9), peaks(other, width=0.05 * DIAMETER)]
+    alone, both = (selection(score, true) for score in (hills[0], np.maximum(*hills)))
+    settings = dataclasses.replace(
+        config.preset("default").continuity, sigma_known_px=sigma_known_px
+    )
+    follow = new_filter(settings)
+    follow.step(alone)
+    groups = follow.step(both, Motion(0.0))
+    assert list(groups.numbers) == [1]
+    assert (np.hypot(*(groups.positions[0] - true)) < 0.05 * DIAMETER) == stays
