@@ -248,6 +248,9 @@ class ContinuityFilter:
         """
         far = self._distances(selection.positions, positions) > self._config.new_group
         born = selection.positions[far.all(axis=1)]
+        if self._config.motion != "random_walk":
+            # With less a group would be out of view at once, and wait to be taken up again.
+            born = born[self._shares(born) >= self._config.least_in_view]
         if len(self._lost) and len(born):
             # What may be one of the lost waits until enough of it shows to tell.
             near = (self._distances(born, self._lost.places) <= self._gate()).any(axis=1)

@@ -12,6 +12,7 @@ from sonarrec.recogniser.plane import FanPlane, Plane
 from sonarrec.recogniser.stage1_candidates import CandidateSelector
 from sonarrec.recogniser.stage2_continuity import ContinuityFilter
 from sonarrec.records import Motion, Selection
+from sonarrec.truth.in_view import share_in_image
 from tests.support.drawn import SECTORS, disc_pattern, draw_on_floor, make_fan, speckled
 
 BASIN = load_landmarks("basin")
@@ -460,3 +461,18 @@ def test_a_new_group_does_not_stray_to_a_hill_beside_its_own(sigma_known_px, sta
     groups = follow.step(both, Motion(0.0))
     assert list(groups.numbers) == [1]
     assert (np.hypot(*(groups.positions[0] - true)) < 0.05 * DIAMETER) == stays
+
+
+@pytest.mark.parametrize(("pan_deg", "begins"), [(-5.4, False), (-4.0, True)])
+def test_no_group_begins_that_would_be_out_of_view_at_once(pan_deg, begins):
+    """At the side of the fan, 14.4 deg, three tenths of a disc show here, and six."""
+    default = config.preset("default").continuity
+    place = seen_at(pan_deg)
+    seen = selection(peaks(place), place)
+    share = share_in_image(FAN, np.array([2.6]), np.array([10.0 - pan_deg]), BASIN.radius_m)
+    assert (share[0] > default.least_in_view) == begins
+    follow = new_filter(default)
+    follow.step(seen)
+    groups = follow.step(seen, Motion(0.0))
+    assert (len(groups.numbers) == 1) == begins
+    assert not len(groups.remembered)
