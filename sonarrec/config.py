@@ -135,9 +135,7 @@ class Continuity:
         0.05, "probability", "a group less likely to exist is deleted; 0 leaves it to the strikes"
     )
     least_in_view: Share = _setting(
-        0.35,
-        "share",
-        "of the disc inside the fan: with less, a group has left the view; image: and none begins",
+        0.35, "share", "of the disc inside the fan: with less, a group has left the view"
     )
     remember_frames: Count = _setting(
         400,

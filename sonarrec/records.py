@@ -175,8 +175,9 @@ class Groups:
     numbers: (n,) int, stable over frames. positions: (n, 2) float, (column, row) in plane pixels.
     spread: (n, 2) standard deviation per axis in disc diameters. existence: (n,) 0 to 1. sights:
     (n,) deg counter-clockwise, seen from above, by how much the line of sight to the object has
-    turned over the floor since the track began: 0 of a sonar that only pans. remembered: (m,)
-    numbers of those that left the view and may return.
+    turned over the floor since the track began: 0 of a sonar that only pans. in_view: (n,) whether
+    enough of the disc is inside the fan (continuity.least_in_view); one that comes in shows less at
+    first. remembered: (m,) numbers of those that left the view and may return.
     """
 
     numbers: npt.NDArray[np.int64]
@@ -184,6 +185,7 @@ class Groups:
     spread: FloatArray
     existence: FloatArray
     sights: FloatArray
+    in_view: BoolArray
     remembered: npt.NDArray[np.int64]
 
 

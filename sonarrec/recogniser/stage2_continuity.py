@@ -7,7 +7,8 @@ stage 1 is high; the mean of a group is the object's position. A group goes in o
 2. unlikely: its object was a candidate too seldom to exist;
 3. astray: where the sonar's motion is known, it was pulled off the place that this gives it;
 4. merged: it ran into an older group, which has that object;
-5. out of view: too little of its disc is inside the fan.
+5. out of view: too little of its disc is inside the fan. Where the sonar's motion is known, what
+   comes in stays.
 
 Where the sonar's motion is known, a group that goes in the last way alone is remembered with its
 number. It is forgotten when it was away too long, did not show where it should, or the motion is
@@ -58,6 +59,7 @@ class ContinuityFilter:
         """
         config = self._config
         # Predict.
+        before = self._shares(self._groups.places)
         self._predict(motion)
         expected = self._groups.mean()
         # Weigh.
@@ -81,6 +83,8 @@ class ContinuityFilter:
             # At the fan's edge particles may hang on to an object that has gone, or go before it.
             shares = np.minimum(shares, self._shares(positions))
         in_view = shares >= config.least_in_view
+        if motion is not None:
+            in_view |= hit & (shares > before)  # it comes in
         self._strike(spread, hit, in_view)
         # Delete.
         kept = self._delete(pulled, in_view, motion)
@@ -100,6 +104,7 @@ class ContinuityFilter:
             spread,
             groups.existence,
             groups.sights,
+            self._shares(positions) >= config.least_in_view,
             self._lost.numbers,
         )
 
@@ -248,9 +253,6 @@ class ContinuityFilter:
         """
         far = self._distances(selection.positions, positions) > self._config.new_group
         born = selection.positions[far.all(axis=1)]
-        if self._config.motion != "random_walk":
-            # With less a group would be out of view at once, and wait to be taken up again.
-            born = born[self._shares(born) >= self._config.least_in_view]
         if len(self._lost) and len(born):
             # What may be one of the lost waits until enough of it shows to tell.
             near = (self._distances(born, self._lost.places) <= self._gate()).any(axis=1)

@@ -58,6 +58,7 @@ def groups(*in_view, remembered=(), sights=None) -> Groups:
         np.zeros((n, 2)),
         np.full(n, 0.9),
         np.zeros(n) if sights is None else np.array(sights, float),
+        np.ones(n, bool),
         np.array(remembered, np.int64),
     )
 
@@ -479,3 +480,5 @@ def test_an_id_is_earned_by_frames_and_by_more_of_a_disc_few_beams_wide(width_de
         for _ in range(10)
     ]
     assert earned == [frame >= needed for frame in range(1, 11)]
+    track = dataclasses.replace(track, in_view=np.zeros(1, bool))
+    assert not measurement.beliefs([track], measurement.gather(track, grey, grey == 0)).earned[0]

@@ -34,6 +34,7 @@ def groups(*numbers: int, remembered: tuple[int, ...] = ()) -> Groups:
         existence=np.ones(n),
         spread=np.ones((n, 2)),
         sights=np.zeros(n),
+        in_view=np.ones(n, bool),
         remembered=np.array(remembered, np.int64),
     )
 

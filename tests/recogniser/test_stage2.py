@@ -463,16 +463,23 @@ def test_a_new_group_does_not_stray_to_a_hill_beside_its_own(sigma_known_px, sta
     assert (np.hypot(*(groups.positions[0] - true)) < 0.05 * DIAMETER) == stays
 
 
-@pytest.mark.parametrize(("pan_deg", "begins"), [(-5.4, False), (-4.0, True)])
-def test_no_group_begins_that_would_be_out_of_view_at_once(pan_deg, begins):
-    """At the side of the fan, 14.4 deg, three tenths of a disc show here, and six."""
+@pytest.mark.parametrize("way", ["in", "out"])
+def test_with_too_little_in_view_what_comes_in_stays_and_what_goes_out_goes(way):
+    """At the side of the fan, 14.4 deg: a disc that shows as a candidate from .2 of it on."""
     default = config.preset("default").continuity
-    place = seen_at(pan_deg)
-    seen = selection(peaks(place), place)
-    share = share_in_image(FAN, np.array([2.6]), np.array([10.0 - pan_deg]), BASIN.radius_m)
-    assert (share[0] > default.least_in_view) == begins
+    bearings = np.arange(15.8, 13.4, -0.4)
+    bearings = bearings if way == "in" else bearings[::-1]
+    shares = share_in_image(FAN, np.full(len(bearings), 2.6), bearings, BASIN.radius_m)
+    assert 0.2 < shares.min() < 0.25
     follow = new_filter(default)
-    follow.step(seen)
-    groups = follow.step(seen, Motion(0.0))
-    assert (len(groups.numbers) == 1) == begins
-    assert not len(groups.remembered)
+    for i, (bearing, share) in enumerate(zip(bearings, shares, strict=True)):
+        place = seen_at(10.0 - bearing)
+        motion = Motion(float(bearings[i - 1] - bearing)) if i else None
+        groups = follow.step(selection(peaks(place), place), motion)
+        if way == "in" or share > default.least_in_view:
+            assert list(groups.numbers) == [1]
+            assert groups.in_view[0] == (share > default.least_in_view)
+            assert not len(groups.remembered)
+    if way == "out":
+        assert list(groups.numbers) == []
+        assert list(groups.remembered) == [1]

@@ -34,6 +34,7 @@ def groups(numbers, positions) -> Groups:
         np.zeros((n, 2)),
         np.full(n, 0.9),
         np.zeros(n),
+        np.ones(n, bool),
         np.empty(0, np.int64),
     )
 

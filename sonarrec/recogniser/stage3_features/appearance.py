@@ -23,8 +23,9 @@ from sonarrec.recogniser.stage3_features.shape_matrix import ShapeSampler
 from sonarrec.recogniser.stage3_features.track_matrix import TrackMatrix
 from sonarrec.records import BoolArray, FloatArray, Groups
 
-# An ID is declared from a track's second frame on; of a disc fewer beams wide than FEW_BEAMS, whose
-# symbol a single frame hardly shows, once more of them bear it out.
+# An ID is declared from a track's second frame on, where enough of the disc is in view; of a disc
+# fewer beams wide than FEW_BEAMS, whose symbol a single frame hardly shows, once more of them bear
+# it out.
 LEAST_FRAMES, FEW_BEAMS, FRAMES_OF_FEW_BEAMS = 2, 5, 8
 HALF_POWER = 2 * (2 * np.log(2)) ** 0.5  # width of a Gaussian at half power, in its deviations
 
@@ -76,6 +77,7 @@ class AppearanceMeasurement:
         # A beam is HALF_POWER deviations wide, a disc two radii.
         few_beams = smear * HALF_POWER * FEW_BEAMS > 2
         earned = gathered.frames >= np.where(few_beams, FRAMES_OF_FEW_BEAMS, LEAST_FRAMES)
+        earned &= np.concatenate([g.in_view for g in groups])
         return Beliefs(probabilities, description.turn[at], description.turn_sigma[at], earned)
 
     def _smear(self, positions: FloatArray) -> FloatArray:
