@@ -59,7 +59,7 @@ class ContinuityFilter:
         """
         config = self._config
         # Predict.
-        before = self._shares(self._groups.places)
+        before = self._groups.places
         self._predict(motion)
         expected = self._groups.mean()
         # Weigh.
@@ -82,9 +82,9 @@ class ContinuityFilter:
         if motion is not None:
             # At the fan's edge particles may hang on to an object that has gone, or go before it.
             shares = np.minimum(shares, self._shares(positions))
-        in_view = shares >= config.least_in_view
-        if motion is not None:
-            in_view |= hit & (shares > before)  # it comes in
+        shown = in_view = shares >= config.least_in_view
+        if motion is not None and not shown.all():
+            in_view = shown | (hit & (shares > self._shares(before)))  # what comes in
         self._strike(spread, hit, in_view)
         # Delete.
         kept = self._delete(pulled, in_view, motion)
@@ -92,11 +92,12 @@ class ContinuityFilter:
         born = self._begin(positions[kept], selection)
         positions = np.concatenate([positions[kept], born])
         wide = np.full((len(born), 2), self._sigma_new) / self._diameter
-        spread = np.concatenate([spread[kept], wide])
+        spread, shown = np.concatenate([spread[kept], wide]), shown[kept]
         if len(born):  # those that came back go to their old place
             order = np.argsort(self._groups.numbers)
             self._groups = self._groups.take(order)
-            positions, spread = positions[order], spread[order]
+            shown = np.concatenate([shown, self._shares(born) >= config.least_in_view])
+            positions, spread, shown = positions[order], spread[order], shown[order]
         groups = self._groups
         return Groups(
             groups.numbers,
@@ -104,7 +105,7 @@ class ContinuityFilter:
             spread,
             groups.existence,
             groups.sights,
-            self._shares(positions) >= config.least_in_view,
+            shown,
             self._lost.numbers,
         )
 
