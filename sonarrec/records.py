@@ -200,7 +200,8 @@ class Estimate:
     landmark: the most probable ID. score: 0 to 1, what a ROC threshold sweeps.
     declared: the method claims the ID at its operating point. range_sigma_m, bearing_sigma_deg,
     orientation_sigma_deg: standard errors, NaN where the method has none. sight_deg: as the
-    object's in Groups.sights. chapter: as in Gathered. These two are not written.
+    object's in Groups.sights. chapter: as in Gathered. in_view: as in Groups. These three are not
+    written.
     """
 
     method: str
@@ -220,6 +221,7 @@ class Estimate:
     orientation_sigma_deg: float = math.nan
     sight_deg: float = 0.0
     chapter: int = 0
+    in_view: bool = True
 
 
 @dataclass(frozen=True, slots=True)

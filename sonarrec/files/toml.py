@@ -45,6 +45,7 @@ NotNegative = Annotated[float, bounds(0)]
 Share = Annotated[float, bounds(0, 1)]
 Whole = Annotated[int, bounds(-(2**63), 2**63 - 1)]  # as wide as TOML asks for
 Count = Annotated[int, bounds(0, 2**63 - 1)]
+AtLeastOne = Annotated[int, bounds(1, 2**63 - 1)]
 
 
 def read_toml(path: Path, error: type[SonarrecError] = SonarrecError) -> dict[str, Any]:

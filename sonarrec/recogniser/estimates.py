@@ -46,6 +46,7 @@ class EstimateMaker:
             self._plane.polar_sigma(batch.positions, POSITION_SHARE * batch.spread),
             batch.sights,
             batch.gathered.chapters,
+            batch.in_view,
         )
 
     def of_candidates(self, method: str, batch: Batch, found: Identification) -> list[Estimate]:
@@ -62,6 +63,7 @@ class EstimateMaker:
             (unknown, unknown),
             np.zeros(len(batch.candidates)),
             np.zeros(len(batch.candidates), np.int64),
+            np.ones(len(batch.candidates), bool),
         )
 
     def _estimates(
@@ -76,11 +78,13 @@ class EstimateMaker:
         sigma: tuple[FloatArray, FloatArray],
         sights: FloatArray,
         chapters: IntArray,
+        in_view: BoolArray,
     ) -> list[Estimate]:
         """One Estimate for each of n objects.
 
-        objects, existence, scores, sights, chapters: (n,). positions: (n, 2) working pixels.
-        threshold: as `declared`. sigma: (n,) standard errors of slant range (m) and bearing (deg).
+        objects, existence, scores, sights, chapters, in_view: (n,). positions: (n, 2) working
+        pixels. threshold: as `declared`. sigma: (n,) standard errors of slant range (m) and bearing
+        (deg).
         """
         landmark_index, _ = likeliest(beliefs.probabilities)
         range_sigma, bearing_sigma = sigma
@@ -109,6 +113,7 @@ class EstimateMaker:
                 orientation_sigma_deg=float(orientation_sigma[i]),
                 sight_deg=float(sights[i]),
                 chapter=int(chapters[i]),
+                in_view=bool(in_view[i]),
             )
             for i in range(len(positions))
         ]

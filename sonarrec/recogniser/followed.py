@@ -79,6 +79,7 @@ class Batch:
         self.spread: FloatArray = np.concatenate([g.spread for g in self.groups])
         self.existence: FloatArray = np.concatenate([g.existence for g in self.groups])
         self.sights: FloatArray = np.concatenate([g.sights for g in self.groups])
+        self.in_view: BoolArray = np.concatenate([g.in_view for g in self.groups])
         self.gathered = Gathered.joined([f.gathered for f in frames])
 
     def results(self, single: list[Estimate], tracked: list[Estimate]) -> list[FrameResult]:

@@ -52,6 +52,7 @@ class Hindsight:
     for another on its return, a track is known badly.
 
     An ID that most of the frames speak against is not spread over them: these stay as they were.
+    Nor is one declared where too little of its object is in view.
     Where a track comes back with another picture, it is another object that took up its number: a
     belief holds for one chapter of a track's life.
     """
@@ -106,7 +107,7 @@ class Hindsight:
             probabilities=beliefs,
             landmark=landmark,
             score=float(score),
-            declared=claimed,
+            declared=claimed and estimate.in_view,
             orientation_deg=(turn - _from_image(estimate)) % 360,
             orientation_sigma_deg=sigma,
         )

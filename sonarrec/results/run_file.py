@@ -16,7 +16,7 @@ import numpy as np
 from cv2.version import opencv_version
 
 from sonarrec import __version__, config
-from sonarrec.files.toml import Count, checked, read_toml, types_of
+from sonarrec.files.toml import AtLeastOne, Count, checked, read_toml, types_of
 from sonarrec.geometry import fan_for_image
 from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
 from sonarrec.records import Clock, Fan, Origin, SonarrecError, UsageError
@@ -303,7 +303,7 @@ def read_run(path: Path | None) -> RunFile:
         }
 
     stated("sonar", types_of(Sonar))
-    stated("fan", types_of(Sonar) | {"rows": Count, "columns": Count})
+    stated("fan", types_of(Sonar) | {"rows": AtLeastOne, "columns": AtLeastOne})
     stated("odometry", types_of(Input))
     configs = table.get("config", [])
     return RunFile(

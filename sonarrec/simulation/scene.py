@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from sonarrec.files.toml import (
+    AtLeastOne,
     Count,
     Finite,
     NotNegative,
@@ -37,7 +38,6 @@ BUILT_IN = Path(__file__).parent / "scenes"
 NO_ECHO_DB = -60.0
 """Of multipath: at this level and below there is none."""
 
-AtLeastOne = Annotated[int, bounds(1, 2**63 - 1)]
 Size = Annotated[int, bounds(16, 2**14)]
 Lean = Annotated[float, bounds(0, 45)]
 

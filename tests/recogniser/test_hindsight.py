@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -38,6 +40,16 @@ def test_one_belief_for_all_frames_of_a_chapter() -> None:
     found = revised([result(i, 1, UNSURE if i < 4 else SURE) for i in range(12)])
     assert len({tuple(e.probabilities) for e in found}) == 1
     assert all(e.declared and e.landmark == 3 for e in found)
+
+
+def test_nothing_is_declared_while_too_little_is_in_view() -> None:
+    """As of the frame alone: what comes in is followed from where it first shows."""
+    frames = [result(i, 1, SURE) for i in range(12)]
+    (first,) = frames[0].estimates
+    frames[0] = replace(frames[0], estimates=(replace(first, in_view=False),))
+    found = revised(frames)
+    assert [e.declared for e in found] == [False] + [True] * 11
+    assert len({tuple(e.probabilities) for e in found}) == 1
 
 
 @pytest.mark.parametrize("second", [1, 2])

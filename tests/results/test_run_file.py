@@ -67,9 +67,10 @@ def test_the_fan_ends_with_the_image_and_where_none_is_stated_nowhere(tmp_path: 
     fan = read_run(written(tmp_path, unstated)).fan()
     assert fan is not None
     assert in_image(fan, *near_corner)
-    wrong = RUN.replace("rows = 300", 'rows = "many"')
-    with pytest.raises(SonarrecError, match=r"run.toml: fan.rows must be"):
-        read_run(written(tmp_path, wrong))
+    for rows in ('"many"', "0"):
+        wrong = RUN.replace("rows = 300", f"rows = {rows}")
+        with pytest.raises(SonarrecError, match=r"run.toml: fan.rows must be"):
+            read_run(written(tmp_path, wrong))
 
 
 @pytest.mark.parametrize("text", [None, ""])
