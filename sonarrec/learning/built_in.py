@@ -24,12 +24,12 @@ from sonarrec.simulation.unlike import LEARNED_UNLIKE
 # Seeds of the built-in model. Those from 2000 on are for choosing settings, those from 3000 on for
 # figures that are reported: no recording serves two ends.
 MODEL_SEEDS = range(1000, 1060)
-# Of each kind so many, from the first on: those beyond the basin differ more from one recording to
-# the next.
+# Of each kind so many, from the first on: those beyond the basin, and those whose discs are few
+# beams wide, differ more from one recording to the next.
 RECORDINGS = {
     **dict.fromkeys(KINDS_OF_SCENE + STRETCH_KINDS, 24),
     **dict.fromkeys(LEARNED_UNLIKE, 60),
-    "wide": 20,  # they cost three times as much
+    "tiny_discs": 60,
     # What changes the geometry or the floor alone is near the basin's.
     **dict.fromkeys(("leaning", "ripples", "fish", "vehicle"), 12),
 }
@@ -74,7 +74,8 @@ def make_model() -> None:
     count = sum(len(p.label) for p in parts)
     head = (
         "# Log odds of an ID against 'none of these' = bias + the curves of all features, which\n"
-        "# description.py names.\n"
+        "# description.py names. Those of pictures that the beam smears stand beside them; what is "
+        "in\n# between has something of both (model.py).\n"
         f"# Made by `make model`: {len(drawn)} simulated recordings of {FRAMES} frames, seeds\n"
         f"# from {MODEL_SEEDS.start} on of {len(RECORDINGS)} kinds of scene; "
         f"{count} tracks in frames.\n"

@@ -225,10 +225,16 @@ def _left_out(
 
 
 def _part(samples: Samples, chosen: np.ndarray) -> Samples:
-    return Samples(samples.features[chosen], samples.label[chosen], samples.track[chosen])
+    return Samples(
+        samples.features[chosen],
+        samples.smear[chosen],
+        samples.label[chosen],
+        samples.track[chosen],
+    )
 
 
 def _log_likelihood(model: AppearanceModel, samples: Samples) -> FloatArray:
     """(n,) log probability of what each truly is."""
-    likely = model.probabilities(samples.features)[np.arange(len(samples.label)), samples.label]
-    return np.asarray(np.log(np.maximum(likely, 1e-12)))
+    likely = model.probabilities(samples.features, samples.smear)
+    of_truth = likely[np.arange(len(samples.label)), samples.label]
+    return np.asarray(np.log(np.maximum(of_truth, 1e-12)))

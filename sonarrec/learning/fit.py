@@ -10,20 +10,20 @@ import numpy.typing as npt
 
 from sonarrec.learning.samples import Samples
 from sonarrec.recogniser.stage3_features.description import FEATURES
-from sonarrec.recogniser.stage3_features.model import AppearanceModel
+from sonarrec.recogniser.stage3_features.model import AppearanceModel, smeared_share
 from sonarrec.records import FloatArray, SonarrecError
 
 # Curves: knots at quantiles of what was seen, and how strongly a curve is drawn towards 0 and
 # towards a straight line, in samples.
 KNOTS = 8
-RIDGE = 0.3
-SMOOTHNESS = 30.0
+RIDGE = 0.1
+SMOOTHNESS = 10.0
 # How much more strongly a curve is drawn towards that of a prior. A track's frames share a memory
 # of 40 (features.memory_frames): so many say hardly more than one does. By
-# `python -m tests.studies.prior` 300 does next to no harm where a recording or two are all there
-# is, and helps where landmarks look unlike those of the simulator; with 40 two recordings do harm
+# `python -m tests.studies.prior` 900 does next to no harm where a recording or two are all there
+# is, and helps where landmarks look unlike those of the simulator; with 120 two recordings do harm
 # there.
-PRIOR_WEIGHT = 300.0
+PRIOR_WEIGHT = 900.0
 
 
 def fit(
@@ -33,9 +33,11 @@ def fit(
 ) -> AppearanceModel:
     """Most likely curves, by Newton's method on the concave penalised log likelihood.
 
-    The recordings may differ in their number of IDs. prior: the model to which curves are drawn,
-    in place of 0 and a straight line, `prior_weight` times as strongly. Raises SonarrecError where
-    the recordings hold no landmark, or nothing but landmarks.
+    The curves of smeared pictures are those of sharp ones and what the smear adds to them; both are
+    drawn alike, so that without smeared pictures nothing is added. The recordings may differ in
+    their number of IDs. prior: the model to which curves are drawn, in place of 0 and a straight
+    line, `prior_weight` times as strongly. Raises SonarrecError where the recordings hold no
+    landmark, or nothing but landmarks.
     """
     used = [r for r in recordings if len(r.label)]
     on = sum(np.count_nonzero(r.label < r.features.shape[1]) for r in used)
@@ -49,12 +51,13 @@ def fit(
         seen = np.concatenate([r.features.reshape(-1, len(FEATURES)) for r in used])
         shares = np.linspace(0.01, 0.99, KNOTS)
         knots = tuple(np.unique(np.quantile(values, shares).round(2)) for values in seen.T)
-        penalty = _penalty(knots)
+        penalty = np.kron(np.eye(2), _penalty(knots))
         centre: FloatArray = np.zeros(len(penalty))
     else:
         knots = prior.knots
-        penalty = prior_weight * _penalty(knots, bias=RIDGE)
-        centre = np.concatenate([[prior.bias], *prior.values])
+        penalty = prior_weight * np.kron(np.eye(2), _penalty(knots, bias=RIDGE))
+        sharp, smeared = np.concatenate([prior.bias[:, None], *prior.values], axis=1)
+        centre = np.concatenate([sharp, smeared - sharp])
     columns = [_basis(r.features, knots) for r in used]
     curves = centre
     before = np.inf
@@ -68,11 +71,15 @@ def fit(
         before = loss
         # Far from the summit Newton's step overshoots: no curve moves by more than 5 at once.
         curves = curves + step / max(1.0, float(np.abs(step).max()) / 5)
+    both = curves.reshape(2, -1).cumsum(axis=0)  # sharp, smeared
     ends = np.cumsum([1] + [len(k) for k in knots])
-    values = [curves[a:b] for a, b in pairwise(ends)]
+    values = [both[:, a:b] for a, b in pairwise(ends)]
     # Of a curve and the bias only the sum counts: curves are stated with mean 0.
-    bias = float(curves[0]) + sum(float(v.mean()) for v in values)
-    return AppearanceModel(bias, knots, tuple(v - v.mean() for v in values))
+    means = [v.mean(axis=1) for v in values]
+    bias = both[:, 0] + np.sum(means, axis=0)
+    return AppearanceModel(
+        bias, knots, tuple(v - m[:, None] for v, m in zip(values, means, strict=True))
+    )
 
 
 def _basis(features: FloatArray, knots: Sequence[FloatArray]) -> npt.NDArray[np.float32]:
@@ -108,6 +115,8 @@ def _likelihood(
     loss, gradient, curvature = 0.0, np.zeros(size), np.zeros((size, size))
     for recording, x in zip(recordings, columns, strict=True):
         n, ids, _ = x.shape
+        share = smeared_share(recording.smear).astype(np.float32)
+        x = np.concatenate([x, x * share[:, None, None]], axis=2)
         # 'None of these' is the reference: its log odds are 0.
         logits = np.concatenate([x @ curves, np.zeros((n, 1))], axis=1)
         top = logits.max(axis=1, keepdims=True)

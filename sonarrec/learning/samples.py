@@ -25,6 +25,7 @@ class Tracks:
 
     frame, timestamp_ns: (F,) of the frames. row: (n,) index into frame. number: (n,) of the track.
     position: (n, 2) metres in the fan plane, right and ahead of the sonar. features: (n, K, F).
+    smear: (n,) the beam's standard deviation across the line of sight, in disc radii.
     """
 
     name: str
@@ -36,17 +37,19 @@ class Tracks:
     number: npt.NDArray[np.int64]
     position: FloatArray
     features: FloatArray
+    smear: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
 class Samples:
     """Described tracks with what they truly are.
 
-    features: (n, K, F). label: (n,) 0 to K - 1, the ID's place in the set; K, 'none of these'.
-    track: (n,) the same for what is one track.
+    features: (n, K, F). smear: (n,) as Tracks. label: (n,) 0 to K - 1, the ID's place in the set;
+    K, 'none of these'. track: (n,) the same for what is one track.
     """
 
     features: FloatArray
+    smear: FloatArray
     label: npt.NDArray[np.int64]
     track: npt.NDArray[np.int64]
 
@@ -56,9 +59,10 @@ class _Recorder:
 
     def __init__(self) -> None:
         self.features: FloatArray = np.empty((0, 0, len(FEATURES)))
+        self.smear: FloatArray = np.empty(0)
 
-    def probabilities(self, features: FloatArray) -> FloatArray:
-        self.features = features
+    def probabilities(self, features: FloatArray, smear: FloatArray) -> FloatArray:
+        self.features, self.smear = features, smear
         n, ids, _ = features.shape
         return np.full((n, ids + 1), 1 / (ids + 1))
 
@@ -75,6 +79,7 @@ def describe(
     recogniser = fan = None
     index, stamp, number, polar = [], [], [], []
     features: list[FloatArray] = [np.empty((0, len(landmarks.ids), len(FEATURES)))]
+    smear: list[FloatArray] = [np.empty(0)]
     rows: list[int] = []
     for row, frame in enumerate(frames):
         fan = fan or frame.fan
@@ -87,6 +92,7 @@ def describe(
         number += [e.object for e in tracks]
         polar += [(e.range_m, e.bearing_deg) for e in tracks]
         features.append(recorder.features[: len(tracks)])
+        smear.append(recorder.smear[: len(tracks)])
     return Tracks(
         name,
         landmarks,
@@ -97,6 +103,7 @@ def describe(
         np.array(number, np.int64),
         on_fan(np.array(polar).reshape(-1, 2)),
         np.concatenate(features),
+        np.concatenate(smear),
     )
 
 
@@ -119,7 +126,9 @@ def label(
     distance = nearest / (2 * tracks.landmarks.radius_m)
     found[distance > ON] = ids
     taught = (distance <= ON) | (distance > OFF)
-    return Samples(tracks.features[taught], found[taught], tracks.number[taught])
+    return Samples(
+        tracks.features[taught], tracks.smear[taught], found[taught], tracks.number[taught]
+    )
 
 
 def on_fan(polar: FloatArray) -> FloatArray:

@@ -24,7 +24,8 @@ from sonarrec.results.run_file import read_run
 from sonarrec.simulation.scene import load_scene
 from sonarrec.sonar import load_sonar
 
-LINES = [f"{name} = {{ at = [0, 1], log_odds = [0, 1] }}\n" for name in FEATURES]
+CURVE = "{ at = [0, 1], log_odds = [0, 1], smeared_log_odds = [0, 1] }"
+LINES = ["smeared_bias = 0\n", *(f"{name} = {CURVE}\n" for name in FEATURES)]
 SET = 'name = "x"\nradius_m = 1\nring = [0.5, 1]\nsymbol = [0, 0.5]\n'
 
 TABLES = ("input", "sonar", "fan", "landmarks", "odometry", "model")
@@ -40,7 +41,9 @@ READERS: dict[str, tuple[Callable[[Path], object], str, str]] = {
     "model": (read_model, "".join(LINES), "bias"),
     "model's curve": (
         read_model,
-        "bias = 0\n" + "".join(LINES[:-1]) + f"[{FEATURES[-1]}]\nlog_odds = [0, 1]\n",
+        "bias = 0\n"
+        + "".join(LINES[:-1])
+        + f"[{FEATURES[-1]}]\nlog_odds = [0, 1]\nsmeared_log_odds = [0, 1]\n",
         "at",
     ),
     "landmarks": (load_landmarks, SET.replace("radius_m = 1\n", ""), "radius_m"),

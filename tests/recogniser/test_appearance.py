@@ -232,10 +232,9 @@ def test_the_features_of_a_perfect_landmark_by_hand(landmark):
         "edge": 3,
         "weakest_edge": 3,
         "weakest_ring": 2 - 0.5 * (-1 + 0),
+        "weakest_ring_by_frames": (2 - 0.5 * (-1 + 0)) * math.log(8),
         "ring_texture_share": 0,
         "strongest_dark_over_floor": -1,
-        # The beam smears nothing.
-        **{name: 0 for name in FEATURES if name.startswith("smeared_")},
         "log_frames": math.log(8),
         "existence": math.log(9),
     }
@@ -256,40 +255,22 @@ def test_the_features_of_a_perfect_landmark_by_hand(landmark):
     assert turn == pytest.approx(7, abs=1e-6)
 
 
+def described(matrix: np.ndarray, landmark: int = 1) -> dict[str, float]:
+    """The features under an ID of a matrix that was seen eight times."""
+    found = DESCRIBE(matrix, np.full(matrix.shape, 8.0), SURE[:1], SHARP[:1])
+    return dict(zip(FEATURES, found.features[0, landmark - 1].tolist(), strict=True))
+
+
 @pytest.mark.parametrize("landmark", sorted(SECTORS))
 def test_light_that_lies_over_symbol_and_gap_alike_leaves_the_local_features(landmark):
     """A late echo fills a dark sector by as much as a bright one exceeds it, and fades round it."""
     clear = drawn_matrix(landmark, 0)
     dark = (31.5 - np.arange(ANGLES)) * STEP  # from the middle of the last sector, dark in all IDs
     hazy = clear + 1.5 * (1 + np.cos(dark))
-    count = np.full(clear.shape, 8.0)
-    before, after = (
-        dict(
-            zip(
-                FEATURES,
-                DESCRIBE(m, count, SURE[:1], SHARP[:1]).features[0, landmark - 1],
-                strict=True,
-            )
-        )
-        for m in (clear, hazy)
-    )
+    before, after = (described(matrix, landmark) for matrix in (clear, hazy))
     for name in ("local_weakest_bright", "local_strongest_dark"):
         assert after[name] == pytest.approx(before[name], abs=1e-9), name
     assert after["strongest_dark"] > before["strongest_dark"] + 1  # nearly 1.5 over the mean gap
-
-
-@pytest.mark.parametrize(("smear", "counts"), [(0.05, 0.5), (0.2, 2.0), (0.5, 3.0)])
-def test_the_smeared_features_are_the_others_in_tenths_of_a_radius_three_at_most(smear, counts):
-    rng = np.random.default_rng(3)
-    matrix = drawn_matrix(3, 4) + 0.5 * rng.normal(size=(1, LINES, ANGLES))
-    found = DESCRIBE(matrix, np.full(matrix.shape, 5.0), SURE[:1], np.array([smear]))
-    for k in range(4):
-        named = dict(zip(FEATURES, found.features[0, k], strict=True))
-        for name, plain in (
-            ("smeared_correlation", named["correlation"] - 0.7),
-            ("smeared_local_weakest_bright", named["local_weakest_bright"]),
-        ):
-            assert named[name] == pytest.approx(counts * plain)
 
 
 def test_a_cross_is_told_by_its_own_feature():
@@ -314,31 +295,41 @@ def test_edges_that_were_not_seen_do_not_count():
     matrix = drawn_matrix(1, 0)  # bright from step 0 to 8: a rise before 0, a fall after 8
     count = np.full(matrix.shape, 8.0)
     matrix[:, SAMPLER.bands.symbol, 9:18] = 1.0  # beyond the fall it is half dark only
-    named = dict(
-        zip(FEATURES, DESCRIBE(matrix, count, SURE[:1], SHARP[:1]).features[0, 0], strict=True)
-    )
+    named = described(matrix)
     assert named["weakest_edge"] == pytest.approx(1)
     assert named["edge"] == pytest.approx((3 + 1) / 2)
     count[:, :, 9:18] = 0
-    named = dict(
-        zip(FEATURES, DESCRIBE(matrix, count, SURE[:1], SHARP[:1]).features[0, 0], strict=True)
-    )
+    found = DESCRIBE(matrix, count, SURE[:1], SHARP[:1])
+    named = dict(zip(FEATURES, found.features[0, 0], strict=True))
     assert named["weakest_edge"] == named["edge"] == pytest.approx(3)
+
+
+def test_a_symbol_that_one_line_does_not_show_has_no_weakest_line_step():
+    """The innermost line is little more than a point: it alone does not count."""
+    matrix = drawn_matrix(3, 5)
+    whole = described(matrix, 3)["weakest_line_step_share"]
+    assert whole == pytest.approx(1, abs=0.1)  # of the ring's contrast over the gap
+    start = SAMPLER.bands.symbol.start
+    for line, left in ((0, whole), (1, 0.0), (2, 0.0)):
+        flat = matrix.copy()
+        flat[:, start + line] = 0.5
+        assert described(flat, 3)["weakest_line_step_share"] == pytest.approx(left, abs=1e-9), line
+    weak = matrix.copy()
+    weak[:, start + 2] = -1 + (weak[:, start + 2] + 1) / 2
+    assert described(weak, 3)["weakest_line_step_share"] == pytest.approx(whole / 2)
 
 
 def test_one_missing_ring_quarter_shows_in_the_weakest():
     matrix = drawn_matrix(1, 0)
     matrix[:, SAMPLER.bands.ring, 20:29] = 0.0  # as dark as the floor
-    found = DESCRIBE(matrix, np.full(matrix.shape, 5.0), SURE[:1], SHARP[:1])
-    named = dict(zip(FEATURES, found.features[0, 0], strict=True))
-    assert named["weakest_ring"] == pytest.approx(0 - 0.5 * (-1 + 0))
+    assert described(matrix)["weakest_ring"] == pytest.approx(0 - 0.5 * (-1 + 0))
 
 
 def curves(rng: np.random.Generator, scale: float = 1.0) -> AppearanceModel:
     # As `fit` places them: a file tells knots apart that differ by 0.01.
     knots = tuple(np.unique(rng.normal(size=rng.integers(1, 6)).round(2)) for _ in FEATURES)
     return AppearanceModel(
-        float(rng.normal()), knots, tuple(scale * rng.normal(size=len(k)) for k in knots)
+        rng.normal(size=2), knots, tuple(scale * rng.normal(size=(2, len(k))) for k in knots)
     )
 
 
@@ -355,31 +346,37 @@ def by_hand(x: float, at, values) -> float:
 @settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), scale=st.sampled_from([0.1, 1.0, 5.0]))
 def test_probabilities_are_the_softmax_of_the_curves_written_out(seed, scale):
+    """Of sharp pictures, of smeared ones, and of one a quarter of the way between."""
     rng = np.random.default_rng(seed)
     model = curves(rng, scale)
-    features = rng.normal(size=(2, 4, len(FEATURES)))
-    p = model.probabilities(features)
+    features = rng.normal(size=(5, 4, len(FEATURES)))
+    p = model.probabilities(features, np.array([0.0, 0.06, 0.07, 0.10, 0.3]))
     np.testing.assert_allclose(p.sum(axis=1), 1)
-    for n in range(2):
+    for n, share in enumerate((0, 0, 0.25, 1, 1)):
         odds = [1.0]
         for k in range(4):
-            parts = [
-                by_hand(x, at, values)
-                for x, at, values in zip(features[n, k], model.knots, model.values, strict=True)
-            ]
-            odds.insert(-1, math.exp(model.bias + sum(parts)))
+            sharp, smeared = (
+                model.bias[of]
+                + sum(
+                    by_hand(x, at, values[of])
+                    for x, at, values in zip(features[n, k], model.knots, model.values, strict=True)
+                )
+                for of in (0, 1)
+            )
+            odds.insert(-1, math.exp((1 - share) * sharp + share * smeared))
         np.testing.assert_allclose(p[n], np.array(odds) / sum(odds), rtol=1e-9)
 
 
 def test_huge_log_odds_do_not_overflow():
     ends = np.array([-LIMIT, LIMIT])
-    still = [np.zeros(2)] * (len(FEATURES) - 1)
-    model = AppearanceModel(0.0, (ends,) * len(FEATURES), (np.array([-5e3, 5e3]), *still))
+    still = [np.zeros((2, 2))] * (len(FEATURES) - 1)
+    steep = np.array([[-5e3, 5e3]] * 2)
+    model = AppearanceModel(np.zeros(2), (ends,) * len(FEATURES), (steep, *still))
     features = np.zeros((2, 4, len(FEATURES)))
     features[0, 2, 0], features[1, :, 0] = LIMIT, -LIMIT
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        p = model.probabilities(features)
+        p = model.probabilities(features, np.zeros(2))
     np.testing.assert_allclose(p, [[0, 0, 1, 0, 0], [0, 0, 0, 0, 1]], atol=1e-12)
 
 
@@ -389,15 +386,19 @@ def test_a_model_survives_its_file(tmp_path):
     path.write_text(model.as_toml())
     again = load_model(path)
     features = np.random.default_rng(4).normal(size=(5, 4, len(FEATURES)))
-    np.testing.assert_allclose(
-        again.log_odds(features), model.log_odds(features), atol=0.02 * len(FEATURES)
-    )
+    for smear in (np.zeros(5), np.ones(5)):
+        np.testing.assert_allclose(
+            again.log_odds(features, smear),
+            model.log_odds(features, smear),
+            atol=0.02 * len(FEATURES),
+        )
 
 
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("bias = 1.0", "correlation"),
+        ("bias = 1.0", "smeared_bias"),
+        ("bias = 1.0\nsmeared_bias = 1.0", "correlation"),
         ("not toml", "not a readable TOML file"),
         (None, "No such file"),
     ],

@@ -18,7 +18,7 @@ from sonarrec.recogniser.stage3_features.model import AppearanceModel, load_mode
 from sonarrec.simulation.random_scenes import random_scene
 
 FRAMES = 160
-WEIGHTS = (1.0, 10.0, 40.0, 100.0, 300.0, 1000.0)
+WEIGHTS = (3.0, 30.0, 120.0, 300.0, 900.0, 3000.0)
 # Kind of scene, and what of its picture is unlike the simulator's own range.
 LIKE = (
     ("low_contrast", {}),
@@ -65,8 +65,9 @@ def recordings(
 
 def log_likelihood(model: AppearanceModel, samples: Samples) -> float:
     """Mean over tracks in frames of the log probability of what each truly is."""
-    p = model.probabilities(samples.features)[np.arange(len(samples.label)), samples.label]
-    return float(np.log(np.maximum(p, 1e-12)).mean())
+    p = model.probabilities(samples.features, samples.smear)
+    of_truth = p[np.arange(len(samples.label)), samples.label]
+    return float(np.log(np.maximum(of_truth, 1e-12)).mean())
 
 
 def row(taught: list[Samples], judged: Samples) -> list[float]:

@@ -31,9 +31,12 @@ HALF_POWER = 2 * (2 * np.log(2)) ** 0.5  # width of a Gaussian at half power, in
 
 
 class Judge(Protocol):
-    """What turns features (n, K, F) into (n, K + 1) probabilities; rows sum to 1."""
+    """What turns features (n, K, F) of discs smeared by (n,) radii into probabilities.
 
-    def probabilities(self, features: FloatArray) -> FloatArray: ...
+    They are (n, K + 1); rows sum to 1.
+    """
+
+    def probabilities(self, features: FloatArray, smear: FloatArray) -> FloatArray: ...
 
 
 class AppearanceMeasurement:
@@ -70,7 +73,7 @@ class AppearanceMeasurement:
         positions = np.concatenate([g.positions for g in groups])
         smear = self._smear(positions)
         description = self._describe(gathered.brightness, gathered.count, existence, smear)
-        of_frames = self._model.probabilities(description.features)
+        of_frames = self._model.probabilities(description.features, smear)
         probabilities = self._belief(groups, gathered, of_frames)
         best, _ = likeliest(probabilities)
         at = (np.arange(len(best)), best)

@@ -16,11 +16,12 @@ from sonarrec.records import BoolArray, FloatArray
 # Levels are in standard deviations of the frame. Those named "local" count the symbol from the gap
 # in the same direction: echoes that come late and light that falls unevenly lie over both alike.
 # That named "over_floor" counts it from the floor just outside in that direction.
-_PLAIN = (
+FEATURES = (
     "correlation",  # with the ID's expected symbol and gap at the best rotation
     # Logarithm of what the ID leaves unexplained, less that of the best symbol that no ID has.
     "rival_misfit",
     "step",  # bright sectors over dark ones
+    "weakest_line_step_share",  # the least step along one line of the symbol, but the innermost
     "dark_over_gap",  # dark sectors over the gap, 0 on a landmark
     "bright_over_ring",  # bright sectors over the ring, 0 on a landmark
     "bright_over_ring_share",  # in the ring's contrast over the gap, as all shares
@@ -38,30 +39,12 @@ _PLAIN = (
     "ring_over_gap",
     "weakest_ring",  # weakest quarter of the ring over what lies beside it
     "weakest_ring_over_gap",
+    "weakest_ring_by_frames",  # times log_frames: a few frames' least is chance in part
     "ring_texture_share",  # spread along the ring
     "log_frames",  # natural logarithm of the frames gathered
     "existence",  # log odds that stage 2 gives
 )
-# What these are worth depends on how far the beam smears them: they count again, times the smear.
-# The correlation, their first, is taken from what is typical.
-_SMEARED = (
-    "correlation",
-    "rival_misfit",
-    "step",
-    "dark_over_gap",
-    "local_weakest_bright",
-    "strongest_dark",
-    "edge",
-    "texture",
-    "ring_over_floor",
-    "log_frames",
-)
-FEATURES = (*_PLAIN, *(f"smeared_{name}" for name in _SMEARED))
-_AGAIN = [_PLAIN.index(name) for name in _SMEARED]
-TYPICAL_CORRELATION = 0.7
 BEST_FIT = 0.995  # correlation
-# Smears (standard deviation across the line of sight, in disc radii) count in this, up to so many.
-SMEAR_UNIT, MOST_SMEAR = 0.1, 3.0
 LEAST_CONTRAST = 0.3  # of the ring, where its texture counts in that
 # The steps next to each step, and those beyond what the beam smears of an edge.
 BEFORE, AFTER = ((np.arange(ANGLES) + off) % ANGLES for off in (-1, 1))
@@ -120,6 +103,7 @@ class Describer:
     ) -> None:
         """bands, radii: of the lines, from ShapeSampler. alike: as ExpectedSymbols."""
         self._starts = [b.start for b in (bands.symbol, bands.ring, bands.gap, bands.outer)]
+        self._step_lines = slice(bands.symbol.start + 1, bands.symbol.stop)
         # A line stands for its part of the disc's area; the innermost is little more than a point.
         self._area = (radii / radii.max())[:, None]
         codes = turned_codes(landmarks)
@@ -166,7 +150,12 @@ class Describer:
         floor = 0.5 * outer + 0.25 * (outer[:, BEFORE] + outer[:, AFTER])
         counted = np.stack([symbol - gap_level[:, None], symbol - gap, symbol - floor])
         known = np.stack([weight, weight * (gap_weight > 0), weight * (outer_weight > 0)])
-        dark, step, texture = _regress(counted[0], weight, code)
+        dark, steps, textures = _regress(
+            np.concatenate([counted[0][:, None], average[:, self._step_lines]], axis=1),
+            np.concatenate([weight[:, None], count[:, self._step_lines]], axis=1),
+            code,
+        )
+        dark, step, texture = dark[..., 0], steps[..., 0], textures[..., 0]
         level, shown = self._in_sector.levels(counted, known, turn)
         brightest = _most(level, shown & ~self._sectors)
         darkest = -_most(-level[1], shown[1] & self._sectors)
@@ -183,6 +172,7 @@ class Describer:
             best,
             rival_misfit,
             step,
+            steps[..., 1:].min(axis=-1) * share,
             dark,
             over_ring,
             over_ring * share,
@@ -200,20 +190,16 @@ class Describer:
             ring_level - gap_level,
             weakest,
             weakest_over_gap,
+            weakest * np.maximum(np.log(frames), 0),
             ring_spread / contrast,
             np.log(frames),
             np.log(odds),
         ]
-        features = np.empty((objects, ids, len(_PLAIN)))
+        features = np.empty((objects, ids, len(FEATURES)))
         for i, value in enumerate(values):
             features[:, :, i] = value if value.ndim == 2 else value[:, None]
         exact, turn_sigma = _exact_turn(correlation, turn, best)
-        features = np.clip(features, -LIMIT, LIMIT)
-        again = features[:, :, _AGAIN]
-        again[:, :, 0] -= TYPICAL_CORRELATION
-        again *= np.clip(smear[:, None, None] / SMEAR_UNIT, 0, MOST_SMEAR)
-        features = np.concatenate([features, np.clip(again, -LIMIT, LIMIT)], axis=2)
-        return Description(features, exact, turn_sigma)
+        return Description(np.clip(features, -LIMIT, LIMIT), exact, turn_sigma)
 
     def _profiles(self, average: FloatArray, count: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(bands, n, ANGLES) mean over each band's lines, and how often its cells were seen."""
@@ -251,17 +237,16 @@ def _exact_turn(
 def _regress(
     symbol: FloatArray, weight: FloatArray, code: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(n, K) level of dark sectors, bright ones over them, and what is left unexplained.
+    """(n, K, L) level of dark sectors, bright ones over them, and what is left unexplained.
 
-    Weighted regression of (n, ANGLES) profiles on codes (n, K, ANGLES).
+    Weighted regression of every line of (n, L, ANGLES) on codes (n, K, ANGLES).
     """
-    share = (weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-9))[..., None]
-    symbol = symbol[..., None]
-    mean = (symbol * share).sum(axis=1)
-    variance = np.maximum((symbol**2 * share).sum(axis=1) - mean**2, 0)
-    code_mean = (code @ share)[..., 0]
-    code_variance = (code**2 @ share)[..., 0] - code_mean**2
-    covariance = (code @ (share * symbol))[..., 0] - mean * code_mean
+    share = weight / np.maximum(weight.sum(axis=2, keepdims=True), 1e-9)
+    mean = (symbol * share).sum(axis=2)[:, None]  # (n, 1, L)
+    variance = np.maximum((symbol**2 * share).sum(axis=2)[:, None] - mean**2, 0)
+    code_mean = code @ share.swapaxes(1, 2)
+    code_variance = code**2 @ share.swapaxes(1, 2) - code_mean**2
+    covariance = code @ (share * symbol).swapaxes(1, 2) - mean * code_mean
     # Of a symbol that has shown no edge of the code nothing is known.
     step = np.where(code_variance > 0.02, covariance / np.maximum(code_variance, 1e-9), 0.0)
     texture = np.sqrt(np.maximum(variance - step * covariance, 0))

@@ -2,6 +2,8 @@
 
 Log odds of an ID against 'none of these' = bias + sum over the features of a piecewise-linear
 curve. A curve shows at a glance what its feature is worth, which a file of weights would not.
+What a feature is worth depends on how far the beam smears the picture, so there are two such sums,
+one for sharp pictures and one for smeared ones, and between them their weighted mean.
 """
 
 from __future__ import annotations
@@ -22,23 +24,44 @@ from sonarrec.records import FloatArray, UsageError
 BUILT_IN = Path(__file__).parent / "appearance.toml"
 
 
+# A picture is sharp up to the first smear (the beam's standard deviation across the line of sight,
+# in disc radii) and smeared from the second on: discs 14 beams and 8 beams wide. Chosen on tuning
+# seeds.
+SHARP, SMEARED = 0.06, 0.10
+
+
+def smeared_share(smear: FloatArray) -> FloatArray:
+    """(n,) how much the curves of smeared pictures count, 0 to 1; those of sharp ones the rest.
+
+    smear: (n,) the beam's standard deviation across the line of sight, in disc radii.
+    """
+    return np.asarray(np.clip((smear - SHARP) / (SMEARED - SHARP), 0, 1))
+
+
 @dataclass(frozen=True)
 class AppearanceModel:
-    """An additive model over FEATURES.
+    """An additive model over FEATURES, for sharp pictures and for smeared ones.
 
-    knots, values: per feature, (m,) rising abscissae and the log odds there; beyond the ends a
-    curve stays level. bias: log odds that are no feature's.
+    bias: (2,) log odds that are no feature's, sharp and smeared. knots: per feature, (m,) rising
+    abscissae. values: per feature, (2, m) the log odds there; beyond the ends a curve stays level.
     """
 
-    bias: float
+    bias: FloatArray
     knots: tuple[FloatArray, ...]
     values: tuple[FloatArray, ...]
 
-    def log_odds(self, features: FloatArray) -> FloatArray:
-        """(n, K) of each ID against 'none of these'. features: (n, K, F)."""
+    def log_odds(self, features: FloatArray, smear: FloatArray) -> FloatArray:
+        """(n, K) of each ID against 'none of these'.
+
+        features: (n, K, F). smear: (n,) as smeared_share.
+        """
         knots, values, least, most, apart = self._end_to_end
-        held = np.minimum(np.maximum(features, least), most)
-        return np.asarray(self.bias + np.interp(held + apart, knots, values).sum(axis=2))
+        at = np.minimum(np.maximum(features, least), most) + apart
+        sharp, smeared = (
+            bias + np.interp(at, knots, of_all).sum(axis=2)
+            for bias, of_all in zip(self.bias, values, strict=True)
+        )
+        return np.asarray(sharp + smeared_share(smear)[:, None] * (smeared - sharp))
 
     @cached_property
     def _end_to_end(self) -> tuple[FloatArray, ...]:
@@ -50,11 +73,11 @@ class AppearanceModel:
         room = most - least + 1.0
         apart = np.cumsum(room) - room - least
         moved = [k + by for k, by in zip(self.knots, apart, strict=True)]
-        return np.concatenate(moved), np.concatenate(self.values), least, most, apart
+        return np.concatenate(moved), np.concatenate(self.values, axis=1), least, most, apart
 
-    def probabilities(self, features: FloatArray) -> FloatArray:
-        """(n, K + 1): every ID, then 'none of these'; rows sum to 1. features: (n, K, F)."""
-        odds = self.log_odds(features)
+    def probabilities(self, features: FloatArray, smear: FloatArray) -> FloatArray:
+        """(n, K + 1): every ID, then 'none of these'; rows sum to 1. Arguments as log_odds."""
+        odds = self.log_odds(features, smear)
         logits = np.concatenate([odds, np.zeros((len(odds), 1))], axis=1)
         logits -= logits.max(axis=1, keepdims=True)
         likely = np.exp(logits)
@@ -62,10 +85,11 @@ class AppearanceModel:
 
     def as_toml(self) -> str:
         """The model as load_model reads it."""
-        lines = [f"bias = {self.bias:.3f}"]
+        sharp, smeared = self.bias
+        lines = [f"bias = {sharp:.3f}", f"smeared_bias = {smeared:.3f}"]
         for name, knots, values in zip(FEATURES, self.knots, self.values, strict=True):
             lines += ["", f"[{name}]"]
-            for key, numbers in (("at", knots), ("log_odds", values)):
+            for key, numbers in zip(_CURVE, (knots, *values), strict=True):
                 lines.append(f"{key} = [{', '.join(f'{float(v):.3f}' for v in numbers)}]")
         return "\n".join(lines) + "\n"
 
@@ -112,6 +136,11 @@ class _Curve:
 
     at: Annotated[tuple[Finite, ...], length(1, 1000)]
     log_odds: Annotated[tuple[Finite, ...], length(1, 1000)]
+    smeared_log_odds: Annotated[tuple[Finite, ...], length(1, 1000)]
+
+
+_CURVE = ("at", "log_odds", "smeared_log_odds")
+_BIASES = ("bias", "smeared_bias")
 
 
 def parse_model(text: str, where: str) -> AppearanceModel:
@@ -120,19 +149,22 @@ def parse_model(text: str, where: str) -> AppearanceModel:
     Raises UsageError where the text is not such a model.
     """
     table = parse_toml(text, where, UsageError)
-    known = ("bias", *FEATURES)
+    known = (*_BIASES, *FEATURES)
     if wrong := [key for key in (*known, *table) if key not in known or key not in table]:
         raise UsageError(
             f"{where}: not an appearance model (missing or unknown: {shown(wrong[0])}); "
             "`sonarrec calibrate` writes one"
         )
-    bias = checked(table["bias"], Finite, f"{where}: bias", UsageError)
+    bias = np.array([checked(table[key], Finite, f"{where}: {key}", UsageError) for key in _BIASES])
     curves = [
         from_table(_Curve, table[name], where, section=name, error=UsageError) for name in FEATURES
     ]
     knots = tuple(np.array(curve.at) for curve in curves)
-    values = tuple(np.array(curve.log_odds) for curve in curves)
-    for name, at, odds in zip(FEATURES, knots, values, strict=True):
-        if at.shape != odds.shape or not (np.diff(at) > 0).all():
-            raise UsageError(f"{where}: [{name}] needs rising `at` and as many `log_odds`")
+    for name, curve in zip(FEATURES, curves, strict=True):
+        sizes = {len(curve.at), len(curve.log_odds), len(curve.smeared_log_odds)}
+        if len(sizes) > 1 or not (np.diff(curve.at) > 0).all():
+            raise UsageError(
+                f"{where}: [{name}] needs rising `at` and as many `log_odds` and `smeared_log_odds`"
+            )
+    values = tuple(np.array([curve.log_odds, curve.smeared_log_odds]) for curve in curves)
     return AppearanceModel(bias, knots, values)
