@@ -152,8 +152,8 @@ def parse_model(text: str, where: str) -> AppearanceModel:
     known = (*_BIASES, *FEATURES)
     if wrong := [key for key in (*known, *table) if key not in known or key not in table]:
         raise UsageError(
-            f"{where}: not an appearance model (missing or unknown: {shown(wrong[0])}); "
-            "`sonarrec calibrate` writes one"
+            f"{where}: not an appearance model of this version (missing or unknown: "
+            f"{shown(wrong[0])}); `sonarrec calibrate` writes one"
         )
     bias = np.array([checked(table[key], Finite, f"{where}: {key}", UsageError) for key in _BIASES])
     curves = [
