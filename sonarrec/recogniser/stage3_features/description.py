@@ -273,8 +273,7 @@ def _summit(correlation: FloatArray, turn: npt.NDArray[np.intp]) -> tuple[FloatA
     Through three samples, each the mean of three: the sector edges make the very top flat.
     """
     near = (turn + np.arange(-2, 3)[:, None, None]) % ANGLES  # (5, n, K)
-    objects, ids = np.ogrid[: turn.shape[0], : turn.shape[1]]
-    values = correlation[objects, near, ids]
+    values = correlation[np.arange(len(turn))[:, None], near, np.arange(turn.shape[1])]
     before, here, after = ((values[i] + values[i + 1] + values[i + 2]) / 3 for i in range(3))
     bend = 2 * here - before - after
     part = np.where(bend > 1e-6, 0.5 * (after - before) / np.maximum(bend, 1e-6), 0.0)
