@@ -97,7 +97,7 @@ def test_a_prior_is_left_as_far_as_the_samples_ask():
     other = replace(truth, values=(-truth.values[0], *truth.values[1:]))
     few = fit([drawn(truth, 30, 4)], truth)
     assert max(apart(few, truth, feature) for feature in range(len(FEATURES))) < 0.2
-    many = [drawn(other, int(PRIOR_WEIGHT), seed) for seed in range(10, 60)]
+    many = [drawn(other, int(PRIOR_WEIGHT), seed) for seed in range(10, 27)]
     steps = [
         apart(fit(samples, truth), other, 0)
         for samples in ([drawn(other, 30, 5)], [drawn(other, 300, 5)], many)
