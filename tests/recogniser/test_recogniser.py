@@ -376,8 +376,12 @@ def test_a_single_preset_is_the_recogniser_itself(name):
         alike(one, other, SMI)
 
 
-def test_hindsight_tells_from_the_start_what_the_log_shows_later():
-    log = still_log(3, 36, hidden=range(8))
+# Shown for as long as it was hidden an ID is named; ID.3 a frame later.
+@pytest.mark.parametrize(
+    ("landmark", "frames", "named_from"), [(1, 30, 16), (2, 30, 16), (3, 32, 17), (4, 30, 16)]
+)
+def test_hindsight_tells_from_the_start_what_the_log_shows_later(landmark, frames, named_from):
+    log = still_log(landmark, frames, hidden=range(8))
     at_once = side_by_side(log, "default")
     later = side_by_side(log, "offline")
 
@@ -385,9 +389,8 @@ def test_hindsight_tells_from_the_start_what_the_log_shows_later():
         return {e.landmark for e in result.estimates if e.method == FRAMEWORK and e.declared}
 
     assert not any(named(result) for result in at_once[:8])  # a blank disc so far
-    # Shown for somewhat longer: what it was held to be counts on.
-    assert all(named(result) == {3} for result in at_once[18:])
-    assert all(named(result) == {3} for result in later[1:])
+    assert all(named(result) == {landmark} for result in at_once[named_from:])
+    assert all(named(result) == {landmark} for result in later[1:])
     for one, other in zip(at_once, later, strict=True):
         assert (one.index, one.timestamp_ns) == (other.index, other.timestamp_ns)
         check(other)
