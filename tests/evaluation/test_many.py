@@ -141,11 +141,11 @@ def test_compared_one_at_a_time_as_all_at_once(
 
 
 def test_memory_of_a_comparison_does_not_grow_with_the_logs(tmp_path: Path) -> None:
-    """40 logs, of which the store lies on disk already, and 120. What was read of a log is twice
-    that of `test_memory_does_not_grow_with_the_logs`: were it kept, 80 more would be over 70 MB.
+    """40 logs, of which the store lies on disk already, and 160. What was read of a log is twice
+    that of `test_memory_does_not_grow_with_the_logs`: were it kept, 120 more would be over 100 MB.
     """
     few, many = (
-        peak_of_comparing(*make_sides(tmp_path / str(logs), logs, 1000)) for logs in (40, 120)
+        peak_of_comparing(*make_sides(tmp_path / str(logs), logs, 1000)) for logs in (40, 160)
     )
     assert many - few < 25
 
