@@ -74,8 +74,8 @@ def make_model() -> None:
     count = sum(len(p.label) for p in parts)
     head = (
         "# Log odds of an ID against 'none of these' = bias + the curves of all features, which\n"
-        "# description.py names. Those of pictures that the beam smears stand beside them; what is "
-        "in\n# between has something of both (model.py).\n"
+        "# description.py names: of sharp pictures and, as smeared_, of smeared ones.\n"
+        "# Between the two their weighted mean (model.py).\n"
         f"# Made by `make model`: {len(drawn)} simulated recordings of {FRAMES} frames, seeds\n"
         f"# from {MODEL_SEEDS.start} on of {len(RECORDINGS)} kinds of scene; "
         f"{count} tracks in frames.\n"

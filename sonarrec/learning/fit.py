@@ -110,11 +110,16 @@ def _penalty(knots: Sequence[FloatArray], bias: float = 1e-3) -> FloatArray:
 def _likelihood(
     recordings: Sequence[Samples], columns: Sequence[npt.NDArray[np.float32]], curves: FloatArray
 ) -> tuple[float, FloatArray, FloatArray]:
-    """Minus the log likelihood, its negative gradient (D,) and its curvature (D, D)."""
+    """Minus the log likelihood, its negative gradient (2 D,) and its curvature (2 D, 2 D).
+
+    columns: (n, K, D) of each recording, from _basis. curves: (2 D,) those of sharp pictures, then
+    what the smear adds.
+    """
     size = len(curves)
     loss, gradient, curvature = 0.0, np.zeros(size), np.zeros((size, size))
     for recording, x in zip(recordings, columns, strict=True):
         n, ids, _ = x.shape
+        # Put together anew each time: to keep it would take twice the memory.
         share = smeared_share(recording.smear).astype(np.float32)
         x = np.concatenate([x, x * share[:, None, None]], axis=2)
         # 'None of these' is the reference: its log odds are 0.

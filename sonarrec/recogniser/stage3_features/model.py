@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
@@ -89,8 +89,8 @@ class AppearanceModel:
         lines = [f"bias = {sharp:.3f}", f"smeared_bias = {smeared:.3f}"]
         for name, knots, values in zip(FEATURES, self.knots, self.values, strict=True):
             lines += ["", f"[{name}]"]
-            for key, numbers in zip(_CURVE, (knots, *values), strict=True):
-                lines.append(f"{key} = [{', '.join(f'{float(v):.3f}' for v in numbers)}]")
+            for key, numbers in zip(fields(_Curve), (knots, *values), strict=True):
+                lines.append(f"{key.name} = [{', '.join(f'{float(v):.3f}' for v in numbers)}]")
         return "\n".join(lines) + "\n"
 
 
@@ -139,7 +139,6 @@ class _Curve:
     smeared_log_odds: Annotated[tuple[Finite, ...], length(1, 1000)]
 
 
-_CURVE = ("at", "log_odds", "smeared_log_odds")
 _BIASES = ("bias", "smeared_bias")
 
 
