@@ -55,14 +55,17 @@ class Hindsight:
     Nor is one declared where too little of its object is in view.
     Where a track comes back with another picture, it is another object that took up its number: a
     belief holds for one chapter of a track's life.
+
+    lag: how many frames a result waits for its revision.
     """
 
     def __init__(self, method: str, config: Config, landmarks: LandmarkSet) -> None:
         self._method = method
-        self._lag = config.features.lag_frames
+        self.lag = config.features.lag_frames
         self._threshold = config.features.declare
         self._ids = landmarks.ids
         self._opinions = Opinions(self._unheard)
+        self._frame = 0  # counted: the numbers of a log's frames may jump
 
     def _unheard(self) -> _Opinion:
         none = np.zeros((2, len(self._ids) + 1))
@@ -70,11 +73,12 @@ class Hindsight:
 
     def learn(self, result: FrameResult) -> None:
         """Take in a frame's estimates."""
+        self._frame += 1
         for estimate in result.estimates:
             if estimate.method == self._method:
-                self._add(result.index, estimate)
+                self._add(self._frame, estimate)
         # No result still waiting is of an older track.
-        self._opinions.forget(result.index - 2 * self._lag)
+        self._opinions.forget(self._frame - 2 * self.lag)
 
     def _add(self, frame: int, estimate: Estimate) -> None:
         opinion = self._opinions.now(estimate.object, estimate.chapter, frame)

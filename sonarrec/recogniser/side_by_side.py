@@ -69,6 +69,10 @@ class SideBySide:
                 if hindsight is not None:
                     hindsight.learn(result)
             self._pending.append(results)
+            # Each at its own lag: beside a longer one it says what it says alone.
+            for i, hindsight in enumerate(self._hindsight):
+                if hindsight is not None and len(self._pending) > hindsight.lag:
+                    _revise(self._pending[-1 - hindsight.lag], i, hindsight)
             if len(self._pending) > self._lag:
                 yield self._final()
         yield from self.waiting()
@@ -87,6 +91,10 @@ class SideBySide:
 
     def waiting(self) -> Iterator[FrameResult]:
         """The results that wait to be revised, as they are seen now; to call when frames end."""
+        for i, hindsight in enumerate(self._hindsight):
+            if hindsight is not None:
+                for results in [*self._pending][-hindsight.lag :]:
+                    _revise(results, i, hindsight)
         while self._pending:
             yield self._final()
 
@@ -101,13 +109,15 @@ class SideBySide:
         return list(dict.fromkeys(chain.from_iterable(each)))
 
     def _final(self) -> FrameResult:
-        results = [
-            result if hindsight is None else hindsight.revised(result)
-            for hindsight, result in zip(self._hindsight, self._pending[0], strict=True)
-        ]
+        results = self._pending[0]
         self._pending.popleft()  # not before: Ctrl-C may come in between
         return replace(
             results[0],
             estimates=tuple(e for r in results for e in r.estimates),
             motion=next((r.motion for r in results if r.motion is not None), None),
         )
+
+
+def _revise(results: list[FrameResult], i: int, hindsight: Hindsight) -> None:
+    """Put the i-th of a frame's results as hindsight sees it now."""
+    results[i] = hindsight.revised(results[i])

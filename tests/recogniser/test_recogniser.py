@@ -412,6 +412,32 @@ def test_a_lag_shorter_than_the_log_uses_so_many_frames_and_no_more():
         alike(so_far[seen - 5], results[seen - 5])
 
 
+def with_lag(frames: int) -> config.Config:
+    lagging = config.with_assignments(config.preset("offline"), [f"features.lag_frames={frames}"])
+    return dataclasses.replace(lagging, preset=f"lag{frames}")
+
+
+def test_lags_side_by_side_give_what_each_gives_alone():
+    log = still_log(3, 24, hidden=range(12))
+    lags = (3, 10)
+    together = list(SideBySide([*map(with_lag, lags)], log[0].fan, BASIN).recognise(log))
+    assert len(together) == len(log)
+    for lag in lags:
+        alone = SideBySide([with_lag(lag)], log[0].fan, BASIN).recognise(log)
+        for one, both in zip(alone, together, strict=True):
+            assert rows(one, FRAMEWORK, "x") == rows(both, f"{FRAMEWORK}:lag{lag}", "x")
+
+
+def test_numbers_that_jump_change_nothing_in_hindsight():
+    """As those of a log do of which many frames in a row cannot be used."""
+    log = still_log(1, 24, hidden=range(8))
+    jumping = [dataclasses.replace(f, index=f.index + 600 * (f.index > 11)) for f in log]
+    for one, other in zip(
+        side_by_side(log, "offline"), side_by_side(jumping, "offline"), strict=True
+    ):
+        assert rows(one, FRAMEWORK) == rows(other, FRAMEWORK)
+
+
 def test_orientation_and_place_are_known_as_well_as_they_say():
     result = side_by_side(still_log(3, 12), "default")[-1]
     (found,) = [e for e in result.estimates if e.method == FRAMEWORK and e.declared]
