@@ -59,19 +59,22 @@ def fit(
         sharp, smeared = np.concatenate([prior.bias[:, None], *prior.values], axis=1)
         centre = np.concatenate([sharp, smeared - sharp])
     columns = [_basis(r.features, knots) for r in used]
-    curves = centre
-    before = np.inf
+    best = curves = centre
+    least, step = np.inf, np.zeros_like(centre)
     for _ in range(60):
         loss, gradient, curvature = _likelihood(used, columns, curves)
         pull = penalty @ (curves - centre)
         loss += 0.5 * float((curves - centre) @ pull)
-        step = np.linalg.solve(curvature + penalty, gradient - pull)
-        if before - loss < 1e-6 * abs(loss):
-            break
-        before = loss
-        # Far from the summit Newton's step overshoots: no curve moves by more than 5 at once.
-        curves = curves + step / max(1.0, float(np.abs(step).max()) / 5)
-    both = curves.reshape(2, -1).cumsum(axis=0)  # sharp, smeared
+        if loss > least + 1e-6 * abs(least):  # far from the summit Newton's step overshoots
+            step = step / 2
+        else:
+            gained, least, best = least - loss, loss, curves
+            if gained < 1e-6 * abs(loss):
+                break
+            step = np.linalg.solve(curvature + penalty, gradient - pull)
+            step = step / max(1.0, float(np.abs(step).max()) / 5)  # no curve by more than 5
+        curves = best + step
+    both = best.reshape(2, -1).cumsum(axis=0)  # sharp, smeared
     ends = np.cumsum([1] + [len(k) for k in knots])
     values = [both[:, a:b] for a, b in pairwise(ends)]
     # Of a curve and the bias only the sum counts: curves are stated with mean 0.

@@ -110,6 +110,19 @@ def test_a_prior_is_left_as_far_as_the_samples_ask():
     assert kept[2] < 0.01
 
 
+def test_what_is_learned_fits_its_samples_no_worse_than_the_prior():
+    """Of features that tell next to nothing, far from which Newton's first steps overshoot."""
+    rng = np.random.default_rng(0)
+    count = 1500
+    labels = np.where(rng.random(count) < 0.9, rng.integers(0, 4, count), 4)
+    features = rng.normal(0, 1, (count, 4, len(FEATURES)))
+    on = np.flatnonzero(labels < 4)
+    features[on, labels[on]] += 0.5
+    samples = Samples(features, rng.uniform(0, 0.2, count), labels, np.arange(count))
+    prior = load_model()
+    assert log_likelihood(fit([samples], prior), samples) > log_likelihood(prior, samples)
+
+
 def test_tracks_are_labelled_by_where_they_lie():
     """On a landmark to a quarter of a disc's diameter, off it from half of one, taught between."""
     diameter = 2 * BASIN.radius_m
