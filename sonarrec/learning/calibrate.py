@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain, islice
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from sonarrec.landmarks import LandmarkSet
 from sonarrec.learning.fit import fit
 from sonarrec.learning.samples import Samples, Tracks, describe, label
 from sonarrec.readers import open_log
+from sonarrec.recogniser.beam_width import FRAMES_FOR_BEAMS, with_beams
 from sonarrec.recogniser.stage3_features.model import AppearanceModel, load_model
 from sonarrec.records import Clock, FloatArray, Frame, SonarrecError, UsageError
 from sonarrec.sonar import Sonar
@@ -113,7 +115,12 @@ def learn(
             if log.name in names:
                 raise UsageError(f"{path}: a second log {log.name!r}; the truth tells logs by name")
             names.append(log.name)
-            tracks = describe(_counted(log, observe), config, landmarks, name=log.name)
+            left = iter(log)
+            begin = [*islice(left, FRAMES_FOR_BEAMS)]
+            (own,), beams = with_beams([config], log.beam_width_deg, begin)
+            notes += [f"{log.name}: {line}" for line in beams]
+            frames_of = _counted(chain(begin, left), observe)
+            tracks = describe(frames_of, own, landmarks, name=log.name)
             problems += log.problems
         truth = match_truth(table, tracks)
         frames += len(tracks.frame)

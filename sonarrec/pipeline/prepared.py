@@ -16,14 +16,11 @@ from sonarrec.readers import open_log
 from sonarrec.readers.find import SONAR_FILE, find_log, log_name
 from sonarrec.readers.log import Log
 from sonarrec.readers.poses_csv import POSES_FILE, read_poses
-from sonarrec.recogniser.beam_width import beam_width_deg, usual_beam_width_deg
+from sonarrec.recogniser.beam_width import FRAMES_FOR_BEAMS, with_beams
 from sonarrec.recogniser.side_by_side import SideBySide
 from sonarrec.recogniser.stage3_features.model import ModelFile, model_from_table, read_model
 from sonarrec.records import Fan, Frame, UsageError, shown
 from sonarrec.results.run_file import Given, RunFile, read_run, run_table
-
-FRAMES_FOR_BEAMS = 4
-"""So many are looked at for the width of the beams."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +73,7 @@ def prepared(
         if first is None:
             raise UsageError(f"{shown(path)}: no frame lies in --frames {_told(span)}")
         begin = [first, *islice(frames, FRAMES_FOR_BEAMS - 1)]
-        configs, more_of_beams = _with_beams(used.configs, log, begin)
+        configs, beams = with_beams(used.configs, log.beam_width_deg, begin)
         recogniser = SideBySide(
             configs, first.fan, landmarks, learned.model if learned else None, poses
         )
@@ -110,7 +107,7 @@ def prepared(
             recogniser,
             table,
             folder,
-            [*notes, *more, *more_of_beams],
+            [*notes, *more, *(f"{shown(log.path)}: {line}" for line in beams)],
         )
 
 
@@ -119,34 +116,6 @@ def _results_of(log: Path, folder: Path) -> Path:
     if folder.resolve() == log.resolve():
         raise UsageError(f"{shown(folder)}: this is the log itself; choose another --out")
     return folder
-
-
-def _with_beams(
-    configs: Sequence[Config], log: Log, begin: Sequence[Frame]
-) -> tuple[list[Config], list[str]]:
-    """The settings with the beams' width where it is to be found out, and a note on it.
-
-    begin: the log's first frames. Nothing is said where the width is what the field of view lets
-    one expect.
-    """
-    if all(c.features.beam_width_deg or c.features.measurement == "single" for c in configs):
-        return list(configs), []
-    fan, told = begin[0].fan, log.beam_width_deg
-    if told is not None:
-        width, how = told, "the log tells"
-    else:
-        width, measured = beam_width_deg(fan, [f.image for f in begin if f.fan == fan])
-        how = "the first frames show" if measured else ""
-    found = [
-        c
-        if c.features.beam_width_deg or c.features.measurement == "single"
-        else replace(c, features=replace(c.features, beam_width_deg=width))
-        for c in configs
-    ]
-    if width == usual_beam_width_deg(fan):
-        return found, []
-    note = f"beams are taken to be {width:g} deg wide, as {how}"
-    return found, [f"{shown(log.path)}: {note} (features.beam_width_deg sets another)"]
 
 
 def _told(span: tuple[int, int | None]) -> str:

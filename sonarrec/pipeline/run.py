@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from heapq import nlargest
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from sonarrec.pipeline.prepared import Prepared, Used, prepared
 from sonarrec.readers.find import find_log
 from sonarrec.readers.log import Log
 from sonarrec.readers.plausible import Plausibility
+from sonarrec.recogniser.beam_width import FRAMES_FOR_BEAMS, with_beams
 from sonarrec.recogniser.side_by_side import SideBySide
 from sonarrec.recogniser.stage3_features.model import read_model
 from sonarrec.records import (
@@ -146,12 +147,16 @@ class Recogniser:
                 raise UsageError("a Recogniser made from a fan needs frames to recognise")
             frames = self._source
         left = iter(frames)
-        first = next(left, None)
-        if first is None:
+        begin = [*islice(left, FRAMES_FOR_BEAMS)]
+        if not begin:
             return
-        fan = self._source if isinstance(self._source, Fan) else first.fan
-        recogniser = SideBySide(self._configs, fan, self.landmarks, self._model)
-        yield from recogniser.recognise(chain([first], left))
+        if isinstance(self._source, Fan):
+            fan, told_deg = self._source, None
+        else:
+            fan, told_deg = begin[0].fan, self._source.beam_width_deg
+        configs, _ = with_beams(self._configs, told_deg, begin)
+        recogniser = SideBySide(configs, fan, self.landmarks, self._model)
+        yield from recogniser.recognise(chain(begin, left))
 
 
 def result_names(logs: Sequence[str | Path | RemoteLog]) -> list[str | None]:

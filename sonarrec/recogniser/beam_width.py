@@ -8,13 +8,17 @@ bin, while landmarks, light and the floor's own pattern change slowly; so these 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
 
+from sonarrec.config import Config
 from sonarrec.geometry import pixel_from_polar
-from sonarrec.records import ByteImage, Fan
+from sonarrec.records import ByteImage, Fan, Frame
 
+FRAMES_FOR_BEAMS = 4
+"""So many of a log's first frames are looked at."""
 # Degrees: of fields of view up to so wide, the beams that their sonars have: acoustic cameras
 # (DIDSON, ARIS), multibeam sonars of 60 deg, and of 120 to 130.
 USUAL_DEG = ((40.0, 0.4), (80.0, 0.6), (360.0, 1.0))
@@ -32,6 +36,33 @@ FIT_FROM, FIT_TO = 0.5, 0.06
 # Variance of the fall-off, in beam widths squared: of the beam itself and of the interpolation
 # between beams that lie two thirds of their width apart (simulated sonars, tuning seeds).
 VARIANCE = 0.45
+
+
+def with_beams(
+    configs: Sequence[Config], told_deg: float | None, begin: Sequence[Frame]
+) -> tuple[list[Config], list[str]]:
+    """The settings with the beams' width where it is to be found out, and a note on it.
+
+    told_deg: what the log tells, None where it does not. begin: its first FRAMES_FOR_BEAMS frames,
+    at least one. Nothing is noted where the width is what the field of view lets one expect.
+    """
+    needs = [not c.features.beam_width_deg and c.features.measurement != "single" for c in configs]
+    if not any(needs):
+        return list(configs), []
+    fan = begin[0].fan
+    if told_deg is not None:
+        width, how = told_deg, "the log tells"
+    else:
+        width, measured = beam_width_deg(fan, [f.image for f in begin if f.fan == fan])
+        how = "the first frames show" if measured else ""
+    found = [
+        replace(c, features=replace(c.features, beam_width_deg=width)) if need else c
+        for c, need in zip(configs, needs, strict=True)
+    ]
+    if width == usual_beam_width_deg(fan):
+        return found, []
+    note = f"beams are taken to be {width:g} deg wide, as {how}"
+    return found, [f"{note} (features.beam_width_deg sets another)"]
 
 
 def usual_beam_width_deg(fan: Fan) -> float:

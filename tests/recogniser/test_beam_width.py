@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,12 +13,16 @@ import pytest
 import tomli_w
 from click.testing import CliRunner
 
+from sonarrec import Recogniser, load_landmarks, open_log, preset, read_results, run
 from sonarrec.cli import main
+from sonarrec.config import Config
+from sonarrec.learning import calibrate
 from sonarrec.recogniser.beam_width import (
     beam_width_deg,
     measured_width_deg,
     usual_beam_width_deg,
 )
+from sonarrec.records import Frame, SonarrecError
 from sonarrec.simulation.random_scenes import random_scene
 from sonarrec.simulation.scene import Scene, scene_fan, scene_sonar
 from sonarrec.simulation.simulate import render
@@ -96,13 +101,13 @@ def width_in(folder: Path) -> float:
 def test_a_run_says_and_keeps_what_it_took(tmp_path: Path) -> None:
     log = log_of(tmp_path / "wide", scene_of(8741, 28.8, 96, 1.2))
 
-    def run(*more: str) -> str:
+    def told_by(*more: str) -> str:
         words = ["run", str(log), "-q", "-o", str(tmp_path / "out"), *more]
         result = CliRunner().invoke(main, words)
         assert result.exit_code == 0, result.output
         return result.stderr
 
-    told = run()
+    told = told_by()
     took = width_in(tmp_path / "out" / "wide")
     assert took == pytest.approx(1.2, rel=0.35)
     assert f"beams are taken to be {took:g} deg wide, as the first frames show" in told
@@ -110,10 +115,34 @@ def test_a_run_says_and_keeps_what_it_took(tmp_path: Path) -> None:
     estimates = (tmp_path / "out" / "wide" / "estimates.csv").read_bytes()
     run_file = tmp_path / "run.toml"
     run_file.write_bytes((tmp_path / "out" / "wide" / "run.toml").read_bytes())
-    assert "beams" not in run("--config", str(run_file), "--overwrite")
+    assert "beams" not in told_by("--config", str(run_file), "--overwrite")
     assert (tmp_path / "out" / "wide" / "estimates.csv").read_bytes() == estimates
-    assert "beams" not in run("--set", "features.beam_width_deg=0.5")
+    assert "beams" not in told_by("--set", "features.beam_width_deg=0.5")
     assert width_in(tmp_path / "out" / "wide") == 0.5
+
+
+def test_python_and_calibrate_take_the_width_that_a_run_takes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = log_of(tmp_path / "wide", scene_of(8741, 28.8, 96, 1.2))
+    written = read_results(run(log, tmp_path / "out").folder)
+    with open_log(log) as opened:
+        scores = [e.score for r in Recogniser(opened).recognise() for e in r.estimates]
+    np.testing.assert_allclose(scores, written.estimates.score, atol=5.1e-7)
+
+    taken = []
+
+    def described(frames: Iterable[Frame], config: Config, *_: object, **__: object) -> None:
+        taken.append(config.features.beam_width_deg)
+        assert len([*frames]) == 4
+        raise SonarrecError("enough seen")
+
+    monkeypatch.setattr(calibrate, "describe", described)
+    truth = tmp_path / "gt.csv"
+    truth.write_text("frame,landmark,x_px,y_px\n0,1,50,50\n")
+    with pytest.raises(SonarrecError, match="enough seen"):
+        calibrate.learn([log], truth, preset("default"), load_landmarks("basin"))
+    assert taken == [width_in(tmp_path / "out" / "wide")]
 
 
 def test_nothing_is_said_of_the_usual_width(tmp_path: Path) -> None:
