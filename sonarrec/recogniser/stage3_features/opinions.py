@@ -20,8 +20,9 @@ from sonarrec.records import FloatArray, Groups
 LEAST_BELIEF = 1e-2  # in a logarithm: no single frame rules an ID out for good
 LEAST_NOW = 1e-6  # the same, in what this frame says of itself: the digits that the tables have
 # Powers of this frame's belief and of its track's so far in the belief that is reported: near a fit
-# to tuning seeds (2000 to 2007 and 2500 to 2507), where they had the least cost, as for
-# features.declare. That they sum to more than 1 makes up for the mean being less sure than frames.
+# to tuning seeds (2000 to 2007 and 2500 to 2507), where they had the least cost over all kinds, a
+# false claim counting as two misses. That they sum to more than 1 makes up for the mean being less
+# sure than frames.
 NOW, SO_FAR = 0.5, 0.6
 
 
