@@ -1,5 +1,6 @@
 """Stage 3 against PAPER's equations written out and figures worked out from them."""
 
+import dataclasses
 import itertools
 
 import numpy as np
@@ -79,6 +80,30 @@ def test_update_is_equations_6_to_8_written_out(data, n, k):
 def test_a_model_that_never_errs_passes_the_measurement_through():
     q = np.array([[0.1, 0.2, 0.7], [0.5, 0.25, 0.25]])
     np.testing.assert_allclose(update(np.full((2, 3), 1 / 3), q, np.eye(3)), q)
+
+
+def test_what_was_ruled_out_by_such_a_model_can_be_measured_again():
+    """IDs without a sector in common are never confused: belief follows the measurement."""
+    opposite = LandmarkSet(
+        "two", 0.15, (0.8, 1.0), (0.0, 0.62), (1, 2), ((1, 0, 0, 0), (0, 1, 1, 1))
+    )
+    model = measurement_model(opposite, 2.5)
+    np.testing.assert_array_equal(model, np.eye(2))
+    belief = update(np.array([[0.5, 0.5]]), np.array([[1.0, 0.0]]), model)
+    np.testing.assert_allclose(belief, [[1, 0]])
+    np.testing.assert_allclose(update(belief, np.array([[0.3, 0.7]]), model), [[0.3, 0.7]])
+    np.testing.assert_allclose(update(belief, np.array([[0.0, 1.0]]), model), [[0, 1]])
+
+
+@pytest.mark.parametrize("kind", ["association", "inverse_distance"])
+def test_one_that_returns_to_an_empty_view_brings_its_own_belief(kind):
+    estimator = FeatureEstimator(Features(motion_model=kind), measurement_model(BASIN, 2.5))
+    before = estimator.step(groups([4], [[50, 50]]), ideal_q(3)[None])
+    nobody = dataclasses.replace(groups([], []), remembered=np.array([4]))
+    estimator.step(nobody, np.empty((0, 4)))
+    back = estimator.step(groups([4], [[80, 50]]), np.full((1, 4), 0.25))
+    expected = update(before, np.full((1, 4), 0.25), measurement_model(BASIN, 2.5))
+    np.testing.assert_allclose(back, expected)
 
 
 @pytest.mark.parametrize(

@@ -37,6 +37,7 @@ TABLE_3 = np.array(  # range window 2.50 m
         [0.1681, 0.2485, 0.2515, 0.3319],
     ]
 )
+LEAST_PREDICTED = 1e-300
 PAPER_SECTORS = ((1, 0, 0, 0), (1, 0, 1, 0), (1, 1, 0, 0), (1, 1, 1, 0))
 
 
@@ -71,6 +72,8 @@ def update(predicted: FloatArray, measured: FloatArray, model: FloatArray) -> Fl
     Jeffrey's rule: the posterior under each measurement that may have been made, weighed by how
     probable it is that it was.
     """
+    # Of IDs that no measurement confuses, one that was ruled out by rounding may be measured.
+    predicted = np.maximum(predicted, LEAST_PREDICTED)
     joint = model[None] * predicted[:, :, None]  # Eq. 6: (n, k, j)
     posterior = joint / joint.sum(axis=1, keepdims=True)  # Eq. 7
     belief = np.einsum("nkj,nj->nk", posterior, measured)  # Eq. 8
@@ -109,7 +112,7 @@ class FeatureEstimator:
         known = [i for i, number in enumerate(numbers) if number in place]
         if not known:
             return predicted
-        if self._config.motion_model == "association":
+        if self._config.motion_model == "association" or not len(self._positions):
             predicted[known] = self._beliefs[[place[numbers[i]] for i in known]]
         else:
             power = self._config.distance_power
