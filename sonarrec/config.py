@@ -111,7 +111,8 @@ class Continuity:
         "nearer to another candidate do not count",
     )
     z_hit: NotNegative = _setting(0.95, "weight", "of the score map in Eq. 4; open in the paper")
-    z_rand: NotNegative = _setting(
+    # Without it a frame in which nothing is hit leaves no weight at all.
+    z_rand: Annotated[float, bounds(1e-9)] = _setting(
         0.05, "weight", "of the uniform part in Eq. 4; open in the paper"
     )
     hit_power: NotNegative = _setting(
@@ -125,10 +126,10 @@ class Continuity:
     strikes: Count = _setting(
         5, "", "strikes in a row that delete a group; the paper says five times"
     )
-    p_hit_object: Share = _setting(
+    p_hit_object: Annotated[float, bounds(0.01, 0.99)] = _setting(
         0.9, "probability", "existence: that an object in view is a candidate in a frame"
     )
-    p_hit_clutter: Share = _setting(
+    p_hit_clutter: Annotated[float, bounds(0.01, 0.99)] = _setting(
         0.4, "probability", "existence: that a place without an object is a candidate again"
     )
     min_existence: Share = _setting(
@@ -218,11 +219,7 @@ class Features:
     # Of the steps of 0.05 the least without a false claim in hindsight in the twelve kinds of the
     # pool, on tuning seeds (2000 to 2007, 2500 to 2507). By cost over all kinds, a false claim
     # counting as two misses, 0.70 would be 3 % better.
-    declare: Share = _setting(
-        0.75,
-        "probability",
-        "least score at which an ID is declared",
-    )
+    declare: Share = _setting(0.75, "probability", "least score at which an ID is declared")
 
 
 @dataclass(frozen=True, slots=True)

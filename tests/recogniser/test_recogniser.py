@@ -201,6 +201,8 @@ NUMBERS = [
 @pytest.mark.parametrize("value", [0, 1, 2])
 def test_extreme_settings_are_refused_or_run(name, value):
     log = drawn_log(SECTORS[1], 3, fan=make_fan(160))
+    black = np.zeros_like(log[-1].image)
+    log += [dataclasses.replace(log[-1], index=3, image=black)]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for section, key in NUMBERS:
