@@ -86,8 +86,13 @@ def plane_position(pair: tuple[str, FloatArray, FloatArray], fan: Fan | None) ->
         if fan is None:
             return None
         first, second = polar_from_pixel(fan, first, second)
-    bearing = np.radians(second)
-    return np.column_stack([first * np.sin(bearing), first * np.cos(bearing)])
+    return plane_from_polar(first, second)
+
+
+def plane_from_polar(range_m: FloatArray, bearing_deg: FloatArray) -> FloatArray:
+    """(rows, 2) places in the fan plane, as plane_position's, of slant ranges and bearings."""
+    bearing = np.radians(bearing_deg)
+    return np.column_stack([range_m * np.sin(bearing), range_m * np.cos(bearing)])
 
 
 def pixel_from_plane(fan: Fan, position: FloatArray) -> FloatArray:

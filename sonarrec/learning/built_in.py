@@ -11,9 +11,9 @@ from concurrent.futures import ProcessPoolExecutor
 import numpy as np
 
 from sonarrec.config import preset
-from sonarrec.geometry import PolarToFan
+from sonarrec.geometry import PolarToFan, plane_from_polar
 from sonarrec.learning.fit import fit
-from sonarrec.learning.samples import Samples, describe, label, on_fan
+from sonarrec.learning.samples import Samples, describe, label
 from sonarrec.recogniser.stage3_features.model import BUILT_IN
 from sonarrec.records import Frame
 from sonarrec.simulation.random_scenes import KINDS_OF_SCENE, STRETCH_KINDS, random_scene
@@ -46,11 +46,12 @@ def samples_of(scene: Scene) -> Samples:
     truth: list[tuple[int, LandmarkTruth]] = []
     tracks = describe(_frames(scene, truth), preset("default"), scene.landmark_set)
     ids = scene.landmark_set.ids
+    polar = np.array([(t.range_m, t.bearing_deg) for _, t in truth]).reshape(-1, 2)
     return label(
         tracks,
         np.array([row for row, _ in truth], np.int64),
         np.array([ids.index(t.landmark) for _, t in truth], np.int64),
-        on_fan(np.array([(t.range_m, t.bearing_deg) for _, t in truth]).reshape(-1, 2)),
+        plane_from_polar(*polar.T),
     )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sonarrec.config import Config
+from sonarrec.geometry import plane_from_polar
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.recogniser import FRAMEWORK, Recogniser
 from sonarrec.recogniser.stage3_features.description import FEATURES
@@ -101,7 +102,7 @@ def describe(
         np.array(stamp, np.int64),
         np.array(rows, np.int64),
         np.array(number, np.int64),
-        on_fan(np.array(polar).reshape(-1, 2)),
+        plane_from_polar(*np.array(polar).reshape(-1, 2).T),
         np.concatenate(features),
         np.concatenate(smear),
     )
@@ -129,9 +130,3 @@ def label(
     return Samples(
         tracks.features[taught], tracks.smear[taught], found[taught], tracks.number[taught]
     )
-
-
-def on_fan(polar: FloatArray) -> FloatArray:
-    """(n, 2) metres right and ahead of the sonar, of (n, 2) slant range (m) and bearing (deg)."""
-    bearing = np.radians(polar[:, 1])
-    return np.asarray(polar[:, :1] * np.column_stack([np.sin(bearing), np.cos(bearing)]))

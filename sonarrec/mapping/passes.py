@@ -247,9 +247,7 @@ def _turns(
 
 def periods_of(landmarks: LandmarkSet, ids: IntArray) -> FloatArray:
     """(n,) `LandmarkSet.periods_deg` of n IDs."""
-    by_id = np.argsort(landmarks.ids)
-    at = np.searchsorted(np.asarray(landmarks.ids)[by_id], ids)
-    return np.asarray(landmarks.periods_deg()[by_id[at]])
+    return np.asarray(landmarks.periods_deg()[landmarks.indices(ids)])
 
 
 def _sum(values: np.ndarray, begin: IntArray) -> np.ndarray:

@@ -203,7 +203,7 @@ def process(
                 return _held(it, held)
             if held.why:
                 it.notes.append(f"{it.folder}: results from before are replaced ({held.why})")
-        plausibility, sightings = Plausibility(), Sightings(it.fan, it.poses)
+        plausibility, sightings = Plausibility(), Sightings(it.landmarks, it.fan, it.poses)
         with ResultsWriter(
             it.folder, it.landmarks, it.table, sightings, parquet=used.parquet
         ) as writer:

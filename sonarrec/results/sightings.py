@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from sonarrec.geometry import ground_range
+from sonarrec.landmarks import LandmarkSet
 from sonarrec.poses import PoseTable
 from sonarrec.records import Estimate, Fan
 
@@ -23,7 +24,8 @@ class Sighting:
     last_frame: numbers in the log, of the first and the last declaration, and start_ns, end_ns
     their times. frames_declared: how many frames have a declaration. mean_score, best_score: over
     the declarations, 0 to 1. range_m: mean slant range. bearing_deg: mean, positive to the right.
-    orientation_deg: mean direction, 0 to 360. range_sigma_m, bearing_sigma_deg,
+    orientation_deg: mean direction, 0 to 360; of a symbol that looks the same turned one of them.
+    range_sigma_m, bearing_sigma_deg,
     orientation_sigma_deg: standard error of one frame's estimate, root mean square over the
     declarations. x_m, y_m: mean place on the floor in the poses' frame. NaN where not known.
     """
@@ -71,17 +73,23 @@ class _Mean:
 
 @dataclass(slots=True)
 class _Pass:
-    """A pass that has not ended, as `Sighting`; means: one per name that is a mean there."""
+    """A pass that has not ended, as `Sighting`.
+
+    period_deg: the turn after which the symbol looks the same. first_turn_deg: the first known
+    orientation. means: one per name that is a mean there.
+    """
 
     method: str
     landmark: int
     track: int | None
     first_frame: int
     start_ns: int
+    period_deg: float
     last_frame: int = -1
     end_ns: int = 0
     frames_declared: int = 0
     best_score: float = 0.0
+    first_turn_deg: float = math.nan
     means: dict[str, _Mean] = field(default_factory=lambda: defaultdict(_Mean))
 
     def add(
@@ -90,7 +98,10 @@ class _Pass:
         self.frames_declared += frame != self.last_frame
         self.last_frame, self.end_ns = frame, timestamp_ns
         self.best_score = max(self.best_score, estimate.score)
-        turn = math.radians(estimate.orientation_deg)
+        if math.isnan(self.first_turn_deg):
+            self.first_turn_deg = estimate.orientation_deg
+        # All turns after which the symbol looks the same are one, as a whole turn is.
+        turn = math.radians(estimate.orientation_deg * 360 / self.period_deg)
         for name, value in (
             ("score", estimate.score),
             ("range", estimate.range_m),
@@ -120,7 +131,7 @@ class _Pass:
             best_score=self.best_score,
             range_m=mean["range"],
             bearing_deg=mean["bearing"],
-            orientation_deg=math.degrees(math.atan2(mean["sin"], mean["cos"])) % 360,
+            orientation_deg=self._turn_deg(mean["cos"], mean["sin"]),
             range_sigma_m=math.sqrt(mean["range_sigma"]),
             bearing_sigma_deg=math.sqrt(mean["bearing_sigma"]),
             orientation_sigma_deg=math.sqrt(mean["orientation_sigma"]),
@@ -128,13 +139,23 @@ class _Pass:
             y_m=mean["y"],
         )
 
+    def _turn_deg(self, cos: float, sin: float) -> float:
+        """The mean direction, of those that look the same the one nearest to the first seen."""
+        turn = math.degrees(math.atan2(sin, cos)) * self.period_deg / 360
+        return (
+            self.first_turn_deg + math.remainder(turn - self.first_turn_deg, self.period_deg)
+        ) % 360
+
 
 class Sightings:
     """Gathers the passes of all methods, in memory that holds those that have not ended."""
 
-    def __init__(self, fan: Fan | None = None, poses: PoseTable | None = None) -> None:
+    def __init__(
+        self, landmarks: LandmarkSet, fan: Fan | None = None, poses: PoseTable | None = None
+    ) -> None:
         """fan and poses: where the sonar looked from; without both no place on the floor."""
         self._fan, self._poses = fan, poses
+        self._period_deg = dict(zip(landmarks.ids, landmarks.periods_deg().tolist(), strict=True))
         self._open: dict[tuple[str, int, int | None], _Pass] = {}
 
     def add(self, frame: int, timestamp_ns: int, estimates: Iterable[Estimate]) -> list[Sighting]:
@@ -148,7 +169,7 @@ class Sightings:
             track = e.object if follows(e.method) and e.object >= 0 else None
             key = e.method, e.landmark, track
             if key not in self._open:
-                self._open[key] = _Pass(*key, frame, timestamp_ns)
+                self._open[key] = _Pass(*key, frame, timestamp_ns, self._period_deg[e.landmark])
             self._open[key].add(frame, timestamp_ns, e, self._place(timestamp_ns, e))
         return _in_order(ended)
 

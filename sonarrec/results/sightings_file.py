@@ -63,7 +63,7 @@ def _worked_out(
     time_of = dict(zip(frames["frame"].tolist(), times.tolist(), strict=True))
     declared = [e for e in _declared(folder, run, landmarks, sonar) if e[0] in time_of]
     declared.sort(key=lambda e: e[0])
-    gathered = Sightings()
+    gathered = Sightings(run.landmark_set(landmarks))
     for frame, group in groupby(declared, key=lambda e: e[0]):
         yield from gathered.add(frame, time_of[frame], (e for _, e in group))
     yield from gathered.rest()

@@ -85,7 +85,7 @@ class ResultsWriter:
         """
         self.frames = self.candidates = 0
         self.full = False  # the disk took no more: nothing can be written any longer
-        self._gathered = sightings or Sightings()
+        self._gathered = sightings or Sightings(landmarks)
         self._folder = folder
         self._part = part_of(folder)
         self._run = run

@@ -63,7 +63,7 @@ def test_each_log_has_its_own(logs: Path) -> None:
         told = f"note: {logs / 'out' / name}: ground truth {logs / 'logs' / file}, beside its log"
         assert told in done.stdout
     found = evaluate(logs / "out")
-    per_log = scored(found, "strict").counts_per_log(found.joined)
+    per_log = scored(found.pooled(), "strict").counts_per_log()
     assert [(log[0].tp, log[0].fn) for log in per_log] == [(1, 3), (2, 6), (3, 9)]
     with (logs / "out" / "evaluation" / "per_log.csv").open() as file:
         assert {row["log"] for row in csv.DictReader(file)} == {"a", "b", "pings"}
@@ -106,7 +106,7 @@ def test_one_truth_beside_several_logs_must_tell_them_apart(logs: Path) -> None:
     rows = [("a", 0, 1, 2.0, 0.0), ("b", 0, 1, 2.0, 0.0), ("b", 1, 1, 2.0, 0.0)]
     write_csv(logs / "logs" / "gt.csv", ("log", *HEADER), rows)
     found = evaluate(logs / "out")
-    per_log = scored(found, "strict").counts_per_log(found.joined)
+    per_log = scored(found.pooled(), "strict").counts_per_log()
     assert [(log[0].tp, log[0].fn) for log in per_log] == [(1, 0), (2, 0)]
 
 

@@ -291,7 +291,7 @@ def test_pairs_are_pooled(tmp_path: Path) -> None:
         parts = [scored(one, protocol) for one in alone]
         whole = scored(pooled, protocol)
         np.testing.assert_array_equal(whole.declared, sum(p.declared for p in parts))
-        for i, log in enumerate(whole.counts_per_log(pooled.joined)):
+        for i, log in enumerate(scored(pooled.pooled(), protocol).counts_per_log()):
             assert log == [parts[i].count(k) for k in (0, 1, 2, 3, None)]
     # The same from the command line; results lie beside the table.
     done = command("--pairs", tmp_path / "pairs.csv", "--details")

@@ -154,12 +154,12 @@ def test_counts_per_log_add_up() -> None:
     second = case.frame >= 3 * 35  # three of the six passes
     case = replace(case, logs=("x", "y"), log_index=second.astype(int))
     scored = score(case, 0, "strict")
-    per_log = scored.counts_per_log(case)
+    of_truth = case.log_index[case.truth_frame_index]
+    per_log = scored.declared_by(case.log_index, of_truth, 2)  # TP, TN, FP, FN of each ID
     in_second = second[case.truth_frame_index]
-    assert [log[-1].tp + log[-1].fn for log in per_log] == [(~in_second).sum(), in_second.sum()]
-    for k, total in enumerate([*scored.declared.tolist(), scored.declared.sum(axis=0).tolist()]):
-        split = [(log[k].tp, log[k].tn, log[k].fp, log[k].fn) for log in per_log]
-        assert np.sum(split, axis=0).tolist() == total
+    positives = per_log[:, :, [0, 3]].sum(axis=(1, 2))
+    assert positives.tolist() == [(~in_second).sum(), in_second.sum()]
+    np.testing.assert_array_equal(per_log.sum(axis=0), scored.declared)
 
 
 # --- Intervals -----------------------------------------------------------------------------------

@@ -55,7 +55,7 @@ def claim(method: str = "framework", **changed: object) -> Estimate:
 
 
 def gathered(frames: dict[int, list[Estimate]], sightings: Sightings | None = None) -> list:
-    sightings = sightings or Sightings()
+    sightings = sightings or Sightings(BASIN)
     found = []
     for frame, estimates in sorted(frames.items()):
         found += sightings.add(frame, frame * 10**8, estimates)
@@ -71,6 +71,17 @@ def test_a_pass_ends_after_ten_frames_without_a_declaration(again: int, passes: 
     assert len(found) == passes
     assert (found[0].first_frame, found[-1].last_frame) == (3, again)
     assert found[0].end_ns == found[0].last_frame * 10**8
+
+
+@pytest.mark.parametrize("landmark", [1, 2])
+def test_turns_that_look_the_same_are_one_direction(landmark: int) -> None:
+    """ID.2 looks the same after half a turn, and is read as one or the other."""
+    turns = [178.0, 4.0, 181.0, 3.0] if landmark == 2 else [178.0, 184.0, 181.0, 183.0]
+    frames = {f: [claim(landmark=landmark, orientation_deg=t)] for f, t in enumerate(turns)}
+    [found] = gathered(frames)
+    assert found.orientation_deg == pytest.approx(181.5, abs=0.1)  # of those the first one's
+    [unknown] = gathered({0: [claim(landmark=landmark, orientation_deg=np.nan)]})
+    assert np.isnan(unknown.orientation_deg)
 
 
 claims = st.tuples(
@@ -155,11 +166,13 @@ def test_the_place_on_the_floor_is_the_same_from_wherever_it_is_seen() -> None:
         bearing = math.degrees(math.atan2(mark[0] - px, mark[1] - py)) - heading
         away = math.hypot(mark[0] - px, mark[1] - py, fan.height_m)
         frames[n] = [claim(range_m=away, bearing_deg=(bearing + 180) % 360 - 180)]
-    [s] = gathered(frames, Sightings(fan, table))
+    [s] = gathered(frames, Sightings(BASIN, fan, table))
     assert (s.x_m, s.y_m) == pytest.approx(mark)
-    [s] = gathered(frames, Sightings(fan, replace(table, axes="ahead, left")))  # as ROS has them
+    [s] = gathered(
+        frames, Sightings(BASIN, fan, replace(table, axes="ahead, left"))
+    )  # as ROS has them
     assert (s.x_m, s.y_m) == pytest.approx((mark[1], -mark[0]))
-    [unknown] = gathered({9: [claim()]}, Sightings(fan, table))
+    [unknown] = gathered({9: [claim()]}, Sightings(BASIN, fan, table))
     assert math.isnan(unknown.x_m)
 
 

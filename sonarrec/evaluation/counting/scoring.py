@@ -99,14 +99,6 @@ class Scored:
         np.add.at(counts, (group, self.landmark_index[self.made]), self.made_effect)
         return counts
 
-    def counts_per_log(self, joined: Joined) -> list[list[Count]]:
-        """Per log the count at the operating point of each ID, then of all."""
-        split = self.declared_by(
-            joined.log_index, joined.log_index[joined.truth_frame_index], len(joined.logs)
-        )
-        split = np.concatenate([split, split.sum(axis=1, keepdims=True)], axis=1)
-        return [[Count(*cell) for cell in log] for log in split.tolist()]
-
 
 def score(joined: Joined, method: int, protocol: str) -> Scored:
     """Score one method (index) under one protocol, as `evaluate` says."""

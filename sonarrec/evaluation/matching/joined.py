@@ -76,8 +76,8 @@ def join(
 ) -> Joined:
     """Put the logs end to end. All have the same landmark IDs; ids: in this order, by default that
     of the first."""
-    ids = ids or logs[0].landmarks.ids
-    sectors = dict(zip(logs[0].landmarks.ids, logs[0].landmarks.sectors, strict=True))
+    landmarks = logs[0].landmarks
+    ids = ids or landmarks.ids
     names = {name for log in logs for name in log.methods}
     methods = tuple(m for m in METHODS if m in names) + tuple(sorted(names - set(METHODS)))
     parts, start = [], 0
@@ -92,7 +92,7 @@ def join(
         logs=tuple(log.name for log in logs),
         ids=ids,
         methods=methods,
-        turn_deg=np.array([_turn_deg(np.array(sectors[i])) for i in ids]),
+        turn_deg=landmarks.periods_deg()[landmarks.indices(np.array(ids))],
         placed=all(map(_is_placed, logs, truths)),
         **{name: np.concatenate([part[name] for part in parts]) for name in parts[0]},
     )
@@ -148,13 +148,6 @@ def _is_placed(log: LogResults, truth: Truth) -> bool:
     if not len(truth.frame_index):
         return True
     return truth.position is not None and (log.position is not None or not len(log.frame_index))
-
-
-def _turn_deg(sectors: IntArray) -> float:
-    """The least turn after which equal sectors are as before: 180 for 1010, 360 for 1000."""
-    n = len(sectors)
-    same = next(i for i in range(1, n + 1) if (np.roll(sectors, i) == sectors).all())
-    return 360 * same / n
 
 
 def _seconds_per_frame(log: LogResults) -> float:
