@@ -12,6 +12,9 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
+
+from sonarrec.cli import main
 
 ROOT = Path(__file__).resolve().parents[1]
 SAMPLE = ROOT / "sample_data" / "pan"
@@ -120,10 +123,11 @@ def test_a_disc_that_no_sonar_sees_is_refused(tmp_path: Path, radius: str, prese
     text = (ROOT / "sonarrec" / "landmark_sets" / "basin.toml").read_text()
     (tmp_path / "big.toml").write_text(text.replace("radius_m = 0.15", f"radius_m = {radius}"))
     log = str(SAMPLE / "00000*.png")
-    done = sonarrec(tmp_path, "run", log, "--landmarks", "big.toml", "--preset", preset)
-    assert done.returncode in (1, 2)
+    words = ["run", log, "--landmarks", str(tmp_path / "big.toml"), "--preset", preset]
+    done = CliRunner().invoke(main, [*words, "-o", str(tmp_path / "out")])
+    assert done.exit_code in (1, 2)
     assert len(done.stderr.splitlines()) == 1
-    assert b"radius_m" in done.stderr
+    assert "radius_m" in done.stderr
 
 
 def test_a_file_of_dots_keeps_its_results_in_out(tmp_path: Path) -> None:
@@ -137,18 +141,22 @@ def test_a_file_of_dots_keeps_its_results_in_out(tmp_path: Path) -> None:
     assert {p.name for p in (tmp_path / "deep" / "out").iterdir()} == {"log", "logs.csv"}
 
 
-def test_a_method_s_name_cannot_steer_the_terminal(tmp_path: Path) -> None:
+def test_a_method_s_name_cannot_steer_the_terminal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "frames.csv").write_text("frame,timestamp_ns\n0,0\n1,1\n")
     (tmp_path / "estimates.csv").write_text(
         "frame,method,range_m,bearing_deg,landmark,score,declared\n0,\x1b[31mred,2,0,1,.9,1\n"
     )
     (tmp_path / "gt.csv").write_text("frame,landmark,range_m,bearing_deg\n0,1,2,0\n")
+    monkeypatch.chdir(tmp_path)
     for words in (
         ["evaluate", ".", "--ground-truth", "gt.csv"],
         ["report", "."],
         ["truth", "propose", ".", "--method", "\x1b[31mred"],
         ["overlay", str(SAMPLE), ".", "--mcap", "o.mcap", "--method", "\x1b[31mred"],
     ):
-        done = sonarrec(tmp_path, *words)
-        assert b"\x1b" not in done.stdout + done.stderr, words
-    assert b"\\x1b[31mred" in sonarrec(tmp_path, "evaluate", ".", "--ground-truth", "gt.csv").stdout
+        done = CliRunner().invoke(main, words)
+        assert "\x1b" not in done.output, words
+        if words[0] == "evaluate":
+            assert "\\x1b[31mred" in done.stdout

@@ -197,7 +197,7 @@ NUMBERS = [
 ]
 
 
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("name", ["default", "paper"])  # offline is default with another lag
 @pytest.mark.parametrize("value", [0, 1, 2])
 def test_extreme_settings_are_refused_or_run(name, value):
     log = drawn_log(SECTORS[1], 3, fan=make_fan(160))
