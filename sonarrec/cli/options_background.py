@@ -15,7 +15,6 @@ from sonarrec.records import UsageError
 if TYPE_CHECKING:
     from sonarrec.config import Config
     from sonarrec.landmarks import LandmarkSet
-    from sonarrec.records import Fan
     from sonarrec.simulation.background import Background
 
 MOST_DB = 60.0
@@ -53,7 +52,7 @@ _LAYING = {
         type=click.FloatRange(0, 5),
         metavar="DEG",
         help="By which the discs are smeared across the line of sight.  "
-        "[default: features.beam_width_deg, else by the field of view]",
+        "[default: features.beam_width_deg, else as `sonarrec run` finds it out]",
     ),
     "odometry": option(
         BACKGROUND,
@@ -107,14 +106,10 @@ class Laying:
         """Landmarks to lay, where asked for."""
         return None if self.values["count"] is None else int(self.values["count"])
 
-    def beam_width_deg(self, config: Config, fan: Fan) -> float:
-        """As stated, else as the settings have it, else what is usual for the field of view."""
-        from sonarrec.recogniser.beam_width import usual_beam_width_deg
-
+    def beam_width_deg(self, background: Background) -> float:
+        """As stated, else that of the recording's beams."""
         stated = self.values["beam_width"]
-        if stated is not None:
-            return float(stated)
-        return config.features.beam_width_deg or usual_beam_width_deg(fan)
+        return background.beam_width_deg if stated is None else float(stated)
 
     def landmark_set(self) -> LandmarkSet:
         """The set that is laid."""

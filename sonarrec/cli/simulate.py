@@ -185,7 +185,7 @@ def _lay(
             landmarks,
             folders,
             laying.plate_db,
-            laying.beam_width_deg(config, background.fan),
+            laying.beam_width_deg(background),
             step,
         )
     notes = list(background.notes)

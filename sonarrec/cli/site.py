@@ -107,7 +107,7 @@ def site(
             Used([config], values["landmarks"], model, settings.file),
             contrasts=contrasts,
             plate_db=laying.plate_db,
-            beam_width_deg=laying.beam_width_deg(config, background.fan),
+            beam_width_deg=laying.beam_width_deg(background),
             layouts=layouts,
             count=laying.count,
             seed=settings.values["seed"] or 0,

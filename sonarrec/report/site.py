@@ -10,7 +10,7 @@ import csv
 import json
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -204,6 +204,12 @@ def _run_layout(
         laid.beam_width_deg,
         lambda: step(f"{doing}, discs"),
     )
+    # Judged by the beams that a run of the recording itself takes.
+    configs = [
+        replace(c, features=replace(c.features, beam_width_deg=background.beam_width_deg))
+        for c in laid.used.configs
+    ]
+    used = replace(laid.used, configs=configs)
     told = _most_telling(background, layout, landmarks)
     for db, folder in folders.items():
         seen: list[Estimate] = []
@@ -216,7 +222,7 @@ def _run_layout(
             step(f"{doing}, {db:g} dB")
 
         name = f"layout_{number}_contrast_{db:g}"
-        process(folder, out / "results", Given(), laid.used, observe, name=name, overwrite=True)
+        process(folder, out / "results", Given(), used, observe, name=name, overwrite=True)
         picture = _picture(background, layout, landmarks, folder, told, db, seen)
         if not laid.keep:
             for image in folder.glob("*.png"):

@@ -10,6 +10,7 @@ import csv
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from sonarrec.readers.find import find_log
 from sonarrec.readers.log import Log
 from sonarrec.readers.pixels import DYNAMIC_RANGE_DB
 from sonarrec.readers.poses_csv import POSES_FILE, read_poses
+from sonarrec.recogniser.beam_width import FRAMES_FOR_BEAMS, usual_beam_width_deg, with_beams
 from sonarrec.recogniser.odometry import Odometry
 from sonarrec.recogniser.plane import working_plane
 from sonarrec.records import (
@@ -56,8 +58,8 @@ class Background:
     where: names it. path: the sonar's pose in every frame used, the first at the origin. lit:
     (fan.rows, fan.columns) where at least half of the frames show an echo. unknown: frames whose
     motion neither images nor poses told; the sonar is taken to have stood still. told: whether
-    poses told the motion. dynamic_range_db: from black to white. problems: a line for each thing
-    that could not be used.
+    poses told the motion. beam_width_deg: of its beams, as a run takes it. dynamic_range_db: from
+    black to white. problems: a line for each thing that could not be used.
     """
 
     where: str
@@ -69,6 +71,7 @@ class Background:
     rate_hz: float
     unknown: int
     told: bool
+    beam_width_deg: float
     dynamic_range_db: float
     notes: tuple[str, ...]
     problems: tuple[str, ...]
@@ -105,8 +108,9 @@ def survey(
 ) -> Background:
     """Read a recording for its path.
 
-    config: its odometry is the recogniser's. poses: what they tell of the motion goes before what
-    images show. step: called after each frame with the number of frames, None where unknown.
+    config: its odometry is the recogniser's, and its beams where it states them. poses: what they
+    tell of the motion goes before what images show. step: called after each frame with the number
+    of frames, None where unknown.
     Raises SonarrecError where the recording cannot be used, or has no room for a disc in view.
     """
     with open_() as log:
@@ -116,7 +120,9 @@ def survey(
         stamps: list[int] = []
         echoes = np.zeros(0)
         unknown = 0
-        for frame in log.within(span):
+        frames = log.within(span)
+        begin = [*islice(frames, FRAMES_FOR_BEAMS)]
+        for frame in chain(begin, frames):
             if odometry is None:
                 fan = frame.fan
                 check_room(fan, landmarks, where)
@@ -136,7 +142,8 @@ def survey(
         # On other scales than linear the reader itself made the grey, by as many dB.
         stated = log.reading().get("dynamic_range_db", log.sonar.dynamic_range_db)
         rate = log.sonar.frame_rate_hz
-        notes = [*log.notes, *odometry.notes()]
+        (own,), beams = with_beams([config], log.beam_width_deg, begin)
+        notes = [*log.notes, *odometry.notes(), *(f"{where}: {line}" for line in beams)]
         problems = [*log.problems, *odometry.problems()]
     usual = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
     notes += _doubts(where, stated, unknown, len(path))
@@ -150,6 +157,7 @@ def survey(
         1e9 / usual if usual > 0 else rate or 1.0,
         unknown,
         poses is not None,
+        own.features.beam_width_deg or usual_beam_width_deg(fan),
         stated or DYNAMIC_RANGE_DB,
         tuple(notes),
         tuple(problems),

@@ -23,6 +23,7 @@ from sonarrec.recogniser.beam_width import (
     usual_beam_width_deg,
 )
 from sonarrec.records import Frame, SonarrecError
+from sonarrec.simulation.background import survey
 from sonarrec.simulation.random_scenes import random_scene
 from sonarrec.simulation.scene import Scene, scene_fan, scene_sonar
 from sonarrec.simulation.simulate import render
@@ -121,7 +122,7 @@ def test_a_run_says_and_keeps_what_it_took(tmp_path: Path) -> None:
     assert width_in(tmp_path / "out" / "wide") == 0.5
 
 
-def test_python_and_calibrate_take_the_width_that_a_run_takes(
+def test_whatever_reads_a_log_takes_the_width_that_a_run_takes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     log = log_of(tmp_path / "wide", scene_of(8741, 28.8, 96, 1.2))
@@ -129,8 +130,8 @@ def test_python_and_calibrate_take_the_width_that_a_run_takes(
     with open_log(log) as opened:
         scores = [e.score for r in Recogniser(opened).recognise() for e in r.estimates]
     np.testing.assert_allclose(scores, written.estimates.score, atol=5.1e-7)
-
-    taken = []
+    background = survey(lambda: open_log(log), load_landmarks("basin"), preset("default"))
+    taken = [background.beam_width_deg]
 
     def described(frames: Iterable[Frame], config: Config, *_: object, **__: object) -> None:
         taken.append(config.features.beam_width_deg)
@@ -142,7 +143,7 @@ def test_python_and_calibrate_take_the_width_that_a_run_takes(
     truth.write_text("frame,landmark,x_px,y_px\n0,1,50,50\n")
     with pytest.raises(SonarrecError, match="enough seen"):
         calibrate.learn([log], truth, preset("default"), load_landmarks("basin"))
-    assert taken == [width_in(tmp_path / "out" / "wide")]
+    assert taken == 2 * [width_in(tmp_path / "out" / "wide")]
 
 
 def test_nothing_is_said_of_the_usual_width(tmp_path: Path) -> None:

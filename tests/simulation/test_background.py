@@ -317,7 +317,7 @@ def test_black_floor_has_no_room() -> None:
     path = (Pose(0.0, 0.7, 0.0, 0.0),)
     dark = Background(
         *("dark", lambda: None, (0, None), FAN, path),  # type: ignore[arg-type]
-        *(np.zeros((FAN.rows, FAN.columns), dtype=bool), 4.0, 0, False, 50.0, (), ()),
+        *(np.zeros((FAN.rows, FAN.columns), dtype=bool), 4.0, 0, False, 0.4, 50.0, (), ()),
     )
     with pytest.raises(SonarrecError, match="no place on the floor shows echoes"):
         draw_layout(dark, BASIN, 0)
