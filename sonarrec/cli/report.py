@@ -172,10 +172,12 @@ def _compare(
     """Write the page; what could not be used, and what to print."""
     from sonarrec.cli.evaluate import compared
     from sonarrec.evaluation.matching.pairs import read_pairs
+    from sonarrec.files.outputs import check_output
     from sonarrec.remote.run import inside
     from sonarrec.report.compare import write_comparison_page
 
     page = here.output(out or inside(sides[1], "compare.html"), "compare.html")
+    check_output(page, "comparison", [ground_truth, pairs])
     truth = ground_truth if pairs is None else read_pairs(pairs)
     found = compared(sides, truth, scoring, here)
     write_comparison_page(page, found)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from textwrap import indent
@@ -17,7 +17,7 @@ from sonarrec.evaluation.counting.reliability import BINS
 from sonarrec.evaluation.counting.uncertainty import Difference, Figure
 from sonarrec.evaluation.plots import draw_det, draw_reliability, draw_roc, draw_roc_by_id
 from sonarrec.evaluation.summary import Summary
-from sonarrec.files.outputs import check_output, write_csv, writing
+from sonarrec.files.outputs import check_output, check_tables, write_csv, writing
 
 COUNTS = ("tpr", "fpr", "tp", "tn", "fp", "fn", "total")
 CONFUSION = ("protocol", "method", "landmark", *COUNTS)
@@ -44,8 +44,8 @@ def write_evaluation(
 ) -> tuple[str, ...]:
     """Write all tables and pictures into `folder`, made if need be; returns the files' names.
 
-    evaluation.json goes last, so where it stands the others are whole.
-    Raises SonarrecError where they cannot be written.
+    evaluation.json goes last, so where it stands the others are whole. Raises SonarrecError where
+    they cannot be written, UsageError, before anything is, where a file of another kind is there.
     """
     text = json_text(as_json(evaluation, summary))
     tables = {
@@ -58,8 +58,12 @@ def write_evaluation(
         "reliability.csv": (RELIABILITY, _reliability(summary)),
     }
     pictures = ["roc.png", "roc_by_id.png"]
-    _check_tables(folder, {name: header for name, (header, _) in tables.items()})
-    check_output(folder / "evaluation.json", "JSON")
+    pictures += ["det.png"] if det else []
+    pictures += ["reliability.png"] if summary.reliability else []
+    check_tables(folder, {name: header for name, (header, _) in tables.items()})
+    for name in pictures:
+        check_output(folder / name, "picture")
+    check_output(folder / "evaluation.json", "JSON", header='{\n  "logs": [')
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "evaluation.json").unlink(missing_ok=True)
@@ -69,10 +73,8 @@ def write_evaluation(
         draw_roc_by_id(folder / "roc_by_id.png", evaluation.scored)
         if det:
             draw_det(folder / "det.png", evaluation.scored)
-            pictures.append("det.png")
         if summary.reliability:
             draw_reliability(folder / "reliability.png", summary.reliability)
-            pictures.append("reliability.png")
         (folder / "evaluation.json").write_text(text, encoding="utf-8")
     return (*tables, *pictures, "evaluation.json")
 
@@ -80,7 +82,7 @@ def write_evaluation(
 def write_comparison(folder: Path, found: Comparison) -> tuple[str, ...]:
     """Write compare.csv, changes.csv and compare.json; returns their names.
 
-    Raises SonarrecError where they cannot be written.
+    Raises as `write_evaluation`.
     """
     rates = (
         (r.protocol, r.method, r.landmark_text, r.rate, r.old, r.new, r.worse, r.of)
@@ -90,7 +92,8 @@ def write_comparison(folder: Path, found: Comparison) -> tuple[str, ...]:
         (c.protocol, c.method, c.log, c.frame, c.landmark, c.verdict, *c.old, *c.new)
         for c in found.frames
     )
-    _check_tables(folder, {"compare.csv": COMPARE, "changes.csv": CHANGES})
+    check_tables(folder, {"compare.csv": COMPARE, "changes.csv": CHANGES})
+    check_output(folder / "compare.json", "JSON", header='{\n  "old": ')
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         write_table(folder / "compare.csv", COMPARE, rates)
@@ -98,12 +101,6 @@ def write_comparison(folder: Path, found: Comparison) -> tuple[str, ...]:
         with (folder / "compare.json").open("w", encoding="utf-8") as file:
             file.writelines(comparison_json(found))
     return ("compare.csv", "changes.csv", "compare.json")
-
-
-def _check_tables(folder: Path, headers: Mapping[str, Sequence[str]]) -> None:
-    """Raises UsageError where a table of another kind bears one of these names."""
-    for name, header in headers.items():
-        check_output(folder / name, "table", header=",".join(header[:3]))
 
 
 def write_table(path: Path, header: tuple[str, ...], rows: Iterable[tuple[Any, ...]]) -> None:

@@ -5,14 +5,16 @@ from __future__ import annotations
 import csv
 import struct
 import zlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal
 
 from sonarrec.records import SonarrecError, UsageError, shown
 
-Kind = Literal["report", "picture", "overlay", "video", "model", "table", "JSON"]
+Kind = Literal[
+    "report", "comparison", "picture", "overlay", "video", "model", "table", "JSON", "graph"
+]
 OVERLAY_LIBRARY = "sonarrec overlay"
 """In the header of an overlay's MCAP, which recordings do not have."""
 PICTURE_MARK = {"Software": "sonarrec"}
@@ -34,7 +36,8 @@ def check_output(
     """Raise UsageError where writing `path` would destroy something else than an older output.
 
     kind: what will be written; a file that is there must be of it. reads: files and folders that
-    the command reads; None counts for nothing. header: of a table, how its first line begins.
+    the command reads; None counts for nothing. header: how a table or JSON of ours begins; of a
+    graph, how the factors.csv begins that lies beside one of ours.
     """
     for place in (Path(read) for read in reads if read is not None):
         log = place if place.exists() else place.parent  # a glob of images
@@ -63,21 +66,38 @@ def _same(one: Path, other: Path) -> bool:
         return False
 
 
+def check_tables(folder: Path, headers: Mapping[str, Sequence[str]]) -> None:
+    """`check_output` of tables in a folder. headers: by their names, their columns."""
+    for name, header in headers.items():
+        check_output(folder / name, "table", header=",".join(header[:3]))
+
+
 def _is_of(kind: Kind, path: Path, header: str) -> bool:
     with writing(path), path.open("rb") as file:
         head = file.read(_HEAD)
         file.seek(max(path.stat().st_size - len(VIDEO_MARK), 0))
         tail = file.read()
+    is_page = b"<!doctype html>" in head.lower()
     tests: dict[Kind, Callable[[], bool]] = {
-        "report": lambda: b"<!doctype html>" in head.lower() and b"sonarrec report</title>" in head,
+        "report": lambda: is_page and b"sonarrec report</title>" in head,
+        "comparison": lambda: is_page and b"sonarrec comparison</title>" in head,
         "picture": lambda: head[:4] == b"\x89PNG" and b"Software\0sonarrec" in head,
         "overlay": lambda: OVERLAY_LIBRARY.encode() in head[:64],
         "video": lambda: tail == VIDEO_MARK,
         "model": lambda: MODEL_MARK.encode() in head,
         "table": lambda: head.startswith(header.encode()),
-        "JSON": lambda: head.startswith(b"{"),
+        "JSON": lambda: head.startswith(header.encode()),
+        "graph": lambda: _begins(path.with_name("factors.csv"), header),  # bears no mark itself
     }
     return not head or tests[kind]()  # an empty file holds nothing to lose
+
+
+def _begins(path: Path, text: str) -> bool:
+    """Whether there is a file, and it begins so."""
+    if not path.is_file():
+        return False
+    with writing(path), path.open("rb") as file:
+        return file.read(len(text)) == text.encode()
 
 
 @contextmanager

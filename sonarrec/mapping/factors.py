@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sonarrec.files.outputs import write_csv
 from sonarrec.geometry import floor_depth, ground_range
 from sonarrec.mapping.build import MappedLog, SiteMap
 from sonarrec.mapping.passes import (
@@ -20,7 +21,6 @@ from sonarrec.mapping.passes import (
     TURN_SIGMA_DEG,
     periods_of,
 )
-from sonarrec.mapping.tables import write_table
 from sonarrec.records import FloatArray, IntArray
 
 FACTOR_COLUMNS = (
@@ -119,7 +119,7 @@ def write_factors(path: Path, site: SiteMap, found: Factors, graph: Graph) -> No
                 f"{sigma[2]:.2f}" if known else "",
             ]
 
-    write_table(path, FACTOR_COLUMNS, rows())
+    write_csv(path, FACTOR_COLUMNS, rows())
 
 
 @dataclass(frozen=True, slots=True)

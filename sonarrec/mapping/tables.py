@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from sonarrec.files.outputs import check_output, write_csv
+from sonarrec.files.outputs import write_csv
 from sonarrec.mapping.build import SiteMap
 from sonarrec.records import FloatArray
 
@@ -26,6 +25,8 @@ PASS_COLUMNS = (
 )
 CHI2_95 = 5.991
 """Squared Mahalanobis distance within which 95 % of the places in a plane lie."""
+GEOJSON_BEGIN = '{"type": "FeatureCollection", "program": "sonarrec"'
+"""By which ours is told; readers of GeoJSON pass over members that they do not know."""
 MOST_POINTS = 2_000
 """Of a path in GeoJSON."""
 
@@ -92,12 +93,6 @@ class Origin:
         )
 
 
-def write_table(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """A CSV table. Raises UsageError where a file that is no such table is there."""
-    check_output(path, "table", header=",".join(header[:3]))
-    write_csv(path, header, rows)
-
-
 def _numbers(place: FloatArray, covariance: FloatArray) -> list[str]:
     (xx, xy), (_, yy) = covariance
     return [*(f"{v:.4f}" for v in place), *(f"{v:.3e}" for v in (xx, xy, yy))]
@@ -132,7 +127,7 @@ def write_map(path: Path, site: SiteMap) -> None:
                 sum(int(site.logs[g].on_floor.passes.frames[k]) for g, k in one.others),
             ]
         )
-    write_table(path, MAP_COLUMNS, rows)
+    write_csv(path, MAP_COLUMNS, rows)
 
 
 def write_passes(path: Path, site: SiteMap) -> None:
@@ -167,7 +162,7 @@ def write_passes(path: Path, site: SiteMap) -> None:
                     f"{axes.yaw(yaw):.3f}",
                 ]
             )
-    write_table(path, PASS_COLUMNS, rows)
+    write_csv(path, PASS_COLUMNS, rows)
 
 
 def _periods(site: SiteMap) -> dict[int, float]:
@@ -221,9 +216,8 @@ def write_geojson(path: Path, site: SiteMap, origin: Origin) -> None:
         if len(places) > 1:
             chosen = np.linspace(0, len(places) - 1, min(len(places), MOST_POINTS)).round()
             add("LineString", degrees(places[chosen.astype(int)]), {"log": log.name})
-    text = json.dumps({"type": "FeatureCollection", "features": features}, allow_nan=False)
-    check_output(path, "JSON")
-    path.write_text(text + "\n", encoding="utf-8")
+    document = {"type": "FeatureCollection", "program": "sonarrec", "features": features}
+    path.write_text(json.dumps(document, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def lines(site: SiteMap) -> list[str]:

@@ -8,16 +8,20 @@ from pathlib import Path
 from sonarrec.files.outputs import writing
 from sonarrec.overlay.foxglove_mcap import ANNOTATIONS_TOPIC, DETECTIONS_TOPIC
 
+_IMAGE = "Image!sonarrec"
+LAYOUT_BEGIN = f'{{\n  "configById": {{\n    "{_IMAGE}": '
+"""By which a layout of ours is told."""
+
 
 def write_layout(path: Path, image_topic: str) -> None:
     """Write the layout as JSON. image_topic: of the recording, or of the fan in the overlay.
 
     Raises SonarrecError where the file cannot be written.
     """
-    image, table, plot = "Image!sonarrec", "Table!sonarrec", "Plot!sonarrec"
+    table, plot = "Table!sonarrec", "Plot!sonarrec"
     layout = {
         "configById": {
-            image: {
+            _IMAGE: {
                 "imageMode": {
                     "imageTopic": image_topic,
                     "annotations": {ANNOTATIONS_TOPIC: {"visible": True}},
@@ -46,7 +50,7 @@ def write_layout(path: Path, image_topic: str) -> None:
         "playbackConfig": {"speed": 1},
         "layout": {
             "direction": "row",
-            "first": image,
+            "first": _IMAGE,
             "second": {"direction": "column", "first": table, "second": plot},
             "splitPercentage": 65,
         },

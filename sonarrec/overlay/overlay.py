@@ -17,7 +17,7 @@ from sonarrec.drawing.pen import draw_picture
 from sonarrec.drawing.results import STRIP_FRAMES, Mark, Moment, draw_frame, draw_strip, trails
 from sonarrec.files.outputs import Kind, check_output
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.overlay.foxglove_layout import write_layout
+from sonarrec.overlay.foxglove_layout import LAYOUT_BEGIN, write_layout
 from sonarrec.overlay.foxglove_mcap import FAN_TOPIC, FoxgloveFile
 from sonarrec.overlay.video import ImageFolder, VideoFile
 from sonarrec.readers import open_log
@@ -126,7 +126,7 @@ def _check_targets(targets: Targets, path: Path, ground_truth: Path | None) -> N
     for kind, target in outputs.items():
         # A folder of pictures is checked picture by picture.
         if target is not None and not (kind == "picture" and target.is_dir()):
-            check_output(target, kind, [path, ground_truth])
+            check_output(target, kind, [path, ground_truth], header=LAYOUT_BEGIN)
         elif target is not None:
             check_output(target / "000000.png", kind, [path])
 

@@ -59,9 +59,11 @@ REFUSED = [
     f"report {TABLES} -o {TABLES}/estimates.csv",
     f"report {TABLES} --ground-truth gt.csv -o gt.csv",
     f"report {TABLES} --log log -o other.html",
+    f"report --compare {TABLES} {TABLES} --ground-truth gt.csv -o other.html",
     f"overlay log {TABLES} --mcap {TABLES}/estimates.csv",
     f"overlay log {TABLES} --mcap pan.mcap",
     f"overlay log {TABLES} --mcap link.mcap",
+    f"overlay log {TABLES} --mcap o.mcap --foxglove-layout mine.json",
     f"overlay log {TABLES} --video other.mp4",
     f"overlay log {TABLES} --images log",
     f"overlay log {TABLES} --images others",
@@ -99,6 +101,7 @@ def test_nothing_else_is_written_over(work: Path, line: str) -> None:
         ("other.html", "<!doctype html><title>Mine</title>"),
         ("other.mp4", "\0\0\0\x18ftypmp42 and more"),
         ("mine.gt.csv", "frame,landmark\n"),
+        ("mine.json", '{"mine": 1}'),
     ):
         (work / name).write_text(text)
     (others / "pan").mkdir()
@@ -117,23 +120,65 @@ def test_nothing_else_is_written_over(work: Path, line: str) -> None:
     assert not set(after) - set(before)
 
 
+EVALUATE = f"evaluate {TABLES} --ground-truth gt.csv --det"
+COMPARE = f"--compare {TABLES} {TABLES} --ground-truth gt.csv"
+
+
+@pytest.mark.parametrize(
+    ("line", "name"),
+    [
+        *(
+            (EVALUATE, name)
+            for name in (
+                "evaluation.json",
+                "roc.png",
+                "roc_by_id.png",
+                "det.png",
+                "reliability.png",
+            )
+        ),
+        (f"evaluate {COMPARE}", "compare.json"),
+        *(
+            (f"map {TABLES}", name)
+            for name in ("passes.csv", "graph.g2o", "map.png", "map.geojson")
+        ),
+    ],
+)
+def test_one_foreign_file_and_nothing_is_written(work: Path, line: str, name: str) -> None:
+    mine = work / "mine"
+    mine.mkdir()
+    if name.endswith(".png"):
+        cv2.imwrite(str(mine / name), np.zeros((8, 8), np.uint8))
+    else:
+        (mine / name).write_text('{"type": "FeatureCollection", "features": []}')
+    if name == "graph.g2o":
+        (mine / "factors.csv").touch()  # no table, though it may be written over
+    before = contents(work)
+    done = sonarrec(f"{line} -o mine")
+    assert done.exit_code == 2
+    [told] = done.stderr.splitlines()
+    assert f"mine/{name}: exists and is no " in told
+    assert contents(work) == before
+
+
 @pytest.mark.parametrize(
     "line",
     [
         f"report {TABLES} -o r.html -q",
+        f"report {COMPARE} -o c.html -q",
         f"overlay log {TABLES} --mcap o.mcap --video o.mp4 --images shots -q",
+        f"overlay log {TABLES} --mcap o.mcap --foxglove-layout o.json -q",
         "calibrate log --ground-truth gt.csv -o model.toml -q",
         "truth check gt.csv log --sheet sheet.png -q",
         "info log --preview p.png",
-        f"evaluate {TABLES} --ground-truth gt.csv -q",
-        f"evaluate {TABLES} --ground-truth gt.csv -q --compare {TABLES} {TABLES}",
+        f"{EVALUATE} -q",
+        f"evaluate {COMPARE} -q",
+        f"map {TABLES} --origin 54,10,0 -q",
         "run log -q --overwrite",
     ],
 )
 @pytest.mark.usefixtures("work")
 def test_what_a_command_wrote_it_writes_again(line: str) -> None:
-    if "--compare" in line:
-        line = line.replace(f"evaluate {TABLES}", "evaluate")
     for _ in range(2):
         done = sonarrec(line)
         assert done.exit_code in (0, 3), done.output
