@@ -64,7 +64,7 @@ def calibrate(
       sonarrec run next.mcap --model model.toml
       sonarrec calibrate day_1/ day_2/ --ground-truth both.csv -o model.toml --landmarks my.toml
     """
-    from sonarrec.files.outputs import check_output, writing
+    from sonarrec.files.outputs import check_output, write_text, writing
     from sonarrec.landmarks import load_landmarks
     from sonarrec.learning.calibrate import learn
 
@@ -83,7 +83,7 @@ def calibrate(
             observe=step,
         )
     with writing(out):
-        out.write_text(lesson.as_toml(), encoding="utf-8")
+        write_text(out, lesson.as_toml())
     tell(lesson.problems, lesson.notes)
     if not quiet:
         for line in lesson.told():

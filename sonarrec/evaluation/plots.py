@@ -17,7 +17,7 @@ from sonarrec.evaluation.counting.pooled import PooledScored
 from sonarrec.evaluation.counting.reliability import BINS, FEW, Reliability
 from sonarrec.evaluation.counting.scoring import PROTOCOLS
 from sonarrec.evaluation.roc import Point, fpr_end, roc
-from sonarrec.files.outputs import PICTURE_MARK
+from sonarrec.files.outputs import write_figure
 from sonarrec.records import FloatArray
 
 # Okabe and Ito's colours, told apart with any colour vision; line styles tell them apart in grey.
@@ -102,7 +102,7 @@ def draw_roc(path: Path, scored: Sequence[PooledScored]) -> None:
         axes.set_axisbelow(True)
         _legend_below(axes, "published: in the paper's own basin" if one.published else "")
     panels[0].set_ylabel("true positive rate (micro average)")
-    figure.savefig(path, metadata=PICTURE_MARK)
+    write_figure(path, figure)
 
 
 def _dot(axes: Any, point: Point, marker: str, **look: Any) -> None:
@@ -140,7 +140,7 @@ def draw_roc_by_id(path: Path, scored: Sequence[PooledScored]) -> None:
     figure.supxlabel(f"false positive rate (axes end at {right:g})", fontsize=10)
     figure.supylabel("true positive rate", fontsize=10)
     panels[-1, -1].legend(fontsize=8, loc="lower right")
-    figure.savefig(path, metadata=PICTURE_MARK)
+    write_figure(path, figure)
 
 
 def draw_det(path: Path, scored: Sequence[PooledScored]) -> None:
@@ -172,7 +172,7 @@ def draw_det(path: Path, scored: Sequence[PooledScored]) -> None:
         axes.grid(color="0.9")
         axes.set_axisbelow(True)
         _legend_below(axes, "dots: operating points; rates under 0.1 % lie at the edge")
-    figure.savefig(path, metadata=PICTURE_MARK)
+    write_figure(path, figure)
 
 
 def _det(point: Point) -> tuple[FloatArray, FloatArray]:
@@ -210,4 +210,4 @@ def draw_reliability(path: Path, curves: Sequence[Reliability]) -> None:
     panels[0, 0].set_ylabel("share that was so")
     panels[1, 0].set_ylabel("estimates")
     panels[0, 0].legend(fontsize=7, loc="upper left")
-    figure.savefig(path, metadata=PICTURE_MARK)
+    write_figure(path, figure)

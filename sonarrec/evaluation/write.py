@@ -17,7 +17,14 @@ from sonarrec.evaluation.counting.reliability import BINS
 from sonarrec.evaluation.counting.uncertainty import Difference, Figure
 from sonarrec.evaluation.plots import draw_det, draw_reliability, draw_roc, draw_roc_by_id
 from sonarrec.evaluation.summary import Summary
-from sonarrec.files.outputs import check_output, check_tables, write_csv, writing
+from sonarrec.files.outputs import (
+    check_output,
+    check_tables,
+    replaced,
+    write_csv,
+    write_text,
+    writing,
+)
 
 COUNTS = ("tpr", "fpr", "tp", "tn", "fp", "fn", "total")
 CONFUSION = ("protocol", "method", "landmark", *COUNTS)
@@ -75,7 +82,7 @@ def write_evaluation(
             draw_det(folder / "det.png", evaluation.scored)
         if summary.reliability:
             draw_reliability(folder / "reliability.png", summary.reliability)
-        (folder / "evaluation.json").write_text(text, encoding="utf-8")
+        write_text(folder / "evaluation.json", text)
     return (*tables, *pictures, "evaluation.json")
 
 
@@ -98,7 +105,7 @@ def write_comparison(folder: Path, found: Comparison) -> tuple[str, ...]:
         folder.mkdir(parents=True, exist_ok=True)
         write_table(folder / "compare.csv", COMPARE, rates)
         write_table(folder / "changes.csv", CHANGES, changes)
-        with (folder / "compare.json").open("w", encoding="utf-8") as file:
+        with replaced(folder / "compare.json") as new, new.open("w", encoding="utf-8") as file:
             file.writelines(comparison_json(found))
     return ("compare.csv", "changes.csv", "compare.json")
 

@@ -1,14 +1,18 @@
-"""What a command may write over: nothing that it reads, and no file but one of its own kind."""
+"""What a command may write over: nothing that it reads, and no file but one of its own kind.
+
+What it writes takes the place of an older output only when all of it is there.
+"""
 
 from __future__ import annotations
 
 import csv
+import shutil
 import struct
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from sonarrec.records import SonarrecError, UsageError, shown
 
@@ -22,6 +26,8 @@ PICTURE_MARK = {"Software": "sonarrec"}
 MODEL_MARK = "Made by `sonarrec calibrate`"
 VIDEO_MARK = struct.pack(">I4s", 24, b"free") + b"sonarrec overlay"
 """The last box of a video; players pass over it."""
+_STREAMS = ("/dev/std", "/dev/fd/", "/proc/")
+"""How names begin that may stand for files that this process was given open."""
 _PNG_HEADER = 33
 _HEAD = 4096
 
@@ -110,9 +116,48 @@ def writing(place: object) -> Iterator[None]:
         raise SonarrecError(f"{where}: cannot be written ({error.strerror})") from None
 
 
+@contextmanager
+def replaced(path: Path) -> Iterator[Path]:
+    """A place beside `path` to write to, which takes its place at the end: all of it or nothing.
+
+    A link stays, and its file is replaced. What is no regular file (a device, a pipe) is written
+    itself. An OSError names `path`.
+    """
+    if str(path).startswith(_STREAMS) or (path.exists() and not path.is_file()):
+        yield path
+        return
+    target = path.resolve()
+    new = target.with_name(f".{target.name}.new")
+    try:
+        if target.exists():
+            target.open("r+b").close()  # what must not be written must not be replaced either
+            new.touch()
+            shutil.copymode(target, new)
+        yield new
+        new.replace(target)
+    except BaseException as error:
+        with suppress(OSError):
+            new.unlink()
+        if isinstance(error, OSError) and error.filename in (None, str(new), str(target)):
+            error.filename = str(path)
+        raise
+
+
+def write_text(path: Path, text: str) -> None:
+    """A text in UTF-8. Raises OSError."""
+    with replaced(path) as new:
+        new.write_text(text, encoding="utf-8")
+
+
+def write_figure(path: Path, figure: Any, **look: Any) -> None:
+    """A figure of matplotlib as a marked PNG; look: as savefig takes it. Raises OSError."""
+    with replaced(path) as new:
+        figure.savefig(new, format="png", metadata=PICTURE_MARK, **look)
+
+
 def write_csv(path: Path, header: Iterable[str], rows: Iterable[Iterable[object]]) -> None:
     """A CSV table with the line ends of all our tables. Raises OSError."""
-    with path.open("w", newline="", encoding="utf-8") as file:
+    with replaced(path) as new, new.open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file, lineterminator="\n")
         table.writerow(header)
         table.writerows(rows)
@@ -122,7 +167,7 @@ def write_page(path: Path, page: str) -> None:
     """A page, in a folder that is made if need be. Raises SonarrecError."""
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(page, encoding="utf-8")
+        write_text(path, page)
 
 
 def marked(png: bytes) -> bytes:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sonarrec.files.outputs import write_csv
+from sonarrec.files.outputs import write_csv, write_text
 from sonarrec.geometry import floor_depth, ground_range
 from sonarrec.mapping.build import MappedLog, SiteMap
 from sonarrec.mapping.passes import (
@@ -185,7 +185,7 @@ def write_g2o(path: Path, site: SiteMap, found: Factors, graph: Graph) -> None:
         lines.append(_edge(pose, graph.first_landmark + int(found.number[n]), seen, information))
     # Last, for GTSAM reads no farther than such a line.
     lines += [f"FIX {first}" for first, some in zip(graph.first, poses, strict=True) if len(some)]
-    path.write_text("\n".join([*lines, ""]), encoding="utf-8")
+    write_text(path, "\n".join([*lines, ""]))
 
 
 def _se2(pose: FloatArray) -> FloatArray:

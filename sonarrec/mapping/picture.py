@@ -10,7 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
-from sonarrec.files.outputs import PICTURE_MARK
+from sonarrec.files.outputs import write_figure
 from sonarrec.geometry import floor_depth, ground_range
 from sonarrec.mapping.build import MappedLog, SiteMap
 from sonarrec.mapping.tables import Axes, ellipse
@@ -78,7 +78,7 @@ def draw_map(path: Path, site: SiteMap) -> None:
     axes.grid(color="white", linewidth=0.8, zorder=0)
     axes.set_facecolor("#f8f8f8")
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=2, fontsize=8, frameon=False)
-    figure.savefig(path, format="png", metadata=PICTURE_MARK)
+    write_figure(path, figure)
 
 
 def _title(site: SiteMap) -> str:

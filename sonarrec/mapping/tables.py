@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sonarrec.files.outputs import write_csv
+from sonarrec.files.outputs import write_csv, write_text
 from sonarrec.mapping.build import SiteMap
 from sonarrec.records import FloatArray
 
@@ -217,7 +217,7 @@ def write_geojson(path: Path, site: SiteMap, origin: Origin) -> None:
             chosen = np.linspace(0, len(places) - 1, min(len(places), MOST_POINTS)).round()
             add("LineString", degrees(places[chosen.astype(int)]), {"log": log.name})
     document = {"type": "FeatureCollection", "program": "sonarrec", "features": features}
-    path.write_text(json.dumps(document, allow_nan=False) + "\n", encoding="utf-8")
+    write_text(path, json.dumps(document, allow_nan=False) + "\n")
 
 
 def lines(site: SiteMap) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from sonarrec.files.outputs import writing
+from sonarrec.files.outputs import write_text, writing
 from sonarrec.overlay.foxglove_mcap import ANNOTATIONS_TOPIC, DETECTIONS_TOPIC
 
 _IMAGE = "Image!sonarrec"
@@ -56,4 +56,4 @@ def write_layout(path: Path, image_topic: str) -> None:
         },
     }
     with writing(path):
-        path.write_text(json.dumps(layout, indent=2) + "\n", encoding="utf-8")
+        write_text(path, json.dumps(layout, indent=2) + "\n")

@@ -6,7 +6,6 @@ recording made so is run and scored. What comes of it is site.html, site.csv and
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -23,7 +22,7 @@ from sonarrec.evaluation.counting.uncertainty import LEVEL, MIN_UNITS
 from sonarrec.evaluation.evaluate import evaluate_whole
 from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import Pair
-from sonarrec.files.outputs import writing
+from sonarrec.files.outputs import write_csv, write_text, writing
 from sonarrec.geometry import STEEPEST, floor_depth
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.pipeline.prepared import Used
@@ -418,10 +417,7 @@ def as_document(site: Site) -> dict[str, Any]:
 def write_site(out: Path, site: Site, page: str) -> None:
     """site.html, site.csv and site.json. Raises SonarrecError where they cannot be written."""
     with writing(out):
-        with (out / "site.csv").open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(table(site))
+        write_csv(out / "site.csv", COLUMNS, (row.values() for row in table(site)))
         text = json.dumps(as_document(site), indent=2, ensure_ascii=False)
-        (out / "site.json").write_text(text + "\n", encoding="utf-8")
-        (out / "site.html").write_text(page, encoding="utf-8")
+        write_text(out / "site.json", text + "\n")
+        write_text(out / "site.html", page)

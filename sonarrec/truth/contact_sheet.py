@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from sonarrec.drawing.pen import Colour, disc_outline, landmark_colours
-from sonarrec.files.outputs import PICTURE_MARK, writing
+from sonarrec.files.outputs import write_figure, writing
 from sonarrec.records import ByteImage, FloatArray, Frame, IntArray
 from sonarrec.truth.check import CheckedTruth
 
@@ -170,4 +170,4 @@ def _draw(
             axes.text(x, y + SIDE + 10, caption, color=ink, fontsize=8, va="center")
     axes.set(xlim=(0, width), ylim=(height, 0), aspect="auto")
     with writing(out):
-        figure.savefig(out, format="png", facecolor=_GROUND, metadata=PICTURE_MARK)
+        write_figure(out, figure, facecolor=_GROUND)

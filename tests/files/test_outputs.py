@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import errno
 import os
+import resource
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
@@ -13,7 +15,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
-from sonarrec.files.outputs import marked, writing
+from sonarrec.files.outputs import marked, replaced, write_csv, write_text, writing
 from sonarrec.records import SonarrecError
 
 SAMPLE = Path(__file__).parents[2] / "sample_data"
@@ -183,6 +185,73 @@ def test_what_a_command_wrote_it_writes_again(line: str) -> None:
         done = sonarrec(line)
         assert done.exit_code in (0, 3), done.output
         assert "not written over" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("line", "full", "lost"),
+    [
+        (f"report {TABLES} -o o", "o", set()),
+        (f"report {COMPARE} -o o", "o", set()),
+        ("calibrate log --ground-truth gt.csv -o o", "o", set()),
+        ("truth check gt.csv log --sheet o", "o", set()),
+        (f"map {TABLES} -o o", "o/map.csv", set()),
+        (f"evaluate {COMPARE} -o o", "o/compare.csv", set()),
+        # Where it stands the others are of one call.
+        (f"{EVALUATE} -o o", "o/confusion.csv", {"o/evaluation.json"}),
+    ],
+)
+def test_a_full_disk_leaves_what_was_there(
+    work: Path, line: str, full: str, lost: set[str]
+) -> None:
+    assert sonarrec(line).exit_code in (0, 3)
+    before = contents(work)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (130, limits[1]))
+    try:
+        done = sonarrec(line)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert done.exit_code == 1
+    assert done.stderr == f"sonarrec: {full}: cannot be written (File too large)\n"
+    assert contents(work) == {
+        p: b for p, b in before.items() if f"{p.relative_to(work)}" not in lost
+    }
+
+
+def test_a_table_that_fails_halfway_replaces_nothing(tmp_path: Path) -> None:
+    def rows() -> Iterator[list[int]]:
+        yield [1]
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    path = tmp_path / "a.csv"
+    path.write_text("old")
+    with pytest.raises(OSError, match="No space") as raised:
+        write_csv(path, ["n"], rows())
+    assert raised.value.filename == str(path)
+    assert contents(tmp_path) == {path: b"old"}
+
+
+def test_what_is_replaced_keeps_its_links_and_rights(tmp_path: Path) -> None:
+    link, path = tmp_path / "link", tmp_path / "there" / "page"
+    path.parent.mkdir()
+    link.symlink_to(path)
+    write_text(link, "first")
+    path.chmod(0o600)
+    write_text(link, "second")
+    assert link.is_symlink()
+    assert contents(path.parent) == {path: b"second"}
+    assert path.stat().st_mode & 0o777 == 0o600
+
+
+def test_a_pipe_is_written_itself(tmp_path: Path) -> None:
+    path = tmp_path / "pipe"
+    os.mkfifo(path)
+    end = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    write_text(path, "page")
+    assert os.read(end, 10) == b"page"
+    os.close(end)
+    with replaced(Path("/dev/stdout")) as place:
+        assert place == Path("/dev/stdout")
 
 
 def test_a_marked_png_is_the_same_picture() -> None:
