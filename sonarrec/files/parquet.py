@@ -12,6 +12,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
+from sonarrec.files.outputs import replaced
 from sonarrec.records import SonarrecError, shown
 
 PARQUET = ".parquet"
@@ -40,17 +41,16 @@ def convert(table: Path, parquet: Path) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    new = parquet.with_name(f".{parquet.name}.new")
     parts = pd.read_csv(table, chunksize=ROWS, dtype={"method": str}, low_memory=False)
     first = next(parts)
     kinds = {name: pa.int64() for name in _WHOLE} | {"method": pa.string()}
     schema = pa.schema([(name, kinds.get(name, pa.float64())) for name in first.columns])
-    with pq.ParquetWriter(new, schema) as writer:
-        for part in chain([first], parts):
-            writer.write_table(pa.Table.from_pandas(part, schema, preserve_index=False))
-    with new.open("rb") as file:
-        os.fsync(file.fileno())
-    new.rename(parquet)
+    with replaced(parquet) as new:
+        with pq.ParquetWriter(new, schema) as writer:
+            for part in chain([first], parts):
+                writer.write_table(pa.Table.from_pandas(part, schema, preserve_index=False))
+        with new.open("rb") as file:
+            os.fsync(file.fileno())
     table.unlink()
 
 

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
+from sonarrec.files.outputs import write_text
 from sonarrec.records import SonarrecError, UsageError, shown
 
 try:
@@ -81,9 +82,7 @@ class Entry:
             return {}
 
     def write(self, about: dict[str, Any]) -> None:
-        part = self.folder / "entry.json.part"
-        part.write_text(json.dumps(about), encoding="utf-8")
-        os.replace(part, self.folder / "entry.json")  # noqa: PTH105
+        write_text(self.folder / "entry.json", json.dumps(about))
 
     def used(self) -> None:
         """It is used now: others go first."""

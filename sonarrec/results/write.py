@@ -13,6 +13,7 @@ from typing import Any, Self
 
 import tomli_w
 
+from sonarrec.files.outputs import replaced
 from sonarrec.files.parquet import convert
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.records import NO_STAMPS, FrameResult, SonarrecError, Stamps, shown
@@ -180,12 +181,11 @@ class ResultsWriter:
     def _write_run(self, finished: bool) -> None:
         """Replace run.toml in one step: readers see the old one or the new one."""
         text = tomli_w.dumps({"finished": finished, **self._run}, multiline_strings=True)
-        partial = self._part / "run.toml.part"
-        with partial.open("w", encoding="utf-8") as file:
+        path = self._part / "run.toml"
+        with replaced(path) as new, new.open("w", encoding="utf-8") as file:
             file.write(text)
             file.flush()
             os.fsync(file.fileno())
-        os.replace(partial, self._part / "run.toml")  # noqa: PTH105
 
     def __enter__(self) -> Self:
         return self
