@@ -57,6 +57,9 @@ def test_run_toml_keeps_the_slice(tmp_path: Path) -> None:
     again = ["--config", str(out / "dive" / "run.toml"), "-o", str(tmp_path / "again")]
     assert run_line("run", "-q", str(log), *again).exit_code == 0
     assert numbers(tmp_path / "again" / "dive") == [2, 3, 4]
+    glob = [str(log / "*.png"), *again[:2], "-o", str(tmp_path / "glob")]
+    assert run_line("run", "-q", *glob).exit_code == 0
+    assert numbers(tmp_path / "glob" / "dive") == [2, 3, 4]
     done = sonarrec.run(log, tmp_path / "python", frames=(6, None))
     assert numbers(done.folder) == [6, 7]
 

@@ -13,7 +13,7 @@ from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.poses import PoseTable
 from sonarrec.readers import open_log
-from sonarrec.readers.find import SONAR_FILE, find_log, log_name
+from sonarrec.readers.find import SONAR_FILE, find_log
 from sonarrec.readers.log import Log
 from sonarrec.readers.poses_csv import POSES_FILE, read_poses
 from sonarrec.recogniser.beam_width import FRAMES_FOR_BEAMS, with_beams
@@ -60,7 +60,7 @@ def prepared(
     Raises SonarrecError for input or settings that cannot be used.
     """
     earlier = read_run(used.earlier_run)
-    same_log = earlier.input.name == shown(log_name(path))
+    same_log = earlier.input.name == shown(find_log(path).name)
     given = earlier.lay_under(given, same_log=same_log)
     given, notes = _with_companions(path, given, again=same_log)
     landmarks = earlier.landmark_set(used.landmarks)
