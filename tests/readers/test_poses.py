@@ -297,8 +297,18 @@ def test_a_table_that_cannot_be_used_is_told_in_one_line(tmp_path, text, fault):
 # The pose topic
 
 
-def pose_log(path: Path, images: Path, schema: str, told: bool, yaw_of: list[float]) -> Path:
-    """An MCAP of the images, and of poses as rosbags writes them: ROS turns to the left."""
+def pose_log(
+    path: Path,
+    images: Path,
+    schema: str,
+    told: bool,
+    yaw_of: list[float],
+    lengths: list[float] | None = None,
+) -> Path:
+    """An MCAP of the images, and of poses as rosbags writes them: ROS turns to the left.
+
+    lengths: of each quaternion, by default 1.
+    """
     store = get_typestore(Stores.ROS2_HUMBLE)
     types = store.types
     stamp = types["builtin_interfaces/msg/Time"]
@@ -318,9 +328,11 @@ def pose_log(path: Path, images: Path, schema: str, told: bool, yaw_of: list[flo
             at = number * 250_000_000
             writer.add_message(channel, at, cdr_compressed_image(image.read_bytes(), "png"), at)
             left = math.radians(-yaw_of[number])
+            length = lengths[number] if lengths else 1.0
+            z, w = length * math.sin(left / 2), length * math.cos(left / 2)
             pose = types["geometry_msgs/msg/Pose"](
                 position=point(x=1.0, y=2.0, z=0.5),
-                orientation=quaternion(x=0.0, y=0.0, z=math.sin(left / 2), w=math.cos(left / 2)),
+                orientation=quaternion(x=0.0, y=0.0, z=z, w=w),
             )
             head = header(stamp=stamp(sec=number, nanosec=7), frame_id="odom")
             if schema.endswith("Odometry"):
@@ -373,6 +385,15 @@ def test_a_topic_is_as_good_as_a_table(pings, schema, told):
     sonarrec("run", log, "--config", "sonarrec_out/dive/run.toml", "--out", "again")
     again = Path("again/dive/estimates.csv").read_bytes()
     assert again == Path("sonarrec_out/dive/estimates.csv").read_bytes()
+
+
+def test_an_orientation_may_be_of_any_length_but_none(pings):
+    yaw, lengths = [3.0 * n for n in range(16)], [0.5**n for n in range(16)]
+    lengths[2] = 0.0  # never filled in
+    log = pose_log(Path("dive.mcap"), pings, "nav_msgs/msg/Odometry", True, yaw, lengths)
+    table = read_topic(log, "/odom", "log")
+    assert table.problems == ("message 2 of /odom: its orientation is all zeros, skipped",)
+    np.testing.assert_allclose(table.pose[:, 0], yaw[:2] + yaw[3:], atol=1e-9)
 
 
 def test_a_topic_that_is_not_there_is_told_in_one_line(pings):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -97,11 +98,15 @@ def _channels(log: Recording, topic: str) -> dict[int, tuple[Decode, tuple[str, 
 
 
 def _pose(fields: Fields, places: tuple[str, ...]) -> list[float]:
-    """x and y of the position, x, y, z and w of the orientation."""
+    """x and y of the position, x, y, z and w of the orientation, made of unit length."""
     for name in places:
         fields = fields.inner(name)
     place, turn = fields.inner("position"), fields.inner("orientation")
-    return [*(place.number(k) for k in "xy"), *(turn.number(k) for k in "xyzw")]
+    orientation = [turn.number(k) for k in "xyzw"]
+    length = math.hypot(*orientation)
+    if not length:
+        raise UnusableError("its orientation is all zeros")
+    return [*(place.number(k) for k in "xy"), *(v / length for v in orientation)]
 
 
 def _stamp(message: Message, fields: Fields, time: Clock) -> int:
