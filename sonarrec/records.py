@@ -16,6 +16,9 @@ ByteImage = npt.NDArray[np.uint8]
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.int64]
 
+PART = ".part"
+"""How the name of a folder of results ends while its run is not finished; no other ends so."""
+
 
 def printable(text: str) -> str:
     """The text with what a terminal would obey, or could not show, written as escapes."""

@@ -11,7 +11,7 @@ from typing import Literal
 
 from sonarrec.pipeline.prepared import Used
 from sonarrec.pipeline.run import Observe, Summary, planned, process
-from sonarrec.readers.find import log_name
+from sonarrec.readers.find import find_log
 from sonarrec.records import SonarrecError
 from sonarrec.remote.fetch import Told, fetched, untold
 from sonarrec.remote.run import Elsewhere
@@ -88,7 +88,7 @@ def plan(task: Task) -> str:
     if task.overwrite:
         return "done anew (asked for)"
     with _at_hand(task, upload=False) as (path, given, _):
-        folder = Path(task.out) / (task.name or log_name(path))
+        folder = Path(task.out) / (task.name or find_log(path).name)
         held = planned(path, task.out, given, task.used, name=task.name)
     if held.up_to_date:
         return "up to date"

@@ -16,7 +16,7 @@ from sonarrec.config import preset as config_of
 from sonarrec.drawing.geometry import disc_width_px
 from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.pipeline.prepared import Prepared, Used, prepared
-from sonarrec.readers.find import find_log
+from sonarrec.readers.find import find_log, results_name
 from sonarrec.readers.log import Log
 from sonarrec.readers.plausible import Plausibility
 from sonarrec.recogniser.beam_width import FRAMES_FOR_BEAMS, with_beams
@@ -167,7 +167,7 @@ def result_names(logs: Sequence[str | Path | RemoteLog]) -> list[str | None]:
     places: dict[int, tuple[str, Path]] = {}
     for i, log in enumerate(logs):
         if isinstance(log, RemoteLog):
-            places[i] = log.name, log.path
+            places[i] = results_name(log.name), log.path
             continue
         with suppress(SonarrecError):  # said when its turn comes
             source = find_log(log)

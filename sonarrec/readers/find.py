@@ -20,7 +20,7 @@ from sonarrec.readers.packed import PACKINGS, unpacked
 from sonarrec.readers.raw import RawLog
 from sonarrec.readers.recording import Recording
 from sonarrec.readers.video import VIDEO_SUFFIXES, VideoFrames
-from sonarrec.records import MissingError, SonarrecError, UsageError, shown
+from sonarrec.records import PART, MissingError, SonarrecError, UsageError, shown
 from sonarrec.sonar import Sonar, load_sonar
 
 SONAR_FILE = "sonar.toml"
@@ -258,15 +258,17 @@ def _found(path: Path, up_to: Path | None) -> Source:
         only = "; from servers only run, info, evaluate and report read" if server else ""
         raise MissingError(f"{shown(path)}: no such file or folder{only}")
     reader = reader or _reader_of(path)
-    return Source(path, _named(name), files, reader, up_to)
+    return Source(path, results_name(name), files, reader, up_to)
 
 
-def _named(name: str) -> str:
-    """What results of a file or folder of this name are called, by a name that the disk takes."""
+def results_name(name: str) -> str:
+    """What results of a log of this name are called: a name that the disk takes, and no part's."""
     try:
         os.fsencode(text := shown(name))
     except UnicodeEncodeError:  # a locale without the letter: the bytes as they are
         text = name
+    if text.endswith(PART):  # else the run of a log without the ending would replace them
+        return f"{text}_"
     return "log" if text in ("", ".", "..") else text
 
 

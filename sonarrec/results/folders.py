@@ -13,9 +13,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import IO
 
-from sonarrec.records import SonarrecError, UsageError
+from sonarrec.records import PART, SonarrecError, UsageError
 
-PART = ".part"
 TABLES = ("frames.csv", "estimates.csv", "sightings.csv")
 ESTIMATES = ("estimates.csv", "estimates.parquet")
 """What the estimates may be in; see `estimates_of`."""

@@ -15,6 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sonarrec import run
 from sonarrec.records import UsageError
 from sonarrec.results.folders import exchange, folder_names, part_of, restore
 from sonarrec.results.read import find_logs
@@ -288,6 +289,13 @@ def test_a_part_beside_finished_results_is_not_counted_with_them(tmp_path: Path)
         (tmp_path / name).mkdir()
         (tmp_path / name / "frames.csv").write_text("frame\n")
     assert [p.name for p in find_logs(tmp_path)] == ["dive", "other.part"]
+
+
+def test_a_log_named_as_a_part_keeps_its_results(log: Path, tmp_path: Path) -> None:
+    for name, count in (("dive.part", 2), ("dive", 3)):
+        done = run(shorter(log, tmp_path / name, count), tmp_path / "out")
+        assert finished(done.folder)
+    assert sorted(len(frames(folder)) for folder in find_logs(tmp_path / "out")) == [2, 3]
 
 
 def test_an_exchange_that_was_broken_off_is_put_right(tmp_path: Path) -> None:
