@@ -209,7 +209,7 @@ def process(
         ) as writer:
             _recognise(it, writer, plausibility, observe, ahead=ahead)
             problems = [told(line) for line in (*it.log.problems, *it.recogniser.problems())]
-            writer.finish(problems, it.log.unusable)
+            it.notes.extend(writer.finish(problems, it.log.unusable))
         it.notes.extend([*it.log.notes, *it.recogniser.notes(), *_doubts(it, writer, plausibility)])
         it.notes[:] = map(told, it.notes)
         return Summary(

@@ -6,6 +6,7 @@ or killed leaves its part; what was there before stays whole.
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 from collections import defaultdict
@@ -71,8 +72,13 @@ def estimates_of(folder: Path) -> Path:
 
 
 def part_of(folder: Path) -> Path:
-    """Where a run writes before it takes the place of `folder`."""
-    return folder.with_name(folder.name + PART)
+    """Where a run writes before it takes the place of `folder`, or of what that is a link to."""
+    place = _place(folder)
+    return place.with_name(place.name + PART)
+
+
+def _place(folder: Path) -> Path:
+    return folder.resolve() if folder.is_symlink() else folder
 
 
 def lock(folder: Path) -> IO[bytes]:
@@ -102,34 +108,62 @@ def release(folder: Path, held: IO[bytes]) -> None:
 
 
 def _lock_file(folder: Path) -> Path:
-    return folder.with_name(f".{folder.name}.lock")
+    place = _place(folder)
+    return place.with_name(f".{place.name}.lock")
 
 
 def _aside(folder: Path) -> Path:
-    return folder.with_name(f".{folder.name}.old")
+    place = _place(folder)
+    return place.with_name(f".{place.name}.old")
 
 
 def restore(folder: Path) -> None:
-    """Put an old result back whose run was killed between the two steps of `exchange`."""
-    if _aside(folder).is_dir() and not folder.exists():
-        _aside(folder).rename(folder)
+    """Put right what a run left that was killed in `exchange`, or could not end it.
 
-
-def exchange(folder: Path) -> None:
-    """Let the finished part take the place of `folder`, whose other files it keeps."""
-    part, old = part_of(folder), _aside(folder)
-    if folder.exists():
-        shutil.rmtree(old, ignore_errors=True)
-        folder.rename(old)
-    part.rename(folder)
+    That is an old result whose place was not taken yet, or what was still to be moved from it.
+    Raises OSError where that cannot be done.
+    """
+    place, old = _place(folder), _aside(folder)
     if old.is_dir():
-        for entry in old.iterdir():
-            if entry.name not in OURS:
-                entry.rename(folder / entry.name)
-        shutil.rmtree(old)
-    if hasattr(os, "O_DIRECTORY"):
-        handle = os.open(folder.parent, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
+        if place.exists():
+            _clear(old, place)
+        else:
+            old.rename(place)
+
+
+def exchange(folder: Path) -> list[str]:
+    """Let the finished part take the place of `folder`, whose other files it keeps.
+
+    Returns a note where they could not be moved. Raises OSError where the part is still there.
+    """
+    place, old = _place(folder), _aside(folder)
+    if place.exists():
+        place.rename(old)
+    part_of(folder).rename(place)
+    try:
+        if hasattr(os, "O_DIRECTORY"):
+            handle = os.open(place.parent, os.O_RDONLY | os.O_DIRECTORY)
+            try:
+                os.fsync(handle)
+            finally:
+                os.close(handle)
+        if old.is_dir():
+            _clear(old, place)
+    except OSError as error:  # the new results are where they belong
+        return [f"{folder}: what was beside the results before is left in {old} ({error.strerror})"]
+    return []
+
+
+def _clear(old: Path, place: Path) -> None:
+    """Delete what a run made in `old` and move the rest. Raises OSError where some must stay."""
+    for entry in sorted(old.iterdir(), key=lambda e: e.name not in OURS):
+        to = place / entry.name
+        if entry.name not in OURS:
+            if to.exists():
+                raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(to))
+            entry.rename(to)
+        elif entry.is_dir() and not entry.is_symlink():
+            shutil.rmtree(entry)
+        else:
+            entry.unlink()
+    old.rmdir()

@@ -93,7 +93,7 @@ class ResultsWriter:
         self._parquet = parquet
         self._columns = estimate_columns(landmarks.ids)
         try:
-            folder.parent.mkdir(parents=True, exist_ok=True)
+            self._part.parent.mkdir(parents=True, exist_ok=True)
             self._lock = lock(folder)
         except OSError as error:
             raise self._unwritable(error) from None
@@ -116,8 +116,9 @@ class ResultsWriter:
             raise self._unwritable(error) from None
 
     def _unwritable(self, error: OSError) -> SonarrecError:
+        where = f": {shown(error.filename)}" if error.filename else ""
         return SonarrecError(
-            f"{shown(self._folder)}: cannot write results here ({error.strerror}); "
+            f"{shown(self._folder)}: cannot write results here ({error.strerror}{where}); "
             "choose another --out"
         )
 
@@ -148,10 +149,10 @@ class ResultsWriter:
         if ended:
             self._sightings.append([c.written(s) for c in SIGHTING_COLUMNS] for s in ended)
 
-    def finish(self, problems: Sequence[str], unusable: int = 0) -> None:
+    def finish(self, problems: Sequence[str], unusable: int = 0) -> list[str]:
         """Every frame of the log was processed or told of: take the place of what was there.
 
-        unusable: how many frames could not be used.
+        unusable: how many frames could not be used. Returns what `exchange` notes.
 
         Raises SonarrecError where the disk takes no more.
         """
@@ -167,7 +168,7 @@ class ResultsWriter:
             if self._parquet:
                 convert(self._part / "estimates.csv", self._part / "estimates.parquet")
             self._write_run(finished=True)
-            exchange(self._folder)
+            return exchange(self._folder)
         except OSError as error:
             raise self._fault(error) from None
 

@@ -306,6 +306,38 @@ def test_an_exchange_that_was_broken_off_is_put_right(tmp_path: Path) -> None:
     folder.rename(tmp_path / ".dive.old")  # the first of its two steps
     restore(folder)
     assert (folder / "run.toml").read_text() == "old"
-    exchange(folder)
+    assert not exchange(folder)
     assert (folder / "run.toml").read_text() == "new"
     assert [p.name for p in tmp_path.iterdir()] == ["dive"]
+
+
+def test_files_of_the_user_that_cannot_be_moved_are_kept_and_told(tmp_path: Path) -> None:
+    """Here as there is one of that name; a mount or a folder of somebody else stays as well."""
+    folder = tmp_path / "dive"
+    for place in (folder, part_of(folder)):
+        (place / "notes").mkdir(parents=True)
+        (place / "notes" / place.name).touch()
+        (place / "frames.csv").write_text(place.name)
+    [note] = exchange(folder)
+    assert f"{folder}: what was beside the results before is left in " in note
+    assert (folder / "frames.csv").read_text() == "dive.part"
+    with pytest.raises(FileExistsError):  # told before the next run begins
+        restore(folder)
+    assert [p.name for p in tmp_path.glob(".*/*/*")] == ["dive"]
+    (folder / "notes").rename(tmp_path / "elsewhere")
+    restore(folder)
+    assert (folder / "notes" / "dive").is_file()
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_results_behind_a_link_stay_there(log: Path, tmp_path: Path) -> None:
+    short, out, disk = shorter(log, tmp_path / "short"), tmp_path / "out", tmp_path / "disk"
+    out.mkdir()
+    (out / "short").symlink_to(disk / "short")  # nothing is there yet
+    for _ in range(2):
+        done = run(short, out, overwrite=True)
+        assert done.folder == out / "short"
+        assert done.notes == []
+        assert (out / "short").is_symlink()
+        assert finished(disk / "short")
+        assert [p.name for p in (*disk.iterdir(), *out.iterdir())] == ["short", "short"]
