@@ -18,15 +18,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
+from sonarrec.files.locks import is_there, locked
 from sonarrec.files.outputs import write_text
 from sonarrec.records import SonarrecError, UsageError, shown
-
-try:
-    import fcntl
-except ImportError:  # no such locks on this system
-    fcntl = None  # type: ignore[assignment]
 
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12}
 _POLL_S = 0.2
@@ -117,7 +113,7 @@ class Cache:
                     f"{shown(self.folder)}: cannot be written ({error.strerror}); choose another "
                     "--cache"
                 ) from None
-            if _locked(file, alone) and _is_there(file, entry.folder / "lock"):
+            if locked(file, alone=alone) and is_there(file, entry.folder / "lock"):
                 break
             file.close()
             if (stop or threading.Event()).wait(_POLL_S):
@@ -140,7 +136,7 @@ class Cache:
                 f"({_size(self.limit)}); give --cache-size"
             )
         with (self.folder / ".lock").open("ab") as file:
-            while not _locked(file, True):
+            while not locked(file, alone=True):
                 time.sleep(_POLL_S)
             others = [e for e in self.entries() if e.folder != entry.folder]
             sizes = {e.folder: e.about().get("bytes", 0) for e in others}
@@ -173,7 +169,7 @@ def only_one(lock: Path, what: str) -> Iterator[None]:
             f"{shown(lock.parent)}: cannot be written ({error.strerror}); choose another --cache"
         ) from None
     with file:
-        if not _locked(file, True):
+        if not locked(file, alone=True):
             raise SonarrecError(
                 f"{what}: another run writes here now; wait for it, or choose another --out"
             )
@@ -191,30 +187,12 @@ def _taken_away(entry: Entry) -> bool:
     """Delete an entry that nobody uses."""
     try:
         with (entry.folder / "lock").open("ab") as file:
-            if not _locked(file, True):
+            if not locked(file, alone=True):
                 return False
             shutil.rmtree(entry.folder, ignore_errors=True)
     except OSError:
         return False
     return not entry.folder.exists()
-
-
-def _locked(file: IO[bytes], alone: bool) -> bool:
-    if fcntl is None:
-        return True
-    try:
-        fcntl.flock(file, (fcntl.LOCK_EX if alone else fcntl.LOCK_SH) | fcntl.LOCK_NB)
-    except OSError:
-        return False
-    return True
-
-
-def _is_there(file: IO[bytes], path: Path) -> bool:
-    """Whether the lock is still that of the entry, and not of one that was taken away."""
-    try:
-        return os.path.samestat(os.fstat(file.fileno()), path.stat())
-    except OSError:
-        return False
 
 
 def _size(size: float) -> str:

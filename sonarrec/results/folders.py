@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import IO
 
+from sonarrec.files.locks import is_there, locked
 from sonarrec.records import PART, SonarrecError, UsageError
 
 TABLES = ("frames.csv", "estimates.csv", "sightings.csv")
@@ -86,19 +87,17 @@ def lock(folder: Path) -> IO[bytes]:
 
     Raises LockedError where another run writes there now.
     """
-    file = _lock_file(folder).open("wb")
-    try:
-        import fcntl
-    except ImportError:  # no such locks on this system
-        return file
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        file.close()
-        raise LockedError(
-            f"{folder}: another run writes here now; wait for it, or choose another --out"
-        ) from None
-    return file
+    path = _lock_file(folder)
+    while True:
+        file = path.open("wb")
+        if not locked(file, alone=True):
+            file.close()
+            raise LockedError(
+                f"{folder}: another run writes here now; wait for it, or choose another --out"
+            )
+        if is_there(file, path):
+            return file
+        file.close()  # whoever held it ended, and took it away, this very moment
 
 
 def release(folder: Path, held: IO[bytes]) -> None:

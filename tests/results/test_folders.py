@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import resource
 import shutil
@@ -10,6 +11,7 @@ import subprocess
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -17,7 +19,15 @@ from hypothesis import strategies as st
 
 from sonarrec import run
 from sonarrec.records import UsageError
-from sonarrec.results.folders import exchange, folder_names, part_of, restore
+from sonarrec.results.folders import (
+    LockedError,
+    exchange,
+    folder_names,
+    lock,
+    part_of,
+    release,
+    restore,
+)
 from sonarrec.results.read import find_logs
 from tests.support.kills import assert_readable, command, finished, frames, held, stop_at_random
 
@@ -282,6 +292,26 @@ def test_a_second_run_into_the_same_folder_is_refused(log: Path, tmp_path: Path)
     assert "another run writes here now" in told
     assert first.wait() == 0
     assert frames(out / "dive") == list(range(FRAMES))
+
+
+def test_a_lock_released_as_another_run_takes_it_still_holds_a_third(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """That run has opened a file that is taken away before it is locked."""
+    folder = tmp_path / "dive"
+    held, flock = [lock(folder)], fcntl.flock
+
+    def late(*arguments: Any) -> None:
+        while held:
+            release(folder, held.pop())
+        flock(*arguments)
+
+    monkeypatch.setattr(fcntl, "flock", late)
+    second = lock(folder)
+    with pytest.raises(LockedError, match="another run writes here now"):
+        lock(folder)
+    release(folder, second)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_part_beside_finished_results_is_not_counted_with_them(tmp_path: Path) -> None:

@@ -1,0 +1,35 @@
+"""Locks between processes: on files, until they are closed."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import IO
+
+try:
+    import fcntl
+except ImportError:  # no such locks on this system
+    fcntl = None  # type: ignore[assignment]
+
+
+def locked(file: IO[bytes], *, alone: bool) -> bool:
+    """Lock an open file, without waiting; False where another has it.
+
+    alone: nobody else may hold it meanwhile. Where whoever holds it may take the file away,
+    `is_there` must follow.
+    """
+    if fcntl is None:
+        return True
+    try:
+        fcntl.flock(file, (fcntl.LOCK_EX if alone else fcntl.LOCK_SH) | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
+def is_there(file: IO[bytes], path: Path) -> bool:
+    """Whether an open file is still that at `path`, and not one that was taken away."""
+    try:
+        return os.path.samestat(os.fstat(file.fileno()), path.stat())
+    except OSError:
+        return False
