@@ -45,10 +45,17 @@ def definition() -> bytes:
     return _store().generate_msgdef(NAME, ros_version=2)[0].encode()
 
 
+def has_time(stamp_ns: int) -> bool:
+    """Whether a message can have this time: ROS 2 counts seconds in 32 bits, 1901 to 2038."""
+    return -(2**31) <= stamp_ns // 1_000_000_000 < 2**31
+
+
 def detections_message(
     fan: Fan, stamp_ns: int, landmarks: LandmarkSet, estimates: Sequence[Estimate]
 ) -> bytes:
     """The declared estimates of a frame in CDR, their IDs as class, their scores as score.
+
+    stamp_ns: one that `has_time`.
 
     Places lie on the floor, of x, y (m) and the turn about z (rad) with the covariance of the
     standard errors; zeros, as ROS has it, where a method states none. A detection's id is its

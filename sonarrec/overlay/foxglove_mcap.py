@@ -19,7 +19,7 @@ from sonarrec.files.outputs import OVERLAY_LIBRARY, writing
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.overlay import detections
 from sonarrec.readers.mcap.foxglove import json_schema
-from sonarrec.records import Estimate, FloatArray, Frame, SonarrecError
+from sonarrec.records import Estimate, FloatArray, Frame, SonarrecError, shown
 
 ANNOTATIONS_TOPIC = "/sonarrec/annotations"
 FAN_TOPIC = "/sonarrec/fan"
@@ -38,6 +38,7 @@ class FoxgloveFile:
         """Raises SonarrecError where the file cannot be made."""
         self._path = path
         self._landmarks = landmarks
+        self._untimed = 0  # frames that have no detections
         with writing(path):
             self._file = path.open("wb")
             self._writer = Writer(self._file, compression=CompressionType.ZSTD)
@@ -62,11 +63,24 @@ class FoxgloveFile:
             self._add(self._images, _json(image_message(frame, stamp)), logged)
         message = annotations_message(frame, stamp, self._landmarks, estimates, paths, truth)
         self._add(self._annotations, _json(message), logged)
+        if not detections.has_time(stamp):
+            self._untimed += 1
+            return
         self._add(
             self._detections,
             detections.detections_message(frame.fan, stamp, self._landmarks, estimates),
             logged,
         )
+
+    def problems(self) -> list[str]:
+        """What could not be written, a line each."""
+        if not self._untimed:
+            return []
+        frames = f"{self._untimed} frame{'s' * (self._untimed != 1)}"
+        return [
+            f"{shown(self._path)}: {frames} without {DETECTIONS_TOPIC}, as ROS 2 has times from "
+            "1901 to 2038 only; all else is there"
+        ]
 
     def _channel(self, topic: str, message: str) -> int:
         data = json.dumps(json_schema(message)).encode()

@@ -109,7 +109,7 @@ def write_overlay(
                 if annotations is not None:
                     annotations.write(frame, estimates, trails(history), marks)
                 _write_pictures(pictures, frame, history, landmark_set, marks, grid)
-        problems += log.problems
+        problems += [*log.problems, *(annotations.problems() if annotations is not None else [])]
     if not written:
         raise UsageError(f"{path}: no frame lies in --frames {span[0]}:{span[1] or ''}")
     return Overlaid(method, written, problems)
