@@ -45,7 +45,13 @@ def read_poses(path: Path) -> PoseTable:
         raise SonarrecError(f"{path}: a motion needs rows at two times or more")
     if "timestamp_ns" not in table:
         seconds = np.median(steps) < NANOSECONDS_FROM
-        at = np.rint(at * 1e9 if seconds else at).astype(np.int64)
+        at = np.rint(at * 1e9 if seconds else at)
+        if np.abs(at).max() >= 2**63:
+            raise SonarrecError(
+                f"{path}: timestamp must be seconds or nanoseconds; these are neither "
+                "(milliseconds?)"
+            )
+        at = at.astype(np.int64)
     still = np.zeros(len(at))
     try:
         digest = hashlib.sha256(path.read_bytes()).hexdigest()

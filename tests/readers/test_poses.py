@@ -279,6 +279,7 @@ def test_a_table_that_the_images_contradict_is_noted(pings, factor):
         ("time,yaw\n0,1\n1,2\n", "neither timestamp nor timestamp_ns"),
         ("timestamp,yaw,x\n0,1,2\n1,2,3\n", "x and y go together"),
         ("timestamp,yaw\n0,1\n", "two times"),
+        ("timestamp,yaw\n1.7e12,1\n1700000000100,1\n", "neither (milliseconds?)"),
         ("timestamp,yaw\n0,1\n0,2\n", "two times"),
         ("timestamp,yaw\n0,1\n1,north\n", "line 3: yaw must be a finite number, not 'north'"),
         ("timestamp,yaw\n0,1\n1,\n", "line 3: yaw must be a finite number"),
