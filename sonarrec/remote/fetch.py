@@ -18,12 +18,12 @@ from sonarrec.records import Origin, SonarrecError
 from sonarrec.remote.cache import Cache, Entry, NoRoomError, key_of
 from sonarrec.remote.find import RemoteLog, relative, wanted
 from sonarrec.remote.urls import Url, parse_url
-from sonarrec.results.folders import TABLES
+from sonarrec.results.folders import ESTIMATES, TABLES
 
 if TYPE_CHECKING:
     from sonarrec.remote.store import Item, Store
 
-RESULTS = ("run.toml", *TABLES)
+RESULTS = frozenset({"run.toml", *TABLES, *ESTIMATES})
 """What is read of results. run.toml is uploaded last: without it they are not finished."""
 _LARGE = 2**20  # bytes of a file that is written down at once, lest it be fetched anew after a kill
 Told = Callable[[int, int | None], None]

@@ -162,7 +162,9 @@ def test_a_partial_upload_is_no_result_and_is_finished_by_the_next_run(
 def test_evaluate_and_report_read_results_there_and_put_theirs_beside(
     sonarrec: Sonarrec, s3: Any, tmp_path: Path
 ) -> None:
-    assert sonarrec("run", "s3://dives/day", "-o", "s3://dives/out").exit_code == 0
+    for log, tables in (("a", "csv"), ("b", "parquet")):
+        words = [f"s3://dives/day/{log}.mcap", "-o", "s3://dives/out", "--tables", tables]
+        assert sonarrec("run", *words).exit_code == 0
     truth = tmp_path / "gt.csv"
     rows = [f"{log},{k},1,2.0,0.0" for log in "ab" for k in range(6)]
     truth.write_text("\n".join(["log,frame,landmark,range_m,bearing_deg", *rows]) + "\n")
