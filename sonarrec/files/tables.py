@@ -233,7 +233,7 @@ def _values(column: Any, kind: Kind, labels: dict[Any, int]) -> tuple[Any, BoolA
         bad &= ~blank
         if kind == "share":
             bad |= (values < 0) | (values > 1)
-    elif kind == "whole":
+    elif kind == "whole" and values.dtype.kind == "f":
         # Beyond 2**63 a float would wrap round in silence.
         bad |= (values != np.floor(values)) | (np.abs(values) >= 2.0**63)
     elif kind == "flag":
