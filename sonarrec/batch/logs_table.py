@@ -14,6 +14,7 @@ from time import monotonic
 from typing import get_args
 
 from sonarrec.batch.task import Outcome, Status, Task
+from sonarrec.readers.find import log_name, results_name
 from sonarrec.records import SonarrecError
 
 NAME = "logs.csv"
@@ -46,7 +47,7 @@ class LogsTable:
 
     def __init__(self, out: Path, tasks: Sequence[Task]) -> None:
         self._path = out / NAME
-        self._rows = [Row(t.name or Path(t.path).stem, t.path, "waiting") for t in tasks]
+        self._rows = [Row(_name(t), t.path, "waiting") for t in tasks]
         self._seconds: dict[str, float] = {}  # of earlier calls
         with suppress(SonarrecError):
             self._seconds = {row.log: row.seconds for row in read_logs(self._path)}
@@ -109,7 +110,12 @@ class LogsTable:
 def again(tasks: Sequence[Task], out: Path) -> list[Task]:
     """Of tasks those that logs.csv has as failed or done in part, to be done anew."""
     ended = {row.log for row in read_logs(out / NAME) if row.status in ("failed", "partial")}
-    return [replace(t, overwrite=True) for t in tasks if (t.name or Path(t.path).stem) in ended]
+    return [replace(t, overwrite=True) for t in tasks if _name(t) in ended]
+
+
+def _name(task: Task) -> str:
+    """Also of a log that is not there."""
+    return task.name or results_name(log_name(Path(task.path)))
 
 
 @contextmanager

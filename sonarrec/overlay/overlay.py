@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import glob
 import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -21,8 +20,9 @@ from sonarrec.overlay.foxglove_layout import LAYOUT_BEGIN, write_layout
 from sonarrec.overlay.foxglove_mcap import FAN_TOPIC, FoxgloveFile
 from sonarrec.overlay.video import ImageFolder, VideoFile
 from sonarrec.readers import open_log
+from sonarrec.readers.find import find_log
 from sonarrec.readers.log import Log
-from sonarrec.records import Estimate, Fan, Frame, MissingError, SonarrecError, UsageError
+from sonarrec.records import Estimate, Fan, Frame, SonarrecError, UsageError
 from sonarrec.results.folders import estimates_of
 from sonarrec.results.read import read_frames, read_log
 from sonarrec.results.run_file import Given, read_run
@@ -184,12 +184,7 @@ def _open_targets(
 
 def _results_folder(path: Path, results: Path) -> Path:
     """The log's own folder of results. Raises SonarrecError where there is none."""
-    if not path.exists() and not glob.has_magic(str(path)):
-        raise MissingError(f"{path}: no such file or folder")
-    if path.is_dir():
-        name = path.resolve().name
-    else:
-        name = path.stem if path.is_file() else path.parent.resolve().name
+    name = find_log(path).name
     for folder in (results, results / name):
         if (folder / "frames.csv").is_file():
             return folder

@@ -8,15 +8,13 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from sonarrec.readers import open_log
-from sonarrec.readers.find import READERS
+from sonarrec.readers.find import log_name, names_a_log, results_name
 from sonarrec.readers.log import Log
 from sonarrec.records import SonarrecError, UsageError, shown
 from sonarrec.report.logs import ReportedLog
 from sonarrec.results.run_file import Given
 from sonarrec.results.same_log import check_same_log
 from sonarrec.sonar import Sonar
-
-_FILES = {s for reader in READERS if reader.kind != "image" for s in reader.suffixes}
 
 
 def open_recording(path: Path, log: ReportedLog, sonar: Sonar, topic: str | None) -> Log:
@@ -40,7 +38,7 @@ def match_recordings(
         if len(logs) == 1 and not inside:
             found[logs[0].results.name] = path
             continue
-        alike = {path.resolve().name, path.stem}
+        alike = _called(path)
         named = [log for log in logs if log.results.name in alike]
         named = named or [log for log in logs if _names(log) & alike]
         if len(named) > 1:  # logs of one name, told apart by their folders
@@ -68,14 +66,19 @@ def _names(log: ReportedLog) -> set[str]:
     """What the log's recording may be called: as it was given to the run, or as its folder is."""
     told = log.run.table.get("input", {})
     path = Path(str(told.get("path", log.folder.resolve().name)))
-    return {path.name, str(told.get("name", path.stem)), log.results.name} - {""}
+    return {path.name, str(told.get("name", log_name(path))), log.results.name} - {""}
+
+
+def _called(path: Path) -> set[str]:
+    """What run.toml may call a recording: by its file, what that is a link to, or its results."""
+    return {shown(path.name), shown(path.resolve().name), results_name(log_name(path))}
 
 
 def _inside(folder: Path) -> dict[str, list[Path]]:
-    """Folders and log files below a folder, by name and by name without suffix."""
+    """Folders and log files below a folder, by what each may be called."""
     found: dict[str, list[Path]] = defaultdict(list)
     for place in _below(folder):
-        for name in {place.name, place.stem}:
+        for name in _called(place):
             found[name].append(place)
     return found
 
@@ -84,7 +87,7 @@ def _below(folder: Path) -> Iterator[Path]:
     for root, folders, files in os.walk(folder):
         folders.sort()
         yield from (Path(root, name) for name in folders)
-        yield from (Path(root, f) for f in sorted(files) if Path(f).suffix.lower() in _FILES)
+        yield from (Path(root, f) for f in sorted(files) if names_a_log(f))
 
 
 def _same(

@@ -11,6 +11,10 @@ from pathlib import Path
 
 import pytest
 
+from sonarrec.batch.logs_table import LogsTable, read_logs
+from sonarrec.batch.task import Task
+from sonarrec.pipeline.prepared import Used
+from sonarrec.results.run_file import Given
 from tests.support.batch import GRACE_S, SAMPLE, command, environment, made, rows, tables
 
 
@@ -171,6 +175,15 @@ def test_a_foreign_logs_csv_is_not_replaced(tmp_path: Path) -> None:
     assert "logs.csv line 2: not a row of" in done.stderr
     assert mine.read_text() == "day,diver\n1,me\n"
     assert (tmp_path / "out" / "a" / "frames.csv").is_file()
+
+
+def test_a_packed_log_that_is_not_there_has_the_row_that_its_results_would_have(
+    tmp_path: Path,
+) -> None:
+    path = str(tmp_path / "dive.mcap.zst")
+    tasks = [Task(path, name, str(tmp_path), Given(), Used([])) for name in (None, "other")]
+    LogsTable(tmp_path, tasks).write()
+    assert [row.log for row in read_logs(tmp_path / "logs.csv")] == ["dive", "other"]
 
 
 def test_retry_failed_does_those_alone(tmp_path: Path) -> None:

@@ -89,6 +89,13 @@ def test_without_any_truth_one_line_says_where_it_was_looked_for(logs: Path) -> 
     assert "no such file" in command(logs / "out" / "b", code=2).stderr
 
 
+def test_a_packed_log_is_named_without_both_of_its_endings(tmp_path: Path) -> None:
+    log = tmp_path / "dive.mcap.zst"
+    log.write_bytes(b"packed")
+    said = command(result(tmp_path / "out", log, "0" * 64, range(1)), code=2).stderr
+    assert "no dive.gt.csv, nor gt.csv beside" in said
+
+
 def test_the_truth_of_another_log_in_its_place_is_not_taken(logs: Path) -> None:
     truth(logs / "logs" / "a.gt.csv", range(4))
     (logs / "logs" / "a.mp4").write_bytes(b"another recording")

@@ -7,6 +7,7 @@ import csv
 import itertools
 import json
 import math
+import os
 import re
 import tracemalloc
 from collections.abc import Iterator
@@ -18,6 +19,7 @@ import cv2
 import jsonschema
 import numpy as np
 import pytest
+import zstandard
 from click.testing import CliRunner, Result
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -666,6 +668,15 @@ def test_from_run_to_overlay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert right > 0.95 * shown
     assert shown > 100
     assert cv2.VideoCapture("o.mp4").get(cv2.CAP_PROP_FRAME_COUNT) == 128
+
+
+def test_results_of_a_packed_log_of_any_name_are_found(tmp_path: Path) -> None:
+    log = mcap_file(tmp_path / "l.mcap", [("/s", n, cdr_image(i)) for n, i in enumerate(noise(2))])
+    packed = tmp_path / os.fsdecode(b"d\xe9ve.mcap.zst")
+    packed.write_bytes(zstandard.compress(log.read_bytes()))
+    write_results(tmp_path / "out" / r"d\xe9ve", moving(2))
+    targets = Targets(images=tmp_path / "shots")
+    assert write_overlay(packed, targets, results=tmp_path / "out").frames == 2
 
 
 def test_a_run_that_was_cut_short(work: Path) -> None:

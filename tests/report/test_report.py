@@ -6,6 +6,7 @@ import base64
 import csv
 import hashlib
 import json
+import os
 import re
 import shutil
 import tomllib
@@ -18,6 +19,7 @@ from typing import Any, cast
 import cv2
 import numpy as np
 import pytest
+import zstandard
 from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -536,6 +538,17 @@ def test_a_folder_of_logs(results: Path, tmp_path: Path) -> None:
     assert "no log of the name gone" in Page(tmp_path / "out" / "report.html").text
     (log,) = held_frames(tmp_path / "out" / "report.html")
     assert (log["name"], log["in_all"]) == ("pan", 128)
+
+
+def test_a_packed_log_of_any_name_is_found_in_a_folder_of_logs(tmp_path: Path) -> None:
+    packed = tmp_path / "logs" / os.fsdecode(b"d\xe9ve.mcap.zst")
+    packed.parent.mkdir()
+    packed.write_bytes(zstandard.compress(SAMPLE.with_suffix(".mcap").read_bytes()))
+    shutil.copy(SAMPLE / "sonar.toml", packed.parent)
+    sonarrec("run", "-q", packed, "--frames", "0:3", "-o", tmp_path / "out")
+    sonarrec("report", tmp_path / "out", "--log", tmp_path / "logs")
+    [log] = held_frames(tmp_path / "out" / "report.html")
+    assert log["name"] == r"d\xe9ve"
 
 
 def test_a_long_log_stays_a_small_page(tmp_path: Path) -> None:

@@ -117,7 +117,9 @@ def _truth_beside(folder: Path, source: Input, elsewhere: Elsewhere | None) -> P
         else:
             found = find_log(source.path)
             log = str(found.path)
-            own = f"{found.path.stem}.{TRUTH_FILE}, nor " if found.files == [found.path] else ""
+            own = (
+                f"{log_name(found.path)}.{TRUTH_FILE}, nor " if found.files == [found.path] else ""
+            )
             truth, size = found.beside(TRUTH_FILE), _size(found)
     except SonarrecError as error:
         raise SonarrecError(f"{folder}: no ground truth: {error}") from None
