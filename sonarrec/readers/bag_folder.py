@@ -79,9 +79,17 @@ def _listed(folder: Path) -> tuple[list[Path], dict[str, Any], list[str]]:
     names = told.get("relative_file_paths")
     if isinstance(names, list) and names:
         # Old bags state them with the folder in front; nothing outside of it is read.
-        parts = [_there(folder / (PurePosixPath(str(name)).name or "unnamed")) for name in names]
+        listed = Counter(
+            _there(folder / (PurePosixPath(str(name)).name or "unnamed")) for name in names
+        )
+        parts = list(listed)
         more = [p for p in _stored(folder) if p not in parts and _follows(p, parts)]
         lines = [f"{shown(p.name)}: {METADATA} does not list it, so it is not read" for p in more]
+        lines += [
+            f"{shown(p.name)}: {METADATA} lists it {times} times; it is read once"
+            for p, times in listed.items()
+            if times > 1
+        ]
         return parts, told, lines
     parts = _numbered(folder) or _stored(folder)
     lines = [] if problem is None else [f"{METADATA}: {problem}; the parts are read by their names"]

@@ -126,6 +126,16 @@ def test_a_missing_part(storage: str, tmp_path: Path) -> None:
         read(tmp_path / "dive")
 
 
+def test_a_part_that_is_listed_twice_is_read_once(tmp_path: Path) -> None:
+    files = split_bag(tmp_path / "dive", parts_of(messages(IMAGES[:4]), [2, 2]))
+    told = tmp_path / "dive" / "metadata.yaml"
+    listed = f"{files[0].name}, {files[1].name}"
+    told.write_text(told.read_text().replace(listed, f"{listed}, {files[1].name}"))
+    found, problems = read(tmp_path / "dive")
+    assert [f.timestamp_ns for f in found] == [k * PERIOD_NS for k in range(4)]
+    assert problems == [f"{files[1].name}: metadata.yaml lists it 2 times; it is read once"]
+
+
 def test_losses_that_cannot_be_placed(tmp_path: Path) -> None:
     """Old bags count no messages by file: of two parts that are gone none knows which had what."""
     files = split_bag(tmp_path / "dive", parts_of(messages(IMAGES), PARTS))
