@@ -106,7 +106,7 @@ class Sonar:
         if wrong is not None:
             raise SonarrecError(
                 f"{where}: sonar geometry contradicts itself: {wrong}; "
-                f"correct it in sonar.toml or by flag, like this:\n{EXAMPLE_SONAR_TOML}"
+                f"correct it in sonar.toml or by flag; like this:\n{EXAMPLE_SONAR_TOML}"
             )
         flip = bool(self.flip)
         least, most = (-view / 2, view / 2) if beams is None else _edges(beams, flip)

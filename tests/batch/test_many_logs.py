@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import signal
 import subprocess
@@ -12,9 +13,11 @@ from pathlib import Path
 import pytest
 
 from sonarrec.batch.logs_table import LogsTable, read_logs
-from sonarrec.batch.task import Task
+from sonarrec.batch.task import Outcome, Task
 from sonarrec.pipeline.prepared import Used
+from sonarrec.records import SonarrecError
 from sonarrec.results.run_file import Given
+from sonarrec.sonar import Sonar
 from tests.support.batch import GRACE_S, SAMPLE, command, environment, made, rows, tables
 
 
@@ -184,6 +187,15 @@ def test_a_packed_log_that_is_not_there_has_the_row_that_its_results_would_have(
     tasks = [Task(path, name, str(tmp_path), Given(), Used([])) for name in (None, "other")]
     LogsTable(tmp_path, tasks).write()
     assert [row.log for row in read_logs(tmp_path / "logs.csv")] == ["dive", "other"]
+
+
+@pytest.mark.parametrize("sonar", [Sonar(), Sonar("fan", 3.0, 2.0, 30.0, 0.0)])
+def test_what_failed_is_one_line_without_the_example(sonar: Sonar) -> None:
+    with pytest.raises(SonarrecError) as fault:
+        sonar.complete("dive")
+    message = Outcome("failed", error=fault.value).message
+    assert message.startswith("dive: sonar geometry ")
+    assert not re.search(r"\n|:$", message)
 
 
 def test_retry_failed_does_those_alone(tmp_path: Path) -> None:
