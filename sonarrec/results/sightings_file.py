@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ ROWS = 20_000
 def read_sightings(
     folder: Path, landmarks: str | None = None, sonar: Sonar | None = None
 ) -> Iterator[Sighting]:
-    """The passes in one log's results, each when it ended.
+    """The passes in one log's results, in order of their ends.
 
     Of finished results as sightings.csv has them. Where there is none, and of a run that was cut
     short, they are worked out from frames.csv and estimates.csv, without places on the floor.
@@ -61,12 +62,28 @@ def _worked_out(
     frames = read_frames(folder)
     times = frames.get("timestamp_ns", np.zeros(len(frames["frame"]), dtype=np.int64))
     time_of = dict(zip(frames["frame"].tolist(), times.tolist(), strict=True))
-    declared = [e for e in _declared(folder, run, landmarks, sonar) if e[0] in time_of]
-    declared.sort(key=lambda e: e[0])
-    gathered = Sightings(run.landmark_set(landmarks))
-    for frame, group in groupby(declared, key=lambda e: e[0]):
-        yield from gathered.add(frame, time_of[frame], (e for _, e in group))
-    yield from gathered.rest()
+    own = run.landmark_set(landmarks)
+
+    def declared() -> Iterator[tuple[int, Estimate]]:
+        return (e for e in _declared(folder, run, landmarks, sonar) if e[0] in time_of)
+
+    found = _passes(Sightings(own), declared(), time_of)
+    if found is None:  # another program's table: all of it is held, to be put in order
+        found = _passes(Sightings(own), sorted(declared(), key=itemgetter(0)), time_of)
+    return iter(found or ())
+
+
+def _passes(
+    gathered: Sightings, declared: Iterable[tuple[int, Estimate]], time_of: Mapping[int, int]
+) -> list[Sighting] | None:
+    """Of (frame, estimate) the passes; None where the frames do not rise."""
+    found, last = list[Sighting](), -1
+    for frame, group in groupby(declared, key=itemgetter(0)):
+        if frame < last:
+            return None
+        found += gathered.add(frame, time_of[frame], (e for _, e in group))
+        last = frame
+    return [*found, *gathered.rest()]
 
 
 def _declared(
