@@ -185,16 +185,17 @@ def _frames_of_images(
 ) -> tuple[str, FrameNumbers, str]:
     """As _frame_numbers, for images by name.
 
-    An image is found by its name in the log, whatever its folder and suffix. Where none of them
-    is, names of 19 digits are times, as in a log of images; else the number at the end of every
-    name counts; else their natural order.
+    An image is found by its name in the log, whatever its folder; by its name without suffix where
+    one image of the log has that. Where none of them is, names of 19 digits are times, as in a log
+    of images; else the number at the end of every name counts; else their natural order.
     """
     paths = {name: Path(name.replace("\\", "/")) for name in images}
     long = next((name for name, path in paths.items() if len(path.name) > MOST_LETTERS), None)
     if long is not None:
         raise SonarrecError(f"image name of {len(long)} characters, {long[:40]!r}...: no file's")
-    at = {Path(name).stem: n for n, name in enumerate(log_names)}
-    in_log: FrameNumbers = {name: at[path.stem] for name, path in paths.items() if path.stem in at}
+    files, stems = _once(log_names), _once([Path(name).stem for name in log_names])
+    found = {name: files.get(path.name, stems.get(path.stem)) for name, path in paths.items()}
+    in_log: FrameNumbers = {name: n for name, n in found.items() if n is not None}
     if in_log:
         return "frame", in_log, "frames by image name in the log"
     if all(re.fullmatch(r"[0-9]{19}", path.stem) for path in paths.values()):
@@ -210,6 +211,12 @@ def _frames_of_images(
     order = sorted(paths, key=lambda name: natural_order(paths[name]))
     rule = "frames by the natural order of the images listed; give --log where it has more"
     return "frame", {name: n for n, name in enumerate(order)}, rule
+
+
+def _once(names: Sequence[str]) -> dict[str, int]:
+    """The place of each name that occurs once."""
+    times = Counter(names)
+    return {name: n for n, name in enumerate(names) if times[name] == 1}
 
 
 def _in_fan_pixels(

@@ -493,6 +493,17 @@ def test_frames_by_name_in_the_log(tmp_path: Path) -> None:
     assert rows_of(tmp_path / "glob.csv") == rows_of(tmp_path / "gt.csv")
 
 
+def test_images_of_one_stem_are_told_apart_by_their_suffix(tmp_path: Path) -> None:
+    log = image_folder(tmp_path / "log", frames(3, 80, 100))
+    for n, name in enumerate(["a.jpg", "a.png", "b.png"]):
+        (log / f"frame{n}.png").rename(log / name)  # what they hold counts, not their suffix
+    annotations = [BBOX | {"image_id": 7 + n} for n in range(4)]
+    source = coco(tmp_path, annotations, ["a.jpg", "a.png", "b.jpg", "a.bmp"])
+    done = run(source, "--log", log, "--out", tmp_path / "gt.csv")
+    assert "not in the log: a.bmp" in done.stderr  # either of two
+    assert [row[0] for row in rows_of(tmp_path / "gt.csv")] == [0, 1, 2]
+
+
 # --- Positions and visibility --------------------------------------------------------------------
 
 
