@@ -56,8 +56,8 @@ Scale = Literal["linear", "log", "db"]
 
 @dataclass(frozen=True, slots=True)
 class GreyScale:
-    """How the pixels of one log become grey; see the module. bounded: pixels below 0 or above
-    full_scale are a fault rather than black or white."""
+    """How the pixels of one log become grey; see the module. bounded: finite pixels below 0 or
+    above full_scale are a fault rather than black or white."""
 
     pixel_scale: Scale
     full_scale: float
@@ -184,7 +184,8 @@ def to_grey8(pixels: np.ndarray, scale: GreyScale) -> ByteImage:
         if pixels.dtype == np.uint16:
             return _rounded(np.ascontiguousarray(pixels), 255 / full)
     values = np.nan_to_num(pixels.astype(np.float32), nan=0.0, posinf=np.inf, neginf=-np.inf)
-    if scale.bounded and (values.min() < 0 or values.max() > full):
+    # Infinities are no fault, as `grey_scale` settles on what is finite.
+    if scale.bounded and (((values < 0) | (values > full)) & np.isfinite(values)).any():
         raise UnusableError(
             f"floating-point pixels must lie in 0 to {full:g}, as in the first frame"
         )

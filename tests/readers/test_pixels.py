@@ -149,6 +149,8 @@ def test_grey8() -> None:
     assert np.abs(grey8(colour) - weighted).max() <= 0.51
     floats = np.array([[0.0, 0.5, 1.0, np.nan]])
     np.testing.assert_array_equal(grey8(floats), [[0, 128, 255, 0]])
+    endless = np.array([[0.0, np.inf, 1.0, -np.inf]])  # what is beyond every bound settles none
+    np.testing.assert_array_equal(grey8(endless), [[0, 255, 255, 0]])
     for wrong in (
         np.zeros((3, 3, 2), np.uint8),
         np.zeros((0, 3), np.uint8),
