@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import csv
 import itertools
 import warnings
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal
 
@@ -201,15 +203,31 @@ def _ends_line(block: bytes) -> bool:
 
 
 def line_number(path: Path, row: int) -> int:
-    """1-based line in the file of a table's 0-based row (blank lines hold no row).
+    """1-based line in the file at which a table's 0-based row begins.
 
     Of Parquet, which has no lines, that of the same table as CSV.
     """
     if path.suffix == PARQUET:
         return row + 2
-    with path.open(encoding="utf-8-sig", errors="replace") as file:
-        filled = (number for number, text in enumerate(file, 1) if text.strip())
-        return next(itertools.islice(filled, row + 1, None), row + 2)
+    return next(itertools.islice(line_numbers(path), row, None))
+
+
+def line_numbers(path: Path) -> Iterator[int]:
+    """The 1-based lines of a CSV file at which its rows begin; behind the last one it counts on.
+
+    Blank lines hold no row, and a cell in quotes may go over several.
+    """
+    with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
+        rows = csv.reader(file, skipinitialspace=True)
+        header, before = True, 0
+        with suppress(csv.Error):  # a cell that is longer than it reads
+            for cells in rows:
+                if len(cells) > 1 or any(cells):
+                    if not header:
+                        yield before + 1
+                    header = False
+                before = rows.line_num
+    yield from itertools.count(before + 1)
 
 
 def _values(column: Any, kind: Kind, labels: dict[Any, int]) -> tuple[Any, BoolArray]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sonarrec.files.tables import POSITION_KINDS, read_table
+from sonarrec.files.tables import POSITION_KINDS, line_numbers, read_table
 from sonarrec.geometry import ground_range, pixel_from_polar, polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.readers.log import Log
@@ -89,7 +89,7 @@ def check_truth(
     if len(table.at) and not len(row):
         named = ", ".join(sorted({str(name) for name in table.log}))
         raise SonarrecError(f"{path}: its log column does not name {log.name}; it has {named}")
-    lines = _lines(path)
+    lines = np.fromiter(line_numbers(path), np.int64, len(table.at))
     line = lines[row]
     frames, faults = _matched(table, row, line, log)
     assert log.fan is not None
@@ -130,13 +130,6 @@ def check_truth(
         len(table.at) - len(row),
         list(log.problems),
     )
-
-
-def _lines(path: Path) -> IntArray:
-    """(rows,) 1-based line of every row: blank lines hold none."""
-    with path.open(encoding="utf-8-sig") as file:
-        filled = [number for number, text in enumerate(file, 1) if text.strip()]
-    return np.array(filled[1:], dtype=np.int64)
 
 
 def _matched(

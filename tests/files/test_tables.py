@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from sonarrec.files.tables import read_table
+from sonarrec.files.tables import line_number, read_table
 from sonarrec.records import SonarrecError
 
 
@@ -22,3 +22,20 @@ def test_whole_numbers_are_all_those_of_64_bits(tmp_path: Path) -> None:
     assert times(tmp_path / "t.csv", *map(str, most)) == most
     with pytest.raises(SonarrecError, match=r"line 3: timestamp_ns must be a whole number below"):
         times(tmp_path / "t.csv", "0", str(2**63))
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_lines_are_those_of_the_file(tmp_path: Path, end: str) -> None:
+    """Rows begin at 2, 5 (behind a cell of two lines and a blank one), 6 and 8."""
+    lines = ["a,b", '1, "x', ' y"', " ", '2,"say ""no"""', "3,", "", ",4"]
+    path = tmp_path / "t.csv"
+    path.write_bytes(end.join(lines).encode())
+    assert [line_number(path, row) for row in range(4)] == [2, 5, 6, 8]
+    table = read_table(path, {"a": "blank or number"}, ("a",), "a,b")
+    assert len(table["a"]) == 4
+
+
+def test_lines_behind_a_cell_beyond_all_measure_are_counted_on(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text('a,b\n1,2\n3,"' + 50_000 * "long\n" + '"\n')
+    assert [line_number(path, row) for row in (0, 1)] == [2, 3]

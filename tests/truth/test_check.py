@@ -71,6 +71,12 @@ def test_every_subcommand_has_an_example() -> None:
         assert f"Examples:\n    sonarrec truth {name} " in done.stdout
 
 
+def test_lines_are_counted_behind_a_cell_of_two(tmp_path: Path, log: Path) -> None:
+    rows = ['0,1,2.0,0,"a', 'b"', "", "1,9,2.0,0,"]
+    path = truth(tmp_path, rows, "frame,landmark,range_m,bearing_deg,remark")
+    assert (5, "landmark") in kinds(path, log)
+
+
 # --- No false alarm ------------------------------------------------------------------------------
 
 
