@@ -32,7 +32,10 @@ class Elsewhere:
 def all_logs(
     names: Iterable[str], listed: Iterable[str] = (), *, recursive: bool = False
 ) -> list[NamedLog | RemoteLog]:
-    """As readers.many.all_logs, with those on servers found there. Raises UsageError."""
+    """As `readers.many.find_logs`, of names and of a list, those on servers found there.
+
+    Raises UsageError.
+    """
     logs: list[NamedLog | RemoteLog] = []
     for name in named(names, listed):
         found = find(name, recursive=recursive) if is_url(name) else None

@@ -63,7 +63,7 @@ class TruthTable:
 
 
 def read_truth(path: Path) -> TruthTable:
-    """Read gt.csv (see HEADER). A header alone is good: no landmark anywhere.
+    """Read gt.csv (see HEADER). A header alone is read as well: whoever scores refuses it.
 
     Raises SonarrecError on wrong columns, on a cell that cannot be meant and on a repeated row.
     """
