@@ -38,9 +38,8 @@ LEARNED_UNLIKE = (
     *("any_floor", "relief", "light", "debris", "symbols", "wide"),
     *("leaning", "ripples", "fish", "vehicle"),
 )
-"""What `make model` learns from, beside the basin's."""
-OTHER_UNLIKE = tuple(kind for kind in UNLIKE_KINDS if kind not in LEARNED_UNLIKE)
-"""Never learned from: symbols of other kinds, slopes, silt and multipath."""
+"""What `make model` learns from, beside the basin's; not symbols of other kinds, slopes, silt and
+multipath."""
 _PLATED = ("blank", "spokes", "half_ring", *SYMBOLS)
 
 
