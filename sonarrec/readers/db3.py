@@ -13,7 +13,8 @@ from urllib.parse import quote
 
 import numpy as np
 
-from sonarrec.readers.recording import MAX_MESSAGE_BYTES, Channel, Message, Recording
+from sonarrec.readers.raw import MAX_FRAME_BYTES
+from sonarrec.readers.recording import Channel, Message, Recording
 from sonarrec.records import SonarrecError, shown
 
 
@@ -93,7 +94,7 @@ class _WholeDatabase:
         self._reader = reader
         reader.open()
         # A row comes whole: no longer than a message may be.
-        reader.dbconn.limit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_MESSAGE_BYTES)
+        reader.dbconn.limit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_FRAME_BYTES)
         self.channels = {c.id: _channel(c) for c in reader.connections}
         self.counts = Counter({c.id: int(c.msgcount) for c in reader.connections})
         told = reader.metadata
@@ -117,7 +118,7 @@ class _CutDatabase:
     def __init__(self, name: str) -> None:
         self._db = sqlite3.connect(f"file:{name}?immutable=1", uri=True)
         try:
-            self._db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_MESSAGE_BYTES)
+            self._db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_FRAME_BYTES)
             self._db.execute("PRAGMA writable_schema = ON")  # else a short file is not opened
             known = self._definitions()
             self.channels = {

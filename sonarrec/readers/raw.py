@@ -11,7 +11,7 @@ import numpy as np
 from sonarrec.records import NO_STAMPS, FloatArray, Stamps
 from sonarrec.sonar import MIN_WINDOW_M, PingGeometry, Sonar
 
-MAX_FRAME_BYTES = 48 * 2**20  # an image of 4096 x 4096 pixels of three bytes
+MAX_FRAME_BYTES = 48 * 2**20  # or of a message: an image of 4096 x 4096 pixels of three bytes
 
 
 class UnusableError(Exception):

@@ -9,8 +9,6 @@ from pathlib import Path
 
 from sonarrec.records import shown
 
-MAX_MESSAGE_BYTES = 48 * 2**20  # an image of 4096 x 4096 pixels of three bytes
-
 
 @dataclass(frozen=True, slots=True)
 class Message:

@@ -11,7 +11,8 @@ from typing import Any
 
 import lz4.frame
 
-from sonarrec.readers.recording import MAX_MESSAGE_BYTES, Channel, Message, Recording
+from sonarrec.readers.raw import MAX_FRAME_BYTES
+from sonarrec.readers.recording import Channel, Message, Recording
 from sonarrec.records import SonarrecError, shown
 
 MAX_CHUNK_BYTES = 2**27  # inflated; it is held in memory. A recorder's own limit is below 1 MB
@@ -60,7 +61,7 @@ class RosBag(Recording):
         if not chosen:
             return  # to rosbags none means all
         for connection, time, data in self._reader.messages(chosen):
-            if len(data) > MAX_MESSAGE_BYTES:
+            if len(data) > MAX_FRAME_BYTES:
                 problem = f"a message of {len(data)} bytes, more than is read"
                 yield Message(connection.id, time, None, None, problem)
             else:

@@ -336,7 +336,7 @@ def test_what_unpacks_to_more_than_is_read(
 def test_messages_and_chunks_that_inflate_to_more_than_is_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(ros, "MAX_MESSAGE_BYTES", 2**20)
+    monkeypatch.setattr(ros, "MAX_FRAME_BYTES", 2**20)
     monkeypatch.setattr(ros_bags, "MAX_CHUNK_BYTES", 2**16)
     bomb = zstandard.ZstdCompressor().compress(bytes(2**26))
     timed = [*messages(IMAGES[:2]), (PERIOD_NS * 2, bomb), (PERIOD_NS * 3, bomb[:4] + b"\xff" * 20)]

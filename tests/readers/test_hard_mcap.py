@@ -212,7 +212,7 @@ def test_a_window_beyond_the_bound_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_message_beyond_the_bound(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(in_order, "MAX_MESSAGE_BYTES", 500)
+    monkeypatch.setattr(in_order, "MAX_FRAME_BYTES", 500)
     path = tmp_path / "log.mcap"
     with HardLog(path) as log:
         log.loose([TIMED[0], (PERIOD_NS, bytes(600)), *TIMED[2:]])

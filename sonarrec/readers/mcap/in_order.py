@@ -24,7 +24,8 @@ from sonarrec.readers.mcap.in_chunk import (
     scan,
 )
 from sonarrec.readers.mcap.salvage import CHUNK, MESSAGE_HEAD, McapFile
-from sonarrec.readers.recording import MAX_MESSAGE_BYTES, Message
+from sonarrec.readers.raw import MAX_FRAME_BYTES
+from sonarrec.readers.recording import Message
 from sonarrec.records import SonarrecError, shown
 
 
@@ -96,7 +97,7 @@ class MessageReader:
         self._passed += 1
         if place.contents is None:
             self._lost += 1
-        elif place.length > MAX_MESSAGE_BYTES:
+        elif place.length > MAX_FRAME_BYTES:
             problem = f"a message of {place.length} bytes, more than is read"
         else:
             place.contents.file.seek(place.offset + MESSAGE_HEAD.size)

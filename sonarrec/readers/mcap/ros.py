@@ -24,8 +24,7 @@ from rosbags.typesys.store import Typestore
 
 from sonarrec.readers.mcap.chunks import inflated_zstd
 from sonarrec.readers.mcap.fields import DefinitionError
-from sonarrec.readers.raw import UnusableError
-from sonarrec.readers.recording import MAX_MESSAGE_BYTES
+from sonarrec.readers.raw import MAX_FRAME_BYTES, UnusableError
 
 _MAX_DEFINITION_BYTES = 2**18
 _MAX_FIELDS = 1000  # of a message and all inside: of those read here the largest has some 50
@@ -282,8 +281,8 @@ def _inflated(message: memoryview) -> memoryview:
     try:
         for piece in inflated_zstd(iter([bytes(message)])):
             out += piece
-            if len(out) > MAX_MESSAGE_BYTES:
-                raise UnusableError(f"inflates to more than {MAX_MESSAGE_BYTES} bytes")
+            if len(out) > MAX_FRAME_BYTES:
+                raise UnusableError(f"inflates to more than {MAX_FRAME_BYTES} bytes")
     except zstandard.ZstdError:
         raise UnusableError("malformed message (does not inflate)") from None
     return memoryview(bytes(out))
