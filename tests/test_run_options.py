@@ -96,6 +96,17 @@ def test_an_input_that_is_not_there_is_exit_code_2_everywhere(tmp_path: Path, wo
     assert run_line(*line.split()).exit_code == 2
 
 
+@pytest.mark.parametrize("name", ["run", "info"])
+def test_ctrl_c_at_the_start_is_one_line(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("sonarrec.readers.find._found", stop)
+    stopped = run_line(name, str(SAMPLE))
+    assert stopped.exit_code == 130
+    assert stopped.stderr == "sonarrec: stopped\n"
+
+
 def test_verbose_is_a_line_for_each_log(tmp_path: Path) -> None:
     done = run_line("run", "-q", "-v", str(SAMPLE / "00000*.png"), "-o", str(tmp_path))
     assert re.search(

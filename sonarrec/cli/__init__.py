@@ -17,7 +17,7 @@ from sonarrec.cli.evaluate import evaluate
 from sonarrec.cli.help import help_
 from sonarrec.cli.info import info
 from sonarrec.cli.map import map_
-from sonarrec.cli.options import tell
+from sonarrec.cli.options import INTERRUPTED, tell
 from sonarrec.cli.overlay import overlay
 from sonarrec.cli.report import report
 from sonarrec.cli.run import run
@@ -36,12 +36,15 @@ class _Program(click.Group):
         return super().main(*arguments, **told)
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Faults of the input become one line; our own bugs keep their traceback."""
+        """Faults of the input and Ctrl-C become one line; our own bugs keep their traceback."""
         try:
             return super().invoke(ctx)
         except SonarrecError as error:
             tell([str(error)])
             ctx.exit(2 if isinstance(error, UsageError) else 1)
+        except KeyboardInterrupt as error:
+            tell(["; ".join(["stopped", *getattr(error, "__notes__", [])])])
+            ctx.exit(INTERRUPTED)
         except OSError as error:
             if error.filename is not None or error.errno not in UNWRITTEN:
                 raise
@@ -80,7 +83,7 @@ def main() -> None:
 
     \b
     Exit codes: 0 done; 1 failed; 2 bad usage; 3 finished, but part of the input
-    could not be used.
+    could not be used; 130 stopped by Ctrl-C.
     """
 
 

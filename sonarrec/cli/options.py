@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial, wraps
 from pathlib import Path
@@ -11,11 +11,12 @@ from typing import IO, Any, NoReturn
 
 import click
 
-from sonarrec.records import Clock, UsageError
+from sonarrec.records import Clock, UsageError, shown
 
 FAILED = 1  # exit code: nothing could be used
 MISUSED = 2  # exit code: an option cannot be meant, or an input is not there
 PARTLY = 3  # exit code: finished, but part of the input could not be used
+INTERRUPTED = 130  # exit code: stopped by Ctrl-C
 FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 NEW_FILE = click.Path(dir_okay=False, path_type=Path)
 FOLDER = click.Path(file_okay=False, path_type=Path)
@@ -429,6 +430,17 @@ def end(problems: Collection[object]) -> None:
     """End a command that is done: with PARTLY where part of the input could not be used."""
     if problems:
         leave(PARTLY)
+
+
+@contextmanager
+def begun(*places: Path) -> Iterator[None]:
+    """Where Ctrl-C stops what is made inside, say what is left of it: the same call refuses it."""
+    try:
+        yield
+    except KeyboardInterrupt as error:
+        if left := ", ".join(shown(place) for place in places if place.exists()):
+            error.add_note(f"what was made so far is in {left}; remove it to begin anew")
+        raise
 
 
 def leave(code: int) -> NoReturn:

@@ -16,6 +16,7 @@ from sonarrec.cli.options import (
     FAILED,
     FILE,
     INPUT,
+    INTERRUPTED,
     NEW_FILE,
     OUTPUT,
     PARTLY,
@@ -47,8 +48,7 @@ if TYPE_CHECKING:
     from sonarrec.remote.upload import Outbox
     from sonarrec.results.run_file import Given
 
-INTERRUPTED, TERMINATED = 130, 143
-"""Exit codes of a run that was stopped by Ctrl-C or SIGTERM."""
+TERMINATED = 143  # exit code: stopped by SIGTERM
 
 
 @command(short_help="Recognise the landmarks in logs.")

@@ -12,6 +12,7 @@ from sonarrec.cli.options import (
     INPUT,
     OUTPUT,
     LogChoice,
+    begun,
     command,
     end,
     log_options,
@@ -134,7 +135,8 @@ def simulate(
         seed=scene.seed if seed is None else seed,
         frames=scene.frames if frames is None else _number(frames),
     )
-    with progress(quiet, scene.frames) as step:
+    made = [out, out.with_suffix(".gt.csv")] if out.suffix == ".mcap" else [out]
+    with begun(*made), progress(quiet, scene.frames) as step:
         write_recording(
             scene,
             out,
@@ -178,7 +180,7 @@ def _lay(
     with progress(quiet, title="motion") as step:
         background = laying.survey(log, log_choice, frames, config, step)
     layout = draw_layout(background, landmarks, seed, laying.count)
-    with progress(quiet, len(background.path), "discs") as step:
+    with begun(*folders.values()), progress(quiet, len(background.path), "discs") as step:
         write_backgrounds(
             background,
             layout,

@@ -15,6 +15,7 @@ from sonarrec.cli.options import (
     OUTPUT,
     LogChoice,
     SettingsChoice,
+    begun,
     command,
     end,
     frames_option,
@@ -96,7 +97,7 @@ def site(
     )
     # Of each layout the discs, then a run for each contrast; once the recording as it is.
     passes = 1 + layouts * (1 + len(contrasts))
-    with progress(quiet, passes * len(background.path)) as step:
+    with begun(out), progress(quiet, passes * len(background.path)) as step:
         found = assess(
             background,
             Path(log),

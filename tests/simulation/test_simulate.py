@@ -457,6 +457,18 @@ def test_simulate_command(tmp_path) -> None:
     assert not (tmp_path / "new").exists()
 
 
+def test_ctrl_c_says_what_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stop(*_: object) -> bool:
+        raise KeyboardInterrupt
+
+    out = tmp_path / "log"
+    monkeypatch.setattr(cv2, "imwrite", stop)
+    stopped = CliRunner().invoke(main, ["simulate", "-q", "--frames", "2", "-o", str(out)])
+    assert stopped.exit_code == 130
+    left = f"what was made so far is in {out}; remove it to begin anew"
+    assert stopped.stderr == f"sonarrec: stopped; {left}\n"
+
+
 SAMPLES = Path(__file__).parents[2] / "sample_data"
 
 
