@@ -16,6 +16,7 @@ from typing import get_args
 from sonarrec.batch.task import Outcome, Status, Task
 from sonarrec.readers.find import log_name, results_name
 from sonarrec.records import SonarrecError
+from sonarrec.results.folders import part_of
 
 NAME = "logs.csv"
 WRITE_EVERY_S = 1.0
@@ -32,7 +33,7 @@ class Row:
     unusable: int = 0  # frames of the log that could not be used
     seconds: float = 0.0  # that its last run took
     declared: int = 0  # passes in sightings.csv of the methods that follow objects
-    message: str = ""  # what could not be used, or why it failed
+    message: str = ""  # what could not be used, or why it failed; "stopped"
 
 
 COLUMNS = tuple(f.name for f in fields(Row))
@@ -80,6 +81,16 @@ class LogsTable:
         self._rows[i] = replace(row, seconds=round(seconds, 2))
         self._write_at_times()
 
+    def stopped(self) -> None:
+        """The call was stopped: what ran waits for the next, with its frames so far in its part."""
+        for i, row in enumerate(self._rows):
+            if row.status == "running":
+                kept = part_of(self._path.with_name(row.log)) / "frames.csv"
+                frames = row.frames  # as told from time to time
+                with suppress(OSError), kept.open("rb") as file:
+                    frames = sum(1 for _ in file) - 1
+                self._rows[i] = replace(row, status="waiting", frames=frames, message="stopped")
+
     def _write_at_times(self) -> None:
         if monotonic() >= self._written + WRITE_EVERY_S:
             self.write()
@@ -107,10 +118,15 @@ class LogsTable:
             self.fault = str(error)
 
 
-def again(tasks: Sequence[Task], out: Path) -> list[Task]:
-    """Of tasks those that logs.csv has as failed or done in part, to be done anew."""
-    ended = {row.log for row in read_logs(out / NAME) if row.status in ("failed", "partial")}
-    return [replace(t, overwrite=True) for t in tasks if _name(t) in ended]
+def again(tasks: Sequence[Task], out: Path) -> tuple[list[Task], int]:
+    """Of tasks those that logs.csv has as failed or done in part, to be done anew.
+
+    With how many it has as waiting or running.
+    """
+    status = {row.log: row.status for row in read_logs(out / NAME)}
+    found = [(status.get(_name(t)), t) for t in tasks]
+    ended = [replace(t, overwrite=True) for state, t in found if state in ("failed", "partial")]
+    return ended, sum(state in ("waiting", "running") for state, _ in found)
 
 
 def _name(task: Task) -> str:

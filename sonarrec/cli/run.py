@@ -212,10 +212,12 @@ def run(
     box = _outbox(out, cache)
     out = Path(out) if box is None else box.folder
     tasks = _share(_tasks(logs, out, given, used, overwrite, box, cache), shard)
+    unended = 0
     if retry_failed:
-        tasks = _again(tasks, out, box)
+        tasks, unended = _again(tasks, out, box)
     if not tasks:
-        click.echo("nothing to do", err=True)
+        others = f"; logs that have not ended: {unended} (leave --retry-failed out)"
+        click.echo(f"nothing to do{others if unended else ''}", err=True)
         return
     if odometry_out is not None:
         _check_odometry_out(odometry_out, tasks, odometry)
@@ -303,8 +305,8 @@ def _tasks(
     return tasks
 
 
-def _again(tasks: list[Task], out: Path, box: Outbox | None) -> list[Task]:
-    """Of tasks those that logs.csv has as failed or partial."""
+def _again(tasks: list[Task], out: Path, box: Outbox | None) -> tuple[list[Task], int]:
+    """Of tasks those that logs.csv has as failed or partial, and how many have not ended."""
     from sonarrec.batch.logs_table import NAME, again
 
     if box is not None:

@@ -67,6 +67,8 @@ class RunWatch(Watch):
 
     def __exit__(self, kind: object, *_: object) -> None:
         self._bars.close()
+        if kind is not None:
+            self._table.stopped()
         if self._box is None or kind is not None:  # a run that is stopped waits for no server
             self._table.write()
         else:

@@ -63,7 +63,7 @@ def _tell(path: Path, out: Path | str, as_json: bool) -> None:
         f"declared" + (f"; {rate:.0f} frames/s a process" if rate else "")
     )
     for row in rows:
-        if row.status in ("failed", "partial"):
+        if row.message:  # failed, done in part, or stopped
             click.echo(f"{row.status}: {row.log}: {row.message}")
     if figures["counts"].get("running"):
         click.echo(f"as of {figures['age_s']:.0f} s ago")

@@ -19,6 +19,7 @@ from sonarrec.records import SonarrecError
 from sonarrec.results.run_file import Given
 from sonarrec.sonar import Sonar
 from tests.support.batch import GRACE_S, SAMPLE, command, environment, made, rows, tables
+from tests.support.command import sonarrec
 
 
 def test_a_log_that_dies_hangs_or_raises_costs_itself_only(tmp_path: Path) -> None:
@@ -88,6 +89,13 @@ def test_a_call_that_is_stopped_goes_on(
     time.sleep(1)  # of SIGKILL: the log's process sees within .2 s that nobody waits for it
     kept = part.read_text().splitlines()
     assert 2 < len(kept) <= 21
+    if code > 0:
+        told = rows(out)["slow"]
+        assert (told["status"], told["message"]) == ("waiting", "stopped")
+        assert int(told["frames"]) == len(kept) - 1
+        assert "waiting: slow: stopped" in sonarrec("status", out).stdout
+        others = sonarrec("run", *logs, "-o", out, "--retry-failed").stderr
+        assert others.startswith("nothing to do; logs that have not ended:")
     assert not (out / "slow").exists()
     finished = {
         name: (out / name / "run.toml").stat().st_mtime_ns
