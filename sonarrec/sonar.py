@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from sonarrec.files.toml import Finite, from_table, read_toml
-from sonarrec.records import SonarrecError
+from sonarrec.records import SonarrecError, UsageError
 
 MIN_WINDOW_M = 0.01
 EXAMPLE_SONAR_TOML = """\
@@ -102,10 +102,10 @@ class Sonar:
                 f"the log (or use --sonar FILE, or flags such as "
                 f"--{missing[0].replace('_', '-')}); like this:\n{EXAMPLE_SONAR_TOML}"
             )
-        wrong = next(self._contradictions(low, high, tilt), None)
+        wrong = next(self._contradictions(), None)
         if wrong is not None:
             raise SonarrecError(
-                f"{where}: sonar geometry contradicts itself: {wrong}; "
+                f"{where}: sonar geometry contradicts itself: {wrong[1]}; "
                 f"correct it in sonar.toml or by flag; like this:\n{EXAMPLE_SONAR_TOML}"
             )
         flip = bool(self.flip)
@@ -124,43 +124,54 @@ class Sonar:
             flip=flip,
         )
 
-    def _contradictions(self, low: float, high: float, tilt: float) -> Iterator[str]:
-        """What cannot be, each in a few words."""
-        if not 0 <= low < high:
-            yield f"range_min_m = {low:g} must be >= 0 and below range_max_m = {high:g}"
-        if high - low < MIN_WINDOW_M:
-            yield f"a window of {high - low:g} m is shorter than {MIN_WINDOW_M:g} m"
+    def check_flags(self, flags: Sonar) -> None:
+        """Raise UsageError where what flags state contradicts itself, or the rest of this."""
+        for keys, wrong in self._contradictions():
+            given = [key for key in keys if getattr(flags, key) is not None]
+            if given:
+                names = " and ".join(f"--{key.replace('_', '-')}" for key in given)
+                raise UsageError(f"{names}: {wrong}")
+
+    def _contradictions(self) -> Iterator[tuple[tuple[str, ...], str]]:
+        """What cannot be: the keys it lies in, and what in a few words."""
+        low, high, tilt = self.range_min_m, self.range_max_m, self.tilt_deg
+        window = ("range_min_m", "range_max_m")
+        if low is not None and high is not None:
+            if not 0 <= low < high:
+                yield window, f"range_min_m = {low:g} must be >= 0 and below range_max_m = {high:g}"
+            if high - low < MIN_WINDOW_M:
+                yield window, f"a window of {high - low:g} m is shorter than {MIN_WINDOW_M:g} m"
         view, height = self.field_of_view_deg, self.height_m
         if view is not None and not 0 < view < 180:
-            yield f"field_of_view_deg = {view:g} must be within 0 to 180"
-        if not 0 <= tilt < 90:
-            yield f"tilt_deg = {tilt:g} must be within 0 to 90 (downward)"
-        if height is not None and not 0 < height < high:
+            yield ("field_of_view_deg",), f"field_of_view_deg = {view:g} must be within 0 to 180"
+        if tilt is not None and not 0 <= tilt < 90:
+            yield ("tilt_deg",), f"tilt_deg = {tilt:g} must be within 0 to 90 (downward)"
+        if height is not None and high is not None and not 0 < height < high:
             yield (
+                ("height_m", "range_max_m"),
                 f"height_m = {height:g} must be above 0 and below range_max_m = {high:g}, "
-                "or no floor is in the window"
+                "or no floor is in the window",
             )
         for key in ("frame_rate_hz", "metres_per_pixel", "dynamic_range_db"):
             value = getattr(self, key)
             if value is not None and value <= 0:
-                yield f"{key} = {value:g} must be above 0"
+                yield (key,), f"{key} = {value:g} must be above 0"
         if self.bearings_deg is not None:
             if max(map(abs, self.bearings_deg), default=0) >= 90:
-                yield "bearings_deg must lie between -90 and 90"
+                yield ("bearings_deg",), "bearings_deg must lie between -90 and 90"
             steps = np.diff(self.bearings_deg)
             if not len(steps) or not (np.all(steps > 0) or np.all(steps < 0)):
-                yield "bearings_deg must rise or fall steadily from beam to beam"
+                wrong = "bearings_deg must rise or fall steadily from beam to beam"
+                yield ("bearings_deg",), wrong
         if self.ranges_m is not None:
-            if (
-                not low
-                <= min(self.ranges_m, default=low)
-                <= max(self.ranges_m, default=low)
-                <= high
-            ):
-                yield "ranges_m must lie between range_min_m and range_max_m"
+            least, most = min(self.ranges_m, default=None), max(self.ranges_m, default=None)
+            below = low is not None and least is not None and least < low
+            if below or (high is not None and most is not None and most > high):
+                wrong = "ranges_m must lie between range_min_m and range_max_m"
+                yield ("ranges_m", *window), wrong
             steps = np.diff(self.ranges_m)
             if not len(steps) or not np.all(steps > 0):
-                yield "ranges_m must rise from bin to bin"
+                yield ("ranges_m",), "ranges_m must rise from bin to bin"
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import tomli_w
 from click.testing import CliRunner
 
 from sonarrec.cli import main
@@ -348,11 +349,20 @@ def test_geometry_by_flags_alone(pings: Path) -> None:
         (("--field-of-view-deg", "200"), "field_of_view_deg"),
         (("--height-m", "9"), "height_m"),
         (("--tilt-deg", "95"), "tilt_deg"),
+        (("--metres-per-pixel", "0"), "metres_per_pixel"),
+        (("--dynamic-range-db", "-1"), "dynamic_range_db"),
     ],
 )
 def test_contradictory_geometry(pings: Path, flags: tuple[str, ...], word: str) -> None:
-    message = one_line_fault("run", pings, *flags)
+    """A flag that cannot be meant is named; it may be the file's value that it contradicts."""
+    message = one_line_fault("run", pings, *flags, code=2)
+    assert message.startswith(f"sonarrec: {flags[0]}: ")
     assert word in message
+    assert message.count("\n") == 1
+    stated = tomllib.loads((pings / "sonar.toml").read_text())["sonar"] | {word: float(flags[1])}
+    (pings / "sonar.toml").write_text(tomli_w.dumps({"sonar": stated}))
+    message = one_line_fault("run", pings)
+    assert message.startswith(f"sonarrec: {pings / 'sonar.toml'}: ")
     assert "[sonar]" in message
 
 

@@ -225,7 +225,7 @@ class LogChoice:
         return [f"--{k.replace('_', '-')}" for k, v in self.values.items() if v is not None]
 
     def sonar(self) -> Any:
-        """The Sonar that the flags alone state. Raises UsageError for what is no list."""
+        """The Sonar that the flags alone state. Raises UsageError for what cannot be meant."""
         from sonarrec.sonar import sonar_from_table
 
         keys = [key for key in (*_GEOMETRY, *_PIXELS) if key != "sonar_file"]
@@ -236,7 +236,9 @@ class LogChoice:
             except ValueError:
                 flag = f"--{key.replace('_', '-')}"
                 raise UsageError(f"{flag}: expected numbers with commas between") from None
-        return sonar_from_table(stated, "command line")
+        flags = sonar_from_table(stated, "command line")
+        flags.check_flags(flags)
+        return flags
 
     def sonar_without_log(self) -> Any:
         """The Sonar of --sonar and the flags, which win, where no log is opened."""

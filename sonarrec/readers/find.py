@@ -142,10 +142,14 @@ class Source:
         return _recording(self.reader, one)
 
     def stated_sonar(self, flags: Sonar, sonar_file: Path | None) -> tuple[Sonar, str]:
-        """The geometry as file and flags state it, and the name to give it in errors."""
+        """The geometry as file and flags state it, and the name to give it in errors.
+
+        Raises UsageError where it is the flags that cannot be meant.
+        """
         file = sonar_file or self.beside(SONAR_FILE)
-        stated = Sonar() if file is None else load_sonar(file)
-        return stated.updated(flags), shown(file or self.path)
+        stated = (Sonar() if file is None else load_sonar(file)).updated(flags)
+        stated.check_flags(flags)
+        return stated, shown(file or self.path)
 
 
 def open_recording(path: Path) -> Recording:
