@@ -18,7 +18,7 @@ from sonarrec.files.toml import (
     read_toml,
     shown,
 )
-from sonarrec.records import FloatArray, IntArray, SonarrecError
+from sonarrec.records import FloatArray, IntArray, SonarrecError, UsageError
 
 BUILT_IN = Path(__file__).parent / "landmark_sets"
 
@@ -109,38 +109,40 @@ class _Stated:
 def load_landmarks(source: str | Path) -> LandmarkSet:
     """Read a landmark set: the name of a built-in one ("basin") or a TOML file.
 
-    Raises SonarrecError where the file is missing or what it says cannot be a landmark set.
+    Raises UsageError where the file is missing or what it says cannot be a landmark set.
     """
     path = named_file(source, BUILT_IN)
     if path is None:
         built_in = ", ".join(sorted(p.stem for p in BUILT_IN.glob("*.toml")))
-        raise SonarrecError(
+        raise UsageError(
             f"no landmark set {shown(str(source))}: neither a file nor built in ({built_in})"
         )
-    return landmarks_from_table(read_toml(path), str(path))
+    return landmarks_from_table(read_toml(path, UsageError), str(path), UsageError)
 
 
-def landmarks_from_table(table: object, where: str) -> LandmarkSet:
-    """A LandmarkSet from the keys of its TOML; `where` names it in errors (SonarrecError)."""
-    stated = from_table(_Stated, table, where)
+def landmarks_from_table(
+    table: object, where: str, error: type[SonarrecError] = SonarrecError
+) -> LandmarkSet:
+    """A LandmarkSet from the keys of its TOML; `where` names it in errors (`error`)."""
+    stated = from_table(_Stated, table, where, error=error)
     ids = tuple(row.id for row in stated.landmark)
     sectors = tuple(row.sectors for row in stated.landmark)
     for key, (inner, outer) in (("ring", stated.ring), ("symbol", stated.symbol)):
         if inner >= outer:
-            raise SonarrecError(
+            raise error(
                 f"{where}: {key} must be [inner, outer] with inner < outer, not {[inner, outer]}"
             )
     if stated.symbol[1] > stated.ring[0]:
-        raise SonarrecError(f"{where}: the symbol must end where the ring begins, or before")
+        raise error(f"{where}: the symbol must end where the ring begins, or before")
     if not ids or len(set(ids)) < len(ids):
-        raise SonarrecError(f"{where}: every [[landmark]] needs an id, a whole number of its own")
+        raise error(f"{where}: every [[landmark]] needs an id, a whole number of its own")
     if len({len(s) for s in sectors}) > 1:
-        raise SonarrecError(f"{where}: sectors must be equally many for every ID")
+        raise error(f"{where}: sectors must be equally many for every ID")
     first: dict[tuple[int, ...], int] = {}
     for number, row in zip(ids, sectors, strict=True):
         turned = min(row[n:] + row[:n] for n in range(len(row)))
         if turned in first:
-            raise SonarrecError(
+            raise error(
                 f"{where}: IDs {first[turned]} and {number} are the same pattern turned, "
                 "so no image can tell them apart"
             )

@@ -208,6 +208,7 @@ def run(
     if tables == "parquet":
         check_parquet()
     used = Used(settings.configs(), landmarks, model, settings.file, tables == "parquet")
+    used.check()
     logs = named_logs(log, from_file, recursive)
     box = _outbox(out, cache)
     out = Path(out) if box is None else box.folder

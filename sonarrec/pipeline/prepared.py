@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from sonarrec.config import Config
-from sonarrec.landmarks import LandmarkSet
+from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.poses import PoseTable
 from sonarrec.readers import open_log
 from sonarrec.readers.find import SONAR_FILE, find_log
@@ -33,6 +33,13 @@ class Used:
     earlier_run: Path | None = None  # a run.toml that serves where nothing else is given; a plain
     # file of settings has nothing that does, and changes nothing
     parquet: bool = False  # whether the estimates go to estimates.parquet, in place of CSV
+
+    def check(self) -> None:
+        """Raise UsageError where landmarks or model cannot be meant, before any log is opened."""
+        if self.landmarks is not None:
+            load_landmarks(self.landmarks)
+        if self.model is not None:
+            read_model(self.model)
 
 
 @dataclass(frozen=True, slots=True)

@@ -312,7 +312,7 @@ def test_passes_are_parted_and_limited(tmp_path: Path) -> None:
     ("arguments", "said", "code"),
     [
         (("--max-pan", "0"), "--max-pan", 2),
-        (("--landmarks", "nowhere"), "no landmark set 'nowhere'", 1),
+        (("--landmarks", "nowhere"), "no landmark set 'nowhere'", 2),
         (("--sheet", "no/such/folder.png"), "cannot be written", 1),
     ],
 )
