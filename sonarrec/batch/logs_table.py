@@ -158,7 +158,7 @@ def read_logs(path: Path) -> list[Row]:
     kinds = {"frames": int, "unusable": int, "seconds": float, "declared": int}
     rows = []
     try:
-        with path.open(encoding="utf-8", errors="surrogateescape", newline="") as file:
+        with path.open(encoding="utf-8-sig", errors="surrogateescape", newline="") as file:
             for cells in csv.DictReader(file):
                 given = {name: kinds.get(name, str)(cells[name]) for name in COLUMNS}
                 if given["status"] not in get_args(Status):

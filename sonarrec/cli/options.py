@@ -187,7 +187,7 @@ _RECURSIVE = option(
 _FROM_FILE = option(
     INPUT,
     "--from-file",
-    type=click.File(encoding="utf-8", errors="surrogateescape"),
+    type=click.File(encoding="utf-8-sig", errors="surrogateescape"),
     metavar="LIST",
     help="Logs in a file, each as LOG on a line of its own; - for standard input. Empty lines and "
     "those that begin with # are passed over.",

@@ -56,7 +56,7 @@ def read_toml(path: Path, error: type[SonarrecError] = SonarrecError) -> dict[st
 def read_text(path: Path, error: type[SonarrecError] = SonarrecError) -> str:
     """The text of a TOML file. Raises `error` where it cannot be read."""
     try:
-        with path.open(encoding="utf-8") as file:
+        with path.open(encoding="utf-8-sig") as file:
             text = file.read(MAX_LENGTH + 1)
     except (OSError, UnicodeDecodeError) as fault:
         raise error(f"{path}: not a readable TOML file, it cannot be read ({fault})") from None

@@ -122,6 +122,14 @@ def test_a_list_from_standard_input(campaign: Path) -> None:
     assert "2 done" in told.stdout
 
 
+def test_a_list_and_a_geometry_of_notepad(campaign: Path) -> None:
+    """Both begin with a byte order mark."""
+    (campaign / "sonar.toml").write_text(SONAR_TOML, encoding="utf-8-sig")
+    Path("list.txt").write_text("campaign/day1\n", encoding="utf-8-sig")
+    told = sonarrec("run", "--from-file", "list.txt", "--sonar", campaign / "sonar.toml")
+    assert "2 done" in told.stdout
+
+
 def test_poses_beside_a_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     for name in ("pan.mcap", "pan.sonar.toml"):
