@@ -273,7 +273,7 @@ def _png_is_whole(data: memoryview) -> bool:
 def decode_image(data: bytes | memoryview | np.ndarray) -> np.ndarray:
     """The pixels of an image file in memory (PNG, JPEG, TIFF, BMP, PGM, ...), as stored.
 
-    Raises UnusableError where OpenCV cannot read it whole.
+    Raises UnusableError where OpenCV cannot read it whole, or its header states too many pixels.
     """
     buffer = np.frombuffer(data, np.uint8)
     if not buffer.size:
@@ -291,7 +291,9 @@ def decode_image(data: bytes | memoryview | np.ndarray) -> np.ndarray:
             warning = heard.read(4096)
             heard.seek(0)
             heard.truncate()
-    except cv2.error:
+    except cv2.error as error:
+        if "CV_IO_MAX_IMAGE" in str(error):  # see sonarrec/__init__.py
+            raise UnusableError("an image of more than 4096 x 4096 pixels") from None
         image = None
     if image is None:
         raise UnusableError("unreadable image")

@@ -328,6 +328,7 @@ def test_unusable_frames_keep_their_number(tmp_path: Path) -> None:
     (log / "frame4.png").write_bytes(b"")
     cv2.imwrite(str(log / "frame5.png"), images[5][:-1])
     cv2.imwrite(str(log / "frame6.png"), np.dstack([images[6]] * 3)[:, :20])
+    (log / "frame8.pgm").write_bytes(b"P5 4097 4096 255\n")
     found, problems = read(log)
     assert [f.index for f in found] == [0, 1, 3, 7]
     assert [f.timestamp_ns // PERIOD_NS for f in found] == [0, 1, 3, 7]
@@ -336,6 +337,7 @@ def test_unusable_frames_keep_their_number(tmp_path: Path) -> None:
         "frame4.png: empty image, skipped",
         "frame5.png: 38 x 47 pixels in a log of 38 x 48, skipped",
         "frame6.png: 20 x 48 pixels in a log of 38 x 48, skipped",
+        "frame8.pgm: an image of more than 4096 x 4096 pixels, skipped",
     ]
 
 
