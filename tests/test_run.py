@@ -287,6 +287,13 @@ def test_missing_path(work: Path) -> None:
     assert not (work / "sonarrec_out").exists()
 
 
+def test_a_pipe_and_a_device_are_no_missing_files(work: Path) -> None:
+    os.mkfifo(work / "dive.mcap")
+    for name in ("dive.mcap", os.devnull):
+        message = one_line_fault("run", name, code=2)
+        assert message == f"sonarrec: {name}: neither a file nor a folder\n"
+
+
 def test_empty_folder(work: Path) -> None:
     (work / "pings").mkdir()
     assert "empty" in one_line_fault("run", "pings")

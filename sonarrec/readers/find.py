@@ -255,6 +255,8 @@ def _found(path: Path, up_to: Path | None) -> Source:
     elif path.is_file():
         files = [path]
         name = log_name(path)
+    elif path.exists():  # a device, a pipe
+        raise UsageError(f"{shown(path)}: neither a file nor a folder")
     elif path.is_symlink():
         raise SonarrecError(f"{shown(path)}: a link to a file that is not there")
     else:
