@@ -96,6 +96,22 @@ def test_an_input_that_is_not_there_is_exit_code_2_everywhere(tmp_path: Path, wo
     assert run_line(*line.split()).exit_code == 2
 
 
+@pytest.mark.parametrize(
+    ("words", "after"),
+    [
+        (["run", ""], "run"),
+        (["run", str(SAMPLE), "--preset", ""], "--preset"),
+        (["run", str(SAMPLE), "--out="], "--out"),
+        (["truth", "propose", ""], "propose"),
+    ],
+)
+def test_an_empty_word_is_refused(words: list[str], after: str) -> None:
+    """Such as that of a variable that is not set: as a path it would be the folder of now."""
+    refused = run_line(*words)
+    assert refused.exit_code == 2
+    assert refused.stderr == f"sonarrec: nothing is given after {after}; is a variable unset?\n"
+
+
 @pytest.mark.parametrize("name", ["run", "info"])
 def test_ctrl_c_at_the_start_is_one_line(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     def stop(*_: object) -> None:

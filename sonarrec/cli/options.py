@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial, wraps
+from itertools import pairwise
 from pathlib import Path
 from typing import IO, Any, NoReturn
 
@@ -41,6 +42,14 @@ class GroupedOption(click.Option):
 
 class GroupedCommand(click.Command):
     """A command whose --help shows its options in groups and names its help page."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Refuse an empty word: as a path it would be the folder of now. Raises UsageError."""
+        for before, word in pairwise([ctx.info_name, *args]):
+            option, is_set, value = str(word).partition("=")
+            if not word or (option.startswith("--") and is_set and not value):
+                raise UsageError(f"nothing is given after {option or before}; is a variable unset?")
+        return super().parse_args(ctx, args)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         rows: dict[str, list[tuple[str, str]]] = {group: [] for group in (*_GROUPS, "Other")}
