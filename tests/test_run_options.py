@@ -112,6 +112,12 @@ def test_an_empty_word_is_refused(words: list[str], after: str) -> None:
     assert refused.stderr == f"sonarrec: nothing is given after {after}; is a variable unset?\n"
 
 
+def test_a_cache_size_that_cannot_be_is_refused_where_all_is_local() -> None:
+    refused = run_line("run", str(SAMPLE), "--cache-size", "foo", "--dry-run")
+    assert refused.exit_code == 2
+    assert refused.stderr.startswith("sonarrec: --cache-size foo: expected a size such as")
+
+
 @pytest.mark.parametrize("name", ["run", "info"])
 def test_ctrl_c_at_the_start_is_one_line(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     def stop(*_: object) -> None:

@@ -26,6 +26,14 @@ NEW_FILE_OR_URL = _OrUrl(dir_okay=False, path_type=Path)
 FOLDER_OR_URL = _OrUrl(file_okay=False, path_type=Path)
 ANY_OR_URL = _OrUrl(path_type=Path)
 
+
+def _bytes(_: click.Context, __: click.Parameter, size: str) -> int:
+    """The bytes of a size. Raises UsageError for one that is none, needed or not."""
+    from sonarrec.remote.cache import size_bytes
+
+    return size_bytes(size)
+
+
 _CACHE = {
     "cache_folder": option(
         INPUT,
@@ -38,6 +46,7 @@ _CACHE = {
     "cache_size": option(
         INPUT,
         "--cache-size",
+        callback=_bytes,
         metavar="SIZE",
         default="20GB",
         show_default=True,
@@ -53,11 +62,11 @@ class CacheChoice:
     values: Mapping[str, Any]
 
     def cache(self) -> Any:
-        """The Cache. Raises UsageError for a size that is none."""
-        from sonarrec.remote.cache import Cache, default_folder, size_bytes
+        """The Cache. Raises SonarrecError where nothing tells its folder."""
+        from sonarrec.remote.cache import Cache, default_folder
 
-        size = size_bytes(self.values["cache_size"])
-        return Cache((self.values["cache_folder"] or default_folder()).resolve(), size)
+        folder = self.values["cache_folder"] or default_folder()
+        return Cache(folder.resolve(), self.values["cache_size"])
 
 
 cache_options = as_one("cache", _CACHE, CacheChoice)
