@@ -144,12 +144,18 @@ class Source:
     def stated_sonar(self, flags: Sonar, sonar_file: Path | None) -> tuple[Sonar, str]:
         """The geometry as file and flags state it, and the name to give it in errors.
 
-        Raises UsageError where it is the flags that cannot be meant.
+        Raises UsageError where it is the flags that cannot be meant, or a fan's view is told twice.
         """
         file = sonar_file or self.beside(SONAR_FILE)
         stated = (Sonar() if file is None else load_sonar(file)).updated(flags)
         stated.check_flags(flags)
-        return stated, shown(file or self.path)
+        where = shown(file or self.path)
+        if stated.layout == "fan" and None not in (stated.field_of_view_deg, stated.bearings_deg):
+            raise UsageError(
+                f"{where}: field_of_view_deg and bearings_deg are both stated, in the file or by "
+                "flag; a fan image takes one of them"
+            )
+        return stated, where
 
 
 def open_recording(path: Path) -> Recording:

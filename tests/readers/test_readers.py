@@ -321,6 +321,18 @@ def test_which_geometry_counts(tmp_path: Path) -> None:
                                   field_of_view_deg=30.0))  # fmt: skip
 
 
+def test_a_fan_s_view_is_told_once(tmp_path: Path) -> None:
+    """Bearings would silently go before the field of view; alone they tell an uneven one."""
+    log = image_folder(tmp_path / "log", frames(1))
+    uneven = Sonar(bearings_deg=(-10.0, 0.0))
+    with pytest.raises(UsageError, match="field_of_view_deg and bearings_deg are both stated"):
+        open_log(log, sonar=uneven)
+    (log / "sonar.toml").write_text(SONAR_TOML.replace("field_of_view_deg = 28.8\n", ""))
+    with open_log(log, sonar=uneven) as opened:
+        fan = next(iter(opened)).fan
+    assert (fan.bearing_min_deg, fan.bearing_max_deg) == (-15, 5)
+
+
 def test_unusable_frames_keep_their_number(tmp_path: Path) -> None:
     images = frames(8)
     log = image_folder(tmp_path / "log", images)
