@@ -371,6 +371,8 @@ def test_other_files_are_told_in_one_line(
 def test_format_can_be_named(tmp_path: Path) -> None:
     source = mot(tmp_path, "1,1,1,1,5,3,1\n")
     assert "not valid JSON" in failure(source, "--format", "coco")
+    (tmp_path / "a.json").write_text('{"images": []}')
+    assert "not as MOTChallenge writes it" in failure(tmp_path / "a.json", "--format", "mot")
     assert len(converted(tmp_path, source, "--format", "mot")) == 1
 
 

@@ -27,18 +27,24 @@ def matches(path: Path, text: str) -> bool:
 
 
 def read(path: Path) -> Annotations:
-    """Read a gt.txt. Raises SonarrecError, with the line, on anything not understood.
+    """Read a gt.txt. Raises SonarrecError where it is none and, with the line, on a bad one.
 
     The label is the class: its name in a labels.txt beside the file, else its number; where there
     is no class (seven columns, or -1, as in MOT15) the label is the track's id. Frames and boxes
     count from 1; but whoever writes a labels.txt (CVAT, Datumaro) counts boxes from 0.
     A row not to be considered is given `visible` 0: in view, but ignored in scoring.
     """
+    text = read_text(path)
+    if text.strip() and not matches(path, text):
+        raise SonarrecError(
+            f"{path}: not as MOTChallenge writes it (in each line seven numbers or more, with "
+            "commas between)"
+        )
     labels = path.with_name(LABELS)
     names = [name.strip() for name in read_text(labels).splitlines()] if labels.is_file() else None
     origin = 0 if names else 1
     found = Annotations(first_frame=1)
-    for number, line in enumerate(read_text(path).splitlines(), 1):
+    for number, line in enumerate(text.splitlines(), 1):
         if not line.strip():
             continue
         try:
