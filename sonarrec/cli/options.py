@@ -61,9 +61,9 @@ class GroupedCommand(click.Command):
             if found:
                 with formatter.section(group):
                     formatter.write_dl(found)
-        _, _, page = ctx.command_path.partition(" ")
+        page = ctx.command_path.removeprefix(ctx.find_root().command_path).split()[0]
         formatter.write_paragraph()
-        formatter.write_text(f"More: sonarrec help {page.partition(' ')[0]}")
+        formatter.write_text(f"More: sonarrec help {page}")
 
 
 command = partial(click.command, cls=GroupedCommand)
