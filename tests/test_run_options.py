@@ -112,6 +112,15 @@ def test_an_empty_word_is_refused(words: list[str], after: str) -> None:
     assert refused.stderr == f"sonarrec: nothing is given after {after}; is a variable unset?\n"
 
 
+def test_images_of_an_unquoted_glob_are_noted() -> None:
+    images = [str(SAMPLE / f"00000{n}.png") for n in range(3)]
+    done = run_line("run", *images, "--dry-run")
+    assert done.exit_code == 0
+    assert f"note: {SAMPLE}: 3 of its images are each taken for a log of one frame" in done.stderr
+    quoted = run_line("run", images[0], str(SAMPLE / "0*.png"), "--dry-run")
+    assert (quoted.exit_code, quoted.stderr) == (0, "")
+
+
 def test_a_cache_size_that_cannot_be_is_refused_where_all_is_local() -> None:
     refused = run_line("run", str(SAMPLE), "--cache-size", "foo", "--dry-run")
     assert refused.exit_code == 2

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -34,6 +35,7 @@ from sonarrec.cli.options import (
     out_option,
     quiet_option,
     settings_options,
+    tell,
     verbose_option,
 )
 from sonarrec.cli.options_remote import FOLDER_OR_URL, CacheChoice, cache_options
@@ -210,6 +212,7 @@ def run(
     used = Used(settings.configs(), landmarks, model, settings.file, tables == "parquet")
     used.check()
     logs = named_logs(log, from_file, recursive)
+    tell([], _unquoted(logs))
     box = _outbox(out, cache)
     out = Path(out) if box is None else box.folder
     tasks = _share(_tasks(logs, out, given, used, overwrite, box, cache), shard)
@@ -238,6 +241,19 @@ def run(
         write_path(out / tasks[0].name, odometry_out)
     watch.count()
     leave(watch.exit_code())
+
+
+def _unquoted(logs: Sequence[NamedLog | RemoteLog]) -> Iterator[str]:
+    """A note for each folder of which several images are each a log of its own."""
+    from sonarrec.readers.images import names_an_image
+
+    files = [path for one in logs if (path := Path(one.path)).is_file()]
+    for folder, count in Counter(f.parent for f in files if names_an_image(f.name)).items():
+        if count > 1:
+            yield (
+                f"{shown(folder)}: {count} of its images are each taken for a log of one frame; "
+                "for one log of them give the folder, or quote the glob"
+            )
 
 
 def _check_odometry_out(path: Path, tasks: Sequence[Task], odometry: Path | None) -> None:
