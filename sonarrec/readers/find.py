@@ -147,10 +147,13 @@ class Source:
         Raises UsageError where it is the flags that cannot be meant, or a fan's view is told twice.
         """
         file = sonar_file or self.beside(SONAR_FILE)
-        stated = (Sonar() if file is None else load_sonar(file)).updated(flags)
+        filed = Sonar() if file is None else load_sonar(file)
+        stated = filed.updated(flags)
         stated.check_flags(flags)
         where = shown(file or self.path)
-        if stated.layout == "fan" and None not in (stated.field_of_view_deg, stated.bearings_deg):
+        told_twice = None not in (stated.field_of_view_deg, stated.bearings_deg)
+        # A polar log tells both; one that is taken for a fan is doubted when its frames are seen.
+        if told_twice and stated.layout == "fan" and filed.layout != "polar":
             raise UsageError(
                 f"{where}: field_of_view_deg and bearings_deg are both stated, in the file or by "
                 "flag; a fan image takes one of them"

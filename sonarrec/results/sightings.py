@@ -25,9 +25,9 @@ class Sighting:
     their times. frames_declared: how many frames have a declaration. mean_score, best_score: over
     the declarations, 0 to 1. range_m: mean slant range. bearing_deg: mean, positive to the right.
     orientation_deg: mean direction, 0 to 360; of a symbol that looks the same turned one of them.
-    range_sigma_m, bearing_sigma_deg,
-    orientation_sigma_deg: standard error of one frame's estimate, root mean square over the
-    declarations. x_m, y_m: mean place on the floor in the poses' frame. NaN where not known.
+    range_sigma_m, bearing_sigma_deg, orientation_sigma_deg: standard error of one frame's estimate,
+    root mean square over the declarations. x_m, y_m: mean place on the floor in the poses' frame.
+    NaN where not known.
     """
 
     method: str
