@@ -19,6 +19,7 @@ from sonarrec.recogniser.beam_width import FRAMES_FOR_BEAMS, with_beams
 from sonarrec.recogniser.stage3_features.model import AppearanceModel, load_model
 from sonarrec.records import Clock, FloatArray, Frame, SonarrecError, UsageError
 from sonarrec.sonar import Sonar
+from sonarrec.truth.fits import misfit, without_rows
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import TruthTable, read_truth
 
@@ -105,9 +106,11 @@ def learn(
     table = _truth_with_places(ground_truth, len(paths))
     parts: list[Samples] = []
     names: list[str] = []
+    learned: list[str] = []
+    misfits: list[str] = []
     problems: list[str] = []
     notes: list[str] = []
-    frames = 0
+    rows = frames = 0
     for path in paths:
         with open_log(
             path, sonar=sonar, sonar_file=sonar_file, topic=topic, time=time or "log"
@@ -123,6 +126,13 @@ def learn(
             tracks = describe(frames_of, own, landmarks, name=log.name)
             problems += log.problems
         truth = match_truth(table, tracks)
+        fault = misfit(table, tracks, truth)
+        if fault is not None:
+            misfits.append(fault)
+            problems.append(f"{fault}; nothing is learned from {log.name}")
+            continue
+        learned.append(log.name)
+        rows += truth.rows
         frames += len(tracks.frame)
         if not truth.rows:
             notes.append(f"{log.name}: no row in the ground truth, so taken to hold no landmark")
@@ -132,12 +142,15 @@ def learn(
                 f"was read of {log.name}; they teach nothing"
             )
         parts.append(_labelled(tracks, truth))
+    if not rows:
+        why = without_rows(ground_truth, len(table.at), names, "it shows no landmark")
+        raise SonarrecError(misfits[0] if misfits else why)
     prior = None if from_scratch else load_model()
     model = fit(parts, prior)
     seen = _seen(parts, landmarks)
     before, after = _left_out(parts, prior)
     notes += _not_taught(landmarks, seen, before, after)
-    return Lesson(model, landmarks, tuple(names), frames, seen, before, after, problems, notes)
+    return Lesson(model, landmarks, tuple(learned), frames, seen, before, after, problems, notes)
 
 
 def _truth_with_places(path: Path, logs: int) -> TruthTable:

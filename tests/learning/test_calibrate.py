@@ -245,6 +245,8 @@ HEAD = "frame,landmark,range_m,bearing_deg"
     ("text", "arguments", "code", "told"),
     [
         (f"{HEAD}\n", (), 1, "no landmark"),
+        (f"{HEAD}\n500,1,2,0\n", (), 1, "truth of another log?"),
+        (f"log,{HEAD}\nother,1,1,2,0\n", (), 1, "names none of pan"),
         ("frame,landmark\n1,1\n", (), 1, "needs positions"),
         (f"{HEAD}\n1,9,2,0\n", (), 1, "landmark 9 is not in the set"),
         (f"{HEAD}\n1,1,2,0\n", ("--set", "features.measurement=single"), 2, "learns nothing"),
@@ -277,6 +279,24 @@ def test_truth_on_frames_that_are_not_there_is_told(tmp_path):
     assert "1 of" in result.stderr
     assert "teach nothing" in result.stderr
     assert np.isfinite(load_model(out).bias).all()
+
+
+def test_a_log_whose_truth_is_not_its_own_teaches_nothing(site, tmp_path):
+    """Its landmarks would be learned as "none of these"."""
+    head, *rows = (site / "gt.csv").read_text().splitlines()
+    wrong = [row.replace("two,", "two,1000", 1) for row in rows]
+    truth = labelled(tmp_path / "gt.csv", "\n".join([head, *wrong]))
+    logs = [site / "one", site / "two"]
+    told = sonarrec("calibrate", *logs, "--ground-truth", truth, "-o", tmp_path / "m.toml", code=3)
+    assert "learned from 70 frames of one" in told.stdout
+    assert "is this the truth of another log?; nothing is learned from two" in told.stderr
+    alone = sonarrec(
+        *("calibrate", site / "one", "--ground-truth", site / "gt.csv"),
+        *("-o", tmp_path / "one.toml"),
+    )
+    assert "learned from 70 frames of one" in alone.stdout
+    model = (tmp_path / "m.toml").read_text()
+    assert model.partition("\n[")[2] == (tmp_path / "one.toml").read_text().partition("\n[")[2]
 
 
 def test_a_model_without_use_is_refused(tmp_path):

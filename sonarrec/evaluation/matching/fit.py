@@ -8,10 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from sonarrec.geometry import polar_from_plane
-from sonarrec.records import BoolArray, SonarrecError
+from sonarrec.records import SonarrecError
 from sonarrec.results.read import LogResults
-from sonarrec.truth.in_view import share_in_image
+from sonarrec.truth.fits import misfit, outside_image, without_rows
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import TruthTable
 
@@ -71,7 +70,7 @@ def checked(case: Matched) -> Checked:
         rows=case.truth.rows,
         unprocessed=case.truth.unprocessed,
         frames=len(case.log.frame),
-        fault=_fault(case),
+        fault=misfit(case.table, case.log, case.truth),
         notes=_notes(case),
         cut_short=cut_short(case.log),
     )
@@ -81,7 +80,9 @@ def fit(cases: Sequence[Checked]) -> Fit:
     """Leave out the logs whose truth cannot be theirs. Raises SonarrecError where none is left, or
     where no truth has a row."""
     if not any(case.rows for case in cases):
-        _refuse_without_rows(cases)
+        of = next((case for case in cases if case.table_rows), cases[0])
+        names = [case.name for case in cases]
+        raise SonarrecError(without_rows(of.table, of.table_rows, names, "nothing is scored"))
     found = Fit([i for i, case in enumerate(cases) if case.fault is None], [], [])
     told = [case.fault for case in cases if case.fault is not None]
     # A log without a row counts as empty beside others; by itself it says nothing.
@@ -93,72 +94,18 @@ def fit(cases: Sequence[Checked]) -> Fit:
     return found
 
 
-def _refuse_without_rows(cases: Sequence[Checked]) -> None:
-    with_rows = next((case.table for case in cases if case.table_rows), None)
-    if with_rows is not None:
-        names = ", ".join(case.name for case in cases)
-        raise SonarrecError(f"{with_rows}: its log column names none of {names}")
-    raise SonarrecError(
-        f"{cases[0].table}: it has no row, so nothing is scored; a truth has a row per "
-        "landmark in view (sonarrec help truth)"
-    )
-
-
-def _fault(case: Matched) -> str | None:
-    """Why the truth cannot be that of the log; None where it can."""
-    table, log, truth = case.table, case.log, case.truth
-    if truth.rows and not len(truth.frame_index):
-        at = table.at if table.log is None else table.at[np.asarray(table.log == log.name)]
-        return (
-            f"{table.path}: none of its {truth.rows} rows ({table.key} {at.min()} to {at.max()}) "
-            f"lies on a processed frame of {log.name} ({len(log.frame)} frames, {log.frame[0]} to "
-            f"{log.frame[-1]}); is this the truth of another log?"
-        )
-    outside = _outside(case)
-    if len(outside) and outside.all():
-        assert log.fan is not None
-        assert truth.position is not None
-        range_m, bearing_deg = (values[0] for values in polar_from_plane(truth.position))
-        return (
-            f"{table.path}: none of its {len(outside)} positions lies in the image of {log.name} "
-            f"({log.fan.range_min_m:g} to {log.fan.range_max_m:g} m, {log.fan.bearing_min_deg:g} "
-            f"to {log.fan.bearing_max_deg:g} deg), the first at {range_m:.4g} m and "
-            f"{bearing_deg:.4g} deg; are these the units, and is this the log?"
-        )
-    return None
-
-
 def _notes(case: Matched) -> list[str]:
     table, log = case.table, case.log
     notes = []
     if table.not_read:
         notes.append(f"{table.path}: columns {', '.join(table.not_read)} are not read")
-    outside = int(np.count_nonzero(_outside(case)))
+    outside = int(np.count_nonzero(outside_image(case.log, case.truth)))
     if outside:
         notes.append(
             f"{table.path}: {outside} of {len(case.truth.frame_index)} positions lie outside the "
             f"image of {log.name}; `sonarrec truth check` names them"
         )
     return notes
-
-
-def _outside(case: Matched) -> BoolArray:
-    """(T,) which discs lie wholly outside the fan; none where positions or the fan are unknown."""
-    fan, truth = case.log.fan, case.truth
-    if fan is None or truth.position is None:
-        return np.zeros(0, dtype=bool)
-    radius = case.log.landmarks.radius_m
-    range_m, bearing_deg = polar_from_plane(truth.position)
-    aside = bearing_deg - np.clip(bearing_deg, fan.bearing_min_deg, fan.bearing_max_deg)
-    outside = np.asarray(
-        (range_m < fan.range_min_m - radius)
-        | (range_m > fan.range_max_m + radius)
-        | (np.radians(np.abs(aside)) * range_m > radius)
-    )
-    # Exactly, on the floor, of those alone: it takes long.
-    share = share_in_image(fan, range_m[outside], bearing_deg[outside], radius)
-    outside[outside] = share == 0
-    return outside
 
 
 def left_out(cases: Sequence[Checked], elsewhere: int = 0) -> list[str]:

@@ -1,0 +1,69 @@
+"""Whether a truth can be that of a log."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from sonarrec.geometry import polar_from_plane
+from sonarrec.records import BoolArray
+from sonarrec.truth.in_view import share_in_image
+from sonarrec.truth.match import ReadLog, Truth
+from sonarrec.truth.table import TruthTable
+
+
+def misfit(table: TruthTable, log: ReadLog, truth: Truth) -> str | None:
+    """Why a truth with rows on the log cannot be its own; None where it can.
+
+    truth: as matched to the log.
+    """
+    if truth.rows and not len(truth.frame_index):
+        at = table.at if table.log is None else table.at[np.asarray(table.log == log.name)]
+        return (
+            f"{table.path}: none of its {truth.rows} rows ({table.key} {at.min()} to {at.max()}) "
+            f"lies on a processed frame of {log.name} ({len(log.frame)} frames, {log.frame[0]} to "
+            f"{log.frame[-1]}); is this the truth of another log?"
+        )
+    outside = outside_image(log, truth)
+    if len(outside) and outside.all():
+        assert log.fan is not None
+        assert truth.position is not None
+        range_m, bearing_deg = (values[0] for values in polar_from_plane(truth.position))
+        return (
+            f"{table.path}: none of its {len(outside)} positions lies in the image of {log.name} "
+            f"({log.fan.range_min_m:g} to {log.fan.range_max_m:g} m, {log.fan.bearing_min_deg:g} "
+            f"to {log.fan.bearing_max_deg:g} deg), the first at {range_m:.4g} m and "
+            f"{bearing_deg:.4g} deg; are these the units, and is this the log?"
+        )
+    return None
+
+
+def without_rows(path: Path, rows: int, logs: Iterable[str], so: str) -> str:
+    """Why a truth has no row on any of some logs. rows: it has in all. so: what comes of none."""
+    if rows:
+        return f"{path}: its log column names none of {', '.join(logs)}"
+    return (
+        f"{path}: it has no row, so {so}; a truth has a row per landmark in view "
+        "(sonarrec help truth)"
+    )
+
+
+def outside_image(log: ReadLog, truth: Truth) -> BoolArray:
+    """(T,) which discs lie wholly outside the fan; none where positions or the fan are unknown."""
+    fan = log.fan
+    if fan is None or truth.position is None:
+        return np.zeros(0, dtype=bool)
+    radius = log.landmarks.radius_m
+    range_m, bearing_deg = polar_from_plane(truth.position)
+    aside = bearing_deg - np.clip(bearing_deg, fan.bearing_min_deg, fan.bearing_max_deg)
+    outside = np.asarray(
+        (range_m < fan.range_min_m - radius)
+        | (range_m > fan.range_max_m + radius)
+        | (np.radians(np.abs(aside)) * range_m > radius)
+    )
+    # Exactly, on the floor, of those alone: it takes long.
+    share = share_in_image(fan, range_m[outside], bearing_deg[outside], radius)
+    outside[outside] = share == 0
+    return outside
