@@ -29,6 +29,7 @@ from sonarrec.results.run_file import Given, read_run
 from sonarrec.results.same_log import check_same_log, last_frame
 from sonarrec.results.stream import choose_method, read_estimates
 from sonarrec.sonar import Sonar
+from sonarrec.truth.fits import misfit, without_rows
 from sonarrec.truth.match import match_truth
 from sonarrec.truth.table import read_truth
 
@@ -92,7 +93,8 @@ def write_overlay(
         problems = [] if run.finished else [_cut_short(folder)]
         frames = iter(log)
         first = next(frames)  # raises where there is no usable frame
-        truth = _truth_marks(ground_truth, folder, landmarks, log.sonar, first.fan)
+        truth, unlike = _truth_marks(ground_truth, folder, landmarks, log.sonar, first.fan)
+        problems += unlike
         rows = read_estimates(table, method, landmark_set, first.fan)
         history: deque[Moment] = deque(maxlen=STRIP_FRAMES)
         written = 0
@@ -216,17 +218,27 @@ def _with_estimates(
 
 def _truth_marks(
     path: Path | None, folder: Path, landmarks: str | None, sonar: Sonar, fan: Fan
-) -> dict[int, list[Mark]]:
-    """The landmarks in view by frame. Raises SonarrecError where gt.csv has no positions."""
+) -> tuple[dict[int, list[Mark]], list[str]]:
+    """The landmarks in view by frame, and a line where the truth cannot be that of the log.
+
+    Raises SonarrecError where gt.csv has no positions.
+    """
     if path is None:
-        return {}
+        return {}, []
     pixels = Sonar(metres_per_pixel=fan.metres_per_pixel, apex_px=(fan.apex_column, fan.apex_row))
     log = read_log(folder, landmarks, sonar.updated(pixels))
-    truth = match_truth(read_truth(path), log)
+    table = read_truth(path)
+    truth = match_truth(table, log)
     place = truth.pixels(fan)
     if place is None:
         raise SonarrecError(f"{path}: no positions (x_px,y_px or range_m,bearing_deg) to draw")
+    if truth.rows:
+        unlike = misfit(table, log, truth)
+    else:
+        unlike = without_rows(path, len(table.at), [log.name], "it shows no landmark")
+    if unlike is not None:
+        return {}, [f"{unlike}; no truth is drawn"]
     marks: dict[int, list[Mark]] = {}
     for at, k, (x, y) in zip(truth.frame_index, truth.landmark_index, place.tolist(), strict=True):
         marks.setdefault(int(log.frame[at]), []).append(Mark(log.landmarks.ids[k], x, y))
-    return marks
+    return marks, []

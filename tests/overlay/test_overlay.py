@@ -711,6 +711,23 @@ def test_faults_are_one_line(arguments: str, code: int, fault: str, work: Path) 
     assert not told.stdout
 
 
+@pytest.mark.parametrize(
+    ("lines", "told"),
+    [
+        (("frame,landmark,x_px,y_px", "1003,3,43,60"), "truth of another log?"),
+        (("log,frame,landmark,x_px,y_px", "dive,3,3,43,60"), "its log column names none of log"),
+        (("frame,landmark,x_px,y_px",), "it has no row"),
+    ],
+)
+def test_truth_of_another_log_is_told(lines: tuple[str, ...], told: str, work: Path) -> None:
+    csv_file(work / "gt.csv", *lines)
+    done = sonarrec("overlay", "log", "--images", "o", "--ground-truth", "gt.csv", code=3)
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("sonarrec: gt.csv: ")
+    assert told in line
+    assert "no truth is drawn" in line
+
+
 def test_what_was_written_before_a_fault_is_kept(work: Path) -> None:
     with (work / "sonarrec_out" / "log" / "estimates.csv").open("a") as file:
         file.write("3,0,framework,x\n")
