@@ -11,7 +11,7 @@ import numpy as np
 from sonarrec.evaluation.counting.parts import part_of, score_all
 from sonarrec.evaluation.counting.pooled import Parts, Pooled, pooled
 from sonarrec.evaluation.counting.scoring import Scored
-from sonarrec.evaluation.matching.fit import Matched, fit, left_out
+from sonarrec.evaluation.matching.fit import Matched, fit, left_out, of_other_logs
 from sonarrec.evaluation.matching.joined import Joined, join
 from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import Elsewhere, Pair, found_beside, found_where
@@ -214,11 +214,9 @@ def _gathered(given: _Given, surveyed: Iterable[Surveyed]) -> _Gathered:
     found = fit(cases)
     usable = [cases[i] for i in found.usable]
     if table is not None:
-        elsewhere = 0
-        if table.log is not None and [log.folder for log in logs] != [given.folder]:
-            there = np.isin(table.log, [log.name for log in logs])
-            elsewhere = int(np.count_nonzero(~there))
-        lost = left_out(usable, elsewhere)
+        lost = left_out(usable)
+        if [log.folder for log in logs] != [given.folder]:  # of all logs, not of one
+            lost += of_other_logs(table, [log.name for log in logs])
     else:
         lost = [line for case in usable for line in left_out([case])]
     used = [once.kept[i] for i in found.usable]

@@ -108,15 +108,15 @@ def _notes(case: Matched) -> list[str]:
     return notes
 
 
-def left_out(cases: Sequence[Checked], elsewhere: int = 0) -> list[str]:
+def left_out(cases: Sequence[Checked]) -> list[str]:
     """One line per part of the input that was left out of what can be scored.
 
-    cases: all of one truth. elsewhere: its rows of logs that are not there.
+    cases: all of one truth.
     """
     if not cases:
         return []
     said = []
-    lost = sum(case.unprocessed for case in cases) + elsewhere
+    lost = sum(case.unprocessed for case in cases)
     if lost:
         frames = sum(case.frames for case in cases)
         said.append(
@@ -126,6 +126,21 @@ def left_out(cases: Sequence[Checked], elsewhere: int = 0) -> list[str]:
     for case in cases:
         said += case.cut_short
     return said
+
+
+def of_other_logs(table: TruthTable, logs: Sequence[str]) -> list[str]:
+    """A line on the rows of logs that are not there, where there are any. logs: those there are."""
+    if table.log is None:
+        return []
+    others = np.asarray(table.log)[~np.isin(table.log, logs)]
+    if not len(others):
+        return []
+    names = sorted(set(map(str, others)))
+    told = ", ".join(names[:5]) + f" and {len(names) - 5} more" * (len(names) > 5)
+    return [
+        f"{table.path}: {len(others)} of {len(table.at)} rows name logs that are not there "
+        f"({told}); they are not scored"
+    ]
 
 
 def cut_short(log: LogResults) -> list[str]:
