@@ -17,6 +17,7 @@ from sonarrec.records import Fan, SonarrecError, UsageError
 from sonarrec.results.folders import estimates_of
 from sonarrec.results.read import find_logs
 from sonarrec.results.run_file import RunFile, read_run
+from sonarrec.results.sightings import check_follows
 from sonarrec.results.stream import choose_method
 from sonarrec.sonar import Sonar
 
@@ -125,7 +126,9 @@ def _mapped(
     if fan is None:
         raise SonarrecError(f"{folder}: no geometry in run.toml; give it with --sonar or its flags")
     table = estimates_of(folder)
-    seen = read_seen(table, choose_method(table, method), landmarks, fan, path.frame)
+    method = choose_method(table, method)
+    check_follows(method)
+    seen = read_seen(table, method, landmarks, fan, path.frame)
     passes = find_passes(seen, path, landmarks, fan)
     name = folder.resolve().name
     return MappedLog(name, path, seen, LogPasses(name, path, passes), fan, ros_axes)

@@ -18,7 +18,7 @@ from sonarrec.landmarks import LandmarkSet
 from sonarrec.mapping.path import SonarPath
 from sonarrec.records import Fan, FloatArray, IntArray, SonarrecError
 from sonarrec.results.read import estimate_tables
-from sonarrec.results.sightings import PASS_GAP, follows
+from sonarrec.results.sightings import PASS_GAP
 from sonarrec.results.stream import places
 
 ROWS = 20_000
@@ -109,7 +109,7 @@ def read_seen(path: Path, method: str, landmarks: LandmarkSet, fan: Fan, frame: 
             [
                 table["frame"],
                 table["landmark"],
-                track if follows(method) else np.full(len(blank), -1.0),
+                track,
                 table["score"],
                 range_m,
                 bearing_deg,

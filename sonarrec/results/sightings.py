@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from sonarrec.geometry import ground_range
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.poses import PoseTable
-from sonarrec.records import Estimate, Fan
+from sonarrec.records import Estimate, Fan, UsageError
 
 PASS_GAP = 10
 """Frames without a declaration after which a pass has ended."""
@@ -53,6 +53,12 @@ class Sighting:
 def follows(method: str) -> bool:
     """Whether the method's object numbers mean the same object from one frame to the next."""
     return method.partition(":")[0] != "smi"
+
+
+def check_follows(method: str) -> None:
+    """Raise UsageError where tracks are needed and the method has none."""
+    if not follows(method):
+        raise UsageError(f"--method {method}: candidates of single frames are no tracks")
 
 
 @dataclass(slots=True)

@@ -12,6 +12,7 @@ from sonarrec.geometry import ground_range, pixel_from_polar, polar_from_plane
 from sonarrec.records import Fan, FloatArray, SonarrecError, UsageError
 from sonarrec.results.folders import estimates_of
 from sonarrec.results.read import LogResults, find_logs, read_log
+from sonarrec.results.sightings import check_follows
 from sonarrec.truth.in_view import share_in_image
 from sonarrec.truth.table import write_truth
 
@@ -53,8 +54,7 @@ def propose(
     Raises SonarrecError where the results cannot be used or `out` exists, UsageError on numbers
     that cannot be meant.
     """
-    if method == "smi":
-        raise UsageError("--method smi: candidates of single frames are no tracks")
+    check_follows(method)
     if not 0 <= min_score <= 1:
         raise UsageError(f"--min-score {min_score:g}: a score is within 0 to 1")
     folders = find_logs(results)

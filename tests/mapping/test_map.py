@@ -569,6 +569,19 @@ def test_faults_are_one_line(options: str, code: int, told: str, tmp_path: Path)
     assert not (folder / "map").exists()
 
 
+def test_a_method_without_tracks_makes_no_map(tmp_path: Path) -> None:
+    """Two discs that look alike would become one between them."""
+    path = there_and_back(40)
+    folder = results(tmp_path / "dive", path, path)
+    estimates = folder / "estimates.csv"
+    estimates.write_text(estimates.read_text().replace("framework", "smi:paper"))
+    told = sonarrec("map", folder, code=2)
+    assert (
+        told.stderr == "sonarrec: --method smi:paper: candidates of single frames are no tracks\n"
+    )
+    assert not (folder / "map").exists()
+
+
 def test_poses_that_changed_are_refused(tmp_path: Path) -> None:
     path = there_and_back(40)
     folder = results(tmp_path / "dive", path, path)
