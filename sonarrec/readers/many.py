@@ -87,9 +87,20 @@ def _fixed(pattern: Path) -> Path:
 
 def _is_log(folder: Path) -> bool:
     """Whether a folder is one log: a bag, or images that are no pictures of results."""
-    if is_bag_folder(folder):
+    if _is_bag(folder):
         return True
     return not (folder / RESULTS).exists() and any(is_image(e) for e in folder.iterdir())
+
+
+def _is_bag(folder: Path) -> bool:
+    """Whether a folder is a bag, or cannot be read: then it is told when it is opened.
+
+    Passed over, what is in it would be missed unsaid.
+    """
+    try:
+        return is_bag_folder(folder)
+    except OSError:
+        return True
 
 
 def _in_folder(folder: Path) -> list[Path]:
@@ -106,7 +117,7 @@ def _in_folder(folder: Path) -> list[Path]:
             f"first); choose with a quoted glob, as '{shown(folder)}/*{image.suffix}' or "
             f"'{shown(folder)}/*{logs[0].suffix}'"
         )
-    bags = [e for e in entries if e.is_dir() and is_bag_folder(e)]
+    bags = [e for e in entries if e.is_dir() and _is_bag(e)]
     return [folder] if image is not None else [*logs, *bags]
 
 
@@ -118,7 +129,7 @@ def _below(folder: Path) -> Iterator[Path]:
             folders.clear()
             continue
         folders[:] = [f for f in folders if f[0] != "."]
-        bags = [f for f in folders if is_bag_folder(here / f)]
+        bags = [f for f in folders if _is_bag(here / f)]
         folders[:] = [f for f in folders if f not in bags]
         own = _in_folder(here)
         yield from (log for log in own if log.name not in bags)

@@ -17,6 +17,7 @@ from sonarrec.readers.many import find_logs
 from sonarrec.records import SonarrecError, UsageError
 from sonarrec.remote.run import all_logs
 from tests.support.bags import bag, messages, split_bag
+from tests.support.locked import locked
 from tests.support.logs import SONAR_TOML, frames, image_folder, mcap_file
 
 SAMPLE = Path(__file__).parents[2] / "sample_data"
@@ -114,6 +115,21 @@ def test_a_geometry_serves_a_campaign(campaign: Path) -> None:
     assert "from campaign/sonar.toml" in told.stdout
     # A log that is given by itself has only what lies beside it.
     assert "lacks range_min_m" in sonarrec("run", "campaign/day1/a.mcap", code=1).stderr
+
+
+@pytest.mark.parametrize("words", [("campaign", "--recursive"), ("campaign",), ("campaign/*",)])
+def test_a_folder_that_cannot_be_read_costs_its_own_logs(
+    words: tuple[str, ...], campaign: Path
+) -> None:
+    for name in ("day1", "day2", "sonarrec_out"):
+        shutil.rmtree(campaign / name)
+    (campaign / "sonar.toml").write_text(SONAR_TOML)
+    recording(campaign / "locked" / "a.mcap")
+    with locked(campaign / "locked"):
+        told = sonarrec("run", *words, "-j", "1", code=3)
+    assert all(f"sonarrec_out/{name}: 3 frames" in told.stdout for name in ("dive2", "dive10"))
+    line = "sonarrec: campaign/locked: cannot be read (Permission denied)"
+    assert told.stderr.splitlines().count(line) == 1
 
 
 def test_a_list_from_standard_input(campaign: Path) -> None:
