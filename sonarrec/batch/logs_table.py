@@ -159,7 +159,10 @@ def read_logs(path: Path) -> list[Row]:
     rows = []
     try:
         with path.open(encoding="utf-8-sig", errors="surrogateescape", newline="") as file:
-            for cells in csv.DictReader(file):
+            table = csv.DictReader(file)
+            if not set(COLUMNS) <= set(table.fieldnames or ()):
+                raise KeyError
+            for cells in table:
                 given = {name: kinds.get(name, str)(cells[name]) for name in COLUMNS}
                 if given["status"] not in get_args(Status):
                     raise ValueError
@@ -169,7 +172,7 @@ def read_logs(path: Path) -> list[Row]:
     except OSError as error:
         raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
     except (KeyError, TypeError, ValueError, csv.Error):
-        line = len(rows) + 2
+        line = max(table.line_num, 1)
         raise SonarrecError(
             f"{path} line {line}: not a row of {','.join(COLUMNS)}; move the file away"
         ) from None

@@ -174,6 +174,15 @@ def test_status_without_a_table(tmp_path: Path) -> None:
     assert "no such file" in told.stderr
 
 
+@pytest.mark.parametrize("text", ["", "no table at all", "day,diver\n"])
+def test_status_of_what_is_no_such_table(text: str, tmp_path: Path) -> None:
+    (tmp_path / "logs.csv").write_text(text)
+    told = sonarrec("status", tmp_path, code=1)
+    assert f"{tmp_path / 'logs.csv'} line 1: not a row of log,path" in told.stderr
+    assert told.stderr.count("\n") == 1
+    assert not told.stdout
+
+
 def test_a_foreign_logs_csv_is_not_replaced(tmp_path: Path) -> None:
     (log,) = made(tmp_path, "a", frames=3)
     (tmp_path / "out").mkdir()
@@ -183,7 +192,7 @@ def test_a_foreign_logs_csv_is_not_replaced(tmp_path: Path) -> None:
         command("run", log, "-o", tmp_path / "out"), capture_output=True, text=True
     )
     assert done.returncode == 0
-    assert "logs.csv line 2: not a row of" in done.stderr
+    assert "logs.csv line 1: not a row of" in done.stderr
     assert mine.read_text() == "day,diver\n1,me\n"
     assert (tmp_path / "out" / "a" / "frames.csv").is_file()
 
