@@ -17,6 +17,7 @@ from click.testing import CliRunner, Result
 
 import sonarrec
 from sonarrec.cli import main
+from tests.support.locked import locked
 
 SAMPLE = Path(__file__).resolve().parents[1] / "sample_data" / "pan"
 
@@ -136,6 +137,31 @@ def test_ctrl_c_at_the_start_is_one_line(name: str, monkeypatch: pytest.MonkeyPa
     stopped = run_line(name, str(SAMPLE))
     assert stopped.exit_code == 130
     assert stopped.stderr == "sonarrec: stopped\n"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "run LOCKED/pan.mcap",
+        "info LOCKED/pan.mcap",
+        "status LOCKED/out",
+        "report LOCKED/out",
+        "overlay LOCKED/pan.mcap --images o",
+        "map LOCKED/out",
+        "calibrate LOCKED/pan.mcap --ground-truth GT -o m.toml",
+        "truth check GT LOCKED/pan.mcap",
+        "truth convert LOCKED/gt.xml",
+    ],
+)
+def test_a_folder_without_permission_is_one_line(tmp_path: Path, words: str) -> None:
+    truth = SAMPLE.parent / "pan.gt.csv"
+    with locked(tmp_path / "locked") as folder:
+        line = words.replace("LOCKED", str(folder)).replace("GT", str(truth))
+        done = run_line(*line.split())
+    assert done.exit_code == 1
+    (told,) = done.stderr.splitlines()
+    assert told.startswith(f"sonarrec: {folder}")
+    assert "Permission denied" in told
 
 
 def test_verbose_is_a_line_for_each_log(tmp_path: Path) -> None:

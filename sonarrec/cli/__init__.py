@@ -25,7 +25,7 @@ from sonarrec.cli.simulate import simulate
 from sonarrec.cli.site import site
 from sonarrec.cli.status import status
 from sonarrec.cli.truth import truth
-from sonarrec.records import SonarrecError, UsageError
+from sonarrec.records import SonarrecError, UsageError, printable, shown
 
 UNWRITTEN = {errno.ENOSPC, errno.EFBIG, errno.EDQUOT, errno.EIO, errno.EBADF}
 
@@ -46,7 +46,10 @@ class _Program(click.Group):
             tell(["; ".join(["stopped", *getattr(error, "__notes__", [])])])
             ctx.exit(INTERRUPTED)
         except OSError as error:
-            if error.filename is not None or error.errno not in UNWRITTEN:
+            if error.filename is not None:  # above all a folder without permission
+                tell([f"{printable(shown(error.filename))}: {error.strerror}"])
+                ctx.exit(1)
+            if error.errno not in UNWRITTEN:
                 raise
             # Every file is written under its name, so this is stdout. What waits in it goes where
             # it cannot fail again.

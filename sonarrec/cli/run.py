@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -247,7 +248,8 @@ def _unquoted(logs: Sequence[NamedLog | RemoteLog]) -> Iterator[str]:
     """A note for each folder of which several images are each a log of its own."""
     from sonarrec.readers.images import names_an_image
 
-    files = [path for one in logs if (path := Path(one.path)).is_file()]
+    # As Path.is_file, but False where a folder without permission is in the way.
+    files = [Path(one.path) for one in logs if os.path.isfile(one.path)]  # noqa: PTH113
     for folder, count in Counter(f.parent for f in files if names_an_image(f.name)).items():
         if count > 1:
             yield (
