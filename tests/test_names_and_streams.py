@@ -104,6 +104,12 @@ def test_closed_streams_cost_no_result(tmp_path: Path, after: str) -> None:
     assert not (tmp_path / "o.mcap").exists()
 
 
+def test_a_list_from_a_closed_stdin_names_no_log(tmp_path: Path) -> None:
+    done = sonarrec(tmp_path, "run", "--from-file", "-", after="<&-")
+    assert done.returncode == 2
+    assert done.stderr == b"sonarrec: --from-file: the list names no log\n"
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="/dev/full not found")
 @pytest.mark.parametrize(
     "words", [["run"], ["run", "--json"], ["info"], ["info", "--json"], ["help", "run"]]

@@ -59,7 +59,7 @@ class _Program(click.Group):
 
 
 def _open_streams() -> None:
-    """stdout and stderr that take every character, also where they are closed.
+    """stdout and stderr that take every character, and an stdin, also where they are closed.
 
     A closed one is opened on nothing: else the next file that is opened, such as a table of
     results, would stand in its place and take what libraries print.
@@ -67,6 +67,7 @@ def _open_streams() -> None:
     while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
         pass
     os.close(number)
+    sys.stdin = sys.stdin or open(0, closefd=False)  # noqa: SIM115
     sys.stdout = sys.stdout or open(1, "w", closefd=False)  # noqa: SIM115
     sys.stderr = sys.stderr or open(2, "w", closefd=False)  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):
