@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -45,6 +47,12 @@ class MissingError(UsageError):
 def shown(name: object) -> str:
     """A file's name as text for a line or a table: bytes that are no UTF-8 become \\xe9."""
     return str(name).encode(errors="surrogateescape").decode(errors="backslashreplace")
+
+
+def unshown(text: str) -> str:
+    """The file's name that `shown` gave a text for."""
+    name = re.sub(rb"\\x([89a-f][0-9a-f])", lambda byte: bytes([int(byte[1], 16)]), text.encode())
+    return name.decode(sys.getfilesystemencoding(), errors="surrogateescape")
 
 
 @dataclass(frozen=True, slots=True)

@@ -80,9 +80,11 @@ def test_names_of_any_bytes(work: Path, name: bytes, environment: dict[str, str]
     done("evaluate", results, "--ground-truth", str(TRUTH))
     with (folder / "evaluation" / "per_log.csv").open(newline="", encoding="utf-8") as file:
         assert len({row["log"] for row in csv.DictReader(file)}) == 1
+    shutil.copy(TRUTH, os.fsencode(work) + b"/" + name + b".gt.csv")
+    done("evaluate", results)  # with the truth beside the log
     done("report", results, "--log", name)
     done("overlay", name, results, "--mcap", "o.mcap")
-    done("truth", "check", str(TRUTH), name)
+    done("truth", "check", name + b".gt.csv", name)
     done("run", name, "-o", b"out" + name)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from sonarrec.drawing.pen import Colour, disc_outline, landmark_colours
 from sonarrec.files.outputs import write_figure, writing
-from sonarrec.records import ByteImage, FloatArray, Frame, IntArray
+from sonarrec.records import ByteImage, FloatArray, Frame, IntArray, shown
 from sonarrec.truth.check import CheckedTruth
 
 TILES = 8
@@ -142,7 +142,8 @@ def _draw(
     faults: dict[int, list[str]] = {}
     for fault in truth.faults:
         faults.setdefault(fault.line, []).append(fault.kind)
-    axes.text(_GAP, 24, f"{truth.path.name}: {truth.told()}", color=_INK, fontsize=12, va="center")
+    title = f"{shown(truth.path.name)}: {truth.told()}"
+    axes.text(_GAP, 24, title, color=_INK, fontsize=12, va="center")
     legend = "outline: the disc as the truth puts it; below: frame, visible; found wrong in red"
     axes.text(_GAP, 46, legend, color=_INK, fontsize=8, va="center", alpha=0.8)
     colours = landmark_colours(truth.landmarks.ids)

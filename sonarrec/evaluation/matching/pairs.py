@@ -10,7 +10,7 @@ from pathlib import Path
 from sonarrec.files.tables import line_number, read_header, read_table
 from sonarrec.readers.find import Source, find_log, log_name
 from sonarrec.readers.images import MAX_FILE_BYTES, is_image
-from sonarrec.records import SonarrecError, UsageError
+from sonarrec.records import MissingError, SonarrecError, UsageError, unshown
 from sonarrec.remote.urls import is_url
 from sonarrec.results.read import find_logs
 from sonarrec.results.run_file import Input, read_run
@@ -115,7 +115,7 @@ def _truth_beside(folder: Path, source: Input, elsewhere: Elsewhere | None) -> P
             log, own = source.path, f"{log_name(Path(source.path))}.{TRUTH_FILE}, nor "
             truth, size = elsewhere(log, TRUTH_FILE)
         else:
-            found = find_log(source.path)
+            found = _log_at(source.path)
             log = str(found.path)
             own = (
                 f"{log_name(found.path)}.{TRUTH_FILE}, nor " if found.files == [found.path] else ""
@@ -131,6 +131,14 @@ def _truth_beside(folder: Path, source: Input, elsewhere: Elsewhere | None) -> P
             f"{source.bytes} bytes and has {size}), so {truth} may not be its truth"
         )
     return truth
+
+
+def _log_at(path: str) -> Source:
+    """The log at a path of run.toml, which has escapes for bytes that are no UTF-8."""
+    try:
+        return find_log(path)
+    except MissingError:
+        return find_log(unshown(path))
 
 
 def _size(log: Source) -> int:
