@@ -22,13 +22,20 @@ def run_on_cluster(
     """Run tasks on the workers of the Dask scheduler at `address`; results go where all see them.
 
     A scheduler that dies loses nothing that is finished: the same call goes on from there. Raises
-    UsageError without the extra `cluster`, or where no scheduler answers.
+    UsageError without the extra `cluster`, for what is no address, or where no scheduler answers.
     """
     try:
         import distributed
     except ImportError:
         raise UsageError("--scheduler needs pip install 'sonarrec[cluster]'") from None
     dask: Any = distributed  # it is typed in part only
+    try:
+        # First, for a client that was begun in vain prints a traceback when it is let go.
+        dask.comm.get_address_host_port(address)
+    except ValueError:
+        raise UsageError(
+            f"--scheduler {address}: expected an address such as tcp://host:8786"
+        ) from None
     try:
         client = dask.Client(address, timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError) as error:

@@ -16,7 +16,7 @@ import pytest
 from click.testing import CliRunner
 
 from sonarrec.cli import main
-from tests.support.batch import command, environment, made, rows, tables
+from tests.support.batch import SAMPLE, command, environment, made, rows, tables
 
 
 def wait_for(port: int) -> None:
@@ -90,3 +90,16 @@ def test_no_scheduler_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     done = CliRunner().invoke(main, words)
     assert done.exit_code == 2
     assert "no scheduler answers" in done.stderr
+
+
+@pytest.mark.parametrize("address", ["foo", "foo:bar", "xx://foo:8786"])
+def test_what_is_no_address_is_refused_at_once(
+    address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A client begun in vain prints a traceback when it is let go."""
+    monkeypatch.setattr("distributed.Client", None)
+    words = ["run", str(SAMPLE), "--scheduler", address, "-o", str(tmp_path / "out")]
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 2
+    line = f"sonarrec: --scheduler {address}: expected an address such as tcp://host:8786\n"
+    assert done.stderr == line
