@@ -164,6 +164,19 @@ def test_a_folder_without_permission_is_one_line(tmp_path: Path, words: str) -> 
     assert "Permission denied" in told
 
 
+def test_a_current_folder_that_is_gone_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    monkeypatch.chdir(gone)
+    gone.rmdir()
+    done = run_line("run", str(SAMPLE))
+    assert done.exit_code == 1
+    line = "sonarrec_out/pan: cannot be written (No such file or directory)"
+    assert done.stderr == f"sonarrec: {line}\n"
+
+
 def test_verbose_is_a_line_for_each_log(tmp_path: Path) -> None:
     done = run_line("run", "-q", "-v", str(SAMPLE / "00000*.png"), "-o", str(tmp_path))
     assert re.search(

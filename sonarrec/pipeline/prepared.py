@@ -19,7 +19,7 @@ from sonarrec.readers.poses_csv import POSES_FILE, read_poses
 from sonarrec.recogniser.beam_width import FRAMES_FOR_BEAMS, with_beams
 from sonarrec.recogniser.side_by_side import SideBySide
 from sonarrec.recogniser.stage3_features.model import ModelFile, model_from_table, read_model
-from sonarrec.records import Fan, Frame, UsageError, shown
+from sonarrec.records import Fan, Frame, SonarrecError, UsageError, shown
 from sonarrec.results.run_file import Given, RunFile, read_run, run_table
 
 
@@ -119,8 +119,15 @@ def prepared(
 
 
 def _results_of(log: Path, folder: Path) -> Path:
-    """The folder of a log's results. Raises UsageError where it would replace the log."""
-    if folder.resolve() == log.resolve():
+    """The folder of a log's results.
+
+    Raises UsageError where it would replace the log, SonarrecError where it has no place.
+    """
+    try:
+        itself = folder.resolve() == log.resolve()
+    except OSError as error:  # the current folder is gone
+        raise SonarrecError(f"{shown(folder)}: cannot be written ({error.strerror})") from None
+    if itself:
         raise UsageError(f"{shown(folder)}: this is the log itself; choose another --out")
     return folder
 
