@@ -64,7 +64,7 @@ def read_table(
 
 def read_header(path: Path, expected: str) -> list[str]:
     """The names of all columns. Raises SonarrecError where the file is no table."""
-    _check_shape(path)
+    _check_shape(path, expected)
     table = _parsed(path, expected, lambda: pd.read_csv(path, nrows=0, **_OPTIONS))
     return [str(column).strip() for column in table.columns]
 
@@ -81,7 +81,7 @@ def read_tables(
     Rows before a cell that cannot be used are given before SonarrecError is raised.
     """
     if path.suffix != PARQUET:
-        _check_shape(path)
+        _check_shape(path, expected)
 
     def read(**options: Any) -> Any:
         return _parsed(path, expected, lambda: pd.read_csv(path, **_OPTIONS, **options))
@@ -128,10 +128,26 @@ def _parsed(path: Path, expected: str, read: Callable[[], Any]) -> Any:
     except pd.errors.EmptyDataError:
         raise SonarrecError(f"{path}: empty; expected a header such as {expected}") from None
     except (OSError, UnicodeDecodeError, pd.errors.ParserError, pd.errors.ParserWarning) as error:
+        ragged = isinstance(error, pd.errors.ParserError | pd.errors.ParserWarning)
+        why = (_longer_row(path) if ragged else None) or str(error).strip()
         raise SonarrecError(
-            f"{path}: not a readable CSV table ({str(error).strip()}); "
-            f"expected a header such as {expected}"
+            f"{path}: not a readable CSV table ({why}); expected a header such as {expected}"
         ) from None
+
+
+def _longer_row(path: Path) -> str | None:
+    """What is wrong with the first row that is longer than the header; None without one."""
+    with (
+        suppress(csv.Error, UnicodeDecodeError),
+        path.open(encoding="utf-8-sig", newline="") as file,
+    ):
+        rows = csv.reader(file, skipinitialspace=True)
+        columns = 0
+        for cells in rows:
+            columns = columns or len(cells)  # of the header, which blank lines may precede
+            if len(cells) > columns:
+                return f"line {rows.line_num}: {len(cells)} cells, the header has {columns}"
+    return None
 
 
 def _table(
@@ -174,9 +190,9 @@ def cut(table: Table, rows: int) -> Table:
     return {name: column[:rows] for name, column in table.items()}
 
 
-def _check_shape(path: Path) -> None:
+def _check_shape(path: Path, expected: str) -> None:
     """Refuses what is no table before it is taken for one: a device has no end, and of very many
-    columns each costs time."""
+    columns each costs time. expected: as in `read_table`."""
     try:
         if path.exists() and not path.is_file():
             raise SonarrecError(f"{path}: not a file that can be read as a table")
@@ -195,6 +211,10 @@ def _check_shape(path: Path) -> None:
         raise SonarrecError(
             f"{path}: more than {MOST_COLUMNS} columns, or a line of more than {LONGEST_LINE} "
             "bytes; no table of this program is like that"
+        )
+    if b";" in header and b"," not in header:
+        raise SonarrecError(
+            f"{path}: columns are parted by ;, expected , and a header such as {expected}"
         )
 
 
