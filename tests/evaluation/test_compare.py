@@ -273,6 +273,14 @@ def test_options_that_do_not_go_together(
 # --- Pairs of results and truth ------------------------------------------------------------------
 
 
+def test_a_truth_that_is_not_there_is_told_with_its_row(tmp_path: Path) -> None:
+    (tmp_path / "one.csv").touch()
+    rows = [("out/one", "one.csv"), ("out/two", "two.csv")]
+    write_csv(tmp_path / "pairs.csv", ("results", "ground_truth"), rows)
+    with pytest.raises(SonarrecError, match=r"pairs\.csv line 3: .*two\.csv: no such file"):
+        read_pairs(tmp_path / "pairs.csv")
+
+
 def test_pairs_are_pooled(tmp_path: Path) -> None:
     rng = np.random.default_rng(5)
     alone = []

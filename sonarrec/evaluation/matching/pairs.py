@@ -41,14 +41,16 @@ def read_pairs(path: Path) -> list[Pair]:
     table = read_table(path, dict.fromkeys((*columns, "log"), "text"), columns, ",".join(columns))
     logs = [str(log) for log in table["log"]] if "log" in table else [None] * len(table["results"])
     for row, names in enumerate(zip(*(table[c] for c in columns), strict=True)):
-        for name in map(str, names):
+        for column, name in zip(columns, map(str, names), strict=True):
             try:
                 (path.parent / name).stat()
-            except (FileNotFoundError, NotADirectoryError):
-                continue  # told where it is read
-            except (OSError, ValueError) as error:  # too long, or with a NUL byte
-                where = f"{path} line {line_number(path, row)}"
-                raise SonarrecError(f"{where}: no path, {name[:40]!r} ({error})"[:300]) from None
+            except (OSError, ValueError) as error:  # or too long, or with a NUL byte
+                missing = isinstance(error, FileNotFoundError | NotADirectoryError)
+                if missing and column == "results":  # told where they are read, if they are
+                    continue
+                no = f"no path, {name[:40]!r} ({error})"[:200]
+                told = f"{path.parent / name}: no such file" if missing else no
+                raise SonarrecError(f"{path} line {line_number(path, row)}: {told}") from None
     return [
         Pair(path.parent / str(results), path.parent / str(truth), log)
         for results, truth, log in zip(*(table[c] for c in columns), logs, strict=True)
