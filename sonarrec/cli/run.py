@@ -248,7 +248,7 @@ def _unquoted(logs: Sequence[NamedLog | RemoteLog]) -> Iterator[str]:
     """A note for each folder of which several images are each a log of its own."""
     from sonarrec.readers.images import names_an_image
 
-    # As Path.is_file, but False where a folder without permission is in the way.
+    # Path.is_file raises where a folder without permission is in the way.
     files = [Path(one.path) for one in logs if os.path.isfile(one.path)]  # noqa: PTH113
     for folder, count in Counter(f.parent for f in files if names_an_image(f.name)).items():
         if count > 1:

@@ -222,7 +222,7 @@ def _folders_up_to(folder: Path, up_to: Path | None) -> list[Path]:
 
 def log_name(path: Path) -> str:
     """The name of a log: a folder's own, a file's without its ending: x of x.mcap.zst."""
-    if path.is_dir():
+    if os.path.isdir(path):  # noqa: PTH112 - Path.is_dir raises where permission is lacking
         return path.resolve().name
     ending = next((e for r in READERS if (e := r.ending(path.name)) is not None), path.suffix)
     return path.name[: len(path.name) - len(ending)] if ending else path.name
