@@ -103,7 +103,8 @@ class LogsTable:
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             with _turn(self._path.parent):
-                rows = {row.log: row for row in read_logs(self._path)}
+                empty = self._path.is_file() and not self._path.stat().st_size
+                rows = {row.log: row for row in ([] if empty else read_logs(self._path))}
                 rows |= {row.log: row for row in self._rows}
                 text = io.StringIO()
                 writer = csv.writer(text, lineterminator="\n")

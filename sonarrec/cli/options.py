@@ -450,7 +450,7 @@ def begun(*places: Path) -> Iterator[None]:
         yield
     except KeyboardInterrupt as error:
         if left := ", ".join(shown(place) for place in places if place.exists()):
-            error.add_note(f"what was made so far is in {left}; remove it to begin anew")
+            error.add_note(f"what was made so far is in {left}; remove that to begin anew")
         raise
 
 

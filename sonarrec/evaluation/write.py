@@ -68,9 +68,10 @@ def write_evaluation(
     pictures += ["det.png"] if det else []
     pictures += ["reliability.png"] if summary.reliability else []
     check_tables(folder, {name: header for name, (header, _) in tables.items()})
-    for name in pictures:
-        check_output(folder / name, "picture")
     check_output(folder / "evaluation.json", "JSON", header='{\n  "logs": [')
+    if not (folder / "evaluation.json").exists():  # beside it those without a mark are of before
+        for name in pictures:
+            check_output(folder / name, "picture")
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "evaluation.json").unlink(missing_ok=True)

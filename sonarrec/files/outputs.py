@@ -6,6 +6,9 @@ What it writes takes the place of an older output only when all of it is there.
 from __future__ import annotations
 
 import csv
+import errno
+import itertools
+import os
 import shutil
 import struct
 import zlib
@@ -28,6 +31,7 @@ VIDEO_MARK = struct.pack(">I4s", 24, b"free") + b"sonarrec overlay"
 """The last box of a video; players pass over it."""
 _STREAMS = ("/dev/std", "/dev/fd/", "/proc/")
 """How names begin that may stand for files that this process was given open."""
+_numbers = itertools.count()
 _PNG_HEADER = 33
 _HEAD = 4096
 
@@ -127,14 +131,23 @@ def replaced(path: Path) -> Iterator[Path]:
         yield path
         return
     target = path.resolve()
-    new = target.with_name(f".{target.name}.new")
+    new = target.with_name(f".{os.getpid()}-{next(_numbers)}.new")
     try:
         if target.exists():
             target.open("r+b").close()  # what must not be written must not be replaced either
+            if not os.access(target.parent, os.W_OK):
+                yield path  # in place, for nothing can stand beside it
+                return
             new.touch()
             shutil.copymode(target, new)
         yield new
-        new.replace(target)
+        try:
+            new.replace(target)
+        except OSError as error:
+            if error.errno != errno.EBUSY:
+                raise
+            shutil.copyfile(new, target)  # a file that is mounted by itself
+            new.unlink()
     except BaseException as error:
         with suppress(OSError):
             new.unlink()

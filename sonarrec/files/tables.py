@@ -242,7 +242,7 @@ def line_numbers(path: Path) -> Iterator[int]:
         header, before = True, 0
         with suppress(csv.Error):  # a cell that is longer than it reads
             for cells in rows:
-                if len(cells) > 1 or any(cells):
+                if len(cells) > 1 or any(cell.strip() for cell in cells):
                     if not header:
                         yield before + 1
                     header = False

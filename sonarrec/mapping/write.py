@@ -32,8 +32,9 @@ def write_all(folder: Path, site: SiteMap, origin: Origin | None = None) -> list
     g2o, picture, earth = (folder / name for name in ("graph.g2o", "map.png", "map.geojson"))
     check_tables(folder, headers)
     check_output(g2o, "graph", header=",".join(FACTOR_COLUMNS[:3]))
-    check_output(picture, "picture")
-    check_output(earth, "JSON", header=GEOJSON_BEGIN)
+    if not tables[0].exists():  # beside it those without a mark are of before
+        check_output(picture, "picture")
+        check_output(earth, "JSON", header=GEOJSON_BEGIN)
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         write_map(tables[0], site)

@@ -9,7 +9,7 @@ import glob
 import os
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from sonarrec.readers.bag_folder import bag_files, is_bag_folder
@@ -144,21 +144,17 @@ class Source:
     def stated_sonar(self, flags: Sonar, sonar_file: Path | None) -> tuple[Sonar, str]:
         """The geometry as file and flags state it, and the name to give it in errors.
 
-        Raises UsageError where it is the flags that cannot be meant, or a fan's view is told twice.
+        Raises UsageError where it is the flags that cannot be meant.
         """
         file = sonar_file or self.beside(SONAR_FILE)
-        filed = Sonar() if file is None else load_sonar(file)
-        stated = filed.updated(flags)
+        stated = Sonar() if file is None else load_sonar(file)
+        # A fan's bearings go before its field of view, but what a flag states before both.
+        is_fan = (flags.layout or stated.layout) == "fan"
+        if is_fan and flags.field_of_view_deg is not None and flags.bearings_deg is None:
+            stated = replace(stated, bearings_deg=None)
+        stated = stated.updated(flags)
         stated.check_flags(flags)
-        where = shown(file or self.path)
-        told_twice = None not in (stated.field_of_view_deg, stated.bearings_deg)
-        # A polar log tells both; one that is taken for a fan is doubted when its frames are seen.
-        if told_twice and stated.layout == "fan" and filed.layout != "polar":
-            raise UsageError(
-                f"{where}: field_of_view_deg and bearings_deg are both stated, in the file or by "
-                "flag; a fan image takes one of them"
-            )
-        return stated, where
+        return stated, shown(file or self.path)
 
 
 def open_recording(path: Path) -> Recording:

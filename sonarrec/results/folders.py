@@ -120,12 +120,17 @@ def restore(folder: Path) -> None:
     """Put right what a run left that was killed in `exchange`, or could not end it.
 
     That is an old result whose place was not taken yet, or what was still to be moved from it.
-    Raises OSError where that cannot be done.
+    Raises OSError where that cannot be done, SonarrecError where a file is in both.
     """
     place, old = _place(folder), _aside(folder)
     if old.is_dir():
         if place.exists():
-            _clear(old, place)
+            try:
+                _clear(old, place)
+            except FileExistsError as error:
+                raise SonarrecError(
+                    f"{error.filename}: also in {old}, left by an earlier run; move one of the two"
+                ) from None
         else:
             old.rename(place)
 

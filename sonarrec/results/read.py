@@ -81,15 +81,18 @@ def find_logs(results: Path) -> list[Path]:
         return [results]
     if not results.is_dir():
         raise MissingError(f"{results}: no such results folder; `sonarrec run LOG` writes one")
-    logs = sorted(p.parent for p in results.glob("*/frames.csv"))
+    logs = {p.parent for p in results.glob("*/frames.csv")}
+    # A stopped run leaves its part beside what a link points to.
+    linked = {part_of(p) for p in results.iterdir() if p.is_symlink() and p not in logs}
+    logs |= {part for part in linked if (part / "frames.csv").is_file()}
     finished = {part_of(log) for log in logs}  # beside these a stopped run's part tells nothing new
-    logs = [log for log in logs if log not in finished]
-    if not logs:
+    found = sorted(logs - finished)
+    if not found:
         raise SonarrecError(
             f"{results}: no results here (no frames.csv, nor a folder that holds one); "
             "give the folder that `sonarrec run` wrote"
         )
-    return logs
+    return found
 
 
 def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = None) -> LogResults:

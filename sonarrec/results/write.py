@@ -114,6 +114,9 @@ class ResultsWriter:
         except OSError as error:
             release(folder, self._lock)
             raise self._unwritable(error) from None
+        except SonarrecError:
+            release(folder, self._lock)
+            raise
 
     def _unwritable(self, error: OSError) -> SonarrecError:
         where = f": {shown(error.filename)}" if error.filename else ""

@@ -197,6 +197,16 @@ def test_a_foreign_logs_csv_is_not_replaced(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "a" / "frames.csv").is_file()
 
 
+def test_an_empty_logs_csv_holds_nothing_to_lose(tmp_path: Path) -> None:
+    (tmp_path / "logs.csv").touch()
+    table = LogsTable(tmp_path, [Task("a.mcap", "a", str(tmp_path), Given(), Used([]))])
+    table.begun(0)
+    table.frames(0, 3)
+    table.write()
+    assert table.fault is None
+    assert [row.log for row in read_logs(tmp_path / "logs.csv")] == ["a"]
+
+
 def test_a_packed_log_that_is_not_there_has_the_row_that_its_results_would_have(
     tmp_path: Path,
 ) -> None:

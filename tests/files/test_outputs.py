@@ -243,6 +243,41 @@ def test_what_is_replaced_keeps_its_links_and_rights(tmp_path: Path) -> None:
     assert path.stat().st_mode & 0o777 == 0o600
 
 
+def test_what_cannot_be_replaced_is_written_in_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A file that is mounted by itself, and one in a folder to which nothing can be added."""
+
+    def busy(self: Path, _: Path) -> None:
+        raise OSError(errno.EBUSY, "Device or resource busy", str(self))
+
+    path = tmp_path / "page"
+    path.write_text("a long old page")
+    file = path.stat().st_ino
+    monkeypatch.setattr(Path, "replace", busy)
+    write_text(path, "mounted")
+    assert contents(tmp_path) == {path: b"mounted"}
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    write_text(path, "alone")
+    assert contents(tmp_path) == {path: b"alone"}
+    assert path.stat().st_ino == file
+
+
+@pytest.mark.parametrize(
+    ("line", "names"),
+    [(EVALUATE, ["evaluation/roc.png"]), (f"map {TABLES}", ["map/map.png", "map/map.geojson"])],
+)
+def test_outputs_of_earlier_versions_are_written_again(
+    work: Path, line: str, names: list[str]
+) -> None:
+    """Which bore no mark."""
+    assert sonarrec(f"{line} -q").exit_code == 0
+    for name in names:
+        (work / TABLES / name).write_bytes(b"as it was")
+    assert sonarrec(f"{line} -q").exit_code == 0
+    assert not any(b"as it was" in data for data in contents(work).values())
+
+
 def test_a_pipe_is_written_itself(tmp_path: Path) -> None:
     path = tmp_path / "pipe"
     os.mkfifo(path)

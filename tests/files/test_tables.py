@@ -27,7 +27,7 @@ def test_whole_numbers_are_all_those_of_64_bits(tmp_path: Path) -> None:
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
 def test_lines_are_those_of_the_file(tmp_path: Path, end: str) -> None:
     """Rows begin at 2, 5 (behind a cell of two lines and a blank one), 6 and 8."""
-    lines = ["a,b", '1, "x', ' y"', " ", '2,"say ""no"""', "3,", "", ",4"]
+    lines = ["a,b", '1, "x', ' y"', "\t", '2,"say ""no"""', "3,", "", ",4"]
     path = tmp_path / "t.csv"
     path.write_bytes(end.join(lines).encode())
     assert [line_number(path, row) for row in range(4)] == [2, 5, 6, 8]

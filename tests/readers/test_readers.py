@@ -321,16 +321,17 @@ def test_which_geometry_counts(tmp_path: Path) -> None:
                                   field_of_view_deg=30.0))  # fmt: skip
 
 
-def test_a_fan_s_view_is_told_once(tmp_path: Path) -> None:
-    """Bearings would silently go before the field of view; alone they tell an uneven one."""
+def test_what_a_flag_tells_of_a_fan_s_view_wins(tmp_path: Path) -> None:
     log = image_folder(tmp_path / "log", frames(1))
-    uneven = Sonar(bearings_deg=(-10.0, 0.0))
-    with pytest.raises(UsageError, match="field_of_view_deg and bearings_deg are both stated"):
-        open_log(log, sonar=uneven)
-    (log / "sonar.toml").write_text(SONAR_TOML.replace("field_of_view_deg = 28.8\n", ""))
-    with open_log(log, sonar=uneven) as opened:
-        fan = next(iter(opened)).fan
-    assert (fan.bearing_min_deg, fan.bearing_max_deg) == (-15, 5)
+    edges = []
+    for stated in ({"bearings_deg": (-10.0, 0.0)}, {"field_of_view_deg": 28.8}):
+        with open_log(log, sonar=Sonar(**stated)) as opened:  # type: ignore[arg-type]
+            fan = next(iter(opened)).fan
+        edges.append((fan.bearing_min_deg, fan.bearing_max_deg))
+        (log / "sonar.toml").write_text(
+            SONAR_TOML.replace("field_of_view_deg = 28.8", "bearings_deg = [-10, 0]")
+        )
+    assert edges == [(-15, 5), (-14.4, 14.4)]
 
 
 def test_unusable_frames_keep_their_number(tmp_path: Path) -> None:

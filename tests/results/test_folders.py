@@ -18,7 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sonarrec import run
-from sonarrec.records import UsageError
+from sonarrec.records import SonarrecError, UsageError
 from sonarrec.results.folders import (
     LockedError,
     exchange,
@@ -351,8 +351,8 @@ def test_files_of_the_user_that_cannot_be_moved_are_kept_and_told(tmp_path: Path
     [note] = exchange(folder)
     assert f"{folder}: what was beside the results before is left in " in note
     assert (folder / "frames.csv").read_text() == "dive.part"
-    with pytest.raises(FileExistsError):  # told before the next run begins
-        restore(folder)
+    with pytest.raises(SonarrecError, match=r"also in .*\.dive\.old.*; move one of the two"):
+        restore(folder)  # told before the next run begins
     assert [p.name for p in tmp_path.glob(".*/*/*")] == ["dive"]
     (folder / "notes").rename(tmp_path / "elsewhere")
     restore(folder)
@@ -371,3 +371,13 @@ def test_results_behind_a_link_stay_there(log: Path, tmp_path: Path) -> None:
         assert (out / "short").is_symlink()
         assert finished(disk / "short")
         assert [p.name for p in (*disk.iterdir(), *out.iterdir())] == ["short", "short"]
+
+
+def test_a_part_behind_a_link_is_found(tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    link, part = tmp_path / "out" / "dive", tmp_path / "disk" / "dive.part"
+    link.symlink_to(tmp_path / "disk" / "dive")
+    part.mkdir(parents=True)
+    (part / "frames.csv").touch()
+    assert part_of(link) == part
+    assert find_logs(tmp_path / "out") == [part]
