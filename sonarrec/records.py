@@ -35,6 +35,11 @@ class SonarrecError(Exception):
         # It quotes what files hold.
         return "\n".join(map(printable, super().__str__().split("\n")))
 
+    @property
+    def line(self) -> str:
+        """The one line, without the example of a sonar.toml that some have behind it."""
+        return str(self).partition("\n")[0].removesuffix("; like this:")
+
 
 class UsageError(SonarrecError):
     """A setting or option that cannot be meant (exit code 2, as click's own usage errors)."""

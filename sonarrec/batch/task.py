@@ -77,8 +77,7 @@ class Outcome:
     def message(self) -> str:
         """One line on what could not be used; empty where all could."""
         if self.error is not None:
-            # What follows is an example of a sonar.toml.
-            return str(self.error).partition("\n")[0].removesuffix("; like this:")
+            return self.error.line
         problems = self.summary.problems if self.summary else []
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         return problems[0] + more if problems else ""

@@ -332,7 +332,7 @@ def _looked_through(
             used += 1
             plausibility.look(frame)
     except SonarrecError as error:
-        return used, log.problems or [str(error).partition("\n")[0]], plausibility
+        return used, log.problems or [error.line], plausibility
     return used, log.problems, plausibility
 
 
