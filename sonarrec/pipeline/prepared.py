@@ -13,7 +13,7 @@ from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.poses import PoseTable
 from sonarrec.readers import open_log
-from sonarrec.readers.find import SONAR_FILE, find_log
+from sonarrec.readers.find import SONAR_FILE, Source, find_log
 from sonarrec.readers.log import Log
 from sonarrec.readers.poses_csv import POSES_FILE, read_poses
 from sonarrec.recogniser.beam_width import FRAMES_FOR_BEAMS, with_beams
@@ -67,9 +67,10 @@ def prepared(
     Raises SonarrecError for input or settings that cannot be used.
     """
     earlier = read_run(used.earlier_run)
-    same_log = earlier.input.name == shown(find_log(path).name)
+    found = find_log(path, given.up_to)
+    same_log = earlier.input.name == shown(found.name)
     given = earlier.lay_under(given, same_log=same_log)
-    given, notes = _with_companions(path, given, again=same_log)
+    given, notes = _with_companions(found, given, again=same_log)
     landmarks = earlier.landmark_set(used.landmarks)
     learned = _model(used, earlier)
     poses, more = _poses(path, given, earlier if same_log else read_run(None))
@@ -144,14 +145,13 @@ def _count(log: Log, span: tuple[int, int | None]) -> int | None:
     return max(end - span[0], 0)
 
 
-def _with_companions(path: Path, given: Given, again: bool) -> tuple[Given, list[str]]:
+def _with_companions(source: Source, given: Given, again: bool) -> tuple[Given, list[str]]:
     """What is given, with the poses that lie beside the log, and a note for each file that was
     found and is not beside it, or was not asked for.
 
     again: the run of a run.toml is run again, with the poses it had.
     """
-    source = find_log(path, given.up_to)
-    notes = []
+    path, notes = source.path, []
     geometry = source.beside(SONAR_FILE)
     own = given.sonar_file is not None or given.up_to is None
     if not own and geometry != find_log(path).beside(SONAR_FILE):
