@@ -14,6 +14,7 @@ from time import monotonic
 from typing import get_args
 
 from sonarrec.batch.task import Outcome, Status, Task
+from sonarrec.files.outputs import is_filled, replaced
 from sonarrec.readers.find import log_name, results_name
 from sonarrec.records import SonarrecError
 from sonarrec.results.folders import part_of
@@ -103,16 +104,15 @@ class LogsTable:
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             with _turn(self._path.parent):
-                empty = self._path.is_file() and not self._path.stat().st_size
-                rows = {row.log: row for row in ([] if empty else read_logs(self._path))}
+                before = read_logs(self._path) if is_filled(self._path) else []
+                rows = {row.log: row for row in before}
                 rows |= {row.log: row for row in self._rows}
                 text = io.StringIO()
                 writer = csv.writer(text, lineterminator="\n")
                 writer.writerow(COLUMNS)
                 writer.writerows(astuple(row) for row in rows.values())
-                new = self._path.with_name(f".{NAME}.{os.getpid()}")
-                new.write_text(text.getvalue(), encoding="utf-8", errors="surrogateescape")
-                new.replace(self._path)
+                with replaced(self._path) as new:
+                    new.write_text(text.getvalue(), encoding="utf-8", errors="surrogateescape")
         except OSError as error:
             self.fault = f"{self._path}: cannot be written ({error.strerror})"
         except SonarrecError as error:  # what is there is no such table

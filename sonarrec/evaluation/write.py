@@ -20,6 +20,7 @@ from sonarrec.evaluation.summary import Summary
 from sonarrec.files.outputs import (
     check_output,
     check_tables,
+    is_filled,
     replaced,
     write_csv,
     write_text,
@@ -69,7 +70,7 @@ def write_evaluation(
     pictures += ["reliability.png"] if summary.reliability else []
     check_tables(folder, {name: header for name, (header, _) in tables.items()})
     check_output(folder / "evaluation.json", "JSON", header='{\n  "logs": [')
-    if not (folder / "evaluation.json").exists():  # beside it those without a mark are of before
+    if not is_filled(folder / "evaluation.json"):  # beside it pictures are ours, marked or not
         for name in pictures:
             check_output(folder / name, "picture")
     with writing(folder):

@@ -46,8 +46,7 @@ def check_output(
     """Raise UsageError where writing `path` would destroy something else than an older output.
 
     kind: what will be written; a file that is there must be of it. reads: files and folders that
-    the command reads; None counts for nothing. header: how a table or JSON of ours begins; of a
-    graph, how the factors.csv begins that lies beside one of ours.
+    the command reads; None counts for nothing. header: how a table or JSON of ours begins.
     """
     for place in (Path(read) for read in reads if read is not None):
         log = place if place.exists() else place.parent  # a glob of images
@@ -97,17 +96,14 @@ def _is_of(kind: Kind, path: Path, header: str) -> bool:
         "model": lambda: MODEL_MARK.encode() in head,
         "table": lambda: head.startswith(header.encode()),
         "JSON": lambda: head.startswith(header.encode()),
-        "graph": lambda: _begins(path.with_name("factors.csv"), header),  # bears no mark itself
+        "graph": lambda: False,  # g2o has no room for a mark
     }
     return not head or tests[kind]()  # an empty file holds nothing to lose
 
 
-def _begins(path: Path, text: str) -> bool:
-    """Whether there is a file, and it begins so."""
-    if not path.is_file():
-        return False
-    with writing(path), path.open("rb") as file:
-        return file.read(len(text)) == text.encode()
+def is_filled(path: Path) -> bool:
+    """Whether there is a file that holds anything."""
+    return path.is_file() and path.stat().st_size > 0
 
 
 @contextmanager

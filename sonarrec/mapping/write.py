@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from sonarrec.files.outputs import check_output, check_tables, writing
+from sonarrec.files.outputs import check_output, check_tables, is_filled, writing
 from sonarrec.mapping.build import SiteMap
 from sonarrec.mapping.factors import FACTOR_COLUMNS, factors, graph_of, write_factors, write_g2o
 from sonarrec.mapping.picture import draw_map
@@ -31,8 +31,8 @@ def write_all(folder: Path, site: SiteMap, origin: Origin | None = None) -> list
     tables = [folder / name for name in headers]
     g2o, picture, earth = (folder / name for name in ("graph.g2o", "map.png", "map.geojson"))
     check_tables(folder, headers)
-    check_output(g2o, "graph", header=",".join(FACTOR_COLUMNS[:3]))
-    if not tables[0].exists():  # beside it those without a mark are of before
+    if not is_filled(tables[0]):  # beside it the others are of a map as well, marked or not
+        check_output(g2o, "graph")
         check_output(picture, "picture")
         check_output(earth, "JSON", header=GEOJSON_BEGIN)
     with writing(folder):
