@@ -26,6 +26,13 @@ def run_line(*words: str) -> Result:
     return CliRunner().invoke(main, words)
 
 
+def run_words(words: str, **places: Path) -> Result:
+    """A command in which names in capitals stand for places; GT for the truth of the sample."""
+    for name, place in {"GT": SAMPLE.parent / "pan.gt.csv", **places}.items():
+        words = words.replace(name, str(place))
+    return run_line(*words.split())
+
+
 def numbers(folder: Path) -> list[int]:
     with (folder / "frames.csv").open(newline="") as file:
         return [int(row["frame"]) for row in csv.DictReader(file)]
@@ -92,9 +99,7 @@ def test_a_slice_without_frames_is_refused(tmp_path: Path, text: str) -> None:
     ],
 )
 def test_an_input_that_is_not_there_is_exit_code_2_everywhere(tmp_path: Path, words: str) -> None:
-    truth = SAMPLE.parent / "pan.gt.csv"
-    line = words.replace("GONE", str(tmp_path / "gone")).replace("GT", str(truth))
-    assert run_line(*line.split()).exit_code == 2
+    assert run_words(words, GONE=tmp_path / "gone").exit_code == 2
 
 
 @pytest.mark.parametrize(
@@ -154,10 +159,8 @@ def test_ctrl_c_at_the_start_is_one_line(name: str, monkeypatch: pytest.MonkeyPa
     ],
 )
 def test_a_folder_without_permission_is_one_line(tmp_path: Path, words: str) -> None:
-    truth = SAMPLE.parent / "pan.gt.csv"
     with locked(tmp_path / "locked") as folder:
-        line = words.replace("LOCKED", str(folder)).replace("GT", str(truth))
-        done = run_line(*line.split())
+        done = run_words(words, LOCKED=folder)
     assert done.exit_code == 1
     (told,) = done.stderr.splitlines()
     assert told.startswith(f"sonarrec: {folder}")

@@ -37,7 +37,7 @@ TABLE_3 = np.array(  # range window 2.50 m
         [0.1681, 0.2485, 0.2515, 0.3319],
     ]
 )
-LEAST_PREDICTED = 1e-300
+LEAST_PREDICTED = 1e-300  # no belief is none at all
 PAPER_SECTORS = ((1, 0, 0, 0), (1, 0, 1, 0), (1, 1, 0, 0), (1, 1, 1, 0))
 
 
