@@ -13,11 +13,11 @@ import click
 from sonarrec import __version__
 from sonarrec.cli.calibrate import calibrate
 from sonarrec.cli.config import config
+from sonarrec.cli.endings import INTERRUPTED, tell
 from sonarrec.cli.evaluate import evaluate
 from sonarrec.cli.help import help_
 from sonarrec.cli.info import info
 from sonarrec.cli.map import map_
-from sonarrec.cli.options import INTERRUPTED, tell
 from sonarrec.cli.overlay import overlay
 from sonarrec.cli.report import report
 from sonarrec.cli.run import run

@@ -7,13 +7,13 @@ from pathlib import Path
 import click
 
 from sonarrec.cli.bars import progress
+from sonarrec.cli.endings import end, tell
 from sonarrec.cli.options import (
     LEARNING,
     NEW_FILE,
     LogChoice,
     SettingsChoice,
     command,
-    end,
     ground_truth_option,
     landmarks_option,
     log_options,
@@ -21,7 +21,6 @@ from sonarrec.cli.options import (
     out_option,
     quiet_option,
     settings_options,
-    tell,
 )
 from sonarrec.records import UsageError
 

@@ -9,21 +9,19 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from sonarrec.cli.endings import PARTLY, leave, tell
 from sonarrec.cli.options import (
     BATCH,
     FILE,
     INPUT,
     OUTPUT,
-    PARTLY,
     SCORING,
     command,
     ground_truth_option,
-    leave,
     option,
     out_option,
     quiet_option,
     scoring_options,
-    tell,
 )
 from sonarrec.cli.options_remote import ANY_OR_URL, FILE_OR_URL, CacheChoice, cache_options
 from sonarrec.records import UsageError

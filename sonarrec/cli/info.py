@@ -12,21 +12,19 @@ from typing import IO, TYPE_CHECKING, Any
 import click
 
 from sonarrec.cli.bars import fetching, progress
+from sonarrec.cli.endings import PARTLY, leave, tell
 from sonarrec.cli.options import (
     INPUT,
     NEW_FILE,
     OUTPUT,
-    PARTLY,
     LogChoice,
     command,
     landmarks_option,
-    leave,
     log_options,
     many_logs_options,
     named_logs,
     option,
     quiet_option,
-    tell,
 )
 from sonarrec.cli.options_remote import CacheChoice, cache_options
 from sonarrec.cli.passes import YEAR_2000_NS

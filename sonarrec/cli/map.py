@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from sonarrec.cli.endings import end, tell
 from sonarrec.cli.options import (
     ANY,
     FILE,
@@ -15,13 +16,11 @@ from sonarrec.cli.options import (
     INPUT,
     OUTPUT,
     command,
-    end,
     geometry_options,
     landmarks_option,
     option,
     out_option,
     quiet_option,
-    tell,
 )
 from sonarrec.records import UsageError
 

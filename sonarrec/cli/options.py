@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial, wraps
 from itertools import pairwise
 from pathlib import Path
-from typing import IO, Any, NoReturn
+from typing import IO, Any
 
 import click
 
-from sonarrec.records import Clock, UsageError, shown
+from sonarrec.records import Clock, UsageError
 
-FAILED = 1  # exit code: nothing could be used
-MISUSED = 2  # exit code: an option cannot be meant, or an input is not there
-PARTLY = 3  # exit code: finished, but part of the input could not be used
-INTERRUPTED = 130  # exit code: stopped by Ctrl-C
 FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 NEW_FILE = click.Path(dir_okay=False, path_type=Path)
 FOLDER = click.Path(file_okay=False, path_type=Path)
@@ -426,34 +421,3 @@ verbose_option = option(
 def out_option(kind: click.Path, text: str, **told: Any) -> Decorator:
     """-o, --out; text: what it names."""
     return option(OUTPUT, "-o", "--out", type=kind, help=text, **told)
-
-
-def tell(problems: Iterable[str], notes: Iterable[str] = ()) -> None:
-    """Notes and problems, a line each, on stderr; where nobody can read it, nothing is lost."""
-    with suppress(OSError):
-        for note in notes:
-            click.echo(f"sonarrec: note: {note}", err=True)
-        for problem in problems:
-            click.echo(f"sonarrec: {problem}", err=True)
-
-
-def end(problems: Collection[object]) -> None:
-    """End a command that is done: with PARTLY where part of the input could not be used."""
-    if problems:
-        leave(PARTLY)
-
-
-@contextmanager
-def begun(*places: Path) -> Iterator[None]:
-    """Where Ctrl-C stops what is made inside, say what is left of it: the same call refuses it."""
-    try:
-        yield
-    except KeyboardInterrupt as error:
-        if left := ", ".join(shown(place) for place in places if place.exists()):
-            error.add_note(f"what was made so far is in {left}; remove that to begin anew")
-        raise
-
-
-def leave(code: int) -> NoReturn:
-    """End the command with an exit code."""
-    click.get_current_context().exit(code)

@@ -7,20 +7,19 @@ from pathlib import Path
 import click
 
 from sonarrec.cli.bars import progress
+from sonarrec.cli.endings import end, tell
 from sonarrec.cli.options import (
     ANY,
     NEW_FILE,
     OUTPUT,
     LogChoice,
     command,
-    end,
     frames_option,
     ground_truth_option,
     landmarks_option,
     log_options,
     option,
     quiet_option,
-    tell,
 )
 from sonarrec.records import UsageError
 

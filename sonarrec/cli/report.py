@@ -9,18 +9,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from sonarrec.cli.endings import end, tell
 from sonarrec.cli.options import (
     FILE,
     INPUT,
     OUTPUT,
     command,
-    end,
     ground_truth_option,
     option,
     out_option,
     quiet_option,
     scoring_options,
-    tell,
     topic_option,
 )
 from sonarrec.cli.options_remote import (

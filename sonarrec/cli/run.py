@@ -13,21 +13,25 @@ from typing import IO, TYPE_CHECKING
 
 import click
 
+from sonarrec.cli.endings import (
+    FAILED,
+    INTERRUPTED,
+    PARTLY,
+    TERMINATED,
+    leave,
+    tell,
+)
 from sonarrec.cli.options import (
     BATCH,
-    FAILED,
     FILE,
     INPUT,
-    INTERRUPTED,
     NEW_FILE,
     OUTPUT,
-    PARTLY,
     LogChoice,
     SettingsChoice,
     command,
     frames_option,
     landmarks_option,
-    leave,
     log_options,
     many_logs_options,
     model_option,
@@ -36,7 +40,6 @@ from sonarrec.cli.options import (
     out_option,
     quiet_option,
     settings_options,
-    tell,
     verbose_option,
 )
 from sonarrec.cli.options_remote import FOLDER_OR_URL, CacheChoice, cache_options
@@ -50,8 +53,6 @@ if TYPE_CHECKING:
     from sonarrec.remote.find import RemoteLog
     from sonarrec.remote.upload import Outbox
     from sonarrec.results.run_file import Given
-
-TERMINATED = 143  # exit code: stopped by SIGTERM
 
 
 @command(short_help="Recognise the landmarks in logs.")

@@ -16,7 +16,7 @@ from sonarrec.batch.logs_table import NAME, LogsTable
 from sonarrec.batch.processes import Watch
 from sonarrec.batch.task import Outcome, Task
 from sonarrec.cli.bars import fetching, progress, progress_of_logs
-from sonarrec.cli.options import FAILED, MISUSED, PARTLY, tell
+from sonarrec.cli.endings import FAILED, MISUSED, PARTLY, tell
 from sonarrec.cli.passes import as_json, table
 from sonarrec.pipeline.run import Summary
 from sonarrec.records import MissingError, SonarrecError

@@ -7,19 +7,17 @@ from pathlib import Path
 import click
 
 from sonarrec.cli.bars import progress
+from sonarrec.cli.endings import begun, end, tell
 from sonarrec.cli.options import (
     ANY,
     INPUT,
     OUTPUT,
     LogChoice,
-    begun,
     command,
-    end,
     log_options,
     option,
     out_option,
     quiet_option,
-    tell,
 )
 from sonarrec.cli.options_background import Laying, laying_options
 from sonarrec.records import UsageError

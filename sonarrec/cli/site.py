@@ -9,15 +9,14 @@ from typing import TYPE_CHECKING
 import click
 
 from sonarrec.cli.bars import progress
+from sonarrec.cli.endings import begun, end, tell
 from sonarrec.cli.options import (
     BACKGROUND,
     FOLDER,
     OUTPUT,
     LogChoice,
     SettingsChoice,
-    begun,
     command,
-    end,
     frames_option,
     log_options,
     model_option,
@@ -25,7 +24,6 @@ from sonarrec.cli.options import (
     out_option,
     quiet_option,
     settings_options,
-    tell,
 )
 from sonarrec.cli.options_background import Laying, laying_options
 

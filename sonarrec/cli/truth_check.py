@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from sonarrec.cli.endings import end, tell
 from sonarrec.cli.options import (
     FILE,
     NEW_FILE,
@@ -14,12 +15,10 @@ from sonarrec.cli.options import (
     SCORING,
     LogChoice,
     command,
-    end,
     landmarks_option,
     log_options,
     option,
     quiet_option,
-    tell,
 )
 
 _MOST_LINES = 20  # told of one kind of fault

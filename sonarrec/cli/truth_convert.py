@@ -7,19 +7,18 @@ from typing import Any
 
 import click
 
+from sonarrec.cli.endings import end, tell
 from sonarrec.cli.options import (
     ANY,
     INPUT,
     NEW_FILE,
     LogChoice,
     command,
-    end,
     landmarks_option,
     log_options,
     option,
     out_option,
     quiet_option,
-    tell,
 )
 from sonarrec.records import UsageError
 
