@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -194,7 +195,7 @@ class RunWatch(Watch):
     @contextmanager
     def _over_the_bar(self) -> Iterator[None]:
         """What is printed inside stands above the bar, not in it."""
-        if self._at is None:
+        if "tqdm" not in sys.modules:  # no bar is shown
             yield
             return
         from tqdm import tqdm
