@@ -85,7 +85,7 @@ def test_a_call_that_is_stopped_goes_on(
             assert running.poll() is None, "ended before it was stopped"
             time.sleep(0.05)
         running.send_signal(sent)
-        assert running.wait(30) == code
+        assert running.wait(30) == code, running.stderr.read().decode()
     time.sleep(1)  # of SIGKILL: the log's process sees within .2 s that nobody waits for it
     kept = part.read_text().splitlines()
     assert 2 < len(kept) <= 21
@@ -124,7 +124,7 @@ def test_a_call_is_stopped_though_a_log_hangs(
         running.send_signal(sent)
         patience = time.monotonic() + GRACE_S + 5
         try:
-            assert running.wait(GRACE_S + 5) == code
+            assert running.wait(GRACE_S + 5) == code, running.stderr.read().decode()
         finally:
             running.kill()
     while subprocess.run(call, capture_output=True).returncode:  # its log's process holds the part
