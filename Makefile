@@ -4,7 +4,7 @@ BIN := .venv/bin
 SAMPLE := sample_data/pan
 
 .PHONY: test lint demo bench memory fuzz paper paper-world paper-choices \
-	paper-prediction scenes returns worlds ablation study speeds maps model regression kills scale \
+	paper-prediction scenes returns worlds ablation taught study speeds maps model regression kills scale \
 	scoring clean
 
 .venv/program: pyproject.toml  # what a user needs
@@ -70,6 +70,9 @@ worlds: .venv/installed  # recordings that are not ours, where they are at hand
 
 ablation: .venv/installed  # the default with one idea at a time put back
 	$(BIN)/python -m tests.studies.ablation
+
+taught: .venv/installed  # the default with models that were taught less
+	$(BIN)/python -m tests.studies.taught
 
 study: .venv/installed  # the paper's scene thirty times over: intervals and tests
 	$(BIN)/python -m tests.studies.study

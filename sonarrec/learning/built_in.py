@@ -36,6 +36,11 @@ RECORDINGS = {
 FRAMES = 64  # of each: more recordings teach more than longer ones
 
 
+def recordings() -> list[tuple[int, str]]:
+    """Seed and kind of scene of every recording that the model learns from."""
+    return [(seed, kind) for kind, n in RECORDINGS.items() for seed in MODEL_SEEDS[:n]]
+
+
 def simulated(seed: int, kind: str) -> Samples:
     """Samples from one random simulated recording."""
     return samples_of(random_scene(seed, kind, wide=True, frames=FRAMES))
@@ -69,7 +74,7 @@ def _frames(scene: Scene, truth: list[tuple[int, LandmarkTruth]]) -> Iterator[Fr
 
 def make_model() -> None:
     """Write the built-in model anew: every kind of scene that may be learned from."""
-    drawn = [(seed, kind) for kind, n in RECORDINGS.items() for seed in MODEL_SEEDS[:n]]
+    drawn = recordings()
     with ProcessPoolExecutor() as workers:
         parts = list(workers.map(simulated, *zip(*drawn, strict=True)))
     count = sum(len(p.label) for p in parts)

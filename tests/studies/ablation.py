@@ -3,84 +3,194 @@
 from __future__ import annotations
 
 import argparse
+import multiprocessing
 import time
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass, field
 from pathlib import Path
+from unittest.mock import patch
 
-from sonarrec.config import Config, preset, with_assignments
+import cv2
+import numpy as np
+from tqdm import tqdm
+
+from sonarrec.config import preset, with_assignments
 from sonarrec.evaluation.counting.passes import find_passes
+from sonarrec.recogniser.plane import FloorPlane
 from sonarrec.recogniser.recogniser import FRAMEWORK
+from sonarrec.recogniser.stage1_candidates import Hills, RingScore
 from sonarrec.simulation.random_scenes import ALL_KINDS, KINDS_OF_SCENE, random_scene
+from sonarrec.simulation.simulate import render
 from tests.studies.scenes import FRAMES, REPORTED, seeds, show, told
-from tests.support.simulated import Job, recognise_all, score
+from tests.support.simulated import PROCESSES, Job, recognise, score
 
-ABLATIONS = {
-    "the default": (),
-    "random walk, no measured pan": ("continuity.motion=random_walk",),
-    "no memory of lost objects": ("continuity.remember_frames=0",),
-    "lost objects taken up half a diameter off": (
-        "continuity.recall=0.5",
-        "continuity.recall_in_view=0",
-    ),
-    "groups leave their own candidate for another's": ("continuity.own_candidate=2",),
-    "each frame by itself": ("features.measurement=single",),
-    "memory of one frame": ("features.memory_frames=1",),
-    "cells of a symbol taken for independent": ("features.alike_radii=0",),
-    "symbols as drawn, not as the beam smears them": ("features.beam_width_deg=0.01",),
-    "circles in the fan, Eq. 1": ("candidates.plane=fan",),
-    "edges, not rings": ("candidates.detector=edge",),
-}
 EQUAL_FPR = (0.002, 0.01)
 """Where TPRs are read off the curves, for another measurement may want another threshold."""
 
 
-def variants() -> list[Config]:
-    """One configuration per ablation; its preset's name is that of the ablation."""
-    default = preset("default")
-    return [
-        replace(with_assignments(default, changes), preset=name)
-        for name, changes in ABLATIONS.items()
-    ]
+@dataclass(frozen=True, slots=True)
+class Ablation:
+    """What stands in place of an idea.
+
+    settings: `stage.key=value` over those of the preset. code: by dotted name within
+    sonarrec.recogniser, what stands in the code's place; of ideas that have no setting.
+    """
+
+    settings: tuple[str, ...] = ()
+    code: Mapping[str, object] = field(default_factory=dict)
+    preset: str = "default"
+
+    def __str__(self) -> str:
+        code = (f"{name}={getattr(v, '__name__', v)}" for name, v in self.code.items())
+        return " ".join([*self.settings, *code])
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Render, recognise, score and tell."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies.ablation", description=__doc__)
-    parser.add_argument("--seeds", type=seeds, default=REPORTED[:4], help="first:end, end left out")
-    parser.add_argument("--kinds", nargs="+", choices=ALL_KINDS, default=KINDS_OF_SCENE)
-    parser.add_argument("--frames", type=int, default=FRAMES, help="of each recording")
-    parser.add_argument("--out", type=Path, default=Path("build") / "ablation")
-    asked = parser.parse_args(arguments)
-    begun = time.monotonic()
-    configs = variants()
-    jobs = [
-        Job(
-            random_scene(seed, kind, frames=asked.frames),
-            asked.out / f"{kind}_{seed}",
-            configs,
-        )
-        for kind in asked.kinds
-        for seed in asked.seeds
-    ]
-    recognise_all(jobs)
-    found = score([job.folder for job in jobs])
-    strict = {s.method: s for s in found.scored if s.protocol == "strict"}
-    passes = len(find_passes(found.joined).first_frame_index)
+def spread_of_the_frame(self: RingScore, _: object, relief: np.ndarray, sigma: float) -> Hills:
+    """`RingScore.__call__` with contrast counted in what the whole frame varies by."""
+    score = self._correlate(relief) * self._gain / np.float32(self._full_contrast * sigma)
+    return Hills(score, score, score, np.full(score.shape, sigma))
+
+
+def straight_ahead(_: FloorPlane, position: np.ndarray) -> np.ndarray:
+    """`line_of_sight` that is the same everywhere: angles count from straight ahead."""
+    return np.full(len(position), np.pi / 2)
+
+
+_STAGE1, _STAGE3 = "stage1_candidates", "stage3_features"
+ABLATIONS = {
+    "the default": Ablation(),
+    "circles in the fan, Eq. 1": Ablation(("candidates.plane=fan",)),
+    "edges, not rings": Ablation(("candidates.detector=edge",)),
+    "the gap counts no more than the floor": Ablation(code={f"{_STAGE1}.GAP_SHARE": 0.5}),
+    "contrast in the whole frame's spread": Ablation(
+        code={f"{_STAGE1}.RingScore.__call__": spread_of_the_frame}
+    ),
+    "random walk, no measured motion": Ablation(("continuity.motion=random_walk",)),
+    "the pan alone is measured": Ablation(
+        code={"image_motion.SET_OUT": np.inf, "image_motion.LEAST_SEARCHED": 2.0}
+    ),
+    "no memory of lost objects": Ablation(("continuity.remember_frames=0",)),
+    "lost objects taken up half a diameter off": Ablation(
+        ("continuity.recall=0.5", "continuity.recall_in_view=0")
+    ),
+    "what returns counts at once as what it was": Ablation(
+        code={f"{_STAGE3}.track_matrix.VERY_ALIKE": -2.0, f"{_STAGE3}.track_matrix.OLD_SHARE": 1.0}
+    ),
+    "groups leave their own candidate for another's": Ablation(("continuity.own_candidate=2",)),
+    "groups begin and walk as wide as the paper's": Ablation(("continuity.sigma_known_px=10",)),
+    "each frame by itself": Ablation(("features.measurement=single",)),
+    "memory of one frame": Ablation(("features.memory_frames=1",)),
+    "angles from straight ahead, not the line of sight": Ablation(
+        code={"plane.FloorPlane.line_of_sight": straight_ahead}
+    ),
+    "cells of a symbol taken for independent": Ablation(("features.alike_radii=0",)),
+    "discs taken for evenly lit": Ablation(code={f"{_STAGE3}.expected_symbol.LIGHT": 0.0}),
+    "symbols as drawn, not as the beam smears them": Ablation(("features.beam_width_deg=0.01",)),
+    "each frame's belief, not the pool of the track's": Ablation(
+        code={f"{_STAGE3}.opinions.NOW": 1.0, f"{_STAGE3}.opinions.SO_FAR": 0.0}
+    ),
+    "declared from the first frame, however few beams": Ablation(
+        code={
+            f"{_STAGE3}.appearance.LEAST_FRAMES": 1,
+            f"{_STAGE3}.appearance.FRAMES_OF_FEW_BEAMS": 1,
+        }
+    ),
+    "offline": Ablation(preset="offline"),
+    "offline, spread though most frames disagree": Ablation(
+        code={"hindsight.LEAST_BORNE_OUT": 0.0}, preset="offline"
+    ),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """One recording and what is to recognise it. folders: of each ablation's results."""
+
+    kind: str
+    seed: int
+    frames: int
+    folders: Mapping[Path, Ablation]
+
+
+def recognise_trial(trial: Trial) -> None:
+    """The recording is rendered once for all."""
+    scene = random_scene(trial.seed, trial.kind, frames=trial.frames)
+    frames = list(render(scene))
+    for folder, ablation in trial.folders.items():
+        config = with_assignments(preset(ablation.preset), ablation.settings)
+        with ExitStack() as changed:
+            changed.enter_context(patch("tests.support.simulated.render", lambda _: frames))
+            for name, instead in ablation.code.items():
+                changed.enter_context(patch(f"sonarrec.recogniser.{name}", instead))
+            recognise(Job(scene, folder, [config]))
+
+
+def recognise_trials(trials: Sequence[Trial]) -> None:
+    """`recognise_trial` of each, PROCESSES at a time, on a core each."""
+    with ProcessPoolExecutor(
+        PROCESSES, multiprocessing.get_context("spawn"), cv2.setNumThreads, (1,)
+    ) as workers:
+        done = workers.map(recognise_trial, trials)
+        for _ in tqdm(done, total=len(trials), unit="recording", leave=False, disable=None):
+            pass
+
+
+def compare(
+    ablations: Mapping[str, Ablation], asked: argparse.Namespace, out: Path, what: str
+) -> None:
+    """Recognise, score and print a row for each. asked: see `parser`."""
+    drawn = [(kind, seed) for kind in asked.kinds for seed in asked.seeds]
+
+    def folder(i: int, kind: str, seed: int) -> Path:
+        return out / str(i) / f"{kind}_{seed}"
+
+    each = list(ablations.values())
+    recognise_trials(
+        [
+            Trial(
+                kind,
+                seed,
+                asked.frames,
+                {folder(i, kind, seed): ablation for i, ablation in enumerate(each)},
+            )
+            for kind, seed in drawn
+        ]
+    )
     lines = []
-    for name, changes in ABLATIONS.items():
-        one = strict[f"{FRAMEWORK}:{name}"]
+    for i, (name, ablation) in enumerate(ablations.items()):
+        found = score([folder(i, kind, seed) for kind, seed in drawn])
+        one = next(s for s in found.scored if (s.protocol, s.method) == ("strict", FRAMEWORK))
+        passes = len(find_passes(found.joined).first_frame_index)
         count, curve = one.count(), one.curve()
         lines.append(
-            {"in place": name, "setting": " ".join(changes)}
+            {"in place": name, "how": str(ablation)}
             | {"TPR": told(count.tpr, ".3f"), "FPR": told(count.fpr, ".4f")}
             | {f"at FPR {fpr:g}": told(curve.tpr_at(fpr), ".3f") for fpr in EQUAL_FPR}
         )
     show(
-        f"TPR and FPR, protocol strict, at the operating point, and TPR at equal FPR;\n"
-        f"{len(jobs)} recordings of {asked.frames} frames, {passes} passes of landmarks",
+        f"{what}: TPR and FPR, protocol strict, at the operating point, and TPR at equal FPR;\n"
+        f"{len(drawn)} recordings of {asked.frames} frames, {passes} passes of landmarks",
         lines,
     )
+
+
+def parser(module: str, out: str, about: str | None) -> argparse.ArgumentParser:
+    """Of the recordings that are asked for."""
+    parser = argparse.ArgumentParser(prog=f"python -m tests.studies.{module}", description=about)
+    parser.add_argument("--seeds", type=seeds, default=REPORTED[:4], help="first:end, end left out")
+    parser.add_argument("--kinds", nargs="+", choices=ALL_KINDS, default=KINDS_OF_SCENE)
+    parser.add_argument("--frames", type=int, default=FRAMES, help="of each recording")
+    parser.add_argument("--out", type=Path, default=Path("build") / out)
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Render, recognise, score and tell."""
+    asked = parser("ablation", "ablation", __doc__).parse_args(arguments)
+    begun = time.monotonic()
+    compare(ABLATIONS, asked, asked.out, "One idea at a time put back")
     print(f"\n{asked.out}; {(time.monotonic() - begun) / 60:.1f} minutes")
 
 

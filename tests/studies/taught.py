@@ -1,0 +1,92 @@
+"""`make taught`: the default with models that were taught less than the built-in one.
+
+Each is fitted anew to the samples of `make model`, without some features, kinds of scene or smears;
+the bias and all other curves have made up for it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from sonarrec.learning.built_in import recordings, simulated
+from sonarrec.learning.fit import fit
+from sonarrec.learning.samples import Samples
+from sonarrec.recogniser.stage3_features.description import FEATURES
+from sonarrec.recogniser.stage3_features.model import load_model
+from sonarrec.simulation.random_scenes import KINDS_OF_SCENE, STRETCH_KINDS
+from tests.studies.ablation import Ablation, compare, parser
+
+Lesson = Callable[[str, Samples], Samples | None]
+"""What of a recording of a kind of scene is taught; None: nothing."""
+
+
+def whole(kind: str, samples: Samples) -> Samples:  # noqa: ARG001
+    """All of it, as the built-in model."""
+    return samples
+
+
+def without(features: Sequence[str], kind: str, samples: Samples) -> Samples:  # noqa: ARG001
+    """A feature that is the same everywhere tells nothing: its curve is level."""
+    known = ~np.isin(FEATURES, features)
+    assert np.count_nonzero(~known) == len(features)
+    return replace(samples, features=samples.features * known)
+
+
+def as_sharp(kind: str, samples: Samples) -> Samples:  # noqa: ARG001
+    """Smeared pictures as if they were sharp: one set of curves."""
+    return replace(samples, smear=np.zeros_like(samples.smear))
+
+
+def among(kinds: Sequence[str], kind: str, samples: Samples) -> Samples | None:
+    """Recordings of some kinds alone."""
+    return samples if kind in kinds else None
+
+
+def not_among(kinds: Sequence[str], kind: str, samples: Samples) -> Samples | None:
+    """Recordings of all kinds but some."""
+    return None if kind in kinds else samples
+
+
+RING_OVER_GAP = ("ring_over_gap", "weakest_ring_over_gap")
+BESIDE = (
+    *("local_weakest_bright", "local_strongest_dark", "strongest_dark_over_floor"),
+    *("weakest_bright_half_share", "strongest_dark_half_share"),
+)
+LESSONS: dict[str, Lesson] = {
+    "all that the built-in model is taught": whole,
+    "no rivals: symbols that no ID has": partial(without, ("rival_misfit",)),
+    "the ring counted over the floor alone": partial(without, RING_OVER_GAP),
+    "sectors not counted from what lies beside them": partial(without, BESIDE),
+    "the same curves for sharp and smeared": as_sharp,
+    "never taught rings with symbols that are nobody's": partial(not_among, ("symbols",)),
+    "never taught debris": partial(not_among, ("debris",)),
+    "taught the basin's kinds alone": partial(among, KINDS_OF_SCENE + STRETCH_KINDS),
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Gather samples, fit, recognise, score and tell."""
+    asked = parser("taught", "taught", __doc__).parse_args(arguments)
+    begun = time.monotonic()
+    drawn = recordings()
+    with ProcessPoolExecutor() as workers:
+        samples = list(workers.map(simulated, *zip(*drawn, strict=True)))
+    asked.out.mkdir(parents=True, exist_ok=True)
+    taught = {}
+    for i, (name, lesson) in enumerate(LESSONS.items()):
+        parts = [lesson(kind, one) for (_, kind), one in zip(drawn, samples, strict=True)]
+        path = asked.out / f"{i}.toml"
+        path.write_text(fit([p for p in parts if p is not None]).as_toml(), encoding="utf-8")
+        taught[name] = Ablation(code={"recogniser.load_model": partial(load_model, path)})
+    compare(taught, asked, asked.out / "results", "Models that were taught less")
+    print(f"\n{asked.out}; {(time.monotonic() - begun) / 60:.1f} minutes")
+
+
+if __name__ == "__main__":
+    main()
