@@ -18,14 +18,21 @@ from tqdm import tqdm
 
 from sonarrec.config import preset, with_assignments
 from sonarrec.evaluation.counting.passes import find_passes
+from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.recogniser.plane import FloorPlane
 from sonarrec.recogniser.recogniser import FRAMEWORK
 from sonarrec.recogniser.stage1_candidates import Hills, RingScore
 from sonarrec.simulation.random_scenes import ALL_KINDS, KINDS_OF_SCENE, random_scene
 from sonarrec.simulation.simulate import render
+from sonarrec.simulation.unlike import UNLIKE_KINDS
 from tests.studies.scenes import FRAMES, REPORTED, seeds, show, told
 from tests.support.simulated import PROCESSES, Job, recognise, score
 
+WORLDS = {
+    "The pool": (KINDS_OF_SCENE, REPORTED[:4]),
+    "Other worlds": (UNLIKE_KINDS, REPORTED[:2]),
+}
+"""Kinds of scene and seeds of each table."""
 EQUAL_FPR = (0.002, 0.01)
 """Where TPRs are read off the curves, for another measurement may want another threshold."""
 
@@ -137,61 +144,57 @@ def recognise_trials(trials: Sequence[Trial]) -> None:
             pass
 
 
-def compare(
-    ablations: Mapping[str, Ablation], asked: argparse.Namespace, out: Path, what: str
-) -> None:
-    """Recognise, score and print a row for each. asked: see `parser`."""
-    drawn = [(kind, seed) for kind in asked.kinds for seed in asked.seeds]
-
-    def folder(i: int, kind: str, seed: int) -> Path:
-        return out / str(i) / f"{kind}_{seed}"
-
-    each = list(ablations.values())
-    recognise_trials(
-        [
-            Trial(
-                kind,
-                seed,
-                asked.frames,
-                {folder(i, kind, seed): ablation for i, ablation in enumerate(each)},
-            )
-            for kind, seed in drawn
-        ]
-    )
-    lines = []
-    for i, (name, ablation) in enumerate(ablations.items()):
-        found = score([folder(i, kind, seed) for kind, seed in drawn])
-        one = next(s for s in found.scored if (s.protocol, s.method) == ("strict", FRAMEWORK))
-        passes = len(find_passes(found.joined).first_frame_index)
-        count, curve = one.count(), one.curve()
-        lines.append(
-            {"in place": name, "how": str(ablation)}
-            | {"TPR": told(count.tpr, ".3f"), "FPR": told(count.fpr, ".4f")}
-            | {f"at FPR {fpr:g}": told(curve.tpr_at(fpr), ".3f") for fpr in EQUAL_FPR}
+def compare(ablations: Mapping[str, Ablation], asked: argparse.Namespace) -> None:
+    """Recognise, score and print a table of each of the worlds that are asked for."""
+    begun = time.monotonic()
+    worlds = WORLDS if asked.kinds is None else {"kinds as asked for": (asked.kinds, asked.seeds)}
+    for world, (kinds, numbers) in worlds.items():
+        drawn = [(kind, seed) for kind in kinds for seed in numbers]
+        folders = {
+            name: [asked.out / str(i) / f"{kind}_{seed}" for kind, seed in drawn]
+            for i, name in enumerate(ablations)
+        }
+        recognise_trials(
+            [
+                Trial(kind, seed, asked.frames, {folders[n][i]: a for n, a in ablations.items()})
+                for i, (kind, seed) in enumerate(drawn)
+            ]
         )
-    show(
-        f"{what}: TPR and FPR, protocol strict, at the operating point, and TPR at equal FPR;\n"
-        f"{len(drawn)} recordings of {asked.frames} frames, {passes} passes of landmarks",
-        lines,
-    )
+        found = {name: score(folders[name]) for name in ablations}
+        lines = [
+            {"in place": name, "how": str(ablation)} | _rates(found[name])
+            for name, ablation in ablations.items()
+        ]
+        passes = len(find_passes(next(iter(found.values())).joined).first_frame_index)
+        show(
+            f"{world}, {len(drawn)} recordings of {asked.frames} frames, {passes} passes of "
+            "landmarks:\nTPR and FPR, protocol strict, at the operating point, TPR at equal FPR",
+            lines,
+        )
+    print(f"\n{asked.out}; {(time.monotonic() - begun) / 60:.1f} minutes")
 
 
-def parser(module: str, out: str, about: str | None) -> argparse.ArgumentParser:
-    """Of the recordings that are asked for."""
+def _rates(found: Evaluation) -> dict[str, str]:
+    one = next(s for s in found.scored if (s.protocol, s.method) == ("strict", FRAMEWORK))
+    count, curve = one.count(), one.curve()
+    return {"TPR": told(count.tpr, ".3f"), "FPR": told(count.fpr, ".4f")} | {
+        f"at FPR {fpr:g}": told(curve.tpr_at(fpr), ".3f") for fpr in EQUAL_FPR
+    }
+
+
+def parser(module: str, about: str | None) -> argparse.ArgumentParser:
+    """Of what `compare` is asked."""
     parser = argparse.ArgumentParser(prog=f"python -m tests.studies.{module}", description=about)
-    parser.add_argument("--seeds", type=seeds, default=REPORTED[:4], help="first:end, end left out")
-    parser.add_argument("--kinds", nargs="+", choices=ALL_KINDS, default=KINDS_OF_SCENE)
+    parser.add_argument("--kinds", nargs="+", choices=ALL_KINDS, help="default: WORLDS")
+    parser.add_argument("--seeds", type=seeds, default=REPORTED[:4], help="of these kinds")
     parser.add_argument("--frames", type=int, default=FRAMES, help="of each recording")
-    parser.add_argument("--out", type=Path, default=Path("build") / out)
+    parser.add_argument("--out", type=Path, default=Path("build") / module)
     return parser
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Render, recognise, score and tell."""
-    asked = parser("ablation", "ablation", __doc__).parse_args(arguments)
-    begun = time.monotonic()
-    compare(ABLATIONS, asked, asked.out, "One idea at a time put back")
-    print(f"\n{asked.out}; {(time.monotonic() - begun) / 60:.1f} minutes")
+    compare(ABLATIONS, parser("ablation", __doc__).parse_args(arguments))
 
 
 if __name__ == "__main__":

@@ -6,7 +6,6 @@ the bias and all other curves have made up for it.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
@@ -72,8 +71,7 @@ LESSONS: dict[str, Lesson] = {
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Gather samples, fit, recognise, score and tell."""
-    asked = parser("taught", "taught", __doc__).parse_args(arguments)
-    begun = time.monotonic()
+    asked = parser("taught", __doc__).parse_args(arguments)
     drawn = recordings()
     with ProcessPoolExecutor() as workers:
         samples = list(workers.map(simulated, *zip(*drawn, strict=True)))
@@ -81,11 +79,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     taught = {}
     for i, (name, lesson) in enumerate(LESSONS.items()):
         parts = [lesson(kind, one) for (_, kind), one in zip(drawn, samples, strict=True)]
-        path = asked.out / f"{i}.toml"
+        path = asked.out / f"model_{i}.toml"
         path.write_text(fit([p for p in parts if p is not None]).as_toml(), encoding="utf-8")
         taught[name] = Ablation(code={"recogniser.load_model": partial(load_model, path)})
-    compare(taught, asked, asked.out / "results", "Models that were taught less")
-    print(f"\n{asked.out}; {(time.monotonic() - begun) / 60:.1f} minutes")
+    compare(taught, asked)
 
 
 if __name__ == "__main__":
