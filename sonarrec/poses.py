@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
-from sonarrec.records import FloatArray, Motion
+from sonarrec.records import FloatArray, IntArray, Motion
 
 # Longer than so many times the usual time between rows, nobody measured in between.
 GAP = 10
@@ -33,7 +32,7 @@ class PoseTable:
 
     name: str
     source: Mapping[str, str]
-    at: npt.NDArray[np.int64]
+    at: IntArray
     pose: FloatArray
     gap_ns: float
     problems: tuple[str, ...] = ()
@@ -43,7 +42,7 @@ class PoseTable:
         """Whether the pose at a time is told: from the first row to the last, and in no gap."""
         return self._at(time_ns) is not None
 
-    def at_times(self, times_ns: npt.NDArray[np.int64]) -> FloatArray:
+    def at_times(self, times_ns: IntArray) -> FloatArray:
         """(N, 3) the poses at (N,) times, as `pose` has them; NaN where they are not told."""
         after = np.clip(np.searchsorted(self.at, times_ns), 1, len(self.at) - 1)
         step = (self.at[after] - self.at[after - 1]).astype(float)
@@ -95,7 +94,7 @@ class PoseTable:
 def pose_table(
     name: str,
     source: Mapping[str, str],
-    at: npt.NDArray[np.int64],
+    at: IntArray,
     yaw_deg: FloatArray,
     x_m: FloatArray,
     y_m: FloatArray,

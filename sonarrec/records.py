@@ -14,9 +14,11 @@ import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.floating]
+FloatImage = npt.NDArray[np.float32]
 ByteImage = npt.NDArray[np.uint8]
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.int64]
+IndexArray = npt.NDArray[np.intp]
 
 PART = ".part"
 """How the name of a folder of results ends while its run is not finished; no other ends so."""
@@ -177,10 +179,10 @@ class Selection:
     of the frame, or of the surroundings.
     """
 
-    score_map: npt.NDArray[np.float32]
+    score_map: FloatImage
     positions: FloatArray
     scores: FloatArray
-    mean: npt.NDArray[np.float32]
+    mean: FloatImage
     sigma: FloatArray
 
 
@@ -196,13 +198,13 @@ class Groups:
     first. remembered: (m,) numbers of those that left the view and may return.
     """
 
-    numbers: npt.NDArray[np.int64]
+    numbers: IntArray
     positions: FloatArray
     spread: FloatArray
     existence: FloatArray
     sights: FloatArray
     in_view: BoolArray
-    remembered: npt.NDArray[np.int64]
+    remembered: IntArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,14 +6,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from sonarrec.config import Config
 from sonarrec.geometry import plane_from_polar
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.recogniser import FRAMEWORK, Recogniser
 from sonarrec.recogniser.stage3_features.description import FEATURES
-from sonarrec.records import Fan, FloatArray, Frame
+from sonarrec.records import Fan, FloatArray, Frame, IntArray
 
 # A track this near a true centre, in disc diameters, is on it; one farther than OFF is not. Those
 # between are neither and teach nothing.
@@ -32,10 +31,10 @@ class Tracks:
     name: str
     landmarks: LandmarkSet
     fan: Fan | None
-    frame: npt.NDArray[np.int64]
-    timestamp_ns: npt.NDArray[np.int64]
-    row: npt.NDArray[np.int64]
-    number: npt.NDArray[np.int64]
+    frame: IntArray
+    timestamp_ns: IntArray
+    row: IntArray
+    number: IntArray
     position: FloatArray
     features: FloatArray
     smear: FloatArray
@@ -51,8 +50,8 @@ class Samples:
 
     features: FloatArray
     smear: FloatArray
-    label: npt.NDArray[np.int64]
-    track: npt.NDArray[np.int64]
+    label: IntArray
+    track: IntArray
 
 
 class _Recorder:
@@ -108,9 +107,7 @@ def describe(
     )
 
 
-def label(
-    tracks: Tracks, row: npt.NDArray[np.int64], landmark: npt.NDArray[np.int64], place: FloatArray
-) -> Samples:
+def label(tracks: Tracks, row: IntArray, landmark: IntArray, place: FloatArray) -> Samples:
     """What the tracks of a recording truly are.
 
     row: (T,) frame, as index into tracks.frame, of each landmark of which anything shows.

@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 
 from sonarrec.recogniser.plane import Plane
-from sonarrec.recogniser.registration import FloatImage, FloorRegistration, Registered
-from sonarrec.records import ByteImage, FloatArray, Motion
+from sonarrec.recogniser.registration import FloorRegistration, Registered
+from sonarrec.records import ByteImage, FloatArray, FloatImage, Motion
 
 RANGES = 128
 BEARINGS = 192

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from sonarrec.records import FloatArray, IntArray
+from sonarrec.records import BoolArray, FloatArray, FloatImage, IndexArray, IntArray
 
-Rows = npt.NDArray[np.bool_] | npt.NDArray[np.intp]
+Rows = BoolArray | IndexArray
 """Which rows to take, in which order: a mask, or indices."""
 
 
@@ -85,7 +85,7 @@ class ParticleGroups(Table):
         return np.asarray((np.full((1, count), 1 / count, np.float32) @ self.particles)[:, 0])
 
     def weigh(
-        self, score_map: npt.NDArray[np.float32], z_hit: float, z_rand: float, hit_power: float
+        self, score_map: FloatImage, z_hit: float, z_rand: float, hit_power: float
     ) -> FloatArray:
         """Eq. 4: (n, particles) weights from the score map; each group's sum to 1."""
         if len(self) == 0:  # OpenCV refuses empty maps

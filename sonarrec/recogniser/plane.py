@@ -12,7 +12,6 @@ from abc import ABC, abstractmethod
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from sonarrec.geometry import (
     STEEPEST,
@@ -25,7 +24,7 @@ from sonarrec.geometry import (
     row_bands,
     slant_range,
 )
-from sonarrec.records import ByteImage, Fan, FloatArray, Motion, SonarrecError
+from sonarrec.records import ByteImage, Fan, FloatArray, FloatImage, Motion, SonarrecError
 
 
 class Plane(ABC):
@@ -79,7 +78,7 @@ class Plane(ABC):
     ) -> tuple[FloatArray, FloatArray]:
         """(column, row) of still objects once the sonar was carried, before it turns."""
 
-    def disc_share(self) -> npt.NDArray[np.float32]:
+    def disc_share(self) -> FloatImage:
         """`shape` float32: the share of a disc centred on each pixel that the fan shows."""
         margin = [int(np.ceil(axis)) for axis in self.axes]
         y, x = np.mgrid[-margin[1] : margin[1] + 1, -margin[0] : margin[0] + 1].astype(float)

@@ -14,12 +14,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from sonarrec.geometry import floor_depth
-from sonarrec.records import Fan, FloatArray
-
-FloatImage = npt.NDArray[np.float32]
+from sonarrec.records import ByteImage, Fan, FloatArray, FloatImage
 
 STEPS = 8
 CONVERGED = (3e-4, 3e-4, 2e-4)  # m, m, rad
@@ -210,7 +207,7 @@ class _Fit:
     registration: FloorRegistration
     later: FloatImage
     residual: FloatImage
-    inner: npt.NDArray[np.uint8]
+    inner: ByteImage
     slopes: FloatImage
     share: float
     match: float
@@ -269,7 +266,7 @@ class _Fit:
         return np.asarray((inverse @ pulls @ inverse)[:3, :3])
 
 
-def _slopes(r: FloorRegistration, picture: FloatImage, inner: npt.NDArray[np.uint8]) -> FloatImage:
+def _slopes(r: FloorRegistration, picture: FloatImage, inner: ByteImage) -> FloatImage:
     """(4, rows, columns) by how much a picture changes with the motion and the height."""
     down = cv2.Sobel(picture, cv2.CV_32F, 0, 1, ksize=1, scale=0.5) * inner
     across = cv2.Sobel(picture, cv2.CV_32F, 1, 0, ksize=1, scale=0.5) * inner

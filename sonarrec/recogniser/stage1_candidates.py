@@ -15,7 +15,7 @@ import numpy.typing as npt
 from sonarrec.config import Candidates
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.plane import Plane
-from sonarrec.records import ByteImage, Fan, FloatArray, Selection
+from sonarrec.records import ByteImage, Fan, FloatArray, FloatImage, IndexArray, Selection
 
 # The ring filter's dark surroundings, in disc radii: part of the gap inside, the floor outside.
 GAP_MARGIN = 0.03
@@ -30,9 +30,6 @@ LEAST_SIGMA = 0.5  # grey levels
 LEAST_LOCAL_SIGMA = 0.5  # of the whole frame's
 # Peaks that are compared with each other; a frame with more is noise from edge to edge.
 MOST_PEAKS = 64
-
-
-FloatImage = npt.NDArray[np.float32]
 
 
 class CandidateSelector:
@@ -313,9 +310,7 @@ def _band(radius: FloatArray, band: tuple[float, float], pixel: float) -> FloatA
     return np.asarray(np.minimum(inner, outer))
 
 
-def _refine(
-    score: npt.NDArray[np.float32], column: npt.NDArray[np.intp], row: npt.NDArray[np.intp]
-) -> FloatArray:
+def _refine(score: FloatImage, column: IndexArray, row: IndexArray) -> FloatArray:
     """(n, 2) peaks to a part of a pixel, by a parabola through three samples in each axis."""
     rows, columns = score.shape
     pixels, step = score.ravel(), np.array([[1], [columns]])  # along a row, and down a column

@@ -20,7 +20,6 @@ from typing import Literal
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from sonarrec.geometry import (
     fan_mask,
@@ -31,10 +30,8 @@ from sonarrec.geometry import (
     slant_range,
 )
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import ByteImage, Fan, FloatArray
+from sonarrec.records import ByteImage, Fan, FloatArray, FloatImage
 from sonarrec.simulation.motion import Pose
-
-Floats = npt.NDArray[np.float32]
 
 FINE, LIGHT = 1 / 3, 7 / 3  # scales, in radii of the disc
 # The fine mean must hold several cells of speckle: the echo over the mean of its own cell is 1, and
@@ -74,8 +71,8 @@ class Surface:
     """One frame as power. power: (rows, columns) float32, 0 where black. bare: the same with the
     texture between the two scales taken out: what a disc is made of."""
 
-    power: Floats
-    bare: Floats
+    power: FloatImage
+    bare: FloatImage
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,8 +81,8 @@ class Footprint:
     disc in a pixel, smear included. bright: (box) float32, of its ring and sectors."""
 
     box: tuple[slice, slice]
-    share: Floats
-    bright: Floats
+    share: FloatImage
+    bright: FloatImage
 
 
 class Composer:
@@ -189,7 +186,7 @@ class Composer:
 
     def _pattern(
         self, disc: LaidDisc, pose: Pose, patch_m: FloatArray, patch_deg: FloatArray
-    ) -> tuple[Floats, Floats]:
+    ) -> tuple[FloatImage, FloatImage]:
         """(bins, beams) float32, 0 or 1: the disc, and its bright parts, on a polar patch."""
         landmarks = self._landmarks
         ground = np.nan_to_num(ground_range(self.fan, patch_m))[:, None]
@@ -224,7 +221,7 @@ class Composer:
         return sides[0], sides[1]
 
     @staticmethod
-    def _box_mean(image: Floats, width: int) -> Floats:
+    def _box_mean(image: FloatImage, width: int) -> FloatImage:
         blurred = cv2.blur(image, (width, width), borderType=cv2.BORDER_CONSTANT)
         return np.asarray(blurred, np.float32)
 

@@ -12,9 +12,8 @@ from dataclasses import dataclass, fields
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
-from sonarrec.records import BoolArray, FloatArray, Groups, IntArray
+from sonarrec.records import BoolArray, FloatArray, Groups, IndexArray, IntArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +75,7 @@ def settled(values: FloatArray) -> FloatArray:
     return np.asarray(np.round(values, 6))
 
 
-def likeliest(probabilities: FloatArray) -> tuple[npt.NDArray[np.intp], FloatArray]:
+def likeliest(probabilities: FloatArray) -> tuple[IndexArray, FloatArray]:
     """(n,) index of the likeliest ID of (n, K + 1) beliefs, and (n,) the belief in it."""
     best = settled(probabilities[:, :-1]).argmax(axis=1)
     return best, probabilities[np.arange(len(best)), best]

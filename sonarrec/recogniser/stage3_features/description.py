@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.stage3_features import settled
 from sonarrec.recogniser.stage3_features.expected_symbol import ExpectedSymbols
 from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES, Bands, turned_codes
-from sonarrec.records import BoolArray, FloatArray
+from sonarrec.records import BoolArray, FloatArray, IndexArray
 
 # Levels are in standard deviations of the frame. Those named "local" count the symbol from the gap
 # in the same direction: echoes that come late and light that falls unevenly lie over both alike.
@@ -81,7 +80,7 @@ class _Parts:
         self._member = turned.reshape(ANGLES, -1)
 
     def levels(
-        self, symbol: FloatArray, weight: FloatArray, turn: npt.NDArray[np.intp]
+        self, symbol: FloatArray, weight: FloatArray, turn: IndexArray
     ) -> tuple[FloatArray, BoolArray]:
         """Mean level of every part for every ID's turn, and whether enough of it has shown.
 
@@ -220,7 +219,7 @@ def _most(level: FloatArray, among: BoolArray) -> FloatArray:
 
 
 def _exact_turn(
-    correlation: FloatArray, turn: npt.NDArray[np.intp], best: FloatArray
+    correlation: FloatArray, turn: IndexArray, best: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """(n, K) the turn to a part of a step, and its standard error.
 
@@ -267,7 +266,7 @@ def _steepness(
     return mean, np.where(count > 0, least, 0.0)
 
 
-def _summit(correlation: FloatArray, turn: npt.NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
+def _summit(correlation: FloatArray, turn: IndexArray) -> tuple[FloatArray, FloatArray]:
     """(n, K) the summit of (n, ANGLES, K) next to a whole turn, and how sharply it bends there.
 
     Through three samples, each the mean of three: the sector edges make the very top flat.

@@ -20,12 +20,11 @@ import math
 from functools import cache
 
 import numpy as np
-import numpy.typing as npt
 
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.stage3_features import settled
 from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES, STEP, Bands
-from sonarrec.records import FloatArray
+from sonarrec.records import BoolArray, FloatArray
 
 # Typical echo levels in dB over the floor, and the noise beneath: they say how the logarithm of the
 # picture bends a smeared edge. Correlations hardly depend on them.
@@ -82,7 +81,7 @@ class ExpectedSymbols:
         self._expected = cache(self._whitened)
 
     def correlation(
-        self, cells: FloatArray, seen: npt.NDArray[np.bool_], smear: FloatArray
+        self, cells: FloatArray, seen: BoolArray, smear: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """(n, ANGLES, K) correlation with every ID at every rotation, (n,) best with a rival.
 

@@ -12,10 +12,9 @@ from itertools import pairwise
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import ByteImage, FloatArray, IntArray
+from sonarrec.records import BoolArray, ByteImage, FloatArray, FloatImage, IntArray
 
 ANGLES = 36
 STEP = 2 * np.pi / ANGLES
@@ -77,9 +76,9 @@ class ShapeSampler:
         inside: ByteImage,
         centres: FloatArray,
         start_rad: FloatArray,
-        mean: npt.NDArray[np.float32],
+        mean: FloatImage,
         sigma: FloatArray | float,
-    ) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+    ) -> tuple[FloatArray, BoolArray]:
         """Brightness (n, L, ANGLES) float64 and where it was seen (n, L, ANGLES) bool.
 
         Brightness is counted from the mean of each object's surroundings, in standard deviations

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from sonarrec.recogniser.stage3_features import Beliefs
 from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES, Bands
-from sonarrec.records import FloatArray
+from sonarrec.records import BoolArray, FloatArray, IndexArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,7 +17,7 @@ class Identification:
 
     similarity: FloatArray
     """(n, K) share of inner cells that agree with each ID, at the one rotation that fits best."""
-    turn: npt.NDArray[np.intp]
+    turn: IndexArray
     """(n,) that rotation in steps."""
     ring: FloatArray
     """(n,) share of ring cells that are bright."""
@@ -46,7 +45,7 @@ class Identification:
         return without_none(self.measurement(), self.turn)
 
 
-def without_none(probabilities: FloatArray, turn: npt.NDArray[np.intp]) -> Beliefs:
+def without_none(probabilities: FloatArray, turn: IndexArray) -> Beliefs:
     """(n, K) beliefs of a method that knows no 'none of these', and no error of (n,) turns."""
     n = len(turn)
     return Beliefs(
@@ -57,9 +56,7 @@ def without_none(probabilities: FloatArray, turn: npt.NDArray[np.intp]) -> Belie
     )
 
 
-def identify(
-    grey: FloatArray, seen: npt.NDArray[np.bool_], bands: Bands, turned: FloatArray
-) -> Identification:
+def identify(grey: FloatArray, seen: BoolArray, bands: Bands, turned: FloatArray) -> Identification:
     """Single-frame shape-matrix identification of sampled objects.
 
     grey, seen: (n, L, ANGLES) from ShapeSampler. turned: from turned_codes. Cells are bright above
@@ -85,7 +82,7 @@ def identify(
     return Identification(fit[np.arange(len(grey)), turn], turn, ring)
 
 
-def otsu_levels(values: FloatArray, seen: npt.NDArray[np.bool_]) -> FloatArray:
+def otsu_levels(values: FloatArray, seen: BoolArray) -> FloatArray:
     """(n,) Otsu's threshold of each row of (n, m) values, over the cells that were seen.
 
     The level that maximises the variance between the two classes it makes; brute force over the

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from sonarrec.recogniser.stage3_features import Gathered
 from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES, whole_steps
-from sonarrec.records import FloatArray, Groups, IntArray
+from sonarrec.records import BoolArray, FloatArray, Groups, IntArray
 
 _T = TypeVar("_T", bound=np.generic)
 # What comes back is judged by what it shows now. What it showed before it left counts again, by a
@@ -59,7 +59,7 @@ class TrackMatrix:
         # What those that left showed, and those that came back and have not earned it yet.
         self._before: dict[int, _Picture] = {}
 
-    def step(self, groups: Groups, grey: FloatArray, seen: npt.NDArray[np.bool_]) -> Gathered:
+    def step(self, groups: Groups, grey: FloatArray, seen: BoolArray) -> Gathered:
         """Add a frame's matrices (n, L, ANGLES). Returns the averages of what is in view.
 
         Tracks that are neither in view nor remembered are forgotten.
