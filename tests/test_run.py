@@ -453,15 +453,15 @@ def test_died_in_the_middle_is_not_passed_off_as_whole(
 ) -> None:
     sonarrec("run", pings)
     before = Path("sonarrec_out/pings/estimates.csv").read_bytes()
-    follow, calls = Recogniser.follow, []
+    stage2, calls = Recogniser.stage2, []
 
     def failing(*arguments: object) -> object:
         calls.append(1)
         if len(calls) == 5:
             raise RuntimeError("power cut")
-        return follow(*arguments)  # type: ignore[arg-type]
+        return stage2(*arguments)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(Recogniser, "follow", failing)
+    monkeypatch.setattr(Recogniser, "stage2", failing)
     with pytest.raises(RuntimeError, match="power cut"):
         sonarrec("run", pings, "--overwrite")
     run = tomllib.loads(Path("sonarrec_out/pings.part/run.toml").read_text())

@@ -2,5 +2,5 @@
 
 import cv2
 
-# Intel's routines in OpenCV round otherwise than its own, and otherwise on each processor.
+# Intel's routines in OpenCV round differently from its own, and differently on each processor.
 cv2.ipp.setUseIPP(False)

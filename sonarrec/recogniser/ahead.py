@@ -1,4 +1,4 @@
-"""Items made in a thread a few ahead: while one is worked on, the next are made."""
+"""A few items made ahead in a thread: while one is worked on, the next are made."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ import cv2
 
 T = TypeVar("T")
 DEPTH = 4
-"""How many wait at most; images are large."""
+"""How many items wait at most: images are large."""
 
 
 class Ahead(Generic[T]):
-    """One pass over the items of an iterable, in order; an exception comes in its turn too.
+    """One pass over an iterable, in order, whose items are made in another thread.
 
-    The items are made in one thread and taken in another. To be closed in the end.
+    An exception that the iterable raises comes after the items before it. Call `close` in the end.
     """
 
     def __init__(self, items: Iterable[T]) -> None:
@@ -31,7 +31,7 @@ class Ahead(Generic[T]):
         self._thread.start()
 
     def _make(self, items: Iterable[T]) -> None:
-        cv2.ipp.setUseIPP(False)  # as in the package: it is off for one thread at a time
+        cv2.ipp.setUseIPP(False)  # as in __init__.py: each thread has its own switch
         last: BaseException | None = None
         try:
             left = iter(items)
@@ -56,7 +56,7 @@ class Ahead(Generic[T]):
             raise made
 
     def close(self) -> None:
-        """End the thread, once it is through with the item it makes."""
+        """End the thread, once the item in the making is done."""
         self._closed = True
         self._room.put(None)
         self._thread.join()

@@ -1,8 +1,8 @@
 """How wide the sonar's beams are, where neither messages nor settings tell it.
 
-Speckle is alike over as much of the bearing as a beam takes in: the correlation of an even floor's
-picture along the bearing falls off as the beam does. Along the range speckle changes from bin to
-bin, while landmarks, light and the floor's own pattern change slowly; so these are taken out first.
+One grain of speckle is as wide as a beam: on an even floor the picture's correlation along the
+bearing falls off as the beam pattern does. Along the range speckle changes from bin to bin, while
+landmarks, light and the floor's own pattern change slowly; a mean along the range takes these out.
 """
 
 from __future__ import annotations
@@ -18,23 +18,25 @@ from sonarrec.geometry import pixel_from_polar
 from sonarrec.records import ByteImage, Fan, Frame
 
 FRAMES_FOR_BEAMS = 4
-"""So many of a log's first frames are looked at."""
-# Degrees: of fields of view up to so wide, the beams that their sonars have: acoustic cameras
-# (DIDSON, ARIS), multibeam sonars of 60 deg, and of 120 to 130.
+"""How many of a log's first frames are looked at."""
+# (field of view up to, beam width) in degrees: acoustic cameras (DIDSON, ARIS), multibeam sonars
+# of 60 deg, and those of 120 to 130.
 USUAL_DEG = ((40.0, 0.4), (80.0, 0.6), (360.0, 1.0))
-# A measured width counts where it differs from the usual one by more than this factor: a floor in
-# relief, which is alike over more than a beam, looks like beams up to twice as wide (tuning seeds).
+# A measured width counts where it differs from the usual one by more than this factor: relief on
+# the floor is correlated over more than a beam, and looks like beams twice as wide (tuning seeds).
 CLEARLY = 2.2
 NARROWEST_DEG, WIDEST_DEG = 0.15, 3.0
 STEP_DEG = 0.05
 MOST_ROWS = 256
+# The correlation is measured at lags up to LAGS_DEG; its mean from BASE_FROM_DEG on counts as 0.
 LAGS_DEG, BASE_FROM_DEG = 6.0, 4.0
 RANGE_MEAN_PX = 7
 CLIP = 2.5  # deviations
-# The correlation is fitted from where a beam's own noise has gone to where it is lost.
+# The part of the fall-off that is fitted: noise of single beams raises what lies above it, chance
+# what lies below.
 FIT_FROM, FIT_TO = 0.5, 0.06
-# Variance of the fall-off, in beam widths squared: of the beam itself and of the interpolation
-# between beams that lie two thirds of their width apart (simulated sonars, tuning seeds).
+# Variance of a Gaussian through the fall-off, in beam widths squared. The beam itself makes a part
+# of it, interpolation between beams two thirds of a width apart the rest (simulated sonars).
 VARIANCE = 0.45
 
 
@@ -43,8 +45,8 @@ def with_beams(
 ) -> tuple[list[Config], list[str]]:
     """The settings with the beams' width where it is to be found out, and a note on it.
 
-    told_deg: what the log tells, None where it does not. begin: its first FRAMES_FOR_BEAMS frames,
-    at least one. Nothing is noted where the width is what the field of view lets one expect.
+    told_deg: the width that the log states, None where it does not. begin: its first
+    FRAMES_FOR_BEAMS frames, at least one. No note where the width is the usual one.
     """
     needs = [not c.features.beam_width_deg and c.features.measurement != "single" for c in configs]
     if not any(needs):
@@ -66,7 +68,7 @@ def with_beams(
 
 
 def usual_beam_width_deg(fan: Fan) -> float:
-    """Between half-power points, two-way, by the fan's field of view."""
+    """What sonars of the fan's field of view have: between two-way half-power points."""
     view_deg = fan.bearing_max_deg - fan.bearing_min_deg
     return next(width for widest, width in USUAL_DEG if view_deg <= widest)
 

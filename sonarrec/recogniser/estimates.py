@@ -1,4 +1,4 @@
-"""From arrays in working pixels to Estimates; what an ID is declared by."""
+"""Turns the stages' arrays, in working pixels, into Estimates; when an ID is declared."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ import numpy as np
 
 from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.recogniser.followed import Batch
+from sonarrec.recogniser.between_stages import Batch
 from sonarrec.recogniser.plane import Plane
 from sonarrec.recogniser.stage3_features import Beliefs, likeliest, settled
 from sonarrec.recogniser.stage3_features.shape_matrix import STEP_DEG, whole_steps
 from sonarrec.recogniser.stage3_features.smi import Identification
 from sonarrec.records import BoolArray, Estimate, FloatArray, IntArray
 
-# Standard error of a group's mean, in shares of its particles' spread: chosen on tuning seeds, held
-# against the truth by `make scenes`.
+# Standard error of a group's mean, as a share of its particles' spread: chosen on tuning seeds,
+# checked against the truth by `make scenes`.
 POSITION_SHARE = 0.33
 
 
@@ -24,7 +24,7 @@ def declared(score: FloatArray | float, threshold: float) -> BoolArray:
 
 
 class EstimateMaker:
-    """Puts what a method says of its objects into Estimates."""
+    """Makes the Estimates of both methods from their arrays."""
 
     def __init__(self, config: Config, plane: Plane, landmarks: LandmarkSet) -> None:
         self._plane = plane
@@ -33,42 +33,44 @@ class EstimateMaker:
         self._declare_smi = config.smi.declare
 
     def of_groups(self, method: str, batch: Batch, beliefs: Beliefs) -> list[Estimate]:
-        """What the framework says of a batch's groups. Its score is the belief in the ID."""
+        """The framework's estimates of a batch's groups. Its score is the belief in the ID."""
         _, scores = likeliest(beliefs.probabilities)
         return self._estimates(
             method,
-            batch.numbers,
-            batch.positions,
-            batch.existence,
-            beliefs,
-            scores,
-            self._declare,
-            self._plane.polar_sigma(batch.positions, POSITION_SHARE * batch.spread),
-            batch.sights,
-            batch.gathered.chapters,
-            batch.in_view,
+            objects=batch.numbers,
+            positions=batch.positions,
+            existence=batch.existence,
+            beliefs=beliefs,
+            scores=scores,
+            threshold=self._declare,
+            sigma=self._plane.polar_sigma(batch.positions, POSITION_SHARE * batch.spread),
+            sights=batch.sights,
+            chapters=batch.gathered.chapters,
+            in_view=batch.in_view,
         )
 
     def of_candidates(self, method: str, batch: Batch, found: Identification) -> list[Estimate]:
-        """What SMI says of a batch's candidates. It knows no standard errors."""
-        unknown: FloatArray = np.full(len(batch.candidates), np.nan)
+        """SMI's estimates of a batch's candidates. It has no standard errors."""
+        n = len(batch.candidates)
+        unknown: FloatArray = np.full(n, np.nan)
         return self._estimates(
             method,
-            batch.candidate_numbers,
-            batch.candidates,
-            batch.scores,
-            found.beliefs,
-            found.score,
-            self._declare_smi,
-            (unknown, unknown),
-            np.zeros(len(batch.candidates)),
-            np.zeros(len(batch.candidates), np.int64),
-            np.ones(len(batch.candidates), bool),
+            objects=batch.candidate_numbers,
+            positions=batch.candidates,
+            existence=batch.scores,
+            beliefs=found.beliefs,
+            scores=found.score,
+            threshold=self._declare_smi,
+            sigma=(unknown, unknown),
+            sights=np.zeros(n),
+            chapters=np.zeros(n, np.int64),
+            in_view=np.ones(n, bool),
         )
 
     def _estimates(
         self,
         method: str,
+        *,
         objects: IntArray,
         positions: FloatArray,
         existence: FloatArray,

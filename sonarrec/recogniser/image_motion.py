@@ -1,8 +1,8 @@
-"""How the sonar moved, as its images show it: a turn alone where it stands, else all three.
+"""The sonar's motion as its images show it: the pan where it stands, else surge, sway and yaw.
 
-Most sonars stand on a tripod and pan. There the turn alone is measured along the bearing, which is
-cheap and robust, and a quick look at what it leaves over tells whether the sonar began to move. Of
-a sonar under way surge, sway and yaw are registered from frame to frame.
+Most sonars stand on a tripod and pan. There the pan alone is measured, by correlation along the
+bearing, which is cheap and robust; a quick registration of what the pan leaves over tells when the
+sonar sets out. Under way, surge, sway and yaw are registered from frame to frame.
 """
 
 from __future__ import annotations
@@ -19,43 +19,42 @@ from sonarrec.records import ByteImage, FloatArray, FloatImage, Motion
 
 RANGES = 128
 BEARINGS = 192
-# Of the field of view: how much of two frames must overlap for their match to be believed.
-LEAST_OVERLAP = 0.4
+LEAST_OVERLAP = 0.4  # of two frames, as a share of the field of view
 
-# Least match of a registration to be believed: one from the last frame's motion, and one that was
-# searched for. Pictures of different floor match by up to 0.2 (tuning seeds), and loosely then.
+# Least match of a registration that is believed: one that started from the last frame's motion,
+# and one that was searched for. Pictures of different floor match by up to 0.2 (tuning seeds), with
+# wide standard errors.
 LEAST_NEAR, LEAST_SEARCHED = 0.1, 0.25
-# Standard errors (m, m, rad) beyond which a registration tells nothing.
+# Standard errors (m, m, rad) beyond which a registration is not believed.
 LOOSEST = (0.015, 0.015, math.radians(0.6))
-# By so much more must pictures match than by a turn alone for the sonar to have moved.
+# A sonar has set out where a searched registration matches by this much more than the pan alone.
 BETTER = 0.1
-# A standing sonar whose pictures match by less than this share of what they usually do may have
-# begun to move. What they do at first, before it is known.
+# A standing sonar may have set out where the match falls below this share of its usual value: the
+# mean over the last USUAL_MEMORY frames, FIRST_USUAL to begin with.
 USUAL_SHARE, FIRST_USUAL, USUAL_MEMORY = 0.75, 0.8, 20.0
-# So often, in frames, a standing sonar that matches as usual is looked at for what a turn leaves.
-LOOK_EVERY = 4
-# Where a turn explains little, any motion is searched for: in the next frame again, then after two,
-# four and so on, up to so many. Of a fast vehicle about every second pair of frames tells.
+LOOK_EVERY = 4  # frames between quick registrations of a standing sonar that matches as usual
+# Where the pan explains little, any motion is searched for: in the next frame again, then after 2,
+# 4 and so on, up to so many. Of a fast vehicle about every second pair of frames can be registered.
 MOST_PAUSE = 8
-# Forgetting of what says that the sonar moves, from frame to frame; chi-squares (2) above which it
-# sets out, and below which it stands again.
+# Evidence for a translation fades by this factor from frame to frame. Its chi-square, of 2 degrees
+# of freedom: above the first a standing sonar sets out, below the second a moving one stands.
 KEEP = 0.9
 SET_OUT, STAND = 40.0, 10.0
-LEAST_UNDER_WAY = 8  # frames
-# Standard errors where nothing is measured: of a sonar under way about its last speed, and of any.
+LEAST_UNDER_WAY = 8  # frames before a moving sonar may be found to stand
+# Standard errors where nothing is measured: about the last speed of a sonar under way, and where
+# no speed is known.
 LOST_M_S, LOST_DEG_S = 0.15, 8.0
 UNKNOWN_M_S, UNKNOWN_DEG_S = 0.5, 20.0
-MOST_LOST = 8  # frames
-USUAL_STEP_S = 0.25
-# Of the way made, what an unknown height and the flat floor may be wrong by.
-SCALE_ERROR = 0.005
+MOST_LOST = 8  # frames in a row without a registration, after which the speed is not known
+USUAL_STEP_S = 0.25  # between frames whose times do not rise
+SCALE_ERROR = 0.005  # of the distance made, by an uncertain height and a floor that is not flat
 
 
 class PanEstimator:
     """Pan between consecutive working images by correlation along the bearing.
 
-    picture: the last image's, (RANGES, BEARINGS) float32 grey over the mean of its range bin and
-    of its beam, 0 where nothing is seen.
+    picture: (RANGES, BEARINGS) float32 of the last image: grey level less the mean of its range bin
+    and of its beam, 0 where nothing is seen.
     """
 
     def __init__(self, plane: Plane) -> None:
@@ -88,14 +87,14 @@ class PanEstimator:
         """
         polar = np.asarray(cv2.remap(image, self._column, self._row, cv2.INTER_LINEAR), np.float32)
         polar *= self.seen
-        # What does not turn with the floor would match at no shift: the fall-off with range is in
-        # the mean of each range bin, the gain of each beam in the mean of each beam.
+        # What does not turn with the floor would pull the match to no shift. The means of the range
+        # bins hold the fall-off with range, those of the beams the beams' gains.
         polar -= polar.sum(axis=1, keepdims=True) / self._cells
         polar *= self.seen
         polar -= polar.mean(axis=0)
         polar *= self.seen
         self.picture = polar
-        # Twice as wide, so that no beam meets one from the other edge.
+        # Zero-padded to twice the width, so that no beam meets one from the other edge.
         wide = cv2.copyMakeBorder(polar, 0, 0, 0, BEARINGS, cv2.BORDER_CONSTANT)
         spectrum = np.asarray(cv2.dft(wide, flags=cv2.DFT_ROWS), np.float32)
         energy = np.concatenate([[0.0], np.cumsum((polar**2).sum(axis=0, dtype=float))])
@@ -123,14 +122,15 @@ class PanEstimator:
 
 @dataclass(slots=True)
 class _Drift:
-    """What the last frames, fading from one to the next, say of a translation.
+    """The evidence for a translation in the last frames, which fades from one to the next.
 
-    sigma: (2,) standard error of a steady motion (m a frame) that these frames would show; None
-    where there are none.
+    A Gaussian in information form: matrix (2, 2), the sum of inverse covariances; vector (2,), the
+    sum of these times the translations (m). sigma: (2,) standard error of a steady translation (m a
+    frame) that these frames would show; None where there are none.
     """
 
-    pull: FloatArray
-    weight: FloatArray
+    vector: FloatArray
+    matrix: FloatArray
     sigma: FloatArray | None = None
 
     @classmethod
@@ -138,20 +138,21 @@ class _Drift:
         return cls(np.zeros(2), np.zeros((2, 2)))
 
     def add(self, found: Registered) -> float:
-        """Take in a frame. Returns the chi-square (2) against a sonar that stands."""
-        weight = np.linalg.inv(found.covariance[:2, :2] + 1e-9 * np.eye(2))
-        self.pull = KEEP * self.pull + weight @ found.motion[:2]
-        self.weight = KEEP * self.weight + weight
-        inverse = np.linalg.inv(self.weight)
+        """Take in a frame. Returns the chi-square, of 2 degrees of freedom, of not standing."""
+        information = np.linalg.inv(found.covariance[:2, :2] + 1e-9 * np.eye(2))
+        self.vector = KEEP * self.vector + information @ found.motion[:2]
+        self.matrix = KEEP * self.matrix + information
+        inverse = np.linalg.inv(self.matrix)
+        # So much less does the faded mean of independent frames vary than inverse says.
         self.sigma = np.sqrt(np.diag(inverse) / (1 + KEEP))
-        return float(self.pull @ inverse @ self.pull) * (1 + KEEP)
+        return float(self.vector @ inverse @ self.vector) * (1 + KEEP)
 
 
 class ImageMotion:
     """The motion from image to image of one log."""
 
     def __init__(self, plane: Plane, min_match: float) -> None:
-        """min_match: correlation below which a turn alone is not believed."""
+        """min_match: correlation below which a pan is not believed."""
         self.pan = PanEstimator(plane)
         self._min_match = min_match
         self._registration = FloorRegistration(
@@ -159,13 +160,14 @@ class ImageMotion:
         )
         self._drift = _Drift.none()
         self._usual = FIRST_USUAL
-        self._speed: FloatArray | None = None  # (3,) a second; None: it stands
-        self._under_way = self._lost = self._unseen = 0  # frames
-        self._pan_sigma: float | None = None  # of a turn, as last looked at
-        self._pause = self._unsearched = 0  # frames
+        self._speed: FloatArray | None = None  # (3,) m, m and rad a second; None: it stands
+        self._under_way = self._lost = 0  # frames
+        self._unseen = 0  # frames since the last quick registration
+        self._pan_sigma: float | None = None  # deg, by the last quick registration
+        self._pause = self._unsearched = 0  # frames between searches, and since the last
 
     def step(self, image: ByteImage, seconds: float | None) -> Motion | None:
-        """The motion since the last image; its last speed where a sonar under way loses the floor.
+        """The motion since the last image; where it cannot be measured under way, the speed stays.
 
         image: the working image. seconds: since the last one, None for the first, which has none.
         """
@@ -180,7 +182,7 @@ class ImageMotion:
         return self._standing(before, pan_deg, match, seconds)
 
     def turn(self, image: ByteImage) -> float | None:
-        """The turn alone since the last image, deg; None where it is not to be believed."""
+        """The pan alone since the last image, deg; None where it is not to be believed."""
         pan_deg, match = self.pan.step(image)
         return pan_deg if match >= self._min_match else None
 
@@ -204,7 +206,7 @@ class ImageMotion:
                 self._drift, self._under_way = _Drift.none(), 0
                 self._pause = 0
                 return self._went(found, seconds)
-            # So this is how a sonar that stands matches here.
+            # It stands: pictures of this floor match no better.
             self._usual = match
             self._unsearched = 0
             self._pause = min(max(2 * self._pause, 1), MOST_PAUSE)
@@ -240,7 +242,7 @@ class ImageMotion:
     def _registered(
         self, before: FloatImage, start: FloatArray, *, searched: bool
     ) -> Registered | None:
-        """A registration to be believed, from `start` or from the best of the grid."""
+        """A registration from `start` or from a search; None where it is not believed."""
         now = self.pan.picture
         if searched:
             start = self._registration.searched(before, now)
@@ -250,12 +252,13 @@ class ImageMotion:
         return found if found.match >= (LEAST_SEARCHED if searched else LEAST_NEAR) else None
 
     def _went(self, found: Registered, seconds: float) -> Motion:
+        """The motion of a sonar that is under way; its speed is kept."""
         self._speed, self._lost = found.motion / seconds, 0
         return _motion(found)
 
 
 def unknown(seconds: float) -> Motion:
-    """Of a sonar of which nothing is known but that vehicles are slow."""
+    """Where nothing is measured, and all that is known is that vehicles are slow."""
     metres, degrees = UNKNOWN_M_S * seconds, UNKNOWN_DEG_S * seconds
     return Motion(0.0, 0.0, 0.0, degrees, metres, metres, known=False)
 

@@ -1,4 +1,4 @@
-"""How the sonar moved between two frames: as a table tells it, else as the frames show it."""
+"""The sonar's motion from frame to frame: from a table of poses, else from the images."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from sonarrec.recogniser.image_motion import ImageMotion
 from sonarrec.recogniser.plane import Plane
 from sonarrec.records import ByteImage, Motion
 
-# A table of poses is held against the images where the sonar turned as far as this, and doubted
-# where most of at least so many frames contradict it.
+# The table's turns are compared with the images' where either is at least this large. The table is
+# doubted where the images contradict most of at least so many turns.
 LEAST_TURN_DEG = 0.3
 LEAST_COMPARED = 10
 
 
 class Odometry:
-    """The sonar's motion from frame to frame: as a table tells it, else as the images show it."""
+    """The sonar's motion: from the table of poses where it tells it, else from the images."""
 
     def __init__(self, plane: Plane, config: Continuity, poses: PoseTable | None = None) -> None:
         self._images = ImageMotion(plane, config.min_match) if config.motion == "image" else None
@@ -25,9 +25,9 @@ class Odometry:
         self._frames = self._untold = self._compared = self._differing = 0
 
     def step(self, image: ByteImage, timestamp_ns: int) -> Motion | None:
-        """The motion since the last frame; None for the first, and where neither source looked.
+        """The motion since the last frame; None for the first, and where images are not looked at.
 
-        Of what neither source tells it is not `known`. image: the working image. timestamp_ns: of
+        Where neither source tells it, it is not `known`. image: the working image. timestamp_ns: of
         the frame.
         """
         before, self._before_ns = self._before_ns, timestamp_ns
@@ -52,7 +52,7 @@ class Odometry:
             self._differing += abs(told_deg - seen_deg) > 0.5 * max(abs(told_deg), abs(seen_deg))
 
     def problems(self) -> list[str]:
-        """What of the table could not be used, so far."""
+        """So far: what is wrong with the table, and which frames it has no pose for."""
         if self._poses is None:
             return []
         if not self._untold:

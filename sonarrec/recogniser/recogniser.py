@@ -15,8 +15,8 @@ from sonarrec.landmarks import LandmarkSet
 from sonarrec.poses import PoseTable
 from sonarrec.recogniser.ahead import Ahead
 from sonarrec.recogniser.beam_width import usual_beam_width_deg
+from sonarrec.recogniser.between_stages import AfterStage1, AfterStage2, Batch
 from sonarrec.recogniser.estimates import EstimateMaker
-from sonarrec.recogniser.followed import Batch, Followed, Looked
 from sonarrec.recogniser.odometry import Odometry
 from sonarrec.recogniser.plane import working_plane
 from sonarrec.recogniser.stage1_candidates import CandidateSelector
@@ -30,7 +30,7 @@ from sonarrec.records import Fan, Frame, FrameResult
 
 SMI = "smi"
 FRAMEWORK = "framework"
-# Stage 3 takes so many frames at once, for a third of the cost; more would hardly save more.
+# Stage 3 takes so many frames at once: a third of the cost of one by one. More save little more.
 FRAMES_AT_ONCE = 16
 
 
@@ -53,9 +53,9 @@ class Recogniser:
     ) -> None:
         """fan: the geometry that all frames of the log share. model: default, the built-in one.
 
-        method: the name of the framework's estimates. smi: the same of the single-frame method;
-        None: it makes none. poses: what they tell of the sonar's motion stands in place of what
-        the images show.
+        method: the name of the framework's estimates. smi: the name of the single-frame method's;
+        None: it is not run. poses: where they tell the sonar's motion, it is not measured in the
+        images.
         """
         rng = np.random.default_rng(config.seed)
         select, features, radius_m = config.candidates, config.features, landmarks.radius_m
@@ -89,44 +89,53 @@ class Recogniser:
 
     def step(self, frame: Frame) -> FrameResult:
         """The three stages over the log's next frame alone."""
-        return self.judge([self.follow(self.look(frame))])[0]
+        return self.stage3([self.stage2(self.stage1(frame))])[0]
 
-    def look(self, frame: Frame) -> Looked:
-        """Stage 1 of any frame of the log."""
+    def stage1(self, frame: Frame) -> AfterStage1:
+        """Candidate selection (Section 3.2): where could a landmark's circle be? Of any frame."""
         image = self._plane.warp(frame.image)
-        # Stage 1, candidate selection (Section 3.2): where could a landmark's circle be?
-        return Looked(frame.index, frame.timestamp_ns, image, self._select(image))
+        return AfterStage1(frame.index, frame.timestamp_ns, image, self._select(image))
 
-    def follow(self, looked: Looked) -> Followed:
-        """Stage 2 of the log's next frame, and the shape matrices for stage 3."""
-        image, selection = looked.image, looked.selection
-        # Stage 2, continuity evaluation (Section 3.3): which candidates are objects that persist?
-        motion = self.odometry.step(image, looked.timestamp_ns)
+    def stage2(self, frame: AfterStage1) -> AfterStage2:
+        """Continuity evaluation (Section 3.3): which candidates are objects that persist?
+
+        Of the log's next frame. The shape matrices for stage 3 are sampled here as well.
+        """
+        image, selection = frame.image, frame.selection
+        motion = self.odometry.step(image, frame.timestamp_ns)
         known = motion if motion is not None and motion.known else None
         groups = self._continuity.step(selection, known)
         # Shape matrices (Section 3.4.2) of the candidates, then of the groups.
         n = len(selection.positions)
         places = np.concatenate([selection.positions, groups.positions])
         sight = self._plane.line_of_sight(places)
-        # Those of a group are turned in whole steps alone, to lie over each other exactly.
+        # A group's matrices are turned by whole steps alone: so their cells coincide.
         sight[n:] -= np.radians(shape_matrix.whole_steps(groups.sights)[1])
         grey, seen = self._sampler(
             image, self._plane.inside, places, sight, selection.mean, selection.sigma
         )
         gathered = self._measurement.gather(groups, grey[n:], seen[n:])
-        found = (selection.positions, selection.scores, grey[:n], seen[:n])
-        return Followed(looked.frame, looked.timestamp_ns, *found, groups, gathered, motion)
+        return AfterStage2(
+            frame.frame,
+            frame.timestamp_ns,
+            selection.positions,
+            selection.scores,
+            grey[:n],
+            seen[:n],
+            groups,
+            gathered,
+            motion,
+        )
 
-    def judge(self, frames: Sequence[Followed]) -> list[FrameResult]:
-        """Stage 3 of some frames, at least one, that come after those judged before.
+    def stage3(self, frames: Sequence[AfterStage2]) -> list[FrameResult]:
+        """Bayesian feature estimation (Section 3.4): which landmark is each object?
 
-        It says the same of each frame whatever others come with it.
+        Of the log's next frames, one or more. How they are split into calls changes rounding alone.
         """
         batch = Batch(frames)
-        # Stage 3, Bayesian feature estimation (Section 3.4): which landmark is each object?
         beliefs = self._measurement.beliefs(batch.groups, batch.gathered)
         tracked = self._estimates.of_groups(self._method, batch, beliefs)
-        # Beside it shape-matrix identification of single frames (SMI), the paper's baseline.
+        # The paper's baseline: shape-matrix identification (SMI) of single frames.
         single = []
         if self._smi is not None:
             identified = self._identify(batch.grey, batch.seen)
@@ -137,25 +146,26 @@ class Recogniser:
 def together(
     recognisers: Sequence[Recogniser], frames: Iterable[Frame], *, ahead: bool = False
 ) -> Iterator[tuple[FrameResult, ...]]:
-    """Several recognisers over the same frames: of each frame the result of each, in order.
+    """Several recognisers over the same frames: for each frame, one result of each recogniser.
 
-    Results come FRAMES_AT_ONCE at once. Whatever breaks the frames off is raised when the results
-    of those before it are out. ahead: read frames and do stage 1 in a thread of its own.
+    Results come in bursts of FRAMES_AT_ONCE. An exception on the way, Ctrl-C as well, is raised
+    once the results of all frames before it are out. ahead: read frames and do stage 1 in a
+    thread of its own.
     """
-    cv2.ipp.setUseIPP(False)  # off for one thread at a time, and this may be a new one
-    looked = ([r.look(frame) for r in recognisers] for frame in frames)
-    with closing(Ahead(looked)) if ahead else nullcontext(looked) as looks:
-        left, broken = iter(looks), None
+    cv2.ipp.setUseIPP(False)  # as in __init__.py: each thread has its own switch
+    selected = ([r.stage1(frame) for r in recognisers] for frame in frames)
+    with closing(Ahead(selected)) if ahead else nullcontext(selected) as source:
+        left, broken = iter(source), None
         while broken is None:
-            followed: list[list[Followed]] = []
+            tracked: list[list[AfterStage2]] = []
             try:
-                for look in islice(left, FRAMES_AT_ONCE):
-                    followed.append([r.follow(x) for r, x in zip(recognisers, look, strict=True)])
-            except BaseException as error:  # Ctrl-C as well
+                for each in islice(left, FRAMES_AT_ONCE):
+                    tracked.append([r.stage2(x) for r, x in zip(recognisers, each, strict=True)])
+            except BaseException as error:
                 broken = error
-            if not followed:
+            if not tracked:
                 break
-            each = zip(recognisers, zip(*followed, strict=True), strict=True)
-            yield from zip(*(r.judge(its) for r, its in each), strict=True)
+            its_own = zip(recognisers, zip(*tracked, strict=True), strict=True)
+            yield from zip(*(r.stage3(its) for r, its in its_own), strict=True)
     if broken is not None:
         raise broken

@@ -1,10 +1,9 @@
 """Surge, sway and yaw of the sonar, registered between two polar pictures of a flat floor.
 
-A point of the floor that now lies in a cell of range and bearing lay elsewhere before: where,
-follows from the motion and the height. The earlier picture, resampled to where its points should
-lie now, is held against the later one, and Gauss and Newton's steps lead to the motion by which
-the two are most alike. Where nothing is known of the motion they begin at the best of a coarse
-grid of motions.
+A point of the floor that now lies in a cell of range and bearing lay elsewhere before; where
+follows from the motion and the height. The earlier picture is resampled to where its points should
+lie now and compared with the later one; Gauss-Newton steps lead to the motion by which the two are
+most alike. Where nothing is known of the motion they start at the best of a coarse grid.
 """
 
 from __future__ import annotations
@@ -18,18 +17,18 @@ import numpy as np
 from sonarrec.geometry import floor_depth
 from sonarrec.records import ByteImage, Fan, FloatArray, FloatImage
 
-STEPS = 8
+STEPS = 8  # of Gauss and Newton, at most
 CONVERGED = (3e-4, 3e-4, 2e-4)  # m, m, rad
-FARTHEST = (0.1, 0.1, 0.12)  # from where the steps begin: beyond that they are lost
-LEAST_SHARE = 0.02  # of the later picture that the earlier one explains
+FARTHEST = (0.1, 0.1, 0.12)  # m, m, rad from the start; steps that lead beyond it are lost
+LEAST_SHARE = 0.02  # least slope of the later picture on the earlier one
 # Standard deviation of the height's change from frame to frame, m. It moves echoes along the range
 # as surge does, more so the nearer they are.
 HEAVE_M = 0.01
-GRAIN = 4.0  # cells of a grain of speckle, which tell one thing
-# Blocks down and across whose residuals are independent of each other: wider than what speckle,
-# and what leaks between beams, is alike over.
+GRAIN = 4.0  # cells in a grain of speckle: they count as one observation
+# (down, across) blocks of a picture, so large that their residuals are independent: larger than a
+# grain of speckle, and than what leaks from beam to beam.
 BLOCKS = (8, 12)
-# Of the quick measurement: every so many rows.
+# The quick registration looks at every so many rows, in fewer blocks.
 EVERY = 8
 QUICK_BLOCKS = (4, 8)
 
@@ -38,8 +37,8 @@ QUICK_BLOCKS = (4, 8)
 class Registered:
     """How two pictures fit together.
 
-    motion: (3,) how far the sonar was carried to the right and ahead (m), as it looked before, and
-    turned to the right (rad). covariance: (3, 3). match: correlation of the pictures then.
+    motion: (3,) how far the sonar was carried to the right and ahead (m, in the axes of the earlier
+    picture), and turned to the right (rad). covariance: (3, 3). match: the pictures' correlation.
     """
 
     motion: FloatArray
@@ -53,9 +52,9 @@ class Registered:
 
 
 class FloorRegistration:
-    """Registers polar pictures of one size, (rows, columns) float32, 0 where no floor is seen.
+    """Registers polar pictures of one shape, (rows, columns) float32, 0 where no floor is seen.
 
-    Rows are slant ranges, columns bearings. Their means along either are 0.
+    Rows are slant ranges, columns bearings. The mean of each row and column is 0.
     """
 
     def __init__(
@@ -142,13 +141,13 @@ class FloorRegistration:
         return self._grid.best(before, now)
 
     def quick(self, before: FloatImage, now: FloatImage, turn: float) -> Registered | None:
-        """What is left beside a turn (rad), where that is a small part of a cell; one step.
+        """The motion near a turn alone (rad): one step, for motions of a small part of a cell.
 
-        It looks at a part of the rows, and takes the height as even. None where nothing is seen.
+        It looks at some of the rows, and takes the height as constant. None where the pictures have
+        nothing in common.
         """
         shift = np.float32(turn / self._bearing_step)
-        # Every so many rows and its two neighbours: (3, rows, columns).
-        earlier, later = (self._threes(p) for p in (before, now))
+        earlier, later = (self._sampled_rows(p) for p in (before, now))
         flat = earlier.reshape(-1, earlier.shape[-1])
         turned = np.asarray(
             cv2.warpAffine(
@@ -182,26 +181,26 @@ class FloorRegistration:
         match = product / math.sqrt(power * float(np.vdot(other, other)))
         return Registered(rest, inverse @ (blocks @ blocks.T) @ inverse, match)
 
-    def _threes(self, picture: FloatImage) -> FloatImage:
-        """(3, rows, columns) the rows of the quick measurement between those above and below."""
+    def _sampled_rows(self, picture: FloatImage) -> FloatImage:
+        """(3, rows, columns) the rows above those of the quick registration, they, those below."""
         stop = self._quick.stop
         return np.stack([picture[k : stop - 1 + k : EVERY] for k in range(3)])
 
-    def _slope(self, threes: FloatImage) -> FloatImage:
-        """(3, rows, columns - 2) by how much the quick measurement's rows change with the motion.
+    def _slope(self, rows: FloatImage) -> FloatImage:
+        """(3, rows, columns - 2) derivative of the quick registration's rows by the motion.
 
-        threes: of `_threes`.
+        rows: from `_sampled_rows`.
         """
-        down = threes[2, :, 1:-1] - threes[0, :, 1:-1]
-        across = threes[1, :, 2:] - threes[1, :, :-2]
+        down = rows[2, :, 1:-1] - rows[0, :, 1:-1]
+        across = rows[1, :, 2:] - rows[1, :, :-2]
         return np.asarray(0.5 * (self._quick_down * down + self._quick_across * across))
 
 
 @dataclass(frozen=True, slots=True)
 class _Fit:
-    """Two pictures held against each other under one motion.
+    """Two pictures compared under one motion.
 
-    slopes: (4, rows, columns) by how much the earlier changes with the motion and the height.
+    slopes: (4, rows, columns) derivatives of the earlier by the motion and the height.
     """
 
     registration: FloorRegistration
@@ -209,9 +208,8 @@ class _Fit:
     residual: FloatImage
     inner: ByteImage
     slopes: FloatImage
-    share: float
     match: float
-    held: float  # what speaks against a change of height, per m^2
+    heave_weight: float  # what a change of height costs, per m^2: the prior of HEAVE_M
 
     @classmethod
     def of(
@@ -234,40 +232,40 @@ class _Fit:
         inner = np.asarray(cv2.erode(both, np.ones((3, 3), np.uint8), borderValue=0), np.uint8)
         slopes = np.float32(share) * _slopes(r, earlier, inner)
         cells = max(int(np.count_nonzero(both)), 1)
-        held = float(np.vdot(residual, residual)) / cells * GRAIN / HEAVE_M**2
-        return cls(
-            r, later, residual, inner, slopes, share, product / math.sqrt(power * other), held
-        )
+        heave_weight = float(np.vdot(residual, residual)) / cells * GRAIN / HEAVE_M**2
+        match = product / math.sqrt(power * other)
+        return cls(r, later, residual, inner, slopes, match, heave_weight)
 
     def step(self) -> FloatArray:
-        """(3,) to the motion by which they are more alike."""
+        """(3,) the Gauss-Newton step to a motion by which they are more alike."""
         flat = self.slopes.reshape(4, -1)
         normal = (flat @ flat.T).astype(float)
-        normal[3, 3] += self.held
+        normal[3, 3] += self.heave_weight
         normal[range(3), range(3)] += 1e-9
         return np.asarray(np.linalg.solve(normal, flat @ self.residual.ravel())[:3])
 
     def covariance(self) -> FloatArray | None:
-        """(3, 3) of the motion; None where nothing holds it.
+        """(3, 3) of the motion, by the sandwich estimator; None where it is not determined.
 
-        How sharply the two pictures agree is told by the slopes of both: those of one alone have
-        its noise in them. What pulls, by the residuals' slopes, block by block.
+        curvature^-1 scatter curvature^-1. The curvature is the product of the slopes of both
+        pictures: that of one with itself would count its noise. The scatter is that of the blocks'
+        scores (slope times residual).
         """
         first, second = self.slopes, _slopes(self.registration, self.later, self.inner)
         curvature = (first.reshape(4, -1) @ second.reshape(4, -1).T).astype(float)
         curvature = (curvature + curvature.T) / 2
-        curvature[3, 3] += self.held
+        curvature[3, 3] += self.heave_weight
         if np.linalg.eigvalsh(curvature)[0] <= 0:
             return None
         blocks = _in_blocks(first * self.residual, BLOCKS)
-        pulls = blocks @ blocks.T
-        pulls[3, 3] += (self.held * HEAVE_M) ** 2
+        scatter = blocks @ blocks.T
+        scatter[3, 3] += (self.heave_weight * HEAVE_M) ** 2
         inverse = np.linalg.inv(curvature)
-        return np.asarray((inverse @ pulls @ inverse)[:3, :3])
+        return np.asarray((inverse @ scatter @ inverse)[:3, :3])
 
 
 def _slopes(r: FloorRegistration, picture: FloatImage, inner: ByteImage) -> FloatImage:
-    """(4, rows, columns) by how much a picture changes with the motion and the height."""
+    """(4, rows, columns) derivatives of a picture by the motion and the height."""
     down = cv2.Sobel(picture, cv2.CV_32F, 0, 1, ksize=1, scale=0.5) * inner
     across = cv2.Sobel(picture, cv2.CV_32F, 1, 0, ksize=1, scale=0.5) * inner
     return np.asarray(r._down * down + r._across * across)
@@ -281,15 +279,15 @@ def _in_blocks(values: FloatImage, blocks: tuple[int, int]) -> FloatArray:
 
 
 class MotionGrid:
-    """Finds a motion where nothing is known of it: the best of a grid, by half the resolution.
+    """Finds a motion where nothing is known of it: the best of a grid, at half the resolution.
 
-    The later picture is cut into blocks, each of which is looked for around its place in the
-    earlier one; a motion says where every block should be found.
+    The later picture is cut into blocks. Each is correlated with the earlier picture around its own
+    place; the grid's motions say where each block should be found.
     """
 
-    BLOCKS = (8, 6)
-    MOST = (0.09, 0.16, math.radians(6.0))
-    FINENESS = (0.01, 0.02)  # m
+    BLOCKS = (8, 6)  # down, across
+    MOST = (0.09, 0.16, math.radians(6.0))  # m to the right, m ahead, rad: to either side
+    FINENESS = (0.01, 0.02)  # m, of the grid; its turns are two cells apart
 
     def __init__(self, registration: FloorRegistration) -> None:
         r = registration

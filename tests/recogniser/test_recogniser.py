@@ -350,14 +350,14 @@ def test_each_preset_gives_side_by_side_what_it_gives_alone():
 
 
 def test_presets_that_differ_in_hindsight_alone_share_the_stages(monkeypatch):
-    looked: list[int] = []
-    look = Recogniser.look
+    seen: list[int] = []
+    stage1 = Recogniser.stage1
     monkeypatch.setattr(
-        Recogniser, "look", lambda self, frame: looked.append(frame.index) or look(self, frame)
+        Recogniser, "stage1", lambda self, frame: seen.append(frame.index) or stage1(self, frame)
     )
     log = still_log(3, 3)
     side_by_side(log, "default", "paper", "offline")
-    assert looked == [0, 0, 1, 1, 2, 2]  # paper once, default and offline together once
+    assert seen == [0, 0, 1, 1, 2, 2]  # paper once, default and offline together once
 
 
 def alike(one: FrameResult, other: FrameResult, method: str = FRAMEWORK) -> None:

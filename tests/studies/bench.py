@@ -51,7 +51,7 @@ PARTS = {
     "pan from the images": (Odometry, "step"),
     "stage 2": (ContinuityFilter, "step"),
     "shape matrices": (ShapeSampler, "__call__"),
-    "stage 3 and smi": (Recogniser, "judge"),
+    "stage 3 and smi": (Recogniser, "stage3"),
     "writing": (ResultsWriter, "write"),
 }
 REST = "decoding, set-up and the rest"

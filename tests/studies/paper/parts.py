@@ -51,9 +51,8 @@ class Parts:
     def step(self, image: np.ndarray) -> list[Estimate]:
         """The estimates of all parts in the log's next frame."""
         self._index += 1
-        followed = self._recogniser.follow(
-            self._recogniser.look(Frame(self._index, 0, image, self._fan))
-        )
+        frame = Frame(self._index, 0, image, self._fan)
+        followed = self._recogniser.stage2(self._recogniser.stage1(frame))
         groups = followed.groups
         declare = self._config.features.declare
         found = identify(

@@ -1,4 +1,4 @@
-"""What the stages hand on: frame by frame, and several frames at once."""
+"""What each stage hands to the next: of one frame, and of several frames at once."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from sonarrec.records import (
 
 
 @dataclass(frozen=True, slots=True)
-class Looked:
-    """What stage 1 made of one frame, whatever the frames before it were."""
+class AfterStage1:
+    """One frame after stage 1; nothing in it depends on other frames."""
 
     frame: int
     """The frame's number."""
@@ -34,8 +34,8 @@ class Looked:
 
 
 @dataclass(frozen=True, slots=True)
-class Followed:
-    """What stages 1 and 2 made of one frame, and what stage 3 needs of its picture."""
+class AfterStage2:
+    """One frame after stage 2, with the shape matrices that stage 3 needs of its image."""
 
     frame: int
     """The frame's number."""
@@ -57,23 +57,23 @@ class Followed:
 
 
 class Batch:
-    """Some frames, at least one: their candidates in a row, and their groups in a row."""
+    """Some frames, at least one: all their candidates in one array, and all their groups."""
 
-    def __init__(self, frames: Sequence[Followed]) -> None:
+    def __init__(self, frames: Sequence[AfterStage2]) -> None:
         self._frames = frames
         self._candidates = [len(f.candidates) for f in frames]
         self._tracks = [len(f.groups.numbers) for f in frames]
         self.candidates: FloatArray = np.concatenate([f.candidates for f in frames])
         """(n, 2) working pixels."""
         self.candidate_numbers: IntArray = np.concatenate([np.arange(n) for n in self._candidates])
-        """(n,) each in its own frame, from 0."""
+        """(n,) counted from 0 in each frame."""
         self.scores: FloatArray = np.concatenate([f.scores for f in frames])
         """(n,) of stage 1."""
         self.grey: FloatArray = np.concatenate([f.grey for f in frames])
-        """(n, L, ANGLES) and `seen` as in Followed."""
+        """(n, L, ANGLES), and so is `seen`: as in AfterStage2."""
         self.seen: BoolArray = np.concatenate([f.seen for f in frames])
         self.groups = [f.groups for f in frames]
-        """Frame by frame; below all m of them in a row, and what was gathered of them."""
+        """Frame by frame. The arrays below hold all m groups, as Groups and Gathered do."""
         self.numbers: IntArray = np.concatenate([g.numbers for g in self.groups])
         self.positions: FloatArray = np.concatenate([g.positions for g in self.groups])
         self.spread: FloatArray = np.concatenate([g.spread for g in self.groups])
@@ -84,7 +84,7 @@ class Batch:
 
     def results(self, single: list[Estimate], tracked: list[Estimate]) -> list[FrameResult]:
         """Frame by frame: `single` of the candidates (or of none), then `tracked` of the groups."""
-        singles = _parted(single, self._candidates if single else [0] * len(self._candidates))
+        singles = _split(single, self._candidates if single else [0] * len(self._candidates))
         return [
             FrameResult(f.frame, f.timestamp_ns, candidates, tracks, (*a, *b), f.motion)
             for f, candidates, tracks, a, b in zip(
@@ -92,12 +92,12 @@ class Batch:
                 self._candidates,
                 self._tracks,
                 singles,
-                _parted(tracked, self._tracks),
+                _split(tracked, self._tracks),
                 strict=True,
             )
         ]
 
 
-def _parted(estimates: list[Estimate], counts: Sequence[int]) -> list[list[Estimate]]:
+def _split(estimates: list[Estimate], counts: Sequence[int]) -> list[list[Estimate]]:
     ends = np.cumsum(counts).tolist()
     return [estimates[end - n : end] for end, n in zip(ends, counts, strict=True)]
