@@ -1,4 +1,4 @@
-"""What an `offline` preset knows in hindsight: one belief per track, for all its frames."""
+"""The `offline` preset's hindsight: one belief per track, for all its frames."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from sonarrec.recogniser.stage3_features import likeliest
 from sonarrec.recogniser.stage3_features.opinions import NOW, SO_FAR, Opinion, Opinions
 from sonarrec.records import Estimate, FloatArray, FrameResult
 
-LEAST_BORNE_OUT = 0.5  # mean belief of a track's frames in an ID from which it is spread over them
+LEAST_BORNE_OUT = 0.5  # least mean belief of a track's frames in the ID that all of them get
 
 
 @dataclass
 class _Opinion(Opinion):
-    """What the frames of a chapter of a track's life said of it, and what else they told."""
+    """An Opinion with the beliefs' plain sum and the orientations that were measured."""
 
     beliefs_sum: FloatArray = field(kw_only=True)
     """(K + 1,) plain sum over the frames of belief."""
     turns: dict[int, tuple[float, float, float]] = field(default_factory=dict)
-    """By ID, when surest of it: (score, degrees from the line of sight as the track began, their
-    standard error)."""
+    """By ID, in the frame that was surest of it: (score, orientation in degrees from the line of
+    sight as the track began, its standard error)."""
 
     def beliefs(self) -> FloatArray:
-        """(K + 1,) the frames' pool, as sure as what is believed of a frame; it sums to 1."""
+        """(K + 1,) pool of the frames, to the powers by which TrackBelief reports; sums to 1."""
         pool = np.exp((NOW + SO_FAR) * self.mean())
         return np.asarray(pool / pool.sum())
 
@@ -40,21 +40,21 @@ class _Opinion(Opinion):
             self.turns[landmark] = max(turn, self.turns.get(landmark, turn))
 
     def borne_out(self, landmark_index: int) -> bool:
-        """Whether its frames, each counting the same, mostly held it to be this one."""
+        """Whether the frames, each counting the same, mostly believed in this ID."""
         return bool(self.beliefs_sum[landmark_index] >= LEAST_BORNE_OUT * self.frames)
 
 
 class Hindsight:
     """Revises past estimates of one method by what was learned of their tracks since.
 
-    A track is one object, so one belief holds for all its frames: the pool of what was believed of
-    it in each (see Opinion). The last word alone would not do: as it leaves the view, or is taken
-    for another on its return, a track is known badly.
+    A track is one object, so one belief holds for all its frames: the pool of the beliefs in each
+    (see Opinion). The last frame's belief would not do: a track is known badly as it leaves the
+    view, and where it is mistaken for another on its return.
 
-    An ID that most of the frames speak against is not spread over them: these stay as they were.
-    Nor is one declared where too little of its object is in view.
-    Where a track comes back with another picture, it is another object that took up its number: a
-    belief holds for one chapter of a track's life.
+    Frames stay as they were where most of them speak against the pool's ID. An ID is never declared
+    in a frame where too little of its object is in view. Where a track comes back with another
+    picture, another object has taken up its number: a belief holds for one chapter of a track (see
+    Gathered).
 
     lag: how many frames a result waits for its revision.
     """
@@ -90,7 +90,7 @@ class Hindsight:
             opinion.turns[estimate.landmark] = (estimate.score, turn, sigma)
 
     def revised(self, result: FrameResult) -> FrameResult:
-        """A past result, learned before, as it is seen now."""
+        """A past result, which `learn` has taken in, with what is known now."""
         return replace(result, estimates=tuple(self._revise(e) for e in result.estimates))
 
     def _revise(self, estimate: Estimate) -> Estimate:
@@ -118,9 +118,9 @@ class Hindsight:
 
 
 def _from_image(estimate: Estimate) -> float:
-    """Degrees from an angle in the image to one from the line of sight as the track began.
+    """Degrees to add to an angle in the image to count it from the line of sight at first.
 
     The line of sight turns in the image with the bearing, and over the floor as the sonar is
-    carried past; the object itself lies still.
+    carried past; the object does not turn.
     """
     return estimate.bearing_deg + estimate.sight_deg

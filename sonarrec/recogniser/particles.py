@@ -1,4 +1,4 @@
-"""Groups of particles: they walk, are weighed and drawn anew; rows of them are taken and joined."""
+"""Groups of particles, a row each: they walk, are weighed and resampled."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class Table:
     numbers: IntArray
     """(n,) of the groups, stable over frames."""
     places: FloatArray
-    """(n, 2) working pixels: where each was last a candidate, moved with the floor. At the fan's
-    edge, where the score map ends, particles hang on when their object has gone."""
+    """(n, 2) working pixels: where each was last a candidate, moved with the floor since. Not the
+    particles' mean: at the fan's edge, where the score map ends, these stay when it leaves."""
     existence: FloatArray
     """(n,) probability that there is an object, 0 to 1."""
     sights: FloatArray
@@ -33,7 +33,7 @@ class Table:
         return len(self.numbers)
 
     def take(self, rows: Rows) -> Self:
-        """These rows alone; the table itself where a mask leaves none out."""
+        """The table with these rows alone; where a mask takes all, the table itself."""
         if rows.dtype == bool and rows.all():
             return self
         return type(self)(*(getattr(self, f.name)[rows] for f in fields(self)))
@@ -75,7 +75,7 @@ class ParticleGroups(Table):
         return cls(numbers, places, existence, sights, strikes, particles)
 
     def walk(self, sigma: float, rng: np.random.Generator) -> None:
-        """Eq. 3: every particle goes at random, `sigma` pixels in each axis."""
+        """Eq. 3: every particle takes a random step, Gaussian, `sigma` pixels in each axis."""
         noise = rng.standard_normal(self.particles.shape, np.float32)
         self.particles += noise * np.float32(sigma)
 
@@ -105,10 +105,10 @@ class ParticleGroups(Table):
         return mean, np.sqrt((weight[:, None] @ offset**2)[:, 0])
 
     def resample(self, weight: FloatArray, rng: np.random.Generator) -> None:
-        """Draw as many particles anew, by their weights: systematic resampling.
+        """Systematic resampling: as many particles again, drawn by their weights.
 
-        A particle is drawn once for every tick that falls into its share of the cumulative weight;
-        the ticks are 1 / particles apart from a random start.
+        Ticks lie 1 / particles apart on the cumulative weight, from a random start. A particle is
+        drawn once for every tick in its share.
         """
         groups, n = weight.shape
         ticks = np.ceil(np.cumsum(weight, axis=1) * n - rng.random((groups, 1)))
@@ -121,11 +121,11 @@ class ParticleGroups(Table):
 
 @dataclass(slots=True)
 class LostGroups(Table):
-    """Groups that left the view: places are where they would be seen, should it return to them."""
+    """Groups that left the view. Their places say where they are now, outside it."""
 
     frames_left: IntArray
-    """(n,) for so many frames more they are remembered."""
+    """(n,) for how many more frames each is remembered."""
     drift: FloatArray
     """(n,) variance of the place, in disc diameters squared."""
     missed: IntArray
-    """(n,) frames in which one was in view, by its place, and did not show."""
+    """(n,) frames in which its place was in view and it did not show."""

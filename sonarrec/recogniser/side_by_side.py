@@ -19,9 +19,9 @@ from sonarrec.records import Fan, Frame, FrameResult
 class SideBySide:
     """Several configurations over the same frames, their results put together.
 
-    Of one configuration the methods are plain `smi` and `framework`; of several each has its
-    preset's name behind it. Presets that judge the same candidates by the same rule have one
-    `smi`, named for the first of them. Results wait for the longest lag.
+    One configuration's methods are called `smi` and `framework`; those of several have the preset's
+    name appended. Presets with the same candidates and the same SMI share one `smi`, named for the
+    first of them. Results wait for the longest lag.
 
     tracking: the names of the framework's methods. methods: all names.
     """
@@ -60,8 +60,8 @@ class SideBySide:
     def recognise(self, frames: Iterable[Frame], *, ahead: bool = False) -> Iterator[FrameResult]:
         """The results in the log's order, each when it is final.
 
-        Whatever breaks the frames off is raised when the results of those before it are out, but
-        for those that wait to be revised: see `waiting`. ahead: as in `together`.
+        An exception on the way is raised after the results of all frames before it, but for those
+        that wait to be revised: call `waiting` for these. ahead: as in `together`.
         """
         for found in together([*self._recognisers.values()], frames, ahead=ahead):
             results = self._of_each(dict(zip(self._recognisers, found, strict=True)))
@@ -69,7 +69,7 @@ class SideBySide:
                 if hindsight is not None:
                     hindsight.learn(result)
             self._pending.append(results)
-            # Each at its own lag: beside a longer one it says what it says alone.
+            # Each at its own lag: so it says beside others what it says alone.
             for i, hindsight in enumerate(self._hindsight):
                 if hindsight is not None and len(self._pending) > hindsight.lag:
                     _revise(self._pending[-1 - hindsight.lag], i, hindsight)
@@ -90,7 +90,7 @@ class SideBySide:
         return results
 
     def waiting(self) -> Iterator[FrameResult]:
-        """The results that wait to be revised, as they are seen now; to call when frames end."""
+        """The results that still wait, revised by what is known now; for when the frames end."""
         for i, hindsight in enumerate(self._hindsight):
             if hindsight is not None:
                 for results in [*self._pending][-hindsight.lag :]:
@@ -99,12 +99,12 @@ class SideBySide:
             yield self._final()
 
     def problems(self) -> list[str]:
-        """What of the poses could not be used, so far."""
+        """What is wrong with the poses, so far."""
         each = (r.odometry.problems() for r in self._recognisers.values())
         return list(dict.fromkeys(chain.from_iterable(each)))
 
     def notes(self) -> list[str]:
-        """What of the poses the frames contradict, so far."""
+        """Where the frames contradict the poses, so far."""
         each = (r.odometry.notes() for r in self._recognisers.values())
         return list(dict.fromkeys(chain.from_iterable(each)))
 
@@ -119,5 +119,5 @@ class SideBySide:
 
 
 def _revise(results: list[FrameResult], i: int, hindsight: Hindsight) -> None:
-    """Put the i-th of a frame's results as hindsight sees it now."""
+    """Revise the i-th of one frame's results."""
     results[i] = hindsight.revised(results[i])

@@ -17,18 +17,19 @@ from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.plane import Plane
 from sonarrec.records import ByteImage, Fan, FloatArray, FloatImage, IndexArray, Selection
 
-# The ring filter's dark surroundings, in disc radii: part of the gap inside, the floor outside.
+# The ring filter compares the ring with the gap inside it, less a margin, and with the floor
+# outside, in disc radii.
 GAP_MARGIN = 0.03
-# How much the gap counts of them: a ring stands out from its plate, whatever the floor is like. But
-# beams that are as wide as the gap fill it with the ring's echoes and the symbol's.
-GAP_SHARE, FILLED_GAP_SHARE = 0.75, 0.5
-# Width of the gap, in beams in the middle of the window, at which it is filled, and at which not.
-FILLED_BEAMS, CLEAR_BEAMS = 1.0, 1.5
 OUTSIDE = (1.08, 1.35)
+# Weight of the gap in this, the floor has the rest. A ring always stands out from its plate,
+# whatever the floor is like; but beams as wide as the gap fill it with echoes of ring and symbol.
+GAP_SHARE, FILLED_GAP_SHARE = 0.75, 0.5
+# Width of the gap at which it is filled, and at which it is clear: in beams, midway in the window.
+FILLED_BEAMS, CLEAR_BEAMS = 1.0, 1.5
 COARSE = 4  # pixels, of the grid on which the surroundings' brightness is measured
 LEAST_SIGMA = 0.5  # grey levels
-LEAST_LOCAL_SIGMA = 0.5  # of the whole frame's
-# Peaks that are compared with each other; a frame with more is noise from edge to edge.
+LEAST_LOCAL_SIGMA = 0.5  # share of the whole frame's sigma
+# Peaks that are compared with each other, at most; a frame with more is all noise.
 MOST_PEAKS = 64
 
 
@@ -66,7 +67,7 @@ class CandidateSelector:
         return Selection(score, positions, scores, mean, hills.sigma)
 
     def _peaks(self, hills: Hills) -> tuple[FloatArray, FloatArray]:
-        """(n, 2) tops that score enough, to a part of a pixel, and (n,) scores; best first."""
+        """(n, 2) peaks that score enough, with sub-pixel positions, and (n,) scores; best first."""
         hill, best = hills.hill, hills.best
         top = (hill == cv2.dilate(hill, np.ones((3, 3), np.uint8))) & (
             best >= self._config.threshold
@@ -80,7 +81,7 @@ class CandidateSelector:
         return positions[kept], np.minimum(best[row, column][kept], 1).astype(float)
 
     def _apart(self, positions: FloatArray) -> list[int]:
-        """Indices of the peaks, best first, that no better one is too near to."""
+        """Indices of the peaks, best first, that are not too near a better one."""
         offset = (positions[:, None] - positions[None]) / self._diameter
         far = np.hypot(offset[..., 0], offset[..., 1]) >= self._config.separation
         left = np.ones(len(positions), bool)
@@ -93,10 +94,7 @@ class CandidateSelector:
 
 
 class Surroundings:
-    """Means over each pixel's surroundings, on a coarse grid.
-
-    For they hardly change from one pixel to the next.
-    """
+    """Means over each pixel's surroundings, on a coarse grid: they change little between pixels."""
 
     def __init__(self, plane: Plane) -> None:
         size = 4 * _reach(plane) // COARSE + 1
@@ -125,16 +123,16 @@ class Surroundings:
 
 
 class Hills(NamedTuple):
-    """What a detector makes of a frame; each (rows, columns) float32."""
+    """A detector's maps of one frame, each (rows, columns) float32."""
 
     score: FloatImage
     """Of a disc centred on each pixel."""
     hill: FloatImage
-    """Whose tops are the candidates."""
+    """Its peaks are the candidates' positions."""
     best: FloatImage
-    """What a candidate scores whose top is there."""
+    """Score of a candidate whose peak is at this pixel."""
     sigma: FloatArray
-    """(rows, columns) what levels are counted in there."""
+    """Standard deviation of the grey levels about each pixel's surroundings."""
 
 
 class Detector(Protocol):
@@ -177,8 +175,8 @@ class EdgeScore:
         edges = cv2.dilate(cv2.bitwise_and(edges, edges, mask=self._away), self._tolerance)
         on_edge = (edges > 0).astype(np.float32)
         score = np.asarray(_correlate(on_edge, self._kernel) * self._gain)
-        # The tolerance makes plateaus; the middle of one is where the circle is, and its best
-        # pixel is what the circle scores.
+        # The tolerance makes plateaus. The circle is in the middle of one, and scores as its best
+        # pixel.
         size = 2 * config.edge_tolerance_px + 3
         hill = np.asarray(cv2.GaussianBlur(score, (size, size), 0), np.float32)
         best = np.asarray(cv2.dilate(score, np.ones((size, size), np.uint8)), np.float32)
@@ -196,7 +194,7 @@ class RingScore:
         surroundings: Surroundings,
         share: float,
     ) -> None:
-        """share: of what lies round the ring, how much the gap counts."""
+        """share: from `gap_share`."""
         self._full_contrast = config.ring_full_contrast
         self._surroundings = surroundings
         radius, pixel = _radii(plane)
@@ -217,7 +215,7 @@ class RingScore:
         relief: FloatImage,
         sigma: float,
     ) -> Hills:
-        """Contrast is counted in what the relief varies by about each place."""
+        """Contrast is counted in the relief's standard deviation about each pixel."""
         # Never far below the whole frame's: an even patch must not turn its noise into rings.
         least = (LEAST_LOCAL_SIGMA * sigma) ** 2
         local = np.sqrt(np.maximum(self._surroundings.mean(relief * relief), least))
@@ -229,10 +227,10 @@ class RingScore:
 
 
 class Correlation:
-    """What `_correlate` does, of many images of one shape with one kernel: it is transformed once.
+    """Does what `_correlate` does, by FFT, for many images of one shape and one kernel.
 
-    Sums are of 64 bits. Arrays are kept from image to image, and columns are transformed as rows:
-    either is a good part of the time.
+    In 64 bits. Arrays are kept from image to image, and columns are transformed as rows: each saves
+    a good part of the time.
     """
 
     def __init__(self, kernel: FloatImage, shape: tuple[int, int]) -> None:
@@ -263,7 +261,7 @@ class Correlation:
 
 
 def gap_share(landmarks: LandmarkSet, fan: Fan, beam_width_deg: float) -> float:
-    """How much the gap counts of what lies round a ring, by how many beams wide it is."""
+    """Weight of the gap, beside the floor outside, by how many beams wide it is."""
     middle_m = (fan.range_min_m + fan.range_max_m) / 2
     gap_m = (landmarks.ring[0] - landmarks.symbol[1]) * landmarks.radius_m
     beams = gap_m / (np.radians(beam_width_deg) * middle_m)
@@ -271,7 +269,7 @@ def gap_share(landmarks: LandmarkSet, fan: Fan, beam_width_deg: float) -> float:
 
 
 def _reach(plane: Plane) -> int:
-    """How far from its centre a disc and the floor round it are looked at, in pixels."""
+    """Radius of the kernel, which takes in the floor round a disc, in pixels."""
     return int(np.ceil(max(plane.axes) * OUTSIDE[1]))
 
 
@@ -284,15 +282,14 @@ def _radii(plane: Plane) -> tuple[FloatArray, float]:
 
 
 def _gain(plane: Plane, ring: FloatArray, least: float) -> FloatImage:
-    """(rows, columns) what a score counts where a part of the ring lies outside the fan.
+    """(rows, columns) factor of a score by how much of the ring lies inside the fan.
 
-    ring: weights of a kernel's pixels. least: 0 where less than this share of it shows.
+    ring: weights of a kernel's pixels. least: where less than this share shows, the factor is 0.
     """
     visible = _correlate(plane.inside.astype(np.float32), ring.astype(np.float32))
     visible /= ring.sum()
-    # A part of a ring is scored by what shows of it. The correlation is short by the share that
-    # is hidden, its noise by the root of that: dividing by the root keeps the rate of chance
-    # candidates the same up to the fan's edge.
+    # The correlation falls with the share that is visible, its noise with the share's root.
+    # Divided by the root, chance candidates are as frequent at the fan's edge as within it.
     return np.where(visible >= least, np.maximum(visible, least) ** -0.5, 0).astype(np.float32)
 
 
@@ -311,7 +308,7 @@ def _band(radius: FloatArray, band: tuple[float, float], pixel: float) -> FloatA
 
 
 def _refine(score: FloatImage, column: IndexArray, row: IndexArray) -> FloatArray:
-    """(n, 2) peaks to a part of a pixel, by a parabola through three samples in each axis."""
+    """(n, 2) sub-pixel peaks, by a parabola through three samples in each axis."""
     rows, columns = score.shape
     pixels, step = score.ravel(), np.array([[1], [columns]])  # along a row, and down a column
     at = row.clip(1, rows - 2) * columns + column.clip(1, columns - 2)

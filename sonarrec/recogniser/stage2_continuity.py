@@ -7,12 +7,12 @@ stage 1 is high; the mean of a group is the object's position. A group goes in o
 2. unlikely: its object was a candidate too seldom to exist;
 3. astray: where the sonar's motion is known, it was pulled off the place that this gives it;
 4. merged: it ran into an older group, which has that object;
-5. out of view: too little of its disc is inside the fan. Where the sonar's motion is known, what
-   comes in stays.
+5. out of view: too little of its disc is inside the fan. Where the sonar's motion is known, a
+   group that is just coming in stays.
 
-Where the sonar's motion is known, a group that goes in the last way alone is remembered with its
-number. It is forgotten when it was away too long, did not show where it should, or the motion is
-no longer known; a candidate near its place takes its number up again.
+Where the sonar's motion is known, a group that went only because it is out of view is remembered.
+A candidate near its place takes its number up again. It is forgotten when it was away too long,
+did not show where it should, or the motion is no longer known.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ class ContinuityFilter:
         self._plane = plane
         self._sigma = config.sigma_px * plane.scale
         self._sigma_known = config.sigma_known_px * plane.scale
-        # A candidate's place is known far better than the wide walk's reach: a group that began as
-        # wide would stray to hills beside its own before it has gathered.
+        # A candidate's place is known far better than a particle walks at random: a group that
+        # began as wide would stray to peaks beside its own before it has gathered.
         self._sigma_new = self._sigma if config.motion == "random_walk" else self._sigma_known
         self._diameter = 2 * np.array(plane.axes)
         # With a border for all that lies beyond the image.
@@ -80,7 +80,7 @@ class ContinuityFilter:
         self._place(positions, hit & ~pulled, motion)
         shares = self._shares(self._groups.places)
         if motion is not None:
-            # At the fan's edge particles may hang on to an object that has gone, or go before it.
+            # At the fan's edge particles may stay when their object leaves, or leave before it.
             shares = np.minimum(shares, self._shares(positions))
         shown = in_view = shares >= config.least_in_view
         if motion is not None and not shown.all():
@@ -118,11 +118,11 @@ class ContinuityFilter:
         groups.walk(sigma, self._rng)
 
     def _own(self, weight: FloatArray, candidates: FloatArray, motion: Motion) -> FloatArray:
-        """(n, particles) weights without those of particles that another's candidate has.
+        """(n, particles) weights, 0 for particles that are nearer to a neighbour's candidate.
 
-        The candidate near where a group's object should be is its own. Where others lie beside it
-        (their circles overlap: chance rings of a blotchy floor) particles that are nearer to one of
-        these do not count: they would leave the object for whatever hill is broader.
+        The candidate near where a group's object should be is its own. Where others lie so near
+        that their circles overlap (chance rings of a blotchy floor), particles beyond the middle
+        between the two do not count: they would draw the group to whichever peak is broader.
         """
         groups, config = self._groups, self._config
         if len(groups) == 0 or len(candidates) == 0:
@@ -138,7 +138,7 @@ class ContinuityFilter:
         theirs = np.zeros(weight.shape, bool)
         for candidate in np.flatnonzero(neighbours.any(axis=0)):
             place, beside = candidates[candidate], neighbours[:, candidate]
-            # In disc diameters: on its own side of the line between the two.
+            # Which side of the perpendicular bisector a particle is on, in disc diameters.
             way = (place - own[beside]) / self._diameter**2
             middle = (place + own[beside]) / 2
             off = groups.particles[beside] - middle[:, None].astype(np.float32)
@@ -163,7 +163,7 @@ class ContinuityFilter:
         return metres * self._plane.scale / self._plane.fan.metres_per_pixel
 
     def _place(self, positions: FloatArray, there: BoolArray, motion: Motion | None) -> None:
-        """Where the objects are now: where the group was a candidate, else moved with the floor."""
+        """Update the objects' places: the group's own where `there`, else moved with the floor."""
         groups, lost = self._groups, self._lost
         if motion is None:
             groups.places = positions
@@ -188,9 +188,9 @@ class ContinuityFilter:
         table.places = after
 
     def _strike(self, spread: FloatArray, hit: BoolArray, in_view: BoolArray) -> None:
-        """Strikes for spread groups, and the Bayes filter of existence from hits and misses.
+        """Count strikes of groups that are too wide, and update existence by hit or miss (Bayes).
 
-        What is out of view is missed without telling anything.
+        Existence stays as it is where the object is out of view: a miss there tells nothing.
         """
         config, groups = self._config, self._groups
         wide = (spread > config.spread_limit).any(axis=1)
@@ -222,7 +222,7 @@ class ContinuityFilter:
         return kept
 
     def _forget(self) -> None:
-        """Of the lost those that were away too long, or do not show where they should."""
+        """Forget those that were away too long, or did not show where they should."""
         lost = self._lost
         if len(lost) == 0:
             return
@@ -231,7 +231,7 @@ class ContinuityFilter:
         self._lost = lost.take((lost.frames_left > 0) & (lost.missed <= self._config.strikes))
 
     def _remember(self, left: BoolArray) -> None:
-        """Groups that left the view but not this world."""
+        """Remember groups that went only because they are out of view. left: (n,) which."""
         if not left.any():
             return
         groups = self._groups
@@ -255,7 +255,7 @@ class ContinuityFilter:
         far = self._distances(selection.positions, positions) > self._config.new_group
         born = selection.positions[far.all(axis=1)]
         if len(self._lost) and len(born):
-            # What may be one of the lost waits until enough of it shows to tell.
+            # A candidate that may be one of the lost waits until enough of it shows to tell.
             near = (self._distances(born, self._lost.places) <= self._gate()).any(axis=1)
             hidden = self._shares(born) < self._config.recall_in_view
             born = born[~(near & hidden)]
@@ -264,9 +264,10 @@ class ContinuityFilter:
         return born
 
     def _recall(self, born: FloatArray) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
-        """(n,) numbers, the places, (n,) existence and sights of what begins at (n, 2) places.
+        """(n,) numbers, (n, 2) places, (n,) existence, (n,) sights of groups that begin at places.
 
-        Those of the lost that it is; the nearest pair goes first. Else a new number.
+        What begins near a lost group takes these from it, nearest pair first. Others get a new
+        number.
         """
         lost = self._lost
         numbers = np.zeros(len(born), np.int64)
@@ -287,7 +288,7 @@ class ContinuityFilter:
         return numbers, born, existence, sights
 
     def _gate(self) -> FloatArray:
-        """(n,) disc diameters: how far from its place a candidate may be each of the lost."""
+        """(n,) how far a candidate may lie from each lost group that it is, in disc diameters."""
         config = self._config
         return np.minimum(config.recall + 2 * np.sqrt(self._lost.drift), config.recall_most)
 
@@ -310,6 +311,7 @@ class ContinuityFilter:
 
 
 def _nobody() -> LostGroups:
+    """No lost groups."""
     return LostGroups(
         np.empty(0, np.int64),
         np.empty((0, 2)),

@@ -1,8 +1,8 @@
 """Stage 3: which landmark is it? (Section 3.4).
 
-Two ways lead from shape matrices to beliefs, behind one seam, Measurement: the published one
-(published.py: a single frame's identification, Tables 2 and 3, Eq. 5 to 8) and the default
-(appearance.py: the matrix averaged along the track, described and judged by a model).
+Two ways lead from shape matrices to beliefs, both a Measurement: the published one (published.py:
+single frames identified, Tables 2 and 3, Eq. 5 to 8) and the default (appearance.py: the matrix
+averaged along the track, described and judged by a model).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class Beliefs:
     probabilities: FloatArray
     """(n, K + 1): every ID, then 'none of these'; rows sum to 1."""
     turn: FloatArray
-    """(n,) of the likeliest ID from the line of sight, in steps of the shape matrix."""
+    """(n,) rotation of the likeliest ID from the line of sight, in steps of the shape matrix."""
     turn_sigma: FloatArray
     """(n,) its standard error in steps, NaN where unknown."""
     earned: BoolArray
@@ -41,7 +41,8 @@ class Gathered:
     frames: IntArray
     """(n,) frames since the object began, or came back."""
     chapters: IntArray
-    """(n,) of the track's life, through which its picture stays the same; 0 where nobody looks."""
+    """(n,) of the track's life: where it comes back with another picture a new one begins. 0 in the
+    published measurement, which keeps no pictures."""
 
     @classmethod
     def joined(cls, parts: Sequence[Gathered]) -> Gathered:
@@ -67,10 +68,10 @@ class Measurement(Protocol):
 
 
 def settled(values: FloatArray) -> FloatArray:
-    """Values to the six digits that the tables have, for choices among them.
+    """Values rounded to the tables' six digits, so that a choice among them is the same everywhere.
 
-    Sums that are equal on paper differ in their last digits, otherwise on each kind of processor:
-    a disc of which half is seen fits two IDs alike, and the first is taken, everywhere.
+    Sums that are equal on paper differ in their last digits, and differently on each processor. Of
+    a disc half of which is seen, and which fits two IDs equally well, the first is taken.
     """
     return np.asarray(np.round(values, 6))
 

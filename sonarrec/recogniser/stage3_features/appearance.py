@@ -23,20 +23,21 @@ from sonarrec.recogniser.stage3_features.shape_matrix import ShapeSampler
 from sonarrec.recogniser.stage3_features.track_matrix import TrackMatrix
 from sonarrec.records import BoolArray, FloatArray, Groups
 
-# An ID is declared from a track's second frame on, where enough of the disc is in view; of a disc
-# fewer beams wide than FEW_BEAMS, whose symbol a single frame hardly shows, once more of them bear
-# it out.
+# Frames of a track from which on an ID is declared, where enough of the disc is in view. Discs
+# fewer than FEW_BEAMS beams wide need more: a single frame hardly shows their symbol.
 LEAST_FRAMES, FEW_BEAMS, FRAMES_OF_FEW_BEAMS = 2, 5, 8
-HALF_POWER = 2 * (2 * np.log(2)) ** 0.5  # width of a Gaussian at half power, in its deviations
+HALF_POWER = 2 * (2 * np.log(2)) ** 0.5  # width of a Gaussian at half power, in its sigmas
 
 
 class Judge(Protocol):
-    """What turns features (n, K, F) of discs smeared by (n,) radii into probabilities.
+    """What judges discs by their features."""
 
-    They are (n, K + 1); rows sum to 1.
-    """
+    def probabilities(self, features: FloatArray, smear: FloatArray) -> FloatArray:
+        """(n, K + 1): every ID, then 'none of these'; rows sum to 1.
 
-    def probabilities(self, features: FloatArray, smear: FloatArray) -> FloatArray: ...
+        features: (n, K, F). smear: (n,) the beam's sigma across the line of sight, in disc radii.
+        """
+        ...
 
 
 class AppearanceMeasurement:
@@ -77,7 +78,7 @@ class AppearanceMeasurement:
         probabilities = self._belief(groups, gathered, of_frames)
         best, _ = likeliest(probabilities)
         at = (np.arange(len(best)), best)
-        # A beam is HALF_POWER deviations wide, a disc two radii.
+        # A beam is HALF_POWER sigmas wide, a disc two radii.
         few_beams = smear * HALF_POWER * FEW_BEAMS > 2
         earned = gathered.frames >= np.where(few_beams, FRAMES_OF_FEW_BEAMS, LEAST_FRAMES)
         earned &= np.concatenate([g.in_view for g in groups])

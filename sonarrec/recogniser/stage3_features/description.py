@@ -12,18 +12,18 @@ from sonarrec.recogniser.stage3_features.expected_symbol import ExpectedSymbols
 from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES, Bands, turned_codes
 from sonarrec.records import BoolArray, FloatArray, IndexArray
 
-# Levels are in standard deviations of the frame. Those named "local" count the symbol from the gap
-# in the same direction: echoes that come late and light that falls unevenly lie over both alike.
-# That named "over_floor" counts it from the floor just outside in that direction.
+# Levels are in standard deviations of the frame. Those named "local" are counted from the gap in the
+# same direction, which late echoes and uneven light raise as much as the symbol; that named
+# "over_floor" from the floor just outside in the same direction.
 FEATURES = (
     "correlation",  # with the ID's expected symbol and gap at the best rotation
-    # Logarithm of what the ID leaves unexplained, less that of the best symbol that no ID has.
+    # Log of the share that the ID leaves unexplained, less the same of the best rival.
     "rival_misfit",
     "step",  # bright sectors over dark ones
-    "weakest_line_step_share",  # the least step along one line of the symbol, but the innermost
+    "weakest_line_step_share",  # the least step along one line of the symbol; not the innermost
     "dark_over_gap",  # dark sectors over the gap, 0 on a landmark
     "bright_over_ring",  # bright sectors over the ring, 0 on a landmark
-    "bright_over_ring_share",  # in the ring's contrast over the gap, as all shares
+    "bright_over_ring_share",  # a share of the ring's contrast over the gap, as all shares
     "local_weakest_bright",  # darkest bright sector over the gap
     "strongest_dark",  # brightest dark sector over the gap, 0 on a landmark
     "local_strongest_dark",
@@ -38,14 +38,14 @@ FEATURES = (
     "ring_over_gap",
     "weakest_ring",  # weakest quarter of the ring over what lies beside it
     "weakest_ring_over_gap",
-    "weakest_ring_by_frames",  # times log_frames: a few frames' least is chance in part
+    "weakest_ring_by_frames",  # times log_frames: a few frames' least is partly chance
     "ring_texture_share",  # spread along the ring
     "log_frames",  # natural logarithm of the frames gathered
     "existence",  # log odds that stage 2 gives
 )
 BEST_FIT = 0.995  # correlation
-LEAST_CONTRAST = 0.3  # of the ring, where its texture counts in that
-# The steps next to each step, and those beyond what the beam smears of an edge.
+LEAST_CONTRAST = 0.3  # of the ring, where shares are taken of it
+# The neighbours of each step, and the next ones, which a beam's smear of an edge hardly reaches.
 BEFORE, AFTER = ((np.arange(ANGLES) + off) % ANGLES for off in (-1, 1))
 FAR_BEFORE, FAR_AFTER = ((np.arange(ANGLES) + off) % ANGLES for off in (-2, 2))
 # Column by column, 1 over each quarter turn.
@@ -67,11 +67,11 @@ class Description:
 
 
 class _Parts:
-    """Equal parts of the circle, at every rotation."""
+    """Means over equal parts of the circle, at every rotation."""
 
     def __init__(self, parts: int) -> None:
         place = (np.arange(ANGLES) + 0.5) / ANGLES * parts
-        # Towards its edges a part runs into its neighbours.
+        # A part counts less towards its edges, where the beam mixes it with its neighbours.
         member = place.astype(int)[:, None] == np.arange(parts)
         member = member * np.sin(np.pi * (place % 1))[:, None]  # (ANGLES, parts)
         self._cells = member.sum(axis=0)
@@ -116,7 +116,7 @@ class Describer:
         self._halves = np.repeat(table, 2, axis=1)
         self._in_sector, self._in_half = (_Parts(n * table.shape[1]) for n in (1, 2))
 
-    # Long, for all that the FEATURES are made of is said in their order, in one place.
+    # Long, so that all FEATURES are computed in one place, in their order.
     def __call__(
         self, average: FloatArray, count: FloatArray, existence: FloatArray, smear: FloatArray
     ) -> Description:
@@ -208,12 +208,12 @@ class Describer:
 
 
 def _unexplained(correlation: FloatArray) -> FloatArray:
-    """Share of the variation; what little is left of a perfect fit is chance."""
+    """Share of the variation; BEST_FIT at best, for the rest of a better fit is chance."""
     return np.asarray(1 - np.clip(correlation, 0, BEST_FIT) ** 2)
 
 
 def _most(level: FloatArray, among: BoolArray) -> FloatArray:
-    """Greatest over the last axis of those `among`; 0 where there is none."""
+    """Greatest level over the last axis, among those marked; 0 where none is."""
     most = np.where(among, level, -np.inf).max(axis=-1)
     return np.where(np.isfinite(most), most, 0.0)
 
@@ -226,9 +226,8 @@ def _exact_turn(
     correlation: (n, ANGLES, K). turn, best: (n, K) the whole step where it is greatest, and how
     great it is there.
     """
-    exact, bend = _summit(correlation, turn)
-    # The steeper the correlation falls off, and the less of the symbol it leaves unexplained,
-    # the better is the turn known (curvature of a least-squares fit).
+    exact, bend = _peak(correlation, turn)
+    # As in any least-squares fit: the noise that is left, over the root of the curvature.
     noise = np.sqrt(1 - np.minimum(best, 0.999) ** 2)
     return exact, TURN_SIGMA * noise / np.sqrt(np.maximum(bend, 1e-4))
 
@@ -236,7 +235,7 @@ def _exact_turn(
 def _regress(
     symbol: FloatArray, weight: FloatArray, code: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(n, K, L) level of dark sectors, bright ones over them, and what is left unexplained.
+    """(n, K, L) level of the dark sectors, step to the bright ones, and residual deviation.
 
     Weighted regression of every line of (n, L, ANGLES) on codes (n, K, ANGLES).
     """
@@ -246,7 +245,7 @@ def _regress(
     code_mean = code @ share.swapaxes(1, 2)
     code_variance = code**2 @ share.swapaxes(1, 2) - code_mean**2
     covariance = code @ (share * symbol).swapaxes(1, 2) - mean * code_mean
-    # Of a symbol that has shown no edge of the code nothing is known.
+    # Where no edge between bright and dark has been seen, the step is not known.
     step = np.where(code_variance > 0.02, covariance / np.maximum(code_variance, 1e-9), 0.0)
     texture = np.sqrt(np.maximum(variance - step * covariance, 0))
     return mean - step * code_mean, step, texture
@@ -255,7 +254,10 @@ def _regress(
 def _steepness(
     symbol: FloatArray, weight: FloatArray, edges: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """(n, K) mean and least rise of (n, ANGLES) profiles across edges (n, K, ANGLES); 0: unseen."""
+    """(n, K) mean and least rise of (n, ANGLES) profiles across edges (n, K, ANGLES).
+
+    0 where no edge was seen.
+    """
     rise = symbol[:, FAR_AFTER] - symbol[:, FAR_BEFORE]
     seen = (weight[:, FAR_AFTER] > 0) & (weight[:, FAR_BEFORE] > 0)
     edges = edges * seen[:, None]
@@ -266,10 +268,10 @@ def _steepness(
     return mean, np.where(count > 0, least, 0.0)
 
 
-def _summit(correlation: FloatArray, turn: IndexArray) -> tuple[FloatArray, FloatArray]:
-    """(n, K) the summit of (n, ANGLES, K) next to a whole turn, and how sharply it bends there.
+def _peak(correlation: FloatArray, turn: IndexArray) -> tuple[FloatArray, FloatArray]:
+    """(n, K) the maximum of (n, ANGLES, K) near a whole turn, and how sharply it bends there.
 
-    Through three samples, each the mean of three: the sector edges make the very top flat.
+    A parabola through three samples, each the mean of three: sector edges make the very top flat.
     """
     near = (turn + np.arange(-2, 3)[:, None, None]) % ANGLES  # (5, n, K)
     values = correlation[np.arange(len(turn))[:, None], near, np.arange(turn.shape[1])]

@@ -1,17 +1,17 @@
 """What a symbol should look like under every ID, at every rotation, as the beam smears it.
 
-Far out, or on a small disc, a beam is as wide as a sector: seen through it, ID.1 and ID.2 differ
-less, and otherwise, than as drawn. A pan leaves the smear alone, for angles count from the line of
+Far out, or on a small disc, a beam is as wide as a sector: seen through it, IDs differ less, and
+in other cells, than as drawn. A pan does not change the smear, for angles count from the line of
 sight and the beam smears across it.
 
-A symbol is compared by generalised least squares. What lies over a disc unevenly (speckle, which
-the floor keeps as the sonar pans, patches that fade, late echoes) is alike in neighbouring cells:
-a broad patch that looks like half a sector is weak evidence, a step at a sector's edge strong.
-Light and shade are alike over a good part of the disc. They show on the ring and in the gap as
-well, so these take part; how bright the ring is, is left open.
+A symbol is compared by generalised least squares, because noise is correlated between neighbouring
+cells: speckle, which the floor keeps as the sonar pans, patches that fade, late echoes. A broad
+patch that looks like half a sector is weak evidence, a step at a sector's edge strong. Light and
+shade are correlated over a good part of the disc. They show on the ring and in the gap as well, so
+these are compared too, with the ring's level left free.
 
-Beside the IDs stand rivals: symbols that no ID of the set has. Where one of them explains a disc
-better than every ID does, it is none of these.
+Beside the IDs there are rivals: symbols that no ID of the set has. A disc that one of them explains
+better than every ID does is none of these.
 """
 
 from __future__ import annotations
@@ -26,34 +26,34 @@ from sonarrec.recogniser.stage3_features import settled
 from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES, STEP, Bands
 from sonarrec.records import BoolArray, FloatArray
 
-# Typical echo levels in dB over the floor, and the noise beneath: they say how the logarithm of the
-# picture bends a smeared edge. Correlations hardly depend on them.
+# Typical echo levels over the floor, and the noise, dB. Grey levels are logarithms of the power,
+# which changes the shape of a smeared edge. Correlations hardly depend on these levels.
 RING_DB, SYMBOL_DB, PLATE_DB, FLOOR_DB, NOISE_DB = 12.0, 10.0, -8.0, 0.0, -6.0
-# Smears (standard deviation across the line of sight, in disc radii) are rounded to this.
+# Smears (sigma across the line of sight, in disc radii) are rounded to whole steps of this size,
+# MOST_STEPS at most.
 SMEAR_STEP = 0.04
 MOST_STEPS = 10
-# What one pixel takes in, in any direction: standard deviation in disc radii.
-PIXEL = 0.05
-# Points and weights that stand for a Gaussian of standard deviation 1 (Gauss and Hermite's).
+PIXEL = 0.05  # sigma of a pixel's blur in any direction, in disc radii
+# Gauss-Hermite points and weights for a standard normal distribution.
 _THREE = np.sqrt(3) * np.array([-1, 0, 1])
 _THREE_SHARE = np.array([1, 4, 1]) / 6
 BEAM_POINT = 0.08  # a beam is summed over points no farther apart than this, in disc radii
-# Variance that is a cell's own, where it stands for the mean cell's area, in that of what is alike
-# in neighbouring ones. On tuning seeds 0.1 does as well, and so do cells alike over 0.3 or 0.6.
+# The noise's variances, as shares of that of the correlated noise (speckle and the like). OWN: of a
+# cell alone, for the mean cell's area (0.1 does as well on tuning seeds, as do correlation lengths
+# of 0.3 or 0.6). LIGHT: of light and shade, with their correlation length (1/e, in disc radii).
 OWN = 0.3
-# What light and shade vary by, in that of speckle and the like, and how far they are alike (1/e, in
-# disc radii).
 LIGHT, LIGHT_ALIKE = 1.0, 2.0
-# Rivals have so many sectors, each bright or dark, and differ from every ID at every turn by so
-# much of the circle. Where a part of a disc is hidden only so many of them are looked at again.
+# Rivals have so many sectors, each bright or dark, and differ from every ID at every turn in at
+# least this share of the circle. Of a disc that is partly hidden only the MOST_RIVALS best are
+# compared exactly.
 RIVAL_SECTORS = 8
 LEAST_UNLIKE = 0.12
 MOST_RIVALS = 48
-# Half the width of a cross's arms, and where they begin, in disc radii. It looks the same after so
-# many steps.
+# A cross is a rival too: half the width of its arms, and where they begin, in disc radii. It looks
+# the same after a quarter turn.
 ARM, HUB = 0.07, 0.12
 CROSS_TURNS = ANGLES // 4
-LEAST_SHOWN = 0.1  # share of a whole symbol's evidence below which nothing of it has shown
+LEAST_SHOWN = 0.1  # share of a whole symbol's evidence; with less, correlations count as 0
 
 
 class ExpectedSymbols:
@@ -68,7 +68,7 @@ class ExpectedSymbols:
     ) -> None:
         """radii, bands: of the lines of the shape matrix, from ShapeSampler.
 
-        alike: how far what lies unevenly over a disc is alike (1/e), in disc radii.
+        alike: correlation length (1/e) of the noise, in disc radii.
         """
         self._landmarks = landmarks
         # Of the ring, whose lines all show the same, the middle one.
@@ -77,7 +77,7 @@ class ExpectedSymbols:
         self._ids = len(landmarks.ids)
         self._rivals = _rivals(landmarks)
         self._precision = _precision(self._radii, alike, landmarks.ring[0])
-        # Only the smears that a log's ranges call for are ever drawn.
+        # Only the smears that occur in a log are computed.
         self._expected = cache(self._whitened)
 
     def correlation(
@@ -85,9 +85,9 @@ class ExpectedSymbols:
     ) -> tuple[FloatArray, FloatArray]:
         """(n, ANGLES, K) correlation with every ID at every rotation, (n,) best with a rival.
 
-        That of generalised least squares: its square is the share of the (whitened) variation that
-        the ID explains beyond a level. 0 where too little of the ID has shown. cells, seen: (n,
-        lines, ANGLES). smear: (n,) standard deviation across the line of sight in disc radii.
+        Its square is the share of the whitened variation about a level that the ID explains
+        (generalised least squares). 0 where too little of the ID has shown. cells, seen: (n, lines,
+        ANGLES). smear: (n,) sigma across the line of sight in disc radii.
         """
         shape = (len(cells), len(self._precision))
         ids = ANGLES * self._ids
@@ -122,9 +122,9 @@ class ExpectedSymbols:
         return found.reshape(-1, ANGLES, self._ids), product[:, ids:].max(axis=1) / scale
 
     def _whitened(self, steps: int) -> FloatArray:
-        """(cells, T) `expected` times the precision, over the root of the product of the two.
+        """(cells, T) P e / sqrt(e' P e) for each `expected` e and the precision P.
 
-        Of cells that are as a symbol has them the product with it is the root of their variation.
+        A disc's product with it, over the root of the disc's own variation, is the correlation.
         """
         flat = self.expected(steps).reshape(len(self._precision), -1)
         whitened = self._precision @ flat
@@ -140,34 +140,44 @@ class ExpectedSymbols:
         ring = (radius >= discs.ring[0]) & (radius <= discs.ring[1])
         bare = np.where(ring, RING_DB, np.where(radius > 1, FLOOR_DB, PLATE_DB))
         power = 10 ** (bare / 10) @ share + 10 ** (NOISE_DB / 10)  # (lines, ANGLES)
-        # How much of each cell lies in each of so many directions of the symbol that both a step
-        # and a sector are whole numbers of them: a turn is a roll of these.
-        sectors = np.asarray(discs.sectors, dtype=float)
+        brighter = 10 ** (SYMBOL_DB / 10) - 10 ** (PLATE_DB / 10)
+        lit = self._lit(radius, angle, share).reshape(*power.shape, -1)
+        power = power[..., None] + brighter * lit
+        return np.asarray((10 * np.log10(power) - PLATE_DB) / (SYMBOL_DB - PLATE_DB))
+
+    def _lit(self, radius: FloatArray, angle: FloatArray, share: FloatArray) -> FloatArray:
+        """(cells, T) share of each cell that lies on the bright parts of every symbol.
+
+        radius, angle, share: from `_points`.
+        """
+        inner, outer = self._landmarks.symbol
+        cells = radius[..., 0].size
+        within = (radius >= inner) & (radius <= outer)
+        cell = np.broadcast_to(np.arange(cells).reshape(*radius.shape[:2], 1), radius.shape)[within]
+        share = np.broadcast_to(share, radius.shape)[within]
+        radius, angle = radius[within], angle[within]
+        # Summed by direction from the disc's centre. Steps and sectors are both whole numbers of
+        # directions, so to turn a code is to roll it.
+        sectors = np.asarray(self._landmarks.sectors, dtype=float)
         directions = math.lcm(ANGLES, RIVAL_SECTORS, sectors.shape[1])
         direction = np.mod(angle, 2 * np.pi) / (2 * np.pi) * directions
-        cell = np.broadcast_to(np.arange(power.size).reshape(*power.shape, 1), radius.shape)
-        shares = np.broadcast_to(share, radius.shape)
-        within = (radius >= discs.symbol[0]) & (radius <= discs.symbol[1])
         at = cell * directions + np.minimum(direction, directions - 1).astype(int)
-        spread = np.bincount(at[within], shares[within], power.size * directions)
-        spread = spread.reshape(power.size, directions)
-        lit, rival = (spread @ _turned(codes, directions).T for codes in (sectors, self._rivals))
-        within &= radius >= HUB
-        x, y = (radius[within] * way(angle[within]) for way in (np.cos, np.sin))
-        cos, sin = (way(np.arange(CROSS_TURNS)[:, None] * STEP) for way in (np.cos, np.sin))
+        by_direction = np.bincount(at, share, cells * directions).reshape(cells, directions)
+        ids, rivals = (by_direction @ _turned(c, directions).T for c in (sectors, self._rivals))
+        # The cross: what lies within its arms, at each of its turns.
+        x, y = radius * np.cos(angle), radius * np.sin(angle)
+        turn = np.arange(CROSS_TURNS)[:, None] * STEP
+        cos, sin = np.cos(turn), np.sin(turn)
         off_axis = np.minimum(np.abs(x * cos + y * sin), np.abs(y * cos - x * sin))
-        turn, point = np.nonzero(off_axis < ARM)
-        at = cell[within][point] * CROSS_TURNS + turn
-        cross = np.bincount(at, shares[within][point], power.size * CROSS_TURNS)
-        lit = np.concatenate([lit, cross.reshape(power.size, CROSS_TURNS), rival], axis=1)
-        brighter = 10 ** (SYMBOL_DB / 10) - 10 ** (PLATE_DB / 10)
-        power = power[..., None] + brighter * lit.reshape(*power.shape, -1)
-        return np.asarray((10 * np.log10(power) - PLATE_DB) / (SYMBOL_DB - PLATE_DB))
+        turns, point = np.nonzero((off_axis < ARM) & (radius >= HUB))
+        at = cell[point] * CROSS_TURNS + turns
+        cross = np.bincount(at, share[point], cells * CROSS_TURNS).reshape(cells, CROSS_TURNS)
+        return np.concatenate([ids, cross, rivals], axis=1)
 
 
 def _rivals(landmarks: LandmarkSet) -> FloatArray:
-    """(R, RIVAL_SECTORS) codes, 0 or 1, that are unlike every ID: one of those that a turn or the
-    light, which leaves levels open, makes the same."""
+    """(R, RIVAL_SECTORS) codes, 0 or 1, that are unlike every ID; of those that are turns of each
+    other, one."""
     numbers = np.arange(1, 2**RIVAL_SECTORS - 1)
     codes = (numbers[:, None] >> np.arange(RIVAL_SECTORS)) & 1
     turns = np.stack([np.roll(codes, turn, axis=1) for turn in range(RIVAL_SECTORS)])
@@ -191,8 +201,8 @@ def _turned(codes: FloatArray, directions: int) -> FloatArray:
 def _points(radii: FloatArray, smear: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Where the echoes in each cell come from: distance from the centre, angle, and share.
 
-    The first two (lines, ANGLES, points), the share (points,). Over a pixel along the radius and
-    round the disc, so that turns stay exact, and over the beam across the line of sight.
+    The first two are (lines, ANGLES, points), the share (points,). The points cover a pixel, along
+    the radius and round the disc so that turns stay exact, and the beam across the line of sight.
     """
     half = math.ceil(2.4 * smear / BEAM_POINT)
     deviations = np.linspace(-2.4, 2.4, 2 * half + 1) if half else np.zeros(1)
@@ -212,9 +222,10 @@ def _points(radii: FloatArray, smear: float) -> tuple[FloatArray, FloatArray, Fl
 
 
 def _precision(radii: FloatArray, alike: float, ring_from: float) -> FloatArray:
-    """(cells, cells) inverse covariance of the cells on lines at `radii`.
+    """(cells, cells) inverse covariance of the noise in the cells on lines at `radii`.
 
-    The level of all, and that of the ring, which begins at `ring_from`, are taken out.
+    Two levels are left free, of the ring, which begins at `ring_from`, and of all else: the
+    precision times either is 0.
     """
     angle = (np.arange(ANGLES) + 0.5) * STEP
     x, y = (np.outer(radii, way(angle)).ravel() for way in (np.cos, np.sin))

@@ -1,9 +1,9 @@
 """Judges a described disc: one curve per feature, added up to the log odds of each ID.
 
 Log odds of an ID against 'none of these' = bias + sum over the features of a piecewise-linear
-curve. A curve shows at a glance what its feature is worth, which a file of weights would not.
-What a feature is worth depends on how far the beam smears the picture, so there are two such sums,
-one for sharp pictures and one for smeared ones, and between them their weighted mean.
+curve. A curve shows at a glance what its feature is worth, as a file of weights would not.
+That depends on how far the beam smears the picture: there are two such sums, one for sharp pictures
+and one for smeared ones; between the two their weighted mean counts.
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ from sonarrec.records import FloatArray, UsageError
 
 BUILT_IN = Path(__file__).parent / "appearance.toml"
 
-
 # A picture is sharp up to the first smear (the beam's standard deviation across the line of sight,
 # in disc radii) and smeared from the second on: discs 14 beams and 8 beams wide. Chosen on tuning
 # seeds.
@@ -31,7 +30,7 @@ SHARP, SMEARED = 0.06, 0.10
 
 
 def smeared_share(smear: FloatArray) -> FloatArray:
-    """(n,) how much the curves of smeared pictures count, 0 to 1; those of sharp ones the rest.
+    """(n,) weight of the curves for smeared pictures, 0 to 1; those for sharp ones have the rest.
 
     smear: (n,) the beam's standard deviation across the line of sight, in disc radii.
     """
@@ -42,7 +41,7 @@ def smeared_share(smear: FloatArray) -> FloatArray:
 class AppearanceModel:
     """An additive model over FEATURES, for sharp pictures and for smeared ones.
 
-    bias: (2,) log odds that are no feature's, sharp and smeared. knots: per feature, (m,) rising
+    bias: (2,) log odds, sharp and smeared. knots: per feature, (m,) rising
     abscissae. values: per feature, (2, m) the log odds there; beyond the ends a curve stays level.
     """
 
@@ -65,7 +64,7 @@ class AppearanceModel:
 
     @cached_property
     def _end_to_end(self) -> tuple[FloatArray, ...]:
-        """All curves as one, each moved beyond the one before: a single look-up serves them all.
+        """All curves laid end to end in one: a single interpolation serves them all.
 
         Its knots and values; per feature its first knot, its last, and how far it was moved.
         """

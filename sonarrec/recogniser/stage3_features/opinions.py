@@ -1,9 +1,8 @@
-"""What a track's frames say of it, taken together.
+"""The beliefs of a track's frames pooled.
 
-A track's picture (track_matrix.py) holds earlier frames already: what two frames say is far from
-independent, and to multiply their beliefs, as a Bayesian recursion would (Eq. 5 to 8), claims the
-same evidence many times over. A logarithmic opinion pool does not: it is a weighted mean of log
-beliefs.
+A track's picture (track_matrix.py) holds earlier frames already, so the beliefs of two frames are
+far from independent. To multiply them, as a Bayesian recursion does (Eq. 5 to 8), would count the
+same evidence many times. A logarithmic opinion pool, a weighted mean of log beliefs, does not.
 """
 
 from __future__ import annotations
@@ -17,18 +16,18 @@ import numpy as np
 from sonarrec.recogniser.stage3_features import Gathered
 from sonarrec.records import FloatArray, Groups
 
-LEAST_BELIEF = 1e-2  # in a logarithm: no single frame rules an ID out for good
-LEAST_NOW = 1e-6  # the same, in what this frame says of itself: the digits that the tables have
-# Powers of this frame's belief and of its track's so far in the belief that is reported: near a fit
-# to tuning seeds (2000 to 2007 and 2500 to 2507), where they had the least cost over all kinds, a
-# false claim counting as two misses. That they sum to more than 1 makes up for the mean being less
-# sure than frames.
+LEAST_BELIEF = 1e-2  # of a frame in the pool: no single frame rules an ID out for good
+LEAST_NOW = 1e-6  # of the frame that is reported: the tables have six digits
+# The belief that is reported is this frame's to the power NOW times the track's pool to the power
+# SO_FAR. Chosen on tuning seeds (2000 to 2007 and 2500 to 2507) for the least cost over all kinds,
+# a false claim counting as two misses. They sum to more than 1 because the mean is less sure than
+# single frames.
 NOW, SO_FAR = 0.5, 0.6
 
 
 @dataclass
 class Opinion:
-    """The pool of what frames said of one chapter of a track's life."""
+    """The pool of the frames of one chapter of a track."""
 
     log_beliefs: FloatArray
     """(K + 1,) weighted sum over the frames of log belief."""
@@ -38,14 +37,11 @@ class Opinion:
     """How many there were."""
 
     def add(self, beliefs: FloatArray) -> None:
-        """Take in a frame's (K + 1,) beliefs.
-
-        It weighs by how many frames it had seen and by how sure it is.
-        """
+        """Take in a frame's (K + 1,) beliefs, weighted by its place in the track and certainty."""
         self.frames += 1
         logs = np.log(np.maximum(beliefs, LEAST_BELIEF))
-        # The mean of the logs is minus the entropy: its exponential is 1 where the frame is sure,
-        # 1 / (K + 1) where it is not. Squared: tuning seeds.
+        # exp(-entropy) is 1 where the frame is sure, 1 / (K + 1) where it knows nothing; its square
+        # did best on tuning seeds.
         weight = self.frames * float(np.exp(np.exp(logs) @ logs)) ** 2
         self.weight += weight
         self.log_beliefs += weight * logs
@@ -74,9 +70,9 @@ class Opinions(Generic[AnyOpinion]):
         self._chapter: dict[int, int] = {}
 
     def now(self, track: int, chapter: int, frame: int) -> AnyOpinion:
-        """The opinion that a frame adds to, of a track that is in a chapter now.
+        """The opinion that a frame of a track in this chapter is to be added to.
 
-        Where an older chapter goes on, what came back is what it was: the two share one opinion.
+        Where an older chapter goes on, it and the one that it replaces share one opinion from now.
         """
         key = (track, chapter)
         if key not in self._of:
@@ -94,7 +90,7 @@ class Opinions(Generic[AnyOpinion]):
         return self._of[track, chapter]
 
     def forget(self, before: int) -> None:
-        """Drop what `now` was asked for in no frame from `before` on."""
+        """Drop opinions that `now` gave for no frame from `before` on."""
         for key in [k for k, frame in self._heard.items() if frame < before]:
             del self._of[key], self._heard[key]
             if self._chapter.get(key[0]) == key[1]:
@@ -102,10 +98,10 @@ class Opinions(Generic[AnyOpinion]):
 
 
 class TrackBelief:
-    """From what frames say by themselves to what is believed of their tracks."""
+    """Turns the beliefs of single frames into beliefs in their tracks."""
 
     def __init__(self, ids: int, remember_frames: int) -> None:
-        """remember_frames: a track that was away for longer does not come back."""
+        """ids: K. remember_frames: a track that was away for longer does not come back."""
         self._opinions = Opinions(lambda: Opinion(np.zeros(ids + 1)))
         self._remember = remember_frames
         self._frame = 0

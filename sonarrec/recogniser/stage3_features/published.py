@@ -37,16 +37,16 @@ TABLE_3 = np.array(  # range window 2.50 m
         [0.1681, 0.2485, 0.2515, 0.3319],
     ]
 )
-LEAST_PREDICTED = 1e-300  # no belief is none at all
+LEAST_PREDICTED = 1e-300  # belief; 0 / 0 is avoided
 PAPER_SECTORS = ((1, 0, 0, 0), (1, 0, 1, 0), (1, 1, 0, 0), (1, 1, 1, 0))
 
 
 def measurement_model(landmarks: LandmarkSet, window_m: float) -> FloatArray:
     """(K, K) L[k, j] = P(measured as ID j | is ID k); rows sum to 1.
 
-    For the paper's four IDs Table 2 or 3, whichever was measured nearer (by ratio) to the range
-    window. For other sets, for which nothing is published, the ideal similarities, of which the
-    tables are noisy versions: the share of sectors in which two IDs agree, normalised.
+    For the paper's four IDs it is Table 2 or 3, whichever's range window is nearer by ratio. For
+    other sets nothing is published: it is the share of sectors in which two IDs agree, normalised,
+    of which the tables are noisy versions.
     """
     if landmarks.sectors == PAPER_SECTORS:
         model = TABLE_2 if window_m < (1.25 * 2.50) ** 0.5 else TABLE_3
@@ -72,7 +72,7 @@ def update(predicted: FloatArray, measured: FloatArray, model: FloatArray) -> Fl
     Jeffrey's rule: the posterior under each measurement that may have been made, weighed by how
     probable it is that it was.
     """
-    # Of IDs that no measurement confuses, one that was ruled out by rounding may be measured.
+    # Where the model confuses no IDs, one whose belief was rounded to 0 may be measured.
     predicted = np.maximum(predicted, LEAST_PREDICTED)
     joint = model[None] * predicted[:, :, None]  # Eq. 6: (n, k, j)
     posterior = joint / joint.sum(axis=1, keepdims=True)  # Eq. 7
@@ -104,7 +104,7 @@ class FeatureEstimator:
         return beliefs
 
     def _predict(self, groups: Groups) -> FloatArray:
-        """Eq. 5. An object that has just begun knows nothing: its belief is uniform."""
+        """(n, H) Eq. 5. The belief in an object that has just begun is uniform."""
         hypotheses = len(self._model)
         predicted = np.full((len(groups.numbers), hypotheses), 1 / hypotheses)
         place = {number: i for i, number in enumerate(self._numbers)}
@@ -127,7 +127,7 @@ class PublishedMeasurement:
     def __init__(
         self, config: Features, bands: Bands, landmarks: LandmarkSet, window_m: float
     ) -> None:
-        """bands: of ShapeSampler. window_m: of the range, which says which table serves."""
+        """bands: of ShapeSampler. window_m: length of the range window."""
         self._least_ring = config.least_ring
         self._identify = partial(identify, bands=bands, turned=turned_codes(landmarks))
         self._estimator = FeatureEstimator(config, measurement_model(landmarks, window_m))
@@ -138,7 +138,7 @@ class PublishedMeasurement:
         grey: FloatArray,
         seen: BoolArray,
     ) -> Gathered:
-        """The frame itself: nothing is gathered."""
+        """The frame's own matrices: nothing is gathered."""
         brightness = np.where(seen, grey, 0.0)
         n = len(grey)
         return Gathered(brightness, seen.astype(float), np.ones(n, np.int64), np.zeros(n, np.int64))

@@ -1,8 +1,7 @@
 """Shape matrices (Section 3.4.2): concentric lines sampled on the disc.
 
-The measurement of stage 3, and with the identification of `smi` the paper's single-frame
-baseline. Brightness is sampled along concentric lines at equally spaced angles on the disc
-as it appears in the working plane.
+The measurement of stage 3, and of the paper's single-frame baseline (smi.py). Brightness is sampled
+along concentric lines, at equally spaced angles, on the disc as it appears in the working plane.
 """
 
 from __future__ import annotations
@@ -29,12 +28,13 @@ OUTER = (1.12, 1.32)
 
 
 def whole_steps(angle_deg: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Angles as whole steps, and the degrees that are left: half a step at most."""
+    """Angles as whole steps, and the degrees that are left: at most half a step. Any shape."""
     steps = np.rint(angle_deg / STEP_DEG).astype(np.int64)
     return steps, angle_deg - steps * STEP_DEG
 
 
 def _middles(band: tuple[float, float], lines: int) -> FloatArray:
+    """(lines,) radii: the middles of so many equal parts of a band."""
     return band[0] + (band[1] - band[0]) * (np.arange(lines) + 0.5) / lines
 
 

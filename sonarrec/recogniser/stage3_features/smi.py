@@ -25,8 +25,8 @@ class Identification:
     def measurement(self, least_ring: float = 0.0) -> FloatArray:
         """(n, K) q of Eq. 8: the similarities divided by their sum.
 
-        least_ring: where less of the ring is bright the outer lines show no circle, and the inner
-        ones tell nothing: q is uniform.
+        least_ring: where a smaller share of the ring is bright there is no circle, so the symbol
+        tells nothing: q is uniform.
         """
         total = self.similarity.sum(axis=1, keepdims=True)
         uniform = np.full_like(self.similarity, 1 / self.similarity.shape[1])
@@ -36,12 +36,12 @@ class Identification:
 
     @property
     def score(self) -> FloatArray:
-        """(n,) largest similarity, as far as there is a ring."""
+        """(n,) largest similarity times the bright share of the ring."""
         return np.asarray(self.similarity.max(axis=1) * self.ring)
 
     @property
     def beliefs(self) -> Beliefs:
-        """The measurement taken for the belief; 'none of these' is normalised away."""
+        """The measurement as the belief; 'none of these' has 0."""
         return without_none(self.measurement(), self.turn)
 
 
@@ -59,9 +59,8 @@ def without_none(probabilities: FloatArray, turn: IndexArray) -> Beliefs:
 def identify(grey: FloatArray, seen: BoolArray, bands: Bands, turned: FloatArray) -> Identification:
     """Single-frame shape-matrix identification of sampled objects.
 
-    grey, seen: (n, L, ANGLES) from ShapeSampler. turned: from turned_codes. Cells are bright above
-    the level that best parts each disc's own ring and symbol samples in two (Otsu, over the disc
-    alone). Cells outside the fan agree with nothing and count for nothing.
+    grey, seen: (n, L, ANGLES) from ShapeSampler. turned: from turned_codes. A cell is bright above
+    Otsu's threshold of its own disc's ring and symbol cells. Cells outside the fan do not count.
     """
     disc = np.concatenate([grey[:, bands.symbol], grey[:, bands.ring]], axis=1)
     disc_seen = np.concatenate([seen[:, bands.symbol], seen[:, bands.ring]], axis=1)

@@ -16,14 +16,14 @@ from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES, whole_steps
 from sonarrec.records import BoolArray, FloatArray, Groups, IntArray
 
 _T = TypeVar("_T", bound=np.generic)
-# What comes back is judged by what it shows now. What it showed before it left counts again, by a
-# share, where the two pictures are very much alike (correlation), or after so many frames somewhat:
-# speckle is frozen to the floor, so one landmark's are.
+# A track that comes back is judged by what it shows now. The picture from before it left is added
+# again, with weight OLD_SHARE, where the two correlate by VERY_ALIKE, or from FRAMES_TO_EARN frames
+# on by LEAST_ALIKE: speckle is frozen to the floor, so two pictures of one landmark are alike.
 VERY_ALIKE, FRAMES_TO_EARN, LEAST_ALIKE, OLD_SHARE = 0.75, 3, 0.5, 0.5
 
 
 class _Picture(NamedTuple):
-    """What a track showed: the faded sum of its cells and how often each was seen."""
+    """What a track showed: (L, ANGLES) faded sums of its cells, and of how often each was seen."""
 
     total: FloatArray
     seen: FloatArray
@@ -43,9 +43,8 @@ class TrackMatrix:
     """The running average of each track's shape matrix, with angles from the line of sight.
 
     Frames fade with a memory of `memory_frames`; a cell counts by how often it was seen. A track
-    that left the view and comes back begins anew, and has to earn what it was (FRAMES_TO_EARN). Its
-    life has chapters: a new one begins as it comes back; where it has earned what it was, the one
-    before goes on.
+    that comes back into view begins a new picture and a new chapter. Where the picture proves to be
+    like the one before, the earlier chapter goes on (see FRAMES_TO_EARN).
     """
 
     def __init__(self, memory_frames: float, lines: int) -> None:
@@ -56,7 +55,7 @@ class TrackMatrix:
         self._frames = np.empty(0, np.int64)
         self._chapters = np.empty(0, np.int64)
         self._last_chapter = 0
-        # What those that left showed, and those that came back and have not earned it yet.
+        # Pictures of tracks that left, and of those that came back and have not earned theirs yet.
         self._before: dict[int, _Picture] = {}
 
     def step(self, groups: Groups, grey: FloatArray, seen: BoolArray) -> Gathered:
