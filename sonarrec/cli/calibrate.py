@@ -34,8 +34,8 @@ from sonarrec.records import UsageError
     LEARNING,
     "--from-scratch",
     is_flag=True,
-    help="Forget the built-in model, in place of starting from it: for thousands of labelled "
-    "frames of all that may be met.",
+    help="Do not start from the built-in model. It takes thousands of labelled frames of all that "
+    "may be met.",
 )
 @settings_options
 @out_option(NEW_FILE, "The model, for `sonarrec run --model`.", required=True)
@@ -53,9 +53,9 @@ def calibrate(
     """Learn from LOG, whose landmarks are labelled, how landmarks look to this sonar.
 
     The model tells each landmark from the others and from "none of these". It starts from the
-    built-in one: a few hundred labelled frames adapt it. Of several LOGs the ground truth names
-    each in a log column. Frames without a row count as frames without a landmark, save where a
-    track was on one before or after.
+    built-in one: a few hundred labelled frames adapt it. For several LOGs the ground truth needs a
+    log column. Frames without a row count as frames without a landmark, except where a track was
+    on one before or after.
 
     \b
     Examples:

@@ -74,8 +74,8 @@ if TYPE_CHECKING:
     "-j",
     "--jobs",
     type=click.IntRange(min=1),
-    help="Logs that are read side by side, each in a process apart; the figures are the same "
-    "however many.  [default: as many as there are cores; of few small logs one]",
+    help="How many logs are read at once, each in its own process; the figures are the same.  "
+    "[default: as many as there are cores; for a few small logs 1]",
 )
 @option(
     OUTPUT,
@@ -118,8 +118,8 @@ def evaluate(
     RESULTS is the folder of one log, or one that holds several (default: sonarrec_out). Truth is
     found beside each log, or given; both may be on a server (`sonarrec help remote`). The geometry
     matters only where positions are in pixels and run.toml does not tell it. Files go to
-    RESULTS/evaluation. Intervals and tests take whole passes of a landmark through the view, or
-    whole logs, for independent, never frames.
+    RESULTS/evaluation. Intervals and tests treat whole passes of a landmark through the view, or
+    whole logs, as independent; never frames.
 
     \b
     Examples:

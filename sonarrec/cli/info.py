@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     "--preview",
     type=NEW_FILE,
     metavar="FILE.png",
-    help="Draw the first usable frame under the stated geometry, with discs of the set to scale.",
+    help="Draw the stated geometry, and discs of the set to scale, onto the first usable frame.",
 )
 @option(OUTPUT, "--json", "as_json", is_flag=True, help="Print JSON. Keys: sonarrec help info.")
 @cache_options
@@ -76,8 +76,8 @@ def info(
     LOG is an MCAP file, a bag of ROS 1 or 2, a folder of images, a video, a sonar's own file (ARIS,
     DIDSON, Oculus), a folder of logs, or a quoted glob of these. Every frame is read, and every
     checksum compared, to tell how many frames can be used; --quick leaves that out. A geometry that
-    is not complete is told but no fault. Exit code 3: part of the log cannot be used; 1: nothing
-    can. LOG may be on a server (`sonarrec help remote`).
+    is incomplete is reported, but is no fault. Exit code 3: part of the log cannot be used; 1: none
+    of it can. LOG may be on a server (`sonarrec help remote`).
 
     --preview draws range rings, bearings, the near edge of the stated floor and three discs of the
     landmark set onto the first usable frame: what is wrong with a geometry shows at a glance.

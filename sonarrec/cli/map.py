@@ -32,8 +32,8 @@ from sonarrec.records import UsageError
     "--odometry",
     type=FILE,
     multiple=True,
-    help="Table of the poses that a log was run with, where it is no longer beside the log; once "
-    "for each of several.",
+    help="Table of the poses that a log was run with, where it is no longer beside the log; "
+    "repeatable.",
 )
 @option(
     INPUT,

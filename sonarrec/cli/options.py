@@ -1,4 +1,4 @@
-"""Options that several commands share, and what they mean; --help that shows them in groups."""
+"""Options that several commands share, what they mean, and --help with options in groups."""
 
 from __future__ import annotations
 
@@ -153,8 +153,8 @@ _PIXELS = {
         PIXELS,
         "--pixel-scale",
         type=click.Choice(["linear", "log", "db"]),
-        help="What pixels hold: ready to show, echo amplitudes, decibels.  "
-        "[default: linear to 16 bit and within 0 to 1, else log; db where negative]",
+        help="What pixels hold: grey levels ready to show, echo amplitudes, or decibels.  "
+        "[default: linear to 16 bit and within 0 to 1, db where some are negative, else log]",
     ),
     "full_scale": option(
         PIXELS,
@@ -162,7 +162,7 @@ _PIXELS = {
         type=float,
         metavar="VALUE",
         help="The pixel value that becomes white.  "
-        "[default: the type's largest; for log and db by the first ping]",
+        "[default: the type's largest; for log and db from the first ping]",
     ),
     "dynamic_range_db": option(
         PIXELS,
@@ -179,22 +179,22 @@ _TIME = {
         INPUT,
         "--time",
         type=click.Choice(["log", "publish", "header"]),
-        help="Which time of an MCAP message names a frame, and timestamp_ns means. Frames come "
-        "in the order of log time.  [default: log]",
+        help="Which time of an MCAP message becomes the timestamp_ns of its frame. Frames come in "
+        "the order of log time all the same.  [default: log]",
     )
 }
 
 
 _RECURSIVE = option(
-    INPUT, "--recursive", is_flag=True, help="Of a folder also the logs in all folders below it."
+    INPUT, "--recursive", is_flag=True, help="Also take the logs in all folders below a folder."
 )
 _FROM_FILE = option(
     INPUT,
     "--from-file",
     type=click.File(encoding="utf-8-sig", errors="surrogateescape"),
     metavar="LIST",
-    help="Logs in a file, each as LOG on a line of its own; - for standard input. Empty lines and "
-    "those that begin with # are passed over.",
+    help="File with one LOG a line; - for standard input. Empty lines and those that begin with # "
+    "are skipped.",
 )
 
 
@@ -220,7 +220,7 @@ def named_logs(logs: tuple[str, ...], from_file: IO[str] | None, recursive: bool
 
 @dataclass(frozen=True, slots=True)
 class LogChoice:
-    """How a log is to be read, by the flags of the command line."""
+    """How the command line says that a log is to be read."""
 
     values: Mapping[str, Any]  # of the options by name, None where not given
 
@@ -301,7 +301,8 @@ _SCORING = {
         type=float,
         default=0.9,
         show_default=True,
-        help="Share of the disc in view from which a landmark counts; with less it is ignored.",
+        help="Share of the disc that must be in view for a landmark to count; with less, it is "
+        "ignored.",
     ),
     "tolerance_s": option(
         SCORING,
@@ -309,7 +310,8 @@ _SCORING = {
         "tolerance_s",
         type=float,
         metavar="SECONDS",
-        help="For truth matched by timestamp_ns.  [default: half the time between frames]",
+        help="Longest time between a row of truth with timestamp_ns and its frame.  "
+        "[default: half the time between frames]",
     ),
     "landmarks": landmarks_option,
 }
@@ -333,7 +335,7 @@ _SETTINGS = {
         SETTINGS,
         "--preset",
         metavar="NAME[,NAME]",
-        help="default (frame by frame), offline (each result waits for what its log shows later) "
+        help="default (frame by frame), offline (results are revised by what the log shows later) "
         "or paper (every rule as published). `sonarrec run` takes several, side by side.",
     ),
     "config_file": option(
@@ -355,14 +357,14 @@ _SETTINGS = {
         SETTINGS,
         "--seed",
         type=click.IntRange(min=0),
-        help="Of all that is random.  [default: 0]",
+        help="Seed of all that is random.  [default: 0]",
     ),
 }
 
 
 @dataclass(frozen=True, slots=True)
 class SettingsChoice:
-    """The settings that the flags ask for."""
+    """What the command line says of the settings."""
 
     values: Mapping[str, Any]
 
@@ -398,7 +400,7 @@ model_option = option(
     INPUT,
     "--model",
     type=FILE,
-    help="Appearance model of `sonarrec calibrate`.  [default: built in]",
+    help="Appearance model that `sonarrec calibrate` wrote.  [default: built in]",
 )
 
 
@@ -409,12 +411,12 @@ quiet_option = option(
     "-q",
     "--quiet",
     is_flag=True,
-    help="No progress bar and no summary; files, notes and faults as ever.",
+    help="No progress bar and no summary; notes and faults are still printed.",
 )
 
 
 verbose_option = option(
-    OUTPUT, "-v", "--verbose", is_flag=True, help="A line on stderr for each log that is finished."
+    OUTPUT, "-v", "--verbose", is_flag=True, help="Print a line on stderr for each finished log."
 )
 
 

@@ -24,15 +24,16 @@ _LAYING = {
         BACKGROUND,
         "--contrast",
         metavar="DB[,DB]",
-        help="How far ring and sectors stand out from the floor, dB of power; several with commas "
-        "between make a series.  [default: 6; of site: 0,3,6,10]",
+        help="How far ring and sectors stand out from the floor, dB of power; several, with commas "
+        "between, make a series.  [default: 6; of `site` 0,3,6,10]",
     ),
     "plate": option(
         BACKGROUND,
         "--plate",
         type=click.FloatRange(-MOST_DB, MOST_DB),
         metavar="DB",
-        help="The same of the plate between them.  [default: -6]",
+        help="The same of the plate between ring and sectors; negative where it is darker than the "
+        "floor.  [default: -6]",
     ),
     "landmarks": option(
         BACKGROUND,
@@ -51,8 +52,8 @@ _LAYING = {
         "--beam-width",
         type=click.FloatRange(0, 5),
         metavar="DEG",
-        help="By which the discs are smeared across the line of sight.  "
-        "[default: features.beam_width_deg, else as `sonarrec run` finds it out]",
+        help="Width of the beams, by which the discs are smeared.  "
+        "[default: features.beam_width_deg, else as `sonarrec run` finds it]",
     ),
     "odometry": option(
         BACKGROUND,
@@ -72,7 +73,7 @@ _LAYING = {
 
 @dataclass(frozen=True, slots=True)
 class Laying:
-    """What the options ask for."""
+    """What the command line says of the landmarks to lay."""
 
     values: Mapping[str, Any]
 
@@ -98,7 +99,7 @@ class Laying:
 
     @property
     def plate_db(self) -> float:
-        """Of the plate over the floor."""
+        """Level of the plate over the floor, dB."""
         return -6.0 if self.values["plate"] is None else float(self.values["plate"])
 
     @property

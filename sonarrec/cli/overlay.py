@@ -10,6 +10,7 @@ from sonarrec.cli.bars import progress
 from sonarrec.cli.endings import end, tell
 from sonarrec.cli.options import (
     ANY,
+    INPUT,
     NEW_FILE,
     OUTPUT,
     LogChoice,
@@ -35,22 +36,26 @@ from sonarrec.records import UsageError
     "--mcap",
     type=ANY,
     metavar="OUT",
-    help="Annotations and detections, for Foxglove and ROS 2.",
+    help="Write annotations and detections, for Foxglove and ROS 2.",
 )
 @option(
     OUTPUT,
     "--foxglove-layout",
     type=NEW_FILE,
     metavar="OUT.json",
-    help="Layout for Foxglove that shows them, with --mcap.",
+    help="Foxglove layout that shows what --mcap writes.",
 )
-@option(OUTPUT, "--video", type=ANY, metavar="OUT.mp4", help="The frames drawn, as MPEG-4.")
 @option(
-    OUTPUT, "--images", type=ANY, metavar="DIR", help="The frames drawn, as DIR/000000.png, ..."
+    OUTPUT,
+    "--video",
+    type=ANY,
+    metavar="OUT.mp4",
+    help="Draw the frames into a video (MPEG-4 Part 2).",
 )
-@option(OUTPUT, "--method", help="Method of estimates.csv.  [default: framework]")
+@option(OUTPUT, "--images", type=ANY, metavar="DIR", help="Draw the frames as DIR/000000.png, ...")
+@option(INPUT, "--method", help="Method of estimates.csv.  [default: framework]")
 @frames_option("Draw only these frames, from A up to, not including, B.")
-@option(OUTPUT, "--grid", is_flag=True, help="Range rings and bearings in videos and images.")
+@option(OUTPUT, "--grid", is_flag=True, help="Draw range rings and bearings in videos and images.")
 @quiet_option
 # Long by its options and its help.
 def overlay(
@@ -72,13 +77,13 @@ def overlay(
 
     RESULTS is the folder that `sonarrec run LOG` wrote, or one that holds it (default:
     sonarrec_out). An object is outlined in its ID's colour where the ID is declared, else thin
-    and grey; below the frames of videos and images run the probabilities of each ID.
+    and grey. Below the frames of videos and images are the probabilities of each ID.
 
     \b
     --mcap    Open it in Foxglove together with LOG, show /sonarrec/annotations in the
-              Image panel, or import the layout. /sonarrec/detections has what is declared
-              as vision_msgs/Detection3DArray for ROS 2. Of polar logs, and of logs that are
-              no MCAP, it also holds the fan images, /sonarrec/fan.
+              Image panel, or import the layout. /sonarrec/detections has what is declared,
+              as vision_msgs/Detection3DArray for ROS 2. For polar logs, and for logs that
+              are no MCAP, it also holds the fan images, /sonarrec/fan.
     --video   MPEG-4 Part 2, for VLC, mpv and most desktop players. For browsers:
               ffmpeg -i OUT.mp4 -c:v libx264 -pix_fmt yuv420p WEB.mp4
 

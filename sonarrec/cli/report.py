@@ -60,15 +60,14 @@ if TYPE_CHECKING:
     "recordings",
     type=ANY_OR_URL,
     multiple=True,
-    help="The log that RESULTS came from, for frames on the page; once for each of several, or a "
-    "folder that holds them.",
+    help="The log that RESULTS came from, for frames on the page, or a folder of logs; repeatable.",
 )
 @topic_option
 @scoring_options
 @option(
     OUTPUT,
     "--method",
-    help="Whose sightings and tracks are shown.  [default: framework, or the first preset]",
+    help="Method whose sightings and tracks are shown.  [default: framework, or the first preset]",
 )
 @out_option(
     NEW_FILE_OR_URL,
@@ -93,10 +92,9 @@ def report(
 
     RESULTS is the folder of one log, or one that holds several (default: sonarrec_out). The page
     shows what was seen, when and how surely, and the probabilities along each track; with ground
-    truth also the paper's tables, the ROC and the worst mistakes; with the log also its frames,
-    of which a click on a bar, a track or a mistake shows the one meant.
-    The geometry matters only where run.toml does not tell it. All of these, and the page, may be on
-    a server (`sonarrec help remote`).
+    truth also the paper's tables, the ROC and the worst mistakes; with the log also its frames: a
+    click on a bar, a track or a mistake shows the frame. The geometry matters only where run.toml
+    does not tell it. All inputs, and the page, may be on a server (`sonarrec help remote`).
 
     \b
     Examples:

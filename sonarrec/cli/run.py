@@ -86,48 +86,48 @@ if TYPE_CHECKING:
     type=click.Choice(["csv", "parquet"]),
     default="csv",
     show_default=True,
-    help="What the estimates are written in; parquet needs `pip install 'sonarrec[parquet]'`.",
+    help="Format of the estimates; parquet needs `pip install 'sonarrec[parquet]'`.",
 )
 @option(
     OUTPUT,
     "--odometry-out",
     type=NEW_FILE,
     metavar="FILE",
-    help="Also write the sonar's path, as told or measured between the images, as a CSV that "
-    "--odometry reads; of one log.",
+    help="Also write the sonar's path, from the poses or measured between the images, as a CSV "
+    "that --odometry reads; of one log only.",
 )
 @option(
     OUTPUT,
     "--overwrite",
     is_flag=True,
-    help="Do again what is up to date, and replace results of another log of that name.",
+    help="Run again what is up to date, and replace results of another log of that name.",
 )
 @option(
     BATCH,
     "-j",
     "--jobs",
     type=click.IntRange(min=1),
-    help="Logs that run side by side, each in a process apart; 1: one after the other, in this "
+    help="How many logs run at once, each in its own process; 1: one after the other, in this "
     "process.  [default: as many as there are cores]",
 )
 @option(
     BATCH,
     "--retry-failed",
     is_flag=True,
-    help="Only logs that OUT/logs.csv has as failed or partial; these are done anew.",
+    help="Run only the logs that are failed or partial in OUT/logs.csv, anew.",
 )
 @option(
     BATCH,
     "--dry-run",
     is_flag=True,
-    help="Print what would be done with each log, and why; do nothing.",
+    help="Print what would be done with each log, and why; write nothing.",
 )
 @option(
     BATCH,
     "--timeout",
     type=click.FloatRange(min=0, min_open=True),
     metavar="SECONDS",
-    help="End a log that takes longer.",
+    help="Stop a log that takes longer.",
 )
 @option(
     BATCH, "--shard", metavar="I/N", help="Only every N-th log, from the I-th: see help cluster."
@@ -173,14 +173,13 @@ def run(
 
     LOG is an MCAP file, a bag of ROS 1 or 2, a folder of images, a video, a sonar's own file
     (.aris, .ddf, .oculus, .raw), a folder of logs, or a quoted glob of these. The sonar's geometry
-    is read from sonar.toml beside it (NAME.sonar.toml for one file) or in a folder above, up to the
-    LOG given; from --sonar, or from the flags; polar sonar messages tell their own, all but the
-    tilt and the height, as do sonars' own files. Several logs are processed side by side; one that
-    cannot be used does not stop the others. LOG and OUT may be on a server (`sonarrec help
-    remote`).
+    comes from sonar.toml beside LOG (NAME.sonar.toml for one file), from --sonar, or from the
+    flags below; polar messages and sonars' own files state theirs, mostly without tilt and height.
+    Several logs are processed side by side; one that cannot be used does not stop the others. LOG
+    and OUT may be on a server (`sonarrec help remote`).
 
-    Results are replaced only when the new ones are finished, and not made again where they are up
-    to date. A run that is stopped leaves its part in OUT/<log name>.part.
+    Results that are up to date are not made again; others are replaced once the new ones are
+    finished. A run that is stopped leaves what it has done in OUT/<log name>.part.
 
     \b
     Examples:

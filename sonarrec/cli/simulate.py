@@ -28,7 +28,8 @@ from sonarrec.records import UsageError
     INPUT,
     "--scene",
     "source",
-    help="Built-in name (paper, basin, sample_pan, sample_polar) or a TOML file.  [default: paper]",
+    help="Scene: a built-in name (paper, basin, sample_pan, sample_polar) or a TOML file.  "
+    "[default: paper]",
 )
 @option(
     INPUT,
@@ -41,13 +42,14 @@ from sonarrec.records import UsageError
     INPUT,
     "--seed",
     type=click.IntRange(min=0),
-    help="In place of the scene's own; with --background, of the places of the discs.",
+    help="Seed, in place of the scene's own; with --background, it places the discs.",
 )
 @option(
     INPUT,
     "--frames",
     metavar="N",
-    help="In place of the scene's own number; with --background A:B, only these frames of it.",
+    help="Number of frames, in place of the scene's own; with --background A:B, only these frames "
+    "of it.",
 )
 @laying_options
 @log_options(time=True)
@@ -70,7 +72,7 @@ from sonarrec.records import UsageError
     OUTPUT,
     "--compression",
     type=click.Choice(["none", "lz4", "zstd"]),
-    help="Of an MCAP.  [default: zstd]",
+    help="Compression of an MCAP.  [default: zstd]",
 )
 @out_option(
     ANY,
@@ -94,8 +96,9 @@ def simulate(
 ) -> None:
     """Render a recording with known truth: frames, sonar.toml, gt.csv and the scene itself.
 
-    With --background landmarks are laid into a recording of your own that holds none, at random
-    places of the floor, where they stay as the sonar moves: its speckle, its light, its motion.
+    With --background landmarks are laid into a recording of your own that holds none. They lie at
+    random places on the floor and stay there as the sonar moves; speckle, light and motion are the
+    recording's.
 
     \b
     Examples:

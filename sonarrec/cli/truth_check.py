@@ -37,7 +37,7 @@ _MOST_LINES = 20  # told of one kind of fault
     default=5.0,
     show_default=True,
     metavar="DEG",
-    help="By how much the sonar may turn from one frame to the next.",
+    help="Largest turn of the sonar from one frame to the next that is believed.",
 )
 @option(
     OUTPUT,

@@ -43,7 +43,8 @@ def _label_map(_: click.Context, __: click.Parameter, given: tuple[str, ...]) ->
     multiple=True,
     metavar="LABEL=ID",
     callback=_label_map,
-    help="ID of a label; none leaves it out. 1, ID.1 and landmark_1 need no such line.",
+    help="ID of a label, or none to leave it out; repeatable. Labels 1, ID.1 and landmark_1 need "
+    "no --map.",
 )
 @option(
     INPUT,
@@ -57,7 +58,7 @@ def _label_map(_: click.Context, __: click.Parameter, given: tuple[str, ...]) ->
     "--format",
     "format_name",
     type=click.Choice(["cvat", "coco", "mot", "labelme"]),
-    help="In place of what the content shows.",
+    help="Format of ANNOTATIONS.  [default: told by the content]",
 )
 @log_options()
 @landmarks_option

@@ -20,14 +20,16 @@ from sonarrec.cli.options import (
 
 @command(short_help="Propose a gt.csv from confident tracks.")
 @click.argument("results", type=ANY, default=Path("sonarrec_out"))
-@option(INPUT, "--method", default="framework", show_default=True, help="Whose tracks.")
+@option(
+    INPUT, "--method", default="framework", show_default=True, help="Method whose tracks are taken."
+)
 @option(
     SCORING,
     "--min-score",
     type=float,
     default=0.9,
     show_default=True,
-    help="That a track must reach at its best.",
+    help="Least best score of a track that is taken.",
 )
 @option(
     SCORING,
@@ -35,7 +37,7 @@ from sonarrec.cli.options import (
     type=click.IntRange(min=0),
     default=8,
     show_default=True,
-    help="Frames missing from a track that are filled in.",
+    help="Longest gap in a track that is filled in, frames.",
 )
 @out_option(
     NEW_FILE,
