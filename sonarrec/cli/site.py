@@ -75,7 +75,7 @@ def site(
     """
     from sonarrec.pipeline.prepared import Used
     from sonarrec.readers.find import find_log
-    from sonarrec.report.site import assess, write_site
+    from sonarrec.report.site import Laid, assess, write_site
     from sonarrec.report.site_page import render
     from sonarrec.results.run_file import Given, frame_span
     from sonarrec.simulation.background import check_free
@@ -97,20 +97,21 @@ def site(
     passes = 1 + layouts * (1 + len(contrasts))
     with begun(out), progress(quiet, passes * len(background.path)) as step:
         found = assess(
-            background,
             Path(log),
             given,
             out,
-            landmarks,
-            config,
-            Used([config], values["landmarks"], model, settings.file),
+            Laid(
+                background,
+                landmarks,
+                laying.plate_db,
+                laying.beam_width_deg(background),
+                Used([config], values["landmarks"], model, settings.file),
+                keep,
+            ),
             contrasts=contrasts,
-            plate_db=laying.plate_db,
-            beam_width_deg=laying.beam_width_deg(background),
             layouts=layouts,
             count=laying.count,
             seed=settings.values["seed"] or 0,
-            keep=keep,
             step=lambda doing: step(note=doing),
         )
     write_site(out, found, render(found))

@@ -196,8 +196,9 @@ class Metric:
     tested: bool = False
     """Whether the differences of methods in it are told with their tests."""
     needs: tuple[Callable[[Any], FloatArray], ...] = ()
-    """Figures of which a unit must have one to have a case of this one, by default itself. The
-    fewest count: a curve's positives and negatives may come from different units."""
+    """Figures that count a metric's cases, by default itself: a unit has a case where such a figure
+    is not NaN. Of several the one with the fewest cases counts: a curve's positives and negatives
+    may come from different units."""
 
     def value(self, counted: Counted) -> float:
         """The figure itself, of everything counted; NaN where there is none."""
@@ -215,9 +216,7 @@ METRICS = (
     Metric("pauc_0.05", "AUC to FPR 0.05, over 0.05", 3, rates, partial_auc, False, _BOTH),
     Metric("tpr_at_fpr_0.01", "TPR at FPR 0.01", 3, rates, tpr_at_fpr(_LOW), False, _BOTH),
     Metric(
-        *("tpr_at_fpr_0.0276", "TPR at FPR 0.0276 (paper)", 3, rates, tpr_at_fpr(_PAPER)),
-        tested=True,
-        needs=_BOTH,
+        "tpr_at_fpr_0.0276", "TPR at FPR 0.0276 (paper)", 3, rates, tpr_at_fpr(_PAPER), True, _BOTH
     ),
     Metric("tpr_at_fpr_0.05", "TPR at FPR 0.05", 3, rates, tpr_at_fpr(_HIGH), False, _BOTH),
     Metric("frames_to_id_median", "frames to lasting ID, median", 0, waits, quantile(_HALF)),
@@ -229,12 +228,14 @@ METRICS = (
     Metric("position_error_median_m", "position error, median, m", 4, positions, quantile(_HALF)),
     Metric("position_error_95_m", "position error, 95 %, m", 4, positions, quantile(_MOST)),
     Metric(
-        *("orientation_error_median_deg", "orientation off, median, deg", 1),
-        *(orientations, quantile(_HALF)),
+        "orientation_error_median_deg",
+        "orientation off, median, deg",
+        1,
+        orientations,
+        quantile(_HALF),
     ),
     Metric(
-        *("orientation_error_95_deg", "orientation off, 95 %, deg", 1),
-        *(orientations, quantile(_MOST)),
+        "orientation_error_95_deg", "orientation off, 95 %, deg", 1, orientations, quantile(_MOST)
     ),
     Metric("brier", "Brier score, 0 to 2", 3, calibration, brier),
     Metric("ece", "calibration error (ECE)", 3, calibration, ece),

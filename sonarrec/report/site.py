@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from sonarrec.config import Config
 from sonarrec.drawing.results import Mark, draw_frame
 from sonarrec.evaluation.by_range import Rate, Recognised, recognised
 from sonarrec.evaluation.counting.uncertainty import LEVEL, MIN_UNITS
@@ -41,7 +40,7 @@ from sonarrec.simulation.background import (
 
 RANGE_STEPS = 5
 ENOUGH = 0.9
-"""Landmarks count as recognised where they are in this share of the frames that show them."""
+"""Landmarks are recognised at a contrast where they are in this share of the frames with them."""
 MIN_VISIBLE = 0.9
 LOOKED_AT = 100  # frames among which the one to be shown is chosen
 Step = Callable[[str], None]
@@ -61,8 +60,11 @@ class Shown:
 
 @dataclass(frozen=True, slots=True)
 class AtContrast:
-    """What came of one contrast. near_m, far_m: from the nearest step of slant range that holds a
-    landmark up to here they are recognised in ENOUGH of the frames; NaN where not even in that."""
+    """What came of one contrast.
+
+    near_m, far_m: slant ranges between which landmarks are recognised in ENOUGH of the frames, from
+    the nearest step that holds a landmark on; NaN where they are not in that step.
+    """
 
     contrast_db: float
     found: Recognised
@@ -105,31 +107,41 @@ class Site:
     notes: tuple[str, ...]
 
 
-# Long by its parameters and what is said of them.
+@dataclass(frozen=True, slots=True)
+class Laid:
+    """What is the same of every recording that is made, and of its run.
+
+    beam_width_deg: by which the discs are smeared. used: its one Config. keep: keep the images.
+    """
+
+    background: Background
+    landmarks: LandmarkSet
+    plate_db: float
+    beam_width_deg: float
+    used: Used
+    keep: bool
+
+
 def assess(
-    background: Background,
     log: Path,
     given: Given,
     out: Path,
-    landmarks: LandmarkSet,
-    config: Config,
-    used: Used,
+    laid: Laid,
     *,
     contrasts: Sequence[float],
-    plate_db: float,
-    beam_width_deg: float,
     layouts: int,
     count: int | None,
     seed: int,
-    keep: bool,
     step: Step,
 ) -> Site:
     """Lay, run and score; everything goes into the folder `out`.
 
-    log, given: the recording, run as it is for the claims on nothing. layouts: how many times
-    other places are drawn. keep: keep the images that were made. Raises SonarrecError where input
-    cannot be used or files cannot be written.
+    log, given: the recording, which is also run as it is, for the claims on nothing. contrasts:
+    dB, rising. layouts: how many times other places are drawn, from `seed` on. count: of the
+    landmarks, as in `draw_layout`. Raises SonarrecError where input cannot be used or files cannot
+    be written.
     """
+    background, landmarks, used = laid.background, laid.landmarks, laid.used
     drawn = [draw_layout(background, landmarks, seed + n, count) for n in range(layouts)]
     claims = 0
 
@@ -142,7 +154,6 @@ def assess(
     process(log, results, given, used, claimed, name="as_it_is", overwrite=True)
     pairs: dict[float, list[Pair]] = {db: [] for db in contrasts}
     shown: list[Shown] = []
-    laid = Laid(background, landmarks, plate_db, beam_width_deg, used, keep)
     for number, layout in enumerate(drawn, 1):
         doing = f"layout {number} of {layouts}"
         for db, pair, picture in _run_layout(laid, layout, contrasts, out, number, doing, step):
@@ -155,10 +166,10 @@ def assess(
         frames=len(background.path),
         landmarks=landmarks.name,
         radius_m=landmarks.radius_m,
-        plate_db=plate_db,
-        beam_width_deg=beam_width_deg,
+        plate_db=laid.plate_db,
+        beam_width_deg=laid.beam_width_deg,
         dynamic_range_db=background.dynamic_range_db,
-        preset=config.preset,
+        preset=used.configs[0].preset,
         seed=seed,
         layouts=tuple(drawn),
         contrasts=tuple(found),
@@ -167,18 +178,6 @@ def assess(
         shown=tuple(shown),
         notes=(*background.problems, *background.notes),
     )
-
-
-@dataclass(frozen=True, slots=True)
-class Laid:
-    """What is the same of every recording that is made."""
-
-    background: Background
-    landmarks: LandmarkSet
-    plate_db: float
-    beam_width_deg: float
-    used: Used
-    keep: bool
 
 
 def _run_layout(
@@ -317,7 +316,7 @@ def _passes(count: int) -> str:
 
 
 def _most_telling(background: Background, layout: Layout, landmarks: LandmarkSet) -> int:
-    """Of some frames the last of those that show the most landmarks whole."""
+    """The frame, of LOOKED_AT, that shows the most landmarks whole; the last of several."""
     frames = len(background.path)
     # Late in the recording: the recogniser needs some frames first.
     tried = np.unique(np.linspace(min(10, frames - 1), frames - 1, LOOKED_AT).astype(int)).tolist()
