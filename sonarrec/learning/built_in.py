@@ -21,16 +21,16 @@ from sonarrec.simulation.scene import Scene, scene_sonar
 from sonarrec.simulation.simulate import LandmarkTruth, render
 from sonarrec.simulation.unlike import LEARNED_UNLIKE
 
-# Seeds of the built-in model. Those from 2000 on are for choosing settings, those from 3000 on for
-# figures that are reported: no recording serves two ends.
+# Seeds of the built-in model. Those from 2000 on are for choosing settings (tuning seeds), those
+# from 3000 on for figures that are reported: no recording serves two purposes.
 MODEL_SEEDS = range(1000, 1060)
-# Of each kind so many, from the first on: those beyond the basin, and those whose discs are few
-# beams wide, differ more from one recording to the next.
+# How many recordings of each kind. Kinds beyond the basin, and those whose discs are few beams
+# wide, have more: they differ more from one recording to the next.
 RECORDINGS = {
     **dict.fromkeys(KINDS_OF_SCENE + STRETCH_KINDS, 24),
     **dict.fromkeys(LEARNED_UNLIKE, 60),
     "tiny_discs": 60,
-    # What changes the geometry or the floor alone is near the basin's.
+    # These change only the geometry or the floor, so they are near the basin's.
     **dict.fromkeys(("leaning", "ripples", "fish", "vehicle"), 12),
 }
 FRAMES = 64  # of each: more recordings teach more than longer ones

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import chain, islice
 from pathlib import Path
 
@@ -15,16 +15,17 @@ from sonarrec.landmarks import LandmarkSet
 from sonarrec.learning.fit import fit
 from sonarrec.learning.samples import Samples, Tracks, describe, label
 from sonarrec.readers import open_log
+from sonarrec.readers.log import Log
 from sonarrec.recogniser.beam_width import FRAMES_FOR_BEAMS, with_beams
 from sonarrec.recogniser.stage3_features.model import AppearanceModel, load_model
-from sonarrec.records import Clock, FloatArray, Frame, SonarrecError, UsageError
+from sonarrec.records import BoolArray, Clock, FloatArray, Frame, SonarrecError, UsageError
 from sonarrec.sonar import Sonar
 from sonarrec.truth.fits import misfit, without_rows
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import TruthTable, read_truth
 
-# Parts of the tracks, each left out once; with fewer tracks of landmarks, or of others, that
-# would measure nothing.
+# Parts of the tracks, each left out once in turn. With fewer tracks of landmarks, or of others, the
+# model is not measured.
 FOLDS = 5
 
 
@@ -32,11 +33,11 @@ FOLDS = 5
 class Lesson:
     """What a model was learned from, and how good it is.
 
-    seen: per ID of the set, then for 'none of these', the frames in which a track showed it and
-    the number of such tracks. before, after: mean log likelihood of the truth, in nats per track
-    and frame, by the built-in model and by one learned without the track; None where there are
-    fewer than FOLDS tracks of either kind. problems: what could not be used. notes: what the
-    recordings do not teach.
+    frames: of all logs. seen: per ID of the set, then for 'none of these', the frames in which a
+    track showed it and the number of such tracks. before, after: mean log likelihood of the truth,
+    in nats per track and frame, by the built-in model and by one learned without the track; None
+    with fewer than FOLDS tracks of landmarks, or of others. problems: what could not be used.
+    notes: what the recordings do not teach.
     """
 
     model: AppearanceModel
@@ -94,8 +95,8 @@ def learn(
 ) -> Lesson:
     """Learn an appearance model from logs and their gt.csv.
 
-    from_scratch: forget the built-in model, in place of starting from it. observe: called at
-    every frame. The rest is as in `pipeline.run.process`.
+    from_scratch: do not start from the built-in model. observe: called at every frame. The rest is
+    as in `pipeline.run.run`.
     Raises SonarrecError where logs or truth cannot be used or hold too little.
     """
     if config.features.measurement != "track":
@@ -118,12 +119,8 @@ def learn(
             if log.name in names:
                 raise UsageError(f"{path}: a second log {log.name!r}; the truth tells logs by name")
             names.append(log.name)
-            left = iter(log)
-            begin = [*islice(left, FRAMES_FOR_BEAMS)]
-            (own,), beams = with_beams([config], log.beam_width_deg, begin)
-            notes += [f"{log.name}: {line}" for line in beams]
-            frames_of = _counted(chain(begin, left), observe)
-            tracks = describe(frames_of, own, landmarks, name=log.name)
+            tracks, beams = _tracks_of(log, config, landmarks, observe)
+            notes += beams
             problems += log.problems
         truth = match_truth(table, tracks)
         fault = misfit(table, tracks, truth)
@@ -153,9 +150,21 @@ def learn(
     return Lesson(model, landmarks, tuple(learned), frames, seen, before, after, problems, notes)
 
 
+def _tracks_of(
+    log: Log, config: Config, landmarks: LandmarkSet, observe: Callable[[], object] | None
+) -> tuple[Tracks, list[str]]:
+    """A log's tracks, described, and a note where its beams are not of the usual width."""
+    left = iter(log)
+    begin = [*islice(left, FRAMES_FOR_BEAMS)]
+    (own,), beams = with_beams([config], log.beam_width_deg, begin)
+    frames = _counted(chain(begin, left), observe)
+    notes = [f"{log.name}: {line}" for line in beams]
+    return describe(frames, own, landmarks, name=log.name), notes
+
+
 def _truth_with_places(path: Path, logs: int) -> TruthTable:
-    """The truth that so many logs are learned from. Raises SonarrecError where it tells too
-    little."""
+    """The truth for so many logs. Raises SonarrecError without positions, or without a log column
+    for several."""
     table = read_truth(path)
     if table.position is None:
         raise SonarrecError(
@@ -197,8 +206,8 @@ def _counted(frames: Iterable[Frame], observe: Callable[[], object] | None) -> I
 def _labelled(tracks: Tracks, truth: Truth) -> Samples:
     """What one log teaches.
 
-    People label the frames they care for: what lies on a landmark in one frame is nowhere "none of
-    these".
+    People label only the frames that they care for. So a track that is on a landmark in one frame
+    is in no other frame taken for "none of these".
     """
     assert truth.position is not None
     samples = label(tracks, truth.frame_index, truth.landmark_index, truth.position)
@@ -207,6 +216,7 @@ def _labelled(tracks: Tracks, truth: Truth) -> Samples:
 
 
 def _seen(parts: Sequence[Samples], landmarks: LandmarkSet) -> tuple[tuple[int, int], ...]:
+    """(frames, tracks) of each ID, then of 'none of these'."""
     counts = []
     for what in range(len(landmarks.ids) + 1):
         tracks = [p.track[p.label == what] for p in parts]
@@ -244,13 +254,9 @@ def _left_out(
     return float(np.concatenate(before).mean()), float(np.concatenate(after).mean())
 
 
-def _part(samples: Samples, chosen: np.ndarray) -> Samples:
-    return Samples(
-        samples.features[chosen],
-        samples.smear[chosen],
-        samples.label[chosen],
-        samples.track[chosen],
-    )
+def _part(samples: Samples, chosen: BoolArray) -> Samples:
+    """The (n,) chosen ones."""
+    return Samples(*(getattr(samples, f.name)[chosen] for f in fields(Samples)))
 
 
 def _log_likelihood(model: AppearanceModel, samples: Samples) -> FloatArray:

@@ -13,16 +13,14 @@ from sonarrec.recogniser.stage3_features.description import FEATURES
 from sonarrec.recogniser.stage3_features.model import AppearanceModel, smeared_share
 from sonarrec.records import FloatArray, SonarrecError
 
-# Curves: knots at quantiles of what was seen, and how strongly a curve is drawn towards 0 and
-# towards a straight line, in samples.
-KNOTS = 8
+KNOTS = 8  # of a curve, at quantiles of what was seen
+# Penalties, in samples: on a curve's values, and on their second differences.
 RIDGE = 0.1
 SMOOTHNESS = 10.0
-# How much more strongly a curve is drawn towards that of a prior. A track's frames share a memory
-# of 40 (features.memory_frames): so many say hardly more than one does. By
-# `python -m tests.studies.prior` 900 does next to no harm where a recording or two are all there
-# is, and helps where landmarks look unlike those of the simulator; with 120 two recordings do harm
-# there.
+# The penalties' factor where they are on the differences from a prior. It is large because the
+# frames of a track share a memory of 40 (features.memory_frames), and say hardly more than one
+# would. By `python -m tests.studies.prior` 900 does next to no harm with a recording or two, and
+# helps where landmarks look unlike the simulator's; with 120 two recordings do harm there.
 PRIOR_WEIGHT = 900.0
 
 
@@ -33,11 +31,11 @@ def fit(
 ) -> AppearanceModel:
     """Most likely curves, by Newton's method on the concave penalised log likelihood.
 
-    The curves of smeared pictures are those of sharp ones and what the smear adds to them; both are
-    drawn alike, so that without smeared pictures nothing is added. The recordings may differ in
-    their number of IDs. prior: the model to which curves are drawn, in place of 0 and a straight
-    line, `prior_weight` times as strongly. Raises SonarrecError where the recordings hold no
-    landmark, or nothing but landmarks.
+    The curves of smeared pictures are those of sharp ones plus what the smear adds. Both parts have
+    the same penalty, so without smeared pictures nothing is added. The recordings may differ in
+    their number of IDs. prior: a model; the penalty is then on the differences from its curves,
+    times `prior_weight`. Raises SonarrecError where the recordings hold no landmark, or nothing but
+    landmarks.
     """
     used = [r for r in recordings if len(r.label)]
     on = sum(np.count_nonzero(r.label < r.features.shape[1]) for r in used)
@@ -65,7 +63,7 @@ def fit(
         loss, gradient, curvature = _likelihood(used, columns, curves)
         pull = penalty @ (curves - centre)
         loss += 0.5 * float((curves - centre) @ pull)
-        if loss > least + 1e-6 * abs(least):  # far from the summit Newton's step overshoots
+        if loss > least + 1e-6 * abs(least):  # far from the minimum Newton's step overshoots
             step = step / 2
         else:
             gained, least, best = least - loss, loss, curves
@@ -86,7 +84,7 @@ def fit(
 
 
 def _basis(features: FloatArray, knots: Sequence[FloatArray]) -> npt.NDArray[np.float32]:
-    """(n, K, D) of features (n, K, F): 1, then every curve's hat functions."""
+    """(n, K, D) of features (n, K, F): 1, then the hat functions at every curve's knots."""
     hats = [np.ones((*features.shape[:2], 1), np.float32)]
     for i, at in enumerate(knots):
         unit = np.eye(len(at))
@@ -122,7 +120,7 @@ def _likelihood(
     loss, gradient, curvature = 0.0, np.zeros(size), np.zeros((size, size))
     for recording, x in zip(recordings, columns, strict=True):
         n, ids, _ = x.shape
-        # Put together anew each time: to keep it would take twice the memory.
+        # Made again in every step: to keep it would take twice the memory.
         share = smeared_share(recording.smear).astype(np.float32)
         x = np.concatenate([x, x * share[:, None, None]], axis=2)
         # 'None of these' is the reference: its log odds are 0.

@@ -1,4 +1,4 @@
-"""Recordings with truth to samples: every track in every frame described, and what it truly is."""
+"""Samples from recordings with truth: every track in every frame described and labelled."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from sonarrec.recogniser.recogniser import FRAMEWORK, Recogniser
 from sonarrec.recogniser.stage3_features.description import FEATURES
 from sonarrec.records import Fan, FloatArray, Frame, IntArray
 
-# A track this near a true centre, in disc diameters, is on it; one farther than OFF is not. Those
-# between are neither and teach nothing.
+# In disc diameters: a track up to ON from a true centre shows the landmark, one farther than OFF
+# does not. Those between teach nothing.
 ON, OFF = 0.25, 0.5
 
 
@@ -44,8 +44,8 @@ class Tracks:
 class Samples:
     """Described tracks with what they truly are.
 
-    features: (n, K, F). smear: (n,) as Tracks. label: (n,) 0 to K - 1, the ID's place in the set;
-    K, 'none of these'. track: (n,) the same for what is one track.
+    features: (n, K, F). smear: (n,) as Tracks. label: (n,) index of the ID in the set, K for 'none
+    of these'. track: (n,) number of the track.
     """
 
     features: FloatArray
@@ -55,7 +55,7 @@ class Samples:
 
 
 class _Recorder:
-    """Stands in for the model while samples are gathered: keeps what it was asked about last."""
+    """Stands in for the model while samples are gathered: keeps the features it was given last."""
 
     def __init__(self) -> None:
         self.features: FloatArray = np.empty((0, 0, len(FEATURES)))

@@ -36,7 +36,7 @@ from sonarrec.simulation.scene import (
     scene_table,
     travels,
 )
-from sonarrec.simulation.world import World, object_radius
+from sonarrec.simulation.world import View, World, object_radius
 from sonarrec.sonar import Geometry, Sonar
 
 
@@ -179,6 +179,96 @@ def truth_row(
     )
 
 
+@dataclass(frozen=True, slots=True)
+class _Fading:
+    """How the echoes come and go from frame to frame.
+
+    time_s, signal_db, drift_db: (frames,) the frames' times, gain of the echoes, and of all that is
+    received. object_db, afterglow_db: (frames, things), landmarks first. patches: (frames,
+    World.PATCHES), standard normal.
+    """
+
+    time_s: FloatArray
+    signal_db: FloatArray
+    drift_db: FloatArray
+    object_db: FloatArray
+    afterglow_db: FloatArray
+    patches: FloatArray
+
+    @classmethod
+    def of(cls, scene: Scene) -> _Fading:
+        """The fading of a scene; that of fewer frames is the beginning of that of more."""
+        # So each process has a generator of its own.
+        signal, objects, patches, glow, glow_changes, drift = np.random.default_rng(
+            [scene.seed, 5]
+        ).spawn(6)
+        fading, noise, frames = scene.fading, scene.noise, scene.frames
+        things, step_s = len(scene.landmarks) + len(scene.objects), 1 / scene.rate_hz
+
+        def changing(rng: np.random.Generator, count: int) -> FloatArray:
+            return ar1(rng, frames, count, step_s, fading.time_s)
+
+        time_s = np.arange(frames) * step_s
+        swing = np.sin(2 * np.pi * (time_s / noise.gain_drift_s + drift.uniform()))
+        return cls(
+            time_s,
+            _signal_gain_db(scene, signal),
+            noise.gain_drift_db * swing,
+            fading.object_db * changing(objects, things),
+            glow.normal(0, 3, things) + 2 * changing(glow_changes, things),
+            changing(patches, World.PATCHES),
+        )
+
+
+class _Reception:
+    """From the scatterers in view to the power that the sonar receives."""
+
+    def __init__(self, scene: Scene, receiver: Receiver, range_m: FloatArray) -> None:
+        """range_m: (bins,) slant ranges of the middles of the range bins."""
+        self._scene, self._receiver = scene, receiver
+        self._rng = np.random.default_rng([scene.seed, 4])
+        self._noise = np.float32(10 ** (-scene.noise.snr_db / 20) / math.sqrt(2))
+        bin_m = scene_fan(scene).window_m / scene.sonar.range_bins
+        self._glow_sigma = max(scene.fading.ghost_blur_m / bin_m, 0.3)
+        self._glow_shift = round(scene.fading.ghost_shift_m / bin_m)
+        self._late = Multipath(scene, range_m)
+
+    def power(self, view: View, pose: Pose, time_s: float, signal_db: float) -> np.ndarray:
+        """(bins, beams) float32 power of the next frame. signal_db: gain of its echoes."""
+        scene, receiver = self._scene, self._receiver
+        patterns = receiver.patterns(view.azimuth_deg, pose.pan_deg)
+        strength = vertical_pattern(scene, view.depression_deg, view.sine, pose.pitch_deg)
+        strength = strength.astype(np.float32)
+        field = receiver.beams(view.echoes * strength, patterns)
+        # An afterglow is the sum of many late paths: smooth in power, not coherent.
+        glow = (view.glow * strength**2) @ np.square(np.abs(patterns)).T
+        glow = cv2.GaussianBlur(glow, (0, 0), sigmaX=1.0, sigmaY=self._glow_sigma)
+        glow = shifted(glow, self._glow_shift)
+        signal = np.float32(10 ** (signal_db / 20))
+        hiss = self._rng.standard_normal((*field.shape, 2), dtype=np.float32)
+        field = field * signal
+        random: np.ndarray | np.float32 = self._noise
+        late_power = None
+        if self._late.comes:
+            # Speckle that is new in every frame is hiss, only not as even.
+            late_power = self._late.power(field.real**2 + field.imag**2, time_s)
+            random = np.sqrt(random**2 + late_power / 2)
+        field = field + hiss.view(np.complex64)[..., 0] * random
+        power = field.real**2 + field.imag**2
+        incoherent = np.float32(1 - scene.floor.coherence)
+        if incoherent > 0:
+            power = power * np.float32(scene.floor.coherence)
+            even = receiver.even(view.power * strength**2, patterns)
+            power += incoherent * even * signal**2
+            if late_power is not None:
+                power += incoherent * late_power
+        power += glow * signal**2
+        if scene.noise.smear:
+            smooth = cv2.GaussianBlur(power, (0, 0), sigmaX=0.8, sigmaY=2.0)
+            power += np.float32(scene.noise.smear) * (smooth - power)
+        return np.asarray(power)
+
+
 def render(
     scene: Scene, path: Sequence[Pose] | None = None, ground: Scene | None = None
 ) -> Iterator[SimulatedFrame]:
@@ -188,80 +278,32 @@ def render(
     scene whose window and sweep, seen from the floor's origin, hold all the floor that the path
     shows; default, the scene itself. Raises SonarrecError where the scene contradicts itself.
     """
-    # Longer than others: all that happens to a ping, in order.
     check_scene(scene, scene.name)
-    fan = scene_fan(scene)
+    fan, sonar = scene_fan(scene), scene.sonar
     path = poses(scene) if path is None else path
     seen = ground or scene
     roams = ground is None and travels(scene.motion)
     grid = SquareGrid(scene, path) if roams else PolarGrid(seen)
     world = World(seen, np.random.default_rng([scene.seed, 1]), grid)
     receiver = Receiver(scene, np.random.default_rng([scene.seed, 3]))
-    picture = Picture(scene, fan)
-    noise_rng = np.random.default_rng([scene.seed, 4])
-    # One generator for each process, so that fewer frames are the first of the same log.
-    rngs = np.random.default_rng([scene.seed, 5]).spawn(6)
-    fading, noise, sonar = scene.fading, scene.noise, scene.sonar
-
-    step_s = 1 / scene.rate_hz
-    gain_db = _signal_gain_db(scene, rngs[0])
-    things = len(scene.landmarks) + len(scene.objects)
-    object_db = fading.object_db * ar1(rngs[1], scene.frames, things, step_s, fading.time_s)
-    patches = ar1(rngs[2], scene.frames, world.PATCHES, step_s, fading.time_s)
-    afterglow_db = rngs[3].normal(0, 3, things) + 2 * ar1(
-        rngs[4], scene.frames, things, step_s, fading.time_s
-    )
-    time = np.arange(scene.frames) * step_s
-    drift_db = noise.gain_drift_db * np.sin(
-        2 * np.pi * (time / noise.gain_drift_s + rngs[5].uniform())
-    )
     bin_m = fan.window_m / sonar.range_bins
     range_m = sonar.range_min_m + (np.arange(sonar.range_bins) + 0.5) * bin_m
-    noise_amplitude = np.float32(10 ** (-noise.snr_db / 20) / math.sqrt(2))
-    glow_sigma = max(fading.ghost_blur_m / bin_m, 0.3)
-    glow_shift = round(fading.ghost_shift_m / bin_m)
-    late = Multipath(scene, range_m)
+    reception = _Reception(scene, receiver, range_m)
+    picture = Picture(scene, fan)
+    fading = _Fading.of(scene)
     shoal = Shoal(scene, area(grid)) if scene.fish.number else None
-
     for index, pose in enumerate(path):
-        world.fade(object_db[index], patches[index], afterglow_db[index])
+        time_s = fading.time_s[index]
+        world.fade(fading.object_db[index], fading.patches[index], fading.afterglow_db[index])
         heave = pose.height_m - sonar.height_m
         moved = np.array([pose.x_m, pose.y_m, heave]) * (math.sqrt(2) / scene.floor.speckle_m)
-        view = world.view(range_m, pose, [time[index] / scene.floor.speckle_s, *moved])
-        fishes = shoal.at(time[index]) if shoal else None
+        view = world.view(range_m, pose, [time_s / scene.floor.speckle_s, *moved])
+        fishes = shoal.at(time_s) if shoal else None
         if shoal and fishes:
             rng = np.random.default_rng([scene.seed, 15, index])
             shoal.swim_into(view, range_m, pose, fishes, rng)
-        patterns = receiver.patterns(view.azimuth_deg, pose.pan_deg)
-        strength = vertical_pattern(scene, view.depression_deg, view.sine, pose.pitch_deg)
-        strength = strength.astype(np.float32)
-        field = receiver.beams(view.echoes * strength, patterns)
-        # An afterglow is the sum of many late paths: smooth in power, not coherent.
-        glow = (view.glow * strength**2) @ np.square(np.abs(patterns)).T
-        glow = cv2.GaussianBlur(glow, (0, 0), sigmaX=1.0, sigmaY=glow_sigma)
-        glow = shifted(glow, glow_shift)
-        signal = np.float32(10 ** (gain_db[index] / 20))
-        hiss = noise_rng.standard_normal((*field.shape, 2), dtype=np.float32)
-        field = field * signal
-        random: np.ndarray | np.float32 = noise_amplitude
-        late_power = None
-        if late.comes:
-            # Speckle that is new in every frame is hiss, only not as even.
-            late_power = late.power(field.real**2 + field.imag**2, time[index])
-            random = np.sqrt(random**2 + late_power / 2)
-        field = field + hiss.view(np.complex64)[..., 0] * random
-        power = field.real**2 + field.imag**2
-        if scene.floor.coherence < 1:
-            power = power * np.float32(scene.floor.coherence)
-            even = receiver.even(view.power * strength**2, patterns)
-            power += np.float32(1 - scene.floor.coherence) * even * signal**2
-            if late_power is not None:
-                power += np.float32(1 - scene.floor.coherence) * late_power
-        power += glow * signal**2
-        if noise.smear:
-            smooth = cv2.GaussianBlur(power, (0, 0), sigmaX=0.8, sigmaY=2.0)
-            power += np.float32(noise.smear) * (smooth - power)
-        power *= (receiver.gain * np.float32(10 ** (drift_db[index] / 20))) ** 2
+        power = reception.power(view, pose, time_s, fading.signal_db[index])
+        power *= (receiver.gain * np.float32(10 ** (fading.drift_db[index] / 20))) ** 2
         truth, distractors = _truth(scene, fan, pose, fishes)
         yield SimulatedFrame(
             index=index,
@@ -332,11 +374,8 @@ def write_recording(
                 tilt_deg=sonar.tilt_deg, height_m=sonar.height_m, frame_rate_hz=sonar.frame_rate_hz
             )
     folder, prefix = (out.parent, f"{out.stem}.") if single else (out, "")
-    names = [out.name] if single else [""]
-    names += [
-        f"{prefix}{name}" for name in ("gt.csv", "scene.toml", "sonar.toml", "landmarks.toml")
-    ]
-    for path in (folder / name for name in names):
+    companions = ("gt.csv", "scene.toml", "sonar.toml", "landmarks.toml")
+    for path in (out, *(folder / f"{prefix}{name}" for name in companions)):
         if path.is_file() or (path.is_dir() and (single or any(path.iterdir()))):
             raise SonarrecError(f"{path}: already exists and is not empty; choose another --out")
     frames = render(scene)
