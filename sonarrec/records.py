@@ -207,6 +207,11 @@ class Groups:
     remembered: IntArray
 
 
+def follows(method: str) -> bool:
+    """Whether a method's object numbers mean the same object from one frame to the next."""
+    return method.partition(":")[0] != "smi"
+
+
 @dataclass(frozen=True, slots=True)
 class Estimate:
     """What one method says of one object in one frame: a row of estimates.csv.
@@ -240,6 +245,11 @@ class Estimate:
     sight_deg: float = 0.0
     chapter: int = 0
     in_view: bool = True
+
+    @property
+    def followed(self) -> bool:
+        """Whether the object is one that is followed from frame to frame."""
+        return self.object >= 0 and follows(self.method)
 
 
 @dataclass(frozen=True, slots=True)

@@ -57,7 +57,7 @@ def trails(history: Sequence[Moment]) -> dict[int, FloatArray]:
     Only of methods that follow objects: numbers of single-frame candidates say nothing.
     """
     paths: dict[int, list[tuple[float, float]]] = {
-        e.object: [] for e in history[-1].estimates if is_followed(e)
+        e.object: [] for e in history[-1].estimates if e.followed
     }
     for result in history:
         if history[-1].index - result.index <= TRAIL_FRAMES:
@@ -65,11 +65,6 @@ def trails(history: Sequence[Moment]) -> dict[int, FloatArray]:
                 if e.object in paths:
                     paths[e.object].append((e.x_px, e.y_px))
     return {number: np.array(path) for number, path in paths.items()}
-
-
-def is_followed(estimate: Estimate) -> bool:
-    """Whether the object's number means the same object in the next frame."""
-    return estimate.method.partition(":")[0] != "smi" and estimate.object >= 0
 
 
 def probability(estimate: Estimate, landmarks: LandmarkSet) -> float:
@@ -172,7 +167,7 @@ def draw_strip(history: Sequence[Moment], landmarks: LandmarkSet, width: int) ->
     # Sorted by track and time, each estimate is joined to the one before it on the same track.
     shown.sort(key=lambda row: (row[1].object, row[0]))
     frame = np.array([index for index, _ in shown])
-    track = np.array([e.object if is_followed(e) else -1 for _, e in shown])
+    track = np.array([e.object if e.followed else -1 for _, e in shown])
     named = np.array([e.landmark if e.declared else None for _, e in shown])
     joined = np.append(False, (track[1:] == track[:-1]) & (track[1:] >= 0))
     before = np.arange(len(shown)) - joined

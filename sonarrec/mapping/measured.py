@@ -8,7 +8,7 @@ import numpy as np
 
 from sonarrec.files.outputs import write_csv, writing
 from sonarrec.files.tables import Kind, Table, read_table
-from sonarrec.mapping.path import Motions, SonarPath, measured_path
+from sonarrec.mapping.path import SonarPath, measured_path
 from sonarrec.records import SonarrecError
 
 FRAMES = "frame,timestamp_ns,dx_m,dy_m,dyaw_deg,dx_sigma_m,dy_sigma_m,dyaw_sigma_deg"
@@ -57,7 +57,7 @@ def measured_motion_path(folder: Path, table: Table) -> tuple[SonarPath, list[st
     time = table.get("timestamp_ns", np.zeros(len(still), np.int64))
     # Motion that was told has no standard errors.
     sigma = np.where(np.isfinite(moved), np.nan_to_num(sigma), np.nan)
-    path = measured_path(frame, time, Motions(moved, sigma))
+    path = measured_path(frame, time, moved, sigma)
     lost = ~np.isfinite(path.pose).all(axis=1)
     if lost.any():
         notes.append(

@@ -34,19 +34,6 @@ class Drift:
 
 
 @dataclass(frozen=True, slots=True)
-class Motions:
-    """The motion measured from each frame to the next.
-
-    moved: (F, 3) how far the sonar turned (deg, positive to the right), and was carried to the
-    right and ahead (m) as it looked before; of the first frame not used, NaN where not known.
-    sigma: (F, 3) their standard errors.
-    """
-
-    moved: FloatArray
-    sigma: FloatArray
-
-
-@dataclass(frozen=True, slots=True)
 class SonarPath:
     """Where the sonar was in every frame of one log.
 
@@ -125,9 +112,17 @@ def told_path(frame: IntArray, timestamp_ns: IntArray, poses: PoseTable, drift: 
     return SonarPath(frame, timestamp_ns, pose, True, _sums(pose, even, turn), none)
 
 
-def measured_path(frame: IntArray, timestamp_ns: IntArray, motions: Motions) -> SonarPath:
-    """The path from the first frame's pose, which is 0, as far as every motion is known."""
-    moved, sigma = motions.moved.copy(), motions.sigma.copy()
+def measured_path(
+    frame: IntArray, timestamp_ns: IntArray, moved: FloatArray, sigma: FloatArray
+) -> SonarPath:
+    """The path from the first frame's pose, which is 0, as far as every motion is known.
+
+    frame, timestamp_ns: (F,). moved: (F, 3) the motion to each frame from the one before: how far
+    the sonar turned (deg, positive to the right), and was carried to the right and ahead (m) as it
+    looked before; NaN where not known. sigma: (F, 3) their standard errors. Those of the first
+    frame are not used.
+    """
+    moved, sigma = moved.copy(), sigma.copy()
     moved[:1] = sigma[:1] = 0
     yaw = np.cumsum(moved[:, 0])
     before = np.radians(np.concatenate([yaw[:1], yaw[:-1]]))

@@ -10,10 +10,10 @@ import numpy as np
 
 from sonarrec.evaluation.matching.joined import join, nearest_truth
 from sonarrec.evaluation.matching.options import ScoringOptions
-from sonarrec.records import BoolArray, FloatArray, IntArray, SonarrecError, UsageError
+from sonarrec.records import BoolArray, FloatArray, IntArray, SonarrecError, UsageError, follows
 from sonarrec.results.read import LogResults, read_log
 from sonarrec.results.run_file import RunFile, read_run
-from sonarrec.results.sightings import Sighting, follows
+from sonarrec.results.sightings import Sighting
 from sonarrec.results.sightings_file import read_sightings
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import TruthTable

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from sonarrec.geometry import ground_range
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.poses import PoseTable
-from sonarrec.records import Estimate, Fan, UsageError
+from sonarrec.records import Estimate, Fan, UsageError, follows
 
 PASS_GAP = 10
 """Frames without a declaration after which a pass has ended."""
@@ -48,11 +48,6 @@ class Sighting:
     orientation_sigma_deg: float
     x_m: float
     y_m: float
-
-
-def follows(method: str) -> bool:
-    """Whether the method's object numbers mean the same object from one frame to the next."""
-    return method.partition(":")[0] != "smi"
 
 
 def check_follows(method: str) -> None:
@@ -172,7 +167,7 @@ class Sightings:
         for e in estimates:
             if not e.declared:
                 continue
-            track = e.object if follows(e.method) and e.object >= 0 else None
+            track = e.object if e.followed else None
             key = e.method, e.landmark, track
             if key not in self._open:
                 self._open[key] = _Pass(*key, frame, timestamp_ns, self._period_deg[e.landmark])

@@ -24,7 +24,7 @@ from sonarrec.cli import main
 from sonarrec.config import preset
 from sonarrec.landmarks import load_landmarks
 from sonarrec.mapping.build import make_map
-from sonarrec.mapping.path import COMMON_LENGTH, Drift, Motions, measured_path, told_path
+from sonarrec.mapping.path import COMMON_LENGTH, Drift, measured_path, told_path
 from sonarrec.mapping.tables import CHI2_95, Origin, ellipse
 from sonarrec.poses import pose_table
 from sonarrec.readers.poses_csv import read_poses
@@ -260,7 +260,7 @@ def test_errors_of_a_drifting_path_are_those_of_many_drawn() -> None:
     moved = np.column_stack([np.full(60, 3.0), np.full(60, 0.01), np.full(60, 0.08)])
     sigma = np.column_stack([np.full(60, 0.3), np.full(60, 0.004), np.full(60, 0.008)])
     frame = np.arange(60)
-    path = measured_path(frame, frame, Motions(moved, sigma))
+    path = measured_path(frame, frame, moved, sigma)
     seen = np.array([0.5, 2.0])  # m to the right and ahead, in frames 20 and 50
 
     def placed(pose: FloatArray, row: int) -> FloatArray:

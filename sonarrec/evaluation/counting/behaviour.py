@@ -20,7 +20,7 @@ from sonarrec.evaluation.counting.passes import Passes, Units
 from sonarrec.evaluation.counting.scoring import Scored
 from sonarrec.evaluation.counting.store import ranked
 from sonarrec.evaluation.matching.joined import Joined, distance, nearest_truth
-from sonarrec.records import FloatArray, IntArray
+from sonarrec.records import FloatArray, IntArray, follows
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +170,7 @@ def switches(joined: Joined, nearest: IntArray, passes: Passes) -> list[Switches
     found = []
     for m, method in enumerate(joined.methods):
         mine = claims[joined.method_index[claims] == m]
-        tracked = method.partition(":")[0] != "smi"
+        tracked = follows(method)
         declared = mine[joined.declared[mine]]
         found.append(
             Switches(
