@@ -38,8 +38,8 @@ class Candidates:
     plane: Literal["fan", "floor"] = _setting(
         "floor",
         "",
-        "where circles are looked for: the fan with Eq. 1's squeezed outline, or the floor "
-        "seen from above (exact where height_m is known)",
+        "image in which circles are looked for: the fan, with Eq. 1's squeezed outline, or the "
+        "floor seen from above (exact where height_m is known)",
     )
     detector: Literal["edge", "ring"] = _setting(
         "ring",
@@ -48,7 +48,9 @@ class Candidates:
         "inside and outside",
     )
     disc_radius_px: Annotated[float, bounds(3)] = _setting(
-        12.0, "pixels", "radius of the landmark on the floor plane; never finer than the fan"
+        12.0,
+        "pixels",
+        "radius of a landmark on the floor seen from above; never finer than the fan",
     )
     threshold: Share = _setting(
         0.4,
@@ -96,24 +98,28 @@ class Continuity:
         4.0, "fan pixels", "image: random walk about the known pan, and how wide a group begins"
     )
     min_match: NotNegative = _setting(
-        0.25, "correlation", "image: frames that match less are not believed: the wide walk serves"
+        0.25,
+        "correlation",
+        "image: frames that match less tell no pan; particles then walk by sigma_px",
     )
     jump: NotNegative = _setting(
         0.25,
         "disc diameters",
-        "image: a group pulled farther than this from where the pan puts "
-        "it has left its object, and is deleted; out of view, it is remembered",
+        "image: a group this far from where the pan should have taken it has left its object: it "
+        "is deleted, or remembered where it is out of view",
     )
     own_candidate: NotNegative = _setting(
         0.2,
         "disc diameters",
-        "image: a candidate this near to where the pan puts a group's object is its own; particles "
-        "nearer to another candidate do not count",
+        "image: a candidate this near to where the pan takes a group's object is the group's own; "
+        "particles nearer to another candidate do not count",
     )
-    z_hit: NotNegative = _setting(0.95, "weight", "of the score map in Eq. 4; open in the paper")
+    z_hit: NotNegative = _setting(
+        0.95, "weight", "weight of the score map in Eq. 4; open in the paper"
+    )
     # Without it a frame in which nothing is hit leaves no weight at all.
     z_rand: Annotated[float, bounds(1e-9)] = _setting(
-        0.05, "weight", "of the uniform part in Eq. 4; open in the paper"
+        0.05, "weight", "weight of the uniform part in Eq. 4; open in the paper"
     )
     hit_power: NotNegative = _setting(
         4.0, "", "P_hit = score ** hit_power: how sharply particles gather; open in the paper"
@@ -127,33 +133,33 @@ class Continuity:
         5, "", "strikes in a row that delete a group; the paper says five times"
     )
     p_hit_object: Annotated[float, bounds(0.01, 0.99)] = _setting(
-        0.9, "probability", "existence: that an object in view is a candidate in a frame"
+        0.9, "probability", "existence: an object in view is a candidate in a frame"
     )
     p_hit_clutter: Annotated[float, bounds(0.01, 0.99)] = _setting(
-        0.4, "probability", "existence: that a place without an object is a candidate again"
+        0.4, "probability", "existence: a place without an object is a candidate again"
     )
     min_existence: Share = _setting(
         0.05, "probability", "a group less likely to exist is deleted; 0 leaves it to the strikes"
     )
     least_in_view: Share = _setting(
-        0.35, "share", "of the disc inside the fan: with less, a group has left the view"
+        0.35, "share", "of the disc inside the fan; with less, a group has left the view"
     )
     remember_frames: Count = _setting(
         400,
         "frames",
-        "image: a group that left the view keeps its number, should it return within these",
+        "image: how long a group that left the view is remembered, to keep its number",
     )
     recall: NotNegative = _setting(
         0.2,
         "disc diameters",
-        "image: how far from where the pan puts a remembered group a candidate may be it, had it "
-        "just left",
+        "image: a candidate this near to where the pan takes a remembered group may be its "
+        "object, had it just left",
     )
     recall_drift: NotNegative = _setting(
         0.02,
         "disc diameters",
-        "image: standard deviation by which that place grows unsure with every frame away, beside "
-        "what the measured pan may be wrong by; twice the sum widens recall",
+        "image: standard error that this place gains with every frame away, beside that of the "
+        "measured pan; twice both together are added to recall",
     )
     recall_most: NotNegative = _setting(
         0.5, "disc diameters", "image: recall grows no wider than this"
@@ -161,7 +167,7 @@ class Continuity:
     recall_in_view: Share = _setting(
         0.5,
         "share",
-        "image: of the disc inside the fan from which a candidate may be a remembered group",
+        "image: of the disc inside the fan; with less, a candidate is no remembered group yet",
     )
     merge: NotNegative = _setting(
         0.3, "disc diameters", "groups nearer than this are one object: the older stays"
@@ -193,8 +199,8 @@ class Features:
     least_ring: Share = _setting(
         0.0,
         "share",
-        "single: of the ring's cells that are bright in a frame whose symbol counts: the paper's "
-        "outer lines, which test for the circle; open in the paper",
+        "single: of the ring's cells that must be bright for the frame's symbol to count: the "
+        "paper's outer lines, which test for the circle; open in the paper",
     )
     memory_frames: NotNegative = _setting(
         40.0, "frames", "track: memory of the averaged shape matrix"
@@ -202,22 +208,22 @@ class Features:
     beam_width_deg: Annotated[float, bounds(0, 5)] = _setting(
         0.0,
         "degrees",
-        "track: of the sonar's beams, two-way, between half-power points; how much of a landmark's "
-        "symbol they smear. 0: found out, by the log's messages, its sonar's model, its first "
-        "frames, or its field of view",
+        "track: width of the beams, two-way, between half-power points, by which they smear a "
+        "landmark's symbol. 0: found by the log's messages, its sonar's model, its first frames, "
+        "or its field of view",
     )
     alike_radii: Annotated[float, bounds(0, 2)] = _setting(
         0.45,
         "disc radii",
-        "track: how far speckle, patches that fade and late echoes are alike (1/e); 0: not at all",
+        "track: correlation length (1/e) of speckle, patches that fade and late echoes; 0: none",
     )
     lag_frames: Count = _setting(
         0,
         "frames",
-        "results wait so long and are revised by what was learned of their tracks since",
+        "how long results wait, to be revised by what their tracks showed since",
     )
-    # Of the steps of 0.05 the least without a false claim in hindsight in the twelve kinds of the
-    # pool, on tuning seeds (2000 to 2007, 2500 to 2507). By cost over all kinds, a false claim
+    # The least, in steps of 0.05, without a false claim of `offline` in the pool's twelve kinds of
+    # scene, on tuning seeds (2000 to 2007, 2500 to 2507). By cost over all kinds, a false claim
     # counting as two misses, 0.70 would be 3 % better.
     declare: Share = _setting(0.75, "probability", "least score at which an ID is declared")
 
@@ -248,9 +254,9 @@ SECTIONS = {"candidates": Candidates, "continuity": Continuity, "features": Feat
 PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     "default": {},
     "offline": {"features": {"lag_frames": 240}},
-    # What is open in the paper: candidates and smi were searched for on two seeds of an earlier
-    # scene (2100 and 2101), the worlds then fitted to them; continuity and features were chosen on
-    # those worlds (`make paper-choices`).
+    # How what is open in the paper was chosen: candidates and smi on two seeds of an earlier scene
+    # (2100 and 2101); worlds were then fitted to these; continuity and features on those worlds
+    # (`make paper-choices`).
     "paper": {
         "candidates": {
             "plane": "fan",
@@ -316,7 +322,7 @@ def configs(presets: Sequence[str] = (), path: Path | None = None) -> list[Confi
     chosen = []
     for name in presets:
         same = [t for t in tables if t.get("preset", name) == name]
-        # A file of one preset is laid over every other as well; of several each has its own.
+        # Settings of one preset serve for any other as well; of several each serves its own.
         table = same[0] if same else tables[0] if len(tables) == 1 else {}
         chosen.append(with_table(preset(name.strip()), table, str(path)))
     return chosen
@@ -350,7 +356,7 @@ def with_assignments(config: Config, assignments: Sequence[str]) -> Config:
 
 
 def _plain(value: str) -> float | str:
-    """What is no TOML but plain enough: .5, or a name without its quotes."""
+    """The value of a text that is no TOML: a number such as .5, or a name without quotes."""
     try:
         return float(value)
     except ValueError:

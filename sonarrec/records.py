@@ -64,7 +64,7 @@ def unshown(text: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """Where files in a local folder are from.
+    """The server from which the files in a local folder are.
 
     url: of the log or the results, as given, without what is secret. here: the local folder.
     there: the folder of the server that it stands for.

@@ -56,7 +56,7 @@ class FanImages:
         self._told_against = self._told_cut = False
 
     def __call__(self, raw: RawFrame) -> tuple[ByteImage, Fan]:
-        """One frame's image, (fan.rows, fan.columns) uint8, and the fan.
+        """(the frame's image, (fan.rows, fan.columns) uint8, the fan).
 
         Raises UnusableError where the frame cannot be used, SonarrecError where the geometry
         cannot be that of the log.
@@ -76,11 +76,11 @@ class FanImages:
         return image, self.fan
 
     def settle(self, first: Sequence[RawFrame]) -> None:
-        """Find out what 8-bit pixels are, and take the fan from another ping than the first of
-        these where more agree with that one: one that a driver sent before it had its settings
-        must not cost the others.
+        """Find out what 8-bit pixels are, and take the fan from the ping with which most agree.
 
-        Of pings two agree where each shows enough of the other's window and field of view.
+        That need not be the first: a driver may send one before it has its settings. Two pings
+        agree where each shows enough of the other's window and field of view. first: the log's
+        first frames.
         """
         self._amplitudes = self._stated.pixel_scale is None and holds_amplitudes(
             [grey for raw in first if (grey := _grey_of_8_bit(raw)) is not None]
@@ -108,7 +108,7 @@ class FanImages:
         return next(iter(self._scales.values()), None)
 
     def _image(self, image: ByteImage) -> ByteImage:
-        """A frame that does not tell its geometry."""
+        """The fan image of a frame that does not tell its geometry."""
         if self._shape is None and self._stated.missing():
             raise UnusableError("it does not tell its geometry, as other messages of its topic do")
         polar = self.sonar.layout == "polar"
@@ -132,7 +132,7 @@ class FanImages:
         return np.ascontiguousarray(image[:, ::-1]) if self.sonar.flip else image
 
     def _ping(self, image: ByteImage, told: PingGeometry) -> ByteImage:
-        """A polar frame and the geometry it tells."""
+        """The fan image of a polar frame that tells its geometry."""
         beam_major = self._beam_major
         if beam_major is None:
             order = self._stated.beam_order or told.beam_order

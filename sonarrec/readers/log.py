@@ -17,17 +17,17 @@ from sonarrec.records import Clock, Fan, Frame, SonarrecError, shown
 from sonarrec.sonar import Sonar
 
 MAX_PROBLEM_LINES = 20
-SETTLING_FRAMES = 3  # whose commonest size or window is taken to be the log's
+SETTLING_FRAMES = 3  # the log's size or window is the commonest of these
 
 
 class Log:
     """A recorded log: one pass of Frames, streamed. Use it as a context manager.
 
-    name: of the folder or file, for the results folder. frame_count: frames to come, None where
-    unknown. stated: the geometry as file and flags state it. unusable: frames so far that could
-    not be used. problems: one line for each thing that
-    could not be used (at most MAX_PROBLEM_LINES, then a count), complete after the pass.
-    beam_width_deg: as the first frame's message or header tells it; None where it does not.
+    name: of the folder or file, for the results folder. frame_count: None where unknown. stated:
+    the geometry as file and flags state it. unusable: frames so far that could not be used.
+    problems: one line for each thing that could not be used (at most MAX_PROBLEM_LINES, then a
+    count), complete after the pass. beam_width_deg: as the first frame's message or header states
+    it; None where it does not.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class Log:
 
     @property
     def notes(self) -> list[str]:
-        """What is stated against what the log tells, is not sure of that, or was found out;
+        """Where the stated geometry contradicts the log, and what was taken or is not certain;
         complete after the pass."""
         told = [f"{shown(self.path)}: {note}" for note in self._raw.told.notes]
         return told + self._images.notes

@@ -22,7 +22,7 @@ from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.evaluation.plots import COLOURS
 from sonarrec.evaluation.summary import UNITS, summarise
 from sonarrec.report import charts
-from sonarrec.report.frames import MOST_BYTES, ShownLog
+from sonarrec.report.frames import ShownLog
 from sonarrec.report.logs import ReportedLog, Seen, Track, seen, tracks, true_landmark
 from sonarrec.report.measured import MEASURED, Measured
 from sonarrec.report.mistakes import Episode, protocol_of_mistakes, told
@@ -168,7 +168,6 @@ def render(
     return filled(
         "report.html",
         number=_number,
-        span=_span,
         time_of_day=_time_of_day,
         version=__version__,
         title=_title(logs, many),
@@ -203,7 +202,6 @@ def render(
         held={shown.name: n for n, shown in enumerate(drawn.shown)},
         shown=drawn.shown,
         shown_json=_json(drawn.shown),
-        most_megabytes=MOST_BYTES / 1e6,
         script=script,
         script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
         map_picture=map_picture,

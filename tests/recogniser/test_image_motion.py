@@ -22,7 +22,6 @@ from tests.support.vehicle import RATE_HZ, VehicleRun, vehicle_run
 
 FRAMES = 60
 STEP_NS = round(1e9 / RATE_HZ)
-CHI2_3 = (2.37, 7.81)  # median, and 95 %
 
 
 def truth(poses: list[Pose]) -> FloatArray:
