@@ -39,7 +39,7 @@ class Case:
 
     @property
     def unit_of_pass(self) -> IntArray:
-        """(P,)"""
+        """(P,) the unit of each pass."""
         return self.units.of_pass_unit[self.pooled.passes.unit]
 
 

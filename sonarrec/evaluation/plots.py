@@ -34,9 +34,7 @@ def _figure(
     return figure
 
 
-def _laid_out(
-    width: float, height: float, *, left: float, bottom: float, wspace: float, hspace: float
-) -> Figure:
+def _laid_out(width: float, height: float, *, left: float, bottom: float, hspace: float) -> Figure:
     """With margins in inches, which are known: to have them found takes longer than to draw."""
     figure = _figure(width, height, layout=None)
     figure.subplots_adjust(
@@ -44,7 +42,7 @@ def _laid_out(
         right=1 - 0.15 / width,
         bottom=bottom / height,
         top=1 - 0.3 / height,
-        wspace=wspace,
+        wspace=0.12,
         hspace=hspace,
     )
     return figure
@@ -118,7 +116,7 @@ def draw_roc_by_id(path: Path, scored: Sequence[PooledScored]) -> None:
     right = max((one.fpr_end for one in charts.values()), default=fpr_end(()))
     rows, columns = len(protocols), len(seen) + 1
     width, height = max(2.6 * columns, 5.2), 2.7 * rows + 0.5
-    figure = _laid_out(width, height, left=0.75, bottom=0.65, wspace=0.12, hspace=0.22)
+    figure = _laid_out(width, height, left=0.75, bottom=0.65, hspace=0.22)
     panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for row, (protocol, some) in zip(panels, shown.items(), strict=True):
         for axes, k in zip(row, seen, strict=False):
@@ -189,7 +187,7 @@ def draw_reliability(path: Path, curves: Sequence[Reliability]) -> None:
     """Draw, per method, how often the most probable was right, and how many estimates say so."""
     tops = [c for c in curves if c.landmark_text == "top"]
     width, height = max(3.6 * len(tops), 4.2), 4.6
-    figure = _laid_out(width, height, left=0.65, bottom=0.5, wspace=0.12, hspace=0.12)
+    figure = _laid_out(width, height, left=0.65, bottom=0.5, hspace=0.12)
     panels = figure.subplots(
         2, len(tops), sharex=True, sharey="row", squeeze=False, height_ratios=(3, 1)
     )

@@ -63,17 +63,15 @@ class Summary:
         return next((f for f, name in named if name == wanted), None)
 
 
-def summarise(
-    evaluation: Evaluation | Pooled, unit: UnitKind | None = None, seed: int = SEED
-) -> Summary:
+def summarise(evaluation: Evaluation | Pooled, unit: UnitKind | None = None) -> Summary:
     """Figures, intervals and tests of an evaluation.
 
-    unit: what may be taken for independent; by default the pass, with ten logs or more the log.
+    unit: what counts as independent; by default passes, with ten logs or more logs.
     """
     found = evaluation if isinstance(evaluation, Pooled) else evaluation.pooled()
     units = found.units(unit)
     case = metrics.Case(found, units)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(SEED)
     weights = bootstrap_weights(units.count, rng)
     tosses = coin_tosses(units.count, rng)
     figures: list[Figure] = []

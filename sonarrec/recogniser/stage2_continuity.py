@@ -100,13 +100,13 @@ class ContinuityFilter:
             positions, spread, shown = positions[order], spread[order], shown[order]
         groups = self._groups
         return Groups(
-            groups.numbers,
-            positions,
-            spread,
-            groups.existence,
-            groups.sights,
-            shown,
-            self._lost.numbers,
+            numbers=groups.numbers,
+            positions=positions,
+            spread=spread,
+            existence=groups.existence,
+            sights=groups.sights,
+            in_view=shown,
+            remembered=self._lost.numbers,
         )
 
     def _predict(self, motion: Motion | None) -> None:

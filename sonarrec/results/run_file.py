@@ -71,9 +71,9 @@ def run_table(
 
 
 def _ran_on() -> dict[str, str]:
-    """What the last digits depend on: the arithmetic's libraries and the processor's instructions.
+    """What the last digits depend on: the libraries and the processor's instructions.
 
-    numpy's exp and log round otherwise with AVX-512 than without.
+    numpy's exp and log round differently with and without AVX-512.
     """
     instructions = np.show_config(mode="dicts")["SIMD Extensions"]["found"]
     return {
@@ -221,7 +221,7 @@ class Input:
 
 @dataclass(frozen=True, slots=True)
 class RunFile:
-    """run.toml as it was read; of a missing or empty file nothing is known."""
+    """run.toml as it was read; a missing or empty file tells nothing."""
 
     path: Path
     table: Mapping[str, Any]  # all of it, of which the fields below are parts

@@ -108,8 +108,8 @@ def survey(
 ) -> Background:
     """Read a recording for its path.
 
-    config: its odometry is the recogniser's, and its beams where it states them. poses: what they
-    tell of the motion goes before what images show. step: called after each frame with the number
+    config: by which the motion is measured, and which may state the beams' width. poses: where they
+    tell the motion, it is not measured in the images. step: called after each frame with the number
     of frames, None where unknown.
     Raises SonarrecError where the recording cannot be used, or has no room for a disc in view.
     """
@@ -148,19 +148,19 @@ def survey(
     usual = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
     notes += _doubts(where, stated, unknown, len(path))
     return Background(
-        where,
-        open_,
-        span,
-        fan,
-        tuple(path),
-        echoes * 2 >= len(path),
-        1e9 / usual if usual > 0 else rate or 1.0,
-        unknown,
-        poses is not None,
-        own.features.beam_width_deg or usual_beam_width_deg(fan),
-        stated or DYNAMIC_RANGE_DB,
-        tuple(notes),
-        tuple(problems),
+        where=where,
+        open=open_,
+        span=span,
+        fan=fan,
+        path=tuple(path),
+        lit=echoes * 2 >= len(path),
+        rate_hz=1e9 / usual if usual > 0 else rate or 1.0,
+        unknown=unknown,
+        told=poses is not None,
+        beam_width_deg=own.features.beam_width_deg or usual_beam_width_deg(fan),
+        dynamic_range_db=stated or DYNAMIC_RANGE_DB,
+        notes=tuple(notes),
+        problems=tuple(problems),
     )
 
 

@@ -68,8 +68,11 @@ def seen_from(disc: LaidDisc, pose: Pose) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """One frame as power. power: (rows, columns) float32, 0 where black. bare: the same with the
-    texture between the two scales taken out: what a disc is made of."""
+    """One frame as power, (rows, columns) float32 each.
+
+    power: 0 where black. bare: the same without the texture between the two scales: what a disc is
+    made of.
+    """
 
     power: FloatImage
     bare: FloatImage
@@ -77,8 +80,11 @@ class Surface:
 
 @dataclass(frozen=True, slots=True)
 class Footprint:
-    """Where a disc shows in a frame. box: rows and columns. share: (box) float32, 0 to 1, of the
-    disc in a pixel, smear included. bright: (box) float32, of its ring and sectors."""
+    """Where a disc shows in a frame.
+
+    box: rows and columns. share: (box) 0 to 1, how much of a pixel is disc, smear included. bright:
+    (box) how much of it is ring or sector.
+    """
 
     box: tuple[slice, slice]
     share: FloatImage

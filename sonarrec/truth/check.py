@@ -17,9 +17,9 @@ from sonarrec.truth.match import match_times
 from sonarrec.truth.table import HEADER, TruthTable, read_rows, repeated_rows
 
 SLACK = 0.1
-"""What a person cannot be held to: a tenth of the radius in place, of the area in `visible`."""
+"""Allowed for a person's eye: a tenth of the radius in place, a tenth of the area in `visible`."""
 SLACK_PX = 2.0
-"""Between x_px,y_px and range_m,bearing_deg of one row, which are rounded."""
+"""Allowed for rounding, between x_px,y_px and range_m,bearing_deg of one row."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,18 +117,18 @@ def check_truth(
         faults += _changes(line, places, landmarks.radius_m)
         faults += _jumps(line, places, landmarks.radius_m, max_pan_deg)
     return CheckedTruth(
-        path,
-        log.fan,
-        landmarks,
-        line,
-        table.landmark[row],
-        frames,
-        x,
-        y,
-        visible,
-        sorted(faults, key=lambda fault: fault.line),
-        len(table.at) - len(row),
-        list(log.problems),
+        path=path,
+        fan=log.fan,
+        landmarks=landmarks,
+        line=line,
+        landmark=table.landmark[row],
+        frame=frames,
+        x_px=x,
+        y_px=y,
+        visible=visible,
+        faults=sorted(faults, key=lambda fault: fault.line),
+        others=len(table.at) - len(row),
+        problems=list(log.problems),
     )
 
 
@@ -242,7 +242,7 @@ def _overlaps(line: IntArray, places: _Places, radius_m: float) -> list[Fault]:
 
 
 def _changes(line: IntArray, places: _Places, radius_m: float) -> list[Fault]:
-    """Landmarks that change their ID from one frame to the next: one is gone, another in its place.
+    """Landmarks that change their ID from one frame to the next, in one place.
 
     The way back from a row that is wrong is no fault of its own.
     """
@@ -266,10 +266,10 @@ def _changes(line: IntArray, places: _Places, radius_m: float) -> list[Fault]:
 
 
 def _jumps(line: IntArray, places: _Places, radius_m: float, max_pan_deg: float) -> list[Fault]:
-    """Rows to which no row of the same ID leads from the last frame that has one.
+    """Rows too far from every row of the same ID in the last frame that has one.
 
-    A pan turns everything about the sonar and leaves ranges as they are; what little the sonar
-    rises and drifts is allowed for by a disc radius a frame. The way back from a row that is wrong
+    A pan turns everything about the sonar and leaves ranges as they are; a disc radius a frame is
+    allowed for heave and drift. The way back from a row that is wrong
     is no fault of its own.
     """
     order = np.lexsort((places.frame, places.landmark))

@@ -1,5 +1,5 @@
-"""Beyond rates: how soon an ID is right for good, what is claimed where nothing is, switches of
-ID and track, and errors of position."""
+"""Beyond rates: frames to a lasting right ID, false claims by what they lie on, switches of ID and
+track, errors of position and orientation."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ class PassOutcomes:
     right: IntArray
     """(P,) those of them in which it was claimed."""
     wait: FloatArray
-    """(P,) frames from the first of them to the one from which on it was claimed in all, infinite
-    where it was not claimed in the last."""
+    """(P,) how many frames after the first of them the landmark is claimed in every one that is
+    left; infinite where it is not claimed in the last."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,9 +153,9 @@ def false_claim_counts(
 def switches(joined: Joined, nearest: IntArray, passes: Passes) -> list[Switches]:
     """What changed from one frame of a pass to the next one that has it, per method.
 
-    Of the estimates on a landmark whole in view the nearest speaks, for IDs the nearest declared
-    one; frames with two landmarks of one ID are passed over, for which is which is not known.
-    Candidates of the single-frame method (smi) are no tracks.
+    The track is that of the estimate nearest to a landmark whole in view, the ID that of the
+    nearest declared one. Frames with two landmarks of one ID are passed over: which is which is not
+    known. Candidates of the single-frame method (smi) are no tracks.
     """
     k = len(joined.ids)
     cell = joined.truth_frame_index * k + joined.truth_landmark_index

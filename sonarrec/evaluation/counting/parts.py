@@ -48,7 +48,7 @@ class PassTable:
     last_frame: IntArray
     """(P,) numbers in the log."""
     unit: IntArray
-    """(P,)"""
+    """(P,) its unit of the kind "pass"."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +95,8 @@ class Totals:
 class Part(Totals):
     """What one log, or some, add to an evaluation.
 
-    Small and kept, but for `blocks`: these are as long as the log, and put by in a store.
+    Small enough to keep for every log, but for `blocks`: these are as long as the log, and go to
+    the disk (`store.py`).
     """
 
     scored: tuple[ScoredPart, ...]

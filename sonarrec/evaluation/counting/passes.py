@@ -1,4 +1,4 @@
-"""Passes of landmarks through the view, and the units that may be taken for independent.
+"""Passes of landmarks through the view, and the units that count as independent.
 
 Neighbouring frames show the same disc on the same floor through the same noise: counting them
 one by one makes every difference look certain. What varies from case to case is a pass.
@@ -17,9 +17,9 @@ from sonarrec.records import IntArray
 PASS_GAP = 10
 """Frames that a landmark may be out of view within one pass: a shake of the sonar ends none."""
 LOGS_ENOUGH = 10
-"""From as many logs on the unit is a log: what its passes share is then averaged over, too."""
+"""With so many logs the unit is a log: then what its passes share is averaged over as well."""
 MOST_UNITS = 400
-"""More are put together with their neighbours in time, which costs nothing in sharpness."""
+"""Where there are more, neighbours in time are put together; intervals become no wider by that."""
 
 UnitKind = Literal["pass", "log"]
 
