@@ -48,8 +48,11 @@ class StoppedError(SonarrecError):
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """A file on a server. size: bytes, None where it does not tell. tag: what changes when the file
-    does (ETag, time of change), None where it tells none. md5: in hex, None where it tells none."""
+    """A file on a server.
+
+    size: bytes. tag: what changes when the file does (ETag, time of change). md5: in hex. Each is
+    None where the server does not tell it.
+    """
 
     url: Url
     size: int | None
@@ -63,6 +66,7 @@ class Item:
 
     @property
     def identity(self) -> str:
+        """12 hex digits that differ where size or tag do."""
         return hashlib.sha256(f"{self.size} {self.tag}".encode()).hexdigest()[:12]
 
 
@@ -127,7 +131,7 @@ class Store:
                 raise MissingError(f"{url.shown}: a folder, no file")
             return _item(url, found)
 
-        return self._again(ask, url)
+        return self._retried(ask, url)
 
     def companion(self, url: Url) -> Item | None:
         """As `item`; a page that a web server gives for any name is none."""
@@ -151,7 +155,7 @@ class Store:
                 return found
 
         files, folders = [], []
-        for one in self._again(ask):
+        for one in self._retried(ask):
             path = unquote(one["name"].partition("?")[0]) if folder.is_web else one["name"]
             name = path.rstrip("/").rpartition("/")[2]
             if one["type"] == "directory":
@@ -170,7 +174,7 @@ class Store:
                 return found
 
         items = []
-        for path, one in self._again(ask).items():
+        for path, one in self._retried(ask).items():
             if one["type"] != "directory":
                 at = unquote(path).removeprefix(pattern.front) if pattern.is_web else path
                 items.append(_item(Url(pattern.scheme, pattern.front, at, pattern.query), one))
@@ -203,7 +207,7 @@ class Store:
             return item
 
         try:
-            self._again(ask)
+            self._retried(ask)
             os.replace(part, to)  # noqa: PTH105
         except OSError as error:
             raise SonarrecError(
@@ -265,14 +269,14 @@ class Store:
             return
         now = self.item(item.url)
         changed = now is None or (now.size, now.tag) != (item.size, item.tag)
-        if changed or (item.md5 is not None and not self._otherwise(item)):
+        if changed or (item.md5 is not None and not self._encrypted(item)):
             part.unlink()
             told(-size)
             if changed:
                 raise SonarrecError(f"{item.url.shown}: changed while it was fetched; run again")
             raise BrokenError("its checksum is not the server's")
 
-    def _otherwise(self, item: Item) -> bool:
+    def _encrypted(self, item: Item) -> bool:
         """Whether S3 encrypted it, so that the ETag is no MD5."""
         if item.url.scheme != "s3":
             return False
@@ -299,7 +303,7 @@ class Store:
                 raise BrokenError("the server does not hold all of it")
 
         self._stopped()
-        self._again(ask, url)
+        self._retried(ask, url)
 
     def remove(self, url: Url) -> None:
         """Delete a file or a folder with all in it, where there is one. Raises SonarrecError."""
@@ -311,7 +315,7 @@ class Store:
             except MissingError:
                 pass
 
-        self._again(ask, url)
+        self._retried(ask, url)
 
     # Faults
 
@@ -319,7 +323,11 @@ class Store:
         if self._stop.is_set():
             raise StoppedError("stopped")
 
-    def _again(self, ask: Callable[[], T], url: Url | None = None) -> T:
+    def _retried(self, ask: Callable[[], T], url: Url | None = None) -> T:
+        """What `ask` gives, asked up to AGAIN more times where it breaks off.
+
+        Raises SonarrecError, told of the URL, where all of them do.
+        """
         for tried in range(AGAIN + 1):
             try:
                 return ask()
