@@ -49,7 +49,7 @@ class BothCounted:
     sides: tuple[Part, Part] | None
     """The old and the new one; None where the truth cannot be that of the log."""
     changes: ByMethod
-    """Frames that are counted otherwise."""
+    """Frames and IDs that are counted differently."""
 
 
 def count_both(reading: BothReading) -> BothCounted:

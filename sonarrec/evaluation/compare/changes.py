@@ -185,8 +185,5 @@ def _runs(rows: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], IntArray, IntArray]
 
 
 def _change(protocol: str, method: str, log: str, row: Any) -> FrameChange:
-    frame, landmark, old, new = row["frame"], row["landmark"], row["old"], row["new"]
-    return FrameChange(
-        *(protocol, method, log, int(frame), int(landmark)),
-        *((int(o[0]), int(o[1]), int(o[2])) for o in (old, new)),
-    )
+    old, new = ((int(c[0]), int(c[1]), int(c[2])) for c in (row["old"], row["new"]))
+    return FrameChange(protocol, method, log, int(row["frame"]), int(row["landmark"]), old, new)
