@@ -167,7 +167,7 @@ class Continuity:
     recall_in_view: Share = _setting(
         0.5,
         "share",
-        "image: of the disc inside the fan; with less, a candidate is no remembered group yet",
+        "image: of the disc inside the fan; with less, a candidate near a remembered group waits",
     )
     merge: NotNegative = _setting(
         0.3, "disc diameters", "groups nearer than this are one object: the older stays"

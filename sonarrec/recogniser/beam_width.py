@@ -32,7 +32,7 @@ MOST_ROWS = 256
 LAGS_DEG, BASE_FROM_DEG = 6.0, 4.0
 RANGE_MEAN_PX = 7
 CLIP = 2.5  # deviations
-# The part of the fall-off that is fitted: noise of single beams raises what lies above it, chance
+# The part of the fall-off that is fitted: noise of single beams distorts what lies above it, chance
 # what lies below.
 FIT_FROM, FIT_TO = 0.5, 0.06
 # Variance of a Gaussian through the fall-off, in beam widths squared. The beam itself makes a part

@@ -22,8 +22,8 @@ class Table:
     numbers: IntArray
     """(n,) of the groups, stable over frames."""
     places: FloatArray
-    """(n, 2) working pixels: where each was last a candidate, moved with the floor since. Not the
-    particles' mean: at the fan's edge, where the score map ends, these stay when it leaves."""
+    """(n, 2) working pixels: where each was last a candidate, moved with the floor since. At the
+    fan's edge, where the score map ends, particles stay when their object leaves; these do not."""
     existence: FloatArray
     """(n,) probability that there is an object, 0 to 1."""
     sights: FloatArray
