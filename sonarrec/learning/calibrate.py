@@ -234,13 +234,15 @@ def _left_out(
     folds = []
     count = np.zeros(2, np.int64)  # of other tracks, of landmarks' tracks
     for part in parts:
-        fold = np.empty(len(part.label), np.int64)
-        for track in np.unique(part.track):
-            mine = part.track == track
-            kind = int((part.label[mine] < part.features.shape[1]).any())
-            fold[mine] = count[kind] % FOLDS
-            count[kind] += 1
-        folds.append(fold)
+        numbers, track = np.unique(part.track, return_inverse=True)
+        kinds = np.zeros(len(numbers), np.int64)
+        np.maximum.at(kinds, track, part.label < part.features.shape[1])
+        fold = np.empty(len(numbers), np.int64)
+        for kind in (0, 1):
+            mine = np.flatnonzero(kinds == kind)
+            fold[mine] = (count[kind] + np.arange(len(mine))) % FOLDS
+            count[kind] += len(mine)
+        folds.append(fold[track])
     if count.min() < FOLDS:
         return None, None
     built_in = load_model()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -22,6 +22,8 @@ SMOOTHNESS = 10.0
 # would. By `python -m tests.studies.prior` 900 does next to no harm with a recording or two, and
 # helps where landmarks look unlike the simulator's; with 120 two recordings do harm there.
 PRIOR_WEIGHT = 900.0
+AT_ONCE = 2000
+"""Samples whose hat functions are in memory together: a few times 10 kB each."""
 
 
 def fit(
@@ -56,11 +58,10 @@ def fit(
         penalty = prior_weight * np.kron(np.eye(2), _penalty(knots, bias=RIDGE))
         sharp, smeared = np.concatenate([prior.bias[:, None], *prior.values], axis=1)
         centre = np.concatenate([sharp, smeared - sharp])
-    columns = [_basis(r.features, knots) for r in used]
     best = curves = centre
     least, step = np.inf, np.zeros_like(centre)
     for _ in range(60):
-        loss, gradient, curvature = _likelihood(used, columns, curves)
+        loss, gradient, curvature = _likelihood(used, knots, curves)
         pull = penalty @ (curves - centre)
         loss += 0.5 * float((curves - centre) @ pull)
         if loss > least + 1e-6 * abs(least):  # far from the minimum Newton's step overshoots
@@ -87,9 +88,9 @@ def _basis(features: FloatArray, knots: Sequence[FloatArray]) -> npt.NDArray[np.
     """(n, K, D) of features (n, K, F): 1, then the hat functions at every curve's knots."""
     hats = [np.ones((*features.shape[:2], 1), np.float32)]
     for i, at in enumerate(knots):
-        unit = np.eye(len(at))
-        value = features[:, :, i]
-        hats.append(np.stack([np.interp(value, at, row) for row in unit], -1).astype(np.float32))
+        which = np.arange(len(at))
+        place = np.interp(features[:, :, i], at, which)  # among the knots, between two of them
+        hats.append(np.maximum(1 - np.abs(place[..., None] - which), 0).astype(np.float32))
     return np.concatenate(hats, axis=2)
 
 
@@ -109,19 +110,19 @@ def _penalty(knots: Sequence[FloatArray], bias: float = 1e-3) -> FloatArray:
 
 
 def _likelihood(
-    recordings: Sequence[Samples], columns: Sequence[npt.NDArray[np.float32]], curves: FloatArray
+    recordings: Sequence[Samples], knots: Sequence[FloatArray], curves: FloatArray
 ) -> tuple[float, FloatArray, FloatArray]:
     """Minus the log likelihood, its negative gradient (2 D,) and its curvature (2 D, 2 D).
 
-    columns: (n, K, D) of each recording, from _basis. curves: (2 D,) those of sharp pictures, then
-    what the smear adds.
+    curves: (2 D,) those of sharp pictures, then what the smear adds.
     """
     size = len(curves)
     loss, gradient, curvature = 0.0, np.zeros(size), np.zeros((size, size))
-    for recording, x in zip(recordings, columns, strict=True):
+    for features, smear, label in _blocks(recordings):
+        # Made again in every step: kept, they are thirty times as large as the features.
+        x = _basis(features, knots)
         n, ids, _ = x.shape
-        # Made again in every step: to keep it would take twice the memory.
-        share = smeared_share(recording.smear).astype(np.float32)
+        share = smeared_share(smear).astype(np.float32)
         x = np.concatenate([x, x * share[:, None, None]], axis=2)
         # 'None of these' is the reference: its log odds are 0.
         logits = np.concatenate([x @ curves, np.zeros((n, 1))], axis=1)
@@ -129,11 +130,21 @@ def _likelihood(
         p = np.exp(logits - top)
         total = p.sum(axis=1, keepdims=True)
         p = (p / total)[:, :ids]
-        rows = np.flatnonzero(recording.label < ids)
-        label = recording.label[rows]
+        rows = np.flatnonzero(label < ids)
+        label = label[rows]
         loss += float((top + np.log(total)).sum() - logits[rows, label].sum())
         expected = np.einsum("nk,nkd->nd", p, x)
-        gradient += x[rows, label].sum(axis=0) - expected.sum(axis=0)
+        gradient += x[rows, label].sum(axis=0, dtype=float) - expected.sum(axis=0)
         weighted = (x * np.sqrt(p)[..., None]).reshape(-1, size)
         curvature += weighted.T @ weighted - expected.T @ expected
     return loss, gradient, curvature
+
+
+def _blocks(
+    recordings: Sequence[Samples],
+) -> Iterator[tuple[FloatArray, FloatArray, npt.NDArray[np.int64]]]:
+    """Features, smear and label of AT_ONCE samples or fewer, of one recording each time."""
+    for recording in recordings:
+        for first in range(0, len(recording.label), AT_ONCE):
+            part = slice(first, first + AT_ONCE)
+            yield recording.features[part], recording.smear[part], recording.label[part]

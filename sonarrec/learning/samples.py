@@ -23,7 +23,7 @@ ON, OFF = 0.25, 0.5
 class Tracks:
     """One recording's frames, and every track in every frame, described.
 
-    frame, timestamp_ns: (F,) of the frames. row: (n,) index into frame. number: (n,) of the track.
+    frame, timestamp_ns: (F,) of the frames. row: (n,) index into frame, rising. number: (n,) of the track.
     position: (n, 2) metres in the fan plane, right and ahead of the sonar. features: (n, K, F).
     smear: (n,) the beam's standard deviation across the line of sight, in disc radii.
     """
@@ -78,7 +78,7 @@ def describe(
     recorder = _Recorder()
     recogniser = fan = None
     index, stamp, number, polar = [], [], [], []
-    features: list[FloatArray] = [np.empty((0, len(landmarks.ids), len(FEATURES)))]
+    features: list[FloatArray] = [np.empty((0, len(landmarks.ids), len(FEATURES)), np.float32)]
     smear: list[FloatArray] = [np.empty(0)]
     rows: list[int] = []
     for row, frame in enumerate(frames):
@@ -91,7 +91,7 @@ def describe(
         rows += [row] * len(tracks)
         number += [e.object for e in tracks]
         polar += [(e.range_m, e.bearing_deg) for e in tracks]
-        features.append(recorder.features[: len(tracks)])
+        features.append(recorder.features[: len(tracks)].astype(np.float32))  # half the memory
         smear.append(recorder.smear[: len(tracks)])
     return Tracks(
         name,
@@ -116,8 +116,9 @@ def label(tracks: Tracks, row: IntArray, landmark: IntArray, place: FloatArray) 
     ids = len(tracks.landmarks.ids)
     found = np.full(len(tracks.row), ids)
     nearest = np.full(len(tracks.row), np.inf)
-    for at, what, where in zip(row, landmark, place, strict=True):
-        here = np.flatnonzero(tracks.row == at)
+    first, end = (np.searchsorted(tracks.row, row, side) for side in ("left", "right"))
+    for a, b, what, where in zip(first, end, landmark, place, strict=True):
+        here = np.arange(a, b)
         distance = np.linalg.norm(tracks.position[here] - where, axis=1)
         closer = here[distance < nearest[here]]
         found[closer], nearest[closer] = what, distance[distance < nearest[here]]

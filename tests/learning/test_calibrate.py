@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -69,6 +70,26 @@ def test_known_curves_are_recovered():
         assert apart(learned, truth, feature) < 0.25
     held_out = drawn(truth, 4000, 3)
     assert log_likelihood(learned, held_out) > log_likelihood(truth, held_out) - 0.02
+
+
+def test_memory_of_learning_is_little_more_than_the_samples():
+    """Hat functions of all 15,000 samples together would be 600 MB."""
+    samples = drawn(known_model(), 15_000, 5)
+    tracemalloc.start()
+    fit([samples], load_model())
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 120e6
+
+
+def test_samples_in_blocks_teach_what_they_teach_together(monkeypatch):
+    recordings = [drawn(known_model(), 700, 1), drawn(known_model(), 300, 2, smear=0.6)]
+    together = fit(recordings)
+    monkeypatch.setattr("sonarrec.learning.fit.AT_ONCE", 64)
+    in_blocks = fit(recordings)
+    np.testing.assert_allclose(in_blocks.bias, together.bias, atol=1e-6)
+    for one, other in zip(in_blocks.values, together.values, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-6)
 
 
 def test_what_the_smear_changes_is_learned_from_smeared_pictures_alone():
