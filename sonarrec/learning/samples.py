@@ -23,9 +23,9 @@ ON, OFF = 0.25, 0.5
 class Tracks:
     """One recording's frames, and every track in every frame, described.
 
-    frame, timestamp_ns: (F,) of the frames. row: (n,) index into frame, rising. number: (n,) of the track.
-    position: (n, 2) metres in the fan plane, right and ahead of the sonar. features: (n, K, F).
-    smear: (n,) the beam's standard deviation across the line of sight, in disc radii.
+    frame, timestamp_ns: (F,) of the frames. row: (n,) index into frame, rising. number: (n,) of the
+    track. position: (n, 2) metres in the fan plane, right and ahead of the sonar. features:
+    (n, K, F). smear: (n,) the beam's standard deviation across the line of sight, in disc radii.
     """
 
     name: str

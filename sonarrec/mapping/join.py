@@ -65,6 +65,8 @@ class _Pool:
     lean: FloatArray
     turn: FloatArray
     variance: FloatArray  # of the turn
+    drift: FloatArray  # (p, 2, 2) what its log's path adds, from where that begins
+    drift_turn: FloatArray  # (p,) deg^2
 
     def distance(self, i: int, others: IntArray) -> tuple[FloatArray, FloatArray]:
         """Of pass i to (k,) others: squared Mahalanobis distance over the gate's own, metres."""
@@ -73,18 +75,16 @@ class _Pool:
         lean = HEIGHT_SIGMA_M * (self.lean[others] - self.lean[i])
         covariance += lean[:, :, None] * lean[:, None, :]
         turned = self.variance[others] + self.variance[i]
-        for log in np.unique(self.log[others]).tolist():
-            of = self.log[others] == log
-            mine, path = self.middle[[i] * int(of.sum())], self.logs[self.log[i]].path
-            theirs, place = self.middle[others[of]], self.place[others[of]]
-            if log == self.log[i]:
-                covariance[of] += path.place_covariance(mine, place, theirs)
-                turned[of] += path.yaw_variance(mine, theirs)
-            else:  # the logs' errors have nothing in common
-                other = self.logs[log].path
-                covariance[of] += path.place_covariance(mine, place)
-                covariance[of] += other.place_covariance(theirs, place)
-                turned[of] += path.yaw_variance(mine) + other.yaw_variance(theirs)
+        path, place = self.logs[self.log[i]].path, self.place[others]
+        mine = np.repeat(self.middle[i], len(others))
+        same = self.log[others] == self.log[i]
+        theirs = self.middle[others[same]]
+        covariance[same] += path.place_covariance(mine[same], place[same], theirs)
+        turned[same] += path.yaw_variance(mine[same], theirs)
+        # Errors of two logs have nothing in common.
+        covariance[~same] += path.place_covariance(mine[~same], place[~same])
+        covariance[~same] += self.drift[others[~same]]
+        turned[~same] += self.drift_turn[i] + self.drift_turn[others[~same]]
         squared = np.einsum("ki,kij,kj->k", apart, np.linalg.inv(covariance), apart)
         period = self.period[i]
         turn = np.mod(self.turn[others] - self.turn[i] + period / 2, period) - period / 2
@@ -140,6 +140,10 @@ def _pool(logs: Sequence[LogPasses], landmarks: LandmarkSet) -> _Pool:
         lean=row("lean"),
         turn=row("turn_deg"),
         variance=row("turn_sigma_deg") ** 2,
+        drift=np.concatenate(
+            [one.path.place_covariance(one.passes.middle, one.passes.place) for one in logs]
+        ),
+        drift_turn=np.concatenate([one.path.yaw_variance(one.passes.middle) for one in logs]),
     )
 
 

@@ -30,13 +30,17 @@ def choose_method(path: Path, wanted: str | None) -> str:
     tables = read_tables(
         path, {"method": "text"}, needed(estimate_columns(())), ESTIMATES_HEADER, ROWS
     )
-    there = sorted({str(name) for _, table in tables for name in table["method"].unique()})
+    usual = wanted or "framework"
+    found: set[str] = set()
+    for _, table in tables:
+        found |= {str(name) for name in table["method"].unique()}
+        if usual in found:
+            return usual  # most often after the first rows of a long table
+    if not found:
+        return usual
+    there = sorted(found)
     if wanted is not None:
-        if there and wanted not in there:
-            raise UsageError(f"{path}: no method {wanted!r}; there is {', '.join(there)}")
-        return wanted
-    if "framework" in there or not there:
-        return "framework"
+        raise UsageError(f"{path}: no method {wanted!r}; there is {', '.join(there)}")
     ours = [name for name in there if name.startswith("framework")] or there
     if len(ours) > 1:
         raise UsageError(f"{path}: choose one of the methods with --method: {', '.join(ours)}")

@@ -24,7 +24,7 @@ from sonarrec.cli import main
 from sonarrec.config import preset
 from sonarrec.landmarks import load_landmarks
 from sonarrec.mapping.build import make_map
-from sonarrec.mapping.path import COMMON_LENGTH, Drift, measured_path, told_path
+from sonarrec.mapping.path import COMMON_LENGTH, Drift, SonarPath, measured_path, told_path
 from sonarrec.mapping.tables import CHI2_95, Origin, ellipse
 from sonarrec.poses import pose_table
 from sonarrec.readers.poses_csv import read_poses
@@ -201,6 +201,24 @@ def test_two_logs_make_one_map(tmp_path: Path) -> None:
     ]
     told = sonarrec("map", one, other, code=2)
     assert "give the folder of their map with --out" in told.stderr
+
+
+def test_each_pass_asks_the_paths_the_same_number_of_times_however_many_logs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is held against all earlier passes of all logs at once."""
+    path = there_and_back()
+    for n in range(8):
+        results(tmp_path / "logs" / f"log{n}", path, path, seed=n)
+    asked = []
+    added = SonarPath.place_covariance
+    monkeypatch.setattr(
+        SonarPath, "place_covariance", lambda *args: asked.append(0) or added(*args)
+    )
+    site = make_map([tmp_path / "logs"])
+    passes = sum(len(log.on_floor.passes.frames) for log in site.logs)
+    assert len(site.landmarks) == len(SITE)
+    assert len(asked) <= 2 * passes + 8 * (2 * len(SITE) + 1)
 
 
 def test_what_lies_on_another_is_the_one_claimed_more(tmp_path: Path) -> None:
