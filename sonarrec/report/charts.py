@@ -10,7 +10,7 @@ that keep their width; tick labels are text beside it. So charts stay legible on
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from matplotlib.ticker import MaxNLocator
@@ -127,18 +127,34 @@ def thinned(y: FloatArray, most: int = MOST_POINTS) -> IntArray:
     return np.unique(np.concatenate([start + low, start + high]))
 
 
+def frames_a_bar(frames: int, most: int = MOST_POINTS) -> int:
+    """Of how many frames a bar of a row of `most` bars or fewer tells."""
+    return -(-frames // most)
+
+
 def bars(
-    axis: Axis, start: FloatArray, width: float, height: FloatArray, most: int = MOST_POINTS
+    axis: Axis,
+    start: FloatArray,
+    width: float,
+    height: FloatArray,
+    most: int = MOST_POINTS,
+    *,
+    mean: bool = False,
 ) -> str:
     """A path of one bar per value above 0, from the bottom up.
 
     start: (n,) left edges, rising. height: (n,) 0 to 1. Where there are more than `most`,
-    neighbours become one bar of the tallest one's height; neighbours of one height touch.
+    neighbours become one bar of the tallest one's height, or of their mean; neighbours of one
+    height touch.
     """
-    size = -(-len(start) // most)
+    size = frames_a_bar(len(start), most)
     first = np.arange(0, len(start), size)
     last = np.minimum(first + size, len(start)) - 1
-    top = np.rint(np.maximum.reduceat(height, first) * HEIGHT).astype(int)
+    if mean:
+        tall = np.add.reduceat(height, first) / (last + 1 - first)
+    else:
+        tall = np.maximum.reduceat(height, first)
+    top = np.rint(tall * HEIGHT).astype(int)
     left = np.rint(axis.share(start[first]) * WIDTH).astype(int)
     right = np.append(start[1:], np.inf)[last]
     right = np.rint(axis.share(np.minimum(right, start[last] + width)) * WIDTH).astype(int)
@@ -171,7 +187,9 @@ class Lane:
 def timeline(log: ReportedLog) -> list[tuple[int, list[Lane]]]:
     """Per ID (index) that is in view or declared anywhere: truth, the tracker, other methods.
 
-    A bar stands where the method declares the ID; its height is the score.
+    A bar stands where the method declares the ID; its height is the score. In a long log, where it
+    tells of several frames, the best score is drawn faintly, and the mean over all of them on it:
+    a bar of the best alone would look the same for one frame of hundreds as for all.
     """
     axis, period = time_axis(log)
     found = log.results
@@ -193,8 +211,11 @@ def timeline(log: ReportedLog) -> list[tuple[int, list[Lane]]]:
             claims = int(np.count_nonzero(np.bincount(found.frame_index[mine])))
             anything |= claims > 0
             told = f"{method} declares ID.{landmark} in {claims} of {len(surest)} frames"
-            path = bars(axis, log.time, period, surest)
-            lanes.append(Lane(method, Chart(told, [Shape(path, k, "bar")]), False))
+            shapes = [Shape(bars(axis, log.time, period, surest), k, "bar")]
+            if frames_a_bar(len(log.time)) > 1:
+                mean = bars(axis, log.time, period, surest, mean=True)
+                shapes = [replace(shapes[0], kind="bar faint"), Shape(mean, k, "bar")]
+            lanes.append(Lane(method, Chart(told, shapes), False))
         if anything:
             rows.append((k, lanes))
     return rows

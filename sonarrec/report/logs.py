@@ -186,12 +186,14 @@ def seen(log: ReportedLog) -> list[Seen]:
     for s in log.sightings:
         if s.landmark not in log.ids:
             continue
-        here = (frame >= s.first_frame) & (frame <= s.last_frame)
-        here &= found.landmark_index[mine] == log.ids.index(s.landmark)
+        first, end = np.searchsorted(frame, [s.first_frame, s.last_frame + 1])
+        at = mine[first:end]
+        here = found.landmark_index[at] == log.ids.index(s.landmark)
         if s.track is not None:
-            here &= found.object[mine] == s.track
+            here &= found.object[at] == s.track
         if here.any():
-            shown.append(_seen(log, s, mine[here], None if false is None else false[mine[here]]))
+            at = at[here]
+            shown.append(_seen(log, s, at, None if false is None else false[at]))
     return shown
 
 

@@ -8,6 +8,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
+from heapq import nlargest
 from importlib.resources import files
 from pathlib import Path
 
@@ -62,6 +63,7 @@ class LogView:
     facts: list[tuple[str, str]]
     problems: list[str]
     timeline: list[tuple[int, list[charts.Lane]]]
+    frames_a_bar: int
     axis: charts.Axis
     """Of time, over the whole log."""
     unseen: list[int]
@@ -307,9 +309,13 @@ def _log_view(log: ReportedLog, most_tracks: int) -> LogView:
         facts=list(_facts(log)),
         problems=list(log.run.input.problems),
         timeline=rows,
+        frames_a_bar=charts.frames_a_bar(len(log.time)),
         axis=charts.time_axis(log)[0],
         unseen=[i for k, i in enumerate(log.results.landmarks.ids) if k not in drawn],
-        sightings=found[:MOST_SIGHTINGS],
+        sightings=sorted(
+            nlargest(MOST_SIGHTINGS, found, key=lambda s: s.sighting.frames_declared),
+            key=lambda s: (s.sighting.first_frame, s.sighting.last_frame),
+        ),
         sightings_left=len(found[MOST_SIGHTINGS:]),
         measured=[m for m in MEASURED if any(m.value(s.sighting) for s in found)],
         in_utc=stamps is not None and _is_utc(int(stamps[0])),
