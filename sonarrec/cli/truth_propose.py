@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from heapq import nlargest
 from pathlib import Path
 
 import click
@@ -16,6 +17,9 @@ from sonarrec.cli.options import (
     out_option,
     quiet_option,
 )
+
+MOST_TRACKS = 40
+"""Printed, a line each; the file names the track of every row."""
 
 
 @command(short_help="Propose a gt.csv from confident tracks.")
@@ -67,9 +71,12 @@ def propose(
         return
     rows = sum(track.rows for track in tracks)
     click.echo(f"{out}: {rows} rows from {sum(bool(t.rows) for t in tracks)} tracks")
-    for t in sorted(tracks, key=lambda t: (t.log, t.frames)):
+    shown = nlargest(MOST_TRACKS, tracks, key=lambda t: t.rows)
+    for t in sorted(shown, key=lambda t: (t.log, t.frames)):
         span = f"frames {t.frames[0]}-{t.frames[1]}"
         told = t.left_out and f"left out: {t.left_out}"
         told = told or f"{t.rows} rows, {t.interpolated} of them filled in"
         score = f"best score {t.best_score:.3f}"
         click.echo(f"  {t.log}  ID.{t.landmark}  track {t.track:<4} {span:<15} {score}  {told}")
+    if more := len(tracks) - len(shown):
+        click.echo(f"  these have the most rows; {more} more track{'s' * (more != 1)}")

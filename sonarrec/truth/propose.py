@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -59,7 +60,15 @@ def propose(
         raise UsageError(f"--min-score {min_score:g}: a score is within 0 to 1")
     folders = find_logs(results)
     told: list[ProposedTrack] = []
-    rows: list[tuple[object, ...]] = []
+    rows = _proposed(folders, method, min_score, max_gap, told)
+    write_truth(out, (("log", *HEADER) if len(folders) > 1 else HEADER), rows)
+    return told
+
+
+def _proposed(
+    folders: Sequence[Path], method: str, min_score: float, max_gap: int, told: list[ProposedTrack]
+) -> Iterator[tuple[object, ...]]:
+    """The rows of gt.csv, one log in memory at a time. told: to which each track is added."""
     for folder in folders:
         log = read_log(folder)
         if log.fan is None:
@@ -85,9 +94,7 @@ def propose(
                 )
             )
         name = (log.name,) if len(folders) > 1 else ()
-        rows += [(*name, *row) for row in sorted(mine)]
-    write_truth(out, (("log", *HEADER) if len(folders) > 1 else HEADER), rows)
-    return told
+        yield from ((*name, *row) for row in sorted(mine))
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from sonarrec.files.outputs import replaced
 from sonarrec.files.tables import (
     POSITION_KINDS,
     Kind,
@@ -162,13 +164,19 @@ def repeated_rows(table: TruthTable) -> IntArray:
 def write_truth(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
     """Write a new gt.csv. Raises SonarrecError where it exists or cannot be written.
 
-    A file that a person may have corrected by hand is never written over.
+    All of it or nothing: rows may be made as they are written. A file that a person may have
+    corrected by hand is never written over.
     """
     try:
-        with path.open("x", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(header)
-            writer.writerows(rows)
+        if os.path.lexists(path):
+            raise FileExistsError
+        with replaced(path) as new:
+            with new.open("x", newline="", encoding="utf-8") as file:
+                writer = csv.writer(file, lineterminator="\n")
+                writer.writerow(header)
+                writer.writerows(rows)
+            if os.path.lexists(path):  # made meanwhile
+                raise FileExistsError
     except FileExistsError:
         raise SonarrecError(
             f"{path}: exists already and is left as it is; choose another --out"

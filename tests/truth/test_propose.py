@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import math
+import shutil
+import tracemalloc
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,6 +15,7 @@ from click.testing import CliRunner, Result
 from sonarrec.cli import main
 from sonarrec.config import preset
 from sonarrec.pipeline.run import run as run_log
+from sonarrec.truth.propose import propose
 from sonarrec.truth.table import read_truth
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
@@ -151,6 +154,47 @@ def test_several_logs_have_a_log_column(tmp_path: Path) -> None:
     results(tmp_path / "out" / "b", track(1, range(5)))
     rows = proposed(tmp_path / "out")
     assert [row["log"] for row in rows] == ["a"] * 10 + ["b"] * 5
+
+
+def test_of_many_tracks_those_of_most_rows_are_printed(tmp_path: Path) -> None:
+    """More than a terminal shows: the last one, which is the longest, among them."""
+    for n in range(50):
+        results(tmp_path / "out" / f"log{n:02d}", track(n, range(10 + (n == 49))))
+    done = run(tmp_path / "out", "--out", tmp_path / "gt.csv")
+    assert done.exit_code == 0
+    head, *lines, end = done.stdout.splitlines()
+    assert head.endswith("501 rows from 50 tracks")
+    assert len(lines) == 40
+    assert lines[-1].startswith("  log49  ID.1  track 49")
+    assert end == "  these have the most rows; 10 more tracks"
+
+
+def test_a_log_that_cannot_be_read_leaves_no_half_of_a_file(tmp_path: Path) -> None:
+    results(tmp_path / "out" / "a", track(1, range(10)))
+    (results(tmp_path / "out" / "b", track(1, range(5))) / "estimates.csv").write_text("nothing")
+    done = run(tmp_path / "out", "--out", tmp_path / "gt.csv")
+    assert done.exit_code == 1
+    assert "wrong columns" in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_memory_is_that_of_one_log_however_many(tmp_path: Path) -> None:
+    """Forty logs of 3,000 frames: their rows together are some 50 MB."""
+    frames = range(3000)
+    rows = [(n, 1, 2.0, (n % 20) / 2 - 5, 1, 0.95, 1) for n in frames]
+    one = results(tmp_path / "out" / "log00", rows, frames)
+    for n in range(1, 40):
+        shutil.copytree(one, tmp_path / "out" / f"log{n:02d}")
+
+    def peak(of: Path, out: str) -> int:
+        tracemalloc.start()
+        propose(of, tmp_path / out, method="framework", min_score=0.9, max_gap=0)
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return peak
+
+    peak(one, "warm.csv")
+    assert peak(tmp_path / "out", "all.csv") < 1.5 * peak(one, "one.csv")
 
 
 def test_faults(tmp_path: Path) -> None:
