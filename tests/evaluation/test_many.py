@@ -104,14 +104,14 @@ RECORDED = {
     4: {
         "changes.csv": "bd302837c132756e",
         "compare.csv": "22bfc72fa9932424",
-        "compare.html": "d67316c7f851e500",
+        "compare.html": "ff191b7c76008c15",
         "compare.json": "99dee0cf1c9dd989",
         "printed": "463d98b030b55df0",
     },
     12: {
         "changes.csv": "e7af7e1f80a56157",
         "compare.csv": "648b5f8d3b5efdff",
-        "compare.html": "0002d0cd870a44b6",
+        "compare.html": "63f74e711a8b334d",
         "compare.json": "6250dc5e4010e14f",
         "printed": "4cf742bbb364f240",
     },
