@@ -25,6 +25,7 @@ from sonarrec.recogniser.stage1_candidates import Hills, RingScore
 from sonarrec.simulation.random_scenes import ALL_KINDS, KINDS_OF_SCENE, random_scene
 from sonarrec.simulation.simulate import render
 from sonarrec.simulation.unlike import UNLIKE_KINDS
+from tests.studies.measured import errors
 from tests.studies.scenes import FRAMES, REPORTED, seeds, show, told
 from tests.support.simulated import PROCESSES, Job, recognise, score
 
@@ -162,24 +163,28 @@ def compare(ablations: Mapping[str, Ablation], asked: argparse.Namespace) -> Non
         )
         found = {name: score(folders[name]) for name in ablations}
         lines = [
-            {"in place": name, "how": str(ablation)} | _rates(found[name])
+            {"in place": name, "how": str(ablation)} | _figures(found[name], folders[name])
             for name, ablation in ablations.items()
         ]
         passes = len(find_passes(next(iter(found.values())).joined).first_frame_index)
         show(
             f"{world}, {len(drawn)} recordings of {asked.frames} frames, {passes} passes of "
-            "landmarks:\nTPR and FPR, protocol strict, at the operating point, TPR at equal FPR",
+            "landmarks:\nTPR and FPR, protocol strict, at the operating point; TPR at equal FPR; "
+            "median error of the\norientation of right claims",
             lines,
         )
     print(f"\n{asked.out}; {(time.monotonic() - begun) / 60:.1f} minutes")
 
 
-def _rates(found: Evaluation) -> dict[str, str]:
+def _figures(found: Evaluation, folders: Sequence[Path]) -> dict[str, str]:
     one = next(s for s in found.scored if (s.protocol, s.method) == ("strict", FRAMEWORK))
     count, curve = one.count(), one.curve()
-    return {"TPR": told(count.tpr, ".3f"), "FPR": told(count.fpr, ".4f")} | {
-        f"at FPR {fpr:g}": told(curve.tpr_at(fpr), ".3f") for fpr in EQUAL_FPR
-    }
+    off = np.abs(errors(found, one, folders).orientation_deg)
+    return (
+        {"TPR": told(count.tpr, ".3f"), "FPR": told(count.fpr, ".4f")}
+        | {f"at FPR {fpr:g}": told(curve.tpr_at(fpr), ".3f") for fpr in EQUAL_FPR}
+        | {"deg": told(float(np.median(off)) if len(off) else np.nan, ".1f")}
+    )
 
 
 def parser(module: str, about: str | None) -> argparse.ArgumentParser:
