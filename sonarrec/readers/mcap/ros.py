@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Callable, Mapping
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from importlib import resources
 from types import SimpleNamespace
 from typing import Any
@@ -54,6 +54,7 @@ _ZSTD = b"\x28\xb5\x2f\xfd"  # what a zstd frame begins with, and no CDR message
 _CDR_KINDS = {0: ("be", False), 1: ("le", False), 6: ("be", True), 7: ("le", True)}
 
 
+@lru_cache(maxsize=16)  # the logs of a campaign hold the same few definitions; code is made of each
 def ros_decoder(name: str, definition: bytes, ros1: bool) -> RosDecoder | None:
     """The decoder of a message (package/Name) by the definition in the file, by ours where it has
     none that can be used; None without either.
