@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -104,21 +105,31 @@ def draw_on_floor(
     Returns the brightness 0 to 1 and where the fan is seen at all, both (rows, columns). The fan
     must know its height: ground range = sqrt(slant range^2 - height^2).
     """
+    brightness = np.zeros((fan.rows, fan.columns))
+    seen, box, x, y = _near_disc(fan, range_m, bearing_deg, radius_m)
+    brightness[box] = _pixels(pattern(x, y))
+    return brightness, seen.copy()
+
+
+@lru_cache(maxsize=32)  # a megabyte each; the frames of a log, and plate and symbol of a frame
+def _near_disc(
+    fan: Fan, range_m: float, bearing_deg: float, radius_m: float
+) -> tuple[np.ndarray, tuple[slice, slice], np.ndarray, np.ndarray]:
+    """Where the fan is seen, the pixels about a disc, and the places of their samples on it."""
     assert fan.height_m is not None
     row, column = np.mgrid[0 : fan.rows, 0 : fan.columns]
     slant, bearing, x, y = _on_disc(fan, row, column, range_m, bearing_deg, radius_m)
     seen = (slant >= fan.range_min_m) & (slant <= fan.range_max_m)
     seen &= np.abs(np.degrees(bearing)) <= fan.bearing_max_deg
-    brightness = np.zeros((fan.rows, fan.columns))
     rows, columns = np.nonzero(np.hypot(x, y) < 1.5)
-    if len(rows):
-        box = np.s_[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
-        row, column = _fine_grid(*brightness[box].shape)
-        _, _, x, y = _on_disc(
-            fan, row + rows.min(), column + columns.min(), range_m, bearing_deg, radius_m
-        )
-        brightness[box] = _pixels(pattern(x, y))
-    return brightness, seen
+    if not len(rows):
+        return seen, np.s_[:0, :0], np.zeros((0, 0)), np.zeros((0, 0))
+    box = np.s_[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
+    row, column = _fine_grid(*row[box].shape)
+    _, _, x, y = _on_disc(
+        fan, row + rows.min(), column + columns.min(), range_m, bearing_deg, radius_m
+    )
+    return seen, box, x, y
 
 
 def _on_disc(
