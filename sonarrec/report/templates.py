@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -9,11 +10,15 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 def filled(template: str, **values: Any) -> str:
     """A template of this folder as HTML."""
-    environment = Environment(
+    return _environment().get_template(template).render(values)
+
+
+@cache  # it keeps the templates compiled: some processes fill many pages
+def _environment() -> Environment:
+    return Environment(
         loader=PackageLoader("sonarrec.report", "."),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    return environment.get_template(template).render(values)
