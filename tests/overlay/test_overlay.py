@@ -12,6 +12,7 @@ import re
 import tracemalloc
 from collections.abc import Iterator
 from datetime import UTC, datetime
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -425,15 +426,36 @@ def messages(path: Path) -> Iterator[tuple[str, int, dict[str, Any]]]:
                 continue
             assert (schema.encoding, channel.message_encoding) == ("jsonschema", "json")
             found = json.loads(message.data)
-            jsonschema.validate(found, json.loads(schema.data))
+            validator(schema.data).validate(found)
             parse_as_published(schema.name, found)
             yield schema.name, message.log_time, found
 
 
+@cache
+def validator(schema: bytes) -> Any:
+    """Of the messages of a schema, which is checked itself."""
+    told = json.loads(schema)
+    kind = jsonschema.validators.validator_for(told)
+    kind.check_schema(told)
+    return kind(told)
+
+
+@cache
+def published(name: str) -> Any:
+    """A message of Foxglove by its own definition."""
+    import foxglove.messages
+    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+
+    kind = getattr(foxglove.messages, name.removeprefix("foxglove."))
+    pool = descriptor_pool.DescriptorPool()
+    for file in descriptor_pb2.FileDescriptorSet.FromString(kind.get_schema().data).file:
+        pool.Add(file)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(name))
+
+
 def parse_as_published(name: str, message: dict[str, Any]) -> None:
     """Read by Foxglove's own definition, which refuses unknown fields and other types."""
-    import foxglove.messages
-    from google.protobuf import descriptor_pb2, descriptor_pool, json_format, message_factory
+    from google.protobuf import json_format
 
     def protobuf_times(value: Any) -> Any:
         if isinstance(value, dict) and set(value) == {"sec", "nsec"}:
@@ -443,12 +465,7 @@ def parse_as_published(name: str, message: dict[str, Any]) -> None:
             return {key: protobuf_times(item) for key, item in value.items()}
         return [protobuf_times(item) for item in value] if isinstance(value, list) else value
 
-    kind = getattr(foxglove.messages, name.removeprefix("foxglove."))
-    pool = descriptor_pool.DescriptorPool()
-    for file in descriptor_pb2.FileDescriptorSet.FromString(kind.get_schema().data).file:
-        pool.Add(file)
-    published = message_factory.GetMessageClass(pool.FindMessageTypeByName(name))
-    json_format.ParseDict(protobuf_times(message), published())
+    json_format.ParseDict(protobuf_times(message), published(name)())
 
 
 def nanoseconds(time: dict[str, int]) -> int:
