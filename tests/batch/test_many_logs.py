@@ -161,8 +161,8 @@ def test_status_tells_the_table_while_it_grows_and_after(tmp_path: Path) -> None
         states: set[str] = set()
         while running.poll() is None:
             if (out / "logs.csv").is_file():
-                told = subprocess.run(command("status", out, "--json"), capture_output=True)
-                states |= set(json.loads(told.stdout)["counts"])
+                states |= set(json.loads(sonarrec("status", out, "--json").stdout)["counts"])
+            time.sleep(0.05)
     assert "running" in states
     told = subprocess.run(command("status", out), capture_output=True, text=True)
     assert told.stdout.startswith("2 logs: 2 done\n40 frames, 0 unusable")
