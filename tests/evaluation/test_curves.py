@@ -19,7 +19,6 @@ from sonarrec.evaluation.counting.scoring import score
 from tests.evaluation.test_evaluation import paper_case
 from tests.support.claims import IDS, joined
 
-metrics = pytest.importorskip("sklearn.metrics")
 FRAMES = 250
 
 
@@ -44,6 +43,7 @@ def one_vs_rest(seed: int, claimed: float = 0.8):
 @pytest.mark.parametrize("claimed", [1.0, 0.8])
 @pytest.mark.parametrize("seed", range(5))
 def test_areas_equal_scikit_learns(seed: int, claimed: float, protocol: str) -> None:
+    metrics = pytest.importorskip("sklearn.metrics")
     case, positive, points = one_vs_rest(seed, claimed)
     scored = score(case, 0, protocol)
     cells = [(k, positive[:, k], points[:, k]) for k in range(len(IDS))]

@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from sklearn.metrics import brier_score_loss
 
 from sonarrec.cli import main as sonarrec
 from sonarrec.config import preset, with_assignments
@@ -149,10 +148,11 @@ def test_honesty_needs_a_sigma() -> None:
 
 
 def test_reliability_by_hand(found: Evaluation) -> None:
+    metrics = pytest.importorskip("sklearn.metrics")
     one = strict(found, "default")
     r = reliability(one)
     right = one.truth >= 0
-    assert r.brier == pytest.approx(brier_score_loss(right, one.score))
+    assert r.brier == pytest.approx(metrics.brier_score_loss(right, one.score))
     gap = 0.0
     for i in range(BINS):
         inside = (one.score >= i / BINS) & ((one.score < (i + 1) / BINS) | (i == BINS - 1))

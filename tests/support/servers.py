@@ -13,8 +13,6 @@ from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
-import asyncssh
-
 
 @dataclass
 class Web:
@@ -122,6 +120,8 @@ def sftp_server(folder: Path, home: Path, password: str) -> Iterator[int]:
 
     Gives its port. asyncssh is on both sides, for sshfs rests on it.
     """
+    import asyncssh  # by those who need it: to load it takes long
+
     key = asyncssh.generate_private_key("ssh-ed25519")
     loop = asyncio.new_event_loop()
 
