@@ -2,6 +2,9 @@
 
 import gc
 import signal
+from pathlib import Path
+
+import pytest
 
 import sonarrec  # noqa: F401 - before numpy: it has BLAS run in one thread, as users have it
 from sonarrec.batch.cores import cores
@@ -9,6 +12,19 @@ from sonarrec.batch.cores import cores
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # Begun in the background of a script: the programs that tests stop by Ctrl-C would inherit it.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture
+def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`evaluate` writes empty files in place of its pictures, to draw which takes it longest; for
+    tests of what it says, which is in its tables."""
+    from sonarrec.evaluation import write
+
+    def empty(path: Path, *_: object) -> None:
+        path.write_bytes(b"")
+
+    for name in ("draw_roc", "draw_roc_by_id", "draw_det", "draw_reliability"):
+        monkeypatch.setattr(write, name, empty)
 
 
 def pytest_xdist_auto_num_workers() -> int:

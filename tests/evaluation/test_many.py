@@ -20,7 +20,7 @@ from sonarrec.evaluation.counting import store
 from sonarrec.evaluation.counting.passes import UnitKind
 from sonarrec.evaluation.counting.pooled import Pooled
 from sonarrec.evaluation.counting.store import Store, ranked, summed
-from sonarrec.evaluation.evaluate import Evaluation, evaluate_many, evaluate_whole
+from sonarrec.evaluation.evaluate import evaluate_many, evaluate_whole
 from sonarrec.evaluation.matching.pairs import Pair, read_pairs
 from sonarrec.evaluation.summary import summarise
 from sonarrec.evaluation.write import write_evaluation
@@ -52,25 +52,29 @@ def files(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
 
 
-@pytest.mark.parametrize("unit", ["pass", "log"])
+@pytest.mark.usefixtures("no_pictures")
 def test_all_at_once_or_one_at_a_time_is_the_same(
-    tmp_path: Path, pairs: Path, unit: UnitKind, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, pairs: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """All logs on one axis of frames, as `evaluate_whole` joins them, are the independent way."""
     rows = read_pairs(pairs)
+    units: dict[UnitKind, int] = {"log": 12, "pass": 12 * 5}
 
-    def write(name: str, found: Evaluation | Pooled) -> None:
-        write_evaluation(tmp_path / name, found, summarise(found, unit), det=True)
+    def write(name: str, found: Pooled) -> None:
+        for unit in units:
+            write_evaluation(tmp_path / unit / name, found, summarise(found, unit), det=True)
 
     write("whole", evaluate_whole(rows).pooled())
     write("each", evaluate_many(rows))
     monkeypatch.setattr(store, "IN_MEMORY", 1)
     monkeypatch.setattr(store, "AT_ONCE", 100)
     write("on_disk", evaluate_many(rows))
-    assert files(tmp_path / "each") == files(tmp_path / "on_disk") == files(tmp_path / "whole")
-    told = json.loads((tmp_path / "each" / "evaluation.json").read_text(encoding="utf-8"))
-    assert list(told["methods"]) == ["smi", "framework", "another"]
-    assert told["units"] == {"log": 12, "pass": 12 * 5}[unit]
+    for unit, many in units.items():
+        whole, each, on_disk = (files(tmp_path / unit / n) for n in ("whole", "each", "on_disk"))
+        assert each == on_disk == whole
+        told = json.loads(each["evaluation.json"])
+        assert list(told["methods"]) == ["smi", "framework", "another"]
+        assert told["units"] == many
 
 
 def test_the_same_bytes_however_many_processes(tmp_path: Path, pairs: Path) -> None:
@@ -141,15 +145,16 @@ def test_compared_one_at_a_time_as_all_at_once(
 
 
 def test_memory_of_a_comparison_does_not_grow_with_the_logs(tmp_path: Path) -> None:
-    """40 logs, of which the store lies on disk already, and 160. What was read of a log is twice
-    that of `test_memory_does_not_grow_with_the_logs`: were it kept, 120 more would be over 100 MB.
+    """40 logs, of which the store lies on disk already, and 100. What was read of a log is twice
+    that of `test_memory_does_not_grow_with_the_logs`: were it kept, 60 more would be over 100 MB.
     """
     few, many = (
-        peak_of_comparing(*make_sides(tmp_path / str(logs), logs, 1000)) for logs in (40, 160)
+        peak_of_comparing(*make_sides(tmp_path / str(logs), logs, 2000, 2)) for logs in (40, 100)
     )
     assert many - few < 25
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_a_log_without_any_estimate_counts_as_nothing_claimed(tmp_path: Path) -> None:
     """Of another program, whose run.toml names no method."""
     truth = [(f, 1, 2.0, 0.0, 1.0) for f in range(5, 25)]
@@ -178,6 +183,7 @@ def test_no_more_processes_than_the_cores_it_may_use(
     assert len(evaluate_many(read_pairs(pairs)).logs) == 12
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_ids_in_another_order_are_put_in_that_of_the_first(tmp_path: Path) -> None:
     pairs = make_logs(tmp_path / "made", 3, 200)
     for n, order in enumerate(((1, 2, 3, 4), (4, 2, 1, 3), (2, 1, 3, 4))):
@@ -195,12 +201,12 @@ def test_ids_in_another_order_are_put_in_that_of_the_first(tmp_path: Path) -> No
 
 
 def test_memory_does_not_grow_with_the_logs(tmp_path: Path) -> None:
-    """20 logs and 200. What may grow is what a log leaves behind for good: its name, counts and
+    """20 logs and 110. What may grow is what a log leaves behind for good: its name, counts and
     passes (a few kB), and its row in the sums by unit (20 tables of 600 numbers a row, some 50 kB,
-    9 MB in all). What was read of a log is 4,000 estimates of 17 numbers, .5 MB: were it kept, 180
+    5 MB in all). What was read of a log is 8,000 estimates of 17 numbers, 1 MB: were it kept, 90
     more would be 100 MB."""
-    few = peak_of_scoring(make_logs(tmp_path / "few", 20, 1000))
-    many = peak_of_scoring(make_logs(tmp_path / "many", 200, 1000))
+    few = peak_of_scoring(make_logs(tmp_path / "few", 20, 2000, 2))
+    many = peak_of_scoring(make_logs(tmp_path / "many", 110, 2000, 2))
     assert many - few < 40
 
 

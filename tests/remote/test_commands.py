@@ -18,6 +18,7 @@ from sonarrec.remote import store
 from tests.support.logs import cdr_image, frames, image_folder, mcap_file
 from tests.support.servers import web_server
 
+pytestmark = pytest.mark.usefixtures("no_pictures")
 Sonarrec = Callable[..., Result]
 TABLES = ("estimates.csv", "frames.csv", "run.toml", "sightings.csv")
 
