@@ -29,16 +29,11 @@ from sonarrec.results.folders import (
     restore,
 )
 from sonarrec.results.read import find_logs
+from tests.support.command import sonarrec
 from tests.support.kills import assert_readable, command, finished, frames, held, stop_at_random
 
 SAMPLE = Path(__file__).parents[2] / "sample_data" / "pan"
 FRAMES = 40
-
-
-def sonarrec(*words: str | Path, code: int = 0) -> subprocess.CompletedProcess[str]:
-    done = subprocess.run(command(*words), capture_output=True, text=True)
-    assert done.returncode == code, done.stdout + done.stderr
-    return done
 
 
 @pytest.fixture(scope="module")
@@ -183,14 +178,18 @@ def test_results_that_wait_to_be_revised_are_kept(log: Path, tmp_path: Path, num
     for i in range(200):
         (many / f"{i:06d}.png").symlink_to(log / f"{i % FRAMES:06d}.png")
     out = tmp_path / "out"
-    process = subprocess.Popen(command("run", "-q", many, "-o", out, "--preset", "offline"))
     part = part_of(out / "many")
-    until(lambda: (part / "frames.csv").is_file())
-    time.sleep(0.5)
-    process.send_signal(number)
-    assert process.wait(timeout=60) == 128 + number
-    kept = frames(part)
-    assert kept == list(range(len(kept)))
+    for seconds in (0.5, 2, 8):  # a busy machine has seen few frames after the first
+        process = subprocess.Popen(command("run", "-q", many, "-o", out, "--preset", "offline"))
+        until(lambda: (part / "frames.csv").is_file())
+        time.sleep(seconds)
+        process.send_signal(number)
+        assert process.wait(timeout=60) == 128 + number
+        kept = frames(part)
+        assert kept == list(range(len(kept)))
+        if len(kept) > 4:
+            break
+        shutil.rmtree(part)
     assert 4 < len(kept) < 200
 
 
