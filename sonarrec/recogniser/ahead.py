@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from queue import SimpleQueue
+from contextlib import suppress
+from queue import Empty, SimpleQueue
 from threading import Thread
 from typing import Generic, TypeVar
 
@@ -12,12 +13,16 @@ import cv2
 T = TypeVar("T")
 DEPTH = 4
 """How many items wait at most: images are large."""
+START_S = 5.0
+"""How long a thread takes at most from the call that starts it to its first line."""
 
 
 class Ahead(Generic[T]):
     """One pass over an iterable, in order, whose items are made in another thread.
 
-    An exception that the iterable raises comes after the items before it. Call `close` in the end.
+    An exception that the iterable raises comes after the items before it. The thread begins with
+    the first item that is asked for. Call `close` in the end: a thread that still decodes while
+    Python ends makes the program abort.
     """
 
     def __init__(self, items: Iterable[T]) -> None:
@@ -26,11 +31,12 @@ class Ahead(Generic[T]):
         self._room: SimpleQueue[None] = SimpleQueue()
         for _ in range(DEPTH):
             self._room.put(None)
-        self._closed = False
+        self._begun: SimpleQueue[None] = SimpleQueue()
+        self._asked = self._closed = False
         self._thread = Thread(target=self._make, args=(items,), daemon=True)
-        self._thread.start()
 
     def _make(self, items: Iterable[T]) -> None:
+        self._begun.put(None)
         cv2.ipp.setUseIPP(False)  # as in __init__.py: each thread has its own switch
         last: BaseException | None = None
         try:
@@ -49,6 +55,8 @@ class Ahead(Generic[T]):
         return not self._closed
 
     def __iter__(self) -> Iterator[T]:
+        self._asked = True
+        self._thread.start()
         while isinstance(made := self._made.get(), tuple):
             self._room.put(None)
             yield made[0]
@@ -59,4 +67,8 @@ class Ahead(Generic[T]):
         """End the thread, once the item in the making is done."""
         self._closed = True
         self._room.put(None)
-        self._thread.join()
+        if self._asked:
+            # Ctrl-C may have come while the thread was being started: only one that runs is joined.
+            with suppress(Empty):
+                self._begun.get(timeout=START_S)
+                self._thread.join()

@@ -6,6 +6,7 @@ import os
 import threading
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -53,6 +54,21 @@ def test_only_a_few_wait_and_the_thread_ends_with_them() -> None:
     ahead.close()
     assert threading.active_count() == before
     assert len(made) == 10 + DEPTH
+
+
+def test_ctrl_c_as_the_thread_begins_leaves_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that still decodes as the program ends makes it abort, with another exit code."""
+    start = threading.Thread.start
+
+    def stopped(self: threading.Thread) -> None:
+        start(self)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(threading.Thread, "start", stopped)
+    before = threading.active_count()
+    with pytest.raises(KeyboardInterrupt), closing(Ahead(range(10 * DEPTH))) as ahead:
+        next(iter(ahead))
+    assert threading.active_count() == before
 
 
 @pytest.mark.parametrize("damaged", [(), (5,), (0, 7, 8), range(12)])
