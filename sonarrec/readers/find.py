@@ -237,8 +237,8 @@ def is_log_file(path: Path) -> bool:
     return names_a_log(path.name) and (path.is_file() or (path.is_symlink() and not path.exists()))
 
 
-def matches(pattern: Path) -> list[Path]:
-    """What a glob matches; ** stands for any folders."""
+def matches(pattern: str | Path) -> list[Path]:
+    """What a glob matches; ** stands for any folders, a slash at the end for folders only."""
     return [Path(m) for m in glob.glob(str(pattern), recursive=True)]  # noqa: PTH207
 
 

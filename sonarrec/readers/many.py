@@ -63,12 +63,34 @@ def _named(name: str, recursive: bool) -> list[NamedLog]:
         found = list(_below(path)) if recursive else _in_folder(path)
         return _sorted(found, path) if found != [path] else []
     if glob.has_magic(name) and not path.exists():
-        found = matches(path)
+        closed = _closed(path)
+        found = [f for f in matches(path) if f.parent not in closed]
         bags = {folder for folder in {f.parent for f in found} if is_bag_folder(folder)}
         found = [f.parent if f.parent in bags and is_log_file(f) else f for f in found]
         logs = {log for log in found if is_log_file(log) or (log.is_dir() and _is_log(log))}
-        return _sorted(logs, _fixed(path))
+        images = [NamedLog(name)] if found and not logs else []
+        return [*images, *_sorted(logs | closed, _fixed(path))]
     return []
+
+
+def _closed(pattern: Path) -> set[Path]:
+    """The folders that a glob looks into and that cannot be read, each told when it is opened.
+
+    Python's glob passes over them unsaid, and so over the logs in them.
+    """
+    above = pattern.parents[: len(pattern.parents) - len(_fixed(pattern).parents)]
+    folders = (folder for one in above for folder in matches(os.path.join(one, "")))  # noqa: PTH118
+    return {folder for folder in set(folders) if not _opens(folder)}
+
+
+def _opens(folder: Path) -> bool:
+    """Whether a folder can be listed, and what is in it asked for."""
+    try:
+        with os.scandir(folder):
+            os.stat(os.path.join(folder, "."))  # noqa: PTH116, PTH118 - Path leaves the dot out
+    except OSError:
+        return False
+    return True
 
 
 def _sorted(logs: Iterable[Path], up_to: Path) -> list[NamedLog]:

@@ -120,8 +120,11 @@ def test_a_geometry_serves_a_campaign(campaign: Path) -> None:
 
 @pytest.mark.parametrize(
     "words",
-    ["campaign --recursive", "campaign", "campaign/*", "campaign/*.mcap campaign/locked/a.mcap"],
-)
+    [
+        "campaign --recursive", "campaign", "campaign/*", "campaign/*.mcap campaign/locked/a.mcap",
+        "campaign/**/*.mcap", "campaign/*.mcap campaign/*/a.mcap", "campaign/*.mcap campaign/l*/*",
+    ],
+)  # fmt: skip
 def test_a_folder_that_cannot_be_read_costs_its_own_logs(words: str, campaign: Path) -> None:
     for name in ("day1", "day2", "sonarrec_out"):
         shutil.rmtree(campaign / name)
@@ -132,6 +135,18 @@ def test_a_folder_that_cannot_be_read_costs_its_own_logs(words: str, campaign: P
     assert all(f"sonarrec_out/{name}: 3 frames" in told.stdout for name in ("dive2", "dive10"))
     line = r"^sonarrec: campaign/locked(/a\.mcap)?: cannot be read \(Permission denied\)$"
     assert len(re.findall(line, told.stderr, re.MULTILINE)) == 1
+
+
+def test_a_glob_of_images_tells_of_a_folder_that_cannot_be_read(campaign: Path) -> None:
+    (campaign / "sonar.toml").write_text(SONAR_TOML)
+    shutil.copytree(campaign / "day2" / "pings", campaign / "locked" / "pings")
+    with locked(campaign / "locked"):
+        logs = [log.path for log in find_logs(["campaign/*/pings/*.png"])]
+        assert logs == ["campaign/*/pings/*.png", "campaign/locked"]
+        (campaign / "locked").chmod(0o444)  # listed, but what is in it cannot be asked for
+        assert [log.path for log in find_logs(["campaign/*/*.mcap"])] == [
+            "campaign/day1/a.mcap", "campaign/day2/a.mcap", "campaign/locked",
+        ]  # fmt: skip
 
 
 def test_a_list_from_standard_input(campaign: Path) -> None:
