@@ -13,16 +13,19 @@ from sonarrec.records import SonarrecError
 POSES_FILE = "poses.csv"
 """Poses beside a log, or NAME.poses.csv, which are used where none are given."""
 HEADER = "timestamp,yaw,x,y"
-# No table has its rows hours apart (10,000 s), nor as near as a hundredth of a millisecond.
-NANOSECONDS_FROM = 10_000
+# No table has its rows hours apart (10,000 s), nor 2,000 of them a second; rows between the two
+# are in microseconds.
+SECONDS_BELOW = 10_000
+NANOSECONDS_FROM = 500_000
 
 
 def read_poses(path: Path) -> PoseTable:
     """Read a CSV table with a header such as HEADER; x and y together or not at all.
 
-    timestamp_ns is in nanoseconds; timestamp is in seconds, or in nanoseconds where its rows are
-    NANOSECONDS_FROM or more apart in the median. Rows may come in any order; of several at one
-    time the first counts. Raises SonarrecError where the table cannot be used.
+    timestamp_ns is in nanoseconds; timestamp is in seconds where its rows are less than
+    SECONDS_BELOW apart in the median, in nanoseconds from NANOSECONDS_FROM on. Rows may come in any
+    order; of several at one time the first counts. Raises SonarrecError where the table cannot be
+    used.
     """
     # With pandas, which only runs with such a table need.
     from sonarrec.files.tables import Kind, read_table
@@ -44,7 +47,13 @@ def read_poses(path: Path) -> PoseTable:
     if not len(steps):
         raise SonarrecError(f"{path}: a motion needs rows at two times or more")
     if "timestamp_ns" not in table:
-        seconds = np.median(steps) < NANOSECONDS_FROM
+        step = np.median(steps)
+        if SECONDS_BELOW <= step < NANOSECONDS_FROM:
+            raise SonarrecError(
+                f"{path}: timestamp must be seconds or nanoseconds; rows {step:g} apart are "
+                "neither (microseconds?); nanoseconds so near each other go into timestamp_ns"
+            )
+        seconds = step < SECONDS_BELOW
         at = np.rint(at * 1e9 if seconds else at)
         if np.abs(at).max() >= 2**63:
             raise SonarrecError(

@@ -126,6 +126,15 @@ def test_seconds_and_nanoseconds_are_told_by_the_time_between_rows(tmp_path, sta
     assert motion.pan_deg == pytest.approx(10, abs=1e-4)  # 10 rows; 1970's seconds are rounded
 
 
+@pytest.mark.parametrize(("column", "step_ns"), [("timestamp", 10**6), ("timestamp_ns", 10**5)])
+def test_nanoseconds_of_a_fast_sensor(tmp_path, column, step_ns):
+    lines = [f"{i * step_ns},{i}" for i in range(40)]
+    table = read_poses(rows(tmp_path / "o.csv", "\n".join([f"{column},yaw", *lines])))
+    motion = table.motion(3 * step_ns, 13 * step_ns)
+    assert motion is not None
+    assert motion.pan_deg == pytest.approx(10)
+
+
 def test_rows_may_come_in_any_order_and_twice(tmp_path):
     text = "timestamp,yaw\n2,20\n0,0\n1,10\n1,10\n3,30\n"
     table = read_poses(rows(tmp_path / "o.csv", text))
@@ -280,6 +289,8 @@ def test_a_table_that_the_images_contradict_is_noted(pings, factor):
         ("timestamp,yaw,x\n0,1,2\n1,2,3\n", "x and y go together"),
         ("timestamp,yaw\n0,1\n", "two times"),
         ("timestamp,yaw\n1.7e12,1\n1700000000100,1\n", "neither (milliseconds?)"),
+        ("timestamp,yaw\n1763700000000000,1\n1763700000050000,2\n", "(microseconds?)"),
+        ("timestamp,yaw\n0,1\n50000,2\n100000,3\n", "rows 50000 apart are neither"),
         ("timestamp,yaw\n0,1\n0,2\n", "two times"),
         ("timestamp,yaw\n0,1\n1,north\n", "line 3: yaw must be a finite number, not 'north'"),
         ("timestamp,yaw\n0,1\n1,\n", "line 3: yaw must be a finite number"),
