@@ -97,8 +97,9 @@ def info(
     names = [_name(one) for one in logs]
     if preview is not None:
         _check_preview(preview, names)
+    stated = log_choice.arguments()
     for number, (name, one) in enumerate(zip(names, logs, strict=True)):
-        reading = log_choice.arguments()
+        reading = {**stated}
         with ExitStack() as held:
             try:
                 path, reading["up_to"], origin = _at_hand(one, cache, quiet, held)

@@ -252,11 +252,19 @@ class LogChoice:
         return (load_sonar(file) if file else Sonar()).updated(self.sonar())
 
     def arguments(self) -> dict[str, Any]:
-        """Keyword arguments of what opens a log: sonar, sonar_file, topic; time where stated."""
+        """Keyword arguments of what opens a log: sonar, sonar_file, topic; time where stated.
+
+        Raises SonarrecError for a sonar_file that cannot be used: once, however many the logs.
+        """
+        from sonarrec.sonar import load_sonar
+
+        file: Path | None = self.values["sonar_file"]
+        if file is not None and file.is_file():  # a pipe is read but once
+            load_sonar(file)
         time: Clock | None = self.values.get("time")
         return {
             "sonar": self.sonar(),
-            "sonar_file": self.values["sonar_file"],
+            "sonar_file": file,
             "topic": self.values["topic"],
             **({"time": time} if time else {}),
         }

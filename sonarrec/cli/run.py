@@ -214,6 +214,10 @@ def run(
     used.check()
     logs = named_logs(log, from_file, recursive)
     tell([], _unquoted(logs))
+    if odometry is not None and len(logs) > 1:
+        from sonarrec.readers.poses_csv import read_poses
+
+        read_poses(odometry)  # a fault of it is told once, not once for each log
     box = _outbox(out, cache)
     out = Path(out) if box is None else box.folder
     tasks = _share(_tasks(logs, out, given, used, overwrite, box, cache), shard)

@@ -257,3 +257,23 @@ def test_a_dry_run_says_what_would_be_done_and_does_nothing(tmp_path: Path) -> N
     changed = told("--dry-run", "--set", "features.declare=.9", "--seed", "3")
     assert changed[0] == "done anew (other settings: seed, features.declare)"
     assert sorted((p, p.stat().st_mtime_ns) for p in out.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    ("command", "flag", "text", "line"),
+    [
+        ("run", "--sonar", "[sonar]\ntilt_degg = 3\n", ": unknown key sonar.tilt_degg"),
+        ("info", "--sonar", "[sonar]\ntilt_degg = 3\n", ": unknown key sonar.tilt_degg"),
+        ("run", "--odometry", "timestamp,yaw\n0,a\n1,2\n", " line 2: yaw must be a finite number"),
+    ],
+)
+def test_a_file_given_for_all_logs_is_told_once(
+    command: str, flag: str, text: str, line: str, tmp_path: Path
+) -> None:
+    logs, bad = made(tmp_path, "a", "b", "c", frames=2), tmp_path / "bad"
+    bad.write_text(text)
+    out = ["-o", tmp_path / "out"] if command == "run" else []
+    told = sonarrec(command, *logs, flag, bad, *out, code=1).stderr
+    assert told.startswith(f"sonarrec: {bad}{line}")
+    assert told.count("\n") == 1
+    assert not (tmp_path / "out").exists()
