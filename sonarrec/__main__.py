@@ -1,3 +1,18 @@
-from sonarrec.cli import main
+"""The program: `sonarrec`, and `python -m sonarrec`."""
 
-main()
+import sys
+
+
+def main() -> None:
+    """Ctrl-C is one line also while the commands are loaded, which takes most of a short call."""
+    try:
+        from sonarrec.cli import main as program
+
+        program()
+    except KeyboardInterrupt:
+        sys.stderr.write("sonarrec: stopped\n")
+        sys.exit(130)
+
+
+if __name__ == "__main__":
+    main()

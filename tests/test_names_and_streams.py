@@ -177,3 +177,11 @@ def test_a_method_s_name_cannot_steer_the_terminal(
         assert "\x1b" not in done.output, words
         if words[0] == "evaluate":
             assert "\\x1b[31mred" in done.stdout
+
+
+def test_ctrl_c_while_the_commands_are_loaded_is_one_line(tmp_path: Path) -> None:
+    """A click that is found before the real one."""
+    (tmp_path / "click.py").write_text("import os, signal; os.kill(os.getpid(), signal.SIGINT)")
+    path = os.pathsep.join([str(tmp_path), str(ROOT)])
+    done = sonarrec(tmp_path, "config", PYTHONPATH=path)
+    assert (done.returncode, done.stdout, done.stderr) == (130, b"", b"sonarrec: stopped\n")
