@@ -14,6 +14,8 @@ RETRIES = 2
 """How often a task is begun anew whose worker was lost."""
 PATIENCE = "10s"
 """How long a scheduler is waited for."""
+_TLS = "DASK_DISTRIBUTED__COMM__TLS__"
+"""Begins the variables that name certificates; dask's configuration files may as well."""
 
 
 def run_on_cluster(
@@ -22,7 +24,8 @@ def run_on_cluster(
     """Run tasks on the workers of the Dask scheduler at `address`; results go where all see them.
 
     A scheduler that dies loses nothing that is finished: the same call goes on from there. Raises
-    UsageError without the extra `cluster`, for what is no address, or where no scheduler answers.
+    UsageError without the extra `cluster`, for what is no address, without the certificates that it
+    needs, or where no scheduler answers.
     """
     try:
         import distributed
@@ -36,6 +39,22 @@ def run_on_cluster(
         raise UsageError(
             f"--scheduler {address}: expected an address such as tcp://host:8786"
         ) from None
+    try:
+        secure = dask.Security().get_connection_args("client")
+    except OSError as error:
+        raise UsageError(
+            f"--scheduler {address}: the certificates that {_TLS}... names cannot be read "
+            f"({error.strerror or error})"
+        ) from None
+    if address.startswith("tls://") and secure["ssl_context"] is None:
+        raise UsageError(
+            f"--scheduler {address}: needs certificates; {_TLS}CA_FILE, {_TLS}CLIENT__CERT and "
+            f"{_TLS}CLIENT__KEY name their files"
+        )
+    if secure["require_encryption"] and not address.startswith(("tls://", "wss://")):
+        raise UsageError(
+            f"--scheduler {address}: dask's configuration requires encryption; tls://host:8786"
+        )
     try:
         client = dask.Client(address, timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError) as error:

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
+import dask
 import pytest
 from click.testing import CliRunner
 
@@ -103,3 +104,32 @@ def test_what_is_no_address_is_refused_at_once(
     assert done.exit_code == 2
     line = f"sonarrec: --scheduler {address}: expected an address such as tcp://host:8786\n"
     assert done.stderr == line
+
+
+@pytest.mark.parametrize(
+    ("address", "variables", "line"),
+    [
+        ("tls://host:8786", {}, "needs certificates; DASK_DISTRIBUTED__COMM__TLS__CA_FILE, "),
+        (
+            "tls://host:8786",
+            {"tls.ca-file": "none.pem", "tls.client.cert": "none.pem"},
+            "the certificates that DASK_DISTRIBUTED__COMM__TLS__... names cannot be read (No such ",
+        ),
+        ("host:8786", {"require-encryption": True}, "dask's configuration requires encryption; "),
+    ],
+)
+def test_what_lacks_its_certificates_is_refused_at_once(
+    address: str,
+    variables: dict[str, object],
+    line: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As an address that is none."""
+    monkeypatch.setattr("distributed.Client", None)
+    words = ["run", str(SAMPLE), "--scheduler", address, "-o", str(tmp_path / "out")]
+    with dask.config.set({f"distributed.comm.{k}": v for k, v in variables.items()}):
+        done = CliRunner().invoke(main, words)
+    assert done.exit_code == 2
+    assert done.stderr.startswith(f"sonarrec: --scheduler {address}: {line}")
+    assert done.stderr.count("\n") == 1
