@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from time import monotonic, sleep
 from typing import Any
 
@@ -55,11 +56,15 @@ def run_on_cluster(
         raise UsageError(
             f"--scheduler {address}: dask's configuration requires encryption; tls://host:8786"
         )
+    for name in ("distributed", "distributed.client"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # a lost scheduler is told below
     try:
         client = dask.Client(address, timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError) as error:
         raise UsageError(f"--scheduler {address}: no scheduler answers there ({error})") from None
     with client:
+        if not client.scheduler_info()["workers"]:
+            watch.note(f"{address}: no worker is there; the logs wait for one")
         for i in range(len(tasks)):
             watch.begun(i)  # when each really begins only its worker knows
         left = {

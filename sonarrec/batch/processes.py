@@ -157,6 +157,9 @@ def _why(child: subprocess.Popen[bytes]) -> str:
 class Watch:
     """What is told while logs are run, always in the caller's thread. i: which task."""
 
+    def note(self, line: str) -> None:
+        """What is to be known of the call, in a line."""
+
     def begun(self, i: int) -> None:
         """Task i has begun."""
 

@@ -91,6 +91,10 @@ class RunWatch(Watch):
             self._table.write()
             tell([str(error)])
 
+    def note(self, line: str) -> None:
+        with self._over_the_bar():
+            tell([], [line])
+
     def begun(self, i: int) -> None:
         self._table.begun(i)
         self._running[i] = 0, None

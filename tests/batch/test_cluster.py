@@ -13,10 +13,16 @@ from contextlib import suppress
 from pathlib import Path
 
 import dask
+import distributed
 import pytest
 from click.testing import CliRunner
 
+from sonarrec.batch.cluster import run_on_cluster
+from sonarrec.batch.processes import Watch
+from sonarrec.batch.task import Outcome, Task
 from sonarrec.cli import main
+from sonarrec.pipeline.prepared import Used
+from sonarrec.results.run_file import Given
 from tests.support.batch import SAMPLE, command, environment, made, rows, tables
 
 
@@ -31,7 +37,7 @@ def wait_for(port: int) -> None:
 
 @pytest.fixture
 def cluster(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
-    """The scheduler's address, and two workers."""
+    """The scheduler's address; the scheduler, and two workers."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -54,7 +60,7 @@ def cluster(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]
         wait_for(port)
         for _ in range(2):
             start("worker", address, "--nthreads", "1", "--no-dashboard")
-        yield address, running[1:]
+        yield address, running
     finally:
         for process in running:
             with suppress(ProcessLookupError):
@@ -65,7 +71,7 @@ def cluster(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]
 def test_a_worker_is_killed_and_no_log_is_lost(
     cluster: tuple[str, list[subprocess.Popen[bytes]]], tmp_path: Path
 ) -> None:
-    address, workers = cluster
+    address, (_, first, _) = cluster
     logs = made(tmp_path, "a", "b", "slow", "dies", "c", "d", frames=10)
     out = tmp_path / "out"
     call = command("run", *(log.name for log in logs), "--scheduler", address, "-o", "out")
@@ -73,7 +79,7 @@ def test_a_worker_is_killed_and_no_log_is_lost(
         while not any((out / name).is_dir() for name in "abcd"):
             assert running.poll() is None, running.communicate()
             time.sleep(0.05)
-        os.killpg(workers[0].pid, signal.SIGKILL)
+        os.killpg(first.pid, signal.SIGKILL)
         _, said = running.communicate(timeout=120)
     assert running.returncode == 3, said
     states = {name: row["status"] for name, row in rows(out).items()}
@@ -82,6 +88,50 @@ def test_a_worker_is_killed_and_no_log_is_lost(
     here = tmp_path / "here"
     subprocess.run(command("run", *logs[:3], *logs[4:], "-o", here, "-q"), check=True)
     assert all(tables(out / n) == tables(here / n) for n in ("a", "b", "slow", "c", "d"))
+
+
+def test_a_scheduler_that_dies_is_told_for_each_log_that_waits(
+    cluster: tuple[str, list[subprocess.Popen[bytes]]], tmp_path: Path
+) -> None:
+    address, (scheduler, *_) = cluster
+    logs = made(tmp_path, "a", "slow", "b", "c", frames=20)
+    out = tmp_path / "out"
+    call = command("run", *logs, "--scheduler", address, "-o", out, "-q")
+    with subprocess.Popen(call, env=environment(tmp_path), stderr=subprocess.PIPE) as running:
+        while not (out / "a").is_dir():
+            assert running.poll() is None, running.communicate()
+            time.sleep(0.05)
+        time.sleep(0.5)  # until the call knows
+        os.killpg(scheduler.pid, signal.SIGKILL)
+        said = running.communicate(timeout=60)[1].decode().splitlines()
+    assert running.returncode == 3
+    *lost, count = [line for line in said if ": note: " not in line]
+    assert f"sonarrec: {logs[1]}: the scheduler gave it up (cancelled)" in lost
+    assert all(line.endswith(": the scheduler gave it up (cancelled)") for line in lost)
+    assert count.startswith(f"{4 - len(lost)} done, {len(lost)} failed: {logs[1]}")
+
+
+class Awaited(Watch):
+    """A cluster without a worker, until somebody says so."""
+
+    def __init__(self, cluster: distributed.LocalCluster) -> None:
+        self.cluster, self.notes, self.ends = cluster, list[str](), list[Outcome]()
+
+    def note(self, line: str) -> None:
+        self.notes.append(line)
+        self.cluster.scale(1)
+
+    def ended(self, _: int, outcome: Outcome) -> None:
+        self.ends.append(outcome)
+
+
+def test_a_cluster_without_a_worker_is_told(tmp_path: Path) -> None:
+    task = Task(str(tmp_path / "none.mcap"), "none", str(tmp_path / "out"), Given(), Used(()))
+    with distributed.LocalCluster(n_workers=0, dashboard_address=None) as empty:
+        watch = Awaited(empty)
+        run_on_cluster([task], empty.scheduler_address, watch)
+    told = f"{empty.scheduler_address}: no worker is there; the logs wait for one"
+    assert (watch.notes, [end.status for end in watch.ends]) == ([told], ["failed"])
 
 
 def test_no_scheduler_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
