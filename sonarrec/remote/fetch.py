@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from sonarrec.records import Origin, SonarrecError
 from sonarrec.remote.cache import Cache, Entry, NoRoomError, key_of
-from sonarrec.remote.find import RemoteLog, relative, wanted
+from sonarrec.remote.find import RemoteLog, meant, relative, wanted
 from sonarrec.remote.urls import Url, parse_url
 from sonarrec.results.folders import ESTIMATES, TABLES
 
@@ -60,7 +60,7 @@ def fetched(
     Raises SonarrecError where it cannot be fetched. A SonarrecError raised inside is told with
     the server's names in place of those in the cache.
     """
-    log = log if isinstance(log, RemoteLog) else RemoteLog(parse_url(log))
+    log = log if isinstance(log, RemoteLog) else RemoteLog(meant(parse_url(log)))
     with hold(log, cache, told, stop or threading.Event()) as found, found.origin.translated():
         yield found
 

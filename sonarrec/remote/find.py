@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
@@ -57,7 +57,7 @@ def find(text: str, *, recursive: bool = False) -> list[RemoteLog]:
     """
     url = parse_url(text)
     try:
-        return _found(url, recursive)
+        return _found(meant(url), recursive)
     except SonarrecError as error:
         if isinstance(error, UsageError) and not isinstance(error, MissingError):
             raise
@@ -73,9 +73,10 @@ def _found(url: Url, recursive: bool) -> list[RemoteLog]:
     elif _is_file(url):
         return [RemoteLog(url)]
     else:
+        url = replace(url, literal=True)
         logs, up_to = list(_below(Store(url), url, recursive)), url
     if not logs or [log.path.rstrip("/") for log in logs] == [url.path.rstrip("/")]:
-        return [RemoteLog(url)]
+        return [RemoteLog(logs[0] if logs else url)]
     logs.sort(key=lambda log: natural_order(log.path))
     return [RemoteLog(log, up_to) for log in logs]
 
@@ -115,6 +116,23 @@ def _below(store: Store, folder: Url, recursive: bool) -> Iterator[Url]:
             yield from below
 
 
+def meant(url: Url) -> Url:
+    """The URL; * ? [ are literal where a file or folder of this very name is there, as on a disk.
+
+    Raises SonarrecError where the server cannot be read.
+    """
+    from sonarrec.remote.store import Store
+
+    if url.is_web or not _is_glob(url):  # a web URL can quote them
+        return url
+    store, literal = Store(url), replace(url, literal=True)
+    try:
+        there = store.item(literal) is not None or any(store.listing(literal))
+    except MissingError:
+        there = False
+    return literal if there else url
+
+
 def _is_file(url: Url) -> bool:
     named = names_a_log(url.name) or names_an_image(url.name)
     return named and not url.path.endswith("/") and not _is_glob(url)
@@ -122,7 +140,7 @@ def _is_file(url: Url) -> bool:
 
 def _is_glob(url: Url) -> bool:
     marks = "*[" if url.is_web else "*?["
-    return any(mark in url.path for mark in marks)
+    return not url.literal and any(mark in url.path for mark in marks)
 
 
 def _fixed(url: Url) -> Url:
@@ -164,9 +182,9 @@ def beside(text: str, name: str) -> tuple[Item | None, int | None]:
     """
     from sonarrec.remote.store import Store
 
-    log = RemoteLog(parse_url(text))
     if HIDDEN in text:
         raise SonarrecError(f"{text}: what gives access there is not written down in run.toml")
+    log = RemoteLog(meant(parse_url(text)))
     store = Store(log.url)
     size = _bytes(log.url, store)
     found = (store.companion(place) for place in _companions(log, (name,)))

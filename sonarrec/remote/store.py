@@ -6,6 +6,7 @@ Whatever the libraries below raise becomes one line without secrets. What breaks
 from __future__ import annotations
 
 import base64
+import glob
 import hashlib
 import os
 import re
@@ -13,7 +14,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import unquote
@@ -308,10 +309,13 @@ class Store:
     def remove(self, url: Url) -> None:
         """Delete a file or a folder with all in it, where there is one. Raises SonarrecError."""
 
+        # s3fs and gcsfs take it for a glob, which would delete what lies elsewhere.
+        path = self._path(url) if url.scheme == "sftp" else glob.escape(self._path(url))
+
         def ask() -> None:
             try:
                 with self._told(url):
-                    self._fs.rm(self._path(url), recursive=True)
+                    self._fs.rm(path, recursive=True)
             except MissingError:
                 pass
 
@@ -357,6 +361,8 @@ class Store:
             if isinstance(error, FileNotFoundError | NotADirectoryError) or status in (404, 410):
                 raise MissingError(f"{url.shown}: nothing is there") from None
             text = getattr(error, "message", None) or str(error) or type(error).__name__
+            if status == 0:  # of redirects without an end aiohttp tells nothing else
+                status, text = None, type(error).__name__
             text = f"{status} {text}" if isinstance(status, int) else str(text)
             text = " ".join(url.hide(text).split())[:300]
             if isinstance(error, PermissionError) or status in (401, 403, 407) or _no_key(error):
@@ -394,6 +400,7 @@ def _same_folder(folder: Url, path: str) -> bool:
 def _item(url: Url, found: Mapping[str, Any]) -> Item:
     tag = next((found[k] for k in ("ETag", "etag", "Last-Modified", "mtime") if found.get(k)), None)
     size = found.get("size")
+    url = replace(url, literal=True)
     return Item(url, size, None if tag is None else str(tag), _stated_md5(url, found))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import PurePosixPath
 from urllib.parse import quote, unquote, urlsplit
 
@@ -21,13 +21,15 @@ class Url:
     """A place on a server.
 
     front: "s3://", "https://user:password@host". path: "bucket/dives/a.mcap", "/dives/a.mcap", as
-    text, nothing quoted. query: of https, with its question mark.
+    text, nothing quoted. query: of https, with its question mark. literal: * ? [ in the path are
+    part of names, as a server told them or a web URL quotes them.
     """
 
     scheme: str
     front: str
     path: str
     query: str = ""
+    literal: bool = field(default=False, compare=False)
 
     def __str__(self) -> str:
         """The whole URL, secrets and all: for servers only, never for a line or a file."""
@@ -61,7 +63,14 @@ class Url:
             # Without a password a web user is a token.
             user = f"{name}:{HIDDEN}" if colon else HIDDEN if self.is_web else name
         query = "&".join(_shown_pair(pair) for pair in self.query.removeprefix("?").split("&"))
-        return shown(f"{scheme}://{user}{at}{host}{self.path}{'?' * bool(query)}{query}")
+        return shown(f"{scheme}://{user}{at}{host}{self._readable()}{'?' * bool(query)}{query}")
+
+    def _readable(self) -> str:
+        """The path, of a web server with what would be taken for something else quoted."""
+        if not self.is_web:
+            return self.path
+        marks = "%#?*[" if self.literal else "%#?"
+        return "".join(quote(c, safe="") if c in marks else c for c in self.path)
 
     @property
     def place(self) -> str:
@@ -115,4 +124,5 @@ def parse_url(text: object) -> Url:
     if scheme == "sftp":
         return Url(scheme, f"sftp://{host}", slash + path)
     path, mark, query = path.partition("#")[0].partition("?")
-    return Url(scheme, f"{scheme}://{host}", unquote(slash + path), mark + query)
+    literal = not any(c in path for c in "*[")
+    return Url(scheme, f"{scheme}://{host}", unquote(slash + path), mark + query, literal)

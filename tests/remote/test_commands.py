@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -15,6 +16,7 @@ from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
 from sonarrec.remote import store
+from sonarrec.remote.find import find
 from tests.support.logs import cdr_image, frames, image_folder, mcap_file
 from tests.support.servers import web_server
 
@@ -76,6 +78,39 @@ def test_results_are_those_of_the_local_log(sonarrec: Sonarrec, day: Path) -> No
     assert far == local
     again = sonarrec("run", "s3://dives/day/", "-o", "far")
     assert again.stdout.splitlines()[-1] == "2 up to date"
+
+
+ODD = ("a [1]", "a*", "a?b", "a%20b", "a#b", "ä;b&c=d")
+
+
+def test_names_with_wildcards_are_names(sonarrec: Sonarrec, s3: Any, day: Path) -> None:
+    for name in ODD:
+        upload(s3, day / "a.mcap", f"day/{name}.mcap")
+    names = {f"s3://dives/day/{name}.mcap" for name in ("a", "b", *ODD)}
+    assert {log.url.shown for log in find("s3://dives/day/")} == names
+    assert {log.url.shown for log in find("s3://dives/day/*.mcap")} == names
+    for name in ODD:
+        assert [log.name for log in find(f"s3://dives/day/{name}.mcap")] == [name]
+    far = sonarrec("run", "s3://dives/day/", "--frames", ":2", "-q")
+    assert far.exit_code == 0, far.stderr
+    assert {p.name for p in Path("sonarrec_out").iterdir()} == {"a", "b", *ODD, "logs.csv"}
+    upload(s3, day / "a.mcap", "day [2]/c.mcap")
+    assert [log.name for log in find("s3://dives/day [2]/")] == ["c"]
+
+
+@pytest.mark.usefixtures("s3")
+def test_results_with_wildcards_in_their_name_replace_no_others(
+    sonarrec: Sonarrec, day: Path
+) -> None:
+    names = ("a1", "a[1]", "a*")
+    for name in names:
+        shutil.copy(day / "a.mcap", day / f"{name}.mcap")
+    logs = [str(day / f"{name}.mcap") for name in names]
+    for seed in ("0", "1"):
+        done = sonarrec("run", *logs, "--seed", seed, "-o", "s3://dives/out", "-q")
+        assert done.exit_code == 0
+    held = sonarrec("run", *logs, "--seed", "1", "-o", "s3://dives/out")
+    assert held.stdout.splitlines()[-1] == "3 up to date"
 
 
 @pytest.mark.usefixtures("day")

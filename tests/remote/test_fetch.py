@@ -6,6 +6,7 @@ import threading
 import time
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 import pytest
@@ -189,6 +190,21 @@ def test_folders_and_globs_expand(site: Path) -> None:
         assert names("pings/*.png") == ["pings/*.png"]
         assert names("dives/b9.mcap") == ["dives/b9.mcap"]
         assert names("none/") == ["none/"]
+
+
+@pytest.mark.parametrize("name", ["a [1]", "a*b", "a?b", "a%20b", "a#b", "ä;b&c=d", "a'b"])
+def test_a_name_leads_back_to_its_file(name: str, site: Path, cache: Cache) -> None:
+    """What is told, and what run.toml has, is a URL of that very file."""
+    data = noise(site / "dives" / f"{name}.mcap", 10)
+    noise(site / "dives" / "b.mcap", 20)
+    with web_server(site) as web:
+        quoted = quote(f"dives/{name}.mcap")
+        listed = next(log for log in find(f"{web.url}/dives/") if log.name == name)
+        for log in (listed, *find(f"{web.url}/{quoted}")):
+            with fetched(log, cache) as found:
+                assert found.path.read_bytes() == data
+            with fetched(found.origin.url, cache) as found:
+                assert found.path.read_bytes() == data
 
 
 def test_images_are_fetched_as_a_folder_or_by_a_glob(site: Path, cache: Cache) -> None:
