@@ -70,12 +70,14 @@ class Entry:
         return self.folder / "files"
 
     def about(self) -> dict[str, Any]:
-        """entry.json: url, bytes, files {name: [size, tag]}; empty where nothing is there."""
-        try:
+        """entry.json: url, bytes, files {name: [size, tag]}; empty where nothing such is there."""
+        found: dict[str, Any] = {}
+        with suppress(OSError, ValueError):
             found = json.loads((self.folder / "entry.json").read_text(encoding="utf-8"))
-            return found if isinstance(found, dict) else {}
-        except (OSError, ValueError):
-            return {}
+        match found:
+            case {"bytes": int(), "files": dict()}:
+                return found
+        return {}
 
     def write(self, about: dict[str, Any]) -> None:
         write_text(self.folder / "entry.json", json.dumps(about))

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sonarrec.records import Origin, SonarrecError
+from sonarrec.records import Origin, SonarrecError, shown
 from sonarrec.remote.cache import Cache, Entry, NoRoomError, key_of
 from sonarrec.remote.find import RemoteLog, meant, relative, wanted
 from sonarrec.remote.urls import Url, parse_url
@@ -181,6 +181,11 @@ def _kept(
                         raise
                     stop.wait(1.0)
                     continue
+                except OSError as error:  # a full disk
+                    raise SonarrecError(
+                        f"{shown(entry.folder)}: cannot be written ({error.strerror}); choose "
+                        "another --cache"
+                    ) from None
             renewed = True
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import threading
 import time
 from pathlib import Path
@@ -311,6 +313,21 @@ def test_two_at_once_fetch_it_once(site: Path, cache: Cache) -> None:
         assert len(web.gets("a.mcap")) == 1
 
 
+@pytest.mark.parametrize(
+    "text", ["", "{", "7", "[]", '{"files": [1], "bytes": 3}', '{"files": {"a.mcap": 3}}',
+             '{"files": {"a.mcap": [1, 2]}, "bytes": "x"}', '{"files": {}, "bytes": null}'],
+)  # fmt: skip
+def test_an_entry_that_is_damaged_is_fetched_anew(text: str, site: Path, cache: Cache) -> None:
+    data = [noise(site / f"{n}.mcap", seed=n) for n in range(2)]
+    with web_server(site) as web:
+        for _ in range(2):
+            for n in range(2):
+                with fetched(f"{web.url}/{n}.mcap", cache) as log:
+                    assert log.path.read_bytes() == data[n]
+            for entry in cache.entries():
+                (entry.folder / "entry.json").write_text(text)
+
+
 def test_a_cache_that_cannot_be_written_is_told(site: Path, tmp_path: Path) -> None:
     noise(site / "a.mcap")
     (tmp_path / "file").write_text("no folder")
@@ -318,6 +335,24 @@ def test_a_cache_that_cannot_be_written_is_told(site: Path, tmp_path: Path) -> N
         web_server(site) as web,
         pytest.raises(SonarrecError, match="choose another --cache"),
         fetched(f"{web.url}/a.mcap", Cache(tmp_path / "file" / "cache", 10**7)),
+    ):
+        pass
+
+
+def test_a_full_disk_costs_the_log_that_is_fetched(
+    site: Path, cache: Cache, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    noise(site / "a.mcap")
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("sonarrec.remote.cache.write_text", full)
+    told = r"cannot be written \(No space left on device\); choose another --cache"
+    with (
+        web_server(site) as web,
+        pytest.raises(SonarrecError, match=told),
+        fetched(f"{web.url}/a.mcap", cache),
     ):
         pass
 
