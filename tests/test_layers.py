@@ -288,3 +288,20 @@ def test_imports_run_downward_only() -> None:
 def test_a_wrong_import_is_found(module: str, line: str, told: str) -> None:
     planted = SOURCES | {module: f"{SOURCES[module]}\n{line}\n"}
     assert any(told in fault for fault in faults(planted))
+
+
+def test_texts_are_written_alike_on_every_system() -> None:
+    """Windows has another encoding, and other ends of lines, where none are stated."""
+    unstated = []
+    for path in sorted(PACKAGE.rglob("*.py")):
+        for call in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(call, ast.Call) or not isinstance(call.func, ast.Attribute):
+                continue
+            stated = {keyword.arg for keyword in call.keywords}
+            mode = call.args[0] if call.args else None
+            writes = call.func.attr == "write_text" and "encoding" in stated
+            if call.func.attr == "open" and isinstance(mode, ast.Constant):
+                writes = str(mode.value) in ("w", "x", "a", "r+", "w+")
+            if writes and not {"encoding", "newline"} <= stated:
+                unstated.append(f"{path.relative_to(PACKAGE)}:{call.lineno}")
+    assert unstated == []

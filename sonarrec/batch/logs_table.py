@@ -112,7 +112,7 @@ class LogsTable:
                 writer.writerow(COLUMNS)
                 writer.writerows(astuple(row) for row in rows.values())
                 with replaced(self._path) as new:
-                    new.write_text(text.getvalue(), encoding="utf-8", errors="surrogateescape")
+                    new.write_bytes(text.getvalue().encode(errors="surrogateescape"))
         except OSError as error:
             self.fault = f"{self._path}: cannot be written ({error.strerror})"
         except SonarrecError as error:  # what is there is no such table

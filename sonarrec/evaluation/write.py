@@ -107,7 +107,10 @@ def write_comparison(folder: Path, found: Comparison) -> tuple[str, ...]:
         folder.mkdir(parents=True, exist_ok=True)
         write_table(folder / "compare.csv", COMPARE, rates)
         write_table(folder / "changes.csv", CHANGES, changes)
-        with replaced(folder / "compare.json") as new, new.open("w", encoding="utf-8") as file:
+        with (
+            replaced(folder / "compare.json") as new,
+            new.open("w", encoding="utf-8", newline="") as file,
+        ):
             file.writelines(comparison_json(found))
     return ("compare.csv", "changes.csv", "compare.json")
 

@@ -153,9 +153,9 @@ def replaced(path: Path) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """A text in UTF-8. Raises OSError."""
+    """A text in UTF-8, its line ends as they are. Raises OSError."""
     with replaced(path) as new:
-        new.write_text(text, encoding="utf-8")
+        new.write_text(text, encoding="utf-8", newline="")
 
 
 def write_figure(path: Path, figure: Any, **look: Any) -> None:

@@ -49,7 +49,7 @@ def convert(table: Path, parquet: Path) -> None:
         with pq.ParquetWriter(new, schema) as writer:
             for part in chain([first], parts):
                 writer.write_table(pa.Table.from_pandas(part, schema, preserve_index=False))
-        with new.open("rb") as file:
+        with new.open("r+b") as file:  # Windows syncs no file that is open to be read
             os.fsync(file.fileno())
     table.unlink()
 

@@ -86,7 +86,7 @@ def make_model() -> None:
         f"# from {MODEL_SEEDS.start} on of {len(RECORDINGS)} kinds of scene; "
         f"{count} tracks in frames.\n"
     )
-    BUILT_IN.write_text(head + fit(parts).as_toml(), encoding="utf-8")
+    BUILT_IN.write_text(head + fit(parts).as_toml(), encoding="utf-8", newline="")
 
 
 if __name__ == "__main__":

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import re
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -18,6 +20,9 @@ from sonarrec.remote.urls import HIDDEN, Url, parse_url
 if TYPE_CHECKING:
     from sonarrec.remote.store import Item, Store
 
+WINDOWS = os.name == "nt"
+_ALL_REFUSE = re.compile(r"\0")
+_WINDOWS_REFUSES = re.compile(r'[<>:"|?*\x00-\x1f]|[ .](?=/|$)')  # x.mcap:y is a stream of x.mcap
 COMPANIONS = ("sonar.toml", "poses.csv", "gt.csv")
 """What belongs to a log: these, and each as NAME.sonar.toml and so on."""
 
@@ -236,6 +241,7 @@ def relative(url: Url, root: Url) -> str:
     """A place below `root`. Raises SonarrecError where it is no name for a local file."""
     relative = url.path.removeprefix(root.path).strip("/")
     parts = PurePosixPath(relative).parts
-    if not parts or {".", ".."} & set(relative.split("/")) or "\\" in relative or "\0" in relative:
+    leads_away = not parts or {".", ".."} & set(relative.split("/")) or "\\" in relative
+    if leads_away or (_WINDOWS_REFUSES if WINDOWS else _ALL_REFUSE).search(relative):
         raise SonarrecError(f"{url.shown}: a name that cannot be kept in a local folder")
     return relative

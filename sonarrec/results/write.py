@@ -186,7 +186,7 @@ class ResultsWriter:
         """Replace run.toml in one step: readers see the old one or the new one."""
         text = tomli_w.dumps({"finished": finished, **self._run}, multiline_strings=True)
         path = self._part / "run.toml"
-        with replaced(path) as new, new.open("w", encoding="utf-8") as file:
+        with replaced(path) as new, new.open("w", encoding="utf-8", newline="") as file:
             file.write(text)
             file.flush()
             os.fsync(file.fileno())

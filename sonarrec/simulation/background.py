@@ -292,12 +292,14 @@ def write_backgrounds(
                 _write_poses(folder / "poses.csv", background)
             if landmarks.name != "basin":
                 text = tomli_w.dumps(landmarks.as_table())
-                (folder / "landmarks.toml").write_text(text, encoding="utf-8")
+                (folder / "landmarks.toml").write_text(text, encoding="utf-8", newline="")
             document = _told(background, layout, landmarks, db, plate_db, beam_width_deg)
-            (folder / "background.toml").write_text(tomli_w.dumps(document), encoding="utf-8")
+            (folder / "background.toml").write_text(
+                tomli_w.dumps(document), encoding="utf-8", newline=""
+            )
             # Last: a folder without geometry is not taken for a whole recording.
             sonar = {"sonar": _sonar(background).as_table()}
-            (folder / "sonar.toml").write_text(tomli_w.dumps(sonar), encoding="utf-8")
+            (folder / "sonar.toml").write_text(tomli_w.dumps(sonar), encoding="utf-8", newline="")
 
 
 def _doubts(where: str, stated: float | None, unknown: int, frames: int) -> list[str]:

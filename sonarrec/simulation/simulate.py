@@ -410,7 +410,8 @@ def _describe(scene: Scene, stated: Sonar, folder: Path, prefix: str) -> None:
     if scene.landmark_set.name != "basin":
         documents["landmarks"] = scene.landmark_set.as_table()
     for name, document in documents.items():
-        (folder / f"{prefix}{name}.toml").write_text(tomli_w.dumps(document), encoding="utf-8")
+        text = tomli_w.dumps(document)
+        (folder / f"{prefix}{name}.toml").write_text(text, encoding="utf-8", newline="")
 
 
 def _to_png(frames: Iterator[SimulatedFrame], folder: Path) -> Iterator[SimulatedFrame]:

@@ -17,7 +17,7 @@ from sonarrec.records import SonarrecError
 from sonarrec.remote import store
 from sonarrec.remote.cache import Cache, size_bytes
 from sonarrec.remote.fetch import fetch_ahead, fetched
-from sonarrec.remote.find import RemoteLog, find
+from sonarrec.remote.find import RemoteLog, find, relative
 from sonarrec.remote.urls import parse_url
 from tests.support.logs import SONAR_TOML
 from tests.support.servers import web_server
@@ -207,6 +207,28 @@ def test_a_name_leads_back_to_its_file(name: str, site: Path, cache: Cache) -> N
                 assert found.path.read_bytes() == data
             with fetched(found.origin.url, cache) as found:
                 assert found.path.read_bytes() == data
+
+
+def test_windows_is_not_given_a_name_that_it_does_not_keep(
+    site: Path, cache: Cache, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A colon would name a stream of another file."""
+    monkeypatch.setattr("sonarrec.remote.find.WINDOWS", True)
+    names = ("2026-11-20T10:00.mcap", "q?.mcap")
+    for name in (*names, "a.b c.mcap"):
+        noise(site / name, 10)
+    with web_server(site) as web:
+        for name in names:
+            told = pytest.raises(
+                SonarrecError, match="a name that cannot be kept in a local folder"
+            )
+            with told, fetched(f"{web.url}/{quote(name)}", cache):
+                pass
+        for name in ("dives./a.mcap", "dives /a.mcap"):
+            with pytest.raises(SonarrecError, match="cannot be kept"):
+                relative(parse_url(f"{web.url}/{name}"), parse_url(web.url))
+        with fetched(f"{web.url}/a.b c.mcap", cache) as log:
+            assert log.path.name == "a.b c.mcap"
 
 
 def test_images_are_fetched_as_a_folder_or_by_a_glob(site: Path, cache: Cache) -> None:
