@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from sonarrec.learning.built_in import recordings, simulated
 from sonarrec.learning.fit import fit
 from sonarrec.learning.samples import Samples
 from sonarrec.recogniser.stage3_features.description import FEATURES
-from sonarrec.recogniser.stage3_features.model import load_model
+from sonarrec.recogniser.stage3_features.model import AppearanceModel, load_model
 from sonarrec.simulation.random_scenes import KINDS_OF_SCENE, STRETCH_KINDS
 from tests.studies.ablation import Ablation, compare, parser
 
@@ -52,6 +53,19 @@ def not_among(kinds: Sequence[str], kind: str, samples: Samples) -> Samples | No
     return None if kind in kinds else samples
 
 
+@dataclass(frozen=True, slots=True)
+class Taught:
+    """Stands in place of `load_model`."""
+
+    path: Path
+
+    def __call__(self) -> AppearanceModel:
+        return load_model(self.path)
+
+    def __str__(self) -> str:
+        return self.path.name
+
+
 RING_OVER_GAP = ("ring_over_gap", "weakest_ring_over_gap")
 BESIDE = (
     *("local_weakest_bright", "local_strongest_dark", "strongest_dark_over_floor"),
@@ -81,7 +95,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         parts = [lesson(kind, one) for (_, kind), one in zip(drawn, samples, strict=True)]
         path = asked.out / f"model_{i}.toml"
         path.write_text(fit([p for p in parts if p is not None]).as_toml(), encoding="utf-8")
-        taught[name] = Ablation(code={"recogniser.load_model": partial(load_model, path)})
+        taught[name] = Ablation(code={"recogniser.load_model": Taught(path)})
     compare(taught, asked)
 
 
