@@ -73,8 +73,8 @@ def test_known_curves_are_recovered():
 
 
 def test_memory_of_learning_is_little_more_than_the_samples():
-    """Hat functions of all 15,000 samples together would be 600 MB."""
-    samples = drawn(known_model(), 15_000, 5)
+    """Hat functions of all 6,000 samples together would be 240 MB."""
+    samples = drawn(known_model(), 6_000, 5)
     tracemalloc.start()
     fit([samples], load_model())
     peak = tracemalloc.get_traced_memory()[1]
