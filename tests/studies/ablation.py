@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import multiprocessing
 import time
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from unittest.mock import patch
 
-import cv2
 import numpy as np
-from tqdm import tqdm
 
 from sonarrec.config import preset, with_assignments
 from sonarrec.evaluation.counting.passes import find_passes
@@ -27,7 +23,7 @@ from sonarrec.simulation.simulate import render
 from sonarrec.simulation.unlike import UNLIKE_KINDS
 from tests.studies.measured import errors
 from tests.studies.scenes import FRAMES, REPORTED, seeds, show, told
-from tests.support.simulated import PROCESSES, Job, recognise, score
+from tests.support.simulated import Job, in_processes, recognise, score
 
 WORLDS = {
     "The pool": (KINDS_OF_SCENE, REPORTED[:4]),
@@ -135,16 +131,6 @@ def recognise_trial(trial: Trial) -> None:
             recognise(Job(scene, folder, [config]))
 
 
-def recognise_trials(trials: Sequence[Trial]) -> None:
-    """`recognise_trial` of each, PROCESSES at a time, on a core each."""
-    with ProcessPoolExecutor(
-        PROCESSES, multiprocessing.get_context("spawn"), cv2.setNumThreads, (1,)
-    ) as workers:
-        done = workers.map(recognise_trial, trials)
-        for _ in tqdm(done, total=len(trials), unit="recording", leave=False, disable=None):
-            pass
-
-
 def compare(ablations: Mapping[str, Ablation], asked: argparse.Namespace) -> None:
     """Recognise, score and print a table of each of the worlds that are asked for."""
     begun = time.monotonic()
@@ -155,11 +141,12 @@ def compare(ablations: Mapping[str, Ablation], asked: argparse.Namespace) -> Non
             name: [asked.out / str(i) / f"{kind}_{seed}" for kind, seed in drawn]
             for i, name in enumerate(ablations)
         }
-        recognise_trials(
+        in_processes(
+            recognise_trial,
             [
                 Trial(kind, seed, asked.frames, {folders[n][i]: a for n, a in ablations.items()})
                 for i, (kind, seed) in enumerate(drawn)
-            ]
+            ],
         )
         found = {name: score(folders[name]) for name in ablations}
         lines = [

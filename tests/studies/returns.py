@@ -19,7 +19,7 @@ from sonarrec.recogniser.recogniser import FRAMEWORK
 from sonarrec.simulation.random_scenes import ALL_KINDS, random_scene
 from sonarrec.simulation.scene import Scene
 from tests.studies.scenes import seeds, show, told
-from tests.support.simulated import Job, recognise_all
+from tests.support.simulated import Job, in_processes, recognise
 
 NAMES = ("default", "offline")
 KINDS = ("plain", "any_floor", "light", "debris")
@@ -103,7 +103,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     asked = parser.parse_args(arguments)
     configs = [preset(name) for name in NAMES]
     drawn = {k: [panning(seed, k, asked.frames) for seed in asked.seeds] for k in asked.kinds}
-    recognise_all([Job(s, asked.out / s.name, configs) for some in drawn.values() for s in some])
+    in_processes(
+        recognise, [Job(s, asked.out / s.name, configs) for some in drawn.values() for s in some]
+    )
     lines = []
     for name in NAMES:
         parts = {

@@ -29,7 +29,15 @@ from sonarrec.simulation.random_scenes import (
 )
 from sonarrec.simulation.unlike import UNLIKE_KINDS
 from tests.studies.measured import Reliability, errors, honesty, reliability
-from tests.support.simulated import METHODS, PRESETS, HoughRival, Job, recognise_all, score
+from tests.support.simulated import (
+    METHODS,
+    PRESETS,
+    HoughRival,
+    Job,
+    in_processes,
+    recognise,
+    score,
+)
 
 TUNING = range(2000, 3000)
 """Seeds that settings are chosen on."""
@@ -278,11 +286,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for seed in asked.seeds
     ]
     configs = [preset(name) for name in PRESETS]
-    recognise_all(
+    in_processes(
+        recognise,
         [
             Job(random_scene(r.seed, r.kind, frames=asked.frames), r.folder, configs, (HoughRival,))
             for r in recordings
-        ]
+        ],
     )
     rows = scored_rows(recordings)
     write_csv(asked.out / "scenes.csv", rows)

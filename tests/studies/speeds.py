@@ -20,7 +20,7 @@ from sonarrec.simulation.motion import Pose, poses
 from sonarrec.simulation.random_scenes import random_scene
 from sonarrec.simulation.scene import Scene
 from tests.studies.scenes import seeds, show, told
-from tests.support.simulated import METHODS, Job, recognise_all, score
+from tests.support.simulated import METHODS, Job, in_processes, recognise, score
 
 REPORTED = range(3000, 3004)
 FRAMES = 160
@@ -103,7 +103,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     asked = parser.parse_args(arguments)
     drawn = {run: [steady(seed, *run, asked.frames) for seed in asked.seeds] for run in RUNS}
     configs = [preset(name) for name in NAMES]
-    recognise_all([Job(s, asked.out / s.name, configs) for some in drawn.values() for s in some])
+    in_processes(
+        recognise, [Job(s, asked.out / s.name, configs) for some in drawn.values() for s in some]
+    )
     show(
         "Steps from frame to frame: how many were measured, and off by, median / 95 %; share of\n"
         "them within two stated sigmas, to the right, ahead, turned; IDs, TPR / FPR, strict",

@@ -25,7 +25,15 @@ from sonarrec.records import FloatArray, SonarrecError
 from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene, load_scene
 from sonarrec.simulation.world import object_radius
 from tests.studies.scenes import seeds, show, told
-from tests.support.simulated import METHODS, PRESETS, HoughRival, Job, recognise_all, score
+from tests.support.simulated import (
+    METHODS,
+    PRESETS,
+    HoughRival,
+    Job,
+    in_processes,
+    recognise,
+    score,
+)
 
 STUDIED = range(4000, 4030)
 """Seeds of the sequences; nothing is learned or chosen on them."""
@@ -148,7 +156,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         Job(varied(scene, s), asked.out / "logs" / f"{scene.name}_{s}", configs, (HoughRival,))
         for s in asked.seeds
     ]
-    recognise_all(jobs)
+    in_processes(recognise, jobs)
     found = score([job.folder for job in jobs])
     summary = summarise(found, "log")
     files = write_evaluation(asked.out, found.pooled(), summary)

@@ -239,11 +239,8 @@ def test_commands_tell_their_tables(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """In one process; so few frames that much is 0/0."""
-    for module in (scenes, study):
-        monkeypatch.setattr(module, "recognise_all", lambda jobs: [recognise(j) for j in jobs])
-    monkeypatch.setattr(
-        ablation, "recognise_trials", lambda trials: [ablation.recognise_trial(t) for t in trials]
-    )
+    for module in (ablation, scenes, study):
+        monkeypatch.setattr(module, "in_processes", lambda work, items: list(map(work, items)))
     some = ("the default", "no memory of lost objects", "discs taken for evenly lit", "offline")
     monkeypatch.setattr(ablation, "ABLATIONS", {name: ablation.ABLATIONS[name] for name in some})
     command([*arguments, "--seeds", "2000", "--frames", "4", "--out", str(tmp_path / "out")])

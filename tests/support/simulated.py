@@ -9,11 +9,11 @@ from __future__ import annotations
 import multiprocessing
 import shutil
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import cv2
 import numpy as np
@@ -35,6 +35,7 @@ from sonarrec.simulation.simulate import LandmarkTruth, render
 from sonarrec.truth.table import read_truth, write_truth
 from tests.studies.baseline import METHOD, HoughSmi, MajorityTracks
 
+Item = TypeVar("Item")
 PROCESSES = 2
 PRESETS = ("default", "paper", "offline")
 METHODS = {
@@ -95,13 +96,13 @@ def recognise(job: Job) -> None:
     write_truth(job.folder / "gt.csv", ["frame", *(f.name for f in fields(LandmarkTruth))], truth)
 
 
-def recognise_all(jobs: Sequence[Job]) -> None:
-    """`recognise` each, PROCESSES at a time, on a core each."""
+def in_processes(work: Callable[[Item], None], items: Sequence[Item]) -> None:
+    """Do the work on each, e.g. `recognise` on jobs: PROCESSES at a time, on a core each."""
     with ProcessPoolExecutor(
         PROCESSES, multiprocessing.get_context("spawn"), cv2.setNumThreads, (1,)
     ) as workers:
-        done = workers.map(recognise, jobs)
-        for _ in tqdm(done, total=len(jobs), unit="recording", leave=False, disable=None):
+        done = workers.map(work, items)
+        for _ in tqdm(done, total=len(items), unit="recording", leave=False, disable=None):
             pass
 
 

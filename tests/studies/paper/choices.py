@@ -26,7 +26,7 @@ from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.recogniser.recogniser import FRAMEWORK, SMI
 from tests.studies.paper.published import FRAMES
 from tests.studies.paper.world import World, kept_worlds, mean_similarities
-from tests.support.simulated import Job, recognise_all, score
+from tests.support.simulated import Job, in_processes, recognise, score
 
 SEEDS = range(6000, 6100)
 """Of the recordings on which readings are compared."""
@@ -105,7 +105,7 @@ def compare(
         Job(world.scene(seed, FRAMES), folder / str(seed), configs)
         for world, seed in zip(worlds, seeds, strict=True)
     ]
-    recognise_all(jobs)
+    in_processes(recognise, jobs)
     found = score([job.folder for job in jobs])
     by_method = {s.method: s for s in found.scored if s.protocol == "paper"}
     smi = by_method[f"{SMI}:{configs[0].preset}"]

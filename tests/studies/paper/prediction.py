@@ -31,7 +31,7 @@ from tests.studies.paper.choices import LITERAL, named
 from tests.studies.paper.parts import BAYES, CONTINUITY, LEARNED, Parts
 from tests.studies.paper.published import CLEAR, FRAMES, IDS, IN_VIEW, TABLE_4, TABLE_5
 from tests.studies.paper.world import kept_worlds
-from tests.support.simulated import Job, recognise_all, score
+from tests.support.simulated import Job, in_processes, recognise, score
 
 SEEDS = range(7000, 7070)
 """Of the recordings that are reported: nothing is fitted or chosen on them."""
@@ -201,7 +201,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         )
         for i, seed in enumerate(SEEDS)
     ]
-    recognise_all(jobs)
+    in_processes(recognise, jobs)
     folders = [job.folder for job in jobs]
     found = score(folders)
     summary = summarise(found, "log")

@@ -34,7 +34,7 @@ from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene, load_
 from sonarrec.simulation.world import object_radius
 from tests.studies.paper.published import FRAMES, IDS, IN_VIEW, PRESENT, SMI_NUMBERS
 from tests.studies.study import gaps
-from tests.support.simulated import Job, recognise_all, score
+from tests.support.simulated import Job, in_processes, recognise, score
 
 SEEDS = range(5000, 5900)
 """Of the recordings on which worlds are searched for."""
@@ -266,7 +266,7 @@ def rates(worlds: Sequence[World], seeds: Sequence[int], frames: int, folder: Pa
         Job(world.scene(seed, frames), folder / str(seed), [smi_only()])
         for world, seed in zip(worlds, seeds, strict=True)
     ]
-    recognise_all(jobs)
+    in_processes(recognise, jobs)
     found = []
     for job in jobs:
         scored = score([job.folder]).scored
@@ -388,7 +388,7 @@ def keep(pool: Sequence[Measured], folder: Path) -> list[Measured]:
     print("\nchance of one recording: " + " ".join(f"{c:.3f}" for c in chance))
     scenes = [stable(m.world, seed) for m, seed in zip(pool, STABLE_SEEDS, strict=False)]
     jobs = [Job(s, folder / str(s.seed), [smi_only()]) for s in scenes]
-    recognise_all(jobs)
+    in_processes(recognise, jobs)
     kept = []
     for m, rows, job in zip(pool, alone, jobs, strict=True):
         far = (rows.mean(axis=0) - SMI_NUMBERS) / (chance * math.sqrt(1 + 1 / len(rows)))
