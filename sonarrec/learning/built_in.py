@@ -36,12 +36,15 @@ RECORDINGS = {
 FRAMES = 64  # of each: more recordings teach more than longer ones
 
 
-def recordings() -> list[tuple[int, str]]:
-    """Seed and kind of scene of every recording that the model learns from."""
-    return [(seed, kind) for kind, n in RECORDINGS.items() for seed in MODEL_SEEDS[:n]]
+def lessons() -> list[tuple[str, Samples]]:
+    """Kind of scene and samples of every recording that the model learns from; on all cores."""
+    drawn = [(kind, seed) for kind, n in RECORDINGS.items() for seed in MODEL_SEEDS[:n]]
+    with ProcessPoolExecutor() as workers:
+        samples = workers.map(simulated, *zip(*drawn, strict=True))
+        return [(kind, one) for (kind, _), one in zip(drawn, samples, strict=True)]
 
 
-def simulated(seed: int, kind: str) -> Samples:
+def simulated(kind: str, seed: int) -> Samples:
     """Samples from one random simulated recording."""
     return samples_of(random_scene(seed, kind, wide=True, frames=FRAMES))
 
@@ -74,15 +77,13 @@ def _frames(scene: Scene, truth: list[tuple[int, LandmarkTruth]]) -> Iterator[Fr
 
 def make_model() -> None:
     """Write the built-in model anew: every kind of scene that may be learned from."""
-    drawn = recordings()
-    with ProcessPoolExecutor() as workers:
-        parts = list(workers.map(simulated, *zip(*drawn, strict=True)))
+    parts = [samples for _, samples in lessons()]
     count = sum(len(p.label) for p in parts)
     head = (
         "# Log odds of an ID against 'none of these' = bias + the curves of all features, which\n"
         "# description.py names: of sharp pictures and, as smeared_, of smeared ones.\n"
         "# Between the two their weighted mean (model.py).\n"
-        f"# Made by `make model`: {len(drawn)} simulated recordings of {FRAMES} frames, seeds\n"
+        f"# Made by `make model`: {len(parts)} simulated recordings of {FRAMES} frames, seeds\n"
         f"# from {MODEL_SEEDS.start} on of {len(RECORDINGS)} kinds of scene; "
         f"{count} tracks in frames.\n"
     )

@@ -7,14 +7,13 @@ the bias and all other curves have made up for it.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from sonarrec.learning.built_in import recordings, simulated
+from sonarrec.learning.built_in import lessons
 from sonarrec.learning.fit import fit
 from sonarrec.learning.samples import Samples
 from sonarrec.recogniser.stage3_features.description import FEATURES
@@ -86,13 +85,11 @@ LESSONS: dict[str, Lesson] = {
 def main(arguments: Sequence[str] | None = None) -> None:
     """Gather samples, fit, recognise, score and tell."""
     asked = parser("taught", __doc__).parse_args(arguments)
-    drawn = recordings()
-    with ProcessPoolExecutor() as workers:
-        samples = list(workers.map(simulated, *zip(*drawn, strict=True)))
+    gathered = lessons()
     asked.out.mkdir(parents=True, exist_ok=True)
     taught = {}
     for i, (name, lesson) in enumerate(LESSONS.items()):
-        parts = [lesson(kind, one) for (_, kind), one in zip(drawn, samples, strict=True)]
+        parts = [lesson(kind, samples) for kind, samples in gathered]
         path = asked.out / f"model_{i}.toml"
         path.write_text(fit([p for p in parts if p is not None]).as_toml(), encoding="utf-8")
         taught[name] = Ablation(code={"recogniser.load_model": Taught(path)})

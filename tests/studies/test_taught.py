@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from sonarrec.learning.built_in import recordings
+from sonarrec.learning.built_in import RECORDINGS
 from sonarrec.learning.fit import fit
 from sonarrec.learning.samples import Samples
 from sonarrec.recogniser.stage3_features.description import FEATURES
@@ -61,5 +61,5 @@ def test_one_set_of_curves() -> None:
 )
 def test_kinds_left_out(name: str, left: Callable[[str], bool]) -> None:
     one = samples(0)
-    for _, kind in recordings():
+    for kind in RECORDINGS:
         assert (LESSONS[name](kind, one) is one) == left(kind)
