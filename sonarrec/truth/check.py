@@ -269,8 +269,7 @@ def _jumps(line: IntArray, places: _Places, radius_m: float, max_pan_deg: float)
     """Rows too far from every row of the same ID in the last frame that has one.
 
     A pan turns everything about the sonar and leaves ranges as they are; a disc radius a frame is
-    allowed for heave and drift. The way back from a row that is wrong
-    is no fault of its own.
+    allowed for heave and drift. The way back from a row that is wrong is no fault of its own.
     """
     order = np.lexsort((places.frame, places.landmark))
     order = order[places.frame[order] >= 0]

@@ -41,8 +41,8 @@ def smeared_share(smear: FloatArray) -> FloatArray:
 class AppearanceModel:
     """An additive model over FEATURES, for sharp pictures and for smeared ones.
 
-    bias: (2,) log odds, sharp and smeared. knots: per feature, (m,) rising
-    abscissae. values: per feature, (2, m) the log odds there; beyond the ends a curve stays level.
+    bias: (2,) log odds, sharp and smeared. knots: per feature, (m,) rising abscissae. values: per
+    feature, (2, m) the log odds there; beyond the ends a curve stays level.
     """
 
     bias: FloatArray
