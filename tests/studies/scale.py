@@ -15,6 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,6 +24,8 @@ from sonarrec.simulation.simulate import write_recording
 from tests.support.batch import SAMPLE, command, environment, rows, tables
 
 FRAMES = 60
+MOST_CALIBRATED = 10_000
+"""Frames of the longest log that is learned from: it takes 6 ms a frame."""
 SEEDS = range(8000, 8004)
 
 
@@ -172,36 +175,60 @@ def cluster(home: Path, source: list[Path], count: int) -> None:
     )
 
 
-def growth(home: Path, source: list[Path], largest: int, frames: int) -> None:
+def growth(home: Path, source: list[Path], largest: int) -> None:
     count = 10
     while count <= largest:
         folder = home / f"logs{count}"
         logs(folder, source, count)
         took = call(home / "grown", folder, "-j", 2, "--overwrite")
-        print(f"{count} logs: {took:.1f} s, {1000 * took / count:.0f} ms each")
+        print(f"{count} logs: {took:.1f} s, {1000 * took / count:.0f} ms each", flush=True)
         count *= 10
+
+
+def tell(frames: int, words: Sequence[str | Path]) -> None:
+    """Print what a command takes on a log of so many frames. It must not fail."""
+    code = "import resource, sys; from sonarrec.cli import main\ntry: main()\nfinally: "
+    code += "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024, file=sys.stderr)"
+    begun = time.monotonic()
+    told = subprocess.run(
+        [sys.executable, "-c", code, *map(str, words)], capture_output=True, text=True, check=False
+    )
+    took = time.monotonic() - begun
+    if told.returncode not in (0, 3):
+        sys.exit(told.stderr)
+    name = " ".join(map(str, words[: 2 if words[0] == "truth" else 1]))
+    print(f"{frames} frames, {name}: {took:.1f} s, {told.stderr.split()[-1]} MB", flush=True)
+
+
+def long(home: Path, largest: int) -> None:
+    """Logs of 1,000 frames and more through the commands; the sample again and again."""
     images = sorted(SAMPLE.glob("*.png"))
+    head, *truth = (SAMPLE / "gt.csv").read_text(encoding="utf-8").splitlines(keepends=True)
+    shown = [tuple(line.split(",", 1)) for line in truth]
     count = 1000
-    while count <= frames:
-        folder = home / f"frames{count}"
-        folder.mkdir()
-        shutil.copy(SAMPLE / "sonar.toml", folder)
+    while count <= largest:
+        log, results = home / f"frames{count}", home / "long" / f"frames{count}"
+        log.mkdir()
+        shutil.copy(SAMPLE / "sonar.toml", log)
         for i in range(count):
-            (folder / f"{i:06d}.png").symlink_to(images[i % len(images)])
-        begun = time.monotonic()
-        code = "import resource, sys; from sonarrec.cli import main\ntry: main()\nfinally: "
-        code += "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)"
-        told = subprocess.run(
-            [sys.executable, "-c", code, "run", str(folder), "-q", "-o", str(home / "long")],
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        took = time.monotonic() - begun
-        print(
-            f"{count} frames: {took:.1f} s, {1000 * took / count:.2f} ms each, "
-            f"{told.stdout.strip()} MB"
-        )
+            (log / f"{i:06d}.png").symlink_to(images[i % len(images)])
+        gt = home / f"gt{count}.csv"
+        with gt.open("w", encoding="utf-8") as file:
+            file.write(head)
+            for first in range(0, count, len(images)):
+                rows = ((first + int(frame), rest) for frame, rest in shown)
+                file.writelines(f"{frame},{rest}" for frame, rest in rows if frame < count)
+        for words in (
+            ["run", log, "-o", results.parent],
+            ["evaluate", "--ground-truth", gt, results],
+            ["map", results, "-o", home / "map"],
+            ["report", "--ground-truth", gt, results],
+            ["truth", "propose", results, "-o", home / f"proposed{count}.csv"],
+            ["truth", "check", gt, log],
+            ["calibrate", log, "--ground-truth", gt, "-o", home / f"model{count}.toml"],
+        ):
+            if count <= MOST_CALIBRATED or words[0] != "calibrate":
+                tell(count, words)
         count *= 10
 
 
@@ -209,7 +236,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--logs", type=int, default=1000)
     parser.add_argument("--frames", type=int, default=100_000)
-    parser.add_argument("--part", choices=["thousand", "throughput", "cluster", "growth"])
+    parser.add_argument("--part", choices=["thousand", "throughput", "cluster", "growth", "long"])
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         home = Path(name)
@@ -222,7 +249,9 @@ def main() -> None:
         if asked.part in (None, "cluster"):
             cluster(home, source, asked.logs // 5)
         if asked.part in (None, "growth"):
-            growth(home, source, asked.logs, asked.frames)
+            growth(home, source, asked.logs)
+        if asked.part in (None, "long"):
+            long(home, asked.frames)
 
 
 if __name__ == "__main__":
