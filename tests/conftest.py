@@ -1,6 +1,7 @@
-"""Every test process is set up as the program is."""
+"""Every test process is set up as the program is where it does several logs side by side."""
 
 import gc
+import os
 import signal
 from pathlib import Path
 
@@ -8,6 +9,10 @@ import pytest
 
 import sonarrec  # noqa: F401 - before numpy: it has BLAS run in one thread, as users have it
 from sonarrec.batch.cores import cores
+
+# Before OpenCV is loaded, here and in what tests start: there are more test processes than cores,
+# and their threads would wait for each other. `make regression` has as many as users have.
+os.environ["OPENCV_FOR_THREADS_NUM"] = "1"
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # Begun in the background of a script: the programs that tests stop by Ctrl-C would inherit it.

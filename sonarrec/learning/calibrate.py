@@ -17,7 +17,7 @@ from sonarrec.learning.samples import Samples, Tracks, describe, label
 from sonarrec.readers import open_log
 from sonarrec.readers.log import Log
 from sonarrec.recogniser.beam_width import FRAMES_FOR_BEAMS, with_beams
-from sonarrec.recogniser.stage3_features.model import AppearanceModel, load_model
+from sonarrec.recogniser.stage3_features.model import AppearanceModel, built_in_model
 from sonarrec.records import BoolArray, Clock, FloatArray, Frame, SonarrecError, UsageError
 from sonarrec.sonar import Sonar
 from sonarrec.truth.fits import misfit, without_rows
@@ -142,7 +142,7 @@ def learn(
     if not rows:
         why = without_rows(ground_truth, len(table.at), names, "it shows no landmark")
         raise SonarrecError(misfits[0] if misfits else why)
-    prior = None if from_scratch else load_model()
+    prior = None if from_scratch else built_in_model()
     model = fit(parts, prior)
     seen = _seen(parts, landmarks)
     before, after = _left_out(parts, prior)
@@ -245,7 +245,7 @@ def _left_out(
         folds.append(fold[track])
     if count.min() < FOLDS:
         return None, None
-    built_in = load_model()
+    built_in = built_in_model()
     before, after = [], []
     for k in range(FOLDS):
         taught = [_part(p, fold != k) for p, fold in zip(parts, folds, strict=True)]

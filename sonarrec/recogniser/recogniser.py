@@ -23,7 +23,7 @@ from sonarrec.recogniser.stage1_candidates import CandidateSelector
 from sonarrec.recogniser.stage2_continuity import ContinuityFilter
 from sonarrec.recogniser.stage3_features import Measurement, shape_matrix
 from sonarrec.recogniser.stage3_features.appearance import AppearanceMeasurement, Judge
-from sonarrec.recogniser.stage3_features.model import load_model
+from sonarrec.recogniser.stage3_features.model import built_in_model
 from sonarrec.recogniser.stage3_features.published import PublishedMeasurement
 from sonarrec.recogniser.stage3_features.smi import identify
 from sonarrec.records import Fan, Frame, FrameResult
@@ -75,7 +75,7 @@ class Recogniser:
                 plane,
                 sampler,
                 landmarks,
-                model or load_model(),
+                model or built_in_model(),
                 beam_width_deg,
                 config.continuity.remember_frames,
             )

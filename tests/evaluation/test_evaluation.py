@@ -23,6 +23,7 @@ from sonarrec.evaluation.tabulate import screen
 from sonarrec.landmarks import load_landmarks
 
 IDS = (1, 2, 3, 4)
+GATE_M = load_landmarks("basin").radius_m
 ESTIMATE_HEADER = ("frame", "method", "range_m", "bearing_deg", "landmark", "score", "declared")
 TRUTH_HEADER = ("frame", "landmark", "range_m", "bearing_deg", "visible")
 
@@ -225,7 +226,6 @@ def random_case(rng: np.random.Generator) -> tuple[list, list, list]:
 
 def count_frame_by_frame(frames, claims, truth, protocol: str, landmark: int) -> list[int]:
     """[TP, TN, FP, FN] of one ID: the rules of the contract, said once more without arrays."""
-    gate = load_landmarks("basin").radius_m
     tp = tn = fp = fn = 0
 
     def away(a, b) -> float:
@@ -248,7 +248,7 @@ def count_frame_by_frame(frames, claims, truth, protocol: str, landmark: int) ->
         taken: set = set()
         for c in made:
             near = min(here, key=lambda t: away(c[2:4], t[2:4]), default=None)
-            if near is None or away(c[2:4], near[2:4]) > gate:
+            if near is None or away(c[2:4], near[2:4]) > GATE_M:
                 fp += 1
             elif near in whole:
                 fp += near in taken

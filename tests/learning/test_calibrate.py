@@ -16,7 +16,7 @@ from sonarrec.learning.calibrate import FOLDS, learn
 from sonarrec.learning.fit import PRIOR_WEIGHT, fit
 from sonarrec.learning.samples import Samples, Tracks, label
 from sonarrec.recogniser.stage3_features.description import FEATURES
-from sonarrec.recogniser.stage3_features.model import AppearanceModel, load_model
+from sonarrec.recogniser.stage3_features.model import AppearanceModel, built_in_model, read_model
 from sonarrec.simulation.random_scenes import random_scene
 from sonarrec.simulation.simulate import write_recording
 from tests.support.command import sonarrec
@@ -76,7 +76,7 @@ def test_memory_of_learning_is_little_more_than_the_samples():
     """Hat functions of all 6,000 samples together would be 240 MB."""
     samples = drawn(known_model(), 6_000, 5)
     tracemalloc.start()
-    fit([samples], load_model())
+    fit([samples], built_in_model())
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 120e6
@@ -140,7 +140,7 @@ def test_what_is_learned_fits_its_samples_no_worse_than_the_prior():
     on = np.flatnonzero(labels < 4)
     features[on, labels[on]] += 0.5
     samples = Samples(features, rng.uniform(0, 0.2, count), labels, np.arange(count))
-    prior = load_model()
+    prior = built_in_model()
     assert log_likelihood(fit([samples], prior), samples) > log_likelihood(prior, samples)
 
 
@@ -248,7 +248,7 @@ def test_what_was_learned_from_is_told(site):
     tracks = sum(count for _, count in lesson.seen[:-1])
     assert (lesson.before is None) == (tracks < FOLDS)
     # With the built-in model as the start nothing moves far; without it everything does.
-    built_in = load_model()
+    built_in = built_in_model()
     scratch = learn(logs[:1], site / "gt.csv", preset("default"), BASIN, from_scratch=True)
     assert lesson.model.knots is not scratch.model.knots
     moved = [np.abs(a - b).max() for a, b in zip(lesson.model.values, built_in.values, strict=True)]
@@ -300,7 +300,7 @@ def test_truth_on_frames_that_are_not_there_is_told(tmp_path):
     result = sonarrec("calibrate", SAMPLES / "pan.mcap", "--ground-truth", truth, "-o", out, code=3)
     assert "1 of" in result.stderr
     assert "teach nothing" in result.stderr
-    assert np.isfinite(load_model(out).bias).all()
+    assert np.isfinite(read_model(out).model.bias).all()
 
 
 def test_a_log_whose_truth_is_not_its_own_teaches_nothing(site, tmp_path):
@@ -322,7 +322,7 @@ def test_a_log_whose_truth_is_not_its_own_teaches_nothing(site, tmp_path):
 
 
 def test_a_model_without_use_is_refused(tmp_path):
-    model = labelled(tmp_path / "model.toml", load_model().as_toml())
+    model = labelled(tmp_path / "model.toml", built_in_model().as_toml())
     arguments = ("run", SAMPLES / "pan", "--out", tmp_path / "out", "--preset", "paper")
     fault = sonarrec(*arguments, "--model", model, code=2).stderr
     assert "--model" in fault

@@ -20,7 +20,7 @@ from sonarrec.recogniser.stage3_features.appearance import (
     AppearanceMeasurement,
 )
 from sonarrec.recogniser.stage3_features.description import FEATURES, LIMIT, Describer
-from sonarrec.recogniser.stage3_features.model import AppearanceModel, load_model
+from sonarrec.recogniser.stage3_features.model import AppearanceModel, built_in_model, read_model
 from sonarrec.recogniser.stage3_features.shape_matrix import (
     ANGLES,
     STEP,
@@ -384,7 +384,7 @@ def test_a_model_survives_its_file(tmp_path):
     model = curves(np.random.default_rng(3))
     path = tmp_path / "model.toml"
     path.write_text(model.as_toml())
-    again = load_model(path)
+    again = read_model(path).model
     features = np.random.default_rng(4).normal(size=(5, 4, len(FEATURES)))
     for smear in (np.zeros(5), np.ones(5)):
         np.testing.assert_allclose(
@@ -408,23 +408,23 @@ def test_a_file_that_is_no_model_is_told_in_one_line(tmp_path, text, told):
     if text is not None:
         path.write_text(text)
     with pytest.raises(UsageError, match=told) as fault:
-        load_model(path)
+        read_model(path)
     assert "\n" not in str(fault.value)
 
 
 def test_knots_that_do_not_rise_are_refused(tmp_path):
-    text = load_model().as_toml()
+    text = built_in_model().as_toml()
     path = tmp_path / "model.toml"
     path.write_text(text.replace("[step]\nat = [", "[step]\nat = [99.0, "))
     with pytest.raises(UsageError, match=r"\[step\]"):
-        load_model(path)
+        read_model(path)
 
 
 def averaged(pattern, seed: int, frames: int = 16, range_m: float = 2.1, bearing_deg: float = 3.0):
     """Probabilities and turn after some frames of one speckled disc on its dark plate."""
     rng = np.random.default_rng(seed)
     memory = Features(memory_frames=20.0)
-    measurement = AppearanceMeasurement(memory, PLANE, SAMPLER, BASIN, load_model(), 0.01, 400)
+    measurement = AppearanceMeasurement(memory, PLANE, SAMPLER, BASIN, built_in_model(), 0.01, 400)
     disc, seen = draw_on_floor(FAN, range_m, bearing_deg, BASIN.radius_m, pattern)
     plate, _ = draw_on_floor(
         FAN, range_m, bearing_deg, BASIN.radius_m, lambda x, y: (np.hypot(x, y) <= 1) * 1.0
@@ -471,7 +471,7 @@ def test_beams_are_as_wide_as_is_usual_for_the_field_of_view(view_deg, width_deg
 @pytest.mark.parametrize(("width_deg", "needed"), [(0.4, 2), (4.0, 8)])
 def test_an_id_is_earned_by_frames_and_by_more_of_a_disc_few_beams_wide(width_deg, needed):
     """At 2 m a disc of 0.3 m is 21 beams of 0.4 deg wide, and two of 4 deg."""
-    judge = load_model()
+    judge = built_in_model()
     measurement = AppearanceMeasurement(Features(), PLANE, SAMPLER, BASIN, judge, width_deg, 400)
     centre = np.stack(PLANE.from_polar(np.array([2.0]), np.array([0.0])), axis=-1)
     track = dataclasses.replace(groups(1), positions=centre)

@@ -14,7 +14,7 @@ import numpy as np
 from sonarrec.learning.built_in import samples_of
 from sonarrec.learning.fit import fit
 from sonarrec.learning.samples import Samples
-from sonarrec.recogniser.stage3_features.model import AppearanceModel, load_model
+from sonarrec.recogniser.stage3_features.model import AppearanceModel, built_in_model
 from sonarrec.simulation.random_scenes import random_scene
 
 FRAMES = 160
@@ -72,7 +72,7 @@ def log_likelihood(model: AppearanceModel, samples: Samples) -> float:
 
 def row(taught: list[Samples], judged: Samples) -> list[float]:
     """Built-in model, learned from scratch, learned with each weight."""
-    built_in = load_model()
+    built_in = built_in_model()
     models = [built_in, fit(taught), *(fit(taught, built_in, w) for w in WEIGHTS)]
     return [log_likelihood(model, judged) for model in models]
 

@@ -17,7 +17,7 @@ from sonarrec.learning.built_in import lessons
 from sonarrec.learning.fit import fit
 from sonarrec.learning.samples import Samples
 from sonarrec.recogniser.stage3_features.description import FEATURES
-from sonarrec.recogniser.stage3_features.model import AppearanceModel, load_model
+from sonarrec.recogniser.stage3_features.model import AppearanceModel, read_model
 from sonarrec.simulation.random_scenes import KINDS_OF_SCENE, STRETCH_KINDS
 from tests.studies.ablation import Ablation, compare, parser
 
@@ -54,12 +54,12 @@ def not_among(kinds: Sequence[str], kind: str, samples: Samples) -> Samples | No
 
 @dataclass(frozen=True, slots=True)
 class Taught:
-    """Stands in place of `load_model`."""
+    """Stands in place of `built_in_model`."""
 
     path: Path
 
     def __call__(self) -> AppearanceModel:
-        return load_model(self.path)
+        return read_model(self.path).model
 
     def __str__(self) -> str:
         return self.path.name
@@ -92,7 +92,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         parts = [lesson(kind, samples) for kind, samples in gathered]
         path = asked.out / f"model_{i}.toml"
         path.write_text(fit([p for p in parts if p is not None]).as_toml(), encoding="utf-8")
-        taught[name] = Ablation(code={"recogniser.load_model": Taught(path)})
+        taught[name] = Ablation(code={"recogniser.built_in_model": Taught(path)})
     compare(taught, asked)
 
 

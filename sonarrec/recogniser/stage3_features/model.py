@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -83,7 +83,7 @@ class AppearanceModel:
         return np.asarray(likely / likely.sum(axis=1, keepdims=True))
 
     def as_toml(self) -> str:
-        """The model as load_model reads it."""
+        """The model as read_model reads it."""
         sharp, smeared = self.bias
         lines = [f"bias = {sharp:.3f}", f"smeared_bias = {smeared:.3f}"]
         for name, knots, values in zip(FEATURES, self.knots, self.values, strict=True):
@@ -124,9 +124,10 @@ def model_from_table(table: Mapping[str, Any], where: str) -> ModelFile:
     return ModelFile(name, text, parse_model(text, f"{where}: [model]"))
 
 
-def load_model(path: Path = BUILT_IN) -> AppearanceModel:
-    """The model in a TOML file (default: the built-in one). Raises UsageError as read_model."""
-    return read_model(path).model
+@cache
+def built_in_model() -> AppearanceModel:
+    """The model that is used where none is given; read once, which takes longer than a frame."""
+    return read_model(BUILT_IN).model
 
 
 @dataclass(frozen=True, slots=True)
