@@ -224,7 +224,7 @@ def long(home: Path, largest: int) -> None:
             ["map", results, "-o", home / "map"],
             ["report", "--ground-truth", gt, results],
             ["truth", "propose", results, "-o", home / f"proposed{count}.csv"],
-            ["truth", "check", gt, log],
+            ["truth", "check", gt, log, "--sheet", home / "sheet.png"],
             ["calibrate", log, "--ground-truth", gt, "-o", home / f"model{count}.toml"],
         ):
             if count <= MOST_CALIBRATED or words[0] != "calibrate":
