@@ -578,9 +578,10 @@ def test_a_long_log_stays_a_small_page(tmp_path: Path) -> None:
     assert "lesser groups of mistakes left out" in text
 
 
-def long_log(folder: Path) -> Path:
+@pytest.fixture(scope="module")
+def of_a_long_log(tmp_path_factory: pytest.TempPathFactory) -> str:
     """20,000 frames: a landmark declared for two frames in every 200, and at the end for 3,000."""
-    frames = 20_000
+    frames, folder = 20_000, tmp_path_factory.mktemp("long")
     (folder / "frames.csv").write_text(
         "frame,timestamp_ns\n" + "".join(f"{n},{n * 10**8}\n" for n in range(frames))
     )
@@ -591,25 +592,23 @@ def long_log(folder: Path) -> Path:
         + "".join(f"{n},framework,999,2,0,1,1,1\n" for n in range(17_000, frames))
     )
     sonarrec("report", folder)
-    return folder / "report.html"
+    return (folder / "report.html").read_text()
 
 
-def test_of_many_sightings_the_page_has_those_of_most_frames(tmp_path: Path) -> None:
-    html = long_log(tmp_path).read_text()
-    assert "46 more sightings left out" in html
-    assert "<td>999</td><td>17000</td>" in html
+def test_of_many_sightings_the_page_has_those_of_most_frames(of_a_long_log: str) -> None:
+    assert "46 more sightings left out" in of_a_long_log
+    assert "<td>999</td><td>17000</td>" in of_a_long_log
 
 
-def test_a_bar_of_many_frames_tells_how_many_of_them_are_declared(tmp_path: Path) -> None:
+def test_a_bar_of_many_frames_tells_how_many_of_them_are_declared(of_a_long_log: str) -> None:
     """400 bars of 50 frames: 2 of 200 declared is .04 of every fourth, the end is full."""
-    html = long_log(tmp_path).read_text()
     [(best, mean)] = re.findall(
-        r'class="bar faint"[^>]* d="([^"]*)".*?class="bar"[^>]* d="([^"]*)"', html, re.S
+        r'class="bar faint"[^>]* d="([^"]*)".*?class="bar"[^>]* d="([^"]*)"', of_a_long_log, re.S
     )
     heights = [int(h) for h in re.findall(r"v-(\d+)", mean)]
     assert heights == [40] * 85 + [1000]
     assert [int(h) for h in re.findall(r"v-(\d+)", best)] == [1000] * 86
-    assert "at most 50" in html
+    assert "at most 50" in of_a_long_log
 
 
 # The mistakes

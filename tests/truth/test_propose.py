@@ -179,8 +179,8 @@ def test_a_log_that_cannot_be_read_leaves_no_half_of_a_file(tmp_path: Path) -> N
 
 
 def test_memory_is_that_of_one_log_however_many(tmp_path: Path) -> None:
-    """Eight logs of 3,000 frames."""
-    frames = range(3000)
+    """Eight logs of 1,500 frames."""
+    frames = range(1500)
     rows = [(n, 1, 2.0, (n % 20) / 2 - 5, 1, 0.95, 1) for n in frames]
     one = results(tmp_path / "out" / "log00", rows, frames)
     for n in range(1, 8):
