@@ -15,6 +15,8 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from datetime import datetime
+from email.utils import parsedate_to_datetime
 from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import unquote
@@ -29,6 +31,7 @@ except ImportError:
 
 AGAIN = 3  # times that a broken transfer is tried again
 PAUSE_S = 1.0  # before the first of them; twice as long before each further one
+LONGEST_PAUSE_S = 60.0  # whatever a busy server asks for
 AT_ONCE = 8  # files of a folder
 BLOCK_BYTES = 2**24  # asked for at once: what is lost when a transfer breaks off
 _INSTALL = "pip install 'sonarrec[remote]'"
@@ -40,7 +43,11 @@ class RefusedError(SonarrecError):
 
 
 class BrokenError(SonarrecError):
-    """A transfer that broke off: to be tried again."""
+    """A transfer that broke off: to be tried again, not sooner than after so many seconds."""
+
+    def __init__(self, text: str, after_s: float = 0.0) -> None:
+        super().__init__(text)
+        self.after_s = after_s
 
 
 class StoppedError(SonarrecError):
@@ -341,7 +348,7 @@ class Store:
                     raise SonarrecError(
                         f"{url.shown}: broke off, and {AGAIN} times again ({error})"
                     ) from None
-                self._stop.wait(PAUSE_S * 2**tried)
+                self._stop.wait(max(PAUSE_S * 2**tried, min(error.after_s, LONGEST_PAUSE_S)))
                 self._stopped()
         raise AssertionError("not reached")
 
@@ -370,7 +377,7 @@ class Store:
                     f"{url.shown}: no access ({text}); `sonarrec help remote` says where "
                     "credentials are looked for"
                 ) from None
-            raise BrokenError(text) from None
+            raise BrokenError(text, _retry_after_s(error)) from None
 
 
 def writable(url: Url) -> Url:
@@ -389,6 +396,18 @@ def _no_key(error: Exception) -> bool:
         names & {"NoCredentialsError", "PartialCredentialsError", "HostKeyNotVerifiable"}
         | names & {"PermissionDenied", "ProfileNotFound", "GoogleAuthError"}
     )
+
+
+def _retry_after_s(error: Exception) -> float:
+    """How long a web server that is busy asks to wait: seconds, or until a date; 0 without."""
+    stated = (getattr(error, "headers", None) or {}).get("Retry-After", "")
+    try:
+        if stated.isdigit():
+            return float(stated)
+        until = parsedate_to_datetime(stated)
+        return (until - datetime.now(until.tzinfo)).total_seconds()
+    except ValueError:
+        return 0.0
 
 
 def _same_folder(folder: Url, path: str) -> bool:

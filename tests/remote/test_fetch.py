@@ -6,6 +6,8 @@ import errno
 import os
 import threading
 import time
+from datetime import UTC, datetime, timedelta
+from email.utils import format_datetime
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -99,6 +101,36 @@ def test_it_is_tried_three_times_again_then_given_up(site: Path, cache: Cache) -
         with pytest.raises(SonarrecError, match=told), fetched(f"{web.url}/a.mcap", cache):
             pass
         assert len(web.gets("a.mcap")) == 4
+
+
+class Waits(threading.Event):
+    """Told how long to wait it does not, but notes it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.pauses: list[float | None] = []
+
+    def wait(self, timeout: float | None = None) -> bool:
+        self.pauses.append(timeout)
+        return self.is_set()
+
+
+def test_a_busy_server_says_when_to_ask_again(site: Path, cache: Cache) -> None:
+    """In seconds, or by a date; no longer than a minute, and not sooner than without."""
+    data = noise(site / "a.mcap")
+    soon = format_datetime(datetime.now(UTC) + timedelta(seconds=30), usegmt=True)
+    past = format_datetime(datetime.now(UTC) - timedelta(seconds=30), usegmt=True)
+    for busy, pauses in (
+        (["7", "3600", soon], [7, 60, pytest.approx(29, abs=3)]),
+        ([past, "soon", ""], [0, 0, 0]),
+    ):
+        waited = Waits()
+        with (
+            web_server(site, busy=busy, tags=False) as web,
+            fetched(RemoteLog(parse_url(f"{web.url}/a.mcap")), cache, stop=waited) as log,
+        ):
+            assert log.path.read_bytes() == data
+        assert waited.pauses == pauses
 
 
 @pytest.mark.usefixtures("small_blocks")

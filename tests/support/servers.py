@@ -19,8 +19,8 @@ class Web:
     """A web server over a folder, and how it behaves.
 
     ranges: it serves parts of files. lengths: it tells how long files are. broken: how many more
-    answers break off in the middle. wrong_md5: it states a checksum that is not the file's.
-    asked: (method, path, Range or "") of every request.
+    answers break off in the middle. busy: Retry-After of the first GETs, each a 503. wrong_md5: it
+    states a checksum that is not the file's. asked: (method, path, Range or "") of every request.
     """
 
     folder: Path
@@ -28,6 +28,7 @@ class Web:
     lengths: bool = True
     tags: bool = True
     broken: int = 0
+    busy: list[str] = field(default_factory=list)
     wrong_md5: bool = False
     port: int = 0
     asked: list[tuple[str, str, str]] = field(default_factory=list)
@@ -72,6 +73,12 @@ def web_server(folder: Path, **how: Any) -> Iterator[Web]:
                 return
             if not path.is_file():
                 self.send_error(HTTPStatus.NOT_FOUND)
+                return
+            if web.busy and body:
+                self.send_response(HTTPStatus.SERVICE_UNAVAILABLE)
+                self.send_header("Retry-After", web.busy.pop(0))
+                self.send_header("Content-Length", "0")
+                self.end_headers()
                 return
             data = path.read_bytes()
             whole = len(data)
