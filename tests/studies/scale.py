@@ -1,4 +1,4 @@
-"""`make scale`: a thousand logs in one call, stopped, killed, over a cluster; how cost grows, long logs.
+"""`make scale`: a thousand logs in one call, stopped, killed, over a cluster; long logs; cost.
 
 Logs are hard links to a few simulated recordings of 60 frames. Of a thousand, five are broken each
 in another way, one hangs and one kills its process (`tests/support/batch.py`). Prints what
