@@ -11,6 +11,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -118,15 +119,24 @@ def _metadata(file: Path) -> tuple[dict[str, Any], str | None]:
     """What metadata.yaml tells of the bag, and what is wrong with it; empty where there is none."""
     if not file.is_file():
         return {}, None
+    try:
+        if file.stat().st_size > _MAX_METADATA_BYTES:
+            return {}, f"larger than {_MAX_METADATA_BYTES} bytes"
+        return _told(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        return {}, f"cannot be read ({error.strerror})"
+    except ValueError:
+        return {}, "cannot be read as YAML"
+
+
+@lru_cache(maxsize=1)
+def _told(text: str) -> tuple[dict[str, Any], str | None]:
+    """As _metadata, of its text; kept, for a bag is looked at several times before it is read."""
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
     try:
-        if file.stat().st_size > _MAX_METADATA_BYTES:
-            return {}, f"larger than {_MAX_METADATA_BYTES} bytes"
-        told = YAML(typ="safe", pure=True).load(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        return {}, f"cannot be read ({error.strerror})"
+        told = YAML(typ="safe", pure=True).load(text)
     except (YAMLError, ValueError, TypeError, RecursionError):
         return {}, "cannot be read as YAML"
     table = told.get("rosbag2_bagfile_information") if isinstance(told, dict) else None
