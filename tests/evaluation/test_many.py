@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import tracemalloc
+from collections.abc import Callable
 from hashlib import sha256
 from pathlib import Path
 
@@ -16,6 +18,7 @@ from hypothesis import strategies as st
 
 from sonarrec.cli import main
 from sonarrec.evaluation import survey
+from sonarrec.evaluation.compare.compare import compare
 from sonarrec.evaluation.counting import store
 from sonarrec.evaluation.counting.passes import UnitKind
 from sonarrec.evaluation.counting.pooled import Pooled
@@ -25,7 +28,6 @@ from sonarrec.evaluation.matching.pairs import Pair, read_pairs
 from sonarrec.evaluation.summary import summarise
 from sonarrec.evaluation.write import write_evaluation
 from tests.evaluation.test_evaluation import write_case
-from tests.studies.scoring import peak_of_comparing, peak_of_scoring
 from tests.support.made_up import make_logs, make_sides
 
 FLOATS = st.lists(
@@ -144,14 +146,31 @@ def test_compared_one_at_a_time_as_all_at_once(
     assert found | {"printed": sha256(done.output.encode()).hexdigest()[:16]} == RECORDED[logs]
 
 
+def peak_mb(call: Callable[[], object]) -> float:
+    """Most memory that a call holds at a time."""
+    tracemalloc.start()
+    call()
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    return peak / 1e6
+
+
+@pytest.fixture
+def on_disk(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Already of a few logs the store lies there."""
+    monkeypatch.setattr(store, "IN_MEMORY", 100_000)
+
+
+@pytest.mark.usefixtures("on_disk")
 def test_memory_of_a_comparison_does_not_grow_with_the_logs(tmp_path: Path) -> None:
-    """40 logs, of which the store lies on disk already, and 90. What was read of a log is twice
-    that of `test_memory_does_not_grow_with_the_logs`: were it kept, 50 more would be 100 MB.
-    """
-    few, many = (
-        peak_of_comparing(*make_sides(tmp_path / str(logs), logs, 2000, 2)) for logs in (40, 90)
-    )
-    assert many - few < 25
+    """Six logs and 24. What was read of a log is twice that of
+    `test_memory_does_not_grow_with_the_logs`: were it kept, 18 more would be 18 MB."""
+
+    def peak(logs: int) -> float:
+        old, new, pairs = make_sides(tmp_path / str(logs), logs, 1000, 2)
+        return peak_mb(lambda: compare(old, new, read_pairs(pairs), jobs=1))
+
+    assert peak(24) - peak(6) < 2
 
 
 @pytest.mark.usefixtures("no_pictures")
@@ -200,14 +219,15 @@ def test_ids_in_another_order_are_put_in_that_of_the_first(tmp_path: Path) -> No
     assert files(tmp_path / "a") == files(tmp_path / "b")
 
 
+@pytest.mark.usefixtures("on_disk")
 def test_memory_does_not_grow_with_the_logs(tmp_path: Path) -> None:
-    """20 logs and 95. What may grow is what a log leaves behind for good: its name, counts and
+    """Six logs and 24. What may grow is what a log leaves behind for good: its name, counts and
     passes (a few kB), and its row in the sums by unit (20 tables of 600 numbers a row, some 50 kB,
-    5 MB in all). What was read of a log is 8,000 estimates of 17 numbers, 1 MB: were it kept, 75
-    more would be 80 MB."""
-    few = peak_of_scoring(make_logs(tmp_path / "few", 20, 2000, 2))
-    many = peak_of_scoring(make_logs(tmp_path / "many", 95, 2000, 2))
-    assert many - few < 32
+    1 MB in all). What was read of a log is 4,000 estimates of 17 numbers, .5 MB: were it kept, 18
+    more would be 9 MB. `make scoring` measures whole commands over a thousand logs."""
+    pairs = read_pairs(make_logs(tmp_path / "made", 24, 1000, 2))
+    few, many = (peak_mb(lambda n=n: summarise(evaluate_many(pairs[:n], jobs=1))) for n in (6, 24))  # type: ignore[misc]
+    assert many - few < 2
 
 
 @given(FLOATS)
