@@ -11,7 +11,7 @@ import sonarrec  # noqa: F401 - before numpy: it has BLAS run in one thread, as 
 from sonarrec.batch.cores import cores
 
 # Before OpenCV is loaded, here and in what tests start: there are more test processes than cores,
-# and their threads would wait for each other. `make regression` has as many as users have.
+# and their threads would wait for each other. test_same_bytes.py has several threads.
 os.environ["OPENCV_FOR_THREADS_NUM"] = "1"
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

@@ -81,7 +81,7 @@ def test_all_at_once_or_one_at_a_time_is_the_same(
 
 def test_the_same_bytes_however_many_processes(tmp_path: Path, pairs: Path) -> None:
     made = {}
-    for jobs in ("1", "3"):
+    for jobs in ("1", "5"):
         out = tmp_path / "evaluation"
         done = CliRunner().invoke(
             main, ["evaluate", "--pairs", str(pairs), "-j", jobs, "-o", str(out), "--details"]
@@ -89,7 +89,7 @@ def test_the_same_bytes_however_many_processes(tmp_path: Path, pairs: Path) -> N
         assert done.exit_code == 0, done.output
         made[jobs] = files(out), done.output
         shutil.rmtree(out)
-    assert made["1"] == made["3"]
+    assert made["1"] == made["5"]
 
 
 @pytest.mark.parametrize("jobs", ["1", "2"])
@@ -124,7 +124,7 @@ RECORDED = {
 }
 
 
-@pytest.mark.parametrize(("logs", "jobs"), [(4, "1"), (12, "1"), (12, "2")])
+@pytest.mark.parametrize(("logs", "jobs"), [(4, "2"), (12, "1"), (12, "2")])
 def test_compared_one_at_a_time_as_all_at_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, logs: int, jobs: str
 ) -> None:

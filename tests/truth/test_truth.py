@@ -14,7 +14,6 @@ from sonarrec.results.read import read_log
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import read_truth
 
-pytestmark = pytest.mark.usefixtures("no_pictures")
 FRAMES = "frame,timestamp_ns\n0,1000000000\n1,1250000000\n3,1750000000\n"
 ESTIMATES = (
     "frame,method,range_m,bearing_deg,landmark,score,declared\n"
