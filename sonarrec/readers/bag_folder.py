@@ -122,21 +122,19 @@ def _metadata(file: Path) -> tuple[dict[str, Any], str | None]:
     try:
         if file.stat().st_size > _MAX_METADATA_BYTES:
             return {}, f"larger than {_MAX_METADATA_BYTES} bytes"
-        return _told(file.read_text(encoding="utf-8"))
+        return _told(file.read_bytes())
     except OSError as error:
         return {}, f"cannot be read ({error.strerror})"
-    except ValueError:
-        return {}, "cannot be read as YAML"
 
 
 @lru_cache(maxsize=1)
-def _told(text: str) -> tuple[dict[str, Any], str | None]:
-    """As _metadata, of its text; kept, for a bag is looked at several times before it is read."""
+def _told(data: bytes) -> tuple[dict[str, Any], str | None]:
+    """As _metadata, of its bytes; kept, for a bag is looked at several times before it is read."""
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
     try:
-        told = YAML(typ="safe", pure=True).load(text)
+        told = YAML(typ="safe", pure=True).load(data.decode("utf-8"))
     except (YAMLError, ValueError, TypeError, RecursionError):
         return {}, "cannot be read as YAML"
     table = told.get("rosbag2_bagfile_information") if isinstance(told, dict) else None
