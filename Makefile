@@ -39,7 +39,7 @@ memory: .venv/installed  # peak memory of reading 1 GB logs in the shapes that c
 fuzz: .venv/installed  # 2,000 damaged logs through `sonarrec info` and `sonarrec run`
 	$(BIN)/python -m tests.studies.fuzz --files 2000
 
-scale: .venv/installed  # a thousand logs, killed and on a cluster; how cost grows (half an hour)
+scale: .venv/installed  # a thousand logs, killed and on a cluster; how cost grows, long logs (over half an hour)
 	$(BIN)/python -m tests.studies.scale
 
 scoring: .venv/installed  # what evaluate costs over up to 1,000 logs of 10,000 frames

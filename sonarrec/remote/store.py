@@ -400,13 +400,14 @@ def _no_key(error: Exception) -> bool:
 
 def _retry_after_s(error: Exception) -> float:
     """How long a web server that is busy asks to wait: seconds, or until a date; 0 without."""
-    stated = (getattr(error, "headers", None) or {}).get("Retry-After", "")
+    headers = getattr(error, "headers", None)  # of aiohttp
+    stated = str(headers.get("Retry-After", "")) if isinstance(headers, Mapping) else ""
     try:
         if stated.isdigit():
             return float(stated)
         until = parsedate_to_datetime(stated)
         return (until - datetime.now(until.tzinfo)).total_seconds()
-    except ValueError:
+    except (ValueError, OverflowError):  # no date, or one beyond every calendar
         return 0.0
 
 

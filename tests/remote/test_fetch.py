@@ -123,6 +123,7 @@ def test_a_busy_server_says_when_to_ask_again(site: Path, cache: Cache) -> None:
     for busy, pauses in (
         (["7", "3600", soon], [7, 60, pytest.approx(29, abs=3)]),
         ([past, "soon", ""], [0, 0, 0]),
+        (["9" * 400, "Mon, 1 Jan 2035 00:00:00 +" + "9" * 30, "-5"], [60, 0, 0]),
     ):
         waited = Waits()
         with (

@@ -15,12 +15,12 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from sonarrec.simulation.scene import load_scene
 from sonarrec.simulation.simulate import write_recording
+from tests.studies.scoring import peak_of, timed
 from tests.support.batch import SAMPLE, command, environment, rows, tables
 
 FRAMES = 60
@@ -185,21 +185,6 @@ def growth(home: Path, source: list[Path], largest: int) -> None:
         count *= 10
 
 
-def tell(frames: int, words: Sequence[str | Path]) -> None:
-    """Print what a command takes on a log of so many frames. It must not fail."""
-    code = "import resource, sys; from sonarrec.cli import main\ntry: main()\nfinally: "
-    code += "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024, file=sys.stderr)"
-    begun = time.monotonic()
-    told = subprocess.run(
-        [sys.executable, "-c", code, *map(str, words)], capture_output=True, text=True, check=False
-    )
-    took = time.monotonic() - begun
-    if told.returncode not in (0, 3):
-        sys.exit(told.stderr)
-    name = " ".join(map(str, words[: 2 if words[0] == "truth" else 1]))
-    print(f"{frames} frames, {name}: {took:.1f} s, {told.stderr.split()[-1]} MB", flush=True)
-
-
 def long(home: Path, largest: int) -> None:
     """Logs of 1,000 frames and more through the commands; the sample again and again."""
     images = sorted(SAMPLE.glob("*.png"))
@@ -228,7 +213,9 @@ def long(home: Path, largest: int) -> None:
             ["calibrate", log, "--ground-truth", gt, "-o", home / f"model{count}.toml"],
         ):
             if count <= MOST_CALIBRATED or words[0] != "calibrate":
-                tell(count, words)
+                peak, took = timed(lambda words=words: peak_of(*words))  # type: ignore[misc]
+                name = " ".join(map(str, words[: 2 if words[0] == "truth" else 1]))
+                print(f"{count} frames, {name}: {took:.1f} s, {peak:.0f} MB", flush=True)
         count *= 10
 
 

@@ -23,12 +23,12 @@ GOAL_MB = 300
 TRIES = 5
 """Of each number of processes, one after the other: the machine may be busy with other things."""
 
-# Scores and prints its own peak in KiB (bytes on macOS).
-_SCORE = """
+# Runs a command and prints its own peak in KiB (bytes on macOS).
+_RUN = """
 import resource, sys
 from sonarrec.cli import main
 try:
-    main(["evaluate", "--quiet", *sys.argv[1:]])
+    main(sys.argv[1:])
 except SystemExit as end:
     assert end.code in (0, None, 3), end.code
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
@@ -39,18 +39,19 @@ _LAUNCH = "import subprocess, sys; sys.exit(subprocess.run(sys.argv[1:]).returnc
 
 def peak_of_scoring(pairs: Path, jobs: int = 1) -> float:
     """Peak resident memory, MB, of a process that scores a table of pairs."""
-    return _peak("--pairs", pairs, "--jobs", jobs)
+    return peak_of("evaluate", "--quiet", "--pairs", pairs, "--jobs", jobs)
 
 
 def peak_of_comparing(old: Path, new: Path, pairs: Path, jobs: int = 1) -> float:
     """Peak resident memory, MB, of a process that compares two results."""
-    return _peak("--pairs", pairs, "--jobs", jobs, "--compare", old, new)
+    return peak_of("evaluate", "--quiet", "--pairs", pairs, "--jobs", jobs, "--compare", old, new)
 
 
-def _peak(*words: object) -> float:
-    command = [sys.executable, "-c", _LAUNCH, sys.executable, "-c", _SCORE, *map(str, words)]
+def peak_of(*words: object) -> float:
+    """Peak resident memory, MB, of a process that runs a command, which must not fail."""
+    command = [sys.executable, "-c", _LAUNCH, sys.executable, "-c", _RUN, *map(str, words)]
     told = subprocess.run(command, check=True, capture_output=True, text=True).stdout
-    return int(told) / (1024**2 if sys.platform == "darwin" else 1024)
+    return int(told.split()[-1]) / (1024**2 if sys.platform == "darwin" else 1024)
 
 
 @contextmanager
@@ -62,7 +63,7 @@ def _place() -> Iterator[Path]:
         shutil.rmtree(place)
 
 
-def _timed(measure: Callable[[], float]) -> tuple[float, float]:
+def timed(measure: Callable[[], float]) -> tuple[float, float]:
     """(what is measured, seconds)"""
     begun = time.monotonic()
     return measure(), time.monotonic() - begun
@@ -75,7 +76,7 @@ def speed_up(logs: int, frames: int, tries: int) -> None:
         pairs = make_logs(place, logs, frames)
         for _ in range(tries):
             for jobs in best:
-                took = _timed(lambda jobs=jobs: peak_of_scoring(pairs, jobs))[1]  # type: ignore[misc]
+                took = timed(lambda jobs=jobs: peak_of_scoring(pairs, jobs))[1]  # type: ignore[misc]
                 best[jobs] = min(best[jobs], took)
     told = ", ".join(f"-j {jobs} {took:.1f} s" for jobs, took in best.items())
     load = f"load {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else ""
@@ -102,10 +103,10 @@ def main() -> int:
                 with _place() as place:
                     if what == "score":
                         pairs = make_logs(place, logs, frames)
-                        peak, took = _timed(lambda p=pairs: peak_of_scoring(p, asked.jobs))  # type: ignore[misc]
+                        peak, took = timed(lambda p=pairs: peak_of_scoring(p, asked.jobs))  # type: ignore[misc]
                     else:
                         sides = make_sides(place, logs, frames)
-                        peak, took = _timed(lambda s=sides: peak_of_comparing(*s, asked.jobs))  # type: ignore[misc]
+                        peak, took = timed(lambda s=sides: peak_of_comparing(*s, asked.jobs))  # type: ignore[misc]
                 worst = max(worst, peak)
                 row = what, logs, frames, asked.jobs, f"{peak:.0f}", f"{took:.1f}"
                 print(f"| {' | '.join(map(str, row))} | {took / logs:.3f} |", flush=True)
