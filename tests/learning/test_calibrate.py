@@ -73,13 +73,13 @@ def test_known_curves_are_recovered():
 
 
 def test_memory_of_learning_is_little_more_than_the_samples():
-    """Hat functions of all 6,000 samples together would be 240 MB."""
-    samples = drawn(known_model(), 6_000, 5)
+    """74 MB; with the hat functions of all 8,000 samples at once it is 185 MB."""
+    samples = drawn(known_model(), 8_000, 5)
     tracemalloc.start()
     fit([samples], built_in_model())
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert peak < 120e6
+    assert peak < 100e6
 
 
 def test_samples_in_blocks_teach_what_they_teach_together(monkeypatch):
