@@ -74,7 +74,7 @@ def prepared(
     landmarks = earlier.landmark_set(used.landmarks)
     learned = _model(used, earlier)
     poses, more = _poses(path, given, earlier if same_log else read_run(None))
-    with open_log(path, **given.reading()) as log:
+    with open_log(found, **given.reading()) as log:
         span = given.frames or (0, None)
         frames = log.within(span)
         first = next(frames, None)  # raises where there is no usable frame at all
@@ -154,7 +154,7 @@ def _with_companions(source: Source, given: Given, again: bool) -> tuple[Given, 
     path, notes = source.path, []
     geometry = source.beside(SONAR_FILE)
     own = given.sonar_file is not None or given.up_to is None
-    if not own and geometry != find_log(path).beside(SONAR_FILE):
+    if not own and geometry != replace(source, up_to=None).beside(SONAR_FILE):
         notes.append(f"{path}: its geometry is that of {geometry}")
     if again or given.odometry is not None or given.odometry_topic is not None:
         return given, notes

@@ -6,14 +6,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, get_args
 
-from sonarrec.readers.find import find_log
+from sonarrec.readers.find import Source, find_log
 from sonarrec.readers.log import Log
 from sonarrec.records import Clock, SonarrecError, UsageError, shown
 from sonarrec.sonar import Sonar, sonar_from
 
 
 def open_log(
-    path: str | Path,
+    path: str | Path | Source,
     *,
     sonar: Sonar | Mapping[str, Any] | None = None,
     sonar_file: str | Path | None = None,
@@ -23,16 +23,19 @@ def open_log(
 ) -> Log:
     """Open a folder or glob of images, a video, an MCAP, a bag of ROS or a sonar's own file.
 
-    sonar: keys that win over those in files, such as {"tilt_deg": 20.0}. sonar_file: in place of
-    the sonar.toml beside the log (for a folder or glob `sonar.toml` beside the images; for one file
-    `NAME.sonar.toml`, else `sonar.toml` in its folder). topic: the image channel of an MCAP file or
-    a bag. time: which of the times in it names a frame; frames come in the order of log time
-    whatever it is. up_to: the folder up to which sonar.toml is looked for where none lies beside
-    the log.
+    path: also a log that `find_log` found, which is not looked for again. sonar: keys that win over
+    those in files, such as {"tilt_deg": 20.0}. sonar_file: in place of the sonar.toml beside the
+    log (for a folder or glob `sonar.toml` beside the images; for one file `NAME.sonar.toml`, else
+    `sonar.toml` in its folder). topic: the image channel of an MCAP file or a bag. time: which of
+    the times in it names a frame; frames come in the order of log time whatever it is. up_to: the
+    folder up to which sonar.toml is looked for where none lies beside the log.
     Raises SonarrecError where the log or its geometry cannot be used, UsageError where the topic
     or time cannot be meant.
     """
-    source = find_log(path, up_to)
+    if isinstance(path, Source):
+        source, path = path, path.path
+    else:
+        source = find_log(path, up_to)
     source.check_topic(topic, path)
     if time not in get_args(Clock):
         raise UsageError(

@@ -130,16 +130,25 @@ def _in_folder(folder: Path) -> list[Path]:
 
     Raises UsageError where it holds both, for nothing tells which are meant.
     """
-    entries = [e for e in folder.iterdir() if e.name[0] != "."]
-    image = next((e for e in entries if is_image(e)), None)
-    logs = sorted(filter(is_log_file, entries), key=natural_order)
+    image, logs, bags = None, [], []
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            path = folder / entry.name
+            if entry.name[0] == ".":
+                continue
+            if is_log_file(path):
+                logs.append(path)
+            elif image is None and is_image(path):
+                image = path
+            elif entry.is_dir() and _is_bag(path):
+                bags.append(path)
+    logs.sort(key=natural_order)
     if image is not None and logs:
         raise UsageError(
             f"{shown(folder)}: holds images and other logs ({len(logs)}, {shown(logs[0].name)} the "
             f"first); choose with a quoted glob, as '{shown(folder)}/*{image.suffix}' or "
             f"'{shown(folder)}/*{logs[0].suffix}'"
         )
-    bags = [e for e in entries if e.is_dir() and _is_bag(e)]
     return [folder] if image is not None else [*logs, *bags]
 
 
