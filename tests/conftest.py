@@ -3,7 +3,9 @@
 import gc
 import os
 import signal
+from collections.abc import Iterator
 from pathlib import Path
+from unittest.mock import patch
 
 import pytest
 
@@ -19,17 +21,29 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-@pytest.fixture
-def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """`evaluate` writes empty files in place of its pictures, to draw which takes it longest; for
-    tests of what it says, which is in its tables."""
+PICTURES = ("draw_roc", "draw_roc_by_id", "draw_det", "draw_reliability")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _no_pictures() -> Iterator[None]:
+    """In the tests' own processes `evaluate` writes empty files in place of its pictures: to draw
+    them takes it longest, and what most tests look at is in its tables."""
     from sonarrec.evaluation import write
 
     def empty(path: Path, *_: object) -> None:
         path.write_bytes(b"")
 
-    for name in ("draw_roc", "draw_roc_by_id", "draw_det", "draw_reliability"):
-        monkeypatch.setattr(write, name, empty)
+    with patch.multiple(write, **dict.fromkeys(PICTURES, empty)):
+        yield
+
+
+@pytest.fixture
+def pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`evaluate` draws, as users have it."""
+    from sonarrec.evaluation import plots, write
+
+    for name in PICTURES:
+        monkeypatch.setattr(write, name, getattr(plots, name))
 
 
 def pytest_xdist_auto_num_workers() -> int:

@@ -15,7 +15,6 @@ from sonarrec.evaluation.evaluate import evaluate
 from sonarrec.evaluation.summary import summarise
 from tests.evaluation.test_evaluation import RUN_TOML, counts, scored, write_case, write_csv
 
-pytestmark = pytest.mark.usefixtures("no_pictures")
 FRAMES = range(12)
 HEADER = ("frame", "landmark", "range_m", "bearing_deg")
 

@@ -104,6 +104,7 @@ def paper_case(folder: Path) -> tuple[Path, Path]:
     return write_case(folder, range(PAPER_FRAMES), estimates, truth)
 
 
+@pytest.mark.usefixtures("pictures")
 def test_tables_4_and_5_to_the_last_digit(tmp_path: Path) -> None:
     results, truth = paper_case(tmp_path)
     done = CliRunner().invoke(main, ["evaluate", "--ground-truth", str(truth), str(results)])
@@ -452,6 +453,7 @@ def test_many_ids_are_still_readable(tmp_path: Path) -> None:
     assert sum("ID.6" in line for line in lines) == 6
 
 
+@pytest.mark.usefixtures("pictures")
 def test_roc_file_and_picture_agree_with_the_counts(tmp_path: Path) -> None:
     frames, estimates, truth = random_case(np.random.default_rng(11))
     results, gt = write_case(tmp_path, frames, estimates, truth)

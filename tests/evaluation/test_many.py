@@ -54,7 +54,6 @@ def files(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
 
 
-@pytest.mark.usefixtures("no_pictures")
 def test_all_at_once_or_one_at_a_time_is_the_same(
     tmp_path: Path, pairs: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -173,7 +172,6 @@ def test_memory_of_a_comparison_does_not_grow_with_the_logs(tmp_path: Path) -> N
     assert peak(24) - peak(6) < 2
 
 
-@pytest.mark.usefixtures("no_pictures")
 def test_a_log_without_any_estimate_counts_as_nothing_claimed(tmp_path: Path) -> None:
     """Of another program, whose run.toml names no method."""
     truth = [(f, 1, 2.0, 0.0, 1.0) for f in range(5, 25)]
@@ -202,7 +200,6 @@ def test_no_more_processes_than_the_cores_it_may_use(
     assert len(evaluate_many(read_pairs(pairs)).logs) == 12
 
 
-@pytest.mark.usefixtures("no_pictures")
 def test_ids_in_another_order_are_put_in_that_of_the_first(tmp_path: Path) -> None:
     pairs = make_logs(tmp_path / "made", 3, 200)
     for n, order in enumerate(((1, 2, 3, 4), (4, 2, 1, 3), (2, 1, 3, 4))):

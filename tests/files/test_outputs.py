@@ -267,6 +267,7 @@ def test_what_cannot_be_replaced_is_written_in_place(
     ("line", "names"),
     [(EVALUATE, ["evaluation/roc.png"]), (f"map {TABLES}", ["map/map.png", "map/map.geojson"])],
 )
+@pytest.mark.usefixtures("pictures")
 def test_outputs_of_earlier_versions_are_written_again(
     work: Path, line: str, names: list[str]
 ) -> None:

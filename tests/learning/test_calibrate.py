@@ -207,7 +207,6 @@ def strict(results: Path, truth: Path) -> tuple[float, float]:
     return float(row["tpr"]), float(row["fpr"])
 
 
-@pytest.mark.usefixtures("no_pictures")
 def test_a_model_of_ones_own_serves_logs_it_has_not_seen(site, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     told = sonarrec(

@@ -20,7 +20,6 @@ from sonarrec.remote.find import find
 from tests.support.logs import cdr_image, frames, image_folder, mcap_file
 from tests.support.servers import web_server
 
-pytestmark = pytest.mark.usefixtures("no_pictures")
 Sonarrec = Callable[..., Result]
 TABLES = ("estimates.csv", "frames.csv", "run.toml", "sightings.csv")
 

@@ -24,7 +24,6 @@ from sonarrec.results.read import estimate_tables, read_log
 from sonarrec.results.write import ResultsWriter
 from tests.support.command import SAMPLE, sonarrec
 
-pytestmark = pytest.mark.usefixtures("no_pictures")
 TRUTH = SAMPLE / "gt.csv"
 
 
