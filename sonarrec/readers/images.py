@@ -102,8 +102,11 @@ class ImageFiles(RawLog):
         )
 
     def __iter__(self) -> Iterator[RawFrame]:
-        for file in self.files:
+        for number, file in enumerate(self.files):
             name, timestamp_ns = shown(file.name), int(file.stem) if self._stamped else None
+            if number in self.passed_over:
+                yield RawFrame(name, timestamp_ns, None)
+                continue
             try:
                 pixels = decode_image(_contents(file))
             except UnusableError as error:

@@ -80,18 +80,17 @@ class Log:
     def __exit__(self, *_: object) -> None:
         self._raw.close()
 
-    def within(self, span: tuple[int, int | None]) -> Iterator[Frame]:
-        """The frames from the first number up to, not including, the second, if there is one."""
-        for frame in self:
-            if span[1] is not None and frame.index >= span[1]:
-                break
-            if frame.index >= span[0]:
-                yield frame
-
     def __iter__(self) -> Iterator[Frame]:
-        """The usable frames in order; each keeps its number in the log.
+        """All usable frames: see `within`."""
+        return self.within((0, None))
 
-        Where frames carry no time, it is number / frame_rate_hz, or at one a second without.
+    def within(self, span: tuple[int, int | None]) -> Iterator[Frame]:
+        """The usable frames in order, from the first number up to, not including, the second, if
+        there is one; each keeps its number in the log.
+
+        Where frames carry no time, it is number / frame_rate_hz, or at one a second without. Of the
+        frames before the span the log's first usable one is looked at, which settles its geometry
+        and grey scale; the others are passed over, whatever is wrong with them.
         Raises SonarrecError where no frame can be used, or where the bearings in the sonar
         geometry do not match the images.
         """
@@ -102,8 +101,10 @@ class Log:
         frames = chain(first, frames)
         del first  # or it would keep its images to the end
         for index, raw in enumerate(frames):
-            if raw.pixels is None and raw.problem is None:
-                continue  # told in the faults, with others
+            if span[1] is not None and index >= span[1]:
+                return
+            if (raw.pixels is None and raw.problem is None) or (used and index < span[0]):
+                continue  # told in the faults, with others, or not asked for
             try:
                 image, fan = self._images(raw)
                 stamp = self._named(index, raw)
@@ -115,7 +116,10 @@ class Log:
             if not used and raw.sonar is not None:
                 self.beam_width_deg = raw.sonar.beam_width_deg
             used += 1
-            yield Frame(index, stamp, image, fan, raw.stamps)
+            if index < span[0]:
+                self._raw.passed_over = range(span[0])
+            else:
+                yield Frame(index, stamp, image, fan, raw.stamps)
         if self.unusable > MAX_PROBLEM_LINES:
             self.problems.append(f"{self.unusable - MAX_PROBLEM_LINES} more frames skipped")
         self.problems.extend(self._raw.faults)

@@ -298,8 +298,8 @@ class OculusPings(RawLog):
             self._read(self.faults, self._file.size)
         ):
             name = f"ping {number} at byte {at}"
-            if message is None:
-                yield RawFrame(name, time_ns, None, problem)
+            if message is None or number in self.passed_over:
+                yield RawFrame(name, time_ns, None, problem or None)
                 continue
             try:
                 ping, _ = _decoded(message)

@@ -38,7 +38,8 @@ class RawFrame:
 
     name: what to call it in a message. timestamp_ns: None where the log carries no time.
     pixels, sonar: as of a Ping; pixels is None where it could not be read, and then `problem` says
-    why; without a problem it is one of many lost together, which the log's `faults` tell once.
+    why; without a problem it is one of many lost together, which the log's `faults` tell once, or
+    was passed over.
     stamps: every time that the log keeps of it.
     """
 
@@ -69,6 +70,8 @@ class RawLog(ABC):
     frame_count: frames to come, None where unknown before the end. topic: the channel read, None
     where there are none. polar: its frames tell their own geometry. told: by its headers.
     faults: lines about what is wrong with the log as a whole, complete after the pass.
+    passed_over: the numbers of frames that nobody asked for, which are given without their pixels
+    and without a problem; it may be set in the midst of the pass.
     """
 
     def __init__(self) -> None:
@@ -77,6 +80,7 @@ class RawLog(ABC):
         self.polar = False
         self.faults: list[str] = []
         self.told = Told()
+        self.passed_over = range(0)
 
     def geometry(self, stated: Sonar) -> Sonar:
         """What is stated over what its headers tell, its layout as the frames have it."""

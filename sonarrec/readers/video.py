@@ -41,10 +41,12 @@ class VideoFrames(RawLog):
 
     def __iter__(self) -> Iterator[RawFrame]:
         index, last_ns = 0, -1
-        while True:
-            ok, pixels = self._video.read()
-            if not ok:
-                break
+        while self._video.grab():
+            pixels = None
+            if index not in self.passed_over:
+                ok, pixels = self._video.retrieve()
+                if not ok:
+                    break
             timestamp_ns: int | None = round(self._video.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
             assert timestamp_ns is not None
             if timestamp_ns > last_ns:

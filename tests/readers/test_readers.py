@@ -7,7 +7,8 @@ import re
 import subprocess
 import sys
 import tracemalloc
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -21,13 +22,15 @@ from hypothesis import strategies as st
 from sonarrec.geometry import PolarToFan
 from sonarrec.readers import open_log
 from sonarrec.readers.images import ImagePaths, natural_order
-from sonarrec.readers.log import MAX_PROBLEM_LINES
+from sonarrec.readers.log import MAX_PROBLEM_LINES, _settled
 from sonarrec.readers.many import NamedLog, find_logs
+from sonarrec.readers.raw import RawFrame
 from sonarrec.records import Frame, SonarrecError, UsageError
 from sonarrec.simulation.mcap_writer import SCHEMAS, McapImageWriter, is_polar
 from sonarrec.sonar import Sonar, load_sonar
 from tests.support.bags import bag, messages, ros1_bag, split_bag
 from tests.support.logs import PERIOD_NS, SONAR_TOML, cdr_image, frames, image_folder, mcap_file
+from tests.support.sonar_files import aris_file, oculus_ping
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
 Maker = Callable[[Path, list[np.ndarray]], Path]
@@ -196,6 +199,60 @@ def test_same_frames_from_every_reader(make: Maker, tmp_path: Path) -> None:
     for frame, image in zip(found, images, strict=True):
         assert frame.image.dtype == np.uint8
         np.testing.assert_array_equal(frame.image, image)
+
+
+def aris(path: Path, images: list[np.ndarray]) -> Path:
+    return aris_file(path / "log.aris", [i.repeat(2, axis=1)[:, :48] for i in images])
+
+
+def oculus(path: Path, images: list[np.ndarray]) -> Path:
+    pings = [oculus_ping(k, image) for k, image in enumerate(images)]
+    (path / "log.raw").write_bytes(b"".join(pings))
+    return path / "log.raw"
+
+
+OF_EACH_READER = {
+    **{name: SAME_FRAMES[name] for name in ("png", "avi", "bag, db3", "bag, ROS 1", "mcap.zst")},
+    "aris": aris,
+    "oculus": oculus,
+}
+
+
+@pytest.mark.parametrize("make", OF_EACH_READER.values(), ids=OF_EACH_READER)
+def test_of_frames_before_a_span_only_the_first_are_decoded(
+    make: Maker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a span gives is what the whole log gives of these frames."""
+    path = make(tmp_path, frames(8))
+    sonar = {"tilt_deg": 20.0} if path.suffix in (".aris", ".raw") else None
+    whole, _ = read(path, sonar=sonar)
+    decoded: list[bool] = []
+
+    def noted(raws: Iterable[RawFrame]) -> Iterator[RawFrame]:
+        for raw in _settled(raws):
+            decoded.append(raw.pixels is not None)
+            yield raw
+
+    monkeypatch.setattr("sonarrec.readers.log._settled", noted)
+    with open_log(path, sonar=sonar) as opened:
+        some = list(opened.within((5, 7)))
+    assert opened.problems == []
+    assert decoded[:7] == [True, True, True, False, False, True, True]
+    assert [f.index for f in some] == [5, 6]
+    for frame, same in zip(some, whole[5:7], strict=True):
+        assert replace(frame, image=None) == replace(same, image=None)
+        np.testing.assert_array_equal(frame.image, same.image)
+
+
+def test_a_log_that_begins_with_faults_is_settled_before_a_span(tmp_path: Path) -> None:
+    """Its first usable frame may come late; of what else lies before the span nothing is told."""
+    log = image_folder(tmp_path / "log", frames(9))
+    for k in (0, 1, 2, 4, 7):
+        (log / f"frame{k}.png").write_bytes(b"broken")
+    with open_log(log) as opened:
+        assert [f.index for f in opened.within((6, None))] == [6, 8]
+        told = [line.partition(":")[0] for line in opened.problems]
+    assert told == ["frame0.png", "frame1.png", "frame2.png", "frame7.png"]
 
 
 @pytest.mark.parametrize(

@@ -160,7 +160,8 @@ class DdfFrames(RawLog):
             found = end if self._in_step(end) else self._next_frame(at + 1)
             name = f"frame {number}"
             if found == end or (found is None and header is not None):
-                yield self._frame(name, at, header)
+                passed_over = number in self.passed_over
+                yield RawFrame(name, None, None) if passed_over else self._frame(name, at, header)
                 at, number = end, number + 1
                 continue
             if found is None:

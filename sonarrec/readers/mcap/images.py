@@ -59,7 +59,7 @@ class ChannelImages(RawLog):
     def __iter__(self) -> Iterator[RawFrame]:
         for number, message in enumerate(self._log.messages(self._decoders)):
             name = f"message {number} of {self._log.channels[message.channel].topic}"
-            if message.data is None:
+            if message.data is None or number in self.passed_over:
                 yield RawFrame(name, message.log_time, None, message.problem)
                 continue
             try:
