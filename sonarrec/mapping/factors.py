@@ -213,8 +213,14 @@ def _vertex(number: int, pose: list[float]) -> str:
 
 
 def _edge(start: int, end: int, seen: list[float], information: FloatArray) -> str:
+    """What is seen of the end from the start, and its information (3, 3) by the start's axes.
+
+    Back ends take the error by the axes of the end, as measured: so the file has it.
+    """
     x, y, angle = seen
-    upper = " ".join(f"{v:.8g}" for v in information[np.triu_indices(3)])
+    cos, sin = math.cos(angle), math.sin(angle)
+    into = np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]])
+    upper = " ".join(f"{v:.8g}" for v in (into @ information @ into.T)[np.triu_indices(3)])
     return (
         f"EDGE_SE2 {start} {end} {x:.6f} {y:.6f} {math.remainder(angle, 2 * math.pi):.8f} {upper}"
     )

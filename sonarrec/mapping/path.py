@@ -41,7 +41,8 @@ class SonarPath:
     right, then x and y in m, y ahead and x to the right of a sonar whose yaw is 0; NaN where it is
     not known. told: by poses; else measured, from the first frame on. sums: (F, 9) over the steps
     up to each frame, see `_sums`. common: (F, 3) sums over the turns of a measured path while it
-    stood: the turn (rad), and the same times x and times y.
+    stood: the turn (rad), and the same times x and times y. In both x and y are counted from its
+    first known place, `origin` (2,): squares of such coordinates as UTM's would leave few digits.
     """
 
     frame: IntArray
@@ -50,6 +51,7 @@ class SonarPath:
     told: bool
     sums: FloatArray
     common: FloatArray
+    origin: FloatArray
 
     def place_covariance(
         self, row: IntArray, place: FloatArray, since: IntArray | None = None
@@ -60,7 +62,7 @@ class SonarPath:
         against which the error counts; default, where the path begins.
         """
         s = self._between(row, since)
-        x, y = place.T
+        x, y = (place - self.origin).T
         xx = s[:, 0] + s[:, 3] * y**2 - 2 * y * s[:, 5] + s[:, 8]
         xy = s[:, 1] - s[:, 3] * x * y + x * s[:, 5] + y * s[:, 4] - s[:, 7]
         yy = s[:, 2] + s[:, 3] * x**2 - 2 * x * s[:, 4] + s[:, 6]
@@ -69,9 +71,17 @@ class SonarPath:
             return own
         began = np.zeros_like(row) if since is None else since
         length = COMMON_LENGTH * (self.pose[row, 1:] - self.pose[began, 1:])
-        turn, at_x, at_y = (COMMON_TURN * (self.common[row] - self.common[began])).T
-        turned = np.column_stack([turn * y - at_y, at_x - turn * x])
+        turned = self._turned(row, began, place)[:, :2]
         return np.asarray(own + sum(e[:, :, None] * e[:, None] for e in (length, turned)))
+
+    def _turned(self, row: IntArray, since: IntArray, place: FloatArray) -> FloatArray:
+        """(n, 3) by how much COMMON_TURN moves a place (x, y in m) and turns the heading (rad).
+
+        The arguments are as in `place_covariance`.
+        """
+        turn, at_x, at_y = (COMMON_TURN * (self.common[row] - self.common[since])).T
+        x, y = (place - self.origin).T
+        return np.column_stack([turn * y - at_y, at_x - turn * x, turn])
 
     def yaw_variance(self, row: IntArray, since: IntArray | None = None) -> FloatArray:
         """(n,) deg^2: as `place_covariance`, of the heading."""
@@ -92,24 +102,30 @@ class SonarPath:
         """
         place = self.pose[[after], 1:]
         s = self.sums[after] - self.sums[before]
-        x, y = place[0]
+        x, y = place[0] - self.origin
         cross = np.array([s[3] * y - s[5], -(s[3] * x - s[4])])
+        rows = np.array([after]), np.array([before])
+        turned = self._turned(*rows, place)[0]
         found = np.empty((3, 3))
-        found[:2, :2] = self.place_covariance(np.array([after]), place, np.array([before]))[0]
-        found[2, :2] = found[:2, 2] = cross
-        found[2, 2] = s[3]
+        found[:2, :2] = self.place_covariance(rows[0], place, rows[1])[0]
+        found[2, :2] = found[:2, 2] = cross + turned[:2] * turned[2]
+        found[2, 2] = s[3] + turned[2] ** 2
         return found
 
 
 def told_path(frame: IntArray, timestamp_ns: IntArray, poses: PoseTable, drift: Drift) -> SonarPath:
-    """The path that poses tell; frame, timestamp_ns: (F,)."""
+    """The path that poses tell; frame, timestamp_ns: (F,). They drift from the first one told."""
     pose = poses.at_times(timestamp_ns)
     minutes = np.diff(timestamp_ns, prepend=timestamp_ns[:1]) / 60e9
+    first = int(np.isfinite(pose).all(axis=1).argmax())
+    minutes[: first + 1] = 0
     shift = np.maximum(minutes, 0) * drift.place_m**2
     turn = np.maximum(minutes, 0) * math.radians(drift.yaw_deg) ** 2
     even = np.column_stack([shift, 0 * shift, shift])
     none = np.zeros((len(frame), 3))
-    return SonarPath(frame, timestamp_ns, pose, True, _sums(pose, even, turn), none)
+    origin = np.nan_to_num(pose[first, 1:])
+    sums = _sums(pose[:, 1:] - origin, even, turn)
+    return SonarPath(frame, timestamp_ns, pose, True, sums, none, origin)
 
 
 def measured_path(
@@ -146,21 +162,22 @@ def measured_path(
         timestamp_ns,
         pose,
         False,
-        _sums(pose, shift, np.radians(sigma[:, 0]) ** 2),
+        _sums(pose[:, 1:], shift, np.radians(sigma[:, 0]) ** 2),
         np.cumsum(turns[:, None] * at, axis=0),
+        np.zeros(2),
     )
 
 
-def _sums(pose: FloatArray, shift: FloatArray, turn: FloatArray) -> FloatArray:
+def _sums(place: FloatArray, shift: FloatArray, turn: FloatArray) -> FloatArray:
     """(F, 9) running sums over the steps: the shifts' xx, xy, yy; of the turns' variance (rad^2)
     the sum, and the sums times x, y, xx, xy, yy of where the sonar then was.
 
-    shift: (F, 3) and turn: (F,) variances of the step to each frame. Where the pose is not known
-    the step turns about the last known place.
+    place: (F, 2) from the origin, NaN where not known; there a step turns about the last known one.
+    shift: (F, 3) and turn: (F,) variances of the step to each frame, 0 up to the first known place.
     """
-    known = np.isfinite(pose).all(axis=1)
-    last = np.maximum.accumulate(np.where(known, np.arange(len(pose)), 0))
-    x, y = np.nan_to_num(pose[last, 1:]).T
+    known = np.isfinite(place).all(axis=1)
+    last = np.maximum.accumulate(np.where(known, np.arange(len(place)), 0))
+    x, y = np.nan_to_num(place[last]).T
     steps = np.column_stack(
         [shift, turn, turn * x, turn * y, turn * x * x, turn * x * y, turn * y * y]
     )

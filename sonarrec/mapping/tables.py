@@ -171,10 +171,14 @@ def _periods(site: SiteMap) -> dict[int, float]:
 
 
 def ellipse(place: FloatArray, covariance: FloatArray, points: int = 48) -> FloatArray:
-    """(points + 1, 2) the closed line within which a place lies with 95 % probability."""
+    """(points + 1, 2) the closed line within which a place lies with 95 % probability.
+
+    Counter-clockwise, x to the right and y up.
+    """
     angle = np.linspace(0, 2 * np.pi, points + 1)
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
     values, axes = np.linalg.eigh(covariance)
+    axes[:, 0] *= np.linalg.det(axes)  # else it may be a reflection
     half = np.sqrt(CHI2_95 * np.maximum(values, 0))
     return np.asarray(place + circle * half @ axes.T)
 

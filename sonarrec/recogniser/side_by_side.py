@@ -36,7 +36,11 @@ class SideBySide:
     ) -> None:
         behind = [f":{c.preset}" if len(configs) > 1 else "" for c in configs]
         self.tracking = [FRAMEWORK + name for name in behind]
-        judged = [(c.candidates, c.smi) for c in configs]
+        # The ring's candidates depend on the beams' width as well.
+        judged = [
+            (c.candidates, c.smi, c.candidates.detector == "ring" and c.features.beam_width_deg)
+            for c in configs
+        ]
         single = [
             SMI + name if same not in judged[:i] else None
             for i, (same, name) in enumerate(zip(judged, behind, strict=True))

@@ -126,7 +126,8 @@ class FloorSection:
     angle_exponent: NotNegative = 1.0  # backscattered power: sin(grazing angle) to this power
     speckle_s: Positive = 120.0  # time after which speckle has changed (correlation 1/e)
     speckle_m: Positive = 0.12  # sway or heave after which speckle has changed (correlation 1/e)
-    coherence: Share = 1.0  # of the echoes' power: 1 speckle, 0 a sum of powers, without speckle
+    # Of the power received, noise and all: 1 speckle, 0 a sum of powers without speckle or noise.
+    coherence: Share = 1.0
     relief_m: NotNegative = 0.0  # standard deviation of its height: lit slopes and shadows
     relief_size_m: Positive = 0.03  # size of its bumps, and of those of things with a relief
     light_db: NotNegative = 0.0  # how much darker patches of the scene are, things on it as well

@@ -61,8 +61,9 @@ def motion_model(now: FloatArray, before: FloatArray, power: float) -> FloatArra
 
     now: (n, 2), before: (m, 2) positions in pixels. Nearer than a pixel counts as a pixel.
     """
-    distance = np.linalg.norm(now[:, None] - before[None], axis=2)
-    closeness = np.maximum(distance, 1.0) ** -power
+    distance = np.maximum(np.linalg.norm(now[:, None] - before[None], axis=2), 1.0)
+    # Counted in the least of a row: a high power of pixels would be 0 for all of them.
+    closeness = (distance / distance.min(axis=1, keepdims=True)) ** -power
     return np.asarray(closeness / closeness.sum(axis=1, keepdims=True))
 
 
