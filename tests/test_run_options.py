@@ -17,6 +17,7 @@ from click.testing import CliRunner, Result
 
 import sonarrec
 from sonarrec.cli import main
+from sonarrec.results.run_file import read_run
 from tests.support.locked import locked
 
 SAMPLE = Path(__file__).resolve().parents[1] / "sample_data" / "pan"
@@ -210,3 +211,37 @@ def test_the_bar_names_the_log_and_which_of_how_many(tmp_path: Path) -> None:
         os.close(end)
     assert b"one (1 of 2)" in shown
     assert b"two (2 of 2)" in shown
+
+
+def test_another_log_of_the_name_is_run_whole_though_the_first_was_run_in_part(
+    tmp_path: Path,
+) -> None:
+    """Equal names in each day's folder are usual: a log is told from another by its SHA-256."""
+    for day, last in (("a", 5), ("b", 6)):
+        (tmp_path / day / "dive").mkdir(parents=True)
+        for k in range(last):
+            shutil.copy(SAMPLE / f"{k:06d}.png", tmp_path / day / "dive")
+        shutil.copy(SAMPLE / "sonar.toml", tmp_path / day / "dive")
+    part = ["--frames", "1:3", "-o", str(tmp_path / "x")]
+    assert run_line("run", "-q", str(tmp_path / "a" / "dive"), *part).exit_code == 0
+    again = ["--config", str(tmp_path / "x" / "dive" / "run.toml"), "-o"]
+    other = run_line("run", "-q", str(tmp_path / "b" / "dive"), *again, str(tmp_path / "y"))
+    assert "of another dive, so only its settings and its geometry are used" in other.stderr
+    assert len(numbers(tmp_path / "y" / "dive")) == 6
+    (tmp_path / "a" / "dive").rename(tmp_path / "renamed")
+    same = run_line("run", "-q", str(tmp_path / "renamed"), *again, str(tmp_path / "z"))
+    assert same.exit_code == 0, same.stderr
+    assert numbers(tmp_path / "z" / "renamed") == [1, 2]
+
+
+def test_geometry_that_is_given_changes_what_a_run_toml_only_worked_out(tmp_path: Path) -> None:
+    """Scale and apex follow from the range window and the image where nothing states them."""
+    log = str(SAMPLE / "00000*.png")
+    assert run_line("run", "-q", log, "-o", str(tmp_path / "a")).exit_code == 0
+    config = ["--config", str(tmp_path / "a" / "pan" / "run.toml")]
+    wider = ["--range-max-m", "4.0"]
+    for out, words in (("b", [*config, *wider]), ("c", wider)):
+        assert run_line("run", "-q", log, *words, "-o", str(tmp_path / out)).exit_code == 0
+    with_, without = (read_run(tmp_path / out / "pan" / "run.toml").fan() for out in "bc")
+    assert with_ == without
+    assert with_ != read_run(tmp_path / "a" / "pan" / "run.toml").fan()

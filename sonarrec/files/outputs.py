@@ -60,7 +60,9 @@ def check_output(
         return
     if not path.is_dir() and not path.is_file():
         return  # a device, such as /dev/null
-    if path.is_dir() or not _is_of(kind, path, header):
+    with writing(path):
+        ours = is_output(path, kind, header)
+    if not ours:
         raise UsageError(
             f"{shown(path)}: exists and is no {kind} of sonarrec, so it is not written over; "
             "choose another name, or remove it first"
@@ -81,8 +83,14 @@ def check_tables(folder: Path, headers: Mapping[str, Sequence[str]]) -> None:
         check_output(folder / name, "table", header=",".join(header[:3]))
 
 
-def _is_of(kind: Kind, path: Path, header: str) -> bool:
-    with writing(path), path.open("rb") as file:
+def is_output(path: Path, kind: Kind, header: str = "") -> bool:
+    """Whether a file is there that is of this kind, or empty; see `check_output`.
+
+    Raises OSError.
+    """
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
         head = file.read(_HEAD)
         file.seek(max(path.stat().st_size - len(VIDEO_MARK), 0))
         tail = file.read()

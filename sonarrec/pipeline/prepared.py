@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -14,7 +15,7 @@ from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.poses import PoseTable
 from sonarrec.readers import open_log
 from sonarrec.readers.find import SONAR_FILE, Source, find_log
-from sonarrec.readers.log import Log
+from sonarrec.readers.log import Log, digest_of
 from sonarrec.readers.poses_csv import POSES_FILE, read_poses
 from sonarrec.recogniser.beam_width import FRAMES_FOR_BEAMS, with_beams
 from sonarrec.recogniser.side_by_side import SideBySide
@@ -68,9 +69,11 @@ def prepared(
     """
     earlier = read_run(used.earlier_run)
     found = find_log(path, given.up_to)
-    same_log = earlier.input.name == shown(found.name)
+    digest = digest_of(found.path, found.files) if earlier.input.sha256 else None
+    same_log, other = _same_log(earlier, shown(found.name), digest)
     given = earlier.lay_under(given, same_log=same_log)
     given, notes = _with_companions(found, given, again=same_log)
+    notes = [*other, *notes]
     landmarks = earlier.landmark_set(used.landmarks)
     learned = _model(used, earlier)
     poses, more = _poses(path, given, earlier if same_log else read_run(None))
@@ -86,7 +89,7 @@ def prepared(
             configs, first.fan, landmarks, learned.model if learned else None, poses
         )
         folder = _results_of(path, out / (name or log.name))
-        source = (shown(log.name), *log.digest_source())
+        source = (shown(log.name), *(digest or log.digest_source()))
         table = run_table(
             configs,
             recogniser.methods,
@@ -96,7 +99,7 @@ def prepared(
             source,
             log.reading(),
         )
-        table["input"]["path"] = given.origin.url if given.origin else shown(path)
+        table["input"] |= _where(path, folder, given)
         if used.parquet:
             table["program"]["tables"] = "parquet"
         if given.frames is not None:
@@ -117,6 +120,28 @@ def prepared(
             folder,
             [*notes, *more, *(f"{shown(log.path)}: {line}" for line in beams)],
         )
+
+
+def _same_log(
+    earlier: RunFile, name: str, digest: tuple[int, str] | None
+) -> tuple[bool, list[str]]:
+    """Whether the earlier run was of this log, and a note where it was of another of its name.
+
+    digest: as `digest_of`; None where the earlier run does not tell one: then the name serves.
+    """
+    alike = earlier.input.name == name
+    if digest is None or digest[1] == earlier.input.sha256:
+        return alike or digest is not None, []
+    other = f"{earlier.path}: of another {name}, so only its settings and its geometry are used"
+    return False, [other] if alike else []
+
+
+def _where(path: Path, folder: Path, given: Given) -> dict[str, str]:
+    """`path` and `place` of run.toml's [input]."""
+    if given.origin is not None:
+        return dict.fromkeys(("path", "place"), given.origin.url)
+    place = os.path.relpath(path.resolve(), folder.resolve())
+    return {"path": shown(path), "place": shown(place)}
 
 
 def _results_of(log: Path, folder: Path) -> Path:

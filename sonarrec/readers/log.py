@@ -139,30 +139,35 @@ class Log:
         return round(index * 1e9 / (self.sonar.frame_rate_hz or 1.0)) if stamp is None else stamp
 
     def digest_source(self) -> tuple[int, str]:
-        """(size in bytes, SHA-256 in hex) of the log's file.
+        """(size in bytes, SHA-256 in hex) of the log's file: see `digest_of`."""
+        return digest_of(self.path, self._files)
 
-        Of several images, and of the files of a bag, the sum of their sizes and the hash over each
-        one's name, a zero byte and its contents, in frame order; of one that cannot be read or is
-        too large to be an image the name alone. Raises SonarrecError where the one file of a log
-        cannot be read.
-        """
-        size, digest = 0, hashlib.sha256()
-        for path in self._files:
-            several = self._files != [self.path]
-            if several:
-                digest.update(path.name.encode(errors="surrogateescape") + b"\0")
-            try:
-                if several and is_image(path) and path.stat().st_size > MAX_FILE_BYTES:
-                    continue
-                with path.open("rb") as file:
-                    while block := file.read(2**20):
-                        size += len(block)
-                        digest.update(block)
-            except OSError as error:
-                if several:  # it was told when its frame's turn came
-                    continue
-                raise SonarrecError(f"{shown(path)}: cannot be read ({error.strerror})") from None
-        return size, digest.hexdigest()
+
+def digest_of(log: Path, files: Sequence[Path]) -> tuple[int, str]:
+    """(size in bytes, SHA-256 in hex) of a log's file.
+
+    Of several images, and of the files of a bag, the sum of their sizes and the hash over each
+    one's name, a zero byte and its contents, in frame order; of one that cannot be read or is
+    too large to be an image the name alone. Raises SonarrecError where the one file of a log
+    cannot be read.
+    """
+    size, digest = 0, hashlib.sha256()
+    several = files != [log]
+    for path in files:
+        if several:
+            digest.update(path.name.encode(errors="surrogateescape") + b"\0")
+        try:
+            if several and is_image(path) and path.stat().st_size > MAX_FILE_BYTES:
+                continue
+            with path.open("rb") as file:
+                while block := file.read(2**20):
+                    size += len(block)
+                    digest.update(block)
+        except OSError as error:
+            if several:  # it was told when its frame's turn came
+                continue
+            raise SonarrecError(f"{shown(path)}: cannot be read ({error.strerror})") from None
+    return size, digest.hexdigest()
 
 
 def _settled(frames: Iterable[RawFrame]) -> Iterator[RawFrame]:

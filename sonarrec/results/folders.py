@@ -8,28 +8,32 @@ from __future__ import annotations
 
 import errno
 import os
-import shutil
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from pathlib import Path
 from typing import IO
 
 from sonarrec.files.locks import is_there, locked
+from sonarrec.files.outputs import Kind, is_output
 from sonarrec.records import PART, SonarrecError, UsageError
 
 TABLES = ("frames.csv", "estimates.csv", "sightings.csv")
 ESTIMATES = ("estimates.csv", "estimates.parquet")
 """What the estimates may be in; see `estimates_of`."""
-OURS = (
-    *TABLES,
-    "estimates.parquet",
-    "run.toml",
-    "evaluation",
-    "map",
-    "report.html",
-    "compare.html",
-)
-"""What a run replaces, and what was made from it. All else in a results folder is the user's."""
+OURS = (*TABLES, "estimates.parquet", "run.toml")
+"""What a run replaces. What was made from it goes as well, and all else in a results folder is the
+user's."""
+PAGES: dict[str, Kind] = {"report.html": "report", "compare.html": "comparison"}
+"""Pages made from results, of which each bears a mark."""
+MADE = {
+    "evaluation": (
+        *("confusion.csv", "per_log.csv", "roc.csv", "figures.csv", "tests.csv", "passes.csv"),
+        *("reliability.csv", "roc.png", "roc_by_id.png", "det.png", "reliability.png"),
+        *("compare.csv", "changes.csv", "compare.json", "evaluation.json"),
+    ),
+    "map": ("passes.csv", "factors.csv", "graph.g2o", "map.png", "map.geojson", "map.csv"),
+}
+"""Folders made from results, and what is made in them."""
 
 
 def folder_names(logs: Sequence[tuple[str, Path]]) -> list[str]:
@@ -159,15 +163,27 @@ def exchange(folder: Path) -> list[str]:
 
 
 def _clear(old: Path, place: Path) -> None:
-    """Delete what a run made in `old` and move the rest. Raises OSError where some must stay."""
-    for entry in sorted(old.iterdir(), key=lambda e: e.name not in OURS):
-        to = place / entry.name
-        if entry.name not in OURS:
-            if to.exists():
-                raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(to))
-            entry.rename(to)
-        elif entry.is_dir() and not entry.is_symlink():
-            shutil.rmtree(entry)
-        else:
+    """Delete in `old` what a run made and what was made from it, and move the rest.
+
+    Raises OSError where some must stay.
+    """
+    for name, made in MADE.items():
+        folder = old / name
+        if folder.is_dir() and not folder.is_symlink():
+            _take_over(folder, place / name, made)
+    pages = (name for name, kind in PAGES.items() if is_output(old / name, kind))
+    _take_over(old, place, {*OURS, *pages})
+
+
+def _take_over(old: Path, place: Path, ours: Container[str]) -> None:
+    """Delete the files of these names in `old`, move the rest to `place`, and remove `old`."""
+    for entry in sorted(old.iterdir(), key=lambda e: e.name not in ours):
+        if entry.name in ours and (entry.is_symlink() or not entry.is_dir()):
             entry.unlink()
+            continue
+        to = place / entry.name
+        if to.exists():
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(to))
+        place.mkdir(exist_ok=True)
+        entry.rename(to)
     old.rmdir()

@@ -16,7 +16,7 @@ import numpy as np
 from cv2.version import opencv_version
 
 from sonarrec import __version__, config
-from sonarrec.files.toml import AtLeastOne, Count, checked, read_toml, types_of
+from sonarrec.files.toml import AtLeastOne, Count, Finite, checked, read_toml, types_of
 from sonarrec.geometry import fan_for_image
 from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
 from sonarrec.records import Clock, Fan, Origin, SonarrecError, UsageError
@@ -37,23 +37,16 @@ def run_table(
 
     methods: names in estimates.csv. sonar: as stated, which serves a run again. source: the
     input's name, size in bytes and SHA-256. reading: how it was read (`Log.reading`). The fan is
-    written out also where the geometry leaves it to defaults or to the log's messages, so that fan
-    pixels can be read later.
+    a table of its own, with all that the geometry leaves to defaults or to the log's messages, so
+    that fan pixels can be read later.
     """
-    resolved = Sonar(metres_per_pixel=fan.metres_per_pixel, apex_px=(fan.apex_column, fan.apex_row))
-    table = sonar.as_table() | {
-        key: value
-        for key, value in resolved.as_table().items()
-        # A polar image has no pixels of its own: these describe the fan it became.
-        if sonar.layout == "fan"
-    }
     name, size, digest = source
     tables = [config.as_table(c) for c in settings]
     return {
         "program": {"name": "sonarrec", "version": __version__, "methods": list(methods)},
         "input": {"name": name, "bytes": size, "sha256": digest, **reading},
         "config": tables if len(tables) > 1 else tables[0],
-        "sonar": table,
+        "sonar": sonar.as_table(),
         "fan": {
             "rows": fan.rows,
             "columns": fan.columns,
@@ -62,6 +55,8 @@ def run_table(
             "range_min_m": fan.range_min_m,
             "range_max_m": fan.range_max_m,
             "field_of_view_deg": fan.bearing_max_deg - fan.bearing_min_deg,
+            "bearing_min_deg": fan.bearing_min_deg,
+            "bearing_max_deg": fan.bearing_max_deg,
             "tilt_deg": fan.tilt_deg,
             **({} if fan.height_m is None else {"height_m": fan.height_m}),
         },
@@ -121,14 +116,17 @@ def held_results(folder: Path, table: dict[str, Any]) -> Held:
         return Held()
     coming = json.loads(json.dumps(table))  # as a file gives it back: lists, no tuples
     mine = coming["input"]
-    if source.get("sha256") != mine["sha256"] and source.get("path", mine["path"]) != mine["path"]:
+    # Earlier versions kept no place; the path alone may be of one log today, of another tomorrow.
+    where = "place" if "place" in source else "path"
+    if source.get("sha256") != mine["sha256"] and source.get(where, mine[where]) != mine[where]:
         raise SonarrecError(
             f"{folder}: holds the results of another log ({source.get('path')}); choose another "
             "--out, or give --overwrite"
         )
     coming.pop("ran_on")
     alike = {k: v for k, v in there.items() if k not in ("finished", "ran_on")} | {
-        "input": {k: v for k, v in source.items() if k not in _OF_THE_END} | {"path": mine["path"]}
+        "input": {k: v for k, v in source.items() if k not in _OF_THE_END}
+        | {key: mine[key] for key in ("path", "place")}
     }
     if alike == coming:
         return Held(
@@ -206,6 +204,7 @@ class Input:
 
     name: str | None = None
     path: str | None = None  # as it was given
+    place: str | None = None  # where it lies, from the results' folder on; or its URL
     bytes: Count | None = None
     sha256: str | None = None
     topic: str | None = None
@@ -273,9 +272,14 @@ class RunFile:
         size = self.table.get("fan", {})
         rows = size.get("rows", math.ceil(sonar.apex_px[1]) + room)
         columns = size.get("columns", math.ceil(sonar.apex_px[0]) + room)
-        return fan_for_image(geometry, int(rows), int(columns))
+        fan = fan_for_image(geometry, int(rows), int(columns))
+        edges = {key: size[key] for key in _EDGES if key in size}
+        if given is not None and (given.field_of_view_deg or given.bearings_deg):
+            edges = {}
+        return replace(fan, **edges)  # which a field of view puts evenly to both sides
 
 
+_EDGES = ("bearing_min_deg", "bearing_max_deg")
 _SHAPES: dict[str, Any] = {
     **dict.fromkeys(("program", "input", "sonar", "fan", "landmarks", "odometry", "model"), dict),
     "config": dict | list[dict[str, Any]],
@@ -303,7 +307,8 @@ def read_run(path: Path | None) -> RunFile:
         }
 
     stated("sonar", types_of(Sonar))
-    stated("fan", types_of(Sonar) | {"rows": AtLeastOne, "columns": AtLeastOne})
+    size = {"rows": AtLeastOne, "columns": AtLeastOne}
+    stated("fan", types_of(Sonar) | size | dict.fromkeys(_EDGES, Finite))
     stated("odometry", types_of(Input))
     configs = table.get("config", [])
     return RunFile(

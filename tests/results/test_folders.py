@@ -131,6 +131,66 @@ def test_other_settings_replace_results_and_what_was_made_of_them(
     assert not list(out.glob(".*"))
 
 
+def test_files_of_the_user_stay_also_where_ours_are_made(log: Path, tmp_path: Path) -> None:
+    """In folders named as ours there may be notes, or nothing of ours at all."""
+    short, out = shorter(log, tmp_path / "short"), tmp_path / "out"
+    mine = {
+        out / "short" / name
+        for name in ("notes.txt", "evaluation/notes.txt", "map/old/chart.png", "report.html")
+    }
+    for path in mine:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("mine")
+    sonarrec("run", "-q", short, "-o", out)
+    (out / "short" / "map" / "map.csv").write_text("ours")
+    (out / "short" / "compare.html").write_text(
+        "<!doctype html><title>a - sonarrec comparison</title>"
+    )
+    sonarrec("run", "-q", short, "-o", out, "--overwrite")
+    assert all(path.read_text() == "mine" for path in mine)
+    there = {path for path in (out / "short").rglob("*") if path.is_file()}
+    ours = {"frames.csv", "estimates.csv", "sightings.csv", "run.toml"}
+    assert {path.name for path in there - mine} == ours
+    assert not list(out.glob(".*"))
+
+
+def test_all_that_is_made_from_results_goes_with_them(log: Path, tmp_path: Path) -> None:
+    sonarrec("run", "-q", log, "-o", tmp_path)
+    folder, truth = tmp_path / "dive", tmp_path / "gt.csv"
+    kept = {path.name for path in folder.iterdir()}
+    header, *rows = (SAMPLE / "gt.csv").read_text().splitlines(keepends=True)
+    truth.write_text(header + "".join(row for row in rows if int(row.split(",")[0]) < FRAMES))
+    sonarrec("evaluate", "--ground-truth", truth, folder, "--det")
+    sides = ["--compare", folder, folder]
+    sonarrec("evaluate", "--ground-truth", truth, *sides, "-o", folder / "evaluation")
+    sonarrec("report", "--ground-truth", truth, folder, "-q")
+    sonarrec("report", "--ground-truth", truth, *sides, "-o", folder / "compare.html")
+    sonarrec("map", folder, "--origin", "54,10,0", "--min-frames", "3")
+    made = {path for path in folder.rglob("*") if path.is_file() and path.name not in kept}
+    assert len(made) > 15
+    shutil.copytree(folder, part_of(folder), ignore=lambda _, names: {*names} - kept)
+    assert not exchange(folder)
+    assert {path.name for path in folder.iterdir()} == kept
+
+
+def test_a_path_may_be_of_another_log_in_another_folder(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for day, n in (("day1", 3), ("day2", 4)):
+        shorter(log, tmp_path / day / "dive", n)
+    monkeypatch.chdir(tmp_path / "day1")
+    sonarrec("run", "-q", "dive", "-o", "../out")
+    monkeypatch.chdir(tmp_path / "day2")
+    refused = sonarrec("run", "-q", "dive", "-o", "../out", code=1).stderr
+    assert "holds the results of another log" in refused
+    monkeypatch.chdir(tmp_path)  # the same one, from elsewhere, is known again, and when it grew
+    assert "up to date" in sonarrec("run", "day1/dive", "-o", "out").stdout
+    shutil.copy(log / "000003.png", "day1/dive")
+    grown = sonarrec("run", "-q", "day1/dive", "-o", tmp_path / "out").stderr
+    assert "the log has changed" in grown
+    assert frames(tmp_path / "out" / "dive") == [0, 1, 2, 3]
+
+
 def test_another_logs_results_are_replaced_only_when_told(log: Path, tmp_path: Path) -> None:
     one, two = (shorter(log, tmp_path / d / "dive", n) for d, n in (("a", 3), ("b", 4)))
     out = tmp_path / "out"

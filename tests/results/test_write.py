@@ -12,7 +12,7 @@ from sonarrec import config
 from sonarrec.landmarks import landmarks_from_table, load_landmarks
 from sonarrec.records import Estimate, FrameResult, Motion, SonarrecError, Stamps
 from sonarrec.results.columns import estimate_columns
-from sonarrec.results.run_file import run_table
+from sonarrec.results.run_file import read_run, run_table
 from sonarrec.results.write import ResultsWriter
 from sonarrec.sonar import Sonar, load_sonar, sonar_from_table
 from tests.support.drawn import make_fan
@@ -165,10 +165,21 @@ def test_run_toml_holds_all_that_the_run_needs_again(tmp_path):
     assert config.configs(path=file) == [config.preset("default")]
     assert landmarks_from_table(table["landmarks"], "run.toml") == BASIN
     fan = make_fan()
-    sonar = sonar_from_table(table["sonar"], "run.toml")
-    assert sonar.metres_per_pixel == fan.metres_per_pixel
-    assert sonar.apex_px == (fan.apex_column, fan.apex_row)
-    assert dataclasses.replace(sonar, metres_per_pixel=None, apex_px=None) == SONAR
+    assert sonar_from_table(table["sonar"], "run.toml") == SONAR  # as stated, nothing added
+    assert read_run(file).fan() == fan
+
+
+def test_a_fan_that_looks_aside_is_read_back_as_it_was(tmp_path):
+    """A field of view alone would put it evenly to both sides."""
+    aside = dataclasses.replace(make_fan(), bearing_min_deg=1.6, bearing_max_deg=30.4)
+    table = tables() | {
+        "fan": run_table([config.preset("default")], [], SONAR, aside, BASIN, ("a", 1, ""))["fan"]
+    }
+    with ResultsWriter(tmp_path, BASIN, table) as writer:
+        writer.finish([])
+    run = read_run(tmp_path / "run.toml")
+    assert run.fan() == aside
+    assert run.fan(Sonar(field_of_view_deg=20.0)).bearing_min_deg == -10
 
 
 def test_the_sonar_of_a_run_reads_as_a_sonar_toml(tmp_path):

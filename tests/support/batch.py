@@ -20,10 +20,10 @@ if "sonarrec" in "".join(sys.orig_argv):
     from sonarrec.readers import log
 
     task.GRACE_S = {grace}
-    iterate = log.Log.__iter__
+    within = log.Log.within
 
-    def misbehave(self):
-        for frame in iterate(self):
+    def misbehave(self, span):
+        for frame in within(self, span):
             yield frame
             if self.name == "hangs":
                 signal.signal(signal.SIGTERM, signal.SIG_IGN)
@@ -36,7 +36,7 @@ if "sonarrec" in "".join(sys.orig_argv):
             if self.name == "raises":
                 raise ZeroDivisionError("a fault of ours")
 
-    log.Log.__iter__ = misbehave
+    log.Log.within = misbehave
 '''
 
 
