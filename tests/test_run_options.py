@@ -245,3 +245,24 @@ def test_geometry_that_is_given_changes_what_a_run_toml_only_worked_out(tmp_path
     with_, without = (read_run(tmp_path / out / "pan" / "run.toml").fan() for out in "bc")
     assert with_ == without
     assert with_ != read_run(tmp_path / "a" / "pan" / "run.toml").fan()
+
+
+@pytest.mark.parametrize("data", [b"\x89MCAP0\r\n\x01\x00\x00", "a.mcap\n".encode("utf-16")])
+def test_a_list_that_is_a_log_or_no_utf_8_is_one_line(data: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "list.txt"
+    path.write_bytes(data)
+    done = run_line("run", "--from-file", str(path))
+    assert done.exit_code == 2
+    assert re.fullmatch(r"sonarrec: --from-file \S+list.txt: no list of logs, .*\n", done.stderr)
+
+
+def test_a_rate_that_is_assumed_is_said(tmp_path: Path) -> None:
+    log = str(SAMPLE / "00000*.png")
+    for rate, said in (([], True), (["--frame-rate-hz", "4"], False)):
+        sonar = tmp_path / "sonar.toml"
+        text = (SAMPLE / "sonar.toml").read_text(encoding="utf-8")
+        sonar.write_text(re.sub(r"frame_rate_hz.*\n", "", text), encoding="utf-8")
+        words = ["run", log, "--sonar", str(sonar), *rate, "-o", str(tmp_path / "o"), "--overwrite"]
+        done = run_line(*words)
+        assert done.exit_code == 0
+        assert ("frames carry no time, so one a second is assumed" in done.stderr) == said

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial, wraps
 from itertools import pairwise
@@ -11,7 +11,7 @@ from typing import IO, Any
 
 import click
 
-from sonarrec.records import Clock, UsageError
+from sonarrec.records import Clock, UsageError, shown
 
 FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 NEW_FILE = click.Path(dir_okay=False, path_type=Path)
@@ -206,7 +206,7 @@ def many_logs_options(function: Callable[..., Any]) -> Callable[..., Any]:
 def named_logs(logs: tuple[str, ...], from_file: IO[str] | None, recursive: bool) -> Any:
     """The logs of a command that takes many, NamedLogs and, of servers, RemoteLogs.
 
-    Raises click's UsageError without any.
+    Raises click's UsageError without any, ours for a list that is no text.
     """
     from sonarrec.remote.run import all_logs
 
@@ -215,7 +215,18 @@ def named_logs(logs: tuple[str, ...], from_file: IO[str] | None, recursive: bool
             "Missing argument 'LOG...'; a list serves as well: --from-file LIST",
             click.get_current_context(),
         )
-    return all_logs(logs, from_file or (), recursive=recursive)
+    return all_logs(logs, () if from_file is None else _lines(from_file), recursive=recursive)
+
+
+def _lines(listed: IO[str]) -> Iterator[str]:
+    """The lines of a list. Raises UsageError where one holds what no path does."""
+    for line in listed:
+        if "\0" in line:
+            raise UsageError(
+                f"--from-file {shown(listed.name)}: no list of logs, which is a text in UTF-8 with "
+                "one LOG a line; to run a log leave out --from-file"
+            )
+        yield line
 
 
 @dataclass(frozen=True, slots=True)

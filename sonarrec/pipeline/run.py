@@ -211,6 +211,11 @@ def process(
             problems = [told(line) for line in (*it.log.problems, *it.recogniser.problems())]
             it.notes.extend(writer.finish(problems, it.log.unusable))
         it.notes.extend([*it.log.notes, *it.recogniser.notes(), *_doubts(it, writer, plausibility)])
+        if it.log.untimed:
+            it.notes.append(
+                f"{shown(it.log.path)}: frames carry no time, so one a second is assumed; state "
+                "frame_rate_hz"
+            )
         it.notes[:] = map(told, it.notes)
         return Summary(
             it.folder,

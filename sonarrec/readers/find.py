@@ -287,7 +287,7 @@ def _glob_images(pattern: Path) -> Sequence[Path]:
     """The images that match, else the one log that does."""
     found = matches(pattern)
     if not found:
-        raise SonarrecError(f"{shown(pattern)}: no file matches this pattern")
+        raise MissingError(f"{shown(pattern)}: no file matches this pattern")
     logs = sorted(filter(is_log_file, found), key=natural_order)
     files = logs or ImagePaths(filter(is_image, found))
     if len(logs) > 1:

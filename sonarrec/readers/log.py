@@ -27,7 +27,8 @@ class Log:
     the geometry as file and flags state it. unusable: frames so far that could not be used.
     problems: one line for each thing that could not be used (at most MAX_PROBLEM_LINES, then a
     count), complete after the pass. beam_width_deg: as the first frame's message or header states
-    it; None where it does not.
+    it; None where it does not. untimed: whether frames so far were taken as one a second, for
+    neither they nor the geometry tell their times.
     """
 
     def __init__(
@@ -46,6 +47,7 @@ class Log:
         tells = "headers" if raw.told.header else "messages"
         self._images = FanImages(stated, shown(path), tells)
         self.beam_width_deg: float | None = None
+        self.untimed = False
 
     @property
     def sonar(self) -> Sonar:
@@ -136,7 +138,10 @@ class Log:
             raise UnusableError(f"without a {self._time} time; --time log needs none")
         if stamp is not None and not -(2**63) <= stamp < 2**63:
             raise UnusableError(f"its {self._time} time of {stamp} ns is beyond every clock")
-        return round(index * 1e9 / (self.sonar.frame_rate_hz or 1.0)) if stamp is None else stamp
+        if stamp is not None:
+            return stamp
+        self.untimed = self.sonar.frame_rate_hz is None
+        return round(index * 1e9 / (self.sonar.frame_rate_hz or 1.0))
 
     def digest_source(self) -> tuple[int, str]:
         """(size in bytes, SHA-256 in hex) of the log's file: see `digest_of`."""
