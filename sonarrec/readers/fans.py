@@ -21,7 +21,7 @@ from sonarrec.readers.pixels import (
 )
 from sonarrec.readers.raw import RawFrame, UnusableError
 from sonarrec.records import ByteImage, Fan, SonarrecError
-from sonarrec.sonar import PingGeometry, Sonar
+from sonarrec.sonar import BeamOrder, PingGeometry, Sonar
 
 MIN_SHARED_WINDOW = 0.5
 """A ping whose window covers less of the fan's is not used."""
@@ -49,9 +49,9 @@ class FanImages:
         self._tells = tells
         self._scales: dict[np.dtype[Any], GreyScale] = {}  # one for each type of pixel
         self._shape: tuple[int, ...] | None = None
-        self._told: PingGeometry | None = None
+        self._resampled: tuple[PingGeometry, tuple[int, int]] | None = None  # what, and its shape
         self._to_fan: PolarToFan | None = None
-        self._beam_major: bool | None = None
+        self._order: BeamOrder | None = None  # of polar samples; None before it is found
         self._amplitudes = False  # whether 8-bit pixels are
         self._told_against = self._told_cut = False
 
@@ -133,25 +133,23 @@ class FanImages:
 
     def _ping(self, image: ByteImage, told: PingGeometry) -> ByteImage:
         """The fan image of a polar frame that tells its geometry."""
-        beam_major = self._beam_major
-        if beam_major is None:
-            order = self._stated.beam_order or told.beam_order
-            beam_major = looks_beam_major(image) if order is None else order == "beam-major"
-        if beam_major:
+        order = self._order or self._stated.beam_order or told.beam_order
+        if order is None and image.any():  # a blank ping decides nothing
+            order = "beam-major" if looks_beam_major(image) else "range-major"
+        if order == "beam-major":
             image = np.ascontiguousarray(image.reshape(image.shape[::-1]).T)
-        if told != self._told:
+        if (told, image.shape) != self._resampled:  # even bins do not tell their number
             sonar, self._to_fan = self._resampling(told, image.shape)
-            self._told = told
+            self._resampled = told, image.shape
             if self.fan is None:
-                self.sonar = replace(
-                    sonar, beam_order="beam-major" if beam_major else "range-major"
+                self.sonar, self.fan = sonar, self._to_fan.fan
+        if self._order is None and order is not None:
+            self._order = order
+            self.sonar = replace(self.sonar, beam_order=order)
+            if order == "beam-major" and not self._stated.beam_order:
+                self.notes.append(
+                    f"{self._where}: read as beam-major, found from its first ping with echoes"
                 )
-                self.fan = self._to_fan.fan
-                if beam_major and not self._stated.beam_order:
-                    self.notes.append(
-                        f"{self._where}: read as beam-major, found from its first ping"
-                    )
-        self._beam_major = beam_major
         assert self._to_fan is not None
         return self._to_fan(image)
 

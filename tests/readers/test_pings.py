@@ -31,6 +31,7 @@ from tests.support.messages import (
     BIN_M,
     BINS,
     FIRST_BIN,
+    OCULUS,
     PROJECTED,
     TILT,
     directions,
@@ -184,6 +185,27 @@ def test_the_number_of_beams_and_bins_may_change(tmp_path: Path) -> None:
     assert found[1].image.max() == 50
 
 
+def test_the_number_of_even_bins_may_change(tmp_path: Path) -> None:
+    """In the same window: the message tells nothing else anew, yet its bins are longer."""
+    image = np.zeros((64, BEAMS), np.uint8)
+    image[32:] = 200
+    pings = []
+    for bins in (64, 32, 128, 64):
+        grey = cv2.resize(image, (BEAMS, bins), interpolation=cv2.INTER_NEAREST)
+        fields = messages.oculus_interfaces_fields(len(pings), grey)
+        pings.append(fields | {"range_resolution": BIN_M * 64 / bins})
+    path = log_of(tmp_path / "log.mcap", pings, OCULUS)
+    found, problems, _ = read(path, sonar=TILT)
+    assert not problems
+    for frame in found:
+        row, column = np.mgrid[0 : frame.fan.rows, 0 : frame.fan.columns]
+        range_m, bearing = polar_from_pixel(frame.fan, column, row)
+        seen = np.abs(bearing) < 12
+        far = 64 * BIN_M
+        assert (frame.image[seen & (range_m > 0.54 * far) & (range_m < 0.99 * far)] == 200).all()
+        assert (frame.image[seen & (range_m < 0.46 * far)] == 0).all()
+
+
 @pytest.mark.parametrize(
     ("stated", "says"),
     [
@@ -231,11 +253,31 @@ def test_beam_order(tmp_path: Path) -> None:
     with open_log(other, sonar=TILT) as log:
         found = list(log)
         assert log.reading()["beam_order"] == "beam-major"
-        assert log.notes == [f"{other}: read as beam-major, found from its first ping"]
+        assert log.notes == [f"{other}: read as beam-major, found from its first ping with echoes"]
     for frame, same, also, odd in zip(expected, found, stated, wrong, strict=True):
         np.testing.assert_array_equal(frame.image, same.image)
         np.testing.assert_array_equal(frame.image, also.image)
         assert not np.array_equal(frame.image, odd.image)
+
+
+def test_blank_pings_do_not_settle_the_beam_order(tmp_path: Path) -> None:
+    """More than those that settle the fan, and than those read before run.toml is begun."""
+    pings = [messages.projected_fields(k, image) for k, image in enumerate(polar_frames(9))]
+    expected, _, _ = read(log_of(tmp_path / "usual.mcap", pings), sonar=TILT)
+    blank = np.zeros(BINS * BEAMS, np.uint8)
+    for fields in pings[:6]:
+        fields["image"] = fields["image"] | {"data": blank}
+    other = log_of(tmp_path / "other.mcap", [beam_major(fields) for fields in pings])
+    with open_log(other, sonar=TILT) as log:
+        for frame, same in zip(log, expected, strict=True):
+            assert frame.fan == same.fan
+            if frame.index < 6:
+                assert not frame.image.any()
+                assert "beam_order" not in log.reading()
+            else:
+                np.testing.assert_array_equal(frame.image, same.image)
+        assert log.reading()["beam_order"] == "beam-major"
+        assert log.notes == [f"{other}: read as beam-major, found from its first ping with echoes"]
 
 
 def test_beam_order_of_images_with_rings() -> None:
