@@ -13,7 +13,8 @@ from sonarrec.readers.find import is_log_file, matches
 from sonarrec.readers.images import is_image, natural_order
 from sonarrec.records import UsageError, shown
 
-RESULTS = "frames.csv"  # a folder with it holds results, and its pictures are no logs
+RESULTS = frozenset({"frames.csv", "evaluation.json", "map.csv"})
+"""A folder with one of these holds results, and its pictures are no logs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +112,11 @@ def _is_log(folder: Path) -> bool:
     """Whether a folder is one log: a bag, or images that are no pictures of results."""
     if _is_bag(folder):
         return True
-    return not (folder / RESULTS).exists() and any(is_image(e) for e in folder.iterdir())
+    return not _holds_results(folder) and any(is_image(e) for e in folder.iterdir())
+
+
+def _holds_results(folder: Path) -> bool:
+    return any((folder / name).exists() for name in RESULTS)
 
 
 def _is_bag(folder: Path) -> bool:
@@ -152,16 +157,31 @@ def _in_folder(folder: Path) -> list[Path]:
     return [folder] if image is not None else [*logs, *bags]
 
 
-def _below(folder: Path) -> Iterator[Path]:
-    """The logs of a folder and of all below it; hidden folders and results are passed over."""
-    for place, folders, _ in os.walk(folder):
-        here = Path(place)
-        if (here / RESULTS).exists():
-            folders.clear()
-            continue
-        folders[:] = [f for f in folders if f[0] != "."]
-        bags = [f for f in folders if _is_bag(here / f)]
-        folders[:] = [f for f in folders if f not in bags]
-        own = _in_folder(here)
-        yield from (log for log in own if log.name not in bags)
-        yield from (here / bag for bag in bags)
+def _below(top: Path) -> Iterator[Path]:
+    """The logs of a folder and of all below it; hidden folders and results are passed over.
+
+    Links to folders are followed after all else, so that what lies below anyway keeps its own
+    name; a folder that was met, or that holds `top`, is not looked through again.
+    """
+    met = {_identity(above) for above in top.resolve().parents}
+    places = [top]
+    for start in places:  # grows by the links that are found
+        for place, folders, _ in os.walk(start):
+            here = Path(place)
+            if (identity := _identity(here)) in met or _holds_results(here):
+                folders.clear()
+                continue
+            met.add(identity)
+            folders[:] = sorted(f for f in folders if f[0] != ".")
+            bags = [f for f in folders if _is_bag(here / f)]
+            folders[:] = [f for f in folders if f not in bags]
+            places += [here / f for f in folders if (here / f).is_symlink()]
+            own = _in_folder(here)
+            yield from (log for log in own if log.name not in bags)
+            yield from (here / bag for bag in bags)
+
+
+def _identity(folder: Path) -> tuple[int, int]:
+    """What a folder has under each of its names."""
+    told = folder.stat()
+    return told.st_dev, told.st_ino

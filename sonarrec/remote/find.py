@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from sonarrec.readers.bag_folder import METADATA, are_parts
 from sonarrec.readers.find import log_name, names_a_log
 from sonarrec.readers.images import MAX_FILE_BYTES, names_an_image, natural_order
+from sonarrec.readers.many import RESULTS
 from sonarrec.records import MissingError, SonarrecError, UsageError
 from sonarrec.remote.urls import HIDDEN, Url, parse_url
 
@@ -104,7 +105,7 @@ def _bags_as_one(store: Store, pattern: Url) -> list[Url]:
 def _below(store: Store, folder: Url, recursive: bool) -> Iterator[Url]:
     files, folders = store.listing(folder)
     names = [item.url.name for item in files]
-    if "frames.csv" in names:  # results, whose pictures are no logs
+    if RESULTS.intersection(names):
         return
     if METADATA in names or are_parts(names, folder.name):
         yield folder

@@ -87,6 +87,35 @@ def test_folders_globs_and_lists() -> None:
     assert "--from-file LIST" in sonarrec("run", code=2).stderr
 
 
+@pytest.mark.parametrize("name", ["frames.csv", "evaluation.json", "map.csv"])
+def test_pictures_of_results_are_no_log(name: str, campaign: Path) -> None:
+    everything = named("campaign", recursive=True)
+    image_folder(campaign / "day1" / "results", IMAGES)
+    assert "day1/results" in named("campaign", recursive=True)
+    (campaign / "day1" / "results" / name).touch()
+    assert named("campaign", recursive=True) == everything
+    assert "day1/results" not in named("campaign/day1/*")
+
+
+def test_linked_folders(campaign: Path) -> None:
+    """They are followed, but a folder that has a name of its own below keeps it, and circles
+    end."""
+    everything = named("campaign", recursive=True)
+    recording(campaign.parent / "disk" / "deep" / "b.mcap")
+    (campaign.parent / "disk" / "again").symlink_to("deep")
+    (campaign.parent / "disk" / "back").symlink_to(Path("..", "campaign"))
+    links = {
+        "day1/far": "../../disk", "all": "../disk", "day0": "day2", "up": "..", "self": ".",
+        "day1/hidden": ".hidden",
+    }  # fmt: skip
+    for link, to in links.items():
+        (campaign / link).symlink_to(to)
+    found = named("campaign", recursive=True)
+    assert set(everything) < set(found)
+    assert set(found) - set(everything) == {"all/deep/b.mcap", "day1/hidden"}
+    assert len(found) == len(everything) + 2
+
+
 def test_images_and_logs_in_one_folder(campaign: Path) -> None:
     shutil.copy(SAMPLE / "pan" / "000000.png", campaign / "map.png")
     told = sonarrec("run", campaign, code=2).stderr
