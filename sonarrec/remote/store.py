@@ -19,10 +19,9 @@ from datetime import datetime
 from email.utils import parsedate_to_datetime
 from pathlib import Path
 from typing import Any, TypeVar
-from urllib.parse import unquote
 
 from sonarrec.records import MissingError, SonarrecError, UsageError, shown
-from sonarrec.remote.urls import Url
+from sonarrec.remote.urls import Url, unquoted
 
 try:
     import fsspec
@@ -164,7 +163,7 @@ class Store:
 
         files, folders = [], []
         for one in self._retried(ask):
-            path = unquote(one["name"].partition("?")[0]) if folder.is_web else one["name"]
+            path = unquoted(one["name"].partition("?")[0]) if folder.is_web else one["name"]
             name = path.rstrip("/").rpartition("/")[2]
             if one["type"] == "directory":
                 folders.append(name)
@@ -184,7 +183,7 @@ class Store:
         items = []
         for path, one in self._retried(ask).items():
             if one["type"] != "directory":
-                at = unquote(path).removeprefix(pattern.front) if pattern.is_web else path
+                at = unquoted(path).removeprefix(pattern.front) if pattern.is_web else path
                 items.append(_item(Url(pattern.scheme, pattern.front, at, pattern.query), one))
         return items
 

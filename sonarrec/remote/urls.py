@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import PurePosixPath
 from urllib.parse import quote, unquote, urlsplit
@@ -13,6 +14,9 @@ SCHEMES = ("s3", "gs", "https", "http", "sftp")
 HIDDEN = "***"
 _URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/{1,2}(?=[^/])")  # a Path has but one slash left
 _SECRET = re.compile(r"(?i)sig|token|secret|key|pass|pwd|cred|auth|jwt|policy|code")
+# A slash or plus that a web URL quotes: unquoted, the one parts folders, the other is a space to
+# some servers. %252F is %2F as text, and so on.
+_KEPT = re.compile(r"(?i)(%(?:25)*2[BF])")
 _LEAST = 4  # characters of a secret from which on it is looked for in the text of errors
 
 
@@ -21,8 +25,8 @@ class Url:
     """A place on a server.
 
     front: "s3://", "https://user:password@host". path: "bucket/dives/a.mcap", "/dives/a.mcap", as
-    text, nothing quoted. query: of https, with its question mark. literal: * ? [ in the path are
-    part of names, as a server told them or a web URL quotes them.
+    text, nothing quoted but %2F and %2B of a web URL. query: of https, with its question mark.
+    literal: * ? [ in the path are part of names, as a server told them or a web URL quotes them.
     """
 
     scheme: str
@@ -33,7 +37,7 @@ class Url:
 
     def __str__(self) -> str:
         """The whole URL, secrets and all: for servers only, never for a line or a file."""
-        path = quote(self.path, safe="/*[]!~@:+,;=&$'()") if self.is_web else self.path
+        path = _changed(self.path, _quoted) if self.is_web else self.path
         return f"{self.front}{path}{self.query}"
 
     @property
@@ -70,7 +74,9 @@ class Url:
         if not self.is_web:
             return self.path
         marks = "%#?*[" if self.literal else "%#?"
-        return "".join(quote(c, safe="") if c in marks else c for c in self.path)
+        return _changed(
+            self.path, lambda text: "".join(quote(c, safe="") if c in marks else c for c in text)
+        )
 
     @property
     def place(self) -> str:
@@ -94,6 +100,21 @@ class Url:
                 found.add(value)
         found |= {unquote(secret) for secret in found}
         return {secret for secret in found if len(secret) >= _LEAST}
+
+
+def _quoted(text: str) -> str:
+    return quote(text, safe="/*[]!~@:+,;=&$'()")
+
+
+def _changed(path: str, change: Callable[[str], str]) -> str:
+    """A path of a web URL with all but its quoted slashes and pluses changed."""
+    parts = _KEPT.split(path)
+    return "".join(part if n % 2 else change(part) for n, part in enumerate(parts))
+
+
+def unquoted(path: str) -> str:
+    """The path of a web URL as `Url` holds it."""
+    return _changed(path, unquote)
 
 
 def _no_root(url: Url) -> str:
@@ -125,4 +146,4 @@ def parse_url(text: object) -> Url:
         return Url(scheme, f"sftp://{host}", slash + path)
     path, mark, query = path.partition("#")[0].partition("?")
     literal = not any(c in path for c in "*[")
-    return Url(scheme, f"{scheme}://{host}", unquote(slash + path), mark + query, literal)
+    return Url(scheme, f"{scheme}://{host}", unquoted(slash + path), mark + query, literal)

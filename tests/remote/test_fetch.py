@@ -225,6 +225,11 @@ def test_folders_and_globs_expand(site: Path) -> None:
         assert names("pings/*.png") == ["pings/*.png"]
         assert names("dives/b9.mcap") == ["dives/b9.mcap"]
         assert names("none/") == ["none/"]
+        assert names("dives/", recursive=True) == [
+            "dives/b9.mcap", "dives/b10.mcap", "dives/deep/c.mcap",
+        ]  # fmt: skip
+        noise(site / "dives/deep/map.csv", 10)
+        assert names("dives/", recursive=True) == ["dives/b9.mcap", "dives/b10.mcap"]
 
 
 @pytest.mark.parametrize("name", ["a [1]", "a*b", "a?b", "a%20b", "a#b", "ä;b&c=d", "a'b"])
@@ -240,6 +245,18 @@ def test_a_name_leads_back_to_its_file(name: str, site: Path, cache: Cache) -> N
                 assert found.path.read_bytes() == data
             with fetched(found.origin.url, cache) as found:
                 assert found.path.read_bytes() == data
+
+
+def test_a_plus_is_asked_for_as_it_is_listed(site: Path, cache: Cache) -> None:
+    """Quoted in the index page; to S3, and servers like it, a bare one is a space."""
+    data = noise(site / "dives" / "a+b.mcap", 10)
+    with web_server(site) as web:
+        for url in ("dives/", "dives/*.mcap", "dives/a%2Bb.mcap"):
+            (log,) = find(f"{web.url}/{url}")
+            with fetched(log, cache) as found:
+                assert found.path.read_bytes() == data
+        files = {path for _, path, _ in web.asked if path.endswith("b.mcap")}
+        assert files == {"/dives/a%2Bb.mcap"}
 
 
 def test_windows_is_not_given_a_name_that_it_does_not_keep(

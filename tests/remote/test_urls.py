@@ -55,3 +55,22 @@ def test_places_beside_and_below() -> None:
         assert url.name == "a.mcap"
         assert str(url.parent.child("a.mcap")) == text
         assert str(url.parent.child("sonar.toml")) == text.replace("a.mcap", "sonar.toml")
+
+
+@pytest.mark.parametrize(
+    "path", ["a%2Fb.mcap", "a%2fb+c.mcap", "a%2Bb.mcap", "a%252Fb.mcap", "100%25%2B%20x.mcap"]
+)
+def test_a_web_server_is_asked_for_what_was_written(path: str) -> None:
+    """A quoted slash or plus is neither what parts folders nor what stands for a space."""
+    text = f"https://h/o/{path}?alt=media"
+    url = parse_url(text)
+    assert str(url) == text
+    assert str(parse_url(url.shown)) == text
+    assert str(url.parent) == "https://h/o?alt=media"
+    assert str(url.parent.child(url.name)) == text
+
+
+@pytest.mark.parametrize("front", ["s3://b", "gs://b", "sftp://h"])
+def test_names_of_other_servers_are_text(front: str) -> None:
+    url = parse_url(f"{front}/x/a+b%2Fc%2Bd.mcap")
+    assert (url.name, str(url)) == ("a+b%2Fc%2Bd.mcap", f"{front}/x/a+b%2Fc%2Bd.mcap")
