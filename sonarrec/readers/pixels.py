@@ -270,16 +270,51 @@ def _png_is_whole(data: memoryview) -> bool:
     return False
 
 
+_TIFFS = {
+    # first bytes: byte order, where the first directory's offset lies, the types of an offset and
+    # of a directory's length, the bytes of an entry
+    b"II*\0": ("<", 4, "I", "H", 12),
+    b"MM\0*": (">", 4, "I", "H", 12),
+    b"II+\0": ("<", 8, "Q", "Q", 20),
+    b"MM\0+": (">", 8, "Q", "Q", 20),
+}
+_SUBFILE_TYPE, _PART_OF_ANOTHER = 254, 0b101  # bits: a smaller copy of another image, its mask
+
+
+def _tiff_holds_several(data: memoryview) -> bool:
+    """Whether this is a TIFF of several images, without smaller copies of one and its mask."""
+    if data[:4].tobytes() not in _TIFFS:
+        return False
+    order, at, offset, length, entry_bytes = _TIFFS[data[:4].tobytes()]
+    images, met = 0, set[int]()
+    with contextlib.suppress(struct.error, OverflowError):  # cut short, or led beyond memory
+        (at,) = struct.unpack_from(order + offset, data, at)
+        while at and at not in met:
+            met.add(at)
+            (entries,) = struct.unpack_from(order + length, data, at)
+            at += struct.calcsize(order + length)
+            # Entries are in the order of their tags, of which this is the lowest.
+            tag, _, _, value = struct.unpack_from(f"{order}HH{offset}I", data, at)
+            images += not (tag == _SUBFILE_TYPE and value & _PART_OF_ANOTHER)
+            if images > 1:
+                return True
+            (at,) = struct.unpack_from(order + offset, data, at + entries * entry_bytes)
+    return False
+
+
 def decode_image(data: bytes | memoryview | np.ndarray) -> np.ndarray:
     """The pixels of an image file in memory (PNG, JPEG, TIFF, BMP, PGM, ...), as stored.
 
-    Raises UnusableError where OpenCV cannot read it whole, or its header states too many pixels.
+    Raises UnusableError where OpenCV cannot read it whole, its header states too many pixels, or
+    it is a TIFF of several images.
     """
     buffer = np.frombuffer(data, np.uint8)
     if not buffer.size:
         raise UnusableError("empty image")
     if not _png_is_whole(buffer.data):
         raise UnusableError("unreadable image")
+    if _tiff_holds_several(buffer.data):
+        raise UnusableError("a TIFF of several images; one image a file is read")
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
         heard = _heard()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import struct
 import subprocess
 import sys
 import time
@@ -19,6 +20,8 @@ from sonarrec.cli import main
 from sonarrec.readers import open_log
 from sonarrec.readers.mcap import images as mcap_images
 from sonarrec.readers.mcap.poses import read_topic
+from sonarrec.readers.pixels import decode_image
+from sonarrec.readers.raw import UnusableError
 from sonarrec.records import SonarrecError, UsageError
 from tests.support.logs import PERIOD_NS, SONAR_TOML, cdr_image, frames, image_folder, mcap_file
 
@@ -279,3 +282,67 @@ def test_frames_that_a_video_loses_are_told(suffix: str, tmp_path: Path) -> None
         lost += count < 12
         assert count == 12 or opened.problems, cut
     assert lost or suffix == ".mp4"
+
+
+def tiff(images: list[np.ndarray], kinds: list[int], order: str, big: bool) -> bytes:
+    """Grey images of 8 bit, one directory each. kinds: their NewSubfileType."""
+    offset = "Q" if big else "I"
+    head = (b"II" if order == "<" else b"MM") + struct.pack(order + "H", 43 if big else 42)
+    head += struct.pack(order + "HH", 8, 0) if big else b""
+    made, at = b"", len(head) + struct.calcsize(order + offset)
+    first = at
+    for number, (image, kind) in enumerate(zip(images, kinds, strict=True)):
+        rows, columns = image.shape
+        entries = {
+            254: kind, 256: columns, 257: rows, 258: 8, 259: 1, 262: 1, 273: 0, 277: 1, 278: rows,
+            279: rows * columns,
+        }  # fmt: skip
+        size = struct.calcsize(order + ("Q" if big else "H"))
+        size += len(entries) * (20 if big else 12) + struct.calcsize(order + offset)
+        entries[273] = at + size
+        made += struct.pack(order + ("Q" if big else "H"), len(entries))
+        for tag, value in entries.items():
+            made += struct.pack(f"{order}HH{offset}I", tag, 4, 1, value) + bytes(4 * big)
+        at += size + image.size
+        made += struct.pack(order + offset, at if number + 1 < len(images) else 0)
+        made += image.tobytes()
+    return head + struct.pack(order + offset, first) + made
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("big", [False, True])
+def test_a_tiff_of_several_images(order: str, big: bool) -> None:
+    """Of a stack the first page alone would be read; a thumbnail or a mask is no other image."""
+    images = frames(3)
+    small = images[1][::2, ::2].copy()
+    for others in ([], [(small, 1)], [(small, 1), (images[2], 4)]):
+        pages, kinds = zip((images[0], 0), *others, strict=True)
+        data = tiff(list(pages), list(kinds), order, big)
+        np.testing.assert_array_equal(decode_image(data), images[0])
+    for kinds in ([0, 0], [2, 2], [0, 1, 0]):
+        stack = tiff(images[: len(kinds)], list(kinds), order, big)
+        with pytest.raises(UnusableError, match="a TIFF of several images; one image a file"):
+            decode_image(stack)
+
+
+def test_a_tiff_that_leads_nowhere() -> None:
+    """Directories in a circle, beyond the file or beyond all memory: it still ends."""
+    images = frames(2)
+    for big in (False, True):
+        stack = bytearray(tiff(images, [0, 1], "<", big))
+        first = 16 if big else 8
+        end = stack.index(images[0].tobytes()) - first // 2  # the offset of the second directory
+        for to in (first, 2**31, 2**64 - 1 if big else 2**32 - 1):
+            stack[end : end + first // 2] = to.to_bytes(first // 2, "little")
+            np.testing.assert_array_equal(decode_image(bytes(stack)), images[0])
+
+
+def test_a_stack_among_images(tmp_path: Path) -> None:
+    images = frames(3)
+    log = image_folder(tmp_path / "log", images, ".tif")
+    (log / "frame1.tif").write_bytes(tiff(images[:2], [0, 0], "<", False))
+    with open_log(log) as opened:
+        assert [frame.index for frame in opened] == [0, 2]
+        assert opened.problems == [
+            "frame1.tif: a TIFF of several images; one image a file is read, skipped"
+        ]
