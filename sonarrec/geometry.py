@@ -17,6 +17,7 @@ from sonarrec.records import ByteImage, Fan, FloatArray, SonarrecError
 from sonarrec.sonar import Geometry
 
 MAX_FAN_PIXELS = 2**24
+MAX_SIDE = 2**15 - 2  # cv2.remap, of what it reads and of what it makes
 # Nearer than this multiple of the height the floor is seen so steeply that a pixel of slant range
 # covers several of floor.
 STEEPEST = 1.05
@@ -185,8 +186,8 @@ class PolarToFan:
     ) -> None:
         """fan: of another ping, whose window may differ; outside of its own, a ping shows 0.
 
-        Raises SonarrecError where bearings_deg or ranges_m does not match the image, or where the
-        fan would have more than MAX_FAN_PIXELS.
+        Raises SonarrecError where bearings_deg or ranges_m does not match the image, where the fan
+        would have more than MAX_FAN_PIXELS, or where it or the image has a side above MAX_SIDE.
         """
         for key, name, count in (
             ("bearings_deg", "beams", beams),
@@ -205,6 +206,12 @@ class PolarToFan:
             raise SonarrecError(
                 f"a fan image of {fan.columns} x {fan.rows} pixels, one range bin each, is more "
                 f"than is made; range_min_m = {fan.range_min_m:g} and the bearings ask for it"
+            )
+        if max(range_bins, beams, fan.rows, fan.columns) > MAX_SIDE:
+            raise SonarrecError(
+                f"polar images of {range_bins} range bins and {beams} beams make a fan image of "
+                f"{fan.columns} x {fan.rows} pixels; no side of either may be above {MAX_SIDE}: "
+                "crop the images or make them smaller"
             )
         self._columns = np.empty((fan.rows, fan.columns, 2), np.int16)
         self._weights = np.empty((fan.rows, fan.columns), np.uint16)

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sonarrec.geometry import (
+    MAX_SIDE,
     PolarToFan,
     fan_for_image,
     fan_for_polar,
@@ -177,6 +178,21 @@ def test_bearings_must_match_the_beams() -> None:
     sonar = BASIN.updated(Sonar(ranges_m=(1.5, 2.0, 3.0)))
     with pytest.raises(SonarrecError, match="3 ranges but the images have 10 range bins"):
         PolarToFan(sonar.complete("test"), 10, 4)
+
+
+def test_images_with_a_side_too_long_to_resample() -> None:
+    """OpenCV's remap takes no more, neither of what it reads nor of what it makes."""
+    narrow = BASIN.updated(Sonar(field_of_view_deg=0.05, range_min_m=0.5, range_max_m=300.0))
+    far = BASIN.updated(Sonar(field_of_view_deg=2.0, range_min_m=1000.0, range_max_m=1000.2))
+    for sonar, bins, beams in (
+        (narrow, MAX_SIDE + 1, 3), (BASIN, 20, MAX_SIDE + 1), (far, 190, 2),
+    ):  # fmt: skip
+        with pytest.raises(SonarrecError, match=r"no side of either may be above 32766: crop"):
+            PolarToFan(sonar.complete("test"), bins, beams)
+    near = BASIN.updated(Sonar(field_of_view_deg=0.01, range_min_m=0.0, range_max_m=300.0))
+    for sonar, bins, beams in ((near, MAX_SIDE, 2), (BASIN, 20, MAX_SIDE)):
+        to_fan = PolarToFan(sonar.complete("test"), bins, beams)
+        assert to_fan(np.full((bins, beams), 9, np.uint8)).max() == 9
 
 
 # The floor
