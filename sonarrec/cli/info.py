@@ -93,6 +93,7 @@ def info(
 
     tables: list[dict[str, Any]] = []
     useless = missing = faulty = 0
+    undrawn: SonarrecError | None = None
     logs = named_logs(log, from_file, recursive)
     names = [_name(one) for one in logs]
     if preview is not None:
@@ -115,12 +116,17 @@ def info(
             useless += found.nothing
             faulty += found.partly
             tables.append(found.as_table())
-            if preview is not None:
-                _draw_preview(path, preview, landmarks, reading)
             if not as_json:
                 click.echo("\n".join(["", *lines(found)] if number else lines(found)))
+            if preview is not None:
+                try:
+                    _draw_preview(path, preview, landmarks, reading)
+                except SonarrecError as error:  # told after the account, which says more
+                    undrawn = error
     if as_json:
         click.echo(json.dumps({"version": __version__, "logs": tables}, indent=2))
+    if undrawn is not None:
+        raise undrawn
     if useless == len(logs):
         leave(2 if missing == useless else 1)
     if useless or faulty:

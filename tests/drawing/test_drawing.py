@@ -200,6 +200,22 @@ def test_info_uses_the_landmark_set_given(tmp_path: Path) -> None:
     assert pictures[1] > 1.6 * pictures[0]
 
 
+def test_a_preview_that_cannot_be_drawn_does_not_cost_the_account(tmp_path: Path) -> None:
+    log = image_folder(tmp_path / "log", frames(2))
+    (log / "sonar.toml").unlink()
+    out = tmp_path / "preview.png"
+    account = info(log)
+    assert account.exit_code == 0
+    told = info(log, "--preview", out)
+    assert told.exit_code == 1
+    assert told.stdout == account.stdout
+    assert "sonar geometry lacks range_min_m" in told.stderr
+    told = info(log, "--preview", out, "--json")
+    assert told.exit_code == 1
+    assert json.loads(told.stdout)["logs"][0]["images"][0]["lacks"]
+    assert not out.exists()
+
+
 def test_a_preview_has_a_place_of_its_own(tmp_path: Path) -> None:
     log = image_folder(tmp_path / "log", frames(2))
     for arguments, told in (
