@@ -133,11 +133,12 @@ def _floor(seen: FloatArray, fan: Fan) -> list[str]:
     """Echoes as bright as the floor's, from nearer than a floor can be."""
     if fan.height_m is None:
         return []
-    rings = np.nanquantile(seen, 0.5, axis=1)  # nanmedian would load numpy.ma
-    range_m = _rings(fan)[0][:, 0]
+    shown = ~np.isnan(seen).all(axis=1)
+    range_m = _rings(fan)[0][shown, 0]
     before, beyond = range_m < 0.95 * fan.height_m, range_m > 1.05 * fan.height_m
-    if np.mean(before) < _NEAR or np.mean(beyond) < _NEAR:
+    if min(before.sum(), beyond.sum()) < _NEAR * _RINGS:
         return []
+    rings = np.nanquantile(seen[shown], 0.5, axis=1)  # nanmedian would load numpy.ma
     near, floor = float(np.median(rings[before])), float(np.quantile(rings[beyond], 0.75))
     if near < max(_AS_BRIGHT * floor, _BACKGROUND):
         return []

@@ -17,7 +17,7 @@ from click.testing import CliRunner, Result
 from sonarrec.cli import main
 from sonarrec.readers import open_log
 from sonarrec.readers.info import describe
-from sonarrec.readers.plausible import FRAMES, Plausibility
+from sonarrec.readers.plausible import FRAMES, Plausibility, _as_polar, _floor
 from sonarrec.records import Fan, Frame
 from sonarrec.sonar import Sonar
 from tests.support.drawn import draw_on_floor, make_fan, speckled
@@ -135,6 +135,25 @@ def test_dark_water_before_the_stated_floor_is_right(water_db: float) -> None:
     assert of_picture(image, replace(fan, height_m=1.5)) == []
     everywhere = floor(fan)
     assert len(of_picture(everywhere, fan)) == 1
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_picture_whose_top_or_bottom_is_cut_off() -> None:
+    """Ranges that it does not show tell nothing of the floor, with or without water before it."""
+    fan = make_fan(rows=300, height_m=2.0)
+    column, row = np.meshgrid(np.arange(fan.columns), np.arange(fan.rows))
+    range_m = np.hypot(column - fan.apex_column, fan.apex_row - row) * fan.metres_per_pixel
+    everywhere = floor(fan)
+    water = np.where(range_m < 2.0, 0, everywhere)
+    cut = replace(fan, rows=fan.rows - 30, apex_row=fan.apex_row - 30)
+    assert of_picture(water[30:], cut) == []
+    assert len(of_picture(everywhere[30:], cut)) == 1
+    cut = replace(fan, rows=fan.rows - 40)
+    assert of_picture(water[:-40], cut) == []
+    assert len(of_picture(everywhere[:-40], cut)) == 1
+    nothing = replace(fan, apex_column=fan.apex_column + 9000)
+    assert not [line for line in of_picture(everywhere, nothing) if "height_m" in line]
+    assert _floor(_as_polar(everywhere.astype(float), nothing), nothing) == []
 
 
 def test_without_a_height_no_floor_is_doubted() -> None:
