@@ -88,13 +88,18 @@ def evaluate_whole(
     results: str | Path | Sequence[Pair],
     ground_truth: str | Path | None = None,
     options: ScoringOptions = DEFAULT,
+    *,
+    some: bool = False,
 ) -> Evaluation:
     """As `evaluate`. results: or pairs, logs each with a truth of its own, to be pooled.
 
-    Logs of equal name are told apart by their folders as given.
+    Logs of equal name are told apart by their folders as given. some: these are a few of the logs
+    that `evaluate_many` scored, so that none of them need have a row in its truth or a method.
     """
     given = _given(results, ground_truth, options)
-    found = _gathered(given, (survey(r, whole=True) for r in given.readings))
+    found = _gathered(given, (survey(r, whole=True) for r in given.readings), some)
+    if not some:
+        _check_methods([found.logs[i] for i in found.used], found.names)
     cases = []
     for i, name in zip(found.used, found.names, strict=True):
         case = found.logs[i].case
@@ -134,6 +139,7 @@ def evaluate_many(
     found = _gathered(given, counted())
     result = pooled(parts, [numbers[i] for i in found.used], found.names, options.min_visible)
     logs = [found.logs[i] for i in found.used]
+    _check_methods(logs, found.names)
     facts = result.methods, result.placed, result.estimates, result.ids, result.positives
     notes = [*found.notes, *_notes(_told(logs, found.names), *facts)]
     return replace(
@@ -191,8 +197,11 @@ class _Gathered:
     unused: list[str]
 
 
-def _gathered(given: _Given, surveyed: Iterable[Surveyed]) -> _Gathered:
-    """Which of the logs count. Raises SonarrecError where they cannot be scored together."""
+def _gathered(given: _Given, surveyed: Iterable[Surveyed], some: bool = False) -> _Gathered:
+    """Which of the logs count. Raises SonarrecError where they cannot be scored together.
+
+    some: as of `evaluate_whole`.
+    """
     logs = list(surveyed)
 
     def frames(i: int) -> IntArray:
@@ -211,7 +220,7 @@ def _gathered(given: _Given, surveyed: Iterable[Surveyed]) -> _Gathered:
         if log.error is not None:
             raise log.error
     cases = [log.checked for log in kept if log.checked is not None]
-    found = fit(cases)
+    found = fit(cases, some)
     usable = [cases[i] for i in found.usable]
     if table is not None:
         lost = left_out(usable)
@@ -246,7 +255,7 @@ def pool(
     """Score logs that were read, each with its truth, as one.
 
     notes, unused: what is to be told besides.
-    Raises SonarrecError where their landmark IDs differ, or where they name no method.
+    Raises SonarrecError where their landmark IDs differ.
     """
     logs, truths = [case.log for case in cases], [case.truth for case in cases]
     for log in logs:
@@ -272,6 +281,12 @@ def other_ids(first: str, other: str) -> SonarrecError:
         f"logs {first} and {other} were run with different landmark IDs and "
         "cannot be pooled; evaluate them one by one, or give --landmarks"
     )
+
+
+def _check_methods(logs: Sequence[Surveyed], names: Sequence[str]) -> None:
+    """names: of the logs, told apart. Raises SonarrecError where none of them has a method."""
+    if not any(log.methods for log in logs):
+        raise SonarrecError(f"{', '.join(names)}: estimates.csv names no method to score")
 
 
 @dataclass(frozen=True, slots=True)
@@ -300,11 +315,8 @@ def _notes(
     ids: Sequence[int],
     positives: IntArray,
 ) -> list[str]:
-    """estimates: (M,) of each method. positives: (K,). Raises SonarrecError without a method."""
+    """estimates: (M,) of each method. positives: (K,)."""
     notes = []
-    if not methods:
-        names = ", ".join(log.name for log in logs)
-        raise SonarrecError(f"{names}: estimates.csv names no method to score")
     if not placed:
         notes.append(
             "the strict protocol is not scored: truth or estimates lack positions, or give them "

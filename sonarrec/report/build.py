@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sonarrec.evaluation.cells import protocols
 from sonarrec.evaluation.evaluate import DEFAULT, Evaluation, evaluate_many, evaluate_whole
 from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import Pair, read_pairs
@@ -75,21 +76,22 @@ def write_report(
             given = rows if results is None else results
             pooled = evaluate_many(given, ground_truth, options)
         stand = standing(folders, pooled, results, method)
-        numbers = chosen(folders, stand)
-        folders = [folders[i] for i in numbers]
-        rows = [rows[i] for i in numbers] if rows else rows
+        folders = chosen(folders if pooled is None else pooled.folders, stand)
+        row_of = {row.results: row for row in reversed(rows)}  # of a log named twice the first
+        rows = [row_of[folder] for folder in folders] if rows else rows
     evaluation: Evaluation | None = None
-    if pairs is not None or (in_all > MOST_LOGS and rows):
-        evaluation = evaluate_whole(rows, None, options)
+    if pairs is not None or pooled is not None:
+        evaluation = evaluate_whole(rows, None, options, some=pooled is not None)
     elif ground_truth is not None:
         assert results is not None
         evaluation = evaluate_whole(results, ground_truth, options)
     logs = _with_panels(folders, rows, evaluation, options, method)
-    wrong = {}
-    if evaluation is not None:
-        wrong = {method: episodes(evaluation, method) for method in evaluation.joined.methods}
-    drawn, missing = _draw_all(logs, evaluation, wrong, recordings, options.sonar or Sonar(), topic)
     pooled = pooled or (None if evaluation is None else evaluation.pooled())
+    wrong = {}
+    if evaluation is not None and pooled is not None:
+        protocol = protocols(pooled)[0]
+        wrong = {m: episodes(evaluation, m, protocol) for m in evaluation.joined.methods}
+    drawn, missing = _draw_all(logs, evaluation, wrong, recordings, options.sonar or Sonar(), topic)
     unused = pooled.unused if pooled is not None else tuple(_left_out(logs))
     unused = (*unused, *missing)
     many = Many(in_all, stand)

@@ -20,6 +20,7 @@ GAP = 4
 class Episode:
     """One mistake over neighbouring frames, as one method made it."""
 
+    protocol: str
     method: str
     kind: str
     """Either "claim" (declared where it is not) or "miss" (in view and not declared)."""
@@ -39,19 +40,13 @@ class Episode:
     """Of Joined's: that claim, or the truth that was missed."""
 
 
-def protocol_of_mistakes(evaluation: Evaluation) -> str:
-    """The protocol whose mistakes are told: the strict one where it was scored."""
-    return "strict" if evaluation.joined.placed else "paper"
-
-
-def episodes(evaluation: Evaluation, method: str) -> list[Episode]:
-    """A method's mistakes at its operating point.
+def episodes(evaluation: Evaluation, method: str, protocol: str) -> list[Episode]:
+    """A method's mistakes at its operating point, as a protocol that was scored counts them.
 
     The worst first: wrongness summed over the episode. The counts of all episodes add up to the
     FP and FN of the method's table.
     """
     joined = evaluation.joined
-    protocol = protocol_of_mistakes(evaluation)
     scored = next(s for s in evaluation.scored if (s.method, s.protocol) == (method, protocol))
     wrong = pd.concat([_false_claims(scored), _misses(joined, scored)], ignore_index=True)
     wrong["log"] = joined.log_index[wrong["at"]]
@@ -66,6 +61,7 @@ def episodes(evaluation: Evaluation, method: str) -> list[Episode]:
     told = told.join(worst[["kind", "landmark", "log", "at", "wrongness", "which"]])
     return [
         Episode(
+            protocol=protocol,
             method=method,
             kind=row.kind,
             landmark=joined.ids[row.landmark],
@@ -120,7 +116,7 @@ def told(episode: Episode, joined: Joined) -> str:
     """One sentence on the worst frame of an episode: what was wrong, and what lay beneath."""
     if episode.kind == "claim":
         sentence = f"ID.{episode.landmark} declared ({episode.wrongness:.2f})"
-        if not joined.placed:
+        if episode.protocol == "paper":
             return f"{sentence} while it is not in view"
         claim = np.array([episode.which])
         (truth,) = _beneath(joined, claim)
@@ -131,7 +127,7 @@ def told(episode: Episode, joined: Joined) -> str:
             return f"{sentence} a second time on the same landmark"
         return f"{sentence} on what is ID.{beneath}"
     sentence = f"ID.{episode.landmark} in view and not declared"
-    if not joined.placed:
+    if episode.protocol == "paper":
         return sentence
     mine = joined.method_index == joined.methods.index(episode.method)
     frame_index = joined.truth_frame_index[episode.which]

@@ -26,7 +26,7 @@ from sonarrec.report import charts
 from sonarrec.report.frames import ShownLog
 from sonarrec.report.logs import ReportedLog, Seen, Track, seen, tracks, true_landmark
 from sonarrec.report.measured import MEASURED, Measured
-from sonarrec.report.mistakes import Episode, protocol_of_mistakes, told
+from sonarrec.report.mistakes import Episode, told
 from sonarrec.report.pictures import Picture
 from sonarrec.report.settings import settings_tables
 from sonarrec.report.standing import Standing
@@ -391,7 +391,7 @@ def _mistakes(
 ) -> list[Mistakes]:
     found = []
     for method in sorted(pooled.methods, key=lambda m: m != tracker):
-        count = cells.of(pooled, method, protocol_of_mistakes(evaluation)).count()
+        count = cells.of(pooled, method, cells.protocols(pooled)[0]).count()
         shown = []
         mine = wrong.get(method, [])  # a method may be in other logs alone
         for episode in mine[:MOST_MISTAKES]:

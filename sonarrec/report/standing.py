@@ -51,11 +51,10 @@ def standing(
     return [Standing(name, where.get(name), tuple(why)) for name, why in found.items()]
 
 
-def chosen(folders: Sequence[Path], stand: Sequence[Standing]) -> list[int]:
-    """Which of the folders have panels of their own, by index: those that differ, then others."""
-    place = {folder: i for i, folder in enumerate(folders)}
-    first = [place[one.folder] for one in stand if one.folder in place]
-    return list(dict.fromkeys([*first, *range(len(folders))]))[:MOST_LOGS]
+def chosen(folders: Sequence[Path], stand: Sequence[Standing]) -> list[Path]:
+    """Which of the folders have panels of their own: those that differ, then others."""
+    first = [one.folder for one in stand if one.folder is not None and one.folder in folders]
+    return list(dict.fromkeys([*first, *folders]))[:MOST_LOGS]
 
 
 def _unfinished(where: dict[str, Path], place: Path | None) -> Iterator[tuple[str, str]]:

@@ -8,6 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from sonarrec.evaluation.cells import of
+from sonarrec.evaluation.evaluate import evaluate_many
+from sonarrec.report.build import write_report
 from sonarrec.report.standing import MOST_LOGS
 from tests.support.browser import chromium, look
 from tests.support.command import sonarrec
@@ -113,3 +116,76 @@ def test_it_opens_quickly_in_a_browser(
         browser.save_screenshot(str(page.with_suffix(f".{width}.png")))
     assert (found["console"], found["wide"], found["outside"]) == ([], 0, []) or found["wide"] < 0
     assert took < 10  # a second where nothing else runs
+
+
+PLACED = "frame,method,object,range_m,bearing_deg,landmark,score,declared"
+
+
+def plain_logs(root: Path, estimates: dict[str, list[str]], truth: list[str]) -> Path:
+    """Logs of 40 frames in folders, by name their estimates.csv, and their truth."""
+    for n, (name, lines) in enumerate(estimates.items()):
+        folder = root / "out" / name
+        folder.mkdir(parents=True)
+        (folder / "frames.csv").write_text("frame\n" + "".join(f"{n}\n" for n in range(40)))
+        (folder / "estimates.csv").write_text("\n".join(lines) + "\n")
+        (folder / "run.toml").write_text(
+            f'finished = true\n[input]\nname = "{name}"\nsha256 = "{n:064x}"\n'
+        )
+    lines = ["log,frame,landmark,range_m,bearing_deg", *truth]
+    (root / "gt.csv").write_text("\n".join(lines) + "\n")
+    return root / "out"
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_panels_of_logs_without_truth(tmp_path: Path, named: bool) -> None:
+    """Nothing stands out, so the first eight have panels; the truth speaks of the last alone, and
+    these may be the only ones that name a method."""
+    right = [f"{n},framework,1,2.0,0,1,.9,1" for n in range(10, 20)]
+    estimates = {
+        f"log{n:02d}": [PLACED, "5,framework,1,2.0,0,1,.3,0"][: 1 + named] for n in range(9)
+    }
+    estimates |= {f"log{n:02d}": [PLACED, *right] for n in (9, 10)}
+    truth = [f"log{log},{n},1,2.0,0" for log in ("09", "10") for n in range(10, 20)]
+    out = plain_logs(tmp_path, estimates, truth)
+    page = tmp_path / "page.html"
+    assert write_report(page, out, ground_truth=tmp_path / "gt.csv").unused == ()
+    text = page.read_text(encoding="utf-8")
+    shown = re.findall(r"<h3>(log\d\d)</h3>", section(text, "seen"))
+    assert shown == [f"log{n:02d}" for n in range(8)]
+    assert "framework: 0 false claims, 0 missed" in section(text, "mistakes")
+
+
+def test_no_panels_of_logs_that_are_not_scored(tmp_path: Path) -> None:
+    """The truth of the first nine speaks of other frames: what is left has the panels."""
+    right = [f"{n},framework,1,2.0,0,1,.9,1" for n in range(10, 20)]
+    out = plain_logs(tmp_path, {f"log{n:02d}": [PLACED, *right] for n in range(11)}, [])
+    truth = [f"log{n:02d},{n + 900},1,2.0,0" for n in range(9)]
+    truth += [f"log{log},{n},1,2.0,0" for log in ("09", "10") for n in range(10, 20)]
+    (tmp_path / "gt.csv").write_text(
+        "\n".join(["log,frame,landmark,range_m,bearing_deg", *truth]) + "\n"
+    )
+    page = tmp_path / "page.html"
+    report = write_report(page, out, ground_truth=tmp_path / "gt.csv")
+    assert len([line for line in report.unused if "is not scored" in line]) == 9
+    text = page.read_text(encoding="utf-8")
+    assert re.findall(r"<h3>(log\d\d)</h3>", section(text, "seen")) == ["log09", "log10"]
+
+
+def test_mistakes_are_told_as_all_logs_are_scored(tmp_path: Path) -> None:
+    """The last log lacks positions, so that protocol paper alone is scored; it has no panel, and
+    of those that have, a claim of ID.1 three metres off is no mistake in it."""
+    far = [f"{n},framework,1,5.0,0,1,.9,1" for n in range(10, 20)]
+    absent = "30,framework,1,2.0,0,2,.8,1"
+    estimates = {f"log{n:02d}": [PLACED, *far, absent] for n in range(11)}
+    head = "frame,method,landmark,score,declared"
+    estimates["log11"] = [head, *(f"{n},framework,1,.9,1" for n in range(10, 20))]
+    truth = [f"{log},{n},1,2.0,0" for log in estimates for n in range(10, 20)]
+    out = plain_logs(tmp_path, estimates, truth)
+    count = of(evaluate_many(out, tmp_path / "gt.csv"), "framework", "paper").count()
+    assert (count.fp, count.fn) == (11, 0)
+    page = tmp_path / "page.html"
+    write_report(page, out, ground_truth=tmp_path / "gt.csv")
+    told = section(page.read_text(encoding="utf-8"), "mistakes")
+    assert "framework: 11 false claims, 0 missed" in told
+    assert told.count("ID.2 declared (0.80) while it is not in view") == MOST_LOGS
+    assert "ID.1" not in told.partition("smi: ")[0]

@@ -667,7 +667,7 @@ def test_mistakes_add_up_to_the_table(random_log: Path, tmp_path: Path, protocol
     found = evaluate(random_log, truth)
     for method in found.joined.methods:
         count = score(found.joined, found.joined.methods.index(method), protocol).count()
-        wrong = episodes(found, method)
+        wrong = episodes(found, method, protocol)
         assert sum(e.count for e in wrong if e.kind == "claim") == count.fp > 50
         assert sum(e.count for e in wrong if e.kind == "miss") == count.fn > 50
         for e in wrong:
@@ -690,7 +690,7 @@ def test_episodes_and_their_order(tmp_path: Path) -> None:
         "frame,landmark,range_m,bearing_deg\n20,1,2.0,0\n21,1,2.0,0\n30,4,2.0,0\n"
     )
     scored = evaluate(log, log / "gt.csv")
-    found = episodes(scored, "mine")
+    found = episodes(scored, "mine", "strict")
     shown = [(e.kind, e.landmark, e.first, e.last, e.worst, e.count) for e in found]
     assert shown == [
         ("claim", 2, 0, 8, 8, 5),

@@ -76,10 +76,10 @@ def checked(case: Matched) -> Checked:
     )
 
 
-def fit(cases: Sequence[Checked]) -> Fit:
+def fit(cases: Sequence[Checked], some: bool = False) -> Fit:
     """Leave out the logs whose truth cannot be theirs. Raises SonarrecError where none is left, or
-    where no truth has a row."""
-    if not any(case.rows for case in cases):
+    where no truth has a row, unless these are some of more logs."""
+    if not some and not any(case.rows for case in cases):
         of = next((case for case in cases if case.table_rows), cases[0])
         names = [case.name for case in cases]
         raise SonarrecError(without_rows(of.table, of.table_rows, names, "nothing is scored"))
