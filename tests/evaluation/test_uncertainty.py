@@ -9,6 +9,7 @@ from itertools import product
 import numpy as np
 import pytest
 
+from sonarrec.evaluation.counting.behaviour import PassOutcomes, wait_counts
 from sonarrec.evaluation.counting.counted import rate_count
 from sonarrec.evaluation.counting.passes import MOST_UNITS, find_passes, find_units
 from sonarrec.evaluation.counting.scoring import score
@@ -21,7 +22,7 @@ from sonarrec.evaluation.counting.uncertainty import (
     intervals,
     replicates,
 )
-from sonarrec.evaluation.metrics import METRICS, rates, tally
+from sonarrec.evaluation.metrics import METRICS, rates, tally, waits
 from sonarrec.evaluation.summary import summarise
 from tests.support.claims import evaluated, joined
 
@@ -339,3 +340,55 @@ def test_a_tally_is_told_over_the_same_numbers_again() -> None:
     case = evaluated(random_case(np.random.default_rng(7), 8))
     assert summarise(case).figures == summarise(case).figures
     assert summarise(case).differences == summarise(case).differences
+
+
+def test_small_rates_are_told_apart_as_large_ones_are() -> None:
+    """Ten of twelve units with one false claim more: by enumeration 2 of 2^10 swaps are as far off,
+    whatever the frames are. Sums are held in 32 bits, as `rate_count` holds them."""
+    fp = np.array([1] * 10 + [0] * 2)
+    rng = np.random.default_rng(0)
+    weights, tosses = bootstrap_weights(12, rng), coin_tosses(12, rng)
+    for frames in (100, 560_000, 40_000_000):
+        a, b = (
+            ratio_tally(LABELS, ("fpr",), [many], [np.full(12, frames)])
+            for many in (np.zeros(12, int), fp)
+        )
+        a, b = (replace(t, sums=t.sums.astype(np.float32), cases=(12,)) for t in (a, b))
+        (found,) = differences(a, b, weights, tosses)
+        assert found.p == 2 / 2**10, frames
+        assert 0 < found.low < found.value < found.high
+        (figure,) = intervals(b, replicates(b, weights))
+        assert figure.note == ""
+        assert 0 < figure.low < figure.high
+        # Equal ones stay equal, also where a sum of 32 bits is not exact.
+        (same,) = differences(b, b, weights, tosses)
+        assert (same.p, same.note) == (1, "alike in every unit")
+        thirds = ratio_tally(LABELS, ("fpr",), [np.full(12, frames // 3)], [np.full(12, frames)])
+        thirds = replace(thirds, sums=thirds.sums.astype(np.float32))
+        (figure,) = intervals(thirds, replicates(thirds, weights))
+        assert figure.note == "alike in all 12 units: no interval"
+
+
+@pytest.mark.parametrize(("never_a", "never_b"), [(9, 4), (9, 5), (8, 4), (11, 5)])
+def test_two_that_are_never_do_not_differ(never_a: int, never_b: int) -> None:
+    """The median wait of twelve passes against all 2^12 swaps, and draws of both, one by one."""
+    wait_a = np.where(np.arange(12) < never_a, np.inf, 0.0)
+    wait_b = np.where(np.arange(12) < never_b, np.inf, 2.0)
+    one = np.ones(12, dtype=int)
+    outcomes = [PassOutcomes("strict", m, one, one, w) for m, w in (("a", wait_a), ("b", wait_b))]
+    counted = wait_counts(outcomes, (1,), 0 * one, np.arange(12), 12)
+    a, b = (tally(waits, c) for c in counted if c.landmark_text == "total")
+    rng = np.random.default_rng(0)
+    weights, tosses = bootstrap_weights(12, rng), coin_tosses(12, rng)
+    found = differences(a, b, weights, tosses)[0]
+    assert (found.name, found.value) == ("frames_to_id_median", -math.inf)
+
+    def less(x: np.ndarray, y: np.ndarray) -> float:
+        x_median, y_median = np.sort(x)[5], np.sort(y)[5]
+        return 0.0 if x_median == y_median else y_median - x_median
+
+    swaps = np.array(list(product((False, True), repeat=12)))
+    far = [less(np.where(s, wait_b, wait_a), np.where(s, wait_a, wait_b)) for s in swaps]
+    assert found.p == np.mean(np.isinf(far))
+    drawn = [less(*(np.repeat(w, n.astype(int)) for w in (wait_a, wait_b))) for n in weights]
+    assert (found.low, found.high) == interval(np.array(drawn), 12)

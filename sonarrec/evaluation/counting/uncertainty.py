@@ -24,7 +24,7 @@ FLIPS = 4095
 MIN_UNITS = 6
 """With fewer no test can reach p = .05, for it has 2 ** n outcomes: nothing can be said."""
 SAME = 1e-6
-"""Figures nearer than this are equal: sums are held in 32 bits."""
+"""Figures that differ by less than this share of them are equal: sums are held in 32 bits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,9 +136,21 @@ def _student(z: float, freedom: int) -> float:
     )
 
 
-def _alike(drawn: FloatArray) -> bool:
+def _alike(drawn: FloatArray, figure: FloatArray) -> bool:
+    """Whether the (draws,) replicates are all the same; figure: those they are differences of, or
+    they themselves."""
     known = drawn[~np.isnan(drawn)]
-    return not len(known) or float(known.max()) <= float(known.min()) + SAME
+    return not len(known) or float(known.max()) <= float(known.min()) + _same(figure)
+
+
+def _same(figure: FloatArray) -> float:
+    """How far apart such figures, (n,), are equal."""
+    return SAME * float(np.abs(figure[np.isfinite(figure)]).max(initial=0))
+
+
+def _less(b: FloatArray, a: FloatArray) -> FloatArray:
+    """b - a; 0 where both are infinite."""
+    return np.asarray(np.subtract(b, a, out=np.zeros_like(b), where=b != a))
 
 
 def replicates(tally: Tally, weights: FloatArray) -> FloatArray:
@@ -156,7 +168,7 @@ def intervals(tally: Tally, drawn: FloatArray) -> list[Figure]:
             note = "0/0: nothing to measure"
         elif units < MIN_UNITS:
             note = f"cases in {units} of the {MIN_UNITS} units needed: no interval"
-        elif _alike(drawn[:, i]):
+        elif _alike(drawn[:, i], drawn[:, i]):
             # Resampling equal units gives no width, which is not certainty.
             note = f"alike in all {units} units: no interval"
         else:
@@ -176,10 +188,10 @@ def differences(a: Tally, b: Tally, weights: FloatArray, tosses: FloatArray) -> 
     """
     total_a, total_b = a.sums.sum(axis=0), b.sums.sum(axis=0)
     swapped = tosses @ (b.sums - a.sums)
-    with np.errstate(invalid="ignore"):  # of infinite figures
-        drawn = replicates(b, weights) - replicates(a, weights)
-        tossed = b.figures(total_b - swapped) - a.figures(total_a + swapped)
-        seen = b.figures(total_b[None])[0] - a.figures(total_a[None])[0]
+    drawn_a, drawn_b = replicates(a, weights), replicates(b, weights)
+    tossed_a, tossed_b = a.figures(total_a + swapped), b.figures(total_b - swapped)
+    drawn, tossed = _less(drawn_b, drawn_a), _less(tossed_b, tossed_a)
+    seen = _less(b.figures(total_b[None]), a.figures(total_a[None]))[0]
     found = []
     for i, name in enumerate(a.names):
         units = min(a.cases[i], b.cases[i])
@@ -189,8 +201,10 @@ def differences(a: Tally, b: Tally, weights: FloatArray, tosses: FloatArray) -> 
         elif units < MIN_UNITS:
             note = f"cases in {units} of the {MIN_UNITS} units needed: no test"
         else:
-            p = float(np.mean(~(np.abs(tossed[:, i]) < abs(seen[i]) - SAME)))
-            note = "alike in every unit" if _alike(drawn[:, i]) else ""
+            least = abs(seen[i]) - _same(np.append(tossed_a[:, i], tossed_b[:, i]))
+            p = float(np.mean(~(np.abs(tossed[:, i]) < least)))
+            of = np.append(drawn_a[:, i], drawn_b[:, i])
+            note = "alike in every unit" if _alike(drawn[:, i], of) else ""
             if not note:
                 low, high = interval(drawn[:, i], units)
         labels = (a.protocol, a.method, b.method, a.landmark_text, name)
