@@ -11,6 +11,7 @@ import pytest
 
 from sonarrec.evaluation.counting.behaviour import PassOutcomes, wait_counts
 from sonarrec.evaluation.counting.counted import rate_count
+from sonarrec.evaluation.counting.curves import ratio
 from sonarrec.evaluation.counting.passes import MOST_UNITS, find_passes, find_units
 from sonarrec.evaluation.counting.scoring import score
 from sonarrec.evaluation.counting.uncertainty import (
@@ -20,6 +21,7 @@ from sonarrec.evaluation.counting.uncertainty import (
     differences,
     interval,
     intervals,
+    macro,
     replicates,
 )
 from sonarrec.evaluation.metrics import METRICS, rates, tally, waits
@@ -392,3 +394,29 @@ def test_two_that_are_never_do_not_differ(never_a: int, never_b: int) -> None:
     assert found.p == np.mean(np.isinf(far))
     drawn = [less(*(np.repeat(w, n.astype(int)) for w in (wait_a, wait_b))) for n in weights]
     assert (found.low, found.high) == interval(np.array(drawn), 12)
+
+
+def test_the_mean_over_ids_is_that_of_every_draw() -> None:
+    """Of three IDs two are in view, in all 12 units and in 7, or in one. Draw by draw."""
+    rng = np.random.default_rng(3)
+    weights = bootstrap_weights(12, rng)
+    for few in (7, 1):
+        whole = np.array([np.full(12, 30), np.where(np.arange(12) < few, 30, 0), np.zeros(12)])
+        part = np.floor(whole * rng.random((3, 12)))
+        per_id = []
+        for i, (p, w) in enumerate(zip(part, whole, strict=True)):
+            with np.errstate(invalid="ignore"):
+                found = ratio_tally(("strict", "m", str(i)), ("tpr",), [p], [w])
+            per_id.append(replace(found, figures=lambda r: ratio(r[:, :1], r[:, 1:])))
+        (figure,) = macro(per_id, [replicates(t, weights) for t in per_id])
+        rates = part[:2].sum(axis=1) / whole[:2].sum(axis=1)
+        assert figure.value == pytest.approx(rates.mean())
+        assert figure.units == few
+        if few < 6:
+            assert figure.note == "cases in 1 of the 6 units needed: no interval"
+            continue
+        drawn = []
+        for n in weights:
+            made, of = part[:2] @ n, whole[:2] @ n
+            drawn.append(np.mean(made / of) if of.all() else math.nan)
+        assert (figure.low, figure.high) == pytest.approx(interval(np.array(drawn), few), abs=1e-6)

@@ -213,21 +213,25 @@ def differences(a: Tally, b: Tally, weights: FloatArray, tosses: FloatArray) -> 
 
 
 def macro(per_id: Sequence[Tally], drawn: Sequence[FloatArray]) -> list[Figure]:
-    """The mean of each figure over the IDs that have it; drawn: the replicates of each ID's."""
-    mean = Tally(
+    """The mean of each figure over the IDs that have it; drawn: the replicates of each ID's.
+
+    A replicate that lacks one of these IDs is none: the mean of the others is another figure.
+    """
+    values = np.array([t.values for t in per_id])
+    known = ~np.isnan(values)
+    cases = np.where(known, [t.cases for t in per_id], np.inf).min(axis=0)
+
+    def mean(rows: FloatArray) -> FloatArray:  # (IDs, R, figures)
+        return ratio(np.where(known[:, None], rows, 0).sum(axis=0), known.sum(axis=0))
+
+    whole = Tally(
         protocol=per_id[0].protocol,
         method=per_id[0].method,
         landmark_text="macro",
         names=per_id[0].names,
-        values=tuple(_mean_of_known(np.array([t.values for t in per_id])).tolist()),
-        cases=tuple(max(cases) for cases in zip(*(t.cases for t in per_id), strict=True)),
+        values=tuple(mean(values[:, None])[0].tolist()),
+        cases=tuple(int(n) if n < np.inf else 0 for n in cases),
         sums=np.empty((0, 0)),
-        figures=_mean_of_known,
+        figures=mean,
     )
-    return intervals(mean, mean.figures(np.stack(drawn)))
-
-
-def _mean_of_known(values: FloatArray) -> FloatArray:
-    """Mean over the first axis of what is not NaN; NaN where nothing is."""
-    known = ~np.isnan(values)
-    return ratio(np.where(known, values, 0).sum(axis=0), known.sum(axis=0))
+    return intervals(whole, mean(np.stack(drawn)))
