@@ -132,6 +132,8 @@ def evaluate(
         raise UsageError("--pairs names results and truth itself; give neither beside it")
     if compare is not None and results is not None:
         raise UsageError("--compare takes OLD and NEW; give no RESULTS beside it")
+    if compare is not None and (details or det):
+        raise UsageError("--details and --det are of one set of results; --compare has neither")
     if band is not None and compare is None:
         raise UsageError("--fail-on-regression goes with --compare")
     from sonarrec.evaluation.matching.pairs import read_pairs
@@ -142,7 +144,7 @@ def evaluate(
         truth = here.file(ground_truth) if pairs is None else read_pairs(pairs)
         shown = _Shown(details, as_json, quiet)
         if compare is not None:
-            code = _compare(compare, truth, out, band, jobs, shown, scoring, here)
+            code = _compare(compare, truth, out, band, unit, jobs, shown, scoring, here)
         else:
             results = results or Path("sonarrec_out")
             code = _score(results, truth, pairs, out, unit, jobs, det, shown, scoring, here)
@@ -206,6 +208,7 @@ def _compare(
     truth: Truth,
     out: Path | str | None,
     band: float | None,
+    unit: Any,
     jobs: int | None,
     shown: _Shown,
     scoring: ScoringOptions,
@@ -216,7 +219,7 @@ def _compare(
     from sonarrec.evaluation.compare import compare
     from sonarrec.remote.run import inside
 
-    found = compared(sides, truth, scoring, here, jobs)
+    found = compared(sides, truth, scoring, here, unit, jobs)
     folder = here.output(out or inside(sides[1], "evaluation"))
     written = write.write_comparison(folder, found)
     unused = [*here.unused, *found.unused]
@@ -239,13 +242,14 @@ def compared(
     truth: Truth,
     scoring: ScoringOptions,
     here: Here,
+    unit: Any = None,
     jobs: int | None = None,
 ) -> Comparison:
     """Two results, wherever they lie, as `evaluation.compare.compare.compare`."""
     from sonarrec.evaluation.compare.compare import compare
 
     old, new = map(here.results, sides)
-    found = compare(old, new, truth, scoring, jobs=jobs, elsewhere=here.beside)
+    found = compare(old, new, truth, scoring, unit=unit, jobs=jobs, elsewhere=here.beside)
     return replace(
         found,
         old=here.told(found.old),

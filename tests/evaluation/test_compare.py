@@ -16,6 +16,7 @@ from sonarrec.evaluation.evaluate import evaluate, evaluate_whole
 from sonarrec.evaluation.matching.pairs import Pair, read_pairs
 from sonarrec.records import SonarrecError
 from tests.evaluation.test_evaluation import (
+    ESTIMATE_HEADER,
     TRUTH_HEADER,
     random_case,
     scored,
@@ -104,6 +105,36 @@ def test_a_method_that_is_gone_is_a_regression(tmp_path: Path) -> None:
     )
     assert "worse: n: no longer in the results" in done.stderr
     assert "n: only in the old results" in done.stdout
+
+
+def test_a_protocol_that_is_gone_is_a_regression(sides: tuple[Path, Path, Path]) -> None:
+    """New results that are the old ones without their positions."""
+    old, new, truth = sides
+    header = [c for c in ESTIMATE_HEADER if c not in ("range_m", "bearing_deg")]
+    rows = [(f, m, i, s, d) for f, m, _, _, i, s, d in claims(set(range(5, 25)), {30, 31})]
+    write_csv(new / "estimates.csv", header, rows)
+    arguments = ["--ground-truth", truth, "--fail-on-regression", 0.5, "--compare"]
+    done = command(*arguments, old, new, code=1)
+    assert done.stderr.splitlines() == ["sonarrec: worse: protocol strict: no longer scored"]
+    note = f"note: protocol strict is not compared: {new} lacks positions that can be used"
+    assert note in done.stdout.splitlines()
+    back = command(*arguments, new, old)
+    assert note in back.stdout.splitlines()
+    assert back.stderr == ""
+
+
+def test_the_unit_of_a_comparison_is_chosen(tmp_path: Path) -> None:
+    """Seven passes of one log: intervals and tests over them, or none over the log."""
+    frames, starts = range(280), range(0, 280, 40)
+    truth = [(s + f, 1, 2.0, 0.0, 1.0) for s in starts for f in range(10)]
+    old, gt = write_case(tmp_path / "old", frames, claims({t[0] for t in truth}), truth)
+    new, _ = write_case(tmp_path / "new", frames, claims(set(starts)), truth)
+    arguments = ["--ground-truth", gt, "--compare", old, new, "--json"]
+    for unit, many, p in ((None, "7 passes", 2 / 2**7), ("log", "1 logs", None)):
+        told = json.loads(command(*arguments, *(["--unit", unit] if unit else [])).stdout)
+        assert told["units"] == many
+        total = [d for d in told["differences"] if (d["landmark"], d["name"]) == ("total", "tpr")]
+        assert {d["p"] for d in total} == {p}
 
 
 def test_only_common_frames_are_compared(tmp_path: Path) -> None:
@@ -260,6 +291,8 @@ def test_several_logs_each_with_a_truth_of_its_own(tmp_path: Path) -> None:
         (["--pairs", "p.csv", "--ground-truth", "p.csv"], "--pairs"),
         (["--ground-truth", "p.csv", "--fail-on-regression", "0.1"], "--compare"),
         (["--ground-truth", "p.csv", "out", "--compare", "a", "b"], "no RESULTS"),
+        (["--compare", "a", "b", "--det"], "--compare has neither"),
+        (["--compare", "a", "b", "--details"], "--compare has neither"),
     ],
 )
 def test_options_that_do_not_go_together(

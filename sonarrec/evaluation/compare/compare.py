@@ -18,6 +18,7 @@ from sonarrec.evaluation.compare.settings import SettingChange
 from sonarrec.evaluation.compare.sides import both_sides
 from sonarrec.evaluation.counting.behaviour import PassOutcomes
 from sonarrec.evaluation.counting.counted import Counted
+from sonarrec.evaluation.counting.passes import UnitKind
 from sonarrec.evaluation.counting.pooled import Parts, Pooled, pooled
 from sonarrec.evaluation.counting.store import Store
 from sonarrec.evaluation.counting.uncertainty import (
@@ -131,14 +132,18 @@ class Comparison:
     """Methods that only the old results have."""
     gained: tuple[str, ...]
     """Methods that only the new results have."""
+    unplaced: bool
+    """Whether protocol strict is scored of the old results only."""
     notes: tuple[str, ...]
     """Worth knowing."""
     unused: tuple[str, ...]
     """Input that could not be used, one line each."""
 
     def regressions(self, band: float) -> list[str]:
-        """One line per rate that got worse beyond the band, and per method that is gone."""
+        """One line per rate that got worse beyond the band, and per method or protocol that is
+        gone."""
         lines = [f"{method}: no longer in the results" for method in self.lost]
+        lines += ["protocol strict: no longer scored"] * self.unplaced
         for r in self.rates:
             if r.is_regression(band):
                 name = "ID." * r.landmark_text.isdigit() + r.landmark_text
@@ -159,6 +164,7 @@ def compare(
     ground_truth: Path | Sequence[Pair] | None = None,
     options: ScoringOptions = DEFAULT,
     *,
+    unit: UnitKind | None = None,
     jobs: int | None = None,
     elsewhere: Elsewhere | None = None,
 ) -> Comparison:
@@ -167,9 +173,9 @@ def compare(
     Each log is read, counted and let go: memory does not grow with the logs.
 
     Logs go together by name or SHA-256, or where each side has one log. ground_truth: one table,
-    or pairs, of which each log takes that of its results; None: the truth beside each log. jobs,
-    elsewhere: as of `evaluate.evaluate_many`. Raises SonarrecError where files cannot be
-    used, logs differ or nothing is in common.
+    or pairs, of which each log takes that of its results; None: the truth beside each log. unit:
+    as of `summary.summarise`. jobs, elsewhere: as of `evaluate.evaluate_many`. Raises
+    SonarrecError where files cannot be used, logs differ or nothing is in common.
     """
     options.check()
     sides = both_sides(old, new, ground_truth, options.landmarks, elsewhere)
@@ -181,6 +187,7 @@ def compare(
     unused = [*dict.fromkeys([*sides.unused, *both.cut]), *both.unused]
     return _compared(
         both,
+        unit,
         old=str(old),
         new=str(new),
         settings=tuple(sides.settings),
@@ -236,10 +243,10 @@ def _counted(readings: Sequence[BothReading], jobs: int | None, min_visible: flo
     return _Both(old, new, partial(FrameChanges, store, named), found.notes, cut, found.unused)
 
 
-def _compared(both: _Both, **told: Any) -> Comparison:
+def _compared(both: _Both, unit: UnitKind | None, **told: Any) -> Comparison:
     """told: the fields of Comparison that are known already."""
     before, after = both.before, both.after
-    units = after.units()
+    units = after.units(unit)
     rng = np.random.default_rng(0)
     weights, tosses = bootstrap_weights(units.count, rng), coin_tosses(units.count, rng)
     olds = {(s.protocol, s.method): n for n, s in enumerate(before.scored)}
@@ -259,6 +266,10 @@ def _compared(both: _Both, **told: Any) -> Comparison:
                 rates += _rate_changes(was, now)
                 was_tally, now_tally = (metrics.tally(metrics.rates, side) for side in (was, now))
                 found += differences(was_tally, now_tally, weights, tosses)
+    if before.placed != after.placed:
+        without = told["new"] if before.placed else told["old"]
+        note = f"protocol strict is not compared: {without} lacks positions that can be used"
+        told["notes"] = (*told["notes"], printable(note))
     return Comparison(
         logs=after.logs,
         frames_compared=after.frames,
@@ -270,6 +281,7 @@ def _compared(both: _Both, **told: Any) -> Comparison:
         differences=tuple(found),
         lost=tuple(m for m in before.methods if m not in after.methods),
         gained=tuple(m for m in after.methods if m not in before.methods),
+        unplaced=before.placed and not after.placed,
         **told,
     )
 
