@@ -186,8 +186,9 @@ def _frames_of_images(
     """As _frame_numbers, for images by name.
 
     An image is found by its name in the log, whatever its folder; by its name without suffix where
-    one image of the log has that. Where none of them is, names of 19 digits are times, as in a log
-    of images; else the number at the end of every name counts; else their natural order.
+    one image of the log has that. Where the log has no names, those of 19 digits are times, as in a
+    log of images; else the number at the end of every name counts; else their natural order.
+    Raises SonarrecError where the log has names, and none of these.
     """
     paths = {name: Path(name.replace("\\", "/")) for name in images}
     long = next((name for name, path in paths.items() if len(path.name) > MOST_LETTERS), None)
@@ -198,6 +199,11 @@ def _frames_of_images(
     in_log: FrameNumbers = {name: n for name, n in found.items() if n is not None}
     if in_log:
         return "frame", in_log, "frames by image name in the log"
+    if log_names and images:
+        raise SonarrecError(
+            f"no image of the log is called as one that was annotated: {images[0]!r} and so on "
+            f"here, {log_names[0]!r} there; give the log that was annotated"
+        )
     if all(re.fullmatch(r"[0-9]{19}", path.stem) for path in paths.values()):
         times: FrameNumbers = {name: int(path.stem) for name, path in paths.items()}
         latest = max(times.values(), default=0)

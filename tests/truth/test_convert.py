@@ -475,6 +475,14 @@ def test_two_images_of_one_number_are_a_fault(tmp_path: Path) -> None:
     assert "would both be frame 1" in failure(source)
 
 
+def test_images_of_another_log_are_not_taken_by_their_numbers(tmp_path: Path) -> None:
+    log = image_folder(tmp_path / "log", frames(4, 80, 100))
+    source = coco(tmp_path, [BBOX | {"image_id": 7}], ["ping2.png"])
+    assert "no image of the log is called as one that was annotated: 'ping2.png'" in failure(
+        source, "--log", log
+    )
+
+
 def test_frames_by_name_in_the_log(tmp_path: Path) -> None:
     """Whatever the numbers in the names say, and with another suffix and folder."""
     log = image_folder(tmp_path / "log", frames(4, 80, 100))
