@@ -32,7 +32,7 @@ def match_recordings(
     name, or if there is only one of both. Raises UsageError where it is no log's.
     """
     found: dict[str, Path] = {}
-    problems: list[str] = []
+    missing: dict[str, str] = {}  # the line of each log that was in none so far
     for path in given:
         inside, before = _inside(path), set(found)
         if len(logs) == 1 and not inside:
@@ -46,20 +46,19 @@ def match_recordings(
         if named and not any(_names(log) & inside.keys() for log in logs):
             found |= {log.results.name: path for log in named}
             continue
-        missing = []
         for log in logs:
             if log.results.name not in found:
                 candidates = [p for name in sorted(_names(log)) for p in inside.get(name, [])]
                 one, problem = _same(log, list(dict.fromkeys(candidates)), sonar, topic)
                 if one is None:
-                    missing.append(f"--log {path}: {problem}; the page has no frames of it")
+                    line = f"--log {path}: {problem}; the page has no frames of it"
+                    missing[log.results.name] = line
                 else:
                     found[log.results.name] = one
         if not found.keys() - before:
             there = ", ".join(log.results.name for log in logs)
             raise UsageError(f"--log {path}: neither one of these logs nor holds any: {there}")
-        problems += missing
-    return found, problems
+    return found, [line for name, line in missing.items() if name not in found]
 
 
 def _names(log: ReportedLog) -> set[str]:

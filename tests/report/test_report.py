@@ -540,6 +540,19 @@ def test_a_folder_of_logs(results: Path, tmp_path: Path) -> None:
     assert (log["name"], log["in_all"]) == ("pan", 128)
 
 
+def test_logs_in_several_folders_are_each_found_in_one(tmp_path: Path) -> None:
+    """What is not in the first folder, but in the second, is not told as missing."""
+    for name in ("a", "b"):
+        shutil.copytree(SAMPLE, tmp_path / f"at_{name}" / name)
+        sonarrec(
+            "run", "-q", tmp_path / f"at_{name}" / name, "--frames", ":3", "-o", tmp_path / "o"
+        )
+    both = ["--log", tmp_path / "at_a", "--log", tmp_path / "at_b"]
+    assert "no log of the name" not in sonarrec("report", tmp_path / "o", *both).stderr
+    told = sonarrec("report", tmp_path / "o", *both[:2], code=3).stderr
+    assert told.count("no log of the name b in it; the page has no frames of it") == 1
+
+
 def test_a_packed_log_of_any_name_is_found_in_a_folder_of_logs(tmp_path: Path) -> None:
     packed = tmp_path / "logs" / os.fsdecode(b"d\xe9ve.mcap.zst")
     packed.parent.mkdir()
