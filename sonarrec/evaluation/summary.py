@@ -76,8 +76,8 @@ def summarise(evaluation: Evaluation | Pooled, unit: UnitKind | None = None) -> 
     tosses = coin_tosses(units.count, rng)
     figures: list[Figure] = []
     curves: list[Reliability] = []
-    # Those of one protocol that have the same figures can be held against each other.
-    alike: dict[tuple[str, tuple[str, ...]], list[Tally]] = defaultdict(list)
+    # Those of one kind and protocol can be held against each other.
+    alike: dict[tuple[str, object], list[Tally]] = defaultdict(list)
     for kind in metrics.KINDS:
         per_id: list[tuple[Tally, FloatArray]] = []
         for counted in kind(case):
@@ -92,7 +92,7 @@ def summarise(evaluation: Evaluation | Pooled, unit: UnitKind | None = None) -> 
             if kind is metrics.rates:
                 figures += macro(*zip(*per_id, strict=True))
             per_id.clear()
-            alike[tally.protocol, tally.names].append(tally)
+            alike[tally.protocol, kind].append(tally)
     return Summary(
         units=units,
         passes=found.passes,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -114,6 +115,24 @@ def test_switches_of_id_and_track() -> None:
     assert value(summary, "id_switches_per_pass") == 2 / 2
     assert value(summary, "track_switches_per_pass") == 2 / 2
     assert summary.figure("strict", "smi", "track_switches_per_pass") is None
+
+
+def test_switches_of_ids_are_tested_where_one_method_has_no_tracks() -> None:
+    """Seven passes apart; p by all 2^7 swaps. Track switches have no partner."""
+    truth = [(40 * p + f, 1, 0, 0, True) for p in range(7) for f in range(4)]
+    switch = [1, 1, 1, 0, 1, 1, 1]
+    claims = [
+        claim(frame, 1 + (m * switch[frame // 40] and frame % 40 > 1), method=m, object=m * frame)
+        for frame, *_ in truth
+        for m in (0, 1)
+    ]
+    summary = summary_of(280, truth, claims, methods=("smi", "framework"))
+    found = {d.name: d for d in summary.differences if d.protocol == "strict"}
+    assert "track_switches_per_pass" not in found
+    one = found["id_switches_per_pass"]
+    assert (one.value_a, one.value_b) == (0, pytest.approx(6 / 7))
+    signs = np.array(list(product((-1, 1), repeat=7)))
+    assert one.p == np.mean(np.abs(signs @ switch) >= 6)
 
 
 def test_position_errors() -> None:

@@ -203,11 +203,17 @@ def switch_counts(
 ) -> Iterator[Counted]:
     """Switches over passes, per ID and in all; the arguments are those of `wait_counts`."""
     for one in found:
-        kinds = [one.ids] if one.tracks is None else [one.ids, one.tracks]
+        # Of all methods the same columns, so that they can be swapped.
+        record = Switched if one.tracks is not None else _without_tracks
+        kinds = one.ids, np.zeros_like(one.ids) if one.tracks is None else one.tracks
         for name, mine in by_landmark(ids, landmark_index):
             summed = (np.bincount(unit[mine], kind[mine], units) for kind in kinds)
             columns = [np.bincount(unit[mine], minlength=units), *summed]
-            yield sum_count(("strict", one.method, name), Switched, columns)
+            yield sum_count(("strict", one.method, name), record, columns)
+
+
+def _without_tracks(passes: FloatArray, ids: FloatArray, _: FloatArray) -> Switched:
+    return Switched(passes, ids)
 
 
 def position_errors(strict: Scored, joined: Joined, right: IntArray) -> FloatArray:

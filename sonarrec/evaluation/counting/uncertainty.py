@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import NormalDist
 
 import numpy as np
@@ -180,12 +180,16 @@ def intervals(tally: Tally, drawn: FloatArray) -> list[Figure]:
 
 
 def differences(a: Tally, b: Tally, weights: FloatArray, tosses: FloatArray) -> list[Difference]:
-    """What tells two methods apart, figure by figure; both tallies are over the same units.
+    """What tells two methods apart in each figure that both have; their tallies are over the same
+    units.
 
     weights: `bootstrap_weights`. tosses: `coin_tosses`. If the methods are equal, what they did
     in a unit could as well be the other way round; p is the share of all such swaps that give a
     difference at least as large. Frames within a unit may depend on each other in any way.
     """
+    if a.names != b.names:
+        names = [name for name in a.names if name in b.names]
+        a, b = _only(a, names), _only(b, names)
     total_a, total_b = a.sums.sum(axis=0), b.sums.sum(axis=0)
     swapped = tosses @ (b.sums - a.sums)
     drawn_a, drawn_b = replicates(a, weights), replicates(b, weights)
@@ -210,6 +214,18 @@ def differences(a: Tally, b: Tally, weights: FloatArray, tosses: FloatArray) -> 
         labels = (a.protocol, a.method, b.method, a.landmark_text, name)
         found.append(Difference(*labels, a.values[i], b.values[i], low, high, p, units, note))
     return found
+
+
+def _only(tally: Tally, names: Sequence[str]) -> Tally:
+    """These of its figures."""
+    at = [tally.names.index(name) for name in names]
+    return replace(
+        tally,
+        names=tuple(names),
+        values=tuple(tally.values[i] for i in at),
+        cases=tuple(tally.cases[i] for i in at),
+        figures=lambda rows: tally.figures(rows)[:, at],
+    )
 
 
 def macro(per_id: Sequence[Tally], drawn: Sequence[FloatArray]) -> list[Figure]:
