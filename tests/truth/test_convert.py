@@ -140,6 +140,20 @@ def test_cvat_images_with_attributes(tmp_path: Path) -> None:
     assert converted(tmp_path, source, code=3) == [(2, 3, 0.0, 0.0, 0.25)]
 
 
+@pytest.mark.parametrize(
+    ("told", "share"), [("true", 1.0), ("False", 0.0), ("0.25", 0.25), ("hardly", None)]
+)
+def test_visible_by_a_checkbox_of_cvat(tmp_path: Path, told: str, share: float | None) -> None:
+    """As COCO's true and false; it outdoes the flag. Another text is no share."""
+    box = BOX.format(0, 0, 1, 10, 20)[:-2]
+    body = f'{box}><attribute name="visibility">{told}</attribute></box>'
+    source = cvat(tmp_path, track(body))
+    if share is None:
+        assert "line 6: visibility must be a share, 0 to 1, not 'hardly'" in failure(source)
+    else:
+        assert [row[4] for row in converted(tmp_path, source)] == [share]
+
+
 def test_a_skeleton_and_its_points_are_no_landmark(tmp_path: Path) -> None:
     body = track(BOX.format(0, 0, 0, 10, 20)) + (
         '<track id="1" label="2"><skeleton frame="0" keyframe="1" outside="0" occluded="0">'

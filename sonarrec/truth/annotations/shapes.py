@@ -87,16 +87,21 @@ def centre_of_area(points: Sequence[tuple[float, float]]) -> tuple[float, float]
 
 
 def stated_visible(attributes: Mapping[str, Any]) -> float | None:
-    """`visible` as free attributes tell it: a share of this name or visibility; a flag occluded.
+    """`visible` as free attributes tell it: a share of this name or visibility, or true or false;
+    a flag occluded.
 
     Raises ValueError on a share that is no number from 0 to 1.
     """
     told = {str(name).strip().lower(): value for name, value in attributes.items()}
     for name in ("visible", "visibility"):
         if name in told:
-            share = float(told[name])
+            text = str(told[name]).strip().lower()
+            try:
+                share = float({"true": "1", "false": "0"}.get(text, text))
+            except ValueError:
+                share = math.nan
             if not 0 <= share <= 1:
-                raise ValueError(f"{name} must be a share, 0 to 1, not {share:g}")
+                raise ValueError(f"{name} must be a share, 0 to 1, not {_shortened(told[name])}")
             return share
     if str(told.get("occluded", "")).strip().lower() in ("1", "true"):
         return PARTLY_HIDDEN
