@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,6 +30,9 @@ MOST_LETTERS = 255
 
 FrameNumbers = dict[int | str, int]
 """The frame, or the time in ns, that each Shape.frame stands for."""
+
+Sizes = Set[tuple[int, int]]
+"""(columns, rows) that images have."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +103,8 @@ def convert(
     used = [s for s in found.shapes if s.label in ids and s.frame in frames]
     if unused and not used:
         raise SonarrecError(f"{source}: nothing can be used: {'; '.join(unused)}")
-    x, y, visible = _in_fan_pixels(source, found, used, log, landmarks.radius_m)
+    sizes = {size for name, size in found.sizes.items() if name is None or name in frames}
+    x, y, visible = _in_fan_pixels(source, sizes, used, log, landmarks.radius_m)
     # Tracks drawn in overlapping parts of one job hold a shape twice.
     cells = (
         (frames[s.frame], ids[s.label], f"{x[n]:.2f}", f"{y[n]:.2f}", f"{visible[n]:.3f}")
@@ -227,36 +231,39 @@ def _once(names: Sequence[str]) -> dict[str, int]:
 
 def _in_fan_pixels(
     source: Path,
-    found: Annotations,
+    sizes: Sizes,
     shapes: Sequence[Shape],
     log: LogImages | None,
     radius_m: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(column, row, visible), each (N,), of the shapes in the log's fan images."""
+    """(column, row, visible), each (N,), of the shapes in the log's fan images.
+
+    sizes: of the images that are in the log, as far as they are told.
+    """
     x = np.array([s.x for s in shapes], dtype=float)
     y = np.array([s.y for s in shapes], dtype=float)
     visible = np.array([1.0 if s.visible is None else s.visible for s in shapes], dtype=float)
     if log is None:
         return x, y, visible
     fan = log.fan
-    drawn_on_fan = found.sizes <= {(fan.columns, fan.rows)}
-    if log.sonar.layout == "polar" and not (found.sizes and drawn_on_fan):
-        range_m, bearing_deg = _polar_pixels(source, found, log, x, y)
+    drawn_on_fan = sizes <= {(fan.columns, fan.rows)}
+    if log.sonar.layout == "polar" and not (sizes and drawn_on_fan):
+        range_m, bearing_deg = _polar_pixels(source, sizes, log, x, y)
         x, y = pixel_from_polar(fan, range_m, bearing_deg)
     elif drawn_on_fan:
         if log.sonar.layout != "polar" and log.sonar.flip:
             x = fan.columns - 1 - x
         range_m, bearing_deg = polar_from_pixel(fan, x, y)
     else:
-        raise _wrong_size(source, found, f"{fan.columns} x {fan.rows}")
+        raise _wrong_size(source, sizes, f"{fan.columns} x {fan.rows}")
     return x, y, np.minimum(visible, share_in_image(fan, range_m, bearing_deg, radius_m))
 
 
 def _polar_pixels(
-    source: Path, found: Annotations, log: LogImages, x: FloatArray, y: FloatArray
+    source: Path, sizes: Sizes, log: LogImages, x: FloatArray, y: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """(range in m, bearing in deg) of pixels of the log's own polar images."""
-    sonar, sizes = log.sonar, found.sizes
+    sonar, drawn = log.sonar, sizes
     if not sizes:
         raise SonarrecError(
             f"{source}: the log is polar, and these annotations do not tell the size of the "
@@ -267,15 +274,15 @@ def _polar_pixels(
     bins = round(log.fan.window_m / log.fan.metres_per_pixel)
     beams = min(sizes)[0] if sonar.bearings_deg is None else len(sonar.bearings_deg)
     if sizes != {(beams, bins)}:
-        raise _wrong_size(source, found, f"{beams} beams x {bins} ranges")
+        raise _wrong_size(source, drawn, f"{beams} beams x {bins} ranges")
     geometry = sonar.complete(str(source))
     bearing_deg = np.interp(x, np.arange(beams), beam_bearings(geometry, beams))
     range_m = np.interp(y, np.arange(bins), bin_ranges(geometry, bins))
     return range_m, -bearing_deg if sonar.flip else bearing_deg
 
 
-def _wrong_size(source: Path, found: Annotations, size: str) -> SonarrecError:
-    drawn = ", ".join(f"{columns} x {rows}" for columns, rows in sorted(found.sizes)[:_FEW])
+def _wrong_size(source: Path, sizes: Sizes, size: str) -> SonarrecError:
+    drawn = ", ".join(f"{columns} x {rows}" for columns, rows in sorted(sizes)[:_FEW])
     return SonarrecError(
         f"{source}: drawn on images of {drawn} pixels, but those of the log have {size}; "
         "annotate the log's own images"

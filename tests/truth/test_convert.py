@@ -539,6 +539,43 @@ def test_annotations_of_resized_images_are_refused(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.parametrize("form", ["coco", "cvat", "labelme"])
+def test_images_that_are_not_in_the_log_may_have_any_size(tmp_path: Path, form: str) -> None:
+    """Of a data set of several sonars the log's own images count; these must be of its size."""
+    log = image_folder(tmp_path / "log", frames(1, 80, 100))
+    sizes = {"frame0.png": (100, 80), "other_7.png": (640, 480)}
+
+    def write(sizes: dict[str, tuple[int, int]]) -> Path:
+        if form == "cvat":
+            box = '<box label="1" occluded="0" xtl="10" ytl="10" xbr="20" ybr="20"/>'
+            images = (
+                f'<image id="0" name="{name}" width="{w}" height="{h}">{box}</image>'
+                for name, (w, h) in sizes.items()
+            )
+            return cvat(tmp_path, "".join(images), "annotation")
+        if form == "coco":
+            source = coco(tmp_path, [BBOX | {"image_id": 7}, BBOX | {"image_id": 8}], [*sizes])
+            document = json.loads(source.read_text())
+            for image in document["images"]:
+                image["width"], image["height"] = sizes[image["file_name"]]
+            source.write_text(json.dumps(document))
+            return source
+        (tmp_path / "set").mkdir(exist_ok=True)
+        for n, (name, (w, h)) in enumerate(sizes.items()):
+            file = tmp_path / "set" / f"{n}.json"
+            labelme(file, [{"label": "1", "points": [[9, 9]], "shape_type": "point"}], name)
+            told = {"imageHeight": h, "imageWidth": w}
+            file.write_text(json.dumps(json.loads(file.read_text()) | told))
+        return tmp_path / "set"
+
+    rows = converted(tmp_path, write(sizes), "--log", log, code=3)
+    assert [row[:2] for row in rows] == [(0, 1)]
+    wrong = write(sizes | {"frame0.png": (50, 40)})
+    said = failure(wrong, "--log", log)
+    assert "drawn on images of 50 x 40" in said
+    assert "640" not in said
+
+
 def test_visible_is_limited_by_the_fan(tmp_path: Path) -> None:
     """On the fan's right edge, half of the disc; well outside, nothing; in the middle, all."""
     log = image_folder(tmp_path / "log", frames(2, 300, 560))

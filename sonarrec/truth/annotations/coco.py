@@ -43,7 +43,8 @@ def read(path: Path) -> Annotations:
         for image in document["images"]:
             names[image["id"]] = str(image["file_name"])
             if "width" in image and "height" in image:
-                found.sizes.add((whole(image["width"]), whole(image["height"])))
+                size = whole(image["width"]), whole(image["height"])
+                found.sizes[names[image["id"]]] = size
         found.images.extend(names.values())
         for number, annotation in enumerate(document["annotations"]):
             where = f"annotation {number} of the list"

@@ -137,7 +137,8 @@ class _Reader:
         elif tag == "image":
             self._image = attributes["name"]
             self.found.images.append(self._image)
-            self.found.sizes.add((whole(attributes["width"]), whole(attributes["height"])))
+            size = whole(attributes["width"]), whole(attributes["height"])
+            self.found.sizes[self._image] = size
         elif tag in _CENTRES:
             self._told = {}
         elif tag in _OTHER_SHAPES and len(self._open) == 3:
@@ -153,7 +154,7 @@ class _Reader:
         elif tag == "width":
             self._width = whole(self._text)
         elif tag == "height":
-            self.found.sizes.add((self._width, whole(self._text)))
+            self.found.sizes[None] = self._width, whole(self._text)
         elif tag == "track" and self._places is not None:
             self._close_track(sorted(self._places, key=lambda place: place.frame))
             self._places = None

@@ -36,7 +36,8 @@ def read(path: Path) -> Annotations:
             name = str(document["imagePath"]).replace("\\", "/").rpartition("/")[2]
             found.images.append(name)
             if document.get("imageWidth") and document.get("imageHeight"):
-                found.sizes.add((whole(document["imageWidth"]), whole(document["imageHeight"])))
+                size = whole(document["imageWidth"]), whole(document["imageHeight"])
+                found.sizes[name] = size
             for shape in document["shapes"]:
                 kind = shape.get("shape_type") or "polygon"
                 centre = _centre(kind, [(coordinate(x), coordinate(y)) for x, y in shape["points"]])

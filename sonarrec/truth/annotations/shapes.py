@@ -60,8 +60,8 @@ class Annotations:
     """What the file calls the first frame of the log."""
     images: list[str] = field(default_factory=list)
     """Every image listed, also those with no shape on them."""
-    sizes: set[tuple[int, int]] = field(default_factory=set)
-    """(columns, rows) of the images, as far as they are told."""
+    sizes: dict[str | None, tuple[int, int]] = field(default_factory=dict)
+    """(columns, rows) of images by name, as far as they are told; None: of all."""
     interpolated: int = 0
     """Shapes filled in between keyframes."""
     unused: Counter[str] = field(default_factory=Counter)
