@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import errno
+import glob
 import itertools
 import os
 import shutil
@@ -49,7 +50,8 @@ def check_output(
     the command reads; None counts for nothing. header: how a table or JSON of ours begins.
     """
     for place in (Path(read) for read in reads if read is not None):
-        log = place if place.exists() else place.parent  # a glob of images
+        images = glob.has_magic(str(place)) and not place.exists()  # a pattern of their names
+        log = place.parent if images else place
         if _same(path, place) or _same(path, log):
             raise UsageError(f"{shown(path)}: this command reads it; write somewhere else")
         if kind == "picture" and log.is_dir() and _same(path.parent, log):

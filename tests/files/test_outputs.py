@@ -122,6 +122,21 @@ def test_nothing_else_is_written_over(work: Path, line: str) -> None:
     assert not set(after) - set(before)
 
 
+@pytest.mark.parametrize(
+    "line",
+    [
+        "truth check gt.csv nope.mcap",
+        "overlay nope.mcap --images shots",
+        "info nope.mcap --preview a.png",
+    ],
+)
+@pytest.mark.usefixtures("work")
+def test_a_log_that_is_not_there_is_what_is_told(line: str) -> None:
+    done = sonarrec(line)
+    assert done.exit_code == 2
+    assert done.stderr == "sonarrec: nope.mcap: no such file or folder\n"
+
+
 EVALUATE = f"evaluate {TABLES} --ground-truth gt.csv --det"
 COMPARE = f"--compare {TABLES} {TABLES} --ground-truth gt.csv"
 
