@@ -10,14 +10,15 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
+from sonarrec.drawing.pen import landmark_colours
 from sonarrec.files.outputs import write_figure
 from sonarrec.geometry import floor_depth, ground_range
 from sonarrec.mapping.build import MappedLog, SiteMap
 from sonarrec.mapping.tables import Axes, ellipse
 from sonarrec.records import FloatArray
 
-# Okabe and Ito's colours, told apart with any colour vision; the ID stands beside each.
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+LINES = "#333333"
+"""Of discs, which stand out from the floor so whatever their ID's colour."""
 MOST_FANS = 150
 """Of the floor seen, drawn per log."""
 ENLARGED = 10
@@ -47,18 +48,18 @@ def draw_map(path: Path, site: SiteMap) -> None:
     widths = [_width(one.covariance) for one in site.landmarks]
     span = abs(np.subtract(*axes.get_xlim()))
     larger = ENLARGED if widths and np.median(widths) < LEAST_SEEN * span else 1
-    ids = site.landmark_set.ids
+    colours = landmark_colours(site.landmark_set.ids)
     for number, one in enumerate(site.landmarks, 1):
-        colour = COLOURS[ids.index(one.id) % len(COLOURS)]
+        colour = tuple(np.array(colours[one.id]) / 255)
         place = axes_of.place(one.place)
         disc = place + site.landmark_set.radius_m * _circle()
-        axes.fill(*disc.T, facecolor=colour, alpha=0.25, edgecolor=colour, zorder=2)
+        axes.fill(*disc.T, facecolor=colour, alpha=0.7, edgecolor=LINES, zorder=2)
         covariance = axes_of.covariance(one.covariance) * larger**2
-        axes.plot(*ellipse(place, covariance).T, color=colour, linewidth=1.2, zorder=3)
+        axes.plot(*ellipse(place, covariance).T, color=LINES, linewidth=1.2, zorder=3)
         if not math.isnan(one.turn_deg):
             turn = math.radians(axes_of.turn(one.turn_deg, 360))
             tip = place + site.landmark_set.radius_m * np.array([math.cos(turn), math.sin(turn)])
-            axes.plot(*np.array([place, tip]).T, color=colour, linewidth=2, zorder=3)
+            axes.plot(*np.array([place, tip]).T, color=LINES, linewidth=2, zorder=3)
         axes.annotate(
             f"ID.{one.id}  ({number})",
             tuple((place + 0.75 * site.landmark_set.radius_m).tolist()),
@@ -70,8 +71,8 @@ def draw_map(path: Path, site: SiteMap) -> None:
         )
     axes.autoscale_view()
     size = "95 % ellipses" + (f", {larger} times as large" if larger > 1 else "")
-    axes.plot([], [], color="#333333", linewidth=1.2, label=size)
-    axes.plot([], [], color="#333333", linewidth=2, label="where the first sector begins")
+    axes.plot([], [], color=LINES, linewidth=1.2, label=size)
+    axes.plot([], [], color=LINES, linewidth=2, label="where the first sector begins")
     axes.set_xlabel("x, m: ahead at yaw 0" if site.ros_axes else "x, m: to the right at yaw 0")
     axes.set_ylabel("y, m: to the left at yaw 0" if site.ros_axes else "y, m: ahead at yaw 0")
     axes.set_title(_title(site), fontsize=10)

@@ -18,11 +18,13 @@ import gtsam
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
+from matplotlib.axes import Axes
 from mcap.writer import Writer
 from rosbags.typesys import Stores, get_typestore
 
 from sonarrec.cli import main
 from sonarrec.config import preset
+from sonarrec.drawing.pen import landmark_colours
 from sonarrec.landmarks import load_landmarks
 from sonarrec.mapping.build import make_map
 from sonarrec.mapping.factors import Factors, Graph, write_g2o
@@ -564,6 +566,19 @@ def test_the_picture_shows_what_was_found(mapped: Path) -> None:
     picture = cv2.imread(str(mapped / "map.png"))
     assert picture is not None
     assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 20
+
+
+def test_an_id_has_the_colour_it_has_everywhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    filled: list[Any] = []
+    monkeypatch.setattr(Axes, "fill", lambda *_, **look: filled.append(look["facecolor"]))
+    path = there_and_back(20)
+    sonarrec("map", results(tmp_path / "dive", path, path))
+    colours = landmark_colours(BASIN.ids)
+    assert [tuple(round(255 * c) for c in colour) for colour in filled] == [
+        colours[disc.id] for disc in SITE
+    ]
 
 
 # Poses of a topic
