@@ -23,7 +23,7 @@ from sonarrec.readers import open_log
 from sonarrec.readers.find import find_log
 from sonarrec.readers.log import Log
 from sonarrec.records import Estimate, Fan, Frame, SonarrecError, UsageError
-from sonarrec.results.folders import estimates_of
+from sonarrec.results.folders import estimates_of, part_of
 from sonarrec.results.read import read_frames, read_log
 from sonarrec.results.run_file import Given, read_run
 from sonarrec.results.same_log import check_same_log, last_frame
@@ -82,10 +82,14 @@ def write_overlay(
     """
     path = Path(path)
     _check_targets(targets, path, ground_truth)
-    folder = _results_folder(path, results)
+    source = find_log(path)
+    folder = _results_folder(path, source.name, results)
     run = read_run(folder / "run.toml")
     landmark_set = run.landmark_set(landmarks)
-    given = run.lay_under(Given(sonar or Sonar(), sonar_file, topic), same_log=True)
+    given = run.lay_under(
+        Given(sonar or Sonar(), sonar_file, topic),
+        same_log=source.reader.has_topics,  # else a topic in run.toml is another log's
+    )
     table = estimates_of(folder)
     method = choose_method(table, method)
     with open_log(path, **given.reading()) as log:
@@ -184,10 +188,12 @@ def _open_targets(
     return annotations, pictures
 
 
-def _results_folder(path: Path, results: Path) -> Path:
-    """The log's own folder of results. Raises SonarrecError where there is none."""
-    name = find_log(path).name
-    for folder in (results, results / name):
+def _results_folder(path: Path, name: str, results: Path) -> Path:
+    """The log's own folder of results, else what a stopped run left.
+
+    name: of the log at `path`. Raises SonarrecError where there is none.
+    """
+    for folder in (results, results / name, part_of(results / name)):
         if (folder / "frames.csv").is_file():
             return folder
     raise SonarrecError(

@@ -9,6 +9,7 @@ import json
 import math
 import os
 import re
+import tomllib
 import tracemalloc
 from collections.abc import Iterator
 from datetime import UTC, datetime
@@ -20,6 +21,7 @@ import cv2
 import jsonschema
 import numpy as np
 import pytest
+import tomli_w
 import zstandard
 from click.testing import CliRunner, Result
 from hypothesis import given, settings
@@ -711,6 +713,10 @@ def test_a_run_that_was_cut_short(work: Path) -> None:
     run.write_text(run.read_text().replace("finished = true", "finished = false"))
     told = sonarrec("overlay", "log", "--mcap", "o.mcap", code=3)
     assert "the run was cut short; frames after 3 have no results" in told.stderr
+    # As a run leaves it that was stopped.
+    run.parent.rename(run.parent.with_name("log.part"))
+    told = sonarrec("overlay", "log", "--mcap", "o.mcap", code=3)
+    assert "log.part: the run was cut short; frames after 3 have no results" in told.stderr
 
 
 @pytest.mark.parametrize(
@@ -797,6 +803,17 @@ def test_results_of_another_log(work: Path) -> None:
     (work / "log" / "frame3.png").unlink()
     told = sonarrec("overlay", "log", "--mcap", "o.mcap", code=1)
     assert "frame 3 is listed, but log has only 3 frames" in told.stderr
+
+
+def test_a_topic_of_another_log_is_nothing_that_was_given(work: Path) -> None:
+    folder = work / "sonarrec_out" / "log"
+    run = tomllib.loads((folder / "run.toml").read_text())
+    run["input"].update(name="dive.mcap", sha256="0" * 64, topic="/sonar", time="header")
+    (folder / "run.toml").write_text(tomli_w.dumps(run))
+    told = sonarrec("overlay", "log", "--mcap", "o.mcap", code=1)
+    assert "results of another log, dive.mcap with" in told.stderr
+    told = sonarrec("overlay", "log", "--mcap", "o.mcap", "--topic", "/sonar", code=2)
+    assert "--topic chooses a channel of an MCAP or a ROS bag; this is none" in told.stderr
 
 
 def test_the_recording_is_never_overwritten(work: Path) -> None:
