@@ -41,13 +41,15 @@ class MappedLog:
 class SiteMap:
     """Where the landmarks of a site lie, in the poses' frame or that of the first frame.
 
-    x is to the right and y ahead of a sonar whose yaw is 0. logs: those that could be used.
-    problems: a line for each that could not be, and for what of the others could not. notes: what
-    a reader should know. ros_axes: the poses' own axes are x ahead and y to the left.
+    x is to the right and y ahead of a sonar whose yaw is 0. left_out: landmarks of too few frames.
+    logs: those that could be used. problems: a line for each that could not be, and for what of the
+    others could not. notes: what a reader should know. ros_axes: the poses' own axes are x ahead
+    and y to the left.
     """
 
     landmark_set: LandmarkSet
     landmarks: list[Landmark]
+    left_out: int
     logs: list[MappedLog]
     problems: list[str]
     notes: list[str]
@@ -69,8 +71,8 @@ def make_map(
     results: folders of single logs, or such that hold some. odometry: tables of poses, see
     `poses_of_run`. drift: of told poses; default, they are exact. method: of estimates.csv,
     default `framework` or the only one. landmarks, sonar: in place of what run.toml says.
-    least_frames: with a declaration, without which a landmark is left out. Raises SonarrecError
-    where none of the logs can be used, or they have no frame in common.
+    least_frames: with a declaration, over all passes; what has fewer is left out. Raises
+    SonarrecError where none of the logs can be used, or they have no frame in common.
     """
     folders = list(dict.fromkeys(log for one in results for log in find_logs(one)))
     logs: list[MappedLog] = []
@@ -108,8 +110,14 @@ def make_map(
             f"without poses each log has a frame of its own ({alone}): give poses with "
             "--odometry, or map the logs one by one"
         )
-    found = join([log.on_floor for log in logs], landmark_set, least_frames)
-    return SiteMap(landmark_set, found, logs, problems, notes, all(log.ros_axes for log in logs))
+    found = join([log.on_floor for log in logs], landmark_set)
+    kept = [
+        one
+        for one in found
+        if sum(int(logs[g].on_floor.passes.frames[k]) for g, k in one.members) >= least_frames
+    ]
+    ros_axes = all(log.ros_axes for log in logs)
+    return SiteMap(landmark_set, kept, len(found) - len(kept), logs, problems, notes, ros_axes)
 
 
 def _mapped(

@@ -101,11 +101,8 @@ class _Pool:
         )
 
 
-def join(logs: Sequence[LogPasses], landmarks: LandmarkSet, least_frames: int) -> list[Landmark]:
-    """The landmarks of a map, the ID that comes first in the set first.
-
-    least_frames: with a declaration, over all passes; what has fewer is left out.
-    """
+def join(logs: Sequence[LogPasses], landmarks: LandmarkSet) -> list[Landmark]:
+    """The landmarks of a map, the ID that comes first in the set first."""
     pool = _pool(logs, landmarks)
     if not len(pool.log):
         return []
@@ -113,12 +110,7 @@ def join(logs: Sequence[LogPasses], landmarks: LandmarkSet, least_frames: int) -
     for number in landmarks.ids:
         groups += _of_one_id(pool, np.flatnonzero(pool.landmark == number), landmarks.radius_m)
     found = [_placed(pool, group) for group in groups]
-    found = _one_at_a_place(logs, found, ONE_DISC * 2 * landmarks.radius_m)
-    return [
-        one
-        for one in found
-        if sum(int(logs[log].passes.frames[k]) for log, k in one.members) >= least_frames
-    ]
+    return _one_at_a_place(logs, found, ONE_DISC * 2 * landmarks.radius_m)
 
 
 def _pool(logs: Sequence[LogPasses], landmarks: LandmarkSet) -> _Pool:

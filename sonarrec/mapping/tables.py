@@ -226,8 +226,10 @@ def write_geojson(path: Path, site: SiteMap, origin: Origin) -> None:
 
 def lines(site: SiteMap) -> list[str]:
     """The map to print, a line per landmark."""
+    few = "1 landmark" if site.left_out == 1 else f"{site.left_out} landmarks"
+    left_out = [f"{few} left out by --min-frames"] if site.left_out else []
     if not site.landmarks:
-        return ["no landmark declared"]
+        return left_out or ["no landmark declared"]
     axes, periods = Axes(site.ros_axes), _periods(site)
     found = ["number  landmark       x m       y m  sigma m  orientation  sigma  passes  frames"]
     for number, one in enumerate(site.landmarks, 1):
@@ -239,4 +241,4 @@ def lines(site: SiteMap) -> list[str]:
             f"{number:>6}  {one.id:>8}  {x:>8.3f}  {y:>8.3f}  {sigma:>7.3f}  {turn:>11.1f}  "
             f"{one.turn_sigma_deg:>5.1f}  {len(one.members):>6}  {frames:>6}"
         )
-    return found
+    return found + left_out

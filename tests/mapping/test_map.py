@@ -253,7 +253,13 @@ def test_landmarks_of_few_frames_are_left_out(tmp_path: Path) -> None:
     folder = results(tmp_path / "dive", path, path)
     most = max(int(row["frames"]) for row in map_rows(folder))
     assert map_rows(folder, "--min-frames", most + 1) == []
-    assert "no landmark declared" in sonarrec("map", folder, "--min-frames", 10_000).stdout
+    told = sonarrec("map", folder, "--min-frames", 10_000).stdout.splitlines()[1:]
+    assert told == ["  3 landmarks left out by --min-frames"]
+    assert "left out" not in sonarrec("map", folder).stdout
+    told = sonarrec("map", folder, "--min-frames", most).stdout.splitlines()[-1:]
+    assert told == ["  2 landmarks left out by --min-frames"]
+    nothing = results(tmp_path / "empty", path, path, site=())
+    assert "no landmark declared" in sonarrec("map", nothing, "--min-frames", 10_000).stdout
 
 
 def map_rows(folder: Path, *options: str | int) -> list[dict[str, str]]:
