@@ -197,6 +197,19 @@ def test_help_is_in_groups() -> None:
     assert text.rstrip().endswith("More: sonarrec help run")
 
 
+def test_the_page_of_the_settings_names_the_commands_that_have_them() -> None:
+    told = re.search(r"options choose settings, in (.*)\. ", PAGES["config"].read_text("utf-8"))
+    assert told is not None
+    taking = {name for name, c in COMMANDS.items() if any("--set" in p.opts for p in c.params)}
+    assert set(re.findall("`(.*?)`", told[1])) == taking
+
+
+@pytest.mark.parametrize(("command", "contrast"), [("simulate", "6"), ("site", "0,3,6,10")])
+def test_help_tells_a_commands_own_default(command: str, contrast: str) -> None:
+    told = " ".join(CliRunner().invoke(main, [command, "--help"]).stdout.split())
+    assert f"make a series. [default: {contrast}]" in told
+
+
 def test_help_names_its_page_however_it_is_started() -> None:
     for command, page in (("run", "run"), ("truth check", "truth")):
         words = [*command.split(), "--help"]

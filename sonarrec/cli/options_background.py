@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sonarrec.cli.options import BACKGROUND, FILE, LogChoice, as_one, option
+from sonarrec.cli.options import BACKGROUND, FILE, Decorator, LogChoice, as_one, option
 from sonarrec.records import UsageError
 
 if TYPE_CHECKING:
@@ -20,13 +20,6 @@ if TYPE_CHECKING:
 MOST_DB = 60.0
 
 _LAYING = {
-    "contrast": option(
-        BACKGROUND,
-        "--contrast",
-        metavar="DB[,DB]",
-        help="How far ring and sectors stand out from the floor, dB of power; several, with commas "
-        "between, make a series.  [default: 6; of `site` 0,3,6,10]",
-    ),
     "plate": option(
         BACKGROUND,
         "--plate",
@@ -76,14 +69,15 @@ class Laying:
     """What the command line says of the landmarks to lay."""
 
     values: Mapping[str, Any]
+    default_contrast: str
 
     def given(self) -> list[str]:
         """The flags that were given."""
         return [f"--{k.replace('_', '-')}" for k, v in self.values.items() if v is not None]
 
-    def contrasts(self, default: str) -> list[float]:
+    def contrasts(self) -> list[float]:
         """dB, rising. Raises UsageError for what is no list of numbers."""
-        text = self.values["contrast"] or default
+        text = self.values["contrast"] or self.default_contrast
         try:
             found = sorted(float(number) for number in text.split(","))
         except ValueError:
@@ -150,4 +144,11 @@ class Laying:
         )
 
 
-laying_options = as_one("laying", _LAYING, Laying)
+def laying_options(contrast: str) -> Decorator:
+    """All of them, as one `laying`; contrast: what the command takes where none is given."""
+    text = (
+        "How far ring and sectors stand out from the floor, dB of power; several, with commas "
+        f"between, make a series.  [default: {contrast}]"
+    )
+    series = option(BACKGROUND, "--contrast", metavar="DB[,DB]", help=text)
+    return as_one("laying", {"contrast": series} | _LAYING, lambda values: Laying(values, contrast))

@@ -51,7 +51,7 @@ from sonarrec.records import UsageError
     help="Number of frames, in place of the scene's own; with --background A:B, only these frames "
     "of it.",
 )
-@laying_options
+@laying_options("6")
 @log_options(time=True)
 @option(
     OUTPUT,
@@ -172,7 +172,7 @@ def _lay(
 
     if out.suffix == ".mcap":
         raise UsageError(f"{out}: --background writes a folder of images")
-    contrasts = laying.contrasts("6")
+    contrasts = laying.contrasts()
     landmarks, config = laying.landmark_set(), preset("default")
     folders = {db: out / f"contrast_{db:g}" for db in contrasts}
     if len(contrasts) == 1:

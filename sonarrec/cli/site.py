@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 @click.argument("log")
 @log_options(time=True)
 @frames_option("Use only these frames, from A up to, not including, B.")
-@laying_options
+@laying_options("0,3,6,10")
 @option(
     BACKGROUND,
     "--layouts",
@@ -81,7 +81,7 @@ def site(
     from sonarrec.simulation.background import check_free
 
     config = settings.config()
-    contrasts, landmarks = laying.contrasts("0,3,6,10"), laying.landmark_set()
+    contrasts, landmarks = laying.contrasts(), laying.landmark_set()
     out = out or Path("sonarrec_site") / find_log(log).name
     check_free([out])
     with progress(quiet, title="motion") as step:
