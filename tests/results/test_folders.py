@@ -245,11 +245,11 @@ def test_results_that_wait_to_be_revised_are_kept(log: Path, tmp_path: Path, num
         time.sleep(seconds)
         process.send_signal(number)
         assert process.wait(timeout=60) == 128 + number
-        kept = frames(part)
+        kept = frames(part) if part.exists() else []  # without a frame no part is left
         assert kept == list(range(len(kept)))
         if len(kept) > 4:
             break
-        shutil.rmtree(part)
+        shutil.rmtree(part, ignore_errors=True)
     assert 4 < len(kept) < 200
 
 
