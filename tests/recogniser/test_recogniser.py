@@ -295,6 +295,19 @@ def test_all_at_once_says_what_frame_by_frame_does():
         alike(one, other, SMI)
 
 
+def test_smi_is_shared_by_presets_of_the_same_candidates_alone() -> None:
+    """On rings these depend on the width of the beams too: it says what the gap is worth."""
+    default, offline = (config.preset(name) for name in ("default", "offline"))
+
+    def methods(width_deg: float) -> list[str]:
+        features = dataclasses.replace(offline.features, beam_width_deg=width_deg)
+        other = dataclasses.replace(offline, features=features)
+        return SideBySide([default, other], make_fan(), BASIN).methods
+
+    assert methods(default.features.beam_width_deg).count("smi:offline") == 0
+    assert methods(2.0).count("smi:offline") == 1
+
+
 @pytest.mark.parametrize("ahead", [False, True])
 def test_a_thread_says_the_same_to_the_bit(ahead: bool):
     log = still_log(2, FRAMES_AT_ONCE + 3)

@@ -132,6 +132,12 @@ positions = st.lists(
 )
 
 
+def test_a_high_power_of_a_long_way_is_no_0_over_0():
+    """100 pixels to the power of -400 are 0 in 64 bits; the nearest has all of the row."""
+    same = motion_model(np.array([[0.0, 0.0]]), np.array([[0.0, 100.0], [0.0, 200.0]]), 400)
+    assert same.tolist() == [[1.0, pytest.approx(0, abs=1e-100)]]
+
+
 @settings(max_examples=50, deadline=None)
 @given(now=positions, before=positions, power=st.sampled_from([1.0, 2.0, 4.0]))
 def test_motion_model_rows_sum_to_one_and_follow_inverse_distance(now, before, power):
