@@ -92,7 +92,7 @@ def write_overlay(
     )
     table = estimates_of(folder)
     method = choose_method(table, method)
-    with open_log(path, **given.reading()) as log:
+    with open_log(source, **given.reading()) as log:
         check_same_log(log, folder, run)
         problems = [] if run.finished else [_cut_short(folder)]
         frames = iter(log)

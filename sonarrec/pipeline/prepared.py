@@ -130,8 +130,10 @@ def _same_log(
     digest: as `digest_of`; None where the earlier run does not tell one: then the name serves.
     """
     alike = earlier.input.name == name
-    if digest is None or digest[1] == earlier.input.sha256:
-        return alike or digest is not None, []
+    if digest is None:
+        return alike, []
+    if digest[1] == earlier.input.sha256:
+        return True, []
     other = f"{earlier.path}: of another {name}, so only its settings and its geometry are used"
     return False, [other] if alike else []
 

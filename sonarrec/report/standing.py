@@ -53,7 +53,8 @@ def standing(
 
 def chosen(folders: Sequence[Path], stand: Sequence[Standing]) -> list[Path]:
     """Which of the folders have panels of their own: those that differ, then others."""
-    first = [one.folder for one in stand if one.folder is not None and one.folder in folders]
+    known = set(folders)
+    first = [one.folder for one in stand if one.folder is not None and one.folder in known]
     return list(dict.fromkeys([*first, *folders]))[:MOST_LOGS]
 
 
