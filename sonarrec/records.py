@@ -22,6 +22,8 @@ IndexArray = npt.NDArray[np.intp]
 
 PART = ".part"
 """How the name of a folder of results ends while its run is not finished; no other ends so."""
+IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"})
+"""Of the images that are read; a folder that holds some is a log."""
 
 
 def printable(text: str) -> str:

@@ -22,7 +22,6 @@ from sonarrec.cli.options import (
     quiet_option,
     settings_options,
 )
-from sonarrec.records import UsageError
 
 
 @command(short_help="Learn from labelled logs how landmarks look.")
@@ -67,8 +66,6 @@ def calibrate(
     from sonarrec.landmarks import load_landmarks
     from sonarrec.learning.calibrate import learn
 
-    if not out.parent.is_dir():
-        raise UsageError(f"--out {out}: there is no folder {out.parent}")
     check_output(out, "model", [*log, ground_truth])
     config = settings.config()
     with progress(quiet) as step:

@@ -18,6 +18,7 @@ from sonarrec.evaluation.counting.uncertainty import Difference, Figure
 from sonarrec.evaluation.plots import draw_det, draw_reliability, draw_roc, draw_roc_by_id
 from sonarrec.evaluation.summary import Summary
 from sonarrec.files.outputs import (
+    check_no_recording,
     check_output,
     check_tables,
     is_filled,
@@ -73,8 +74,8 @@ def write_evaluation(
     if not is_filled(folder / "evaluation.json"):  # beside it pictures are ours, marked or not
         for name in pictures:
             check_output(folder / name, "picture")
+    check_no_recording(folder, tables)
     with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
         (folder / "evaluation.json").unlink(missing_ok=True)
         for name, (header, rows) in tables.items():
             write_table(folder / name, header, rows)
@@ -103,8 +104,8 @@ def write_comparison(folder: Path, found: Comparison) -> tuple[str, ...]:
     )
     check_tables(folder, {"compare.csv": COMPARE, "changes.csv": CHANGES})
     check_output(folder / "compare.json", "JSON", header='{\n  "old": ')
+    check_no_recording(folder, ["evaluation.json", "compare.csv"])
     with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
         write_table(folder / "compare.csv", COMPARE, rates)
         write_table(folder / "changes.csv", CHANGES, changes)
         with (

@@ -18,7 +18,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Literal
 
-from sonarrec.records import SonarrecError, UsageError, shown
+from sonarrec.records import IMAGE_SUFFIXES, SonarrecError, UsageError, shown
 
 Kind = Literal[
     "report", "comparison", "picture", "overlay", "video", "model", "table", "JSON", "graph"
@@ -59,6 +59,7 @@ def check_output(
                 f"{shown(path)}: would be a part of the recording itself; write somewhere else"
             )
     if not path.exists():
+        _check_folder(path)
         return
     if not path.is_dir() and not path.is_file():
         return  # a device, such as /dev/null
@@ -69,6 +70,15 @@ def check_output(
             f"{shown(path)}: exists and is no {kind} of sonarrec, so it is not written over; "
             "choose another name, or remove it first"
         )
+
+
+def _check_folder(path: Path) -> None:
+    """Raise UsageError where the folder of a new file can neither be written to nor be made."""
+    above = next(place for place in path.parents if place.exists())
+    if not above.is_dir():
+        raise UsageError(f"{shown(path)}: {shown(above)} is no folder")
+    if not os.access(above, os.W_OK | os.X_OK):
+        raise UsageError(f"{shown(path)}: nothing may be written in {shown(above)}")
 
 
 def _same(one: Path, other: Path) -> bool:
@@ -83,6 +93,22 @@ def check_tables(folder: Path, headers: Mapping[str, Sequence[str]]) -> None:
     """`check_output` of tables in a folder. headers: by their names, their columns."""
     for name, header in headers.items():
         check_output(folder / name, "table", header=",".join(header[:3]))
+
+
+def check_no_recording(folder: Path, ours: Iterable[str]) -> None:
+    """Raise UsageError where a folder holds images, to which our pictures would be added.
+
+    ours: names of files, of which one that is there says that the folder is of our making.
+    """
+    if folder.is_dir() and not any((folder / name).exists() for name in ours):
+        with writing(folder):
+            images = (file for file in folder.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES)
+            other = next((file for file in images if not is_output(file, "picture")), None)
+        if other is not None:
+            raise UsageError(
+                f"{shown(folder)}: holds {shown(other.name)}, so it may be a recording; "
+                "write somewhere else"
+            )
 
 
 def is_output(path: Path, kind: Kind, header: str = "") -> bool:
@@ -130,14 +156,15 @@ def writing(place: object) -> Iterator[None]:
 def replaced(path: Path) -> Iterator[Path]:
     """A place beside `path` to write to, which takes its place at the end: all of it or nothing.
 
-    A link stays, and its file is replaced. What is no regular file (a device, a pipe) is written
-    itself. An OSError names `path`.
+    Folders that are not there are made. A link stays, and its file is replaced. What is no regular
+    file (a device, a pipe) is written itself. An OSError names `path`.
     """
     if str(path).startswith(_STREAMS) or (path.exists() and not path.is_file()):
         yield path
         return
     target = path.resolve()
     new = target.with_name(f".{os.getpid()}-{next(_numbers)}.new")
+    made = [folder for folder in target.parents if not folder.exists()][::-1]
     try:
         if target.exists():
             target.open("r+b").close()  # what must not be written must not be replaced either
@@ -146,6 +173,8 @@ def replaced(path: Path) -> Iterator[Path]:
                 return
             new.touch()
             shutil.copymode(target, new)
+        for folder in made:
+            folder.mkdir(exist_ok=True)
         yield new
         try:
             new.replace(target)
@@ -156,7 +185,9 @@ def replaced(path: Path) -> Iterator[Path]:
             new.unlink()
     except BaseException as error:
         with suppress(OSError):
-            new.unlink()
+            new.unlink(missing_ok=True)
+            for folder in reversed(made):
+                folder.rmdir()
         if isinstance(error, OSError) and error.filename in (None, str(new), str(target)):
             error.filename = str(path)
         raise
@@ -183,9 +214,8 @@ def write_csv(path: Path, header: Iterable[str], rows: Iterable[Iterable[object]
 
 
 def write_page(path: Path, page: str) -> None:
-    """A page, in a folder that is made if need be. Raises SonarrecError."""
+    """A page. Raises SonarrecError."""
     with writing(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, page)
 
 

@@ -87,5 +87,4 @@ def write_path(folder: Path, out: Path) -> None:
         for at, (yaw, x, y), (a, b, c) in zip(path.timestamp_ns[row], pose, sigma, strict=True)
     )
     with writing(out):
-        out.parent.mkdir(parents=True, exist_ok=True)
         write_csv(out, PATH_COLUMNS, rows)

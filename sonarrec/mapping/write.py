@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from sonarrec.files.outputs import check_output, check_tables, is_filled, writing
+from sonarrec.files.outputs import (
+    check_no_recording,
+    check_output,
+    check_tables,
+    is_filled,
+    writing,
+)
 from sonarrec.mapping.build import SiteMap
 from sonarrec.mapping.factors import FACTOR_COLUMNS, factors, graph_of, write_factors, write_g2o
 from sonarrec.mapping.picture import draw_map
@@ -35,8 +41,8 @@ def write_all(folder: Path, site: SiteMap, origin: Origin | None = None) -> list
         check_output(g2o, "graph")
         check_output(picture, "picture")
         check_output(earth, "JSON", header=GEOJSON_BEGIN)
+    check_no_recording(folder, headers)
     with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
         write_map(tables[0], site)
         write_passes(tables[1], site)
         write_factors(tables[2], site, found, graph)

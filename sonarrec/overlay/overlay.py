@@ -14,7 +14,7 @@ import numpy as np
 
 from sonarrec.drawing.pen import draw_picture
 from sonarrec.drawing.results import STRIP_FRAMES, Mark, Moment, draw_frame, draw_strip, trails
-from sonarrec.files.outputs import Kind, check_output
+from sonarrec.files.outputs import Kind, check_output, writing
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.overlay.foxglove_layout import LAYOUT_BEGIN, write_layout
 from sonarrec.overlay.foxglove_mcap import FAN_TOPIC, FoxgloveFile
@@ -172,6 +172,10 @@ def _open_targets(
     """What frames are written to, closed with the stack."""
     annotations = None
     pictures: list[VideoFile | ImageFolder] = []
+    for target in (targets.mcap, targets.video):
+        if target is not None:
+            with writing(target):
+                target.parent.mkdir(parents=True, exist_ok=True)
     if targets.mcap is not None:
         # Where the recording holds nothing that Foxglove shows as this fan, the overlay does.
         unseen = first.stamps.log is None or log.sonar.layout == "polar" or bool(log.sonar.flip)

@@ -14,13 +14,13 @@ from pathlib import Path
 
 from sonarrec.readers.bag_folder import bag_files, is_bag_folder
 from sonarrec.readers.ddf.frames import DdfFrames
-from sonarrec.readers.images import IMAGE_SUFFIXES, ImageFiles, ImagePaths, is_image, natural_order
+from sonarrec.readers.images import ImageFiles, ImagePaths, is_image, natural_order
 from sonarrec.readers.oculus import OculusPings
 from sonarrec.readers.packed import PACKINGS, unpacked
 from sonarrec.readers.raw import RawLog
 from sonarrec.readers.recording import Recording
 from sonarrec.readers.video import VIDEO_SUFFIXES, VideoFrames
-from sonarrec.records import PART, MissingError, SonarrecError, UsageError, shown
+from sonarrec.records import IMAGE_SUFFIXES, PART, MissingError, SonarrecError, UsageError, shown
 from sonarrec.sonar import Sonar, load_sonar
 
 SONAR_FILE = "sonar.toml"

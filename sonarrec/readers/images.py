@@ -13,10 +13,9 @@ import numpy as np
 
 from sonarrec.readers.pixels import decode_image
 from sonarrec.readers.raw import RawFrame, RawLog, UnusableError
-from sonarrec.records import shown
+from sonarrec.records import IMAGE_SUFFIXES, shown
 
 MAX_FILE_BYTES = 2**27  # an image of 4096 x 4096 pixels of eight bytes
-IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"})
 
 
 def natural_order(path: str | Path) -> str:

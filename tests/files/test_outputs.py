@@ -84,6 +84,9 @@ REFUSED = [
     "simulate --frames 2 --scene basin --format mcap -o pan.mcap",
     "simulate --frames 2 --scene basin --format mcap -o mine.mcap",
     f"evaluate {TABLES} --ground-truth gt.csv -o others",
+    f"evaluate {TABLES} --ground-truth gt.csv -o log",
+    f"evaluate --compare {TABLES} {TABLES} --ground-truth gt.csv -o log",
+    f"map {TABLES} -o log",
     f"evaluate --compare {TABLES} {TABLES} --ground-truth gt.csv -o others",
     "run log -o .",
     "run pan.mcap -o others",
@@ -114,7 +117,14 @@ def test_nothing_else_is_written_over(work: Path, line: str) -> None:
     [told] = done.stderr.splitlines()
     assert any(
         word in told
-        for word in ("exist", "reads it", "recording itself", "holds frames.csv", "log itself")
+        for word in (
+            "exist",
+            "reads it",
+            "recording itself",
+            "holds frames.csv",
+            "log itself",
+            "may be a",
+        )
     ), told
     assert done.exception is None or isinstance(done.exception, SystemExit), done.exception
     after = contents(work)
@@ -135,6 +145,43 @@ def test_a_log_that_is_not_there_is_what_is_told(line: str) -> None:
     done = sonarrec(line)
     assert done.exit_code == 2
     assert done.stderr == "sonarrec: nope.mcap: no such file or folder\n"
+
+
+@pytest.mark.parametrize(
+    ("line", "where"),
+    [
+        (f"report {TABLES} -o", "page.html"),
+        (f"evaluate {TABLES} --ground-truth gt.csv -o", "folder"),
+        (f"map {TABLES} -o", "folder"),
+        (f"truth propose {TABLES} -o", "gt.csv"),
+        ("truth check gt.csv log --sheet", "sheet.png"),
+        ("info log --preview", "picture.png"),
+        (f"overlay log {TABLES} --mcap", "o.mcap"),
+        (f"overlay log {TABLES} --video", "o.mp4"),
+        ("calibrate log --ground-truth gt.csv -o", "model.toml"),
+        ("run log --overwrite --odometry-out", "path.csv"),
+        ("simulate --frames 2 --scene basin --format mcap -o", "s.mcap"),
+    ],
+)
+def test_folders_are_made_for_what_is_written(work: Path, line: str, where: str) -> None:
+    done = sonarrec(f"{line} new/er/{where} -q")
+    assert done.exit_code in (0, 3), done.output
+    assert (work / "new" / "er" / where).exists()
+    done = sonarrec(f"{line} gt.csv/er/{where} -q")
+    assert done.exit_code in (1, 2), done.output
+    assert done.stderr.startswith("sonarrec: gt.csv/er")
+    assert done.stderr.count("\n") == 1
+
+
+def test_what_fails_leaves_no_folder_behind(tmp_path: Path) -> None:
+    def rows() -> Iterator[list[int]]:
+        yield [1]
+        yield [1 // 0]
+
+    (tmp_path / "there").mkdir()
+    with pytest.raises(ZeroDivisionError):
+        write_csv(tmp_path / "there" / "new" / "er" / "table.csv", ["a"], rows())
+    assert not [*(tmp_path / "there").iterdir()]
 
 
 EVALUATE = f"evaluate {TABLES} --ground-truth gt.csv --det"

@@ -397,7 +397,8 @@ def test_an_existing_truth_is_never_written_over(tmp_path: Path) -> None:
     assert done.exit_code == 1
     assert "exists already and is left as it is" in done.stderr
     assert (tmp_path / "gt.csv").read_text() == "corrected by hand"
-    assert "cannot be written" in run(source, "--out", tmp_path / "no" / "gt.csv").stderr
+    assert "cannot be written" in run(source, "--out", tmp_path / "gt.csv" / "gt.csv").stderr
+    assert (tmp_path / "gt.csv").read_text() == "corrected by hand"
 
 
 # --- Labels --------------------------------------------------------------------------------------
