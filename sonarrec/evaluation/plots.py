@@ -17,7 +17,7 @@ from sonarrec.evaluation.counting.pooled import PooledScored
 from sonarrec.evaluation.counting.reliability import BINS, FEW, Reliability
 from sonarrec.evaluation.counting.scoring import PROTOCOLS
 from sonarrec.evaluation.roc import Point, fpr_end, roc
-from sonarrec.files.outputs import write_figure
+from sonarrec.files.outputs import plain, write_figure
 from sonarrec.records import FloatArray
 
 # Okabe and Ito's colours, told apart with any colour vision; line styles tell them apart in grey.
@@ -104,7 +104,7 @@ def draw_roc(path: Path, scored: Sequence[PooledScored]) -> None:
 
 
 def _dot(axes: Any, point: Point, marker: str, **look: Any) -> None:
-    axes.plot(point.fpr, point.tpr, marker, label=point.label, **look)
+    axes.plot(point.fpr, point.tpr, marker, label=plain(point.label), **look)
 
 
 def draw_roc_by_id(path: Path, scored: Sequence[PooledScored]) -> None:
@@ -128,7 +128,7 @@ def draw_roc_by_id(path: Path, scored: Sequence[PooledScored]) -> None:
         for s in some:
             colour, style = looks[s.method]
             fpr, tpr = macro_curve(s.curve(k) for k in seen)
-            row[-1].plot(fpr, tpr, style, color=colour, lw=1.6, label=s.method)
+            row[-1].plot(fpr, tpr, style, color=colour, lw=1.6, label=plain(s.method))
         for axes, name in zip(
             row, [*(f"ID.{scored[0].ids[k]}" for k in seen), "macro"], strict=True
         ):
@@ -152,7 +152,7 @@ def draw_det(path: Path, scored: Sequence[PooledScored]) -> None:
         for line in shown.lines:
             colour, style = looks[line.method]
             x, y = _deviates(line.fpr), _deviates(1 - line.tpr)
-            axes.plot(x, y, style, color=colour, lw=1.8, label=line.method)
+            axes.plot(x, y, style, color=colour, lw=1.8, label=plain(line.method))
             axes.plot(*_det(line.at), "o", color=colour, mec="black", ms=8)
         for point, marker in zip(shown.published, MARKERS, strict=False):
             label = f"published {point.name}"
@@ -201,7 +201,7 @@ def draw_reliability(path: Path, curves: Sequence[Reliability]) -> None:
         above = {"clip_on": False, "zorder": 6}
         axes.plot(top.mean, held, "o-", color=COLOURS[0], lw=1, label=label, **above)
         axes.plot(top.mean[few], top.right[few], "o", color="white", mec=COLOURS[0], **above)
-        axes.set(title=top.method, xlim=(0, 1), ylim=(0, 1))
+        axes.set(title=plain(top.method), xlim=(0, 1), ylim=(0, 1))
         axes.grid(color="0.9")
         bars.bar(middles, np.maximum(top.count, 0.5), width=0.09, color=COLOURS[0])
         bars.set(xlabel="probability stated", yscale="log", ylim=(0.5, None))

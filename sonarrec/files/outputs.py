@@ -12,6 +12,7 @@ import itertools
 import os
 import shutil
 import struct
+import warnings
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -201,8 +202,14 @@ def write_text(path: Path, text: str) -> None:
 
 def write_figure(path: Path, figure: Any, **look: Any) -> None:
     """A figure of matplotlib as a marked PNG; look: as savefig takes it. Raises OSError."""
-    with replaced(path) as new:
+    with replaced(path) as new, warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph", UserWarning)  # its box says as much
         figure.savefig(new, format="png", metadata=PICTURE_MARK, **look)
+
+
+def plain(name: str) -> str:
+    """A name as matplotlib draws it as it is: no formula, and not left out of a legend."""
+    return " " * name.startswith("_") + name.replace("$", r"\$")
 
 
 def write_csv(path: Path, header: Iterable[str], rows: Iterable[Iterable[object]]) -> None:

@@ -11,7 +11,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 from sonarrec.drawing.pen import landmark_colours
-from sonarrec.files.outputs import write_figure
+from sonarrec.files.outputs import plain, write_figure
 from sonarrec.geometry import floor_depth, ground_range
 from sonarrec.mapping.build import MappedLog, SiteMap
 from sonarrec.mapping.tables import Axes, ellipse
@@ -75,7 +75,7 @@ def draw_map(path: Path, site: SiteMap) -> None:
     axes.plot([], [], color=LINES, linewidth=2, label="where the first sector begins")
     axes.set_xlabel("x, m: ahead at yaw 0" if site.ros_axes else "x, m: to the right at yaw 0")
     axes.set_ylabel("y, m: to the left at yaw 0" if site.ros_axes else "y, m: ahead at yaw 0")
-    axes.set_title(_title(site), fontsize=10)
+    axes.set_title(plain(_title(site)), fontsize=10)
     axes.grid(color="white", linewidth=0.8, zorder=0)
     axes.set_facecolor("#f8f8f8")
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=2, fontsize=8, frameon=False)

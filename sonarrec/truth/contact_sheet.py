@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from sonarrec.drawing.pen import Colour, disc_outline, landmark_colours
-from sonarrec.files.outputs import write_figure, writing
+from sonarrec.files.outputs import plain, write_figure, writing
 from sonarrec.records import ByteImage, FloatArray, Frame, IntArray, shown
 from sonarrec.truth.check import CheckedTruth
 
@@ -142,7 +142,7 @@ def _draw(
     faults: dict[int, list[str]] = {}
     for fault in truth.faults:
         faults.setdefault(fault.line, []).append(fault.kind)
-    title = f"{shown(truth.path.name)}: {truth.told()}"
+    title = f"{plain(shown(truth.path.name))}: {truth.told()}"
     axes.text(_GAP, 24, title, color=_INK, fontsize=12, va="center")
     legend = "outline: the disc as the truth puts it; below: frame, visible; found wrong in red"
     axes.text(_GAP, 46, legend, color=_INK, fontsize=8, va="center", alpha=0.8)

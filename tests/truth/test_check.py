@@ -289,6 +289,15 @@ def test_tiles_are_centred_on_what_the_truth_says(tmp_path: Path) -> None:
     assert across[-1] - across[0] == pytest.approx(2 * SIDE / 3.2, rel=0.1)
 
 
+@pytest.mark.filterwarnings("error::UserWarning")
+def test_any_name_of_a_table_is_drawn(tmp_path: Path, log: Path) -> None:
+    """Two dollars are no formula, and a letter that the font lacks is nothing to warn of."""
+    path = truth(tmp_path, ["0,1,2.0,0"]).rename(tmp_path / "$x_$ \u6cb3.csv")
+    found = checked(path, log)
+    with open_log(log) as opened:
+        assert draw_contact_sheet(found, opened, tmp_path / "s.png") == 1
+
+
 def test_passes_are_parted_and_limited(tmp_path: Path) -> None:
     """Every twentieth frame only, as a person may annotate, is one pass; long gaps part passes."""
     images = [np.zeros((30, 56), np.uint8) for _ in range(200)]
