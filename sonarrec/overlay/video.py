@@ -10,6 +10,7 @@ import cv2
 
 from sonarrec.drawing.pen import write_png
 from sonarrec.files.outputs import VIDEO_MARK, check_output
+from sonarrec.readers.video import opencv_name
 from sonarrec.records import ByteImage, SonarrecError, UsageError
 
 
@@ -20,9 +21,10 @@ class VideoFile:
     """
 
     def __init__(self, path: Path, frame_rate_hz: float) -> None:
-        """Raises UsageError where the name is no MP4's."""
+        """Raises UsageError where the name is no MP4's, SonarrecError where it is not UTF-8."""
         if path.suffix.lower() != ".mp4":
             raise UsageError(f"{path}: a video is written as NAME.mp4")
+        self._name = opencv_name(path)
         os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # quiet: faults are told by us
         cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
         self._path = path
@@ -36,9 +38,10 @@ class VideoFile:
         if self._video is None:
             code = cv2.VideoWriter.fourcc(*"mp4v")
             rows, columns = picture.shape[:2]
-            self._video = cv2.VideoWriter(str(self._path), code, self._rate, (columns, rows))
-            if not self._video.isOpened():
+            video = cv2.VideoWriter(self._name, code, self._rate, (columns, rows))
+            if not video.isOpened():
                 raise SonarrecError(f"{self._path}: cannot be written")
+            self._video = video
         self._video.write(picture)
         self._frames += 1
 
@@ -54,7 +57,7 @@ class VideoFile:
             file.write(VIDEO_MARK)
         if kind is None:
             # OpenCV tells of no failed write.
-            written = cv2.VideoCapture(str(self._path)).get(cv2.CAP_PROP_FRAME_COUNT)
+            written = cv2.VideoCapture(self._name).get(cv2.CAP_PROP_FRAME_COUNT)
             if written != self._frames:
                 raise SonarrecError(
                     f"{self._path}: {self._frames} frames did not become a whole video "

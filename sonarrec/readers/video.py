@@ -14,21 +14,30 @@ from sonarrec.records import SonarrecError, shown
 VIDEO_SUFFIXES = frozenset({".avi", ".mp4", ".mkv"})
 
 
+def opencv_name(path: Path) -> str:
+    """A video's path as OpenCV takes it: what stands before a colon would be a protocol.
+
+    Raises SonarrecError where the name is not UTF-8, of which OpenCV dies.
+    """
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        raise SonarrecError(
+            f"{shown(path)}: the name of a video must be UTF-8; choose another one"
+        ) from None
+    return str(path) if path.is_absolute() else f".{os.sep}{path}"
+
+
 class VideoFrames(RawLog):
     """The frames of a video, timed by its container."""
 
     def __init__(self, path: Path) -> None:
         """Raises SonarrecError where OpenCV cannot open the file as a video."""
         super().__init__()
-        try:
-            str(path).encode()
-        except UnicodeEncodeError:  # of which OpenCV dies
-            raise SonarrecError(
-                f"{shown(path)}: a video whose name is not UTF-8 cannot be opened; rename it"
-            ) from None
+        name = opencv_name(path)
         os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # quiet: faults are told by us
         cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-        self._video = cv2.VideoCapture(str(path))
+        self._video = cv2.VideoCapture(name)
         if not self._video.isOpened():
             raise SonarrecError(
                 f"{shown(path)}: does not open as a video (damaged, or an unknown codec)"
@@ -37,7 +46,7 @@ class VideoFrames(RawLog):
         self.frame_count = round(count) if 0 < count < 1e9 else None
         rate = self._video.get(cv2.CAP_PROP_FPS)
         self._period_ns = 1e9 / rate if 0 < rate < 1e6 else None
-        self._path = path
+        self._path, self._name = path, name
 
     def __iter__(self) -> Iterator[RawFrame]:
         index, last_ns = 0, -1
@@ -71,7 +80,7 @@ class VideoFrames(RawLog):
         if self._path.suffix.lower() == ".avi":
             return 0
         packets = 0
-        video = cv2.VideoCapture(str(self._path))
+        video = cv2.VideoCapture(self._name)
         if video.set(cv2.CAP_PROP_FORMAT, -1):  # read without decoding
             while video.grab():
                 packets += 1

@@ -615,6 +615,17 @@ def test_video_and_images(tmp_path: Path) -> None:
     assert not player.read()[0]
 
 
+@pytest.mark.usefixtures("work")
+def test_a_video_may_be_called_by_its_time() -> None:
+    """What stands before a colon is no protocol; OpenCV dies of a name that is not UTF-8."""
+    sonarrec("overlay", "log", "--video", "12:30:00.mp4", "-q")
+    sonar = Sonar("fan", 1.0, 3.0, 30.0, 20.0)
+    with open_log("12:30:00.mp4", sonar=sonar) as video:
+        assert len(list(video)) == 4
+    told = sonarrec("overlay", "log", "--video", os.fsdecode(b"d\xe9.mp4"), code=1)
+    assert told.stderr.startswith(r"sonarrec: d\xe9.mp4: the name of a video must be UTF-8")
+
+
 def test_memory_does_not_grow_with_the_log(tmp_path: Path) -> None:
     """The index of the file grows by a hundred bytes a frame. Were the images of 200 more kept,
     these would be 600 kB."""
