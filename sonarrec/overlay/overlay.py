@@ -102,14 +102,19 @@ def write_overlay(
         rows = read_estimates(table, method, landmark_set, first.fan)
         history: deque[Moment] = deque(maxlen=STRIP_FRAMES)
         written = 0
+        annotations: FoxgloveFile | None = None
+        pictures: Sequence[VideoFile | ImageFolder] = ()
         with ExitStack() as stack:
-            annotations, pictures = _open_targets(targets, stack, log, first, landmark_set, folder)
             for frame, estimates in _with_estimates(chain([first], frames), rows, span[1]):
                 history.append(Moment(frame.index, frame.timestamp_ns, estimates))
                 if observe is not None:
                     observe(log.frame_count)
                 if frame.index < span[0]:
                     continue
+                if not written:  # an older overlay stays where there is nothing to write
+                    annotations, pictures = _open_targets(
+                        targets, stack, log, first, landmark_set, folder
+                    )
                 written += 1
                 marks = truth.get(frame.index, [])
                 if annotations is not None:
@@ -122,13 +127,17 @@ def write_overlay(
 
 
 def _check_targets(targets: Targets, path: Path, ground_truth: Path | None) -> None:
-    """Raises UsageError where a target would replace what is not ours."""
+    """Raises UsageError where a target would replace what is not ours, or another target."""
     outputs: dict[Kind, Path | None] = {
         "overlay": targets.mcap,
         "video": targets.video,
         "picture": targets.images,
         "JSON": targets.layout,
     }
+    places = [target.resolve() for target in outputs.values() if target is not None]
+    for place in places:
+        if places.count(place) > 1 and (place.is_file() or not place.exists()):
+            raise UsageError(f"{place.name}: each output needs a name of its own")
     for kind, target in outputs.items():
         # A folder of pictures is checked picture by picture.
         if target is not None and not (kind == "picture" and target.is_dir()):

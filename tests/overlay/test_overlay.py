@@ -744,6 +744,7 @@ def test_a_run_that_was_cut_short(work: Path) -> None:
         ("--mcap o.mcap --frames 3", 2, "--frames: expected A:B"),
         ("--mcap o.mcap --frames 3:3", 2, "no frame from 3 up to, not including, 3"),
         ("--mcap o.mcap --frames 9:", 2, "no frame lies in --frames 9:"),
+        ("--mcap o.mp4 --video ../{0}/o.mp4", 2, "o.mp4: each output needs a name of its own"),
         ("--mcap o.mcap --method x", 2, "no method 'x'; there is framework"),
         ("elsewhere --mcap o.mcap", 1, "elsewhere: no results of log here"),
         ("--mcap o.mcap --ground-truth paper.csv", 1, "paper.csv: no positions"),
@@ -751,7 +752,7 @@ def test_a_run_that_was_cut_short(work: Path) -> None:
 )
 def test_faults_are_one_line(arguments: str, code: int, fault: str, work: Path) -> None:
     csv_file(work / "paper.csv", "frame,landmark", "0,3")
-    told = sonarrec("overlay", "log", *arguments.split(), code=code)
+    told = sonarrec("overlay", "log", *arguments.format(work.name).split(), code=code)
     assert fault in told.stderr
     assert len(told.stderr.splitlines()) == 1
     assert not told.stdout
@@ -783,6 +784,15 @@ def test_what_was_written_before_a_fault_is_kept(work: Path) -> None:
         list(messages(work / "o.mcap"))  # no footer: it is not whole
     with open_log("o.mcap", sonar_file=work / "log" / "sonar.toml") as kept:
         assert len(list(kept)) == 2  # frame 2 has no row: the next was read to know
+
+
+def test_an_older_overlay_stays_where_there_is_nothing_to_write(work: Path) -> None:
+    targets = ("--mcap", "o.mcap", "--foxglove-layout", "o.json")
+    sonarrec("overlay", "log", *targets, "-q")
+    (work / "o.json").write_bytes((work / "o.json").read_bytes().replace(b"65", b"50"))
+    before = [(work / name).read_bytes() for name in ("o.mcap", "o.json")]
+    sonarrec("overlay", "log", *targets, "--frames", "9:", code=2)
+    assert [(work / name).read_bytes() for name in ("o.mcap", "o.json")] == before
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="/dev/full not found")
