@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +12,7 @@ import numpy as np
 from sonarrec.batch import logs_table
 from sonarrec.evaluation import cells
 from sonarrec.evaluation.counting.pooled import Pooled
-from sonarrec.records import SonarrecError, shown
+from sonarrec.records import SonarrecError, UsageError, shown
 from sonarrec.report.logs import follows_by_default
 from sonarrec.results.run_file import read_run
 from sonarrec.results.sightings_file import read_sightings
@@ -39,13 +40,17 @@ def standing(
 
     place: the folder that holds the results, whose logs.csv tells of logs that have none. method:
     whose mistakes count, by default as in `logs.read_logs`.
-    Raises SonarrecError where a run.toml or the sightings cannot be used.
+    Raises SonarrecError where a run.toml or the sightings cannot be used, UsageError where no log
+    that was scored has the method.
     """
     found: dict[str, list[str]] = {}
     where = {shown(folder.resolve().name): folder for folder in folders}
     if pooled is not None:
         where = dict(zip(pooled.logs, pooled.folders, strict=True))
-    said = [*_unfinished(where, place), *(_scored(pooled, method) if pooled else _seen(where))]
+    said = [
+        *_unfinished(where, place),
+        *(_scored(pooled, method) if pooled else _seen(where, method)),
+    ]
     for name, reason in said:
         found.setdefault(name, []).append(reason)
     return [Standing(name, where.get(name), tuple(why)) for name, why in found.items()]
@@ -82,6 +87,9 @@ def _unfinished(where: dict[str, Path], place: Path | None) -> Iterator[tuple[st
 def _scored(pooled: Pooled, method: str | None) -> Iterator[tuple[str, str]]:
     """The most mistakes, then the most false claims."""
     method = method or follows_by_default(pooled.methods)
+    if method not in pooled.methods:
+        there = ", ".join(pooled.methods)
+        raise UsageError(f"--method {method}: no log that is scored has it; there is {there}")
     scored = cells.of(pooled, method, cells.protocols(pooled)[0])
     counts = [of_log[-1] for of_log in scored.counts_per_log()]
     mistakes = [count.fn + count.fp for count in counts]
@@ -95,13 +103,15 @@ def _scored(pooled: Pooled, method: str | None) -> Iterator[tuple[str, str]]:
         yield pooled.logs[i], f"most false claims of {method}: {false[i]}"
 
 
-def _seen(where: dict[str, Path]) -> Iterator[tuple[str, str]]:
-    """Without truth: numbers of sightings far from what is usual."""
-    count = [sum(1 for _ in read_sightings(folder)) for folder in where.values()]
+def _seen(where: dict[str, Path], method: str | None) -> Iterator[tuple[str, str]]:
+    """Without truth: numbers of sightings, of one method, far from what is usual."""
+    every = [Counter(s.method for s in read_sightings(folder)) for folder in where.values()]
+    method = method or follows_by_default(sorted(set().union(*every)))
+    count = [of_log[method] for of_log in every]
     usual = float(np.median(count)) if count else 0.0
     names = list(where)
     for i in _most([abs(n - usual) for n in count]):
-        yield names[i], f"sightings: {count[i]}, where {usual:g} are usual"
+        yield names[i], f"sightings of {method}: {count[i]}, where {usual:g} are usual"
 
 
 def _most(values: Sequence[float]) -> list[int]:

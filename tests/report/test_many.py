@@ -10,6 +10,7 @@ import pytest
 
 from sonarrec.evaluation.cells import of
 from sonarrec.evaluation.evaluate import evaluate_many
+from sonarrec.records import UsageError
 from sonarrec.report.build import write_report
 from sonarrec.report.standing import MOST_LOGS
 from tests.support.browser import chromium, look
@@ -101,7 +102,7 @@ def test_the_page_stays_small(page: Path, made: Path) -> None:
     sonarrec("report", made.parent / "out", "-o", bare, code=3)
     assert bare.stat().st_size < MOST_BYTES
     stands = section(bare.read_text(encoding="utf-8"), "standing")
-    assert "sightings: " in stands
+    assert "sightings of framework: " in stands
     assert "failed: " in stands
 
 
@@ -189,3 +190,30 @@ def test_mistakes_are_told_as_all_logs_are_scored(tmp_path: Path) -> None:
     assert "framework: 11 false claims, 0 missed" in told
     assert told.count("ID.2 declared (0.80) while it is not in view") == MOST_LOGS
     assert "ID.1" not in told.partition("smi: ")[0]
+
+
+def test_sightings_are_those_of_the_method_shown(tmp_path: Path) -> None:
+    """The third log has many of smi, which the page does not follow, the fourth of framework."""
+    every, once = [0, 15, 30], [5]
+    estimates = {}
+    for n in range(10):
+        smi, own = every if n == 2 else once, every if n == 3 else once
+        rows = [(f, "smi") for f in smi] + [(f, "framework") for f in own]
+        estimates[f"log{n}"] = [PLACED, *(f"{f},{m},1,2.0,0,1,.9,1" for f, m in sorted(rows))]
+    out = plain_logs(tmp_path, estimates, [])
+
+    def told(method: str | None) -> list[tuple[str, str]]:
+        write_report(tmp_path / "page.html", out, method=method)
+        stands = section((tmp_path / "page.html").read_text(encoding="utf-8"), "standing")
+        return re.findall(r'(log\d)</th><td class="text wide">(.*?)</td>', stands)
+
+    assert told(None) == [("log3", "sightings of framework: 3, where 1 are usual")]
+    assert told("smi") == [("log2", "sightings of smi: 3, where 1 are usual")]
+
+
+def test_a_method_that_no_log_has(tmp_path: Path) -> None:
+    estimates = {f"log{n}": [PLACED, "5,framework,1,2.0,0,1,.9,1"] for n in range(9)}
+    out = plain_logs(tmp_path, estimates, [f"log{n},5,1,2.0,0" for n in range(9)])
+    for truth in (None, tmp_path / "gt.csv"):
+        with pytest.raises(UsageError, match="there is smi, framework"):
+            write_report(tmp_path / "page.html", out, ground_truth=truth, method="none")
