@@ -91,7 +91,7 @@ class Axis:
         shares = self.share(np.asarray(values))
         inside = (shares > -1e-9) & (shares < 1 + 1e-9)
         return [
-            Tick(round(100 * float(at), 2), f"{value:g}")
+            Tick(round(100 * float(at), 2), f"{value:.12g}")
             for at, value in zip(shares[inside], np.asarray(values)[inside], strict=True)
         ]
 

@@ -895,6 +895,10 @@ def test_ticks_are_round_and_in_place() -> None:
         for tick in ticks:
             assert tick.at == pytest.approx(100 * float(tick.text) / high, abs=0.01)
     assert charts.Axis(0.0, 0.3).ticks()[-1].text == "0.3"
+    # A second of a track, ten hours into the log; frames of a very long one.
+    late = [tick.text for tick in charts.Axis(36_000.125, 36_001.375).ticks()]
+    assert late == ["36000.25", "36000.5", "36000.75", "36001", "36001.25"]
+    assert charts.Axis(0.0, 3_000_000.0).ticks()[-1].text == "3000000"
 
 
 def test_the_landmark_drawn_is_the_landmark() -> None:
