@@ -69,12 +69,14 @@ def choose(
 ) -> dict[str, list[int]]:
     """The numbers of the frames to be held, per log: the wanted ones, then some of all others.
 
-    wanted: (log, frame), the most wanted first. What is left of `most` goes to frames at equal
-    steps through every log.
+    wanted: (log, frame), the most wanted first; of each log at least one is held. What is left of
+    `most` goes to frames at equal steps through every log.
     """
-    names = {log.results.name for log in logs}
-    chosen: dict[str, set[int]] = {name: set() for name in names}
-    for name, frame in list(dict.fromkeys(w for w in wanted if w[0] in names))[:most]:
+    first = {log.results.name: int(log.results.frame[0]) for log in logs}
+    chosen: dict[str, set[int]] = {name: set() for name in first}
+    asked = [w for w in wanted if w[0] in first]
+    first |= reversed(asked)
+    for name, frame in list(dict.fromkeys([*first.items(), *asked]))[:most]:
         chosen[name].add(frame)
     left = most - sum(map(len, chosen.values()))
     # Short logs first: what they do not need goes to the longer ones.

@@ -11,6 +11,7 @@ import re
 import shutil
 import tomllib
 from collections.abc import Iterator
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from types import SimpleNamespace
@@ -464,6 +465,15 @@ def test_which_frames_are_held(results: Path, most: int) -> None:
     assert {99, 5, 6} <= set(found)
     if most == 40:
         assert max(np.diff(found)) <= 6
+
+
+def test_of_each_log_a_frame_is_held(results: Path) -> None:
+    """Also where others want all there is room for: a click on the log has to show something."""
+    log = reported(results, SAMPLE / "gt.csv")
+    logs = [replace(log, results=replace(log.results, name=name)) for name in ("a", "b", "c")]
+    wanted = [("a", f) for f in range(60)] + [("b", 70)]
+    found = frames.choose(logs, wanted, 20)
+    assert found == {"a": list(range(18)), "b": [70], "c": [0]}
 
 
 def test_frames_held_take_no_more_than_stated() -> None:
