@@ -105,12 +105,12 @@ def convert(
         raise SonarrecError(f"{source}: nothing can be used: {'; '.join(unused)}")
     sizes = {size for name, size in found.sizes.items() if name is None or name in frames}
     x, y, visible = _in_fan_pixels(source, sizes, used, log, landmarks.radius_m)
-    # Tracks drawn in overlapping parts of one job hold a shape twice.
-    cells = (
-        (frames[s.frame], ids[s.label], f"{x[n]:.2f}", f"{y[n]:.2f}", f"{visible[n]:.3f}")
-        for n, s in enumerate(used)
-    )
-    rows = sorted(dict.fromkeys(cells), key=lambda row: row[:2])
+    # Tracks drawn in overlapping parts of one job hold a shape twice, hidden perhaps in one only.
+    share: dict[tuple[int, int, str, str], str] = {}
+    for n, s in enumerate(used):
+        place = frames[s.frame], ids[s.label], f"{x[n]:.2f}", f"{y[n]:.2f}"
+        share[place] = min(f"{visible[n]:.3f}", share.get(place, "1.000"))
+    rows = sorted(((*place, least) for place, least in share.items()), key=lambda row: row[:2])
     write_truth(out, HEADER.replace("frame", key).split(","), rows)
     notes = [rule]
     if found.interpolated:

@@ -23,6 +23,7 @@ from sonarrec.sonar import Sonar
 from sonarrec.truth.annotations.shapes import centre_of_area
 from sonarrec.truth.convert import convert
 from sonarrec.truth.in_view import share_in_image
+from sonarrec.truth.table import read_truth
 from tests.support.drawn import make_fan
 from tests.support.logs import frames, image_folder
 
@@ -110,6 +111,16 @@ def test_cvat_fills_in_between_keyframes_as_cvat_does(tmp_path: Path) -> None:
     rows = converted(tmp_path, cvat(tmp_path, body))
     assert [row[0] for row in rows] == [0, 1, 2, 3, 4, 5, 8]
     assert [row[2] for row in rows] == [14.5, 16.5, 18.5, 20.5, 22.5, 22.5, 44.5]
+
+
+def test_a_shape_drawn_twice_is_one_row(tmp_path: Path) -> None:
+    """As in overlapping parts of a job, flagged as occluded in one: two rows would be refused."""
+    body = track(BOX.format(0, 0, 0, 10, 20), BOX.format(1, 0, 1, 12, 22)) + track(
+        BOX.format(0, 0, 1, 10, 20), BOX.format(1, 0, 0, 12, 22)
+    )
+    rows = converted(tmp_path, cvat(tmp_path, body))
+    assert rows == [(0, 1, 14.5, 14.5, 0.5), (1, 1, 16.5, 14.5, 0.5)]
+    assert len(read_truth(tmp_path / "gt.csv").at) == 2
 
 
 def test_cvat_shapes(tmp_path: Path) -> None:
