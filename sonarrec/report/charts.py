@@ -155,9 +155,10 @@ def bars(
     else:
         tall = np.maximum.reduceat(height, first)
     top = np.rint(tall * HEIGHT).astype(int)
-    left = np.rint(axis.share(start[first]) * WIDTH).astype(int)
+    left = np.minimum(np.rint(axis.share(start[first]) * WIDTH).astype(int), WIDTH - 1)
     right = np.append(start[1:], np.inf)[last]
     right = np.rint(axis.share(np.minimum(right, start[last] + width)) * WIDTH).astype(int)
+    right = np.maximum(right, left + 1)  # seen also where a long pause takes up the axis
     joins = np.zeros(len(first), dtype=bool)
     joins[1:] = (top[1:] == top[:-1]) & (left[1:] == right[:-1])
     begin = np.flatnonzero(~joins)

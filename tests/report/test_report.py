@@ -898,6 +898,14 @@ def test_bars_cover_their_frames(count: int) -> None:
         assert columns.max() == 1000 * height.max()
 
 
+def test_bars_are_seen_beside_a_pause_of_a_day() -> None:
+    start = np.array([0.0, 0.25, 0.5, 86_400.0, 86_400.25])
+    path = charts.bars(charts.Axis(0.0, 86_400.5), start, 0.25, np.array([0, 1, 0, 0, 0.5]))
+    columns = painted(path)
+    assert np.flatnonzero(columns).tolist() == [0, charts.WIDTH - 1]
+    assert columns[[0, -1]].tolist() == [1000, 500]
+
+
 def test_ticks_are_round_and_in_place() -> None:
     for high in (0.3, 1.0, 61.75, 25_000.0):
         ticks = charts.Axis(0.0, high).ticks()
