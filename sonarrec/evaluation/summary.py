@@ -126,7 +126,7 @@ def _notes(found: Pooled, units: PooledUnits, figures: list[Figure]) -> tuple[st
             most = 1 - (1 - LEVEL) ** (1 / figure.units)
             notes.append(
                 f"{figure.method}: no false claim in {figure.units} {UNITS[units.kind]}, so with "
-                f"{LEVEL:.0%} confidence fewer than {most:.0%} of them have one"
+                f"{LEVEL:.0%} confidence fewer than {100 * most:.2g}% of them have one"
             )
     if found.placed and not found.timed:
         notes.append("claims a minute are not told: frames.csv has no timestamp_ns")

@@ -6,14 +6,17 @@ import csv
 import math
 from itertools import product
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from sonarrec.cli import main
+from sonarrec.evaluation.counting.uncertainty import Figure
 from sonarrec.evaluation.evaluate import evaluate
-from sonarrec.evaluation.summary import Summary, summarise
+from sonarrec.evaluation.summary import Summary, _notes, summarise
 from tests.support.claims import evaluated, joined
 
 
@@ -225,6 +228,15 @@ def test_a_probability_beyond_1_is_one_line(tmp_path: Path) -> None:
     )
     assert done.exit_code == 1
     assert "line 2: p_1 must be 0 to 1, not '1.2'" in done.stderr
+
+
+def test_a_share_below_a_hundredth_is_not_told_as_none() -> None:
+    """Of 1,000 logs without a false claim fewer than 0.3 % may have one, not fewer than 0 %."""
+    found: Any = SimpleNamespace(placed=True, timed=True)
+    units: Any = SimpleNamespace(count=1000, kind="log")
+    fpr = Figure("strict", "a", "total", "fpr", 0.0, math.nan, math.nan, 1000, "")
+    (note,) = _notes(found, units, [fpr])
+    assert note.endswith("so with 95% confidence fewer than 0.3% of them have one")
 
 
 # --- Files ---------------------------------------------------------------------------------------

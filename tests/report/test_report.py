@@ -207,8 +207,11 @@ def test_results_of_another_program(tmp_path: Path) -> None:
         "frame,method,landmark,score,declared\n2,mine,1,0.9,1\n3,mine,1,0.8,1\n7,mine,3,0.7,1\n"
     )
     (tmp_path / "gt.csv").write_text("frame,landmark\n3,1\n4,1\n")
-    sonarrec("report", tmp_path, "--ground-truth", tmp_path / "gt.csv")
+    truth = ("--ground-truth", tmp_path / "gt.csv", "--min-visible", "0.995")
+    sonarrec("report", tmp_path, *truth)
     page = Page(tmp_path / "report.html")
+    assert "in view (at least 99.5% of it)" in page.text
+    assert "2 rows with at least 99.5% of the landmark in view are scored" in page.text
     assert "ID.1 declared (0.90) while it is not in view" in page.text
     assert "ID.1 in view and not declared" in page.text
     assert "no tracks with probabilities" in page.text
