@@ -64,10 +64,13 @@ def _strips(truth: CheckedTruth) -> list[_Strip]:
         return []
     at = {int(line): n for n, line in enumerate(truth.line)}
     faulty = np.array(sorted({at[f.line] for f in truth.faults}), dtype=np.int64)
-    faulty = faulty[truth.frame[faulty] >= 0][: 2 * TILES]
+    faulty = faulty[truth.frame[faulty] >= 0]
+    drawn, title = faulty[: 2 * TILES], "found wrong"
+    if len(faulty) > len(drawn):
+        title += f"\nfirst {len(drawn)} of\n{len(faulty)} rows"
     strips = [
-        _Strip("found wrong" if start == 0 else "", faulty[start : start + TILES])
-        for start in range(0, len(faulty), TILES)
+        _Strip(title if start == 0 else "", drawn[start : start + TILES])
+        for start in range(0, len(drawn), TILES)
     ]
     passes = sorted(_passes(truth), key=lambda rows: int(truth.frame[rows[0]]))
     for n in _spread(len(passes), MOST_STRIPS):

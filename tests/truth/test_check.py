@@ -24,7 +24,7 @@ from sonarrec.simulation.motion import Pose
 from sonarrec.simulation.simulate import visible_share
 from sonarrec.sonar import load_sonar
 from sonarrec.truth.check import CheckedTruth, Fault, check_truth
-from sonarrec.truth.contact_sheet import MOST_STRIPS, SIDE, draw_contact_sheet
+from sonarrec.truth.contact_sheet import MOST_STRIPS, SIDE, _strips, draw_contact_sheet
 from tests.support.logs import image_folder
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
@@ -287,6 +287,14 @@ def test_tiles_are_centred_on_what_the_truth_says(tmp_path: Path) -> None:
     blue = (tile[..., 0].astype(int) - tile[..., 2]) > 60
     across = np.flatnonzero(blue.any(axis=0))
     assert across[-1] - across[0] == pytest.approx(2 * SIDE / 3.2, rel=0.1)
+
+
+def test_how_many_of_those_found_wrong_are_left_out(tmp_path: Path, log: Path) -> None:
+    rows = [f"{f},1,{r},0,1.5" for f in range(12) for r in (2.0, 3.0)]
+    path = truth(tmp_path, rows, "frame,landmark,range_m,bearing_deg,visible")
+    first, second, *_ = _strips(checked(path, log))
+    assert first.title == "found wrong\nfirst 16 of\n24 rows"
+    assert (second.title, len(first.rows), len(second.rows)) == ("", 8, 8)
 
 
 @pytest.mark.filterwarnings("error::UserWarning")
