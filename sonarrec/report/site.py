@@ -289,7 +289,7 @@ def sentences(found: Sequence[AtContrast], claims: int, frames: int) -> list[str
         best = max(found, key=lambda one: one.found.tpr.value)
         told.append(
             f"At none of these contrasts would landmarks be recognised in {ENOUGH:.0%} of the "
-            f"frames that show them whole; at best in {best.found.tpr.value:.0%}, at "
+            f"frames that show them whole; at best in {best.found.tpr.value:.1%}, at "
             f"{best.contrast_db:g} dB."
         )
         near = [one for one in found if one.reaches]

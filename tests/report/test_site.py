@@ -137,9 +137,11 @@ def test_the_sentence_admits_what_so_few_passes_cannot_show() -> None:
 def test_the_sentence_says_where_nothing_reaches() -> None:
     told = " ".join(sentences([at(0, [0.1, 0.0]), at(6, [0.95, 0.3], false=4)], 0, 9))
     assert "At none of these contrasts" in told
-    assert "at best in 62%, at 6 dB" in told
+    assert "at best in 62.5%, at 6 dB" in told
     assert "From 1.0 to 2.0 m they would be, at 6 dB." in told
     assert "at most 4.0 in 100 frames, at 6 dB" in told
+    assert "in 90% of the frames" in (near := sentences([at(0, [0.8971])], 0, 9)[0])
+    assert "at best in 89.7%" in near
 
 
 @pytest.fixture(scope="module")
