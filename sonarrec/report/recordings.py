@@ -5,10 +5,11 @@ from __future__ import annotations
 import os
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from sonarrec.readers import open_log
-from sonarrec.readers.find import log_name, names_a_log, results_name
+from sonarrec.readers.find import find_log, log_name, names_a_log, results_name
 from sonarrec.readers.log import Log
 from sonarrec.records import SonarrecError, UsageError, shown
 from sonarrec.report.logs import ReportedLog
@@ -19,8 +20,11 @@ from sonarrec.sonar import Sonar
 
 def open_recording(path: Path, log: ReportedLog, sonar: Sonar, topic: str | None) -> Log:
     """The recording, read as the run read it."""
+    source = find_log(path)
     given = log.run.lay_under(Given(sonar, topic=topic), same_log=True)
-    return open_log(path, **given.reading())
+    if not source.reader.has_topics:  # a topic in run.toml is another log's
+        given = replace(given, topic=topic, time=None)
+    return open_log(source, **given.reading())
 
 
 def match_recordings(

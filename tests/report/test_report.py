@@ -322,6 +322,16 @@ def test_another_log_is_refused(results: Path, tmp_path: Path) -> None:
     assert fault.startswith("sonarrec: ")
     assert "results of another log" in fault
     assert not (tmp_path / "x.html").exists()
+    # Nor is a topic that the run had one that was given.
+    named = tmp_path / "named"
+    shutil.copytree(results, named)
+    run = (named / "run.toml").read_text()
+    run = run.replace('time = "log"\n', 'time = "header"\ntopic = "/sonar"\n')
+    (named / "run.toml").write_text(run)
+    given = ("--log", folder, "-o", tmp_path / "x.html")
+    assert "results of another log" in sonarrec("report", named, *given, code=1).stderr
+    fault = sonarrec("report", named, *given, "--topic", "/sonar", code=2).stderr
+    assert "--topic chooses a channel" in fault
 
 
 def test_several_presets(tmp_path: Path) -> None:
