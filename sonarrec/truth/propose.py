@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.geometry import ground_range, pixel_from_polar, polar_from_plane
-from sonarrec.records import Fan, FloatArray, SonarrecError, UsageError
+from sonarrec.records import Fan, FloatArray, SonarrecError, UsageError, follows
 from sonarrec.results.folders import estimates_of
 from sonarrec.results.read import LogResults, find_logs, read_log
 from sonarrec.results.sightings import check_follows
@@ -114,9 +114,9 @@ def _tracks(folder: Path, log: LogResults, method: str, min_score: float) -> lis
     """The tracks of a method that declared an ID, those with most declarations first."""
     path = estimates_of(folder)
     if method not in log.methods:
-        raise UsageError(
-            f"{path} holds no method {method}; choose one with --method: {', '.join(log.methods)}"
-        )
+        tracking = ", ".join(filter(follows, log.methods))
+        choose = f"choose one with --method: {tracking}" if tracking else "nor any that has tracks"
+        raise UsageError(f"{path} holds no method {method}; {choose}")
     mine = np.flatnonzero(log.method == log.methods.index(method))
     if log.position is None or (log.object[mine] < 0).any():
         raise SonarrecError(
