@@ -20,7 +20,7 @@ from sonarrec.cli.options import (
     quiet_option,
 )
 from sonarrec.cli.options_background import Laying, laying_options
-from sonarrec.records import UsageError
+from sonarrec.records import UsageError, shown
 
 
 @command(short_help="Render a recording with known truth.")
@@ -147,7 +147,7 @@ def simulate(
             compression=compression or "zstd",
         )
     if not quiet:
-        click.echo(f"{out}: {scene.frames} frames of scene {scene.name!r}")
+        click.echo(f"{shown(out)}: {scene.frames} frames of scene {scene.name!r}")
 
 
 def _number(frames: str) -> int:
@@ -200,6 +200,7 @@ def _lay(
         count = f"{layout.landmarks} landmark" + "s" * (layout.landmarks != 1)
         for db, folder in folders.items():
             click.echo(
-                f"{folder}: {len(background.path)} frames, {count} and {fakes} fakes at {db:g} dB"
+                f"{shown(folder)}: {len(background.path)} frames, {count} and {fakes} fakes "
+                f"at {db:g} dB"
             )
     end(background.problems)

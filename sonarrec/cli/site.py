@@ -26,6 +26,7 @@ from sonarrec.cli.options import (
     settings_options,
 )
 from sonarrec.cli.options_background import Laying, laying_options
+from sonarrec.records import shown
 
 if TYPE_CHECKING:
     from sonarrec.report.site import Site
@@ -124,7 +125,7 @@ def site(
 def _told(found: Site, page: Path, layouts: int) -> Iterator[str]:
     """What was found, a line for each contrast."""
     told = "1 layout" if layouts == 1 else f"{layouts} layouts"
-    yield f"{page}: {found.frames} frames, {told}"
+    yield f"{shown(page)}: {found.frames} frames, {told}"
     for one in found.contrasts:
         rate = one.found.tpr
         false = one.found.false_per_100.value

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import math
+import os
+import sys
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +18,7 @@ from mcap.reader import make_reader
 
 from sonarrec.cli import main
 from sonarrec.geometry import pixel_from_polar
-from sonarrec.records import SonarrecError
+from sonarrec.records import SonarrecError, shown
 from sonarrec.simulation.motion import sweep_deg
 from sonarrec.simulation.random_scenes import KINDS_OF_SCENE, random_scene
 from sonarrec.simulation.scene import (
@@ -37,6 +39,7 @@ from sonarrec.simulation.world import object_radius
 from sonarrec.sonar import load_sonar
 from sonarrec.truth.in_view import share_in_image
 from tests.support.bare import BARE, POLAR, mean_power, power
+from tests.support.command import sonarrec
 
 
 def test_truth_pixel_is_the_contract_formula() -> None:
@@ -462,11 +465,21 @@ def test_ctrl_c_says_what_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         raise KeyboardInterrupt
 
     out = tmp_path / "log"
-    monkeypatch.setattr(cv2, "imwrite", stop)
+    monkeypatch.setattr(cv2, "imencode", stop)
     stopped = CliRunner().invoke(main, ["simulate", "-q", "--frames", "2", "-o", str(out)])
     assert stopped.exit_code == 130
     left = f"what was made so far is in {out}; remove that to begin anew"
     assert stopped.stderr == f"sonarrec: stopped; {left}\n"
+
+
+@pytest.mark.skipif(sys.platform == "darwin", reason="its file names are UTF-8")
+def test_a_name_that_is_not_utf8(tmp_path: Path) -> None:
+    out = tmp_path / os.fsdecode(b"basin\xe9")
+    done = sonarrec("simulate", "--scene", "basin", "--frames", "1", "-o", out)
+    assert done.stdout == f"{shown(out)}: 1 frames of scene 'basin'\n"
+    told = sonarrec("simulate", "--background", out, "--count", "1", "-o", f"{out}_laid").stdout
+    assert told.startswith(f"{shown(out)}_laid: 1 frames, 1 landmark")
+    assert len(list(Path(f"{out}_laid").glob("*.png"))) == 1
 
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
