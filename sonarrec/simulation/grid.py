@@ -72,6 +72,11 @@ class PolarGrid:
         self.y_m = (self._ground[:, None] * np.cos(azimuth)).astype(np.float32)
         self._deg_per_m = math.degrees(2 / (sonar.range_min_m + sonar.range_max_m))
 
+    def _within(self, azimuth_deg: FloatArray | float) -> FloatArray:
+        """The same azimuths, as the columns count them: up to half a turn from their middle."""
+        middle = self._first_deg + (self.shape[1] - 1) * STEP_DEG / 2
+        return np.asarray(azimuth_deg - 360 * np.rint((np.asarray(azimuth_deg) - middle) / 360))
+
     def cells(self, metres: float) -> tuple[float, float]:
         """Rows and columns of so many metres, in the middle."""
         return metres / self._bin_m, metres * self._deg_per_m / STEP_DEG
@@ -83,6 +88,7 @@ class PolarGrid:
         if reach_m >= ground_m:
             return slice(near, far + 1), slice(0, self.shape[1])
         half = math.degrees(math.asin(reach_m / ground_m))
+        azimuth_deg = float(self._within(azimuth_deg))
         left = (azimuth_deg - half - self._first_deg) / STEP_DEG
         right = (azimuth_deg + half - self._first_deg) / STEP_DEG
         return slice(near, far + 1), slice(max(math.floor(left), 0), max(math.ceil(right), 0) + 1)
@@ -96,7 +102,8 @@ class PolarGrid:
     def index(self, x: FloatArray, y: FloatArray) -> np.ndarray:
         """Flat indices, int32, of the cells where these places lie; the nearest ones outside."""
         slant = np.sqrt(x**2 + y**2 + self._height_m**2)
-        return self._index(slant, (np.degrees(np.arctan2(x, y)) - self._first_deg) / STEP_DEG)
+        azimuth = self._within(np.degrees(np.arctan2(x, y)))
+        return self._index(slant, (azimuth - self._first_deg) / STEP_DEG)
 
     def index_from_origin(self, ground: FloatArray, azimuth_deg: FloatArray) -> np.ndarray:
         """The same of ground ranges (bins, 1) and azimuths as `azimuths` has them."""

@@ -301,8 +301,14 @@ def _check_as_a_whole(scene: Scene, where: str) -> None:
         raise SonarrecError(f"{where}: heave_m leaves no floor in the range window")
     if not motion.pan_min_deg <= motion.pan_start_deg <= motion.pan_max_deg:
         raise SonarrecError(f"{where}: pan_start_deg must lie between pan_min_deg and pan_max_deg")
-    if motion.pan_max_deg - motion.pan_min_deg > 300:
+    sweep, view = motion.pan_max_deg - motion.pan_min_deg, sonar.field_of_view_deg
+    if sweep > 300:
         raise SonarrecError(f"{where}: the pan sweep must be 300 deg or less")
+    if sweep + view > 360:
+        raise SonarrecError(
+            f"{where}: the sweep of {sweep:g} deg and the view of {view:g} deg go round and see "
+            "the same floor twice; together they must be 360 deg or less"
+        )
     leaning = [t.lean_deg for t in scene.landmarks] + [t.lean_deg for t in scene.objects]
     if travels(motion) and any(leaning):
         raise SonarrecError(f"{where}: discs lean before a standing sonar only, not a vehicle's")

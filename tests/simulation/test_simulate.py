@@ -132,6 +132,22 @@ def test_image_follows_the_truth_through_heave_and_sway() -> None:
     assert np.ptp(ranges) > 0.05
 
 
+@pytest.mark.parametrize(("pan", "azimuth"), [(0, 356.0), (180, 184.0), (180, -176.0), (-720, 0)])
+def test_azimuths_go_on_round_the_circle(pan: float, azimuth: float) -> None:
+    scene = replace(
+        BARE,
+        motion=replace(
+            MotionSection(pan_min_deg=pan, pan_max_deg=pan, pan_start_deg=pan), sway_x_m=0.01
+        ),
+        objects=(PlacedObject("filled", 1.9, azimuth, size_m=0.12, bright_db=25),),
+    )
+    (frame,) = render(scene)
+    (row,) = frame.distractors
+    line, column = np.nonzero(cv2.blur(power(frame.image, scene), (5, 5)) > 60)
+    assert column.mean() == pytest.approx(row.x_px, abs=2)
+    assert line.mean() == pytest.approx(row.y_px, abs=2)
+
+
 def test_visible_share_against_monte_carlo() -> None:
     scene = replace(
         BARE,
@@ -372,6 +388,11 @@ def test_errors_of_geometry_are_in_the_sidecar_only() -> None:
         ("[sonar]\nlayout = 'square'", "layout must be"),
         ("[sonar]\nbearings = 'odd'", "bearings must be"),
         ("[motion]\npan_start_deg = 60", "pan_start_deg must lie"),
+        ("[motion]\npan_max_deg = 261", "the pan sweep must be 300 deg or less"),
+        (
+            "[sonar]\nfield_of_view_deg = 130\n[motion]\npan_max_deg = 200",
+            "the sweep of 240 deg and the view of 130 deg go round and see the same floor twice",
+        ),
         ("[noise]\nsmear = 1.5", "noise.smear must be a number from 0 to 1, not 1.5"),
         ("[motion]\nheave_m = 0.7", "heave_m leaves no floor"),
         ("landmark_set = 'nowhere'", "no landmark set"),
