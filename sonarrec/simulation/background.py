@@ -19,7 +19,7 @@ import numpy as np
 from sonarrec.config import Config
 from sonarrec.files.outputs import write_csv, writing
 from sonarrec.geometry import floor_depth, slant_range
-from sonarrec.landmarks import LandmarkSet
+from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.poses import PoseTable
 from sonarrec.readers.find import find_log
 from sonarrec.readers.log import Log
@@ -288,7 +288,7 @@ def write_backgrounds(
         for db, folder in folders.items():
             if background.told:
                 _write_poses(folder / "poses.csv", background)
-            if landmarks.name != "basin":
+            if landmarks != load_landmarks("basin"):
                 text = tomli_w.dumps(landmarks.as_table())
                 (folder / "landmarks.toml").write_text(text, encoding="utf-8", newline="")
             document = _told(background, layout, landmarks, db, plate_db, beam_width_deg)

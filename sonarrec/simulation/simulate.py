@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 
 from sonarrec.geometry import in_image, pixel_from_polar
+from sonarrec.landmarks import load_landmarks
 from sonarrec.records import ByteImage, Fan, FloatArray, SonarrecError, UsageError
 from sonarrec.simulation.fish import Fishes, Shoal
 from sonarrec.simulation.grid import PolarGrid, SquareGrid, area
@@ -407,7 +408,7 @@ def _describe(scene: Scene, stated: Sonar, folder: Path, prefix: str) -> None:
     import tomli_w  # only writers of TOML need it
 
     documents = {"scene": scene_table(scene), "sonar": {"sonar": stated.as_table()}}
-    if scene.landmark_set.name != "basin":
+    if scene.landmark_set != load_landmarks("basin"):
         documents["landmarks"] = scene.landmark_set.as_table()
     for name, document in documents.items():
         text = tomli_w.dumps(document)

@@ -218,6 +218,16 @@ def test_what_is_written_is_a_log_of_the_same_geometry(
     again = draw_layout(background, BASIN, 2)
     assert again == layout
     assert draw_layout(background, BASIN, 3) != layout
+    assert not (tmp_path / "a" / "landmarks.toml").exists()
+
+
+def test_a_set_that_only_has_the_name_of_the_built_in_one_is_written(
+    background: Background, tmp_path: Path
+) -> None:
+    discs = replace(BASIN, radius_m=0.12)
+    one = replace(background, path=background.path[:1])
+    write_backgrounds(one, draw_layout(one, discs, 2, 1), discs, {3.0: tmp_path / "a"}, -6.0, 0.4)
+    assert load_landmarks(tmp_path / "a" / "landmarks.toml") == discs
 
 
 def test_a_series_is_recognised_and_scored_as_it_is(recording: Path, tmp_path: Path) -> None:

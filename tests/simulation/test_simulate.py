@@ -18,6 +18,7 @@ from mcap.reader import make_reader
 
 from sonarrec.cli import main
 from sonarrec.geometry import pixel_from_polar
+from sonarrec.landmarks import load_landmarks
 from sonarrec.records import SonarrecError, shown
 from sonarrec.simulation.motion import sweep_deg
 from sonarrec.simulation.random_scenes import KINDS_OF_SCENE, random_scene
@@ -343,6 +344,16 @@ def test_written_recordings_read_back(tmp_path) -> None:
     assert times == [frame.timestamp_ns for frame in frames] == [0, 333333333, 666666667]
     with pytest.raises(SonarrecError, match="already exists"):
         write_recording(scene, tmp_path / "log")
+
+
+@pytest.mark.parametrize("radius", [0.15, 0.10])
+def test_a_set_that_only_has_the_name_of_the_built_in_one_is_written(tmp_path, radius) -> None:
+    discs = replace(load_landmarks("basin"), radius_m=radius)
+    write_recording(replace(BARE, landmark_set=discs), tmp_path / "log")
+    write_recording(replace(BARE, landmark_set=discs), tmp_path / "log.mcap", "mcap")
+    for path in (tmp_path / "log" / "landmarks.toml", tmp_path / "log.landmarks.toml"):
+        assert path.exists() == (radius != 0.15)
+        assert radius == 0.15 or load_landmarks(path) == discs
 
 
 def test_polar_recording_states_uneven_bearings() -> None:
