@@ -315,6 +315,7 @@ def configs(presets: Sequence[str] = (), path: Path | None = None) -> list[Confi
     that is unknown or asked for twice.
     """
     tables = [{}] if path is None else _config_tables(path)
+    presets = [name.strip() for name in presets]  # they are typed as a list
     if not presets:
         presets = [table.get("preset", "default") for table in tables]
     if len(set(presets)) < len(presets):
@@ -324,7 +325,7 @@ def configs(presets: Sequence[str] = (), path: Path | None = None) -> list[Confi
         same = [t for t in tables if t.get("preset", name) == name]
         # Settings of one preset serve for any other as well; of several each serves its own.
         table = same[0] if same else tables[0] if len(tables) == 1 else {}
-        chosen.append(with_table(preset(name.strip()), table, str(path)))
+        chosen.append(with_table(preset(name), table, str(path)))
     return chosen
 
 
@@ -351,7 +352,9 @@ def with_assignments(config: Config, assignments: Sequence[str]) -> Config:
             parsed = parse_toml(f"value = {value}", "--set")["value"]
         except SonarrecError:
             parsed = _plain(value)
-        config = with_table(config, {section: {key: parsed}}, "--set")
+        config = from_table(
+            Config, {section: {key: parsed}}, "--set", over=config, error=UsageError
+        )
     return config
 
 

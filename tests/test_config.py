@@ -102,6 +102,7 @@ def test_what_is_no_setting_is_told_by_name(text, named, tmp_path):
         ("continuity.particles=1e400", "continuity.particles"),
         ("continuity.particles=infinity", "continuity.particles"),
         ("features.motion_model=wheels", "features.motion_model"),
+        ("preset.name=paper", "preset must be a text"),
     ],
 )
 def test_an_assignment_that_cannot_be_meant_is_told_by_name(text, named):
@@ -164,6 +165,14 @@ def test_a_preset_named_in_the_file_serves_unless_the_flag_names_another(tmp_pat
     file.write_text('preset = "paper"\n')
     assert printed("--config", str(file)) == config.as_table(config.preset("paper"))
     assert printed("--config", str(file), "--preset", "default") == printed()
+
+
+def test_spaces_in_a_list_of_presets_count_for_nothing(tmp_path):
+    file = tmp_path / "two.toml"
+    file.write_text('[[config]]\npreset = "paper"\n[[config]]\npreset = "offline"\nseed = 7\n')
+    assert [c.seed for c in config.configs(["paper", " offline "], file)] == [0, 7]
+    with pytest.raises(UsageError, match="each preset once"):
+        config.configs(["default", " default"])
 
 
 def test_the_configuration_is_printed_with_units_and_meanings():
