@@ -66,14 +66,14 @@ class Candidates:
     )
     max_candidates: Count = _setting(12, "", "per frame, the best ones")
     separation: NotNegative = _setting(0.35, "disc diameters", "least distance between candidates")
-    blur_px: Count = _setting(
+    blur_px: Annotated[int, bounds(0, 255)] = _setting(
         13,
         "pixels",
         "edge: size of the Gaussian kernel before Canny, odd (an even one is one more)",
     )
     canny_low: NotNegative = _setting(1.0, "frame sigmas", "edge: Canny's lower threshold")
     canny_high: NotNegative = _setting(3.0, "frame sigmas", "edge: Canny's upper threshold")
-    edge_tolerance_px: Count = _setting(
+    edge_tolerance_px: Annotated[int, bounds(0, 255)] = _setting(
         2, "pixels", "edge: how far from the outline an edge may lie and still count"
     )
 

@@ -103,6 +103,8 @@ def test_what_is_no_setting_is_told_by_name(text, named, tmp_path):
         ("continuity.particles=infinity", "continuity.particles"),
         ("features.motion_model=wheels", "features.motion_model"),
         ("preset.name=paper", "preset must be a text"),
+        ("candidates.blur_px=100000", "candidates.blur_px must be a whole number from 0 to 255"),
+        ("candidates.edge_tolerance_px=100000", "a whole number from 0 to 255, not 100000"),
     ],
 )
 def test_an_assignment_that_cannot_be_meant_is_told_by_name(text, named):
