@@ -87,7 +87,7 @@ class Laying:
                 f"--contrast {text}: expected numbers from -{MOST_DB:g} to {MOST_DB:g} dB with "
                 "commas between, such as 0,3,6,10"
             )
-        if len(set(found)) < len(found):
+        if len({f"{db:g}" for db in found}) < len(found):  # as folders are named
             raise UsageError(f"--contrast {text}: one of them is there twice")
         return found
 

@@ -250,6 +250,7 @@ def test_a_series_is_recognised_and_scored_as_it_is(recording: Path, tmp_path: P
     [
         (["--contrast", "loud"], "--contrast loud: expected numbers"),
         (["--contrast", "3,3"], "one of them is there twice"),
+        (["--contrast", "10.12345,10.12346"], "one of them is there twice"),
         (["--contrast", "200"], "from -60 to 60"),
         (["--scene", "paper"], "--scene is of scenes"),
         (["--frames", "90:99"], "no frame lies in --frames"),
