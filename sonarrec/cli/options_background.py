@@ -15,6 +15,7 @@ from sonarrec.records import UsageError
 if TYPE_CHECKING:
     from sonarrec.config import Config
     from sonarrec.landmarks import LandmarkSet
+    from sonarrec.results.run_file import Given
     from sonarrec.simulation.background import Background
 
 MOST_DB = 60.0
@@ -112,34 +113,40 @@ class Laying:
 
         return load_landmarks(self.values["landmarks"] or "basin")
 
+    def reading(self, log_choice: LogChoice, frames: str | None) -> Given:
+        """How the recording is to be read. Raises UsageError for what cannot be meant."""
+        from sonarrec.results.run_file import Given, frame_span
+
+        odometry, topic = self.values["odometry"], self.values["odometry_topic"]
+        if odometry is not None and topic is not None:
+            raise UsageError("--odometry and --odometry-topic: choose one of the two")
+        return Given(
+            **log_choice.arguments(),
+            odometry=odometry,
+            odometry_topic=topic,
+            frames=None if frames is None else frame_span(frames),
+        )
+
     def survey(
         self,
         log: str,
-        log_choice: LogChoice,
-        frames: str | None,
+        given: Given,
+        landmarks: LandmarkSet,
         config: Config,
         step: Callable[..., None],
     ) -> Background:
         """The recording, read once for its path."""
         from sonarrec.readers import open_log
-        from sonarrec.results.run_file import frame_span
         from sonarrec.simulation.background import poses_of, survey
 
-        if self.values["odometry"] is not None and self.values["odometry_topic"] is not None:
-            raise UsageError("--odometry and --odometry-topic: choose one of the two")
-        arguments = log_choice.arguments()
-        poses = poses_of(
-            log,
-            self.values["odometry"],
-            self.values["odometry_topic"],
-            arguments.get("time", "log"),
-        )
+        reading = given.reading()
+        poses = poses_of(log, given.odometry, given.odometry_topic, reading["time"])
         return survey(
-            lambda: open_log(log, **arguments),
-            self.landmark_set(),
+            lambda: open_log(log, **reading),
+            landmarks,
             config,
             poses,
-            (0, None) if frames is None else frame_span(frames),
+            given.frames or (0, None),
             step,
         )
 

@@ -179,7 +179,8 @@ def _lay(
         folders = {contrasts[0]: out}
     check_free(list(folders.values()))
     with progress(quiet, title="motion") as step:
-        background = laying.survey(log, log_choice, frames, config, step)
+        given = laying.reading(log_choice, frames)
+        background = laying.survey(log, given, landmarks, config, step)
     layout = draw_layout(background, landmarks, seed, laying.count)
     with begun(*folders.values()), progress(quiet, len(background.path), "discs") as step:
         write_backgrounds(

@@ -74,32 +74,31 @@ def site(
       sonarrec site dive.mcap --tilt-deg 20 --height-m 0.7
       sonarrec site river.avi --contrast 0,6,12 --layouts 8 -o river_site
     """
+    from dataclasses import replace
+
     from sonarrec.pipeline.prepared import Used
     from sonarrec.readers.find import find_log
     from sonarrec.report.site import Laid, assess, write_site
     from sonarrec.report.site_page import render
-    from sonarrec.results.run_file import Given, frame_span
+    from sonarrec.results.run_file import read_run
     from sonarrec.simulation.background import check_free
 
     config = settings.config()
-    contrasts, landmarks = laying.contrasts(), laying.landmark_set()
+    contrasts, values = laying.contrasts(), laying.values
+    # Of a run.toml the landmark set and the geometry serve as well, as of `run`.
+    earlier = read_run(settings.file)
+    landmarks = earlier.landmark_set(values["landmarks"])
+    given = earlier.lay_under(laying.reading(log_choice, frames), same_log=False)
     out = out or Path("sonarrec_site") / find_log(log).name
     check_free([out])
     with progress(quiet, title="motion") as step:
-        background = laying.survey(log, log_choice, frames, config, step)
-    values = laying.values
-    given = Given(
-        **log_choice.arguments(),
-        odometry=values["odometry"],
-        odometry_topic=values["odometry_topic"],
-        frames=None if frames is None else frame_span(frames),
-    )
+        background = laying.survey(log, given, landmarks, config, step)
     # Of each layout the discs, then a run for each contrast; once the recording as it is.
     passes = 1 + layouts * (1 + len(contrasts))
     with begun(out), progress(quiet, passes * len(background.path)) as step:
         found = assess(
             Path(log),
-            given,
+            replace(given, frames=background.span),  # not those of the run.toml
             out,
             Laid(
                 background,

@@ -220,7 +220,8 @@ def _run_layout(
             step(f"{doing}, {db:g} dB")
 
         name = f"layout_{number}_contrast_{db:g}"
-        process(folder, out / "results", Given(), used, observe, name=name, overwrite=True)
+        own = Given(sonar_file=folder / "sonar.toml")  # not the geometry of an earlier run
+        process(folder, out / "results", own, used, observe, name=name, overwrite=True)
         picture = _picture(background, layout, landmarks, folder, told, db, seen)
         if not laid.keep:
             for image in folder.glob("*.png"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import tomllib
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 
 from sonarrec.evaluation.by_range import RangeRate, Rate, Recognised
+from sonarrec.landmarks import BUILT_IN
 from sonarrec.report.site import AtContrast, sentences
 from sonarrec.simulation.random_scenes import random_scene
 from sonarrec.simulation.simulate import write_recording
@@ -90,6 +92,36 @@ def test_the_document_says_the_same(site: Path) -> None:
     page = (site / "site.html").read_text()
     assert all(sentence in page for sentence in document["summary"])
     assert len(list(site.glob("recordings/*/*/*.png"))) == 2 * 2 * 24
+
+
+def test_a_run_toml_tells_landmarks_and_geometry_as_it_does_run(tmp_path: Path) -> None:
+    scene = replace(random_scene(5, "no_landmark"), frames=6, objects=())
+    write_recording(scene, tmp_path / "floor")
+    geometry = tmp_path / "floor.toml"
+    (tmp_path / "floor" / "sonar.toml").rename(geometry)
+    discs = tmp_path / "mine.toml"
+    text = (BUILT_IN / "basin.toml").read_text().replace("radius_m = 0.15", "radius_m = 0.12")
+    discs.write_text(text.replace('"basin"', '"mine"'))
+    sonarrec(
+        *("run", tmp_path / "floor", "--sonar", geometry, "--flip", "--frames", "0:2"),
+        *("--landmarks", discs, "-o", tmp_path / "earlier", "-q"),
+    )
+    earlier = tmp_path / "earlier" / "floor" / "run.toml"
+    out = tmp_path / "out"
+    sonarrec(
+        *("site", tmp_path / "floor", "--config", earlier, "--contrast", "10", "-o", out, "-q"),
+        *("--layouts", "1", "--count", "1"),
+    )
+    document = json.loads((out / "site.json").read_text())
+    assert (document["landmarks"], document["frames"]) == ("mine", 6)
+    asis, laid = (
+        tomllib.loads((out / "results" / name / "run.toml").read_text())
+        for name in ("as_it_is", "layout_1_contrast_10")
+    )
+    assert asis["sonar"]["flip"]
+    assert "flip" not in laid["sonar"]  # the pictures it was laid into are upright by now
+    assert asis["input"]["frames_processed"] == 6
+    assert asis["landmarks"] == laid["landmarks"]
 
 
 def test_a_folder_in_use_is_refused(site: Path) -> None:
