@@ -18,7 +18,15 @@ from sonarrec.readers import open_log
 from sonarrec.readers.log import Log
 from sonarrec.recogniser.beam_width import FRAMES_FOR_BEAMS, with_beams
 from sonarrec.recogniser.stage3_features.model import AppearanceModel, built_in_model
-from sonarrec.records import BoolArray, Clock, FloatArray, Frame, SonarrecError, UsageError
+from sonarrec.records import (
+    BoolArray,
+    Clock,
+    FloatArray,
+    Frame,
+    SonarrecError,
+    UsageError,
+    printable,
+)
 from sonarrec.sonar import Sonar
 from sonarrec.truth.fits import misfit, without_rows
 from sonarrec.truth.match import Truth, match_truth
@@ -53,7 +61,9 @@ class Lesson:
     def told(self) -> list[str]:
         """What was learned from and how well: lines to print."""
         names = [f"ID.{i}" for i in self.landmarks.ids] + ["none of these"]
-        lines = [f"learned from {self.frames} frames of {', '.join(self.logs)}"]
+        # They go into a comment too, where a line break in a name would end it.
+        logs = ", ".join(map(printable, self.logs))
+        lines = [f"learned from {self.frames} frames of {logs}"]
         lines += [
             f"  {name:<13} {frames:>6} frames {tracks:>4} track{'s' * (tracks != 1)}"
             for name, (frames, tracks) in zip(names, self.seen, strict=True)

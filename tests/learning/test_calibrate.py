@@ -12,11 +12,16 @@ import pytest
 
 from sonarrec.config import preset
 from sonarrec.landmarks import load_landmarks
-from sonarrec.learning.calibrate import FOLDS, learn
+from sonarrec.learning.calibrate import FOLDS, Lesson, learn
 from sonarrec.learning.fit import PRIOR_WEIGHT, fit
 from sonarrec.learning.samples import Samples, Tracks, label
 from sonarrec.recogniser.stage3_features.description import FEATURES
-from sonarrec.recogniser.stage3_features.model import AppearanceModel, built_in_model, read_model
+from sonarrec.recogniser.stage3_features.model import (
+    AppearanceModel,
+    built_in_model,
+    parse_model,
+    read_model,
+)
 from sonarrec.simulation.random_scenes import random_scene
 from sonarrec.simulation.simulate import write_recording
 from tests.support.command import sonarrec
@@ -318,6 +323,14 @@ def test_a_log_whose_truth_is_not_its_own_teaches_nothing(site, tmp_path):
     assert "learned from 70 frames of one" in alone.stdout
     model = (tmp_path / "m.toml").read_text()
     assert model.partition("\n[")[2] == (tmp_path / "one.toml").read_text().partition("\n[")[2]
+
+
+def test_names_of_logs_do_not_break_the_model_file():
+    model = built_in_model()
+    seen = ((1, 1),) * 4 + ((9, 2),)
+    lesson = Lesson(model, BASIN, ("day\n1", "d\x07y_2", "dïve"), 10, seen, None, None, [], [])
+    parse_model(lesson.as_toml(), "it")
+    assert lesson.told()[0] == r"learned from 10 frames of day\n1, d\x07y_2, dïve"
 
 
 def test_a_model_without_use_is_refused(tmp_path):
