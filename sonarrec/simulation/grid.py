@@ -18,7 +18,7 @@ from sonarrec.simulation.scene import Scene
 
 STEP_DEG = 0.1  # azimuth between scatterers: three or more within a beam
 MARGIN_DEG = 4.0  # beyond the fan's edges, for side lobes
-MARGIN_M = 0.25  # of slant range, for heave and sway
+MARGIN_M = 0.25  # of slant range, for heave and sway; more where these ask for it
 MOST_CELLS = 2**24  # of a vehicle's floor: about a gigabyte
 _FILL = 0.9  # of a range bin: the side of a square
 
@@ -50,14 +50,17 @@ class PolarGrid:
         sonar, motion = scene.sonar, scene.motion
         self._height_m = sonar.height_m
         self._bin_m = bin_m = (sonar.range_max_m - sonar.range_min_m) / sonar.range_bins
-        self._first_m = first = max(sonar.range_min_m - MARGIN_M, bin_m)
-        rows = math.ceil((sonar.range_max_m + MARGIN_M - first) / bin_m)
         sway = math.hypot(motion.sway_x_m, motion.sway_y_m)
+        aside = sonar.height_m * math.sin(math.radians(motion.roll_deg))
+        slope = 1.5 * sonar.height_m * math.sin(math.radians(scene.floor.slope_deg))
+        # By so much at most is what is seen at a slant range in a row of another.
+        margin = max(MARGIN_M, sway + motion.heave_m + slope + aside)
+        self._first_m = first = max(sonar.range_min_m - margin, bin_m)
+        rows = math.ceil((sonar.range_max_m + margin - first) / bin_m)
         reach = sonar.field_of_view_deg / 2 + MARGIN_DEG
         self._reach_deg = reach
         nearest = math.sqrt(max(first**2 - sonar.height_m**2, 0.25))
         reach += 4 * motion.yaw_jitter_deg + math.degrees(sway / nearest) + 1
-        aside = sonar.height_m * math.sin(math.radians(motion.roll_deg))
         reach += math.degrees(aside / nearest)
         self._first_deg = motion.pan_min_deg - reach
         columns = math.ceil((motion.pan_max_deg + reach - self._first_deg) / STEP_DEG) + 1

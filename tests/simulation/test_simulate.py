@@ -149,6 +149,27 @@ def test_azimuths_go_on_round_the_circle(pan: float, azimuth: float) -> None:
     assert line.mean() == pytest.approx(row.y_px, abs=2)
 
 
+@pytest.mark.parametrize(
+    ("sway", "slope", "height", "ground"), [(1.0, 0.0, 0.68, 4.05), (0.0, 12.0, 2.0, 3.48)]
+)
+def test_the_floor_reaches_as_far_as_sway_and_slope_ask_for(
+    sway: float, slope: float, height: float, ground: float
+) -> None:
+    scene = replace(
+        BARE,
+        sonar=replace(BARE.sonar, height_m=height),
+        motion=replace(BARE.motion, sway_y_m=sway),
+        floor=replace(BARE.floor, slope_deg=slope),
+        objects=(PlacedObject("filled", ground, 0.0, size_m=0.08, bright_db=25),),
+    )
+    (frame,) = render(scene)
+    (row,) = frame.distractors
+    assert math.hypot(ground, height) > 3.75 + 0.25 > row.range_m + 0.25 + 0.08
+    line, column = np.nonzero(cv2.blur(power(frame.image, scene), (5, 5)) > 60)
+    assert column.mean() == pytest.approx(row.x_px, abs=2)
+    assert line.mean() == pytest.approx(row.y_px, abs=2)
+
+
 def test_visible_share_against_monte_carlo() -> None:
     scene = replace(
         BARE,
