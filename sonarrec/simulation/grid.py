@@ -19,7 +19,7 @@ from sonarrec.simulation.scene import Scene
 STEP_DEG = 0.1  # azimuth between scatterers: three or more within a beam
 MARGIN_DEG = 4.0  # beyond the fan's edges, for side lobes
 MARGIN_M = 0.25  # of slant range, for heave and sway; more where these ask for it
-MOST_CELLS = 2**24  # of a vehicle's floor: about a gigabyte
+MOST_CELLS = 2**24  # about a gigabyte
 _FILL = 0.9  # of a range bin: the side of a square
 
 
@@ -44,6 +44,7 @@ class PolarGrid:
     """Rows of nominal slant range, columns of azimuth, seen from above the floor's origin.
 
     shape: (rows, columns). ground_m: (rows, 1) float32, along the floor. x_m, y_m: (rows, columns).
+    Raises SonarrecError where that is more floor than MOST_CELLS.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -64,6 +65,11 @@ class PolarGrid:
         reach += math.degrees(aside / nearest)
         self._first_deg = motion.pan_min_deg - reach
         columns = math.ceil((motion.pan_max_deg + reach - self._first_deg) / STEP_DEG) + 1
+        if rows * columns > MOST_CELLS:
+            raise SonarrecError(
+                f"{scene.name}: the sonar sees {rows} x {columns} cells of floor, slant range by "
+                "azimuth, more than are made; fewer range_bins, or less sway or yaw_jitter_deg"
+            )
         self.shape = rows, columns
 
         slant = first + (np.arange(rows) + 0.5) * bin_m

@@ -170,6 +170,23 @@ def test_the_floor_reaches_as_far_as_sway_and_slope_ask_for(
     assert line.mean() == pytest.approx(row.y_px, abs=2)
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[motion]\nsway_x_m = 300",
+        "[motion]\nyaw_jitter_deg = 2000",
+        "[sonar]\nrange_bins = 16384",
+    ],
+)
+def test_more_floor_than_memory_holds_is_one_clear_line(tmp_path, text: str) -> None:
+    scene = tmp_path / "scene.toml"
+    scene.write_text(f"name = 'much'\n{text}")
+    told = sonarrec("simulate", "--scene", scene, "-o", tmp_path / "log", code=1).stderr
+    assert told.startswith("sonarrec: much: the sonar sees ")
+    assert told.count("\n") == 1
+    assert not (tmp_path / "log").exists()
+
+
 def test_visible_share_against_monte_carlo() -> None:
     scene = replace(
         BARE,
