@@ -102,10 +102,10 @@ class Sonar:
                 f"the log (or use --sonar FILE, or flags such as "
                 f"--{missing[0].replace('_', '-')}); like this:\n{EXAMPLE_SONAR_TOML}"
             )
-        wrong = next(self._contradictions(), None)
+        wrong = self.contradiction()
         if wrong is not None:
             raise SonarrecError(
-                f"{where}: sonar geometry contradicts itself: {wrong[1]}; "
+                f"{where}: sonar geometry contradicts itself: {wrong}; "
                 f"correct it in sonar.toml or by flag; like this:\n{EXAMPLE_SONAR_TOML}"
             )
         flip = bool(self.flip)
@@ -123,6 +123,10 @@ class Sonar:
             ranges_m=self.ranges_m,
             flip=flip,
         )
+
+    def contradiction(self) -> str | None:
+        """The first thing of it that cannot be, in a few words; None where all can."""
+        return next((wrong for _, wrong in self._contradictions()), None)
 
     def check_flags(self, flags: Sonar) -> None:
         """Raise UsageError where what flags state contradicts itself, or the rest of this."""

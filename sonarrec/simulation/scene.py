@@ -296,7 +296,9 @@ def check_scene(scene: Scene, where: str) -> None:
 def _check_as_a_whole(scene: Scene, where: str) -> None:
     """Raise SonarrecError where the scene contradicts itself."""
     sonar, motion = scene.sonar, scene.motion
-    scene_sonar(scene).complete(where)
+    wrong = scene_sonar(scene).contradiction()
+    if wrong is not None:
+        raise SonarrecError(f"{where}: [sonar], with its errors, contradicts itself: {wrong}")
     if sonar.height_m + motion.heave_m >= sonar.range_max_m or motion.heave_m >= sonar.height_m:
         raise SonarrecError(f"{where}: heave_m leaves no floor in the range window")
     if not motion.pan_min_deg <= motion.pan_start_deg <= motion.pan_max_deg:

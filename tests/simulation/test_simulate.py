@@ -433,7 +433,11 @@ def test_errors_of_geometry_are_in_the_sidecar_only() -> None:
         ("[[landmark]]\nid = 9\nground_m = 2\nazimuth_deg = 0", "id 9 is not in the set"),
         ("[[landmark]]\nid = 1", r"\[\[landmark\]\] 1 lacks ground_m, azimuth_deg"),
         ("[[object]]\nkind = 'ufo'\nground_m = 2\nazimuth_deg = 0", "unknown kind of object"),
-        ("[sonar]\nrange_min_m = 4.0", "contradicts itself"),
+        ("[sonar]\nrange_min_m = 4.0", r"its errors, contradicts itself: range_min_m = 4 .* 3.75$"),
+        (
+            "[sonar]\ntilt_error_deg = 80",
+            "contradicts itself: tilt_deg = 100 must be within 0 to 90",
+        ),
         ("[sonar]\nlayout = 'square'", "layout must be"),
         ("[sonar]\nbearings = 'odd'", "bearings must be"),
         ("[motion]\npan_start_deg = 60", "pan_start_deg must lie"),
@@ -451,8 +455,9 @@ def test_errors_of_geometry_are_in_the_sidecar_only() -> None:
 def test_faults_in_a_scene_file_are_one_clear_line(tmp_path, text: str, message: str) -> None:
     path = tmp_path / "scene.toml"
     path.write_text(text)
-    with pytest.raises(SonarrecError, match=message):
+    with pytest.raises(SonarrecError, match=message) as caught:
         load_scene(path)
+    assert "\n" not in str(caught.value)
 
 
 def test_unknown_names() -> None:
