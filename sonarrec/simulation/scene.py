@@ -154,7 +154,7 @@ class FadingSection:
     specular_db: NotNegative = 2.5  # how much brighter ring edges that face the sonar are
     frame_probability: Share = 0.01  # of a frame that fades alone
     burst_probability: Share = 0.0  # of a burst of fading frames to begin
-    burst_frames: Positive = 6.0  # mean length of a burst
+    burst_frames: Positive = 6.0  # mean length of a burst, beside its first frame; at least 1
     depth_db: NotNegative = 8.0  # mean loss of a fading frame
     ghost_db: Finite = -16.0  # an object's blurred afterglow, below its own brightness
     ghost_shift_m: Finite = 0.10  # in range
