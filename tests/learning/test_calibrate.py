@@ -12,7 +12,7 @@ import pytest
 
 from sonarrec.config import preset
 from sonarrec.landmarks import load_landmarks
-from sonarrec.learning.calibrate import FOLDS, Lesson, learn
+from sonarrec.learning.calibrate import FOLDS, Lesson, _not_taught, learn
 from sonarrec.learning.fit import PRIOR_WEIGHT, fit
 from sonarrec.learning.samples import Samples, Tracks, label
 from sonarrec.recogniser.stage3_features.description import FEATURES
@@ -331,6 +331,14 @@ def test_names_of_logs_do_not_break_the_model_file():
     lesson = Lesson(model, BASIN, ("day\n1", "d\x07y_2", "dïve"), 10, seen, None, None, [], [])
     parse_model(lesson.as_toml(), "it")
     assert lesson.told()[0] == r"learned from 10 frames of day\n1, d\x07y_2, dïve"
+
+
+def test_worse_is_told_only_where_the_printed_figures_differ():
+    def told(before, after):
+        return list(_not_taught(BASIN, ((1, 1),) * 5, before, after))
+
+    assert told(-0.0162, -0.0158) == told(-0.0158, -0.0162) == told(None, None) == []
+    assert "judges the tracks left out better" in told(-0.015, -0.017)[0]
 
 
 def test_a_model_without_use_is_refused(tmp_path):
