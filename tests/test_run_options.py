@@ -179,6 +179,8 @@ def test_a_current_folder_that_is_gone_is_one_line(
     assert done.exit_code == 1
     line = "sonarrec_out/pan: cannot be written (No such file or directory)"
     assert done.stderr == f"sonarrec: {line}\n"
+    none = run_line("run", "none.mcap", "-o", str(tmp_path))
+    assert none.stderr == "sonarrec: none.mcap: no such file or folder\n"
 
 
 def test_verbose_is_a_line_for_each_log(tmp_path: Path) -> None:

@@ -15,7 +15,6 @@ from typing import get_args
 
 from sonarrec.batch.task import Outcome, Status, Task
 from sonarrec.files.outputs import is_filled, replaced
-from sonarrec.readers.find import log_name, results_name
 from sonarrec.records import SonarrecError
 from sonarrec.results.folders import part_of
 
@@ -49,7 +48,7 @@ class LogsTable:
 
     def __init__(self, out: Path, tasks: Sequence[Task]) -> None:
         self._path = out / NAME
-        self._rows = [Row(_name(t), t.path, "waiting") for t in tasks]
+        self._rows = [Row(t.name, t.path, "waiting") for t in tasks]
         self._seconds: dict[str, float] = {}  # of earlier calls
         with suppress(SonarrecError):
             self._seconds = {row.log: row.seconds for row in read_logs(self._path)}
@@ -125,14 +124,9 @@ def again(tasks: Sequence[Task], out: Path) -> tuple[list[Task], int]:
     With how many it has as waiting or running.
     """
     status = {row.log: row.status for row in read_logs(out / NAME)}
-    found = [(status.get(_name(t)), t) for t in tasks]
+    found = [(status.get(t.name), t) for t in tasks]
     ended = [replace(t, overwrite=True) for state, t in found if state in ("failed", "partial")]
     return ended, sum(state in ("waiting", "running") for state, _ in found)
-
-
-def _name(task: Task) -> str:
-    """Also of a log that is not there."""
-    return task.name or results_name(log_name(Path(task.path)))
 
 
 @contextmanager

@@ -11,7 +11,6 @@ from typing import Literal
 
 from sonarrec.pipeline.prepared import Used
 from sonarrec.pipeline.run import Observe, Summary, planned, process
-from sonarrec.readers.find import find_log
 from sonarrec.records import SonarrecError
 from sonarrec.remote.fetch import Told, fetched, untold
 from sonarrec.remote.run import Elsewhere
@@ -28,7 +27,7 @@ class Task:
     """A log to run; it can be pickled, and handed to another process or machine."""
 
     path: str  # of a log on a server its URL without secrets
-    name: str | None  # of its results, see pipeline.run.result_names
+    name: str  # of its results, see pipeline.run.result_names
     out: str  # where they are made
     given: Given
     used: Used
@@ -88,7 +87,7 @@ def plan(task: Task) -> str:
     if task.overwrite:
         return "done anew (asked for)"
     with _at_hand(task, upload=False) as (path, given, _):
-        folder = Path(task.out) / (task.name or find_log(path).name)
+        folder = Path(task.out) / task.name
         held = planned(path, task.out, given, task.used, name=task.name)
     if held.up_to_date:
         return "up to date"
@@ -146,6 +145,5 @@ def _at_hand(
 
             box = Outbox(far.out, far.cache)
             told = box.origin.told
-            if task.name is not None:
-                held.enter_context(box.results(task.name, upload=upload))
+            held.enter_context(box.results(task.name, upload=upload))
         yield path, given, told

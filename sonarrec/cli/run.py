@@ -235,12 +235,12 @@ def run(
         return
     jobs = min(jobs or cores(), len(tasks))
     watch = RunWatch(tasks, out, box, jobs=jobs, quiet=quiet, verbose=verbose, json=as_json)
-    folders = [out / task.name for task in tasks if task.name is not None]
+    folders = [out / task.name for task in tasks]
     with _stoppable(folders), watch:
         _run(tasks, watch, jobs, timeout, scheduler)
     if len(logs) == 1 and watch.error is not None:
         raise watch.error
-    if odometry_out is not None and tasks[0].name is not None:
+    if odometry_out is not None:
         from sonarrec.mapping.measured import write_path
 
         write_path(out / tasks[0].name, odometry_out)

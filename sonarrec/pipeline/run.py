@@ -16,7 +16,7 @@ from sonarrec.config import preset as config_of
 from sonarrec.drawing.geometry import disc_width_px
 from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.pipeline.prepared import Prepared, Used, prepared
-from sonarrec.readers.find import find_log, results_name
+from sonarrec.readers.find import find_log, log_name, results_name
 from sonarrec.readers.log import Log
 from sonarrec.readers.plausible import Plausibility
 from sonarrec.recogniser.beam_width import FRAMES_FOR_BEAMS, with_beams
@@ -159,22 +159,27 @@ class Recogniser:
         yield from recogniser.recognise(chain(begin, left))
 
 
-def result_names(logs: Sequence[str | Path | RemoteLog]) -> list[str | None]:
-    """The name of each log's results, no two alike; None where the log cannot be found.
+def result_names(logs: Sequence[str | Path | RemoteLog]) -> list[str]:
+    """The name of each log's results, no two alike, also of logs that are not there today.
 
     Raises UsageError where nothing tells two logs apart.
     """
-    places: dict[int, tuple[str, Path]] = {}
-    for i, log in enumerate(logs):
-        if isinstance(log, RemoteLog):
-            places[i] = results_name(log.name), log.path
-            continue
-        with suppress(SonarrecError):  # said when its turn comes
-            source = find_log(log)
-            one = source.path if source.path.exists() else source.files[0].parent
-            places[i] = source.name, one.resolve()
-    names = dict(zip(places, folder_names(list(places.values())), strict=True))
-    return [names.get(i) for i in range(len(logs))]
+    return folder_names([_named_at(log) for log in logs])
+
+
+def _named_at(log: str | Path | RemoteLog) -> tuple[str, Path]:
+    """(the name of a log's results, where the log is)."""
+    if isinstance(log, RemoteLog):
+        return results_name(log.name), log.path
+    try:
+        source = find_log(log)
+    except SonarrecError:  # said when its turn comes
+        name, place = results_name(log_name(Path(log))), Path(log)
+        with suppress(OSError):  # the current folder is gone
+            place = place.absolute()
+        return name, place
+    one = source.path if source.path.exists() else source.files[0].parent
+    return source.name, one.resolve()
 
 
 def process(

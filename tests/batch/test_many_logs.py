@@ -200,13 +200,20 @@ def test_an_empty_logs_csv_holds_nothing_to_lose(tmp_path: Path) -> None:
     assert [row.log for row in read_logs(tmp_path / "logs.csv")] == ["a"]
 
 
-def test_a_packed_log_that_is_not_there_has_the_row_that_its_results_would_have(
-    tmp_path: Path,
-) -> None:
-    path = str(tmp_path / "dive.mcap.zst")
-    tasks = [Task(path, name, str(tmp_path), Given(), Used([])) for name in (None, "other")]
-    LogsTable(tmp_path, tasks).write()
-    assert [row.log for row in read_logs(tmp_path / "logs.csv")] == ["dive", "other"]
+def test_a_log_that_cannot_be_found_has_a_row_of_its_own(tmp_path: Path) -> None:
+    """Under the name that its results will have: they are the others' names, too."""
+    (log,) = made(tmp_path, "day1/dive", frames=1)
+    (tmp_path / "day2").mkdir()
+    (tmp_path / "day2" / "dive.mcap").touch()
+    gone = tmp_path / "day3" / "dive.mcap.zst"
+    logs, out = [log, tmp_path / "day2" / "dive.mcap", gone], tmp_path / "out"
+    sonarrec("run", *logs, "-j", "1", "-o", out, code=3)
+    assert {name: row["status"] for name, row in rows(out).items()} == {
+        "day1-dive": "done",
+        "day2-dive": "failed",
+        "day3-dive": "failed",
+    }
+    assert (out / "day1-dive" / "run.toml").is_file()
 
 
 @pytest.mark.parametrize("sonar", [Sonar(), Sonar("fan", 3.0, 2.0, 30.0, 0.0)])
