@@ -46,7 +46,10 @@ class LogsTable:
     write into one OUT at the same time, such as --shard, take turns and keep each other's rows.
     """
 
-    def __init__(self, out: Path, tasks: Sequence[Task]) -> None:
+    def __init__(self, out: Path, tasks: Sequence[Task], *, alone: bool = False) -> None:
+        """alone: of a call of one log, no share of several: where nothing came of it the file is
+        left as it is."""
+        self._alone = alone
         self._path = out / NAME
         self._rows = [Row(t.name, t.path, "waiting") for t in tasks]
         self._seconds: dict[str, float] = {}  # of earlier calls
@@ -98,8 +101,8 @@ class LogsTable:
     def write(self) -> None:
         """Write the rows as they are now, as far as the disk takes them: see `fault`."""
         self.fault, self._written = None, monotonic()
-        if len(self._rows) == 1 and not (self._rows[0].frames or self._rows[0].status == "done"):
-            return  # nothing came of the one log, so far: leave nothing behind
+        if self._alone and not (self._rows[0].frames or self._rows[0].status == "done"):
+            return
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             with _turn(self._path.parent):

@@ -195,6 +195,7 @@ def run(
       sonarrec run s3://dives/2026-11-20/ -o s3://dives/results
     """
     from sonarrec.batch.cores import cores
+    from sonarrec.batch.logs_table import LogsTable
     from sonarrec.cli.run_watch import RunWatch
     from sonarrec.files.parquet import check_parquet
     from sonarrec.pipeline.prepared import Used
@@ -234,11 +235,12 @@ def run(
         _plan(tasks)
         return
     jobs = min(jobs or cores(), len(tasks))
-    watch = RunWatch(tasks, out, box, jobs=jobs, quiet=quiet, verbose=verbose, json=as_json)
+    table = LogsTable(out, tasks, alone=len(logs) == 1)
+    watch = RunWatch(tasks, table, out, box, jobs=jobs, quiet=quiet, verbose=verbose, json=as_json)
     folders = [out / task.name for task in tasks]
     with _stoppable(folders), watch:
         _run(tasks, watch, jobs, timeout, scheduler)
-    if len(logs) == 1 and watch.error is not None:
+    if len(tasks) == 1 and watch.error is not None:
         raise watch.error
     if odometry_out is not None:
         from sonarrec.mapping.measured import write_path

@@ -35,6 +35,7 @@ class RunWatch(Watch):
     def __init__(
         self,
         tasks: Sequence[Task],
+        table: LogsTable,
         out: Path,
         box: Outbox | None,
         *,
@@ -43,10 +44,11 @@ class RunWatch(Watch):
         verbose: bool,
         json: bool,
     ) -> None:
-        """out: where results are made. box: what uploads them. jobs: how many run side by side."""
+        """table: of the tasks. out: where results are made. box: what uploads them. jobs: how many
+        run side by side."""
         self._box = box
         self._tasks = tasks
-        self._table = LogsTable(out, tasks)
+        self._table = table
         self._out, self._jobs = out, jobs
         self._quiet, self._verbose, self._json = quiet, verbose, json
         self._outcomes: dict[int, Outcome] = {}

@@ -144,6 +144,15 @@ def test_shares_make_up_the_whole(tmp_path: Path) -> None:
     assert {row["status"] for row in rows(out).values()} == {"done"}
 
 
+def test_the_one_log_of_a_share_or_of_a_second_try_is_told(tmp_path: Path) -> None:
+    gone, out = tmp_path / "gone.mcap", tmp_path / "out"
+    call = ["run", SAMPLE, gone, "-o", out]
+    for more in (["--shard", "2/2"], ["--retry-failed"]):
+        told = sonarrec(*call, *more, code=2).stderr
+        assert told == f"sonarrec: {gone}: no such file or folder\n"
+        assert rows(out)["gone"]["status"] == "failed"
+
+
 @pytest.mark.parametrize("share", ["0/3", "4/3", "1", "a/b", "1/0", "/"])
 def test_a_share_that_cannot_be(share: str, tmp_path: Path) -> None:
     done = sonarrec("run", SAMPLE, "--shard", share, "-o", tmp_path / "out", code=2)
