@@ -51,7 +51,11 @@ class Worker:
         with self._starting:
             if self._stopped:
                 return Outcome("waiting")
-            child = self._child = self._child or self._started()
+            try:
+                child = self._child = self._child or self._started()
+            except OSError as error:  # no memory, no file descriptors, no room for what it prints
+                why = f"no process could be started for it ({error.strerror})"
+                return Outcome("failed", error=SonarrecError(f"{task.path}: {why}"))
         late = False
 
         def overdue() -> None:
@@ -70,9 +74,9 @@ class Worker:
         if self._stopped:
             return Outcome("waiting")
         why = f"took more than {self._timeout_s:g} s (--timeout)" if late else _why(child)
-        error = SonarrecError(f"{task.path}: {why}")
         fault = fault if child.returncode > 0 and not late else ""
-        return Outcome("failed", monotonic() - begun, error=error, fault=fault)
+        told = SonarrecError(f"{task.path}: {why}")
+        return Outcome("failed", monotonic() - begun, error=told, fault=fault)
 
     def stop(self) -> None:
         """End what runs; the log keeps its frames so far in its part. Nothing new is begun.
@@ -218,6 +222,8 @@ def run_apart(tasks: list[Task], jobs: int, watch: Watch, timeout_s: float | Non
                 if outcome.status == "waiting":
                     return
                 news.put((watch.ended, (i, outcome)))
+        except BaseException as error:  # a fault of ours: the call must not end as if all were done
+            news.put((_raised, (error,)))
         finally:
             news.put(None)
 
@@ -241,6 +247,10 @@ def run_apart(tasks: list[Task], jobs: int, watch: Watch, timeout_s: float | Non
         for thread, worker in zip(threads, workers, strict=True):
             thread.join()
             worker.close()
+
+
+def _raised(error: BaseException) -> None:
+    raise error
 
 
 def _put(news: SimpleQueue[Any], call: Callable[..., None], *arguments: Any) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import re
 import shutil
 import signal
@@ -12,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from sonarrec.batch import processes
 from sonarrec.batch.logs_table import LogsTable, read_logs
 from sonarrec.batch.task import Outcome, Task
 from sonarrec.pipeline.prepared import Used
@@ -50,6 +53,31 @@ def test_a_log_that_dies_hangs_or_raises_costs_itself_only(tmp_path: Path) -> No
     alone = tmp_path / "alone"
     subprocess.run(command("run", logs[0], "-o", alone, "-q"), check=True)
     assert all(tables(out / name) == tables(alone / "a") for name in "abcd")
+
+
+def test_logs_whose_process_cannot_be_started_have_failed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Their threads ended, and the call with 0, as if all were done."""
+
+    def refused(_: object) -> None:
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+    monkeypatch.setattr(processes.Worker, "_started", refused)
+    call = ["run", *made(tmp_path, "a", "b", frames=1), "-j", "2", "-o", tmp_path / "out"]
+    told = sonarrec(*call, code=1).stderr
+    assert f"{tmp_path / 'a'}: no process could be started for it (Too many open files)" in told
+    assert {row["status"] for row in rows(tmp_path / "out").values()} == {"failed"}
+
+
+def test_a_fault_beside_the_processes_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object) -> Outcome:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(processes.Worker, "run", broken)
+    tasks = [Task(name, name, "out", Given(), Used([])) for name in "ab"]
+    with pytest.raises(ZeroDivisionError):
+        processes.run_apart(tasks, 2, processes.Watch())
 
 
 def test_one_after_the_other_gives_the_same_as_side_by_side(tmp_path: Path) -> None:
