@@ -84,11 +84,9 @@ class Outcome:
 
 def plan(task: Task) -> str:
     """What `do` would do, and why; nothing is written. Raises SonarrecError as it would."""
-    if task.overwrite:
-        return "done anew (asked for)"
     with _at_hand(task, upload=False) as (path, given, _):
         folder = Path(task.out) / task.name
-        held = planned(path, task.out, given, task.used, name=task.name)
+        held = planned(path, task.out, given, task.used, name=task.name, overwrite=task.overwrite)
     if held.up_to_date:
         return "up to date"
     if held.why:

@@ -234,14 +234,20 @@ def process(
 
 
 def planned(
-    path: str | Path, out: str | Path, given: Given, used: Used, *, name: str | None = None
+    path: str | Path,
+    out: str | Path,
+    given: Given,
+    used: Used,
+    *,
+    name: str | None = None,
+    overwrite: bool = False,
 ) -> Held:
     """What `process` would find in the place of its results; nothing is written.
 
     Raises SonarrecError as `process`.
     """
     with prepared(Path(path), Path(out), given, used, name) as it:
-        return held_results(it.folder, it.table)
+        return Held(why="asked for") if overwrite else held_results(it.folder, it.table)
 
 
 def _held(it: Prepared, held: Held) -> Summary:
