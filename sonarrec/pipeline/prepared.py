@@ -157,6 +157,11 @@ def _results_of(log: Path, folder: Path) -> Path:
         raise SonarrecError(f"{shown(folder)}: cannot be written ({error.strerror})") from None
     if itself:
         raise UsageError(f"{shown(folder)}: this is the log itself; choose another --out")
+    if folder.exists() and not folder.is_dir():
+        raise SonarrecError(
+            f"{shown(folder)}: a file is where the folder of the results would be; move it away, "
+            "or choose another --out"
+        )
     return folder
 
 

@@ -339,6 +339,17 @@ def frames_now(folder: Path) -> list[str]:
     return (folder / "frames.csv").read_text().splitlines()[1:]
 
 
+def test_a_file_in_the_place_of_results_is_refused(log: Path, tmp_path: Path) -> None:
+    """It was moved to a hidden name unsaid, and no run could replace the results after that."""
+    mine = tmp_path / "dive"
+    mine.write_text("my notes")
+    for words in ((), ("--overwrite",), ("--dry-run",)):
+        told = sonarrec("run", log, "--frames", ":1", "-o", tmp_path, *words, code=1)
+        assert f"{mine}: a file is where the folder of the results would be" in told.output
+    assert mine.read_text() == "my notes"
+    assert [*tmp_path.iterdir()] == [mine]
+
+
 def test_a_second_run_into_the_same_folder_is_refused(log: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     first = subprocess.Popen(command("run", "-q", log, "-o", out))
