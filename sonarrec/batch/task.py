@@ -11,7 +11,7 @@ from typing import Literal
 
 from sonarrec.pipeline.prepared import Used
 from sonarrec.pipeline.run import Observe, Summary, planned, process
-from sonarrec.records import SonarrecError
+from sonarrec.records import SonarrecError, shown
 from sonarrec.remote.fetch import Told, fetched, untold
 from sonarrec.remote.run import Elsewhere
 from sonarrec.results.folders import part_of
@@ -129,7 +129,8 @@ def _at_hand(
 ) -> Iterator[tuple[Path, Given, Callable[[str], str]]]:
     """What to open, what is given of it, and what puts a server's names into a line.
 
-    A log on a server is in the cache meanwhile; results for one are uploaded at the end.
+    A log on a server is in the cache meanwhile; results for one are uploaded at the end. A file
+    or folder that the system refuses inside is a SonarrecError: it costs this log only.
     """
     far = task.elsewhere
     path, given = Path(task.path), task.given
@@ -144,4 +145,9 @@ def _at_hand(
             box = Outbox(far.out, far.cache)
             told = box.origin.told
             held.enter_context(box.results(task.name, upload=upload))
-        yield path, given, told
+        try:
+            yield path, given, told
+        except OSError as error:
+            if error.filename is None:  # no fault of the input
+                raise
+            raise SonarrecError(f"{shown(error.filename)}: {error.strerror}") from None

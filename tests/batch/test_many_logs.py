@@ -80,6 +80,18 @@ def test_a_fault_beside_the_processes_is_raised(monkeypatch: pytest.MonkeyPatch)
         processes.run_apart(tasks, 2, processes.Watch())
 
 
+def test_a_name_too_long_costs_that_log_only(tmp_path: Path) -> None:
+    """With -j 1 it ended the call; in a process of its own it was a traceback."""
+    logs = made(tmp_path, "n" * 250, "a", frames=1)
+    for jobs in ("1", "2"):
+        told = sonarrec("run", *logs, "-j", jobs, "-o", tmp_path / jobs, code=3).stderr
+        assert told.startswith(f"sonarrec: {logs[0]}/nnn")
+        assert "nnn.sonar.toml: File name too long\n1 done, 1 failed: " in told
+    planned = sonarrec("run", *logs, "--dry-run", "-o", tmp_path / "1", code=3).stdout
+    assert "File name too long" in planned
+    assert planned.endswith("a: up to date\n")
+
+
 def test_one_after_the_other_gives_the_same_as_side_by_side(tmp_path: Path) -> None:
     logs = made(tmp_path, "a", "b", "c")
     for jobs in (1, 3):
