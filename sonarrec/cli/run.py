@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from threading import TIMEOUT_MAX
 from typing import IO, TYPE_CHECKING
 
 import click
@@ -213,6 +214,8 @@ def run(
         check_parquet()
     used = Used(settings.configs(), landmarks, model, settings.file, tables == "parquet")
     used.check()
+    if timeout is not None and not timeout <= TIMEOUT_MAX:  # nan is not, either
+        raise UsageError(f"--timeout {timeout:g}: expected at most {TIMEOUT_MAX:.0f} seconds")
     logs = named_logs(log, from_file, recursive)
     tell([], _unquoted(logs))
     if odometry is not None and len(logs) > 1:

@@ -193,6 +193,12 @@ def test_the_one_log_of_a_share_or_of_a_second_try_is_told(tmp_path: Path) -> No
         assert rows(out)["gone"]["status"] == "failed"
 
 
+@pytest.mark.parametrize("seconds", ["nan", "inf", "1e10"])
+def test_a_time_that_no_clock_waits_for(seconds: str, tmp_path: Path) -> None:
+    done = sonarrec("run", SAMPLE, "--timeout", seconds, "-o", tmp_path / "out", code=2)
+    assert f"--timeout {float(seconds):g}: expected at most" in done.stderr
+
+
 @pytest.mark.parametrize("share", ["0/3", "4/3", "1", "a/b", "1/0", "/"])
 def test_a_share_that_cannot_be(share: str, tmp_path: Path) -> None:
     done = sonarrec("run", SAMPLE, "--shard", share, "-o", tmp_path / "out", code=2)
