@@ -6,7 +6,7 @@ import os
 import signal
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from threading import TIMEOUT_MAX
@@ -223,11 +223,11 @@ def run(
 
         read_poses(odometry)  # a fault of it is told once, not once for each log
     box = _outbox(out, cache)
-    out = Path(out) if box is None else box.folder
-    tasks = _share(_tasks(logs, out, given, used, overwrite, box, cache), shard)
+    made = Path(out) if box is None else box.folder
+    tasks = _share(_tasks(logs, made, given, used, overwrite, box, cache), shard)
     unended = 0
     if retry_failed:
-        tasks, unended = _again(tasks, out, box)
+        tasks, unended = _again(tasks, made, box)
     if not tasks:
         others = f"; logs that have not ended: {unended} (leave --retry-failed out)"
         click.echo(f"nothing to do{others if unended else ''}", err=True)
@@ -238,17 +238,15 @@ def run(
         _plan(tasks)
         return
     jobs = min(jobs or cores(), len(tasks))
-    table = LogsTable(out, tasks, alone=len(logs) == 1)
-    watch = RunWatch(tasks, table, out, box, jobs=jobs, quiet=quiet, verbose=verbose, json=as_json)
-    folders = [out / task.name for task in tasks]
+    table = LogsTable(made, tasks, alone=len(logs) == 1)
+    watch = RunWatch(tasks, table, made, box, jobs=jobs, quiet=quiet, verbose=verbose, json=as_json)
+    folders = [made / task.name for task in tasks]
     with _stoppable(folders), watch:
         _run(tasks, watch, jobs, timeout, scheduler)
     if len(tasks) == 1 and watch.error is not None:
         raise watch.error
     if odometry_out is not None:
-        from sonarrec.mapping.measured import write_path
-
-        write_path(out / tasks[0].name, odometry_out)
+        _write_odometry(odometry_out, out, tasks[0].name, cache)
     watch.count()
     leave(watch.exit_code())
 
@@ -274,6 +272,15 @@ def _check_odometry_out(path: Path, tasks: Sequence[Task], odometry: Path | None
     if len(tasks) > 1:
         raise UsageError(f"--odometry-out is of one log, and there are {len(tasks)}; run it alone")
     check_output(path, "table", [tasks[0].path, odometry], header="timestamp_ns,yaw,x,y")
+
+
+def _write_odometry(path: Path, out: Path | str, name: str, cache: CacheChoice) -> None:
+    """The path of the sonar by the results of a log, which are on a server where OUT is."""
+    from sonarrec.mapping.measured import write_path
+    from sonarrec.remote.run import Here, inside
+
+    with ExitStack() as held:
+        write_path(Here(held, cache.cache).results(inside(out, name)), path)
 
 
 def _run(

@@ -367,6 +367,16 @@ def test_info_tells_of_a_log_there(sonarrec: Sonarrec) -> None:
     assert told.stderr == "sonarrec: s3://dives/day/none.mcap: nothing is there\n"
 
 
+@pytest.mark.usefixtures("s3")
+def test_the_path_of_the_sonar_by_results_there_is_that_by_local_ones(
+    sonarrec: Sonarrec, day: Path
+) -> None:
+    for out, path in (("s3://dives/out", "far.csv"), ("here", "near.csv")):
+        done = sonarrec("run", str(day / "a.mcap"), "-o", out, "-q", "--odometry-out", path)
+        assert done.exit_code == 0, done.stderr
+    assert Path("far.csv").read_bytes() == Path("near.csv").read_bytes()
+
+
 def test_logs_of_equal_names_are_told_apart(sonarrec: Sonarrec, s3: Any, day: Path) -> None:
     upload(s3, day / "b.mcap", "night/a.mcap")
     upload(s3, day / "sonar.toml", "night/sonar.toml")
