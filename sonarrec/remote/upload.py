@@ -1,22 +1,24 @@
 """Results written to a server: made in a local folder first, uploaded when they are finished.
 
 run.toml goes first where results are replaced and comes last: without it a folder on a server
-holds no finished results. What could not be uploaded stays, and is uploaded by the next run.
+holds no finished results. What was made from those of before goes as well. What could not be
+uploaded stays, and is uploaded by the next run.
 """
 
 from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from sonarrec.files.outputs import is_output
 from sonarrec.records import MissingError, Origin, SonarrecError
 from sonarrec.remote.cache import Cache, key_of, only_one
-from sonarrec.remote.store import Store, writable
+from sonarrec.remote.store import Item, Store, writable
 from sonarrec.remote.urls import Url, parse_url
-from sonarrec.results.folders import ESTIMATES, OURS, TABLES, estimates_of
+from sonarrec.results.folders import ESTIMATES, MADE, OURS, PAGES, TABLES, estimates_of
 
 _MARK = "run.toml"
 _LARGE = ESTIMATES
@@ -91,12 +93,31 @@ def _upload(store: Store, made: Path, there: Url) -> None:
         files, folders = store.listing(there)
     except MissingError:
         files, folders = [], []
-    before = {item.url.name for item in files} | set(folders)
-    for old in sorted(before & set(OURS), key=lambda name: name != _MARK):
+    before = {item.url.name: item for item in files}
+    for old in sorted(before.keys() & set(OURS), key=lambda name: name != _MARK):
         store.remove(there.child(old))
+    for place in (*_made_inside(store, there, folders), *_pages(store, before)):
+        store.remove(place)
     paths = sorted(p for p in made.rglob("*") if p.is_file())
     for path in sorted(paths, key=lambda p: p == made / _MARK):
         store.put(path, there.child(path.relative_to(made).as_posix()))
+
+
+def _made_inside(store: Store, there: Url, folders: Sequence[str]) -> Iterator[Url]:
+    """What was made from the results of before, in folders: whole ones where nothing else is."""
+    for name in MADE.keys() & set(folders):
+        files, below = store.listing(there.child(name))
+        ours = [item.url for item in files if item.url.name in MADE[name]]
+        yield from ours if below or len(ours) < len(files) else [there.child(name)]
+
+
+def _pages(store: Store, files: Mapping[str, Item]) -> Iterator[Url]:
+    """The pages made from the results of before: by their mark, for others are the user's."""
+    with tempfile.TemporaryDirectory(prefix="sonarrec-") as temporary:
+        for name in PAGES.keys() & files.keys():
+            store.fetch(files[name], page := Path(temporary) / name)
+            if is_output(page, PAGES[name]):
+                yield files[name].url
 
 
 def _fetch_held(store: Store, there: Url, made: Path) -> None:

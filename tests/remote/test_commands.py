@@ -164,6 +164,21 @@ def test_results_go_to_a_server_and_are_up_to_date_there(
     assert "s3://dives/out/a: holds the results of another log" in other.stderr
 
 
+def test_what_was_made_from_replaced_results_goes_and_the_users_files_stay(
+    sonarrec: Sonarrec, s3: Any, day: Path
+) -> None:
+    run = ["run", str(day / "a.mcap"), "--frames", ":1", "-o", "s3://dives/out", "-q"]
+    assert sonarrec(*run).exit_code == 0
+    ours = {"evaluation/roc.csv": "", "map/map.csv": "", "report.html": ""}
+    ours["report.html"] = "<!doctype html><title>a: sonarrec report</title>"
+    mine = {"map/notes.txt": "", "compare.html": "<!doctype html>mine"}
+    for name, text in (ours | mine).items():
+        s3.put_object(Bucket="dives", Key=f"out/a/{name}", Body=text.encode())
+    assert sonarrec(*run, "--seed", "1").exit_code == 0
+    there = {key.removeprefix("out/a/") for key in keys(s3) if key.startswith("out/a/")}
+    assert there == {*TABLES, *mine}
+
+
 def test_a_partial_upload_is_no_result_and_is_finished_by_the_next_run(
     sonarrec: Sonarrec, s3: Any, day: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
