@@ -14,6 +14,7 @@ import pytest
 
 import sonarrec
 from sonarrec.records import SonarrecError, UsageError
+from tests.support.command import sonarrec as command
 
 ROOT = Path(__file__).parents[1]
 SAMPLE = ROOT / "sample_data" / "pan"
@@ -94,6 +95,18 @@ def test_frame_by_frame_is_what_a_run_writes(tmp_path: Path) -> None:
     assert set(written.sightings.method) <= set(written.estimates.method)
     with pytest.raises(UsageError, match="needs frames"):
         list(sonarrec.Recogniser(fan).recognise())
+
+
+def test_a_url_is_no_folder_to_write_to(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The results went to a local folder `s3:`."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UsageError, match="s3://dives/out: a local place is needed"):
+        sonarrec.run(SAMPLE, "s3://dives/out")
+    with pytest.raises(UsageError, match="s3://dives/out: a local place is needed"):
+        sonarrec.simulate("paper", "s3://dives/out", frames=1)
+    done = command("simulate", "--frames", "1", "-o", "s3://dives/out", code=2)
+    assert done.stderr.startswith("sonarrec: s3://dives/out: a local place is needed here")
+    assert not list(tmp_path.iterdir())
 
 
 def test_what_is_not_there_is_one_line(tmp_path: Path) -> None:

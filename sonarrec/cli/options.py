@@ -14,9 +14,20 @@ import click
 from sonarrec.records import Clock, UsageError, shown
 
 FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
-NEW_FILE = click.Path(dir_okay=False, path_type=Path)
-FOLDER = click.Path(file_okay=False, path_type=Path)
-ANY = click.Path(path_type=Path)
+
+
+class _Local(click.Path):
+    """A path of this machine: a URL would become a folder `s3:`, and be taken for uploaded."""
+
+    def convert(self, value: Any, *told: Any) -> Any:
+        from sonarrec.remote.urls import local
+
+        return super().convert(local(value), *told)
+
+
+NEW_FILE = _Local(dir_okay=False, path_type=Path)
+FOLDER = _Local(file_okay=False, path_type=Path)
+ANY = _Local(path_type=Path)
 
 
 # The groups of --help, in this order.

@@ -33,6 +33,7 @@ from sonarrec.records import (
     shown,
 )
 from sonarrec.remote.find import RemoteLog
+from sonarrec.remote.urls import local
 from sonarrec.results.folders import folder_names
 from sonarrec.results.run_file import Given, Held, held_results
 from sonarrec.results.sightings import Sighting, Sightings
@@ -112,7 +113,7 @@ def run(
         frames=frames,
     )
     used = Used(_configs(preset), landmarks, _path(model))
-    return process(log, out, given, used, observe, overwrite=overwrite)
+    return process(log, local(out), given, used, observe, overwrite=overwrite)
 
 
 class Recogniser:

@@ -6,10 +6,12 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import PurePosixPath
+from typing import TypeVar
 from urllib.parse import quote, unquote, urlsplit
 
 from sonarrec.records import UsageError, shown
 
+Place = TypeVar("Place")
 SCHEMES = ("s3", "gs", "https", "http", "sftp")
 HIDDEN = "***"
 _URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/{1,2}(?=[^/])")  # a Path has but one slash left
@@ -129,6 +131,16 @@ def _shown_pair(pair: str) -> str:
 def is_url(text: object) -> bool:
     """Whether a name is that of a place on a server, also where it went through a Path."""
     return _URL.match(str(text)) is not None
+
+
+def local(place: Place) -> Place:
+    """The place itself. Raises UsageError where it is on a server."""
+    if is_url(place):
+        raise UsageError(
+            f"{parse_url(place).shown}: a local place is needed here; what reads servers and "
+            "writes there: `sonarrec help remote`"
+        )
+    return place
 
 
 def parse_url(text: object) -> Url:

@@ -21,6 +21,7 @@ import numpy as np
 from sonarrec.geometry import in_image, pixel_from_polar
 from sonarrec.landmarks import load_landmarks
 from sonarrec.records import ByteImage, Fan, FloatArray, SonarrecError, UsageError
+from sonarrec.remote.urls import local
 from sonarrec.simulation.fish import Fishes, Shoal
 from sonarrec.simulation.grid import PolarGrid, SquareGrid, area
 from sonarrec.simulation.laid import raised_m
@@ -337,7 +338,7 @@ def simulate(
         seed=chosen.seed if seed is None else seed,
         frames=chosen.frames if frames is None else frames,
     )
-    write_recording(chosen, Path(out), image_format)
+    write_recording(chosen, Path(local(out)), image_format)
     return Path(out)
 
 
