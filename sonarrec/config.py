@@ -318,6 +318,7 @@ def configs(presets: Sequence[str] = (), path: Path | None = None) -> list[Confi
     presets = [name.strip() for name in presets]  # they are typed as a list
     if not presets:
         presets = [table.get("preset", "default") for table in tables]
+    presets = [name.strip() for name in presets]
     if len(set(presets)) < len(presets):
         raise UsageError(f"--preset {','.join(presets)}: each preset once")
     chosen = []

@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -107,6 +108,27 @@ def test_a_url_is_no_folder_to_write_to(tmp_path: Path, monkeypatch: pytest.Monk
     done = command("simulate", "--frames", "1", "-o", "s3://dives/out", code=2)
     assert done.stderr.startswith("sonarrec: s3://dives/out: a local place is needed here")
     assert not list(tmp_path.iterdir())
+
+
+def test_settings_of_one_name_are_refused(tmp_path: Path) -> None:
+    """Their estimates were mixed under one name of a method."""
+    own = replace(sonarrec.preset("default"), seed=3)
+    for chosen in (["default", own], ["offline", "offline"], []):
+        with pytest.raises(UsageError, match="preset"):
+            sonarrec.run(SAMPLE, tmp_path, preset=chosen)
+        with sonarrec.open_log(SAMPLE) as log, pytest.raises(UsageError, match="preset"):
+            sonarrec.Recogniser(log, preset=chosen)
+    told = command("run", SAMPLE, "--preset", "default, default", "-o", tmp_path, code=2)
+    assert "each preset once" in told.stderr
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("span", [(-3, None), (0, -1), (2, 2)])
+def test_frames_that_no_run_toml_can_tell_are_refused(
+    span: tuple[int, int | None], tmp_path: Path
+) -> None:
+    with pytest.raises(UsageError, match="--frames"):
+        sonarrec.run(SAMPLE, tmp_path, frames=span)
 
 
 def test_what_is_not_there_is_one_line(tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from sonarrec.recogniser.beam_width import FRAMES_FOR_BEAMS, with_beams
 from sonarrec.recogniser.side_by_side import SideBySide
 from sonarrec.recogniser.stage3_features.model import ModelFile, model_from_table, read_model
 from sonarrec.records import Fan, Frame, SonarrecError, UsageError, shown
-from sonarrec.results.run_file import Given, RunFile, read_run, run_table
+from sonarrec.results.run_file import Given, RunFile, read_run, run_table, span_text
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +82,7 @@ def prepared(
         frames = log.within(span)
         first = next(frames, None)  # raises where there is no usable frame at all
         if first is None:
-            raise UsageError(f"{shown(path)}: no frame lies in --frames {_told(span)}")
+            raise UsageError(f"{shown(path)}: no frame lies in --frames {span_text(span)}")
         begin = [first, *islice(frames, FRAMES_FOR_BEAMS - 1)]
         configs, beams = with_beams(used.configs, log.beam_width_deg, begin)
         recogniser = SideBySide(
@@ -103,7 +103,7 @@ def prepared(
         if used.parquet:
             table["program"]["tables"] = "parquet"
         if given.frames is not None:
-            table["input"]["frames"] = _told(span)
+            table["input"]["frames"] = span_text(span)
         if poses is not None:
             table["odometry"] = dict(poses.source)
         if learned is not None:
@@ -163,10 +163,6 @@ def _results_of(log: Path, folder: Path) -> Path:
             "or choose another --out"
         )
     return folder
-
-
-def _told(span: tuple[int, int | None]) -> str:
-    return f"{span[0]}:{'' if span[1] is None else span[1]}"
 
 
 def _count(log: Log, span: tuple[int, int | None]) -> int | None:

@@ -35,7 +35,7 @@ from sonarrec.records import (
 from sonarrec.remote.find import RemoteLog
 from sonarrec.remote.urls import local
 from sonarrec.results.folders import folder_names
-from sonarrec.results.run_file import Given, Held, held_results
+from sonarrec.results.run_file import Given, Held, frame_span, held_results, span_text
 from sonarrec.results.sightings import Sighting, Sightings
 from sonarrec.results.sightings_file import sightings_in
 from sonarrec.results.write import ResultsWriter
@@ -92,15 +92,15 @@ def run(
     """Recognise the landmarks in a log and write its results to `out`/<log name>/.
 
     log: an MCAP file, a bag of ROS, a folder or glob of images, a video or a sonar's own file.
-    preset: "default", "offline", "paper", a Config, or several of them, side by side. landmarks: a
-    set by name or TOML file, default `basin`. model: of `sonarrec calibrate`. sonar: geometry that
-    wins over files, such as {"tilt_deg": 20.0} (keys and units of sonar.toml: m, deg). sonar_file:
-    in place of the sonar.toml beside the log. topic: the image channel of an MCAP. time: which time
-    of an MCAP's messages names a frame, "log" (default), "publish" or "header". odometry: CSV of
-    the sonar's poses. frames: only those from the first number up to, not including, the second, if
-    there is one; they keep their numbers. overwrite: do again what is up to date, and replace the
-    results of another log of that name. observe: called after each frame with its FrameResult and
-    the number of frames (None where unknown).
+    preset: "default", "offline", "paper", a Config, or several, each of a name of its own.
+    landmarks: a set by name or TOML file, default `basin`. model: of `sonarrec calibrate`. sonar:
+    geometry that wins over files, such as {"tilt_deg": 20.0} (keys and units of sonar.toml: m,
+    deg). sonar_file: in place of the sonar.toml beside the log. topic: the image channel of an
+    MCAP. time: which time of an MCAP's messages names a frame, "log" (default), "publish" or
+    "header". odometry: CSV of the sonar's poses. frames: only those from the first number up to,
+    not including, the second, if there is one; they keep their numbers. overwrite: do again what is
+    up to date, and replace the results of another log of that name. observe: called after each
+    frame with its FrameResult and the number of frames (None where unknown).
 
     Raises SonarrecError for input or settings that cannot be used; what was written stays.
     """
@@ -110,7 +110,7 @@ def run(
         topic=topic,
         time=time,
         odometry=_path(odometry),
-        frames=frames,
+        frames=None if frames is None else frame_span(span_text(frames)),
     )
     used = Used(_configs(preset), landmarks, _path(model))
     return process(log, local(out), given, used, observe, overwrite=overwrite)
@@ -329,8 +329,18 @@ def _longest(folder: Path, methods: Sequence[str]) -> tuple[dict[str, int], list
 
 
 def _configs(presets: Presets) -> list[Config]:
+    """Raises UsageError where there is none, or two go by one name, as their results would."""
     chosen = [presets] if isinstance(presets, str | Config) else presets
-    return [config_of(one) if isinstance(one, str) else one for one in chosen]
+    found = [config_of(one) if isinstance(one, str) else one for one in chosen]
+    names = [one.preset for one in found]
+    if not names:
+        raise UsageError("preset: none is given; leave it out for default")
+    if len(set(names)) < len(names):
+        raise UsageError(
+            f"preset {', '.join(names)}: each once, for results go by its name; run settings of "
+            "one preset apart, each with an out of its own"
+        )
+    return found
 
 
 def _path(path: str | Path | None) -> Path | None:

@@ -178,6 +178,11 @@ def frame_span(text: str) -> tuple[int, int | None]:
     return first, end
 
 
+def span_text(span: tuple[int, int | None]) -> str:
+    """What `frame_span` reads."""
+    return f"{span[0]}:{'' if span[1] is None else span[1]}"
+
+
 @dataclass(frozen=True, slots=True)
 class Given:
     """What is given of a log beside the log itself; None: nothing is said."""
