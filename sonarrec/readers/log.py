@@ -97,6 +97,7 @@ class Log:
         geometry do not match the images.
         """
         used = self.unusable = 0
+        self.problems.clear()  # of an earlier pass
         frames = _settled(self._raw)
         first = list(islice(frames, SETTLING_FRAMES))
         self._images.settle(first)
@@ -124,7 +125,7 @@ class Log:
                 yield Frame(index, stamp, image, fan, raw.stamps)
         if self.unusable > MAX_PROBLEM_LINES:
             self.problems.append(f"{self.unusable - MAX_PROBLEM_LINES} more frames skipped")
-        self.problems.extend(self._raw.faults)
+        self.problems.extend(dict.fromkeys(self._raw.faults))  # some are told in each pass
         if not used:
             reason = f" ({self.problems[0]})" if self.problems else ""
             raise SonarrecError(f"{shown(self.path)}: not one frame could be used{reason}")
