@@ -31,7 +31,7 @@ class Row:
     status: Status
     frames: int = 0  # processed
     unusable: int = 0  # frames of the log that could not be used
-    seconds: float = 0.0  # that its last run took
+    seconds: float = 0.0  # that its last run took; 0: not known
     declared: int = 0  # passes in sightings.csv of the methods that follow objects
     message: str = ""  # what could not be used, or why it failed; "stopped"
 
@@ -52,9 +52,10 @@ class LogsTable:
         self._alone = alone
         self._path = out / NAME
         self._rows = [Row(t.name, t.path, "waiting") for t in tasks]
-        self._seconds: dict[str, float] = {}  # of earlier calls
+        self._seconds: dict[str, float] = {}  # of the runs of earlier calls that ended
         with suppress(SonarrecError):
-            self._seconds = {row.log: row.seconds for row in read_logs(self._path)}
+            before = read_logs(self._path)
+            self._seconds = {r.log: r.seconds for r in before if r.status in ("done", "partial")}
         self._written = -math.inf
         self.fault: str | None = None  # why the file could not be written
 
@@ -80,7 +81,7 @@ class LogsTable:
                 declared=sum(summary.passes.values()),
             )
             if summary.up_to_date:
-                seconds = self._seconds.get(row.log, seconds)
+                seconds = self._seconds.get(row.log, 0.0)
         self._rows[i] = replace(row, seconds=round(seconds, 2))
         self._write_at_times()
 
