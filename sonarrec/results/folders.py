@@ -54,10 +54,12 @@ def folder_names(logs: Sequence[tuple[str, Path]]) -> list[str]:
         for i in clashing:
             depth[i] += 1
             if depth[i] > len(logs[i][1].parts):
-                same = ", ".join(str(logs[k][1]) for k in alike[names[i]])
+                places = [str(logs[k][1]) for k in alike[names[i]]]
+                if len(set(places)) == 1:
+                    raise UsageError(f"{places[0]}: given {len(places)} times; name it once")
                 raise UsageError(
-                    f"{same}: their results would all go to {logs[i][0]}; run them apart, "
-                    "each with an --out of its own"
+                    f"{', '.join(places)}: their results would all go to {logs[i][0]}; run them "
+                    "apart, each with an --out of its own"
                 )
 
 

@@ -84,6 +84,8 @@ def test_as_many_folders_in_front_as_tell_them_apart() -> None:
 def test_what_nothing_tells_apart_is_refused() -> None:
     with pytest.raises(UsageError, match="would all go to pan"):
         folder_names([("pan", Path("/x/pan")), ("pan", Path("/x/pan.mcap"))])
+    with pytest.raises(UsageError, match="/x/pan: given 2 times; name it once"):
+        folder_names([("pan", Path("/x/pan")), ("a", Path("/x/a")), ("pan", Path("/x/pan"))])
 
 
 def test_equal_stems_of_one_call_get_folders_of_their_own(log: Path, tmp_path: Path) -> None:
