@@ -90,15 +90,18 @@ class Held:
     why: str = ""  # other results of this log are there: in what they differ
 
 
-_OF_THE_END = ("frames_processed", "frames_unusable", "candidates", "problems")
-"""Keys of [input] that only a finished run has."""
+_OF_THE_END: dict[str, Any] = {
+    **dict.fromkeys(("frames_processed", "frames_unusable", "candidates"), Count),
+    "problems": tuple[str, ...],
+}
+"""Keys of [input] that only a finished run has, and what each may hold."""
 
 
 def held_results(folder: Path, table: dict[str, Any]) -> Held:
     """Hold the finished results in a folder against the run.toml of a run to come.
 
     Raises SonarrecError where they are of another log, of another path and another SHA-256, or
-    not of this program.
+    not of this program, or where what their run.toml counts cannot be meant.
     """
     path = folder / "run.toml"
     tables = [estimates_of(folder).name if name in ESTIMATES else name for name in TABLES]
@@ -129,12 +132,16 @@ def held_results(folder: Path, table: dict[str, Any]) -> Held:
         | {key: mine[key] for key in ("path", "place")}
     }
     if alike == coming:
+
+        def told(key: str, unless: Any = 0) -> Any:
+            return checked(source.get(key, unless), _OF_THE_END[key], f"{path}: input.{key}")
+
         return Held(
             True,
-            source.get("frames_processed", 0),
-            source.get("frames_unusable", 0),
-            source.get("candidates", 0),
-            source.get("problems", []),
+            told("frames_processed"),
+            told("frames_unusable"),
+            told("candidates"),
+            list(told("problems", ())),
         )
     if source.get("sha256") != mine["sha256"]:
         return Held(why="the log has changed")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import re
 import resource
 import shutil
 import signal
@@ -339,6 +340,21 @@ def until(true) -> None:
 
 def frames_now(folder: Path) -> list[str]:
     return (folder / "frames.csv").read_text().splitlines()[1:]
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("frames_processed", '"six"'), ("candidates", "-1"), ("problems", '"cut"')]
+)
+def test_counts_that_cannot_be_meant_are_one_line(
+    key: str, value: str, log: Path, tmp_path: Path
+) -> None:
+    """Of results that are up to date: they went into logs.csv, which nobody could read again."""
+    call = ["run", log, "--frames", ":1", "-o", tmp_path, "-q"]
+    sonarrec(*call)
+    path = tmp_path / "dive" / "run.toml"
+    path.write_text(re.sub(f"(?m)^{key} = .*", f"{key} = {value}", path.read_text()))
+    assert f"{path}: input.{key} must be " in sonarrec(*call, code=1).stderr
+    assert (tmp_path / "logs.csv").read_text().count(",done,1,0,") == 1
 
 
 def test_a_file_in_the_place_of_results_is_refused(log: Path, tmp_path: Path) -> None:
