@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import itertools
+import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
@@ -197,7 +198,7 @@ def _check_shape(path: Path, expected: str) -> None:
         if path.exists() and not path.is_file():
             raise SonarrecError(f"{path}: not a file that can be read as a table")
         with path.open("rb") as file:
-            header = file.read(LONGEST_LINE).lstrip().partition(b"\n")[0]
+            header = re.split(rb"[\r\n]", file.read(LONGEST_LINE).lstrip(), maxsplit=1)[0]
             blocks = iter(lambda: file.read(LONGEST_LINE), b"")
             long = any(
                 len(x) == LONGEST_LINE and not _ends_line(x)

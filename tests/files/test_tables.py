@@ -35,6 +35,13 @@ def test_lines_are_those_of_the_file(tmp_path: Path, end: str) -> None:
     assert len(table["a"]) == 4
 
 
+def test_many_lines_that_end_as_on_old_macs_are_no_wide_header(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_bytes(b"a,b\r" + 2_000 * b"1,2\r")
+    table = read_table(path, {"a": "whole"}, ("a",), "a,b")
+    assert len(table["a"]) == 2_000
+
+
 def test_lines_behind_a_cell_beyond_all_measure_are_counted_on(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     path.write_text('a,b\n1,2\n3,"' + 50_000 * "long\n" + '"\n')
