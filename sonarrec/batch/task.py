@@ -46,7 +46,10 @@ class Task:
             path=self.path if "://" in self.path else str(Path(self.path).absolute()),
             out=self.out if "://" in self.out else str(Path(self.out).absolute()),
             given=replace(
-                given, sonar_file=_absolute(given.sonar_file), odometry=_absolute(given.odometry)
+                given,
+                sonar_file=_absolute(given.sonar_file),
+                odometry=_absolute(given.odometry),
+                up_to=_absolute(given.up_to),
             ),
             used=replace(
                 used,

@@ -19,8 +19,9 @@ from click.testing import CliRunner
 
 from sonarrec.batch.cluster import run_on_cluster
 from sonarrec.batch.processes import Watch
-from sonarrec.batch.task import Outcome, Task
+from sonarrec.batch.task import Outcome, Task, do
 from sonarrec.cli import main
+from sonarrec.config import preset
 from sonarrec.pipeline.prepared import Used
 from sonarrec.results.run_file import Given
 from tests.support.batch import SAMPLE, command, environment, made, rows, tables
@@ -132,6 +133,19 @@ def test_a_cluster_without_a_worker_is_told(tmp_path: Path) -> None:
         run_on_cluster([task], empty.scheduler_address, watch)
     told = f"{empty.scheduler_address}: no worker is there; the logs wait for one"
     assert (watch.notes, [end.status for end in watch.ends]) == ([told], ["failed"])
+
+
+def test_a_worker_in_another_folder_finds_the_geometry_above_the_log(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (log,) = made(tmp_path, "campaign/day1/dive", frames=1)
+    (log / "sonar.toml").rename(tmp_path / "campaign" / "sonar.toml")
+    monkeypatch.chdir(tmp_path)
+    given = Given(up_to=Path("campaign"))
+    task = Task("campaign/day1/dive", "dive", "out", given, Used([preset("default")])).absolute()
+    monkeypatch.chdir(log.parent)
+    assert do(task).error is None
+    assert (tmp_path / "out" / "dive" / "run.toml").is_file()
 
 
 def test_no_scheduler_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
