@@ -142,12 +142,13 @@ class Store:
 
     def companion(self, url: Url) -> Item | None:
         """As `item`; a page that a web server gives for any name is none."""
-        found = self.item(url)
-        if found is not None and url.is_web:
+
+        def is_page() -> bool:
             with self._told(url):
-                page = self._fs.info(self._path(url)).get("mimetype") == "text/html"
-            return None if page else found
-        return found
+                return bool(self._fs.info(self._path(url)).get("mimetype") == "text/html")
+
+        found = self.item(url)
+        return None if found is not None and url.is_web and self._retried(is_page, url) else found
 
     def listing(self, folder: Url) -> tuple[list[Item], list[str]]:
         """(files, names of folders) in a folder. Raises SonarrecError where it cannot be read."""

@@ -62,6 +62,28 @@ def test_a_log_and_what_lies_beside_it_is_fetched_once(site: Path, cache: Cache)
         assert len(web.gets("a.mcap")) == 1
 
 
+def test_what_lies_beside_a_log_is_asked_for_again(
+    site: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One answer that broke off cost the log, by a line that named no URL."""
+    (site / "gt.csv").touch()
+    with web_server(site) as web:
+        place = parse_url(f"{web.url}/gt.csv")
+        server, asked = store.Store(place), list[str]()
+        info = server._fs.info
+
+        def breaks(path: str) -> Any:
+            asked.append(path)
+            if len(asked) == 2:
+                raise ConnectionResetError
+            return info(path)
+
+        monkeypatch.setattr(server._fs, "info", breaks)
+        found = server.companion(place)
+    assert found is not None
+    assert len(asked) == 3
+
+
 def test_a_changed_log_is_fetched_anew(site: Path, cache: Cache) -> None:
     noise(site / "a.mcap")
     with web_server(site) as web:
