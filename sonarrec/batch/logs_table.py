@@ -16,10 +16,11 @@ from typing import get_args
 from sonarrec.batch.task import Outcome, Status, Task
 from sonarrec.files.outputs import is_filled, replaced
 from sonarrec.records import SonarrecError
-from sonarrec.results.folders import part_of
+from sonarrec.results.folders import LockedError, part_of
 
 NAME = "logs.csv"
 WRITE_EVERY_S = 1.0
+_USABLE: tuple[Status, ...] = ("done", "partial")
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +56,8 @@ class LogsTable:
         self._seconds: dict[str, float] = {}  # of the runs of earlier calls that ended
         with suppress(SonarrecError):
             before = read_logs(self._path)
-            self._seconds = {r.log: r.seconds for r in before if r.status in ("done", "partial")}
+            self._seconds = {row.log: row.seconds for row in before if row.status in _USABLE}
+        self._others: set[str] = set()  # logs that another call has in hand, and may have done
         self._written = -math.inf
         self.fault: str | None = None  # why the file could not be written
 
@@ -72,6 +74,8 @@ class LogsTable:
     def ended(self, i: int, outcome: Outcome) -> None:
         """Task i has ended."""
         row = replace(self._rows[i], status=outcome.status, message=outcome.message)
+        if isinstance(outcome.error, LockedError):
+            self._others.add(row.log)
         seconds = outcome.seconds
         if (summary := outcome.summary) is not None:
             row = replace(
@@ -109,7 +113,8 @@ class LogsTable:
             with _turn(self._path.parent):
                 before = read_logs(self._path) if is_filled(self._path) else []
                 rows = {row.log: row for row in before}
-                rows |= {row.log: row for row in self._rows}
+                kept = {x for x in self._others & rows.keys() if rows[x].status in _USABLE}
+                rows |= {row.log: row for row in self._rows if row.log not in kept}
                 text = io.StringIO()
                 writer = csv.writer(text, lineterminator="\n")
                 writer.writerow(COLUMNS)

@@ -19,6 +19,7 @@ from sonarrec.batch.logs_table import COLUMNS, LogsTable, read_logs
 from sonarrec.batch.task import Outcome, Task
 from sonarrec.pipeline.prepared import Used
 from sonarrec.records import SonarrecError
+from sonarrec.results.folders import LockedError
 from sonarrec.results.run_file import Given
 from sonarrec.sonar import Sonar
 from tests.support.batch import GRACE_S, SAMPLE, command, environment, made, rows, tables
@@ -259,6 +260,20 @@ def test_a_foreign_logs_csv_is_not_replaced(tmp_path: Path) -> None:
     assert "logs.csv line 1: not a row of" in done.stderr
     assert mine.read_text() == "day,diver\n1,me\n"
     assert (tmp_path / "out" / "a" / "frames.csv").is_file()
+
+
+def test_a_log_that_another_call_has_in_hand_keeps_that_call_s_row(tmp_path: Path) -> None:
+    """It was told as failed though it was done, and --retry-failed did it again."""
+    task = Task("a", "a", str(tmp_path), Given(), Used([]))
+    first, second = (LogsTable(tmp_path, [task]) for _ in range(2))
+    for table in (first, second):
+        table.begun(0)
+        table.write()
+    second.ended(0, Outcome("failed", error=LockedError("another run writes here now")))
+    first.ended(0, Outcome("done"))
+    first.write()
+    second.write()
+    assert rows(tmp_path)["a"]["status"] == "done"
 
 
 def test_an_empty_logs_csv_holds_nothing_to_lose(tmp_path: Path) -> None:
