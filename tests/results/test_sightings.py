@@ -297,7 +297,7 @@ def test_json_is_the_one_thing_on_stdout(results: Path, tmp_path: Path) -> None:
         rows = list(csv.DictReader(file))
     assert [s["method"] for s in first["sightings"]] == [row["method"] for row in rows]
     assert set(first["sightings"][0]) == set(CONTRACT.split(","))
-    assert (second["name"], second["status"]) == (None, "failed")
+    assert (second["name"], second["status"]) == ("gone", "failed")
     assert gone in second["message"]
     alone = CliRunner().invoke(main, ["run", gone, "--json", "-o", str(tmp_path)])
     assert json.loads(alone.stdout)["logs"][0]["status"] == "failed"
