@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from heapq import nlargest
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
+from sonarrec.cli.endings import end, tell
 from sonarrec.cli.options import (
     ANY,
     INPUT,
@@ -17,6 +20,9 @@ from sonarrec.cli.options import (
     out_option,
     quiet_option,
 )
+
+if TYPE_CHECKING:
+    from sonarrec.truth.propose import ProposedTrack
 
 MOST_TRACKS = 40
 """Printed, a line each; the file names the track of every row."""
@@ -66,9 +72,14 @@ def propose(
     """
     from sonarrec.truth.propose import propose as propose_truth
 
-    tracks = propose_truth(results, out, method=method, min_score=min_score, max_gap=max_gap)
-    if quiet:
-        return
+    found = propose_truth(results, out, method=method, min_score=min_score, max_gap=max_gap)
+    tell(found.problems)
+    if not quiet:
+        _print(found.tracks, out)
+    end(found.problems)
+
+
+def _print(tracks: Sequence[ProposedTrack], out: Path) -> None:
     rows = sum(track.rows for track in tracks)
     click.echo(f"{out}: {rows} rows from {sum(bool(t.rows) for t in tracks)} tracks")
     shown = nlargest(MOST_TRACKS, tracks, key=lambda t: t.rows)

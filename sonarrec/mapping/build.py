@@ -16,7 +16,7 @@ from sonarrec.poses import PoseTable
 from sonarrec.records import Fan, SonarrecError, UsageError
 from sonarrec.results.folders import estimates_of
 from sonarrec.results.read import find_logs
-from sonarrec.results.run_file import RunFile, read_run
+from sonarrec.results.run_file import RunFile, cut_short, read_run
 from sonarrec.results.sightings import check_follows
 from sonarrec.results.stream import choose_method
 from sonarrec.sonar import Sonar
@@ -93,6 +93,8 @@ def make_map(
             ros = poses is not None and "topic" in poses.source
             logs.append(_mapped(folder, run, path, ros, own, method, sonar))
             notes += said
+            if not run.finished:
+                problems.append(cut_short(str(folder), len(path.frame), "used"))
             if left_out := len(logs[-1].seen.row) - len(logs[-1].on_floor.passes.order):
                 problems.append(
                     f"{folder}: {left_out} of {len(logs[-1].seen.row)} declared estimates left "

@@ -22,7 +22,7 @@ from sonarrec.overlay.video import ImageFolder, VideoFile
 from sonarrec.readers import open_log
 from sonarrec.readers.find import find_log
 from sonarrec.readers.log import Log
-from sonarrec.records import Estimate, Fan, Frame, SonarrecError, UsageError
+from sonarrec.records import Estimate, Fan, Frame, MissingError, SonarrecError, UsageError
 from sonarrec.results.folders import estimates_of, part_of
 from sonarrec.results.read import read_frames, read_log
 from sonarrec.results.run_file import Given, read_run
@@ -206,10 +206,11 @@ def _results_folder(path: Path, name: str, results: Path) -> Path:
 
     name: of the log at `path`. Raises SonarrecError where there is none.
     """
-    for folder in (results, results / name, part_of(results / name)):
+    for folder in (results, part_of(results), results / name, part_of(results / name)):
         if (folder / "frames.csv").is_file():
             return folder
-    raise SonarrecError(
+    kind = SonarrecError if results.is_dir() else MissingError
+    raise kind(
         f"{results}: no results of {path} here (no frames.csv, nor {name}/frames.csv); "
         f"`sonarrec run {path}` writes them"
     )

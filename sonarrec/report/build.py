@@ -20,7 +20,7 @@ from sonarrec.report.page import MOST_MISTAKES, Drawn, Many, render
 from sonarrec.report.pictures import Picture, Wanted
 from sonarrec.report.recordings import match_recordings, open_recording
 from sonarrec.report.standing import MOST_LOGS, chosen, standing
-from sonarrec.results.read import find_logs
+from sonarrec.results.read import find_logs, not_whole
 from sonarrec.sonar import Sonar
 from sonarrec.truth.table import read_truth
 
@@ -92,8 +92,8 @@ def write_report(
         protocol = protocols(pooled)[0]
         wrong = {m: episodes(evaluation, m, protocol) for m in evaluation.joined.methods}
     drawn, missing = _draw_all(logs, evaluation, wrong, recordings, options.sonar or Sonar(), topic)
-    unused = pooled.unused if pooled is not None else tuple(_left_out(logs))
-    unused = (*unused, *missing)
+    own = (line for log in logs for line in not_whole(log.results, "shown"))
+    unused = (*(own if pooled is None else pooled.unused), *missing)
     many = Many(in_all, stand)
     page = render(logs, evaluation, pooled, wrong, pairs or ground_truth, drawn, unused, many)
     write_page(path, page)
@@ -121,22 +121,6 @@ def _with_panels(
         for log, folder in zip(logs, folders, strict=True)
         if folder in scored
     ]
-
-
-def _left_out(logs: Sequence[ReportedLog]) -> Iterator[str]:
-    """What `evaluate` tells of results that are not whole, where nothing is evaluated."""
-    for log in logs:
-        name, found = log.results.name, log.results
-        if not found.finished:
-            yield (
-                f"{name}: the run was cut short (run.toml says finished = false); "
-                f"only its {len(found.frame)} frames are shown"
-            )
-        if found.strays:
-            yield (
-                f"{name}: {found.strays} estimates lie on frames that frames.csv does not list; "
-                "they are not shown"
-            )
 
 
 def _draw_all(

@@ -32,7 +32,7 @@ from sonarrec.results.columns import (
     needed,
 )
 from sonarrec.results.folders import estimates_of, part_of
-from sonarrec.results.run_file import RunFile, read_run
+from sonarrec.results.run_file import RunFile, cut_short, read_run
 from sonarrec.sonar import Sonar
 
 METHODS = ("smi", "framework")
@@ -80,7 +80,12 @@ def find_logs(results: Path) -> list[Path]:
     if (results / "frames.csv").is_file():
         return [results]
     if not results.is_dir():
-        raise MissingError(f"{results}: no such results folder; `sonarrec run LOG` writes one")
+        part = part_of(results)
+        left = (part / "frames.csv").is_file()
+        told = f"; a run that did not finish left {part}" if left else ""
+        raise MissingError(
+            f"{results}: no such results folder; `sonarrec run LOG` writes one{told}"
+        )
     logs = {p.parent for p in results.glob("*/frames.csv")}
     # A stopped run leaves its part beside what a link points to.
     linked = {part_of(p) for p in results.iterdir() if p.is_symlink() and p not in logs}
@@ -93,6 +98,20 @@ def find_logs(results: Path) -> list[Path]:
             "give the folder that `sonarrec run` wrote"
         )
     return found
+
+
+def not_whole(log: LogResults, done: str) -> list[str]:
+    """One line per part of the results that cannot be used.
+
+    done: what a command does with the rest, such as "scored".
+    """
+    said = [] if log.finished else [cut_short(log.name, len(log.frame), done)]
+    if log.strays:
+        said.append(
+            f"{log.name}: {log.strays} estimates lie on frames that frames.csv does not list; "
+            f"they are not {done}"
+        )
+    return said
 
 
 def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = None) -> LogResults:

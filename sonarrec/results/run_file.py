@@ -190,6 +190,17 @@ def span_text(span: tuple[int, int | None]) -> str:
     return f"{span[0]}:{'' if span[1] is None else span[1]}"
 
 
+def cut_short(name: str, frames: int, done: str) -> str:
+    """What is told of results whose run.toml says that they are not finished.
+
+    frames: that they hold. done: what a command does with these.
+    """
+    return (
+        f"{name}: the run was cut short (run.toml says finished = false); "
+        f"only its {frames} frames are {done}"
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class Given:
     """What is given of a log beside the log itself; None: nothing is said."""

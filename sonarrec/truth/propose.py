@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 
@@ -12,7 +12,7 @@ import numpy as np
 from sonarrec.geometry import ground_range, pixel_from_polar, polar_from_plane
 from sonarrec.records import Fan, FloatArray, SonarrecError, UsageError, follows
 from sonarrec.results.folders import estimates_of
-from sonarrec.results.read import LogResults, find_logs, read_log
+from sonarrec.results.read import LogResults, find_logs, not_whole, read_log
 from sonarrec.results.sightings import check_follows
 from sonarrec.truth.in_view import share_in_image
 from sonarrec.truth.table import write_truth
@@ -44,9 +44,15 @@ class ProposedTrack:
     left_out: str
 
 
-def propose(
-    results: Path, out: Path, *, method: str, min_score: float, max_gap: int
-) -> list[ProposedTrack]:
+@dataclass(slots=True)
+class Proposal:
+    """The tracks that declared an ID, and a line for each part of the results not to be used."""
+
+    tracks: list[ProposedTrack] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+
+
+def propose(results: Path, out: Path, *, method: str, min_score: float, max_gap: int) -> Proposal:
     """Write `out`, a new gt.csv, from the results of one log or of several.
 
     A track is taken, over its whole life, where it declared one ID in LEAST_DECLARED frames or
@@ -59,16 +65,19 @@ def propose(
     if not 0 <= min_score <= 1:
         raise UsageError(f"--min-score {min_score:g}: a score is within 0 to 1")
     folders = find_logs(results)
-    told: list[ProposedTrack] = []
+    told = Proposal()
     rows = _proposed(folders, method, min_score, max_gap, told)
     write_truth(out, (("log", *HEADER) if len(folders) > 1 else HEADER), rows)
     return told
 
 
 def _proposed(
-    folders: Sequence[Path], method: str, min_score: float, max_gap: int, told: list[ProposedTrack]
+    folders: Sequence[Path], method: str, min_score: float, max_gap: int, told: Proposal
 ) -> Iterator[tuple[object, ...]]:
-    """The rows of gt.csv, one log in memory at a time. told: to which each track is added."""
+    """The rows of gt.csv, one log in memory at a time.
+
+    told: to which each track and each problem is added.
+    """
     for folder in folders:
         log = read_log(folder)
         if log.fan is None:
@@ -76,12 +85,13 @@ def _proposed(
                 f"{folder / 'run.toml'}: does not tell the sonar's geometry, which gives pixels "
                 "and visible; run `sonarrec run` again"
             )
+        told.problems += not_whole(log, "used")
         taken: dict[tuple[int, int], list[FloatArray]] = {}
         mine = []
         for track in _tracks(folder, log, method, min_score):
             found = [] if track.left_out else _rows(track, log, log.fan, max_gap, taken)
             mine += found
-            told.append(
+            told.tracks.append(
                 ProposedTrack(
                     log.name,
                     track.number,

@@ -164,6 +164,14 @@ def mapped(tmp_path: Path) -> Path:
 # Where they lie
 
 
+def test_what_a_run_left_that_was_stopped_is_told(tmp_path: Path) -> None:
+    folder = results(tmp_path / "dive", there_and_back(20), there_and_back(20))
+    told = (folder / "run.toml").read_text()
+    (folder / "run.toml").write_text(told.replace("finished = true", "finished = false"))
+    said = sonarrec("map", folder, code=3).stderr
+    assert f"{folder}: the run was cut short (run.toml says finished = false); only its 20 " in said
+
+
 def test_each_landmark_once_where_it_lies(mapped: Path) -> None:
     rows = table(mapped / "map.csv")
     assert [int(row["landmark"]) for row in rows] == [1, 1, 2]

@@ -728,8 +728,13 @@ def test_a_run_that_was_cut_short(work: Path) -> None:
     assert "the run was cut short; frames after 3 have no results" in told.stderr
     # As a run leaves it that was stopped.
     run.parent.rename(run.parent.with_name("log.part"))
-    told = sonarrec("overlay", "log", "--mcap", "o.mcap", code=3)
-    assert "log.part: the run was cut short; frames after 3 have no results" in told.stderr
+    for results in ([], ["sonarrec_out/log"]):
+        told = sonarrec("overlay", "log", *results, "--mcap", "o.mcap", code=3)
+        assert "log.part: the run was cut short; frames after 3 have no results" in told.stderr
+    assert (
+        "no results of log here"
+        in sonarrec("overlay", "log", "none", "--mcap", "o.mcap", code=2).stderr
+    )
 
 
 @pytest.mark.parametrize(
@@ -746,7 +751,7 @@ def test_a_run_that_was_cut_short(work: Path) -> None:
         ("--mcap o.mcap --frames 9:", 2, "no frame lies in --frames 9:"),
         ("--mcap o.mp4 --video ../{0}/o.mp4", 2, "o.mp4: each output needs a name of its own"),
         ("--mcap o.mcap --method x", 2, "no method 'x'; there is framework"),
-        ("elsewhere --mcap o.mcap", 1, "elsewhere: no results of log here"),
+        ("elsewhere --mcap o.mcap", 2, "elsewhere: no results of log here"),
         ("--mcap o.mcap --ground-truth paper.csv", 1, "paper.csv: no positions"),
     ],
 )

@@ -156,6 +156,18 @@ def test_several_logs_have_a_log_column(tmp_path: Path) -> None:
     assert [row["log"] for row in rows] == ["a"] * 10 + ["b"] * 5
 
 
+def test_what_a_run_left_that_was_stopped_is_told(tmp_path: Path) -> None:
+    part = results(tmp_path / "out" / "dive.part", track(1, range(10)))
+    (part / "run.toml").write_text(RUN.replace("finished = true", "finished = false"))
+    done = run(part, "--out", tmp_path / "gt.csv")
+    assert done.exit_code == 3
+    assert "dive.part: the run was cut short" in done.stderr
+    assert "only its 60 frames are used" in done.stderr
+    done = run(tmp_path / "out" / "dive", "--out", tmp_path / "other.csv")
+    assert done.exit_code == 2
+    assert f"a run that did not finish left {part}" in done.stderr
+
+
 def test_of_many_tracks_those_of_most_rows_are_printed(tmp_path: Path) -> None:
     """More than a terminal shows: the last one, which is the longest, among them."""
     for n in range(50):

@@ -10,12 +10,12 @@ import numpy as np
 
 from sonarrec.evaluation.compare.changes import ByMethod, changed_frames
 from sonarrec.evaluation.counting.parts import Part, part_of, score_all
-from sonarrec.evaluation.matching.fit import Checked, checked, cut_short, matched
+from sonarrec.evaluation.matching.fit import Checked, checked, matched
 from sonarrec.evaluation.matching.joined import join
 from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.survey import truth_table
 from sonarrec.records import SonarrecError
-from sonarrec.results.read import LogResults, read_log
+from sonarrec.results.read import LogResults, not_whole, read_log
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +67,7 @@ def count_both(reading: BothReading) -> BothCounted:
     for side, log in ((was, old), (now, new)):
         alone = len(log.frame) - len(common)
         unused += [f"{log.name}: {alone} frames are in {side} only; not compared"] * bool(alone)
-        unused += cut_short(log)
+        unused += not_whole(log, "scored")
     old, new = (_only(replace(log, name=reading.name), common) for log in (old, new))
     case = matched(now, table, new, options.tolerance_s)
     found = checked(case)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.records import SonarrecError
-from sonarrec.results.read import LogResults
+from sonarrec.results.read import LogResults, not_whole
 from sonarrec.truth.fits import misfit, outside_image, without_rows
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import TruthTable
@@ -43,8 +43,8 @@ class Checked:
     fault: str | None
     """Why the truth cannot be that of the log; None where it can."""
     notes: list[str]
-    cut_short: list[str]
-    """As `cut_short`."""
+    not_whole: list[str]
+    """As `not_whole` of the results."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +72,7 @@ def checked(case: Matched) -> Checked:
         frames=len(case.log.frame),
         fault=misfit(case.table, case.log, case.truth),
         notes=_notes(case),
-        cut_short=cut_short(case.log),
+        not_whole=not_whole(case.log, "scored"),
     )
 
 
@@ -124,7 +124,7 @@ def left_out(cases: Sequence[Checked]) -> list[str]:
             f"processed; they are not scored (the {frames} frames processed are)"
         )
     for case in cases:
-        said += case.cut_short
+        said += case.not_whole
     return said
 
 
@@ -141,19 +141,3 @@ def of_other_logs(table: TruthTable, logs: Sequence[str]) -> list[str]:
         f"{table.path}: {len(others)} of {len(table.at)} rows name logs that are not there "
         f"({told}); they are not scored"
     ]
-
-
-def cut_short(log: LogResults) -> list[str]:
-    """One line per part of the results that cannot be used."""
-    said = []
-    if not log.finished:
-        said.append(
-            f"{log.name}: the run was cut short (run.toml says finished = false); "
-            f"only its {len(log.frame)} frames are scored"
-        )
-    if log.strays:
-        said.append(
-            f"{log.name}: {log.strays} estimates lie on frames that frames.csv does not list; "
-            "they are not scored"
-        )
-    return said
