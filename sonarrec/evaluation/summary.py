@@ -110,11 +110,19 @@ def summarise(evaluation: Evaluation | Pooled, unit: UnitKind | None = None) -> 
     )
 
 
+def over_units(summary: Summary) -> str:
+    """What the caption of a table says of its intervals, of which there may be none."""
+    if summary.units.count < MIN_UNITS:
+        return ""
+    return f"; {LEVEL:.0%} intervals over {summary.units.count} {UNITS[summary.units.kind]}"
+
+
 def _notes(found: Pooled, units: PooledUnits, figures: list[Figure]) -> tuple[str, ...]:
     if units.count < MIN_UNITS:
         kind = {"pass": "pass of a landmark", "log": "log"}[units.kind]
         return (
-            f"no intervals and no tests: only {units.count} independent units (each a {kind}), and "
+            f"no intervals and no tests: only {units.count} independent "
+            f"unit{'s' * (units.count != 1)} (each a {kind}), and "
             f"with fewer than {MIN_UNITS} no difference can be told from chance",
         )
     notes = []

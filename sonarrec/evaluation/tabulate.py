@@ -8,9 +8,8 @@ from collections.abc import Sequence
 from sonarrec.evaluation import cells
 from sonarrec.evaluation.cells import Cell, number
 from sonarrec.evaluation.counting.pooled import Pooled, PooledScored
-from sonarrec.evaluation.counting.uncertainty import LEVEL, MIN_UNITS
 from sonarrec.evaluation.metrics import BY_NAME, MAIN
-from sonarrec.evaluation.summary import UNITS, Summary
+from sonarrec.evaluation.summary import UNITS, Summary, over_units
 from sonarrec.records import printable
 
 WIDTH = 100
@@ -62,8 +61,7 @@ def _title(scored: PooledScored, evaluation: Pooled) -> str:
 def summary_screen(evaluation: Pooled, summary: Summary, details: bool = False) -> str:
     """The figures in total with their intervals, and the tests; with details per ID and log too."""
     main = "strict" if evaluation.placed else "paper"
-    units = f"{summary.units.count} {UNITS[summary.units.kind]}"
-    over = f"; {LEVEL:.0%} intervals over {units}" if summary.units.count >= MIN_UNITS else ""
+    over = over_units(summary)
     lines = []
     for protocol in ("strict", "paper") if details else (main,):
         if any(s.protocol == protocol for s in evaluation.scored):
@@ -72,6 +70,7 @@ def summary_screen(evaluation: Pooled, summary: Summary, details: bool = False) 
             lines.append("")
     told = cells.tested(summary, main)
     if any(not math.isnan(d.p) for d in told):
+        units = f"{summary.units.count} {UNITS[summary.units.kind]}"
         lines.append(f"protocol {main}, differences; paired sign-flip test over {units}")
         for d in told:
             text = _text(cells.difference(d), " to ")

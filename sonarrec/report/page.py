@@ -18,10 +18,9 @@ from sonarrec.evaluation import cells
 from sonarrec.evaluation.counting.curves import Count
 from sonarrec.evaluation.counting.pooled import Pooled
 from sonarrec.evaluation.counting.reliability import FEW
-from sonarrec.evaluation.counting.uncertainty import LEVEL
 from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.evaluation.plots import COLOURS
-from sonarrec.evaluation.summary import UNITS, summarise
+from sonarrec.evaluation.summary import UNITS, over_units, summarise
 from sonarrec.report import charts
 from sonarrec.report.frames import ShownLog
 from sonarrec.report.logs import ReportedLog, Seen, Track, seen, tracks, true_landmark
@@ -113,16 +112,16 @@ class Scores:
     """What ground truth adds to the page.
 
     rates, rates_per_log, others (figures), differences: as `cells` gives them. units: how many,
-    and of what, the intervals rest on. tested: the figures compared. starred: whether a table
-    prints a 0/0. curves: per protocol its name, the ROC over all IDs and that of each ID.
-    reliability: per method.
+    and of what, the intervals rest on. over: what a caption says of these. tested: the figures
+    compared. starred: whether a table prints a 0/0. curves: per protocol its name, the ROC over
+    all IDs and that of each ID. reliability: per method.
     """
 
     protocols: list[str]
     rates: list[tuple[str, list[cells.Rates]]]
     rates_per_log: list[tuple[str, list[cells.Rates]]]
     units: str
-    level: str
+    over: str
     others: list[tuple[str, list[cells.Cell]]]
     tested: list[str]
     differences: list[tuple[str, list[cells.Cell]]]
@@ -276,7 +275,7 @@ def _scores(
         rates=cells.rates(found, summary),
         rates_per_log=per_log,
         units=f"{summary.units.count} {UNITS[summary.units.kind]}",
-        level=f"{LEVEL:.0%}",
+        over=over_units(summary),
         others=cells.figures(summary, protocols[0], methods, beside=cells.HEADLINE),
         tested=[metric.label for metric in cells.TESTED],
         differences=cells.differences(summary, protocols[0]),

@@ -7,19 +7,17 @@ from pathlib import Path
 
 import numpy as np
 
-from sonarrec.files.tables import POSITION_KINDS, line_numbers, read_table
+from sonarrec.files.tables import line_numbers
 from sonarrec.geometry import ground_range, pixel_from_polar, polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.readers.log import Log
 from sonarrec.records import BoolArray, Fan, FloatArray, IntArray, SonarrecError
 from sonarrec.truth.in_view import share_in_image
-from sonarrec.truth.match import match_times
-from sonarrec.truth.table import HEADER, TruthTable, read_rows, repeated_rows
+from sonarrec.truth.match import SLACK_PX, match_times, pixels_apart
+from sonarrec.truth.table import TruthTable, read_rows, repeated_rows
 
 SLACK = 0.1
 """Allowed for a person's eye: a tenth of the radius in place, a tenth of the area in `visible`."""
-SLACK_PX = 2.0
-"""Allowed for rounding, between x_px,y_px and range_m,bearing_deg of one row."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +109,7 @@ def check_truth(
         floor = np.column_stack([ground * np.sin(bearing), ground * np.cos(bearing)])
         places = _Places(frames, table.landmark[row], *polar, floor)
         faults += _repeats(table, mine, lines)
-        faults += _contradictions(path, row, line, x, y)
+        faults += _contradictions(line, pixels_apart(table, row, log.fan))
         faults += _outside(line, places, visible, log.fan, landmarks.radius_m)
         faults += _overlaps(line, places, landmarks.radius_m)
         faults += _changes(line, places, landmarks.radius_m)
@@ -181,21 +179,15 @@ def _repeats(table: TruthTable, mine: BoolArray, lines: IntArray) -> list[Fault]
     ]
 
 
-def _contradictions(
-    path: Path, row: IntArray, line: IntArray, x: FloatArray, y: FloatArray
-) -> list[Fault]:
+def _contradictions(line: IntArray, apart_px: FloatArray) -> list[Fault]:
     """Rows whose pixels are not where their range and bearing are: one of them was edited."""
-    table = read_table(path, POSITION_KINDS, (), HEADER)
-    if not POSITION_KINDS.keys() <= table.keys():
-        return []
-    apart = np.hypot(table["x_px"][row] - x, table["y_px"][row] - y)
     return [
         Fault(
             int(line[n]),
             "position",
-            f"x_px,y_px and range_m,bearing_deg are {apart[n]:.1f} pixels apart",
+            f"x_px,y_px and range_m,bearing_deg are {apart_px[n]:.1f} pixels apart",
         )
-        for n in np.flatnonzero(apart > SLACK_PX)
+        for n in np.flatnonzero(apart_px > SLACK_PX)
     ]
 
 

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from sonarrec.files.tables import line_number
-from sonarrec.geometry import pixel_from_plane, plane_position
+from sonarrec.geometry import pixel_from_plane, pixel_from_polar, plane_position
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.records import BoolArray, Fan, FloatArray, IntArray, SonarrecError
 from sonarrec.truth.table import TruthTable
@@ -38,6 +38,27 @@ class Truth:
     def pixels(self, fan: Fan) -> FloatArray | None:
         """(T, 2) column and row in the fan image; None where positions are not known."""
         return None if self.position is None else pixel_from_plane(fan, self.position)
+
+
+SLACK_PX = 2.0
+"""By so much may pixels be off range and bearing: they are rounded, as scale and apex are."""
+
+
+def pixels_apart(table: TruthTable, row: IntArray, fan: Fan) -> FloatArray:
+    """Pixels from x_px,y_px of some rows to their range and bearing; NaN where one is not told.
+
+    row: (n,) into the table. Returns (n,).
+    """
+    if table.pixels is None or table.position is None:
+        return np.full(len(row), np.nan)
+    _, range_m, bearing_deg = table.position
+    x, y = pixel_from_polar(fan, range_m[row], bearing_deg[row])
+    return np.asarray(np.hypot(table.pixels[0][row] - x, table.pixels[1][row] - y))
+
+
+def rows_of(table: TruthTable, name: str) -> IntArray:
+    """The rows that speak of a log, rising."""
+    return np.arange(len(table.at)) if table.log is None else np.flatnonzero(table.log == name)
 
 
 class ReadLog(Protocol):

@@ -58,6 +58,8 @@ class TruthTable:
     """(R,) names; None without the column."""
     position: tuple[str, FloatArray, FloatArray] | None
     """As tables.position_pair gives it; None without positions."""
+    pixels: tuple[FloatArray, FloatArray] | None
+    """(R,) column and row beside a position by range and bearing, NaN where blank; None without."""
     orientation: FloatArray | None
     """(R,) deg, NaN where blank; None without the column."""
     not_read: tuple[str, ...]
@@ -126,6 +128,11 @@ def read_rows(path: Path) -> TruthTable:
         visible=visible,
         log=table.get("log"),
         position=position,
+        pixels=(
+            (table["x_px"], table["y_px"])
+            if position is not None and position[0] == "polar" and {"x_px", "y_px"} <= table.keys()
+            else None
+        ),
         orientation=table.get("orientation_deg"),
         not_read=tuple(name for names in alike.values() for name in names),
     )

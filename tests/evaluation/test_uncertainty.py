@@ -25,7 +25,7 @@ from sonarrec.evaluation.counting.uncertainty import (
     replicates,
 )
 from sonarrec.evaluation.metrics import METRICS, rates, tally, waits
-from sonarrec.evaluation.summary import summarise
+from sonarrec.evaluation.summary import over_units, summarise
 from tests.support.claims import evaluated, joined
 
 LABELS = ("strict", "m", "total")
@@ -221,6 +221,11 @@ def test_few_or_equal_units_are_said_to_say_nothing() -> None:
 
     summary = summarise(evaluated(joined(40, seen(1, 0, 9) + seen(2, 20, 29), [])))
     assert "only 2 independent units" in summary.notes[0]
+    assert over_units(summary) == ""
+    often = [row for n in range(0, 90, 15) for row in seen(1, n, n)]
+    assert (
+        over_units(summarise(evaluated(joined(90, often, [])))) == "; 95% intervals over 6 passes"
+    )
     assert all(math.isnan(f.low) for f in summary.figures)
     assert all(math.isnan(d.p) for d in summary.differences)
 

@@ -9,10 +9,12 @@ import pytest
 from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
+from sonarrec.geometry import pixel_from_polar
 from sonarrec.records import SonarrecError
 from sonarrec.results.read import read_log
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import read_truth
+from tests.truth.test_propose import RUN
 
 FRAMES = "frame,timestamp_ns\n0,1000000000\n1,1250000000\n3,1750000000\n"
 ESTIMATES = (
@@ -270,6 +272,25 @@ def test_estimates_off_the_listed_frames_are_counted_and_said(case: Path) -> Non
     done = run(case)
     assert done.exit_code == 3
     assert "1 estimates lie on frames that frames.csv does not list" in done.stderr
+
+
+def test_pixels_that_contradict_range_and_bearing_are_said(case: Path) -> None:
+    (case / "out" / "run.toml").write_text(RUN)
+    fan = read_log(case / "out").fan
+    assert fan is not None
+    head, *rows = TRUTH.splitlines()
+    pixels = [pixel_from_polar(fan, 2.0, bearing) for bearing in (0.0, 1.0)]
+
+    def said(off_px: float) -> str:
+        (x, y), (x_2, y_2) = pixels
+        told = (
+            f"{head},x_px,y_px\n{rows[0]},{x:.1f},{y:.1f}\n{rows[1]},{x_2 + off_px:.1f},{y_2:.1f}"
+        )
+        (case / "gt.csv").write_text(told + "\n")
+        return run(case).stdout
+
+    assert "elsewhere" not in said(1.5)
+    assert "gt.csv: 1 rows for out have x_px,y_px elsewhere than range_m,bearing_deg" in said(2.5)
 
 
 def test_a_run_cut_short_is_not_passed_off_as_whole(case: Path) -> None:
