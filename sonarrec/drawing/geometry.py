@@ -33,6 +33,9 @@ def nice_steps(low: float, high: float, about: int) -> FloatArray:
 def draw_grid(pen: Pen, fan: Fan) -> None:
     """The stated fan's outline, range rings and bearings, each labelled."""
     low, high = fan.bearing_min_deg, fan.bearing_max_deg
+    edge = [_ray(fan, low), _arc(fan, fan.range_max_m), _ray(fan, high)[::-1]]
+    outline = np.concatenate([*edge, _arc(fan, fan.range_min_m)[::-1]])
+    pen.lines(outline[None], GRID, 2, closed=True)  # before the labels: none loses its minus
     for range_m in nice_steps(fan.range_min_m, fan.range_max_m, 5):
         ring = _arc(fan, range_m)
         pen.lines(ring[None], GRID, 1)
@@ -41,9 +44,6 @@ def draw_grid(pen: Pen, fan: Fan) -> None:
         ray = _ray(fan, bearing)
         pen.lines(ray[None], GRID, 1)
         pen.note(f"{bearing:g}", ray[-1], GRID, centred=True)
-    edge = [_ray(fan, low), _arc(fan, fan.range_max_m), _ray(fan, high)[::-1]]
-    outline = np.concatenate([*edge, _arc(fan, fan.range_min_m)[::-1]])
-    pen.lines(outline[None], GRID, 2, closed=True)
 
 
 def _arc(fan: Fan, range_m: float) -> FloatArray:
