@@ -26,24 +26,29 @@ PICTURES = ("draw_roc", "draw_roc_by_id", "draw_det", "draw_reliability")
 
 @pytest.fixture(scope="session", autouse=True)
 def _no_pictures() -> Iterator[None]:
-    """In the tests' own processes `evaluate` writes empty files in place of its pictures: to draw
-    them takes it longest, and what most tests look at is in its tables."""
+    """In the tests' own processes `evaluate` and `map` write empty files in place of pictures: to
+    draw them takes longest, and what most tests look at is in the tables."""
     from sonarrec.evaluation import write
+    from sonarrec.mapping import write as write_map
 
     def empty(path: Path, *_: object) -> None:
         path.write_bytes(b"")
 
-    with patch.multiple(write, **dict.fromkeys(PICTURES, empty)):
+    drawn = patch.multiple(write, **dict.fromkeys(PICTURES, empty))
+    with drawn, patch.object(write_map, "draw_map", empty):
         yield
 
 
 @pytest.fixture
 def pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """`evaluate` draws, as users have it."""
+    """`evaluate` and `map` draw, as users have it."""
     from sonarrec.evaluation import plots, write
+    from sonarrec.mapping import picture
+    from sonarrec.mapping import write as write_map
 
     for name in PICTURES:
         monkeypatch.setattr(write, name, getattr(plots, name))
+    monkeypatch.setattr(write_map, "draw_map", picture.draw_map)
 
 
 def pytest_xdist_auto_num_workers() -> int:

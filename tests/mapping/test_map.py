@@ -574,6 +574,7 @@ def test_an_ellipse_holds_what_it_says() -> None:
     assert inside.mean() == pytest.approx(0.95, abs=0.006)
 
 
+@pytest.mark.usefixtures("pictures")
 def test_the_picture_shows_what_was_found(mapped: Path) -> None:
     import cv2
 
@@ -582,6 +583,7 @@ def test_the_picture_shows_what_was_found(mapped: Path) -> None:
     assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 20
 
 
+@pytest.mark.usefixtures("pictures")
 def test_an_id_has_the_colour_it_has_everywhere(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -713,6 +715,7 @@ def test_one_log_that_cannot_be_mapped_costs_itself_only(tmp_path: Path) -> None
     assert make_map([good]).problems == []
 
 
+@pytest.mark.usefixtures("pictures")
 def test_the_same_results_give_the_same_bytes(mapped: Path) -> None:
     before = {p.name: p.read_bytes() for p in mapped.iterdir()}
     sonarrec("map", mapped.parent, "--origin", "54.3233,10.1394,87")
@@ -728,6 +731,7 @@ def test_an_origin_on_earth() -> None:
     assert found[1] == pytest.approx([1 / 60, 0], rel=0.006)
 
 
+@pytest.mark.usefixtures("pictures")
 def test_the_report_shows_the_map(mapped: Path) -> None:
     page = mapped.parent / "report.html"
     sonarrec("report", mapped.parent)
