@@ -315,10 +315,9 @@ def configs(presets: Sequence[str] = (), path: Path | None = None) -> list[Confi
     that is unknown or asked for twice.
     """
     tables = [{}] if path is None else _config_tables(path)
-    presets = [name.strip() for name in presets]  # they are typed as a list
     if not presets:
         presets = [table.get("preset", "default") for table in tables]
-    presets = [name.strip() for name in presets]
+    presets = [name.strip() for name in presets]  # they are typed as a list
     if len(set(presets)) < len(presets):
         raise UsageError(f"--preset {','.join(presets)}: each preset once")
     chosen = []
