@@ -11,7 +11,7 @@ from sonarrec.files.tables import line_numbers
 from sonarrec.geometry import ground_range, pixel_from_polar, polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.readers.log import Log
-from sonarrec.records import BoolArray, Fan, FloatArray, IntArray, SonarrecError
+from sonarrec.records import Fan, FloatArray, IntArray, SonarrecError
 from sonarrec.truth.in_view import share_in_image
 from sonarrec.truth.match import SLACK_PX, match_times, pixels_apart
 from sonarrec.truth.table import TruthTable, read_rows, repeated_rows
@@ -82,8 +82,7 @@ def check_truth(
     Raises SonarrecError where either cannot be read at all.
     """
     table = read_rows(path)
-    mine = np.ones(len(table.at), bool) if table.log is None else np.asarray(table.log == log.name)
-    row = np.flatnonzero(mine)
+    row = table.rows_of(log.name)
     if len(table.at) and not len(row):
         named = ", ".join(sorted({str(name) for name in table.log}))
         raise SonarrecError(f"{path}: its log column does not name {log.name}; it has {named}")
@@ -108,7 +107,7 @@ def check_truth(
         ground = np.nan_to_num(ground_range(log.fan, polar[0]))
         floor = np.column_stack([ground * np.sin(bearing), ground * np.cos(bearing)])
         places = _Places(frames, table.landmark[row], *polar, floor)
-        faults += _repeats(table, mine, lines)
+        faults += _repeats(table, row, lines)
         faults += _contradictions(line, pixels_apart(table, row, log.fan))
         faults += _outside(line, places, visible, log.fan, landmarks.radius_m)
         faults += _overlaps(line, places, landmarks.radius_m)
@@ -171,11 +170,11 @@ def _ids(line: IntArray, landmark: IntArray, landmarks: LandmarkSet) -> list[Fau
     ]
 
 
-def _repeats(table: TruthTable, mine: BoolArray, lines: IntArray) -> list[Fault]:
+def _repeats(table: TruthTable, row: IntArray, lines: IntArray) -> list[Fault]:
+    pairs = repeated_rows(table)
     return [
         Fault(int(lines[b]), "repeated", f"repeats line {lines[a]}")
-        for a, b in repeated_rows(table)
-        if mine[b]
+        for a, b in pairs[np.isin(pairs[:, 1], row)]
     ]
 
 

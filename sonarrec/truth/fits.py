@@ -20,7 +20,7 @@ def misfit(table: TruthTable, log: ReadLog, truth: Truth) -> str | None:
     truth: as matched to the log.
     """
     if truth.rows and not len(truth.frame_index):
-        at = table.at if table.log is None else table.at[np.asarray(table.log == log.name)]
+        at = table.at[table.rows_of(log.name)]
         return (
             f"{table.path}: none of its {truth.rows} rows ({table.key} {at.min()} to {at.max()}) "
             f"lies on a processed frame of {log.name} ({len(log.frame)} frames, {log.frame[0]} to "

@@ -56,11 +56,6 @@ def pixels_apart(table: TruthTable, row: IntArray, fan: Fan) -> FloatArray:
     return np.asarray(np.hypot(table.pixels[0][row] - x, table.pixels[1][row] - y))
 
 
-def rows_of(table: TruthTable, name: str) -> IntArray:
-    """The rows that speak of a log, rising."""
-    return np.arange(len(table.at)) if table.log is None else np.flatnonzero(table.log == name)
-
-
 class ReadLog(Protocol):
     """The frames of one log to which truth is matched; a LogResults is one.
 
@@ -87,11 +82,11 @@ def match_truth(table: TruthTable, log: ReadLog, tolerance_s: float | None = Non
     truth denser than the frames must not show one landmark many times.
     Raises SonarrecError on an ID outside the landmark set, or where times cannot be compared.
     """
-    mine = np.ones(len(table.at), bool) if table.log is None else np.asarray(table.log == log.name)
+    mine = table.rows_of(log.name)
     ids = np.asarray(log.landmarks.ids)
-    known = np.isin(table.landmark, ids) | ~mine
+    known = np.isin(table.landmark[mine], ids)
     if not known.all():
-        bad = int(np.argmin(known))
+        bad = int(mine[np.argmin(known)])
         raise SonarrecError(
             f"{table.path} line {line_number(table.path, bad)}: landmark {table.landmark[bad]} "
             f"is not in the set {log.landmarks.name!r} ({', '.join(map(str, ids))}) used for "
@@ -112,7 +107,7 @@ def match_truth(table: TruthTable, log: ReadLog, tolerance_s: float | None = Non
     position = None
     if table.position is not None:
         position = plane_position(table.position, log.fan)
-    chosen = np.flatnonzero(mine)[kept]
+    chosen = mine[kept]
     return Truth(
         frame_index=row[kept],
         landmark_index=log.landmarks.indices(table.landmark[chosen]),

@@ -65,6 +65,12 @@ class TruthTable:
     not_read: tuple[str, ...]
     """Columns that look like positions, beside those that are read."""
 
+    def rows_of(self, name: str) -> IntArray:
+        """The rows that speak of a log, rising."""
+        if self.log is None:
+            return np.arange(len(self.at))
+        return np.flatnonzero(self.log == name)
+
 
 def read_truth(path: Path) -> TruthTable:
     """Read gt.csv (see HEADER). A header alone is read as well: whoever scores refuses it.

@@ -11,7 +11,7 @@ import numpy as np
 from sonarrec.records import SonarrecError
 from sonarrec.results.read import LogResults, not_whole
 from sonarrec.truth.fits import misfit, outside_image, without_rows
-from sonarrec.truth.match import SLACK_PX, Truth, match_truth, pixels_apart, rows_of
+from sonarrec.truth.match import SLACK_PX, Truth, match_truth, pixels_apart
 from sonarrec.truth.table import TruthTable
 
 
@@ -106,7 +106,7 @@ def _notes(case: Matched) -> list[str]:
             f"image of {log.name}; `sonarrec truth check` names them"
         )
     if log.fan is not None and table.pixels is not None:
-        apart = pixels_apart(table, rows_of(table, log.name), log.fan) > SLACK_PX
+        apart = pixels_apart(table, table.rows_of(log.name), log.fan) > SLACK_PX
         if apart.any():
             notes.append(
                 f"{table.path}: {np.count_nonzero(apart)} rows for {log.name} have x_px,y_px "
