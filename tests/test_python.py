@@ -123,7 +123,7 @@ def test_settings_of_one_name_are_refused(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("span", [(-3, None), (0, -1), (2, 2)])
+@pytest.mark.parametrize("span", [(-3, None), (0, -1), (2, 2), (0, 10**18), (1.5, 3)])
 def test_frames_that_no_run_toml_can_tell_are_refused(
     span: tuple[int, int | None], tmp_path: Path
 ) -> None:

@@ -110,6 +110,7 @@ def run(
         topic=topic,
         time=time,
         odometry=_path(odometry),
+        # By the text that run.toml will hold: what it could not give back is refused.
         frames=None if frames is None else frame_span(span_text(frames)),
     )
     used = Used(_configs(preset), landmarks, _path(model))
