@@ -42,7 +42,7 @@ from sonarrec.records import (
 from sonarrec.simulation.composite import Composer, LaidDisc, seen_from
 from sonarrec.simulation.layout import check_room, lay_out
 from sonarrec.simulation.motion import Pose
-from sonarrec.simulation.simulate import LandmarkTruth, truth_row, visible_share, write_png
+from sonarrec.simulation.simulate import LandmarkTruth, truth_row, visible_share, write_image
 from sonarrec.sonar import Sonar
 
 Span = tuple[int, int | None]
@@ -276,7 +276,7 @@ def write_backgrounds(
                 writer.writerow(["frame", *(f.name for f in fields(LandmarkTruth))])
             for one in compose(background, layout, landmarks, [*folders], plate_db, beam_width_deg):
                 for db, folder in folders.items():
-                    write_png(folder / f"{one.index:06d}.png", one.images[db])
+                    write_image(folder / f"{one.index:06d}.png", one.images[db])
                 truth = [[one.index, *asdict(row).values()] for row in one.truth]
                 for writer in writers:
                     writer.writerows(truth)

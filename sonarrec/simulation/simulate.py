@@ -419,11 +419,11 @@ def _describe(scene: Scene, stated: Sonar, folder: Path, prefix: str) -> None:
 def _to_png(frames: Iterator[SimulatedFrame], folder: Path) -> Iterator[SimulatedFrame]:
     """The frames, each once it is NNNNNN.png in the folder."""
     for frame in frames:
-        write_png(folder / f"{frame.index:06d}.png", frame.image)
+        write_image(folder / f"{frame.index:06d}.png", frame.image)
         yield frame
 
 
-def write_png(path: Path, image: ByteImage) -> None:
+def write_image(path: Path, image: ByteImage) -> None:
     """An image as a PNG. Raises OSError."""
     # Not by imwrite, which dies of names that are not UTF-8.
     path.write_bytes(cv2.imencode(".png", image)[1].tobytes())
