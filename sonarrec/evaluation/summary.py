@@ -30,7 +30,7 @@ from sonarrec.evaluation.counting.uncertainty import (
 from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.records import FloatArray, printable
 
-UNITS = {"pass": "passes", "log": "logs"}
+_UNITS = {"pass": "passes", "log": "logs"}
 SEED = 0
 """Of the draws: the same input gives the same intervals."""
 
@@ -110,11 +110,16 @@ def summarise(evaluation: Evaluation | Pooled, unit: UnitKind | None = None) -> 
     )
 
 
+def units_text(units: PooledUnits, count: int | None = None) -> str:
+    """How many units there are, or `count` of them, and of what kind."""
+    return f"{units.count if count is None else count} {_UNITS[units.kind]}"
+
+
 def over_units(summary: Summary) -> str:
     """What the caption of a table says of its intervals, of which there may be none."""
     if summary.units.count < MIN_UNITS:
         return ""
-    return f"; {LEVEL:.0%} intervals over {summary.units.count} {UNITS[summary.units.kind]}"
+    return f"; {LEVEL:.0%} intervals over {units_text(summary.units)}"
 
 
 def _notes(found: Pooled, units: PooledUnits, figures: list[Figure]) -> tuple[str, ...]:
@@ -133,7 +138,7 @@ def _notes(found: Pooled, units: PooledUnits, figures: list[Figure]) -> tuple[st
             # None of n: with 95 % confidence a share below 1 - .05 ** (1 / n) has any.
             most = 1 - (1 - LEVEL) ** (1 / figure.units)
             notes.append(
-                f"{figure.method}: no false claim in {figure.units} {UNITS[units.kind]}, so with "
+                f"{figure.method}: no false claim in {units_text(units, figure.units)}, so with "
                 f"{LEVEL:.0%} confidence fewer than {100 * most:.2g}% of them have one"
             )
     if found.placed and not found.timed:

@@ -9,7 +9,7 @@ from sonarrec.evaluation import cells
 from sonarrec.evaluation.cells import Cell, number
 from sonarrec.evaluation.counting.pooled import Pooled, PooledScored
 from sonarrec.evaluation.metrics import BY_NAME, MAIN
-from sonarrec.evaluation.summary import UNITS, Summary, over_units
+from sonarrec.evaluation.summary import Summary, over_units, units_text
 from sonarrec.records import printable
 
 WIDTH = 100
@@ -70,7 +70,7 @@ def summary_screen(evaluation: Pooled, summary: Summary, details: bool = False) 
             lines.append("")
     told = cells.tested(summary, main)
     if any(not math.isnan(d.p) for d in told):
-        units = f"{summary.units.count} {UNITS[summary.units.kind]}"
+        units = units_text(summary.units)
         lines.append(f"protocol {main}, differences; paired sign-flip test over {units}")
         for d in told:
             text = _text(cells.difference(d), " to ")

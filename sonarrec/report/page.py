@@ -20,7 +20,7 @@ from sonarrec.evaluation.counting.pooled import Pooled
 from sonarrec.evaluation.counting.reliability import FEW
 from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.evaluation.plots import COLOURS
-from sonarrec.evaluation.summary import UNITS, over_units, summarise
+from sonarrec.evaluation.summary import over_units, summarise, units_text
 from sonarrec.report import charts
 from sonarrec.report.frames import ShownLog
 from sonarrec.report.logs import ReportedLog, Seen, Track, seen, tracks, true_landmark
@@ -274,7 +274,7 @@ def _scores(
         protocols=protocols,
         rates=cells.rates(found, summary),
         rates_per_log=per_log,
-        units=f"{summary.units.count} {UNITS[summary.units.kind]}",
+        units=units_text(summary.units),
         over=over_units(summary),
         others=cells.figures(summary, protocols[0], methods, beside=cells.HEADLINE),
         tested=[metric.label for metric in cells.TESTED],

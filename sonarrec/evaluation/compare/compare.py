@@ -32,7 +32,7 @@ from sonarrec.evaluation.matching.fit import fit
 from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import Elsewhere, Pair
 from sonarrec.evaluation.metrics import BY_NAME, MAIN
-from sonarrec.evaluation.summary import UNITS
+from sonarrec.evaluation.summary import units_text
 from sonarrec.evaluation.survey import each
 from sonarrec.records import SonarrecError, printable
 
@@ -273,7 +273,7 @@ def _compared(both: _Both, unit: UnitKind | None, **told: Any) -> Comparison:
     return Comparison(
         logs=after.logs,
         frames_compared=after.frames,
-        units=f"{units.count} {UNITS[units.kind]}",
+        units=units_text(units),
         landmarks=after.ids,
         rates=tuple(rates),
         frames=both.frames(tuple(methods)),
