@@ -8,20 +8,16 @@ import click
 
 from sonarrec.cli.bars import progress
 from sonarrec.cli.endings import end, tell
+from sonarrec.cli.groups import LEARNING, NEW_FILE, command, option
 from sonarrec.cli.options import (
-    LEARNING,
-    NEW_FILE,
-    LogChoice,
     SettingsChoice,
-    command,
     ground_truth_option,
     landmarks_option,
-    log_options,
-    option,
     out_option,
     quiet_option,
     settings_options,
 )
+from sonarrec.cli.options_log import LogChoice, log_options
 
 
 @command(short_help="Learn from labelled logs how landmarks look.")

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import click
 
-from sonarrec.cli.options import SettingsChoice, command, settings_options
+from sonarrec.cli.groups import command
+from sonarrec.cli.options import SettingsChoice, settings_options
 
 
 @command(short_help="Print every setting, as a file for --config.")

@@ -10,19 +10,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sonarrec.cli.endings import PARTLY, leave, tell
-from sonarrec.cli.options import (
-    BATCH,
-    FILE,
-    INPUT,
-    OUTPUT,
-    SCORING,
-    command,
-    ground_truth_option,
-    option,
-    out_option,
-    quiet_option,
-    scoring_options,
-)
+from sonarrec.cli.groups import BATCH, FILE, INPUT, OUTPUT, SCORING, command, option
+from sonarrec.cli.options import ground_truth_option, out_option, quiet_option, scoring_options
 from sonarrec.cli.options_remote import ANY_OR_URL, FILE_OR_URL, CacheChoice, cache_options
 from sonarrec.records import UsageError
 

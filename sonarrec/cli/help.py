@@ -6,7 +6,7 @@ from importlib.resources import files
 
 import click
 
-from sonarrec.cli.options import command
+from sonarrec.cli.groups import command
 from sonarrec.records import UsageError
 
 

@@ -13,19 +13,9 @@ import click
 
 from sonarrec.cli.bars import fetching, progress
 from sonarrec.cli.endings import PARTLY, leave, tell
-from sonarrec.cli.options import (
-    INPUT,
-    NEW_FILE,
-    OUTPUT,
-    LogChoice,
-    command,
-    landmarks_option,
-    log_options,
-    many_logs_options,
-    named_logs,
-    option,
-    quiet_option,
-)
+from sonarrec.cli.groups import INPUT, NEW_FILE, OUTPUT, command, option
+from sonarrec.cli.options import landmarks_option, quiet_option
+from sonarrec.cli.options_log import LogChoice, log_options, many_logs_options, named_logs
 from sonarrec.cli.options_remote import CacheChoice, cache_options
 from sonarrec.cli.passes import YEAR_2000_NS
 from sonarrec.records import MissingError, SonarrecError, UsageError

@@ -9,19 +9,9 @@ from typing import Any
 import click
 
 from sonarrec.cli.endings import end, tell
-from sonarrec.cli.options import (
-    ANY,
-    FILE,
-    FOLDER,
-    INPUT,
-    OUTPUT,
-    command,
-    geometry_options,
-    landmarks_option,
-    option,
-    out_option,
-    quiet_option,
-)
+from sonarrec.cli.groups import ANY, FILE, FOLDER, INPUT, OUTPUT, command, option
+from sonarrec.cli.options import landmarks_option, out_option, quiet_option
+from sonarrec.cli.options_log import geometry_options
 from sonarrec.records import UsageError
 
 

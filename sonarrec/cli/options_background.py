@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sonarrec.cli.options import BACKGROUND, FILE, Decorator, LogChoice, as_one, option
+from sonarrec.cli.groups import BACKGROUND, FILE, Decorator, as_one, option
+from sonarrec.cli.options_log import LogChoice
 from sonarrec.records import UsageError
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from sonarrec.cli.options import FOLDER, INPUT, as_one, option
+from sonarrec.cli.groups import FOLDER, INPUT, as_one, option
 
 
 class _OrUrl(click.Path):

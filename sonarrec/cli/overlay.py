@@ -8,20 +8,9 @@ import click
 
 from sonarrec.cli.bars import progress
 from sonarrec.cli.endings import end, tell
-from sonarrec.cli.options import (
-    ANY,
-    INPUT,
-    NEW_FILE,
-    OUTPUT,
-    LogChoice,
-    command,
-    frames_option,
-    ground_truth_option,
-    landmarks_option,
-    log_options,
-    option,
-    quiet_option,
-)
+from sonarrec.cli.groups import ANY, INPUT, NEW_FILE, OUTPUT, command, option
+from sonarrec.cli.options import frames_option, ground_truth_option, landmarks_option, quiet_option
+from sonarrec.cli.options_log import LogChoice, log_options
 from sonarrec.records import UsageError
 
 

@@ -10,18 +10,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sonarrec.cli.endings import end, tell
-from sonarrec.cli.options import (
-    FILE,
-    INPUT,
-    OUTPUT,
-    command,
-    ground_truth_option,
-    option,
-    out_option,
-    quiet_option,
-    scoring_options,
-    topic_option,
-)
+from sonarrec.cli.groups import FILE, INPUT, OUTPUT, command, option
+from sonarrec.cli.options import ground_truth_option, out_option, quiet_option, scoring_options
+from sonarrec.cli.options_log import topic_option
 from sonarrec.cli.options_remote import (
     ANY_OR_URL,
     FILE_OR_URL,

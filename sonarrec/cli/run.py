@@ -22,27 +22,18 @@ from sonarrec.cli.endings import (
     leave,
     tell,
 )
+from sonarrec.cli.groups import BATCH, FILE, INPUT, NEW_FILE, OUTPUT, command, option
 from sonarrec.cli.options import (
-    BATCH,
-    FILE,
-    INPUT,
-    NEW_FILE,
-    OUTPUT,
-    LogChoice,
     SettingsChoice,
-    command,
     frames_option,
     landmarks_option,
-    log_options,
-    many_logs_options,
     model_option,
-    named_logs,
-    option,
     out_option,
     quiet_option,
     settings_options,
     verbose_option,
 )
+from sonarrec.cli.options_log import LogChoice, log_options, many_logs_options, named_logs
 from sonarrec.cli.options_remote import FOLDER_OR_URL, CacheChoice, cache_options
 from sonarrec.records import SonarrecError, UsageError, shown
 

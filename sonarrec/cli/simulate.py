@@ -8,18 +8,10 @@ import click
 
 from sonarrec.cli.bars import progress
 from sonarrec.cli.endings import begun, end, tell
-from sonarrec.cli.options import (
-    ANY,
-    INPUT,
-    OUTPUT,
-    LogChoice,
-    command,
-    log_options,
-    option,
-    out_option,
-    quiet_option,
-)
+from sonarrec.cli.groups import ANY, INPUT, OUTPUT, command, option
+from sonarrec.cli.options import out_option, quiet_option
 from sonarrec.cli.options_background import Laying, laying_options
+from sonarrec.cli.options_log import LogChoice, log_options
 from sonarrec.records import UsageError, shown
 
 

@@ -10,22 +10,17 @@ import click
 
 from sonarrec.cli.bars import progress
 from sonarrec.cli.endings import begun, end, tell
+from sonarrec.cli.groups import BACKGROUND, FOLDER, OUTPUT, command, option
 from sonarrec.cli.options import (
-    BACKGROUND,
-    FOLDER,
-    OUTPUT,
-    LogChoice,
     SettingsChoice,
-    command,
     frames_option,
-    log_options,
     model_option,
-    option,
     out_option,
     quiet_option,
     settings_options,
 )
 from sonarrec.cli.options_background import Laying, laying_options
+from sonarrec.cli.options_log import LogChoice, log_options
 from sonarrec.records import shown
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sonarrec.cli.options import OUTPUT, command, option
+from sonarrec.cli.groups import OUTPUT, command, option
 from sonarrec.cli.options_remote import FOLDER_OR_URL, CacheChoice, cache_options
 from sonarrec.records import UsageError
 

@@ -8,18 +8,9 @@ from pathlib import Path
 import click
 
 from sonarrec.cli.endings import end, tell
-from sonarrec.cli.options import (
-    FILE,
-    NEW_FILE,
-    OUTPUT,
-    SCORING,
-    LogChoice,
-    command,
-    landmarks_option,
-    log_options,
-    option,
-    quiet_option,
-)
+from sonarrec.cli.groups import FILE, NEW_FILE, OUTPUT, SCORING, command, option
+from sonarrec.cli.options import landmarks_option, quiet_option
+from sonarrec.cli.options_log import LogChoice, log_options
 
 _MOST_LINES = 20  # told of one kind of fault
 

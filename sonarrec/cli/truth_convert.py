@@ -8,18 +8,9 @@ from typing import Any
 import click
 
 from sonarrec.cli.endings import end, tell
-from sonarrec.cli.options import (
-    ANY,
-    INPUT,
-    NEW_FILE,
-    LogChoice,
-    command,
-    landmarks_option,
-    log_options,
-    option,
-    out_option,
-    quiet_option,
-)
+from sonarrec.cli.groups import ANY, INPUT, NEW_FILE, command, option
+from sonarrec.cli.options import landmarks_option, out_option, quiet_option
+from sonarrec.cli.options_log import LogChoice, log_options
 from sonarrec.records import UsageError
 
 

@@ -10,16 +10,8 @@ from typing import TYPE_CHECKING
 import click
 
 from sonarrec.cli.endings import end, tell
-from sonarrec.cli.options import (
-    ANY,
-    INPUT,
-    NEW_FILE,
-    SCORING,
-    command,
-    option,
-    out_option,
-    quiet_option,
-)
+from sonarrec.cli.groups import ANY, INPUT, NEW_FILE, SCORING, command, option
+from sonarrec.cli.options import out_option, quiet_option
 
 if TYPE_CHECKING:
     from sonarrec.truth.propose import ProposedTrack

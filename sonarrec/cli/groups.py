@@ -1,0 +1,98 @@
+"""What commands are made of: options in groups of --help, several as one argument, paths."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial, wraps
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import click
+
+from sonarrec.records import UsageError
+
+FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
+
+
+class _Local(click.Path):
+    """A path of this machine: a URL would become a folder `s3:`, and be taken for uploaded."""
+
+    def convert(self, value: Any, *told: Any) -> Any:
+        from sonarrec.remote.urls import local
+
+        return super().convert(local(value), *told)
+
+
+NEW_FILE = _Local(dir_okay=False, path_type=Path)
+FOLDER = _Local(file_okay=False, path_type=Path)
+ANY = _Local(path_type=Path)
+
+
+# The groups of --help, in this order.
+INPUT, SCORING, LEARNING, SETTINGS = "Input", "Scoring", "Learning", "Settings"
+BACKGROUND = "Into a recording"
+GEOMETRY, PIXELS, BATCH, OUTPUT = "Geometry", "Pixels", "Many logs", "Output"
+_GROUPS = (INPUT, BACKGROUND, SCORING, LEARNING, SETTINGS, GEOMETRY, PIXELS, BATCH, OUTPUT)
+Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
+
+
+class GroupedOption(click.Option):
+    """An option that belongs to a group of --help."""
+
+    def __init__(self, *names: Any, group: str, **told: Any) -> None:
+        super().__init__(*names, **told)
+        self.group = group
+
+
+class GroupedCommand(click.Command):
+    """A command whose --help shows its options in groups and names its help page."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Refuse an empty word: as a path it would be the folder of now. Raises UsageError."""
+        for before, word in pairwise([ctx.info_name, *args]):
+            option, is_set, value = str(word).partition("=")
+            if not word or (option.startswith("--") and is_set and not value):
+                raise UsageError(f"nothing is given after {option or before}; is a variable unset?")
+        return super().parse_args(ctx, args)
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        rows: dict[str, list[tuple[str, str]]] = {group: [] for group in (*_GROUPS, "Other")}
+        for parameter in self.get_params(ctx):
+            row = parameter.get_help_record(ctx)
+            if row is not None and isinstance(parameter, click.Option):
+                rows[getattr(parameter, "group", "Other")].append(row)
+        for group, found in rows.items():
+            if found:
+                with formatter.section(group):
+                    formatter.write_dl(found)
+        page = ctx.command_path.removeprefix(ctx.find_root().command_path).split()[0]
+        formatter.write_paragraph()
+        formatter.write_text(f"More: sonarrec help {page}")
+
+
+command = partial(click.command, cls=GroupedCommand)
+
+
+def option(group: str, *names: str, **told: Any) -> Decorator:
+    """`click.option` in a group of --help."""
+    return click.option(*names, cls=GroupedOption, group=group, **told)
+
+
+def as_one(
+    argument: str, options: Mapping[str, Decorator], make: Callable[[dict[str, Any]], Any]
+) -> Decorator:
+    """Add options, and hand their values to the command as the one argument `argument`."""
+
+    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+        @wraps(function)
+        def gather(**given: Any) -> Any:
+            values = {key: given.pop(key) for key in options}
+            return function(**given, **{argument: make(values)})
+
+        called: Callable[..., Any] = gather
+        for add in reversed([*options.values()]):
+            called = add(called)
+        return called
+
+    return decorate

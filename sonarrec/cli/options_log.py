@@ -1,0 +1,220 @@
+"""How a log is read, and which logs: the options of commands that open recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+import click
+
+from sonarrec.cli.groups import FILE, GEOMETRY, INPUT, PIXELS, Decorator, as_one, option
+from sonarrec.records import Clock, UsageError, shown
+
+_NUMBERS = {
+    "range_min_m": "Slant range of the window's near end, m.",
+    "range_max_m": "Slant range of the window's far end, m.",
+    "field_of_view_deg": "Horizontal field of view, deg.",
+    "tilt_deg": "Downward tilt of the sonar, deg.",
+    "height_m": "Height of the sonar above the floor, m.",
+    "frame_rate_hz": "Frames per second, where frames carry no time.",
+    "metres_per_pixel": "Scale of a fan image, m.",
+}
+GEOMETRY_OPTIONS = {
+    "sonar_file": option(
+        GEOMETRY,
+        "--sonar",
+        "sonar_file",
+        type=FILE,
+        help="Geometry file, in place of the sonar.toml beside the log.",
+    ),
+    "layout": option(
+        GEOMETRY, "--layout", type=click.Choice(["fan", "polar"]), help="Layout of the images."
+    ),
+    **{
+        key: option(GEOMETRY, f"--{key.replace('_', '-')}", key, type=float, help=text)
+        for key, text in _NUMBERS.items()
+    },
+    "apex_px": option(
+        GEOMETRY,
+        "--apex-px",
+        type=float,
+        nargs=2,
+        metavar="COLUMN ROW",
+        help="Apex of a fan image, pixels.",
+    ),
+    "bearings_deg": option(
+        GEOMETRY,
+        "--bearings-deg",
+        metavar="B,B,...",
+        help="One bearing per beam of a polar image, deg.",
+    ),
+    "ranges_m": option(
+        GEOMETRY,
+        "--ranges-m",
+        metavar="R,R,...",
+        help="One slant range per row of a polar image, m.",
+    ),
+}
+_PIXELS = {
+    "beam_order": option(
+        PIXELS,
+        "--beam-order",
+        type=click.Choice(["range-major", "beam-major"]),
+        help="Polar samples: all beams of one range first, or all ranges of one beam.  "
+        "[default: found from the first ping]",
+    ),
+    "flip": option(
+        PIXELS,
+        "--flip/--no-flip",
+        default=None,
+        help="Exchange left and right, where a driver did.",
+    ),
+    "pixel_scale": option(
+        PIXELS,
+        "--pixel-scale",
+        type=click.Choice(["linear", "log", "db"]),
+        help="What pixels hold: grey levels ready to show, echo amplitudes, or decibels.  "
+        "[default: found from their type and the first frames; sonarrec help geometry]",
+    ),
+    "full_scale": option(
+        PIXELS,
+        "--full-scale",
+        type=float,
+        metavar="VALUE",
+        help="The pixel value that becomes white.  "
+        "[default: the type's largest; for log and db from the first ping]",
+    ),
+    "dynamic_range_db": option(
+        PIXELS,
+        "--dynamic-range-db",
+        type=float,
+        help="Decibels from black to white, for log and db.  [default: 50]",
+    ),
+}
+topic_option = option(
+    INPUT, "--topic", help="Channel of an MCAP or bag that holds several image channels."
+)
+_TIME = {
+    "time": option(
+        INPUT,
+        "--time",
+        type=click.Choice(["log", "publish", "header"]),
+        help="Which time of an MCAP message becomes the timestamp_ns of its frame. Frames come in "
+        "the order of log time all the same.  [default: log]",
+    )
+}
+
+
+_RECURSIVE = option(
+    INPUT, "--recursive", is_flag=True, help="Also take the logs in all folders below a folder."
+)
+_FROM_FILE = option(
+    INPUT,
+    "--from-file",
+    type=click.File(encoding="utf-8-sig", errors="surrogateescape"),
+    metavar="LIST",
+    help="File with one LOG a line; - for standard input. Empty lines and those that begin with # "
+    "are skipped.",
+)
+
+
+def many_logs_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """--recursive and --from-file, of commands that take many logs."""
+    return _RECURSIVE(_FROM_FILE(function))
+
+
+def named_logs(logs: tuple[str, ...], from_file: IO[str] | None, recursive: bool) -> Any:
+    """The logs of a command that takes many, NamedLogs and, of servers, RemoteLogs.
+
+    Raises click's UsageError without any, ours for a list that is no text.
+    """
+    from sonarrec.remote.run import all_logs
+
+    if not logs and from_file is None:
+        raise click.UsageError(
+            "Missing argument 'LOG...'; a list serves as well: --from-file LIST",
+            click.get_current_context(),
+        )
+    return all_logs(logs, () if from_file is None else _lines(from_file), recursive=recursive)
+
+
+def _lines(listed: IO[str]) -> Iterator[str]:
+    """The lines of a list. Raises UsageError where one holds what no path does."""
+    for line in listed:
+        if "\0" in line:
+            raise UsageError(
+                f"--from-file {shown(listed.name)}: no list of logs, which is a text in UTF-8 with "
+                "one LOG a line; to run a log leave out --from-file"
+            )
+        yield line
+
+
+@dataclass(frozen=True, slots=True)
+class LogChoice:
+    """How the command line says that a log is to be read."""
+
+    values: Mapping[str, Any]  # of the options by name, None where not given
+
+    def given(self) -> list[str]:
+        """The flags that were given."""
+        return [f"--{k.replace('_', '-')}" for k, v in self.values.items() if v is not None]
+
+    def sonar(self) -> Any:
+        """The Sonar that the flags alone state. Raises UsageError for what cannot be meant."""
+        from sonarrec.sonar import sonar_from_table
+
+        keys = [key for key in (*GEOMETRY_OPTIONS, *_PIXELS) if key != "sonar_file"]
+        stated = {key: self.values[key] for key in keys if self.values.get(key) is not None}
+        for key in {"bearings_deg", "ranges_m"} & set(stated):
+            try:
+                stated[key] = [float(number) for number in stated[key].split(",")]
+            except ValueError:
+                flag = f"--{key.replace('_', '-')}"
+                raise UsageError(f"{flag}: expected numbers with commas between") from None
+        flags = sonar_from_table(stated, "command line")
+        flags.check_flags(flags)
+        return flags
+
+    def sonar_without_log(self) -> Any:
+        """The Sonar of --sonar and the flags, which win, where no log is opened."""
+        from sonarrec.sonar import Sonar, load_sonar
+
+        file = self.values["sonar_file"]
+        return (load_sonar(file) if file else Sonar()).updated(self.sonar())
+
+    def arguments(self) -> dict[str, Any]:
+        """Keyword arguments of what opens a log: sonar, sonar_file, topic; time where stated.
+
+        Raises SonarrecError for a sonar_file that cannot be used: once, however many the logs.
+        """
+        from sonarrec.sonar import load_sonar
+
+        file: Path | None = self.values["sonar_file"]
+        if file is not None and file.is_file():  # a pipe is read but once
+            load_sonar(file)
+        time: Clock | None = self.values.get("time")
+        return {
+            "sonar": self.sonar(),
+            "sonar_file": file,
+            "topic": self.values["topic"],
+            **({"time": time} if time else {}),
+        }
+
+
+def log_options(*, pixels: bool = True, time: bool = False) -> Decorator:
+    """--topic, the geometry and, where wanted, pixels and --time, as one `log_choice`."""
+    options = (
+        {"topic": topic_option}
+        | (_TIME if time else {})
+        | GEOMETRY_OPTIONS
+        | (_PIXELS if pixels else {})
+    )
+    return as_one("log_choice", options, LogChoice)
+
+
+# The geometry alone, as the Sonar `sonar`, where no log is opened.
+geometry_options = as_one(
+    "sonar", GEOMETRY_OPTIONS, lambda values: LogChoice(values).sonar_without_log()
+)
