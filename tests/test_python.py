@@ -96,6 +96,12 @@ def test_frame_by_frame_is_what_a_run_writes(tmp_path: Path) -> None:
     assert set(written.sightings.method) <= set(written.estimates.method)
     with pytest.raises(UsageError, match="needs frames"):
         list(sonarrec.Recogniser(fan).recognise())
+    small, wide = frames[1].image[:-1], frames[1].image.astype(np.uint16)
+    for image, told in ((small, f"{fan.rows - 1}, "), (wide, "uint16, where the fan needs")):
+        with pytest.raises(UsageError, match=f"frame 1: an image of .*{told}"):
+            list(sonarrec.Recogniser(fan).recognise([frames[0], replace(frames[1], image=image)]))
+    with pytest.raises(UsageError, match="frame 3 comes after frame 3"):
+        list(sonarrec.Recogniser(fan).recognise([frames[3], frames[3]]))
 
 
 def test_a_url_is_no_folder_to_write_to(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

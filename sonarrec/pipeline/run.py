@@ -11,6 +11,8 @@ from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from sonarrec.config import Config
 from sonarrec.config import preset as config_of
 from sonarrec.drawing.geometry import disc_width_px
@@ -142,13 +144,14 @@ class Recogniser:
         """A FrameResult per Frame, in the frames' order; some frames later than they come.
 
         frames: images (rows, columns) uint8 of one fan, by rising index; default, the log's own.
-        Every call begins anew: nothing is remembered of the frames of another.
+        Every call begins anew: nothing is remembered of the frames of another. Raises UsageError
+        at an image that is not as the fan needs it, and at a frame that is not after the last.
         """
         if frames is None:
             if isinstance(self._source, Fan):
                 raise UsageError("a Recogniser made from a fan needs frames to recognise")
             frames = self._source
-        left = iter(frames)
+        left = _of_one_fan(frames, self._source if isinstance(self._source, Fan) else None)
         begin = [*islice(left, FRAMES_FOR_BEAMS)]
         if not begin:
             return
@@ -159,6 +162,23 @@ class Recogniser:
         configs, _ = with_beams(self._configs, told_deg, begin)
         recogniser = SideBySide(configs, fan, self.landmarks, self._model)
         yield from recogniser.recognise(chain(begin, left))
+
+
+def _of_one_fan(frames: Iterable[Frame], fan: Fan | None) -> Iterator[Frame]:
+    """The frames; fan: theirs, if None that of the first. Raises UsageError as `recognise` does."""
+    before = -1
+    for frame in frames:
+        fan = fan or frame.fan
+        image, wanted = frame.image, (fan.rows, fan.columns)
+        if image.shape != wanted or image.dtype != np.uint8:
+            raise UsageError(
+                f"frame {frame.index}: an image of {image.shape} {image.dtype}, where the fan "
+                f"needs {wanted} uint8"
+            )
+        if frame.index <= before:
+            raise UsageError(f"frame {frame.index} comes after frame {before}; sort by index")
+        before = frame.index
+        yield frame
 
 
 def result_names(logs: Sequence[str | Path | RemoteLog]) -> list[str]:
