@@ -26,8 +26,11 @@ _FILL = 0.9  # of a range bin: the side of a square
 def smooth_noise(
     rng: np.random.Generator, shape: tuple[int, int], cells: tuple[float, float]
 ) -> np.ndarray:
-    """(shape) float32 Gaussian noise of unit variance, smooth over about `cells` rows, columns."""
-    coarse = tuple(max(round(n / c), 1) + 3 for n, c in zip(shape, cells, strict=True))
+    """(shape) float32 Gaussian noise of unit variance, smooth over about `cells` rows, columns.
+
+    Less than half a row or column counts as half of one.
+    """
+    coarse = tuple(max(round(n / max(c, 0.5)), 1) + 3 for n, c in zip(shape, cells, strict=True))
     values = rng.standard_normal(coarse, dtype=np.float32)
     full = cv2.resize(values, (shape[1], shape[0]), interpolation=cv2.INTER_CUBIC)
     return np.asarray(full / max(float(full.std()), 1e-6))

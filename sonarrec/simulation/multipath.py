@@ -22,6 +22,10 @@ def shifted(image: np.ndarray, rows: int) -> np.ndarray:
     return moved
 
 
+MOST_BANDS = 100
+"""Of surface echo: one more would be 300 dB below the first."""
+
+
 class Multipath:
     """What comes by way of the surface: a later, blurred copy of the scene, and bands."""
 
@@ -42,14 +46,15 @@ class Multipath:
             late = cv2.GaussianBlur(
                 power,
                 (0, 0),
-                sigmaX=max(m.blur_beams, 0.3),
-                sigmaY=max(m.blur_m / self._bin_m, 0.3),
+                # Wider than the picture, it is even all the same.
+                sigmaX=min(max(m.blur_beams, 0.3), power.shape[1]),
+                sigmaY=min(max(m.blur_m / self._bin_m, 0.3), power.shape[0]),
                 borderType=cv2.BORDER_REPLICATE,
             )
             late = shifted(late, round(rows)) * np.float32(10 ** (m.copy_db / 10))
         if m.band_db > NO_ECHO_DB:
-            last = max(math.ceil((self._range_m[-1] - m.band_m) / m.band_step_m) + 1, 1)
-            number = np.arange(last)
+            further = min((self._range_m[-1] - m.band_m) / m.band_step_m, MOST_BANDS)
+            number = np.arange(max(math.ceil(further) + 1, 1))
             middle = m.band_m + number * m.band_step_m + drift[1]
             band = np.exp(-0.5 * ((self._range_m[:, None] - middle) / m.band_width_m) ** 2)
             level = 10 ** ((m.band_db - 3 * number) / 10)

@@ -38,6 +38,10 @@ BUILT_IN = Path(__file__).parent / "scenes"
 NO_ECHO_DB = -60.0
 """Of multipath: at this level and below there is none."""
 
+# Decibels: brightness and gains; standard deviations, amplitudes and losses.
+Level = Annotated[float, bounds(-200, 200)]
+Spread = Annotated[float, bounds(0, 100)]
+Period = Annotated[float, bounds(1e-3, 1e12)]
 Size = Annotated[int, bounds(16, 2**14)]
 Lean = Annotated[float, bounds(0, 45)]
 
@@ -69,7 +73,7 @@ class SonarSection:
 
     layout: Literal["fan", "polar"] = "fan"  # what is written: "fan" or "polar"
     range_min_m: NotNegative = 1.25
-    range_max_m: Positive = 3.75
+    range_max_m: Annotated[float, bounds(0.01, 1e6)] = 3.75
     range_bins: Size = 512  # also the rows of the image
     beams: Size = 96
     field_of_view_deg: Positive = 28.8
@@ -80,9 +84,9 @@ class SonarSection:
     tilt_error_deg: Finite = 0.0  # what sonar.toml says, less the truth
     vertical_beam_deg: Positive = 14.0  # two-way, between half-power points
     beam_width_deg: Positive = 0.4  # two-way, between half-power points
-    side_lobe_db: Finite = -30.0  # of each beam, two-way, below its main lobe
-    stray_db: Finite = -38.0  # leak between beams eight apart, which fire together
-    cross_talk_db: Finite = -38.0  # leak of every beam into every other
+    side_lobe_db: Level = -30.0  # of each beam, two-way, below its main lobe
+    stray_db: Level = -38.0  # leak between beams eight apart, which fire together
+    cross_talk_db: Level = -38.0  # leak of every beam into every other
     pulse_m: Positive = 0.008  # length of the pulse in range, between half-power points
 
 
@@ -101,27 +105,27 @@ class MotionSection:
     yaw_jitter_deg: NotNegative = 0.0  # standard deviation, around the sweep
     yaw_jitter_s: Positive = 0.5  # correlation time
     heave_m: NotNegative = 0.0  # amplitude
-    heave_period_s: Positive = 7.0
+    heave_period_s: Period = 7.0
     sway_x_m: NotNegative = 0.0  # amplitude of slow translation to the right
     sway_y_m: NotNegative = 0.0  # and forward
-    sway_period_s: Positive = 60.0
+    sway_period_s: Period = 60.0
     surge_m_s: Finite = 0.0  # speed ahead, throughout
     surge_swing_m_s: NotNegative = 0.0  # and amplitude
     crab_m_s: Finite = 0.0  # speed to the right, throughout
     crab_swing_m_s: NotNegative = 0.0
     yaw_deg_s: Finite = 0.0  # turn to the right, throughout
     yaw_swing_deg_s: NotNegative = 0.0
-    swing_period_s: Positive = 30.0
-    pitch_deg: NotNegative = 0.0  # amplitude of slow changes of the tilt, which nobody states
-    roll_deg: NotNegative = 0.0  # amplitude, about the heading
-    attitude_period_s: Positive = 6.0
+    swing_period_s: Period = 30.0
+    pitch_deg: Lean = 0.0  # amplitude of slow changes of the tilt, which nobody states
+    roll_deg: Lean = 0.0  # amplitude, about the heading
+    attitude_period_s: Period = 6.0
 
 
 @dataclass(frozen=True, slots=True)
 class FloorSection:
     """The floor, whose mean brightness on the beam's axis is 0 dB."""
 
-    texture_db: NotNegative = 1.2  # standard deviation of its slow changes
+    texture_db: Spread = 1.2  # standard deviation of its slow changes
     texture_m: Positive = 0.15  # their size
     angle_exponent: NotNegative = 1.0  # backscattered power: sin(grazing angle) to this power
     speckle_s: Positive = 120.0  # time after which speckle has changed (correlation 1/e)
@@ -130,9 +134,9 @@ class FloorSection:
     coherence: Share = 1.0
     relief_m: NotNegative = 0.0  # standard deviation of its height: lit slopes and shadows
     relief_size_m: Positive = 0.03  # size of its bumps, and of those of things with a relief
-    light_db: NotNegative = 0.0  # how much darker patches of the scene are, things on it as well
+    light_db: Spread = 0.0  # how much darker patches of the scene are, things on it as well
     light_m: Positive = 0.4  # their size; their edges are sharp
-    debris_db: NotNegative = 0.0  # how much brighter twigs and weed are, things under them as well
+    debris_db: Spread = 0.0  # how much brighter twigs and weed are, things under them as well
     debris_m: Positive = 0.2  # how far one winds before it turns
     slope_deg: Annotated[float, bounds(0, 30)] = 0.0  # of the floor, which is a plane
     slope_towards_deg: Finite = 0.0  # azimuth in which it rises
@@ -147,16 +151,17 @@ class FloorSection:
 class FadingSection:
     """Unstable reflection, and its cousins."""
 
-    object_db: NotNegative = 1.2  # standard deviation of each object's brightness
-    patch_db: NotNegative = 1.5  # and of the patches of an object
+    object_db: Spread = 1.2  # standard deviation of each object's brightness
+    patch_db: Spread = 1.5  # and of the patches of an object
     patch_m: Positive = 0.06  # size of the patches
     time_s: Positive = 6.0  # correlation time of both
-    specular_db: NotNegative = 2.5  # how much brighter ring edges that face the sonar are
+    specular_db: Spread = 2.5  # how much brighter ring edges that face the sonar are
     frame_probability: Share = 0.01  # of a frame that fades alone
     burst_probability: Share = 0.0  # of a burst of fading frames to begin
-    burst_frames: Positive = 6.0  # mean length of a burst, beside its first frame; at least 1
-    depth_db: NotNegative = 8.0  # mean loss of a fading frame
-    ghost_db: Finite = -16.0  # an object's blurred afterglow, below its own brightness
+    # Mean length of a burst, beside its first frame; at least 1.
+    burst_frames: Annotated[float, bounds(0, 1e9)] = 6.0
+    depth_db: Spread = 8.0  # mean loss of a fading frame
+    ghost_db: Level = -16.0  # an object's blurred afterglow, below its own brightness
     ghost_shift_m: Finite = 0.10  # in range
     ghost_blur_m: NotNegative = 0.05  # standard deviation in range
 
@@ -165,16 +170,16 @@ class FadingSection:
 class MultipathSection:
     """Echoes by way of the surface, which moves: their speckle is new in every frame."""
 
-    copy_db: Finite = -100.0  # of a later, blurred copy of the scene, to the scene; -60: none
+    copy_db: Level = -100.0  # of a later, blurred copy of the scene, to the scene; -60: none
     delay_m: Positive = 0.4  # how much farther away it shows
     blur_m: NotNegative = 0.03  # standard deviation in range
     blur_beams: NotNegative = 1.5  # and across
-    band_db: Finite = -100.0  # of a band of surface echo, relative to the floor; -60: none
+    band_db: Level = -100.0  # of a band of surface echo, relative to the floor; -60: none
     band_m: Positive = 2.2  # its range; further ones, each 3 dB weaker, follow at band_step_m
     band_step_m: Positive = 0.7
     band_width_m: Positive = 0.05  # standard deviation
     drift_m: NotNegative = 0.0  # amplitude of slow changes of delay and bands
-    drift_s: Positive = 8.0  # period
+    drift_s: Period = 8.0  # period
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,10 +187,10 @@ class FishSection:
     """Fish that swim over the floor, singly and in schools; they echo, and cast shadows."""
 
     number: Annotated[int, bounds(0, 500)] = 0  # over all the floor that the sonar may see
-    schools: Count = 0  # among which the schooling share is divided
+    schools: Annotated[int, bounds(0, 500)] = 0  # among which the schooling share is divided
     schooling: Share = 0.5
     length_m: Positive = 0.1  # of a fish, in the mean; a quarter as wide
-    bright_db: Finite = 14.0  # above the floor
+    bright_db: Level = 14.0  # above the floor
     height_m: NotNegative = 0.15  # above the floor, at most
     speed_m_s: NotNegative = 0.2  # in the mean
 
@@ -194,22 +199,22 @@ class FishSection:
 class NoiseSection:
     """The receiver and its gains."""
 
-    snr_db: Finite = 22.0  # of the floor on the beam's axis, above thermal noise
+    snr_db: Level = 22.0  # of the floor on the beam's axis, above thermal noise
     smear: Share = 0.2  # share of the power that the receiver spreads over neighbours, 0 to 1
-    shadow_db: Finite = -16.0  # multipath in acoustic shadows, relative to the floor
-    gain_drift_db: NotNegative = 0.0  # amplitude over the log
-    gain_drift_s: Positive = 150.0  # period
-    group_gain_db: NotNegative = 0.6  # standard deviation of the steps between groups of 8 beams
-    beam_gain_db: NotNegative = 0.3  # and from beam to beam
+    shadow_db: Level = -16.0  # multipath in acoustic shadows, relative to the floor
+    gain_drift_db: Spread = 0.0  # amplitude over the log
+    gain_drift_s: Period = 150.0  # period
+    group_gain_db: Spread = 0.6  # standard deviation of the steps between groups of 8 beams
+    beam_gain_db: Spread = 0.3  # and from beam to beam
     hot_beams: Count = 2  # beams with too much gain
-    hot_beam_db: Finite = 2.0
+    hot_beam_db: Level = 2.0
 
 
 @dataclass(frozen=True, slots=True)
 class PictureSection:
     """Log compression to 8 bit."""
 
-    black_db: Finite = -17.0  # power shown as 0, relative to the floor
+    black_db: Level = -17.0  # power shown as 0, relative to the floor
     dynamic_range_db: Positive = 50.0  # from 0 to 255
     gamma: Positive = 1.0
 
@@ -227,9 +232,9 @@ class PlacedLandmark:
     ground_m: Positive
     azimuth_deg: Finite
     orientation_deg: Finite = 0.0
-    bright_db: Finite = 12.0
-    symbol_db: Finite = 11.0
-    plate_db: Finite = -7.0
+    bright_db: Level = 12.0
+    symbol_db: Level = 11.0
+    plate_db: Level = -7.0
     relief_m: NotNegative = 0.0  # mean height of the gravel that ring and sectors are made of
     lean_deg: Lean = 0.0  # of a disc that one edge of is raised
     lean_towards_deg: Finite = 0.0  # azimuth of that edge from the disc's middle
@@ -246,8 +251,8 @@ class PlacedObject:
     orientation_deg: Finite = 0.0
     size_m: Positive | None = None
     width_m: Positive | None = None
-    bright_db: Finite | None = None
-    plate_db: Finite = -7.0
+    bright_db: Level | None = None
+    plate_db: Level = -7.0
     relief_m: NotNegative = 0.0  # as of a landmark, of what is bright of it
     number: Count = 0  # of symbols that no ID has: which one of the kind
     lean_deg: Lean = 0.0  # as of a landmark
@@ -262,7 +267,7 @@ class Scene:
     name: str = "scene"
     seed: Count = 1
     frames: AtLeastOne = 160
-    rate_hz: Positive = 4.0
+    rate_hz: Annotated[float, bounds(1e-3, 1e6)] = 4.0
     landmark_set: LandmarkSet = field(default_factory=lambda: load_landmarks("basin"))
     sonar: SonarSection = SonarSection()
     motion: MotionSection = MotionSection()

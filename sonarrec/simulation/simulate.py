@@ -99,9 +99,9 @@ def _signal_gain_db(scene: Scene, rng: np.random.Generator) -> FloatArray:
     begins = np.flatnonzero(starts.random(frames) < fading.burst_probability)
     for begin in begins:
         length = 1 + bursts.geometric(1 / max(fading.burst_frames, 1.0))
-        shape = np.sin(np.pi * (np.arange(length) + 1) / (length + 1)) ** 0.5
         part = gain[begin : begin + length]
-        np.minimum(part, -depth[begin] * shape[: len(part)], out=part)
+        shape = np.sin(np.pi * (np.arange(len(part)) + 1) / (length + 1)) ** 0.5
+        np.minimum(part, -depth[begin] * shape, out=part)
     return np.asarray(gain)
 
 
@@ -231,7 +231,7 @@ class _Reception:
         self._rng = np.random.default_rng([scene.seed, 4])
         self._noise = np.float32(10 ** (-scene.noise.snr_db / 20) / math.sqrt(2))
         bin_m = scene_fan(scene).window_m / scene.sonar.range_bins
-        self._glow_sigma = max(scene.fading.ghost_blur_m / bin_m, 0.3)
+        self._glow_sigma = min(max(scene.fading.ghost_blur_m / bin_m, 0.3), len(range_m))
         self._glow_shift = round(scene.fading.ghost_shift_m / bin_m)
         self._late = Multipath(scene, range_m)
 

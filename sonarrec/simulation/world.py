@@ -261,7 +261,10 @@ class World:
             if isinstance(grid, PolarGrid):
                 ground = grid.ground_m
                 grazing = np.arctan(np.float32(self._scene.sonar.height_m) / ground)
-                slope = np.gradient(height, axis=0) / np.gradient(ground, axis=0)
+                run = np.gradient(ground, axis=0)  # 0 where there is water alone
+                slope = np.divide(
+                    np.gradient(height, axis=0), run, out=np.zeros_like(height), where=run > 0
+                )
                 level += 20 * np.log10(_lit(grazing, slope))
             else:
                 up, right = np.gradient(height, np.float32(grid.cell_m))

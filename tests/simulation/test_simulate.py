@@ -425,7 +425,11 @@ def test_errors_of_geometry_are_in_the_sidecar_only() -> None:
         ("[sonar]\nrange_mim_m = 1", r"unknown key sonar.range_mim_m; known in \[sonar\]: layout"),
         ("[motion]\npan_deg_s = 'fast'", "motion.pan_deg_s must be a number, 0 or more"),
         ("[noise]\nhot_beams = 1.5", "must be a whole number"),
-        ("[noise]\nsnr_db = nan", "must be a finite number"),
+        ("[noise]\nsnr_db = nan", "must be a number from -200 to 200, not nan"),
+        ("[noise]\nsnr_db = -1e4", "must be a number from -200 to 200"),
+        ("[motion]\nsurge_m_s = nan", "must be a finite number"),
+        ("[motion]\nroll_deg = 1e4", "must be a number from 0 to 45"),
+        ("[multipath]\ndrift_s = 1e-300", "must be a number from 0.001 to 1e\\+12"),
         ("frames = 0", "frames must be a whole number, 1 or more"),
         ("frames = true", "must be a whole number"),
         ("sonar = 3", r"\[sonar\] must be a table of keys, not 3"),
@@ -458,6 +462,26 @@ def test_faults_in_a_scene_file_are_one_clear_line(tmp_path, text: str, message:
     with pytest.raises(SonarrecError, match=message) as caught:
         load_scene(path)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[floor]\ntexture_m = 1e-5",  # finer than cells
+        "[fading]\nburst_probability = 1\nburst_frames = 1e9",
+        "[fading]\nghost_blur_m = 1e9",
+        "[multipath]\ncopy_db = -10\nblur_m = 1e9\nblur_beams = 1e9",  # wider than images
+        "[multipath]\nband_db = -10\nband_step_m = 1e-9",
+        "[sonar]\nrange_min_m = 0\n[floor]\nrelief_m = 0.01",  # water alone, which has no slope
+    ],
+)
+def test_values_beyond_what_images_hold_are_drawn(tmp_path, text: str) -> None:
+    path = tmp_path / "scene.toml"
+    path.write_text(f"frames = 2\n{text}")
+    for frame in render(load_scene(path)):
+        assert 1 < frame.image.std() < 127
+        assert 10 < np.median(frame.image[frame.image > 0]) < 200
 
 
 def test_unknown_names() -> None:
