@@ -21,7 +21,7 @@ from sonarrec.readers.pixels import (
 )
 from sonarrec.readers.raw import RawFrame, UnusableError
 from sonarrec.records import ByteImage, Fan, SonarrecError
-from sonarrec.sonar import BeamOrder, PingGeometry, Sonar
+from sonarrec.sonar import BeamOrder, Geometry, PingGeometry, Sonar
 
 MIN_SHARED_WINDOW = 0.5
 """A ping whose window covers less of the fan's is not used."""
@@ -116,6 +116,7 @@ class FanImages:
             image = np.ascontiguousarray(image.T)
         if self._shape is None:
             geometry = self.sonar.complete(self._where)
+            self._note_other_view(geometry)
             if polar:
                 self._to_fan = PolarToFan(geometry, *image.shape)
                 self.fan = self._to_fan.fan
@@ -130,6 +131,19 @@ class FanImages:
         if self._to_fan is not None:
             return self._to_fan(image)
         return np.ascontiguousarray(image[:, ::-1]) if self.sonar.flip else image
+
+    def _note_other_view(self, geometry: Geometry) -> None:
+        """Note a stated field of view that is not that of the bearings stated beside it."""
+        view, bearings = self.sonar.field_of_view_deg, geometry.bearings_deg
+        if view is None or bearings is None:
+            return
+        theirs = geometry.bearing_max_deg - geometry.bearing_min_deg
+        # From the middle of the first beam to that of the last, it is a beam less.
+        if abs(view - theirs) > 1.01 * theirs / len(bearings):
+            self.notes.append(
+                f"{self._where}: field_of_view_deg = {view:g} is not used: bearings_deg go before "
+                f"it, and cover {theirs:.4g} deg"
+            )
 
     def _ping(self, image: ByteImage, told: PingGeometry) -> ByteImage:
         """The fan image of a polar frame that tells its geometry."""

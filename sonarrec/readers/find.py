@@ -152,6 +152,8 @@ class Source:
         is_fan = (flags.layout or stated.layout) == "fan"
         if is_fan and flags.field_of_view_deg is not None and flags.bearings_deg is None:
             stated = replace(stated, bearings_deg=None)
+        if flags.bearings_deg is not None:
+            stated = replace(stated, field_of_view_deg=None)
         stated = stated.updated(flags)
         stated.check_flags(flags)
         return stated, shown(file or self.path)
