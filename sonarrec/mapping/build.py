@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
 
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.mapping.join import Landmark, LogPasses, join
@@ -95,11 +97,7 @@ def make_map(
             notes += said
             if not run.finished:
                 problems.append(cut_short(str(folder), len(path.frame), "used"))
-            if left_out := len(logs[-1].seen.row) - len(logs[-1].on_floor.passes.order):
-                problems.append(
-                    f"{folder}: {left_out} of {len(logs[-1].seen.row)} declared estimates left "
-                    "out: no pose is known in their frames"
-                )
+            problems += _left_out(folder, logs[-1])
         except SonarrecError as error:
             if len(folders) == 1:
                 raise
@@ -142,6 +140,19 @@ def _mapped(
     passes = find_passes(seen, path, landmarks, fan)
     name = folder.resolve().name
     return MappedLog(name, path, seen, LogPasses(name, path, passes), fan, ros_axes)
+
+
+def _left_out(folder: Path, log: MappedLog) -> Iterator[str]:
+    """A line for each reason why declared estimates of a log are in no pass."""
+    whole = len(log.seen.row)
+    without = int((~np.isfinite(log.path.pose[log.seen.row]).all(axis=1)).sum())
+    near = whole - without - len(log.on_floor.passes.order)
+    for count, why in (
+        (without, "no pose is known in their frames"),
+        (near, "their slant range is no more than the sonar's height above the floor"),
+    ):
+        if count:
+            yield f"{folder}: {count} of {whole} declared estimates left out: {why}"
 
 
 def _path(folder: Path, poses: PoseTable | None, drift: Drift) -> tuple[SonarPath, list[str]]:

@@ -33,8 +33,11 @@ def poses_of_run(folder: Path, run: RunFile, given: Sequence[Path]) -> PoseTable
     if not stated or "topic" in stated:
         return read_poses(given[0]) if len(given) == 1 else None
     name = str(stated.get("name"))
-    places = [log.parent / name, folder / name, folder.parent / name, folder.parents[1] / name]
-    for path in [*given, *places, Path(name)]:
+    places = [log.parent]
+    for home in (folder.absolute(), folder.resolve()):  # beside a link; "." and ".." have no parent
+        places += [home, home.parent, home.parent.parent]
+    places.append(Path())
+    for path in [*given, *(place / name for place in places)]:
         if path.is_file():
             poses = read_poses(path)
             if poses.source.get("sha256") == stated.get("sha256"):

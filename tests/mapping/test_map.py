@@ -690,6 +690,51 @@ def test_a_method_without_tracks_makes_no_map(tmp_path: Path) -> None:
     assert not (folder / "map").exists()
 
 
+@pytest.mark.parametrize(("here", "named"), [(".", "dive"), ("dive", "."), ("dive/sub", "..")])
+def test_poses_are_found_from_wherever_the_results_are_named(
+    here: str, named: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They lie beside the results; the log is elsewhere."""
+    folder = results(tmp_path / "dive", there_and_back(20), there_and_back(20))
+    told = (folder / "run.toml").read_text()
+    log = str(tmp_path / "dive.mcap")
+    assert log in told
+    (folder / "run.toml").write_text(told.replace(log, "elsewhere/dive.mcap"))
+    (folder / "sub").mkdir()
+    monkeypatch.chdir(tmp_path / here)
+    sonarrec("map", named)
+    assert table(folder / "map" / "map.csv")
+
+
+def test_what_is_left_out_is_told_with_its_reason(tmp_path: Path) -> None:
+    """Poses end early; ten estimates are nearer than the floor, one of these without a pose."""
+    folder = results(tmp_path / "dive", there_and_back(), there_and_back())
+    poses = tmp_path / "dive.poses.csv"
+    estimates = folder / "estimates.csv"
+    rows = table(estimates)
+    end = int(rows[-1]["frame"]) - 5
+    late = [row for row in rows if int(row["frame"]) >= end]
+    for row in [late[0], *rows[:9]]:
+        row["range_m"] = "0.6"
+    with estimates.open("w", newline="") as file:
+        writer = csv.DictWriter(file, rows[0])
+        writer.writeheader()
+        writer.writerows(rows)
+    early = tmp_path / "early.csv"
+    early.write_text("\n".join(poses.read_text().splitlines()[: end + 1]) + "\n")
+    run = folder / "run.toml"
+    stated = dict(read_poses(early).source)
+    run.write_text(
+        run.read_text()
+        .replace(str(read_poses(poses).source["sha256"]), str(stated["sha256"]))
+        .replace("dive.poses.csv", "early.csv")
+    )
+    said = sonarrec("map", folder, code=3).stderr
+    whole = f"of {len(rows)} declared estimates left out"
+    assert f"{folder}: {len(late)} {whole}: no pose is known in their frames" in said
+    assert f"{folder}: 9 {whole}: their slant range is no more than the sonar's height" in said
+
+
 def test_poses_that_changed_are_refused(tmp_path: Path) -> None:
     path = there_and_back(40)
     folder = results(tmp_path / "dive", path, path)
