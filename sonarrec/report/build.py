@@ -75,7 +75,7 @@ def write_report(
         if rows:
             given = rows if results is None else results
             pooled = evaluate_many(given, ground_truth, options)
-        stand = standing(folders, pooled, results, method)
+        stand = standing(folders, pooled, results, options, method)
         folders = chosen(folders if pooled is None else pooled.folders, stand)
         row_of = {row.results: row for row in reversed(rows)}  # of a log named twice the first
         rows = [row_of[folder] for folder in folders] if rows else rows

@@ -12,6 +12,7 @@ import numpy as np
 from sonarrec.batch import logs_table
 from sonarrec.evaluation import cells
 from sonarrec.evaluation.counting.pooled import Pooled
+from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.records import SonarrecError, UsageError, shown
 from sonarrec.report.logs import follows_by_default
 from sonarrec.results.run_file import read_run
@@ -34,12 +35,17 @@ class Standing:
 
 
 def standing(
-    folders: Sequence[Path], pooled: Pooled | None, place: Path | None, method: str | None
+    folders: Sequence[Path],
+    pooled: Pooled | None,
+    place: Path | None,
+    options: ScoringOptions,
+    method: str | None,
 ) -> list[Standing]:
     """Logs that differ from the rest, those for which there is most to say first.
 
-    place: the folder that holds the results, whose logs.csv tells of logs that have none. method:
-    whose mistakes count, by default as in `logs.read_logs`.
+    place: the folder that holds the results, whose logs.csv tells of logs that have none. options:
+    its landmarks and sonar are used in place of what run.toml says. method: whose mistakes count,
+    by default as in `logs.read_logs`.
     Raises SonarrecError where a run.toml or the sightings cannot be used, UsageError where no log
     that was scored has the method.
     """
@@ -49,7 +55,7 @@ def standing(
         where = dict(zip(pooled.logs, pooled.folders, strict=True))
     said = [
         *_unfinished(where, place),
-        *(_scored(pooled, method) if pooled else _seen(where, method)),
+        *(_scored(pooled, method) if pooled else _seen(where, options, method)),
     ]
     for name, reason in said:
         found.setdefault(name, []).append(reason)
@@ -103,9 +109,14 @@ def _scored(pooled: Pooled, method: str | None) -> Iterator[tuple[str, str]]:
         yield pooled.logs[i], f"most false claims of {method}: {false[i]}"
 
 
-def _seen(where: dict[str, Path], method: str | None) -> Iterator[tuple[str, str]]:
+def _seen(
+    where: dict[str, Path], options: ScoringOptions, method: str | None
+) -> Iterator[tuple[str, str]]:
     """Without truth: numbers of sightings, of one method, far from what is usual."""
-    every = [Counter(s.method for s in read_sightings(folder)) for folder in where.values()]
+    every = [
+        Counter(s.method for s in read_sightings(folder, options.landmarks, options.sonar))
+        for folder in where.values()
+    ]
     method = method or follows_by_default(sorted(set().union(*every)))
     count = [of_log[method] for of_log in every]
     usual = float(np.median(count)) if count else 0.0

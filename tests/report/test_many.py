@@ -7,9 +7,11 @@ import time
 from pathlib import Path
 
 import pytest
+import tomli_w
 
 from sonarrec.evaluation.cells import of
 from sonarrec.evaluation.evaluate import evaluate_many
+from sonarrec.landmarks import load_landmarks
 from sonarrec.records import UsageError
 from sonarrec.report.build import write_report
 from sonarrec.report.standing import MOST_LOGS
@@ -217,3 +219,16 @@ def test_a_method_that_no_log_has(tmp_path: Path) -> None:
     for truth in (None, tmp_path / "gt.csv"):
         with pytest.raises(UsageError, match="there is smi, framework"):
             write_report(tmp_path / "page.html", out, ground_truth=truth, method="none")
+
+
+def test_what_is_seen_is_told_by_the_landmark_set_given(tmp_path: Path) -> None:
+    """IDs above 10 are of no preset, so only --landmarks makes the tables readable."""
+    mine = tmp_path / "mine.toml"
+    told = load_landmarks("basin").as_table() | {"name": "mine"}
+    told["landmark"] = [one | {"id": one["id"] + 10} for one in told["landmark"]]
+    mine.write_text(tomli_w.dumps(told))
+    claims = [f"{n},framework,1,2.0,0,11,.9,1" for n in range(10, 20)]
+    out = plain_logs(tmp_path, {f"log{n:02d}": [PLACED, *claims] for n in range(10)}, [])
+    page = tmp_path / "page.html"
+    sonarrec("report", out, "--landmarks", mine, "-o", page)
+    assert "10 logs" in page.read_text(encoding="utf-8")
