@@ -21,6 +21,7 @@ MAX_SIDE = 2**15 - 2  # cv2.remap, of what it reads and of what it makes
 # Nearer than this multiple of the height the floor is seen so steeply that a pixel of slant range
 # covers several of floor.
 STEEPEST = 1.05
+BEYOND = -2  # column and row of a pixel that no image has, nor its neighbours: cv2.remap makes it 0
 
 
 def fan_for_image(sonar: Geometry, rows: int, columns: int) -> Fan:
@@ -215,7 +216,6 @@ class PolarToFan:
             )
         self._columns = np.empty((fan.rows, fan.columns, 2), np.int16)
         self._weights = np.empty((fan.rows, fan.columns), np.uint16)
-        self._outside = np.empty((fan.rows, fan.columns), bool)
         bearings = order = None
         if sonar.bearings_deg is not None:
             bearings = np.asarray(sonar.bearings_deg) * (-1 if sonar.flip else 1)
@@ -240,13 +240,12 @@ class PolarToFan:
                 beam.astype(np.float32), range_bin.astype(np.float32), cv2.CV_16SC2
             )
             seen = in_fan(fan, range_m, bearing_deg) & in_fan(own, range_m, bearing_deg)
-            self._outside[band] = ~seen
+            self._columns[band][~seen] = BEYOND
 
     def __call__(self, polar: ByteImage) -> ByteImage:
         """(range_bins, beams) uint8 to (fan.rows, fan.columns) uint8; 0 outside the fan."""
-        image = cv2.remap(polar, self._columns, self._weights, cv2.INTER_LINEAR)
-        image[self._outside] = 0
-        return np.asarray(image, dtype=np.uint8)
+        border = cv2.BORDER_CONSTANT
+        return cv2.remap(polar, self._columns, self._weights, cv2.INTER_LINEAR, borderMode=border)  # type: ignore[return-value]
 
 
 # The floor. Eq. 1 squeezes a floor circle along the range by cos(tilt). On a flat floor the exact
