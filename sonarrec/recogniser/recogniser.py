@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import closing, nullcontext
+from contextlib import ExitStack, closing
 from functools import partial
 from itertools import islice
 
@@ -149,13 +149,18 @@ def together(
     """Several recognisers over the same frames: for each frame, one result of each recogniser.
 
     Results come in bursts of FRAMES_AT_ONCE. An exception on the way, Ctrl-C as well, is raised
-    once the results of all frames before it are out. ahead: read frames and do stage 1 in a
-    thread of its own.
+    once the results of all frames before it are out. ahead: read frames in one thread, and do
+    stage 1 in another.
     """
     cv2.ipp.setUseIPP(False)  # as in __init__.py: each thread has its own switch
-    selected = ([r.stage1(frame) for r in recognisers] for frame in frames)
-    with closing(Ahead(selected)) if ahead else nullcontext(selected) as source:
-        left, broken = iter(source), None
+    with ExitStack() as threads:
+        if ahead:
+            frames = threads.enter_context(closing(Ahead(frames)))
+        selected: Iterable[list[AfterStage1]]
+        selected = ([r.stage1(frame) for r in recognisers] for frame in frames)
+        if ahead:
+            selected = threads.enter_context(closing(Ahead(selected)))
+        left, broken = iter(selected), None
         while broken is None:
             tracked: list[list[AfterStage2]] = []
             try:

@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import closing
+from itertools import count, islice
 from pathlib import Path
 
 import pytest
@@ -56,6 +57,14 @@ def test_only_a_few_wait_and_the_thread_ends_with_them() -> None:
     assert len(made) == 10 + DEPTH
 
 
+def test_of_one_behind_another_no_thread_is_left() -> None:
+    before = threading.active_count()
+    with closing(Ahead(count())) as first, closing(Ahead(first)) as second:
+        assert [*islice(second, 10)] == [*range(10)]
+        assert threading.active_count() == before + 2
+    assert threading.active_count() == before
+
+
 def test_ctrl_c_as_the_thread_begins_leaves_none(monkeypatch: pytest.MonkeyPatch) -> None:
     """One that still decodes as the program ends makes it abort, with another exit code."""
     start = threading.Thread.start
@@ -89,7 +98,7 @@ def test_a_run_is_the_same_with_and_without(
         out = tmp_path / str(cores)
         done = CliRunner().invoke(main, ["run", str(log), "-o", str(out)])
         told[cores] = done.exit_code, done.output.replace(str(out), "OUT")
-        assert len(threads) == (cores - 1) * (len(damaged) < 12)
+        assert len(threads) == 2 * (cores - 1) * (len(damaged) < 12)
         if len(damaged) < 12:
             told[cores] += (tables(out / "log"),)
     assert told[1] == told[2]
