@@ -32,6 +32,9 @@ SMI = "smi"
 FRAMEWORK = "framework"
 # Stage 3 takes so many frames at once: a third of the cost of one by one. More save little more.
 FRAMES_AT_ONCE = 16
+# Pixels of a fan from which on a second thread pays: the work on smaller ones is mostly Python's
+# own, of which threads do one at a time.
+LARGE = 2**19
 
 
 class Recogniser:
@@ -57,6 +60,7 @@ class Recogniser:
         None: it is not run. poses: where they tell the sonar's motion, it is not measured in the
         images.
         """
+        self.fan = fan
         rng = np.random.default_rng(config.seed)
         select, features, radius_m = config.candidates, config.features, landmarks.radius_m
         self._plane = plane = working_plane(select.plane, fan, radius_m, select.disc_radius_px)
@@ -149,12 +153,12 @@ def together(
     """Several recognisers over the same frames: for each frame, one result of each recogniser.
 
     Results come in bursts of FRAMES_AT_ONCE. An exception on the way, Ctrl-C as well, is raised
-    once the results of all frames before it are out. ahead: read frames in one thread, and do
-    stage 1 in another.
+    once the results of all frames before it are out. ahead: read frames and do stage 1 in a
+    thread beside this one; in a thread each where fans are LARGE.
     """
     cv2.ipp.setUseIPP(False)  # as in __init__.py: each thread has its own switch
     with ExitStack() as threads:
-        if ahead:
+        if ahead and all(r.fan.rows * r.fan.columns >= LARGE for r in recognisers):
             frames = threads.enter_context(closing(Ahead(frames)))
         selected: Iterable[list[AfterStage1]]
         selected = ([r.stage1(frame) for r in recognisers] for frame in frames)

@@ -14,6 +14,7 @@ import pytest
 from click.testing import CliRunner
 
 from sonarrec.cli import main
+from sonarrec.recogniser import recogniser
 from sonarrec.recogniser.ahead import DEPTH, Ahead
 from tests.support.batch import made, tables
 
@@ -81,9 +82,13 @@ def test_ctrl_c_as_the_thread_begins_leaves_none(monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.parametrize("damaged", [(), (5,), (0, 7, 8), range(12)])
+@pytest.mark.parametrize("more", [1, 2])
 def test_a_run_is_the_same_with_and_without(
-    damaged: Sequence[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    more: int, damaged: Sequence[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """With one thread more, and with two, as large fans have."""
+    if more == 2:
+        monkeypatch.setattr(recogniser, "LARGE", 0)
     (log,) = made(tmp_path, "log", frames=12)
     for number in damaged:
         image = log / f"{number:06d}.png"
@@ -98,7 +103,7 @@ def test_a_run_is_the_same_with_and_without(
         out = tmp_path / str(cores)
         done = CliRunner().invoke(main, ["run", str(log), "-o", str(out)])
         told[cores] = done.exit_code, done.output.replace(str(out), "OUT")
-        assert len(threads) == 2 * (cores - 1) * (len(damaged) < 12)
+        assert len(threads) == more * (cores - 1) * (len(damaged) < 12)
         if len(damaged) < 12:
             told[cores] += (tables(out / "log"),)
     assert told[1] == told[2]

@@ -79,6 +79,24 @@ def far() -> Scene:
     return replace(near, name="far", sonar=sonar, landmarks=placed)
 
 
+def wide() -> Scene:
+    """The same seen by a multibeam sonar: 512 beams over 130 deg, 1,024 range bins to 10 m."""
+    near = three_in_view()
+    sonar = replace(
+        near.sonar,
+        layout="polar",
+        beams=512,
+        field_of_view_deg=130.0,
+        range_bins=1024,
+        range_min_m=0.5,
+        range_max_m=10.0,
+        height_m=1.5,
+        tilt_deg=15.0,
+    )
+    placed = tuple(replace(x, ground_m=2 * x.ground_m) for x in near.landmarks)
+    return replace(near, name="wide", sonar=sonar, landmarks=placed)
+
+
 def interleaved(tasks: dict[str, Callable[[], object]]) -> dict[str, float]:
     """Median ms per frame of each task, over REPEATS rounds in which every task has its turn."""
     taken: dict[str, list[float]] = {name: [] for name in tasks}
@@ -107,8 +125,10 @@ def cost(work: Path) -> None:
     polar = replace(scene, sonar=replace(scene.sonar, layout="polar"))
     write_recording(polar, work / "polar")
     write_recording(far(), work / "far")
-    paths = sorted((work / "fan").glob("*.png"))
-    far_paths = sorted((work / "far").glob("*.png"))
+    write_recording(wide(), work / "wide")
+    paths, far_paths, wide_paths = (
+        sorted((work / name).glob("*.png")) for name in ("fan", "far", "wide")
+    )
     images = [read_grey(p) for p in paths]
     for compression in ("none", "zstd"):
         write_mcap(work / f"{compression}.mcap", images, compression, work / "fan" / "sonar.toml")
@@ -136,15 +156,18 @@ def cost(work: Path) -> None:
             "f  sonarrec --preset offline": ours("fan", preset("offline")),
             "g  decode the PNGs, 5 m window": decode(far_paths),
             "h  sonarrec from PNG, 5 m window": ours("far"),
+            "i  decode the PNGs, 130 deg": decode(wide_paths),
+            "j  sonarrec from PNG, 130 deg": ours("wide"),
         }
     )
     rows, columns = images[0].shape
-    print(f"Cost per frame, {rows} x {columns} fan, three landmarks in view, {FRAMES} frames,")
+    print(f"Cost per frame, {rows} x {columns} fan (130 deg: 1,024 bins of 512 beams, polar),")
+    print(f"three landmarks in view, {FRAMES} frames,")
     print(f"one core, median of {REPEATS} interleaved rounds; sonarrec: all that `run` does")
     print("(hashing the input, set-up, decoding, three stages, both CSV files)\n")
     for name, value in ms.items():
         print(f"  {name:<32} {value:7.2f} ms  {1e3 / value:7.0f} frames/s")
-    a, b, c, d, zstd, _, offline, g, h = ms.values()
+    a, b, c, d, zstd, _, offline, g, h, i, j = ms.values()
     print()
     judge("c/a  from PNG / decoding", c / a, 4.0)
     judge("c/b  from PNG / Hough loop", c / b, 1.5)
@@ -152,6 +175,7 @@ def cost(work: Path) -> None:
     judge("d'/c from zstd MCAP / from PNG", zstd / c, 1.0)
     judge("f/c  offline / default", offline / c, 2.0)
     judge("h/g  5 m window / decoding", h / g, 6.0)
+    judge("j/i  130 deg / decoding", j / i, 12.0)
     where(ours("fan"))
     memory(work, images)
 
@@ -237,11 +261,19 @@ def start() -> None:
 
 def two_cores(cores: list[int]) -> None:
     """Print how much faster the command is on one log where it has two cores."""
+    print(f"\n`sonarrec run` on one core and on two, {REPEATS} pairs\n")
+    # Longer where frames cost little, for the start counts as well.
+    for scene, rounds in ((three_in_view(), ROUNDS), (wide(), 1)):
+        on_two_cores(scene, rounds * FRAMES, cores)
+
+
+def on_two_cores(scene: Scene, frames: int, cores: list[int]) -> None:
+    """Print it for a log of so many frames, the scene's over and over."""
     with tempfile.TemporaryDirectory(prefix="sonarrec_bench_") as name:
         log = Path(name) / "log"
-        write_recording(three_in_view(), log)
+        write_recording(scene, log)
         images = sorted(log.glob("*.png"))
-        for number in range(FRAMES, ROUNDS * FRAMES):  # longer, for the start counts as well
+        for number in range(FRAMES, frames):
             (log / f"{number:06d}.png").write_bytes(images[number % FRAMES].read_bytes())
         command = [sys.executable, "-m", "sonarrec", "run", str(log), "-q", "--overwrite"]
 
@@ -249,15 +281,14 @@ def two_cores(cores: list[int]) -> None:
             os.sched_setaffinity(0, some)  # the command inherits it
             begun = time.perf_counter()
             run = [*command, "--out", f"{name}/out"]
-            subprocess.run(run, check=True, stdout=subprocess.DEVNULL)
+            subprocess.run(run, check=True, capture_output=True)
             return time.perf_counter() - begun
 
         pairs = [(on(cores[:1]), on(cores)) for _ in range(REPEATS)]
-    print(f"\n`sonarrec run` on {ROUNDS * FRAMES} PNGs on one core and on two, {REPEATS} pairs\n")
     one, two = map(statistics.median, zip(*pairs, strict=True))
-    print(f"  {one:.2f} s and {two:.2f} s")
+    print(f"  {scene.name}, {frames} PNGs: {one:.2f} s and {two:.2f} s")
     share = statistics.median(two / one for one, two in pairs)
-    judge("two cores / one core", share, 1 / 1.6)
+    judge(f"{scene.name}: two cores / one core", share, 1 / 1.6)
 
 
 def accuracy(work: Path) -> None:
