@@ -220,9 +220,14 @@ class PolarToFan:
         if sonar.bearings_deg is not None:
             bearings = np.asarray(sonar.bearings_deg) * (-1 if sonar.flip else 1)
             order = np.argsort(bearings)
-        everywhere = _polar_of_pixels(fan)
-        for band, _, _ in row_bands((fan.rows, fan.columns)):
-            range_m, bearing_deg = everywhere[0][band], everywhere[1][band]
+        # A log's own fan is resampled to once, that of other pings again and again.
+        kept = None if fan is own else _polar_of_pixels(fan)
+        for band, row, column in row_bands((fan.rows, fan.columns)):
+            range_m, bearing_deg = (
+                polar_from_pixel(fan, column, row)
+                if kept is None
+                else (kept[0][band], kept[1][band])
+            )
             if bearings is None or order is None:
                 span = own.bearing_max_deg - own.bearing_min_deg
                 side = -bearing_deg if sonar.flip else bearing_deg

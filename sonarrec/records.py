@@ -176,16 +176,16 @@ class Selection:
     """Stage 1: the candidates of one frame.
 
     score_map: (rows, columns) float32, 0 to 1, over the working plane. positions: (n, 2) float,
-    (column, row) in plane pixels. scores: (n,), best first. mean: (rows, columns) float32, grey
-    level of each pixel's surroundings. sigma: (rows, columns) standard deviation about it, above 0:
-    of the frame, or of the surroundings.
+    (column, row) in plane pixels. scores: (n,), best first. mean: float32, grey level of each
+    pixel's surroundings, and sigma: the standard deviation about it, above 0, both on a coarse
+    grid; see CandidateSelector.levels.
     """
 
     score_map: FloatImage
     positions: FloatArray
     scores: FloatArray
     mean: FloatImage
-    sigma: FloatArray
+    sigma: FloatImage
 
 
 @dataclass(frozen=True, slots=True)

@@ -115,9 +115,8 @@ class Recogniser:
         sight = self._plane.line_of_sight(places)
         # A group's matrices are turned by whole steps alone: so their cells coincide.
         sight[n:] -= np.radians(shape_matrix.whole_steps(groups.sights)[1])
-        grey, seen = self._sampler(
-            image, self._plane.inside, places, sight, selection.mean, selection.sigma
-        )
+        levels = self._select.levels(selection, places)
+        grey, seen = self._sampler(image, self._plane.inside, places, sight, *levels)
         gathered = self._measurement.gather(groups, grey[n:], seen[n:])
         return AfterStage2(
             frame.frame,

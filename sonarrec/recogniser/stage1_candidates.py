@@ -56,8 +56,8 @@ class CandidateSelector:
     def __call__(self, image: ByteImage) -> Selection:
         """Candidates in a working image (uint8, the plane's shape)."""
         around = self._surroundings
-        mean = around.fine(around.mean(cv2.bitwise_and(image, image, mask=self._inside)))
-        relief = np.asarray(cv2.subtract(image, mean, dtype=cv2.CV_32F), np.float32)
+        mean = around.mean(cv2.bitwise_and(image, image, mask=self._inside))
+        relief = np.asarray(cv2.subtract(image, around.fine(mean), dtype=cv2.CV_32F), np.float32)
         relief *= self._inside
         # A black or even frame has no relief but that of rounding.
         sigma = float(np.sqrt(cv2.norm(relief, cv2.NORM_L2SQR) / self._cells))
@@ -66,6 +66,11 @@ class CandidateSelector:
         positions, scores = self._peaks(hills)
         score = np.clip(hills.score, 0, 1, out=hills.score)
         return Selection(score, positions, scores, mean, hills.sigma)
+
+    def levels(self, selection: Selection, places: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(n,) mean and deviation of the grey levels about (n, 2) places in the frame's image."""
+        around = self._surroundings
+        return around.at(selection.mean, places), around.at(selection.sigma, places)
 
     def _peaks(self, hills: Hills) -> tuple[FloatArray, FloatArray]:
         """(n, 2) peaks that score enough, with sub-pixel positions, and (n,) scores; best first."""
@@ -115,6 +120,17 @@ class Surroundings:
         fine = cv2.resize(coarse, size, interpolation=cv2.INTER_LINEAR)
         return np.asarray(fine[:rows, :columns], np.float32)
 
+    def at(self, coarse: FloatImage, places: FloatArray) -> FloatArray:
+        """(n,) of what `fine` would give at the pixels nearest to (n, 2) places."""
+        if len(places) == 0:  # OpenCV refuses empty maps
+            return np.empty(0)
+        rows, columns = self._shape
+        pixel = np.rint(places).clip(0, (columns - 1, rows - 1))
+        column, row = ((pixel + 0.5) / COARSE - 0.5).astype(np.float32).T
+        border = cv2.BORDER_REPLICATE
+        found = cv2.remap(coarse, column, row, cv2.INTER_LINEAR, borderMode=border)
+        return np.asarray(found, float).ravel()
+
     def _sum(self, values: npt.NDArray[Any]) -> FloatImage:
         """Sum over each pixel's surroundings, in units of their size, on a grid of whole blocks."""
         rows, columns = (-side % COARSE for side in values.shape)
@@ -133,8 +149,9 @@ class Hills(NamedTuple):
     """Its peaks are the candidates' positions."""
     best: FloatImage
     """Score of a candidate whose peak is at this pixel."""
-    sigma: FloatArray
-    """Standard deviation of the grey levels about each pixel's surroundings."""
+    sigma: FloatImage
+    """Standard deviation of the grey levels about each pixel's surroundings, on their coarse grid;
+    one value where it is the same everywhere."""
 
 
 class Detector(Protocol):
@@ -182,7 +199,7 @@ class EdgeScore:
         size = 2 * config.edge_tolerance_px + 3
         hill = np.asarray(cv2.GaussianBlur(score, (size, size), 0), np.float32)
         best = np.asarray(cv2.dilate(score, np.ones((size, size), np.uint8)), np.float32)
-        return Hills(score, hill, best, np.broadcast_to(sigma, score.shape))
+        return Hills(score, hill, best, np.full((1, 1), sigma, np.float32))
 
 
 class RingScore:
@@ -222,8 +239,7 @@ class RingScore:
         local = np.sqrt(np.maximum(self._surroundings.mean(relief * relief), least))
         score = self._correlate(relief)
         score *= self._gain
-        local = self._surroundings.fine(local)
-        score /= local
+        score /= self._surroundings.fine(local)
         return Hills(score, score, score, local)
 
 

@@ -53,8 +53,8 @@ class Ablation:
 
 def spread_of_the_frame(self: RingScore, _: object, relief: np.ndarray, sigma: float) -> Hills:
     """`RingScore.__call__` with contrast counted in what the whole frame varies by."""
-    score = self._correlate(relief) * self._gain / np.float32(self._full_contrast * sigma)
-    return Hills(score, score, score, np.full(score.shape, sigma))
+    score = self._correlate(relief) * self._gain / np.float32(sigma)
+    return Hills(score, score, score, np.full((1, 1), sigma, np.float32))
 
 
 def straight_ahead(_: FloorPlane, position: np.ndarray) -> np.ndarray:

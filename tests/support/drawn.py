@@ -173,9 +173,9 @@ def speckled(
     return np.where(seen, grey, 0).astype(np.uint8)
 
 
-def surroundings(image: np.ndarray) -> tuple[np.ndarray, float]:
-    """Mean map and sigma of an image for ShapeSampler, the same everywhere."""
-    return np.full(image.shape, image.mean(), np.float32), float(image.std()) or 1.0
+def surroundings(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and sigma of an image for ShapeSampler: (1,) each, for all objects the same."""
+    return np.array([image.mean()]), np.array([image.std() or 1.0])
 
 
 def smeared_matrix(

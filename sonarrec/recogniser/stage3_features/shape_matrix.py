@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import BoolArray, ByteImage, FloatArray, FloatImage, IntArray
+from sonarrec.records import BoolArray, ByteImage, FloatArray, IntArray
 
 ANGLES = 36
 STEP = 2 * np.pi / ANGLES
@@ -76,16 +76,15 @@ class ShapeSampler:
         inside: ByteImage,
         centres: FloatArray,
         start_rad: FloatArray,
-        mean: FloatImage,
-        sigma: FloatArray | float,
+        mean: FloatArray,
+        sigma: FloatArray,
     ) -> tuple[FloatArray, BoolArray]:
         """Brightness (n, L, ANGLES) float64 and where it was seen (n, L, ANGLES) bool.
 
-        Brightness is counted from the mean of each object's surroundings, in standard deviations
-        (mean, sigma: as in Selection), so that gain and grey scale drop out. image,
-        inside: working image and 1 where it holds sonar data, both uint8. centres: (n, 2) (column,
-        row). start_rad: (n,) direction of the first angle; angles run counter-clockwise seen from
-        above.
+        image, inside: working image and 1 where it holds sonar data, both uint8. centres: (n, 2)
+        (column, row). start_rad: (n,) direction of the first angle; angles run counter-clockwise
+        seen from above. mean, sigma: (n,) grey level of each object's surroundings and its standard
+        deviation, in which brightness is counted: so gain and grey scale drop out.
         """
         size = (len(centres), len(self.radii), ANGLES)
         if len(centres) == 0:  # OpenCV refuses empty maps
@@ -99,12 +98,7 @@ class ShapeSampler:
         row = row.astype(np.float32).reshape(shape)
         grey = cv2.remap(image, column, row, cv2.INTER_LINEAR)
         seen = cv2.remap(inside, column, row, cv2.INTER_NEAREST)
-        rows, columns = image.shape
-        at = np.rint(centres).astype(int).T
-        middle = (at[1].clip(0, rows - 1), at[0].clip(0, columns - 1))
-        around = mean[middle][:, None, None].astype(float)
-        spread = np.broadcast_to(sigma, image.shape)[middle][:, None, None].astype(float)
-        grey = (grey.reshape(size) - around) / spread
+        grey = (grey.reshape(size) - mean[:, None, None]) / sigma[:, None, None]
         return grey, seen.reshape(size).astype(bool)
 
 
