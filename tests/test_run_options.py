@@ -123,7 +123,7 @@ def test_images_of_an_unquoted_glob_are_noted() -> None:
     images = [str(SAMPLE / f"00000{n}.png") for n in range(3)]
     done = run_line("run", *images, "--dry-run")
     assert done.exit_code == 0
-    assert f"note: {SAMPLE}: 3 of its images are each taken for a log of one frame" in done.stderr
+    assert f"note: {SAMPLE}: 3 of its images are each run as a log of one frame" in done.stderr
     quoted = run_line("run", images[0], str(SAMPLE / "0*.png"), "--dry-run")
     assert (quoted.exit_code, quoted.stderr) == (0, "")
 
@@ -228,7 +228,7 @@ def test_another_log_of_the_name_is_run_whole_though_the_first_was_run_in_part(
     assert run_line("run", "-q", str(tmp_path / "a" / "dive"), *part).exit_code == 0
     again = ["--config", str(tmp_path / "x" / "dive" / "run.toml"), "-o"]
     other = run_line("run", "-q", str(tmp_path / "b" / "dive"), *again, str(tmp_path / "y"))
-    assert "of another dive, so only its settings and its geometry are used" in other.stderr
+    assert "made from another dive; only its settings and its geometry are used" in other.stderr
     assert len(numbers(tmp_path / "y" / "dive")) == 6
     (tmp_path / "a" / "dive").rename(tmp_path / "renamed")
     same = run_line("run", "-q", str(tmp_path / "renamed"), *again, str(tmp_path / "z"))
@@ -267,4 +267,4 @@ def test_a_rate_that_is_assumed_is_said(tmp_path: Path) -> None:
         words = ["run", log, "--sonar", str(sonar), *rate, "-o", str(tmp_path / "o"), "--overwrite"]
         done = run_line(*words)
         assert done.exit_code == 0
-        assert ("frames carry no time, so one a second is assumed" in done.stderr) == said
+        assert ("frames carry no time, so 1 Hz is assumed" in done.stderr) == said

@@ -87,7 +87,7 @@ def main() -> None:
 
     \b
     Exit codes: 0 done; 1 failed; 2 bad usage; 3 finished, but part of the input
-    could not be used; 130 stopped by Ctrl-C.
+    could not be used; 130 and 143 stopped by Ctrl-C and SIGTERM.
     """
 
 

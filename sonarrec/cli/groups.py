@@ -68,7 +68,7 @@ class GroupedCommand(click.Command):
                     formatter.write_dl(found)
         page = ctx.command_path.removeprefix(ctx.find_root().command_path).split()[0]
         formatter.write_paragraph()
-        formatter.write_text(f"More: sonarrec help {page}")
+        formatter.write_text(f"More: sonarrec help {page}".removesuffix(" help"))
 
 
 command = partial(click.command, cls=GroupedCommand)

@@ -40,6 +40,6 @@ def help_(topic: str | None) -> None:
             title = text.partition("\n")[0].partition(": ")[2]
             click.echo(f"  {name:<10} {title}")
     elif topic not in found:
-        raise UsageError(f"help {topic}: there is no such page; there are {', '.join(found)}")
+        raise UsageError(f"help {topic}: there is no such page; the pages are {', '.join(found)}")
     else:
         click.echo_via_pager(found[topic].rstrip("\n"))  # plain where stdout is no terminal

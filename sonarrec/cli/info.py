@@ -304,8 +304,8 @@ def _header_lines(images: Images) -> list[str]:
 
 def _origin_lines(images: Images) -> list[str]:
     """Which values are from where, a line for each origin."""
-    names = {"flag": "by flag", "message": "told by the messages", "default": "by default"}
-    names["header"] = "told by the headers"
+    names = {"flag": "by flag", "message": "from the messages", "default": "by default"}
+    names["header"] = "from the headers"
     lines: dict[str, list[str]] = {}
     for key, origin in images.origins.items():
         value = f" = {images.layout}" if key == "layout" and origin == "default" else ""

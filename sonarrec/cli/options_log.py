@@ -134,7 +134,7 @@ def named_logs(logs: tuple[str, ...], from_file: IO[str] | None, recursive: bool
 
     if not logs and from_file is None:
         raise click.UsageError(
-            "Missing argument 'LOG...'; a list serves as well: --from-file LIST",
+            "Missing argument 'LOG...'; or give a list of them: --from-file LIST",
             click.get_current_context(),
         )
     return all_logs(logs, () if from_file is None else _lines(from_file), recursive=recursive)
@@ -145,8 +145,8 @@ def _lines(listed: IO[str]) -> Iterator[str]:
     for line in listed:
         if "\0" in line:
             raise UsageError(
-                f"--from-file {shown(listed.name)}: no list of logs, which is a text in UTF-8 with "
-                "one LOG a line; to run a log leave out --from-file"
+                f"--from-file {shown(listed.name)}: no list of logs, that is UTF-8 text with "
+                "one LOG a line; to run a single log leave out --from-file"
             )
         yield line
 

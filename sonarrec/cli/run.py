@@ -251,8 +251,8 @@ def _unquoted(logs: Sequence[NamedLog | RemoteLog]) -> Iterator[str]:
     for folder, count in Counter(f.parent for f in files if names_an_image(f.name)).items():
         if count > 1:
             yield (
-                f"{shown(folder)}: {count} of its images are each taken for a log of one frame; "
-                "for one log of them give the folder, or quote the glob"
+                f"{shown(folder)}: {count} of its images are each run as a log of one frame; "
+                "to run them as one log give the folder, or quote the glob"
             )
 
 
@@ -261,7 +261,7 @@ def _check_odometry_out(path: Path, tasks: Sequence[Task], odometry: Path | None
     from sonarrec.files.outputs import check_output
 
     if len(tasks) > 1:
-        raise UsageError(f"--odometry-out is of one log, and there are {len(tasks)}; run it alone")
+        raise UsageError(f"--odometry-out takes one log, not {len(tasks)}; run that log alone")
     check_output(path, "table", [tasks[0].path, odometry], header="timestamp_ns,yaw,x,y")
 
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from sonarrec.report.site import Site
 
 
-@command(short_help="Say at which contrast, and how far, landmarks would be recognised.")
+@command(short_help="Estimate at which contrast, and how far, landmarks would be recognised.")
 @click.argument("log")
 @log_options(time=True)
 @frames_option("Use only these frames, from A up to, not including, B.")

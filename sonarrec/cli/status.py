@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from sonarrec.batch.logs_table import Row
 
 
-@command(short_help="How far a run over many logs is, and what failed.")
+@command(short_help="Show the progress of a run over many logs, and what failed.")
 @click.argument("out", type=FOLDER_OR_URL, default=Path("sonarrec_out"))
 @option(OUTPUT, "--json", "as_json", is_flag=True, help="Print one JSON document on stdout.")
 @cache_options
@@ -56,7 +56,7 @@ def _tell(path: Path, out: Path | str, as_json: bool) -> None:
         return
     figures = _figures(path, rows)
     counts = ", ".join(f"{n} {status}" for status, n in figures["counts"].items())
-    click.echo(f"{len(rows)} logs: {counts}")
+    click.echo(f"{len(rows)} log{'s' * (len(rows) != 1)}: {counts}")
     rate = figures["frames_per_second"]
     click.echo(
         f"{figures['frames']} frames, {figures['unusable']} unusable, {figures['declared']} passes "

@@ -28,7 +28,7 @@ _MOST_LINES = 20  # told of one kind of fault
     default=5.0,
     show_default=True,
     metavar="DEG",
-    help="Largest turn of the sonar from one frame to the next that is believed.",
+    help="Largest turn of the sonar from one frame to the next that is accepted.",
 )
 @option(
     OUTPUT,

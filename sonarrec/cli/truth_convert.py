@@ -49,7 +49,7 @@ def _label_map(_: click.Context, __: click.Parameter, given: tuple[str, ...]) ->
     "--format",
     "format_name",
     type=click.Choice(["cvat", "coco", "mot", "labelme"]),
-    help="Format of ANNOTATIONS.  [default: told by the content]",
+    help="Format of ANNOTATIONS.  [default: found from the content]",
 )
 @log_options()
 @landmarks_option

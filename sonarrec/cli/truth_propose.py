@@ -31,7 +31,7 @@ MOST_TRACKS = 40
     type=float,
     default=0.9,
     show_default=True,
-    help="Least best score of a track that is taken.",
+    help="A track is proposed only if its best score reaches this.",
 )
 @option(
     SCORING,

@@ -195,8 +195,8 @@ def _not_taught(
     unseen = [f"ID.{i}" for i, (n, _) in zip(landmarks.ids, seen[:-1], strict=True) if not n]
     if unseen:
         yield (
-            f"{', '.join(unseen)} never seen: the curves are common to all IDs, but that they "
-            "serve here as well is not shown"
+            f"{', '.join(unseen)} never seen: all IDs share the curves, but whether they "
+            "fit these IDs is not shown"
         )
     # As they are printed: else two figures that read alike would be told apart.
     if before is not None and after is not None and round(after, 3) < round(before, 3):

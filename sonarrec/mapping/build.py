@@ -161,9 +161,9 @@ def _path(folder: Path, poses: PoseTable | None, drift: Drift) -> tuple[SonarPat
     if poses is not None:
         if "timestamp_ns" not in table:
             raise SonarrecError(
-                f"{folder}: frames.csv has no timestamp_ns, by which frames have their poses"
+                f"{folder}: frames.csv has no timestamp_ns, which is needed to find poses"
             )
         return told_path(table["frame"], table["timestamp_ns"], poses, drift), []
     if drift != Drift():
-        raise UsageError("--drift is of told poses, and there are none; give --odometry")
+        raise UsageError("--drift applies to given poses, and there are none; give --odometry")
     return measured_motion_path(folder, table)

@@ -134,7 +134,7 @@ def _same_log(
         return alike, []
     if digest[1] == earlier.input.sha256:
         return True, []
-    other = f"{earlier.path}: of another {name}, so only its settings and its geometry are used"
+    other = f"{earlier.path}: made from another {name}; only its settings and its geometry are used"
     return False, [other] if alike else []
 
 
@@ -228,5 +228,5 @@ def _poses(path: Path, given: Given, earlier: RunFile) -> tuple[PoseTable | None
     else:
         return None, []
     if earlier.odometry and earlier.odometry != poses.source:
-        return poses, [f"{earlier.path}: that run used another odometry than {poses.name}"]
+        return poses, [f"{earlier.path}: that run used other poses than {poses.name}"]
     return poses, []

@@ -229,7 +229,7 @@ def process(
             if held.up_to_date:
                 return _held(it, held)
             if held.why:
-                it.notes.append(f"{it.folder}: results from before are replaced ({held.why})")
+                it.notes.append(f"{it.folder}: earlier results are replaced ({held.why})")
         plausibility, sightings = Plausibility(), Sightings(it.landmarks, it.fan, it.poses)
         with ResultsWriter(
             it.folder, it.landmarks, it.table, sightings, parquet=used.parquet
@@ -240,7 +240,7 @@ def process(
         it.notes.extend([*it.log.notes, *it.recogniser.notes(), *_doubts(it, writer, plausibility)])
         if it.log.untimed:
             it.notes.append(
-                f"{shown(it.log.path)}: frames carry no time, so one a second is assumed; state "
+                f"{shown(it.log.path)}: frames carry no time, so 1 Hz is assumed; give "
                 "frame_rate_hz"
             )
         it.notes[:] = map(told, it.notes)

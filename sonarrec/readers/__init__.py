@@ -54,8 +54,8 @@ def open_log(
             resolved.complete(where)
         elif resolved.tilt_deg is None:
             raise SonarrecError(
-                f"{where}: the log tells the sonar's geometry, all but its tilt; give "
-                "--tilt-deg (downward), or put tilt_deg under [sonar] into a sonar.toml beside it"
+                f"{where}: the log states the sonar's geometry except for its tilt; give "
+                "--tilt-deg (downward), or put tilt_deg under [sonar] in a sonar.toml beside it"
             )
     except SonarrecError:
         raw.close()

@@ -98,7 +98,7 @@ def _listed(folder: Path) -> tuple[list[Path], dict[str, Any], list[str]]:
     for before, after in pairwise([-1, *numbers] if len(numbers) == len(parts) else []):
         if after > before + 1:
             which = f"{before + 1}" + f" to {after - 1}" * (after > before + 2)
-            lines.append(f"part {which} is missing; the frames that follow have too low numbers")
+            lines.append(f"part {which} is missing; the numbers of the frames after it are too low")
     return parts, {}, lines
 
 

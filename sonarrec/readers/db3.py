@@ -49,7 +49,7 @@ class Db3Recording(Recording):
         if log.exists() and log.stat().st_size:
             self.fault(
                 f"what its recorder left in {shown(log.name)} is not read; "
-                f"`sqlite3 {shown(path.name)} .tables` puts it in"
+                f"`sqlite3 {shown(path.name)} .tables` merges it"
             )
 
     def messages(self, channels: Collection[int]) -> Iterator[Message]:

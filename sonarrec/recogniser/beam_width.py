@@ -53,7 +53,7 @@ def with_beams(
         return list(configs), []
     fan = begin[0].fan
     if told_deg is not None:
-        width, how = told_deg, "the log tells"
+        width, how = told_deg, "the log states"
     else:
         width, measured = beam_width_deg(fan, [f.image for f in begin if f.fan == fan])
         how = "the first frames show" if measured else ""

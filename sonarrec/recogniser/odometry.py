@@ -62,7 +62,7 @@ class Odometry:
         log = "{:.3f} to {:.3f} s".format(*(t / 1e9 for t in self._span))
         return [
             *self._poses.problems,
-            f"{self._poses.name}: no pose for {self._untold} of {self._frames} frames; it tells "
+            f"{self._poses.name}: no pose for {self._untold} of {self._frames} frames; it covers "
             f"{told}, and the frames are from {log}",
         ]
 
@@ -72,7 +72,7 @@ class Odometry:
             return []
         assert self._poses is not None
         return [
-            f"{self._poses.name}: the turns it tells are not those of the images in "
+            f"{self._poses.name}: its turns contradict those of the images in "
             f"{self._differing} of {self._compared} frames; yaw is in degrees, positive to the "
-            "right, and its times are the frames'"
+            "right, and times are by the frames' clock"
         ]

@@ -100,7 +100,7 @@ def match_truth(table: TruthTable, log: ReadLog, tolerance_s: float | None = Non
     else:
         if log.timestamp_ns is None:
             raise SonarrecError(
-                f"{table.path} tells frames by timestamp_ns, but the frames.csv of {log.name} has "
+                f"{table.path} names frames by timestamp_ns, but the frames.csv of {log.name} has "
                 "no such column; add it, or give the truth by frame"
             )
         row, matched, kept = match_times(log.timestamp_ns, at, tolerance_s)

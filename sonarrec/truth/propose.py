@@ -130,7 +130,7 @@ def _tracks(folder: Path, log: LogResults, method: str, min_score: float) -> lis
     mine = np.flatnonzero(log.method == log.methods.index(method))
     if log.position is None or (log.object[mine] < 0).any():
         raise SonarrecError(
-            f"{path}: a track is told by object, range_m and bearing_deg (or x_px, y_px); "
+            f"{path}: a track needs object, range_m and bearing_deg (or x_px, y_px); "
             "not every row has them"
         )
     mine = mine[np.lexsort((log.frame_index[mine], log.object[mine]))]

@@ -84,7 +84,7 @@ def test_without_any_truth_one_line_says_where_it_was_looked_for(logs: Path) -> 
     assert "(and 2 more logs have none); give --ground-truth, or --pairs" in line
     assert done.stdout == ""
     (logs / "out" / "a" / "run.toml").unlink()
-    assert "run.toml does not tell where the log is" in command(logs / "out" / "a", code=2).stderr
+    assert "run.toml does not say where the log is" in command(logs / "out" / "a", code=2).stderr
     (logs / "logs" / "b.mp4").unlink()
     assert "no such file" in command(logs / "out" / "b", code=2).stderr
 

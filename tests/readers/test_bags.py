@@ -119,7 +119,7 @@ def test_a_missing_part(storage: str, tmp_path: Path) -> None:
     (tmp_path / "dive" / "metadata.yaml").unlink()
     found, problems = read(tmp_path / "dive")
     assert [f.index for f in found] == list(range(5))
-    assert problems == ["part 2 is missing; the frames that follow have too low numbers"]
+    assert problems == ["part 2 is missing; the numbers of the frames after it are too low"]
     for file in files:
         file.unlink(missing_ok=True)
     with pytest.raises(SonarrecError, match="no log and no image in this folder"):

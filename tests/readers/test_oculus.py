@@ -116,7 +116,7 @@ def test_run_declares_nothing_in_real_pings(tmp_path: Path) -> None:
     if not THREE.exists():
         pytest.skip(f"no real pings at {THREE}")
     fault = sonarrec("run", THREE, "-o", tmp_path, code=1)
-    assert "the log tells the sonar's geometry, all but its tilt" in fault.stderr
+    assert "the log states the sonar's geometry except for its tilt" in fault.stderr
     done = sonarrec("run", THREE, "-o", tmp_path, "--tilt-deg", "20", "--frame-rate-hz", "10")
     assert "3 frames" in done.output
     assert "no landmark declared" in done.output

@@ -61,7 +61,7 @@ def test_uneven_ranges(tmp_path: Path) -> None:
 
 def test_the_tilt_is_the_users(tmp_path: Path) -> None:
     path = log_of(tmp_path / "log.mcap", [messages.projected_fields(0, polar_frames(1)[0])])
-    with pytest.raises(SonarrecError, match="all but its tilt; give --tilt-deg"):
+    with pytest.raises(SonarrecError, match="except for its tilt; give --tilt-deg"):
         read(path)
     (frame,), problems, notes = read(path, sonar=Sonar(tilt_deg=12.0, height_m=0.3))
     assert (frame.fan.tilt_deg, frame.fan.height_m) == (12.0, 0.3)
@@ -458,7 +458,7 @@ def test_run_with_the_flags(tmp_path: Path) -> None:
     log = log_of(tmp_path / "log.mcap", pings)
     out = ("--out", tmp_path / "out")
     fault = sonarrec("run", log, *out, code=1).stderr
-    assert fault.startswith(f"sonarrec: {log}: the log tells")
+    assert fault.startswith(f"sonarrec: {log}: the log states")
     assert fault.count("\n") == 1
     told = sonarrec("run", log, *out, "--tilt-deg", "20", "--time", "header", code=3).stderr
     # Beams drawn 1.2 deg apart look as wide as they are.

@@ -252,7 +252,7 @@ def test_the_same_table_gives_the_same_bytes_again(pings, name):
     assert fault.count("\n") == 1
     turning = pan_table(Path("other.csv"), per_second=1.01)
     other = sonarrec(*again[:-1], "other", "--odometry", turning)
-    assert "another odometry than other.csv" in other.stderr
+    assert "other poses than other.csv" in other.stderr
     assert sonarrec(*again, "--odometry", table).stderr == ""
     for file in ("estimates.csv", "frames.csv", "run.toml"):
         assert (Path("again/pings") / file).read_bytes() == (out / file).read_bytes()
@@ -265,7 +265,7 @@ def test_frames_without_a_pose_are_told_once(pings):
     told = sonarrec("run", pings, "--odometry", pan_table(Path("short.csv"), 11), code=3)
     problems = [line for line in told.stderr.splitlines() if "short.csv" in line]
     assert problems == [
-        "sonarrec: short.csv: no pose for 5 of 16 frames; it tells 0.000 to 2.500 s, and the "
+        "sonarrec: short.csv: no pose for 5 of 16 frames; it covers 0.000 to 2.500 s, and the "
         "frames are from 0.000 to 3.750 s"
     ]
     run = tomllib.loads(Path("sonarrec_out/pings/run.toml").read_text())
@@ -277,7 +277,7 @@ def test_frames_without_a_pose_are_told_once(pings):
 )
 def test_a_table_that_the_images_contradict_is_noted(pings, factor):
     told = sonarrec("run", pings, "--odometry", pan_table(Path("odd.csv"), per_second=factor))
-    assert "note: odd.csv: the turns it tells are not those of the images" in told.stderr
+    assert "note: odd.csv: its turns contradict those of the images" in told.stderr
 
 
 @pytest.mark.parametrize(

@@ -153,8 +153,7 @@ def test_results_go_to_a_server_and_are_up_to_date_there(
     )
     replaced = sonarrec("run", str(day / "a.mcap"), "--seed", "1", *out)
     assert (
-        "s3://dives/out/a: results from before are replaced (other settings: seed)"
-        in replaced.stderr
+        "s3://dives/out/a: earlier results are replaced (other settings: seed)" in replaced.stderr
     )
     table = s3.get_object(Bucket="dives", Key="out/a/run.toml")["Body"].read().decode()
     assert tomllib.loads(table)["config"]["seed"] == 1

@@ -128,7 +128,7 @@ def test_other_settings_replace_results_and_what_was_made_of_them(
     (out / "short" / "evaluation" / "confusion.csv").touch()
     (out / "short" / "notes.txt").write_text("mine")
     done = sonarrec("run", "-q", short, "-o", out, "--set", "features.declare=.9")
-    assert "results from before are replaced (other settings: features.declare)" in done.stderr
+    assert "earlier results are replaced (other settings: features.declare)" in done.stderr
     assert not (out / "short" / "evaluation").exists()
     assert (out / "short" / "notes.txt").read_text() == "mine"
     assert not list(out.glob(".*"))

@@ -109,7 +109,7 @@ def _truth_beside(folder: Path, source: Input, elsewhere: Elsewhere | None) -> P
     Raises SonarrecError where there is none, or where another log has taken the log's place.
     """
     if source.path is None:
-        raise SonarrecError(f"{folder}: no ground truth: run.toml does not tell where the log is")
+        raise SonarrecError(f"{folder}: no ground truth: run.toml does not say where the log is")
     try:
         if is_url(source.path):
             if elsewhere is None:
