@@ -75,7 +75,8 @@ _PIXELS = {
         PIXELS,
         "--pixel-scale",
         type=click.Choice(["linear", "log", "db"]),
-        help="What pixels hold: grey levels ready to show, echo amplitudes, or decibels.  "
+        help="What pixels hold: grey levels (logarithms of the echo, ready to show), echo "
+        "amplitudes, or decibels.  "
         "[default: found from their type and the first frames; sonarrec help geometry]",
     ),
     "full_scale": option(

@@ -125,7 +125,8 @@ def _told(found: Site, page: Path, layouts: int) -> Iterator[str]:
         false = one.found.false_per_100.value
         far = f", 90% from {one.span}" if one.reaches else ""
         yield (
-            f"  {one.contrast_db:4g} dB: TPR {rate.value:.3f} over {rate.units} passes, "
+            f"  {one.contrast_db:4g} dB: TPR {rate.value:.3f} over {rate.units} "
+            f"pass{'es' * (rate.units != 1)}, "
             f"{false:.2f} false claims in 100 frames{far}"
         )
     yield from (f"  {sentence}" for sentence in found.sentences)

@@ -104,7 +104,8 @@ def convert(
     tell(done.unused)
     counts = ", ".join(f"ID.{i} {count}" for i, count in done.counts.items()) or "no landmark"
     if not quiet:
-        click.echo(f"{out}: {sum(done.counts.values())} rows from {done.format} ({counts})")
+        rows = sum(done.counts.values())
+        click.echo(f"{out}: {rows} row{'s' * (rows != 1)} from {done.format} ({counts})")
     for line in done.notes:
         click.echo(f"note: {line}")
     end(done.unused)

@@ -72,8 +72,8 @@ def propose(
 
 
 def _print(tracks: Sequence[ProposedTrack], out: Path) -> None:
-    rows = sum(track.rows for track in tracks)
-    click.echo(f"{out}: {rows} rows from {sum(bool(t.rows) for t in tracks)} tracks")
+    rows, used = sum(track.rows for track in tracks), sum(bool(t.rows) for t in tracks)
+    click.echo(f"{out}: {rows} row{'s' * (rows != 1)} from {used} track{'s' * (used != 1)}")
     shown = nlargest(MOST_TRACKS, tracks, key=lambda t: t.rows)
     for t in sorted(shown, key=lambda t: (t.log, t.frames)):
         span = f"frames {t.frames[0]}-{t.frames[1]}"

@@ -107,6 +107,14 @@ def test_a_method_that_is_gone_is_a_regression(tmp_path: Path) -> None:
     assert "n: only in the old results" in done.stdout
 
 
+def test_results_without_a_method_in_common_are_refused(tmp_path: Path) -> None:
+    old, truth = write_case(tmp_path / "old", FRAMES, claims({5, 6}), TRUTH)
+    new, _ = write_case(tmp_path / "new", FRAMES, claims({5}, method="n"), TRUTH)
+    done = command("--ground-truth", truth, "--compare", old, new, code=1)
+    told = f"no method is in both; {old} has m; {new} has n"
+    assert done.stderr == f"sonarrec: nothing to compare: {told}\n"
+
+
 def test_a_protocol_that_is_gone_is_a_regression(sides: tuple[Path, Path, Path]) -> None:
     """New results that are the old ones without their positions."""
     old, new, truth = sides

@@ -266,6 +266,13 @@ def _compared(both: _Both, unit: UnitKind | None, **told: Any) -> Comparison:
                 rates += _rate_changes(was, now)
                 was_tally, now_tally = (metrics.tally(metrics.rates, side) for side in (was, now))
                 found += differences(was_tally, now_tally, weights, tosses)
+    if not methods:
+        has = (
+            f"{told[k]} has {', '.join(p.methods)}" for k, p in (("old", before), ("new", after))
+        )
+        raise SonarrecError(
+            printable(f"nothing to compare: no method is in both; {'; '.join(has)}")
+        )
     if before.placed != after.placed:
         without = told["new"] if before.placed else told["old"]
         note = f"protocol strict is not compared: {without} lacks positions that can be used"
