@@ -8,7 +8,9 @@ sonar sets out. Under way, surge, sway and yaw are registered from frame to fram
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -20,6 +22,12 @@ from sonarrec.records import ByteImage, FloatArray, FloatImage, Motion
 RANGES = 128
 BEARINGS = 192
 LEAST_OVERLAP = 0.4  # of two frames, as a share of the field of view
+# A turn of about a cell is measured short, for a part of the picture turns along: what leaks from
+# beam to beam. From frame to frame these errors would add up. So turns are measured from an earlier
+# picture, a key, of 6 to 12 cells ago, as long as it matches.
+KEY_CELLS = 12
+LEAST_KEY_MATCH = 0.5
+KEY_SIGMA = 0.05  # cells, by which turns from keys scatter (simulated slow pans)
 
 # Least match of a registration that is believed: one that started from the last frame's motion,
 # and one that was searched for. Pictures of different floor match by up to 0.2 (tuning seeds), with
@@ -50,6 +58,15 @@ USUAL_STEP_S = 0.25  # between frames whose times do not rise
 SCALE_ERROR = 0.005  # of the distance made, by an uncertain height and a floor that is not flat
 
 
+class _View(NamedTuple):
+    """A picture as PanEstimator correlates it."""
+
+    spectrum: FloatImage
+    """(RANGES, 2 BEARINGS) of its rows, zero-padded."""
+    energy: FloatArray
+    """(BEARINGS + 1,) sum of squares of the beams before each."""
+
+
 class PanEstimator:
     """Pan between consecutive working images by correlation along the bearing.
 
@@ -59,8 +76,8 @@ class PanEstimator:
 
     def __init__(self, plane: Plane) -> None:
         fan = plane.fan
-        self._step_deg = (fan.bearing_max_deg - fan.bearing_min_deg) / BEARINGS
-        self.bearing_deg = fan.bearing_min_deg + (np.arange(BEARINGS) + 0.5) * self._step_deg
+        self.step_deg = (fan.bearing_max_deg - fan.bearing_min_deg) / BEARINGS
+        self.bearing_deg = fan.bearing_min_deg + (np.arange(BEARINGS) + 0.5) * self.step_deg
         margin = 0.5 * fan.window_m / RANGES
         self.range_m = np.linspace(fan.range_min_m + margin, fan.range_max_m - margin, RANGES)
         column, row = plane.from_polar(self.range_m[:, None], self.bearing_deg[None])
@@ -77,7 +94,9 @@ class PanEstimator:
         self._low = np.clip(-shift, 0, BEARINGS)
         self._high = np.clip(BEARINGS - shift, 0, BEARINGS)
         self._tried = np.abs(shift) <= (1 - LEAST_OVERLAP) * BEARINGS
-        self._before: tuple[FloatImage, FloatArray] | None = None
+        self._before: _View | None = None
+        self._heading = 0.0  # deg, turned since the first image
+        self._keys = deque[tuple[float, _View]](maxlen=2)  # the heading and the view, older first
 
     def step(self, image: ByteImage) -> tuple[float, float]:
         """(pan in deg since the last image, correlation there, 0 to 1).
@@ -94,20 +113,50 @@ class PanEstimator:
         polar -= polar.mean(axis=0)
         polar *= self.seen
         self.picture = polar
-        # Zero-padded to twice the width, so that no beam meets one from the other edge.
-        wide = cv2.copyMakeBorder(polar, 0, 0, 0, BEARINGS, cv2.BORDER_CONSTANT)
-        spectrum = np.asarray(cv2.dft(wide, flags=cv2.DFT_ROWS), np.float32)
-        energy = np.concatenate([[0.0], np.cumsum((polar**2).sum(axis=0, dtype=float))])
-        before, self._before = self._before, (spectrum, energy)
+        view = self._view(polar)
+        before, self._before = self._before, view
         if before is None:
             return 0.0, 0.0
+        pan_deg, match = self._turn(before, view)
+        return self._by_keys(before, view, pan_deg, match), match
+
+    def _by_keys(self, before: _View, view: _View, pan_deg: float, match: float) -> float:
+        """The pan since the last view, as the turn from a key says; where it does not match, as is.
+
+        pan_deg, match: from the last view to this one.
+        """
+        heading = self._heading + pan_deg
+        if match < LEAST_KEY_MATCH:
+            self._keys.clear()
+        elif self._keys and self._keys[0][1] is not before:
+            at, key = self._keys[0]
+            turn, alike = self._turn(key, view)
+            if alike < LEAST_KEY_MATCH or abs(at + turn - heading) > self.step_deg:
+                self._keys.clear()
+            else:
+                heading = at + turn
+        pan_deg, self._heading = heading - self._heading, heading
+        away = abs(heading - self._keys[0][0]) / self.step_deg if self._keys else KEY_CELLS
+        if away >= KEY_CELLS / 2 * len(self._keys):
+            self._keys.append((heading, view))  # the first of two goes, a turn of 12 cells away
+        return pan_deg
+
+    def _view(self, picture: FloatImage) -> _View:
+        # Zero-padded to twice the width, so that no beam meets one from the other edge.
+        wide = cv2.copyMakeBorder(picture, 0, 0, 0, BEARINGS, cv2.BORDER_CONSTANT)
+        spectrum = np.asarray(cv2.dft(wide, flags=cv2.DFT_ROWS), np.float32)
+        energy = np.concatenate([[0.0], np.cumsum((picture**2).sum(axis=0, dtype=float))])
+        return _View(spectrum, energy)
+
+    def _turn(self, before: _View, now: _View) -> tuple[float, float]:
+        """(turn in deg from one view to another, correlation there, 0 to 1)."""
         # product[s] = sum over cells of now[b] * before[b + s]: s > 0 is a turn to the right.
-        crossed = cv2.mulSpectrums(before[0], spectrum, cv2.DFT_ROWS, conjB=True)
+        crossed = cv2.mulSpectrums(before.spectrum, now.spectrum, cv2.DFT_ROWS, conjB=True)
         summed = cv2.reduce(crossed, 0, cv2.REDUCE_SUM)
         product = cv2.idft(summed, flags=cv2.DFT_ROWS | cv2.DFT_SCALE)[0]
         low, high = self._low, self._high
-        now_energy = energy[high] - energy[low]
-        before_energy = before[1][BEARINGS - low] - before[1][BEARINGS - high]
+        now_energy = now.energy[high] - now.energy[low]
+        before_energy = before.energy[BEARINGS - low] - before.energy[BEARINGS - high]
         scale = np.sqrt(np.maximum(now_energy * before_energy, 1e-9))
         match = np.where(self._tried, product / scale, -1.0)
         best = int(match.argmax())
@@ -115,7 +164,7 @@ class PanEstimator:
         bend = left - 2 * match[best] + right
         part = 0.5 * (left - right) / bend if bend < 0 else 0.0
         return (
-            float((self._shift[best] + np.clip(part, -0.5, 0.5)) * self._step_deg),
+            float((self._shift[best] + np.clip(part, -0.5, 0.5)) * self.step_deg),
             float(np.clip(match[best], 0, 1)),
         )
 
@@ -197,7 +246,10 @@ class ImageMotion:
             self._unseen = 0
             quick = self._registration.quick(before, self.pan.picture, turn)
             drifts = quick is not None and self._drift.add(quick) > SET_OUT
-            self._pan_sigma = None if quick is None else math.degrees(quick.sigma[2])
+            self._pan_sigma = None
+            if quick is not None:
+                sigma = math.degrees(quick.sigma[2])
+                self._pan_sigma = math.hypot(sigma, KEY_SIGMA * self.pan.step_deg)
         if drifts or poor:
             start = np.array([0.0, 0.0, turn])
             found = self._registered(before, start, searched=not drifts)

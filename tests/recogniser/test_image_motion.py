@@ -16,7 +16,7 @@ from sonarrec.recogniser.plane import working_plane
 from sonarrec.records import ByteImage, Fan, FloatArray, Motion
 from sonarrec.simulation.motion import Pose
 from sonarrec.simulation.random_scenes import random_scene
-from sonarrec.simulation.scene import scene_fan
+from sonarrec.simulation.scene import MotionSection, Scene, SonarSection, scene_fan
 from sonarrec.simulation.simulate import render
 from tests.support.vehicle import RATE_HZ, VehicleRun, vehicle_run
 
@@ -93,6 +93,36 @@ def test_a_tripod_is_told_to_stand(kind: str) -> None:
     sure = [m for m in motions[1:] if m is not None and m.known]
     assert len(sure) > 0.85 * len(motions)
     assert all(0 < max(m.right_sigma_m, m.ahead_sigma_m) < 0.01 for m in sure)
+
+
+@pytest.mark.parametrize(("view_deg", "beams"), [(28.8, 96), (130.0, 256)])
+@pytest.mark.parametrize("pan_deg", [0.1, 0.25])
+def test_slow_pans_do_not_add_up_short(view_deg: float, beams: int, pan_deg: float) -> None:
+    """From frame to frame each comes short by a fifth and more, for beams leak into their
+    neighbours. To and fro, with a blank frame where it turns back."""
+    frames, back = 33, 20
+    scene = Scene(
+        frames=frames,
+        sonar=SonarSection(range_bins=256, beams=beams, field_of_view_deg=view_deg),
+        motion=MotionSection(
+            pan_start_deg=0.0,
+            pan_min_deg=-30.0,
+            pan_max_deg=(back - 0.5) * pan_deg,
+            pan_deg_s=pan_deg * RATE_HZ,
+        ),
+    )
+    shown = list(render(scene))
+    images = [f.image for f in shown]
+    images[back] = np.zeros_like(images[back])
+    motions = measured(images, scene_fan(scene))
+    assert [i for i, m in enumerate(motions) if m and not m.known] == [back, back + 1]
+    for first, end in ((0, back - 1), (back + 1, frames - 1)):
+        steps, sigmas = as_rows(motions[first + 1 : end + 1])
+        true = shown[end].pan_deg - shown[first].pan_deg
+        assert abs(true) > 9 * pan_deg
+        off = steps[:, 2].sum() - true
+        assert abs(off) < 0.1
+        assert abs(off) < 3 * np.hypot.reduce(sigmas[:, 2])
 
 
 def test_a_vehicle_that_sets_out_and_stops_is_noticed() -> None:
