@@ -14,8 +14,10 @@ import numpy as np
 from sonarrec.geometry import MAX_FAN_PIXELS, PolarToFan, fan_for_image, fan_for_polar
 from sonarrec.readers.pixels import (
     GreyScale,
+    dim_level,
     grey_scale,
     holds_amplitudes,
+    next_to_black,
     single_channel,
     to_grey8,
 )
@@ -52,7 +54,7 @@ class FanImages:
         self._resampled: tuple[PingGeometry, tuple[int, int]] | None = None  # what, and its shape
         self._to_fan: PolarToFan | None = None
         self._order: BeamOrder | None = None  # of polar samples; None before it is found
-        self._amplitudes = False  # whether 8-bit pixels are
+        self._amplitudes = set[np.dtype[Any]]()  # types of integers that hold them
         self._told_against = self._told_cut = False
 
     def __call__(self, raw: RawFrame) -> tuple[ByteImage, Fan]:
@@ -66,8 +68,9 @@ class FanImages:
         pixels = single_channel(raw.pixels)
         scale = self._scales.get(pixels.dtype)
         if scale is None:
-            floating = raw.sonar is not None and pixels.dtype != np.uint8
-            scale = grey_scale(self._stated, pixels, amplitudes=floating or self._amplitudes)
+            told = raw.sonar is not None and pixels.dtype.kind == "f"
+            amplitudes = told or pixels.dtype in self._amplitudes
+            scale = grey_scale(self._stated, pixels, amplitudes)
         image = np.zeros(pixels.shape, np.uint8) if scale is None else to_grey8(pixels, scale)
         image = self._image(image) if raw.sonar is None else self._ping(image, raw.sonar)
         if scale is not None:
@@ -76,20 +79,14 @@ class FanImages:
         return image, self.fan
 
     def settle(self, first: Sequence[RawFrame]) -> None:
-        """Find out what 8-bit pixels are, and take the fan from the ping with which most agree.
+        """Find out what integers are, and take the fan from the ping with which most agree.
 
         That need not be the first: a driver may send one before it has its settings. Two pings
         agree where each shows enough of the other's window and field of view. first: the log's
         first frames.
         """
-        self._amplitudes = self._stated.pixel_scale is None and holds_amplitudes(
-            [grey for raw in first if (grey := _grey_of_8_bit(raw)) is not None]
-        )
-        if self._amplitudes:
-            self.notes.append(
-                f"{self._where}: 8-bit pixels read as amplitudes, by their level and its spread; "
-                "--pixel-scale linear if they are logarithms"
-            )
+        if self._stated.pixel_scale is None:
+            self._find_amplitudes(first)
         pings = [(raw, raw.sonar) for raw in first if raw.pixels is not None and raw.sonar]
         agreeing = [
             sum(
@@ -101,6 +98,26 @@ class FanImages:
         if agreeing and (best := int(np.argmax(agreeing))):
             with contextlib.suppress(UnusableError):
                 self(pings[best][0])
+
+    def _find_amplitudes(self, first: Sequence[RawFrame]) -> None:
+        """Find the types of integers that hold amplitudes, and note them and what is dim."""
+        images: dict[np.dtype[Any], list[np.ndarray]] = {}
+        for raw in first:
+            if (grey := _grey_of_integers(raw)) is not None:
+                images.setdefault(grey.dtype, []).append(grey)
+        for dtype, alike in images.items():
+            bits = 8 * dtype.itemsize
+            if holds_amplitudes(alike):
+                self._amplitudes.add(dtype)
+                self.notes.append(
+                    f"{self._where}: {bits}-bit pixels read as amplitudes, by their level and its "
+                    "spread; --pixel-scale linear if they are logarithms"
+                )
+            elif bits == 16 and self._stated.full_scale is None and (dim := dim_level(alike[0])):
+                self.notes.append(
+                    f"{self._where}: {bits}-bit pixels read as grey levels, though dim ({dim}); "
+                    "--pixel-scale log if they are amplitudes, --full-scale if white is lower"
+                )
 
     @property
     def scale(self) -> GreyScale | None:
@@ -201,11 +218,16 @@ class FanImages:
         return sonar, to_fan
 
 
-def _grey_of_8_bit(raw: RawFrame) -> np.ndarray | None:
-    if raw.pixels is None or raw.pixels.dtype != np.uint8:
+def _grey_of_integers(raw: RawFrame) -> np.ndarray | None:
+    """The pixels where their speckle is to tell what they hold; None of others."""
+    if raw.pixels is None or raw.pixels.dtype.kind not in "ui" or raw.pixels.itemsize > 2:
         return None
     with contextlib.suppress(UnusableError):
-        return single_channel(raw.pixels)
+        grey = single_channel(raw.pixels)
+        if grey.dtype == np.uint8 or (
+            grey.itemsize == 2 and grey.any() and not next_to_black(grey)
+        ):
+            return grey
     return None
 
 

@@ -6,7 +6,8 @@ Recognition expects a logarithmic scale.
 |---|---|---|
 | 8 bit | linear: sonars compress before they store so few bits; but log where the speckle of the
   first frames is that of amplitudes (`holds_amplitudes`) | 255; log: by the first frame |
-| 16 bit | linear, but log where the first frame would be next to black | 65535 |
+| 16 bit | linear, but log where the first frame would be next to black, or where the speckle is
+  that of amplitudes | 65535 |
 | floating-point images within 0 to 1 | linear | 1 |
 | floating-point, some negative | db: decibels | by the first frame |
 | 32 and 64 bit, all other floating-point | log: echo amplitudes | by the first frame |
@@ -47,7 +48,7 @@ _NEXT_TO_BLACK = 1 / 32  # of full scale: no compressed image has its median bel
 # in relief has no speckle.
 _BLOCK = (16, 4)
 _MOST_BLACK, _LEAST_LEVEL, _LEAST_SPREAD, _LEAST_BLOCKS = 0.2, 4.0, 0.5, 50
-_DIM, _LEAST_SPECKLE = 32, 0.2  # an eighth of full scale; spread over level
+_DIM, _LEAST_SPECKLE = 1 / 8, 0.2  # of full scale; spread over level
 _LEAST_RANGE = 0.12  # standard deviation of the logarithm of levels
 _AMPLITUDES = 1.0
 
@@ -98,8 +99,8 @@ def single_channel(pixels: np.ndarray) -> np.ndarray:
 def grey_scale(sonar: Sonar, pixels: np.ndarray, amplitudes: bool) -> GreyScale | None:
     """The scale of a log by its first frame, as far as `sonar` does not state it.
 
-    pixels: of single_channel. amplitudes: floating-point pixels are echo amplitudes, whatever
-    their size, and so are 8-bit ones. None where the frame is blank, and so black on any scale.
+    pixels: of single_channel. amplitudes: they are echo amplitudes, of floating point whatever
+    their size. None where the frame is blank, and so black on any scale.
     Raises SonarrecError for a full scale that cannot be meant.
     """
     values = pixels[np.isfinite(pixels)]
@@ -111,7 +112,7 @@ def grey_scale(sonar: Sonar, pixels: np.ndarray, amplitudes: bool) -> GreyScale 
     if not floating and pixels.itemsize <= 2:
         largest = float(np.iinfo(pixels.dtype).max)
     scale = sonar.pixel_scale or _usual_scale(values, largest)
-    if sonar.pixel_scale is None and amplitudes and pixels.dtype == np.uint8:
+    if sonar.pixel_scale is None and amplitudes and not floating:
         scale = "log"
     span = sonar.dynamic_range_db or DYNAMIC_RANGE_DB
     if sonar.full_scale is not None:
@@ -136,24 +137,43 @@ def _usual_scale(values: np.ndarray, largest: float | None) -> Scale:
     """The default for finite values of a type whose full scale is `largest`, None if unknown."""
     if largest is None:
         return "db" if values.dtype.kind == "f" and values.min() < 0 else "log"
-    dim = values.itemsize == 2 and np.median(values[values != 0]) < _NEXT_TO_BLACK * largest
-    return "log" if dim else "linear"
+    return "log" if values.itemsize == 2 and next_to_black(values) else "linear"
+
+
+def _middle(values: np.ndarray) -> float:
+    return float(np.median(values[values != 0]))
+
+
+def next_to_black(pixels: np.ndarray) -> bool:
+    """Whether 16-bit integers, not all 0, are so dark that they are read as log for that."""
+    return _middle(pixels) < _NEXT_TO_BLACK * np.iinfo(pixels.dtype).max
+
+
+def dim_level(pixels: np.ndarray) -> str | None:
+    """How dim 16-bit integers, not all 0, would be as linear grey; None where they are not."""
+    middle, full = _middle(pixels), np.iinfo(pixels.dtype).max
+    return f"median {middle:.0f} of {full}" if middle < _DIM * full else None
 
 
 def holds_amplitudes(images: Sequence[np.ndarray]) -> bool:
-    """Whether 8-bit images hold echo amplitudes rather than their logarithm, by their speckle.
+    """Whether images of integers hold echo amplitudes rather than their logarithm, by speckle.
 
-    images: of single_channel. In amplitudes speckle spreads in proportion to its level, and its
-    peaks reach farther than its troughs; in logarithms it spreads evenly, and its troughs reach
-    farther. So dim a picture that what lies far is next to black is taken for amplitudes as well:
-    if it is none, little is lost. Measured in small blocks; False where too few show speckle.
+    images: of single_channel, all of 8 or all of 16 bits; of the latter none next to black. In
+    amplitudes speckle spreads in proportion to its level, and its peaks reach farther than its
+    troughs; in logarithms it spreads evenly, and its troughs reach farther. So dim an 8-bit picture
+    that what lies far is next to black is taken for amplitudes as well: if it is none, little is
+    lost. Measured in small blocks; False where too few show speckle.
     """
     rows, columns = _BLOCK
+    # 16 bits hold far more steps than their content may fill: its brightest pixel is its white.
+    deep = bool(images) and images[0].dtype != np.uint8
+    white = np.float32(max(image.max() for image in images) if deep else 255)
     parts = [np.empty((0, rows * columns), np.float32)]
     for image in images:
         down, across = image.shape[0] // rows, image.shape[1] // columns
         blocks = image[: down * rows, : across * columns].reshape(down, rows, across, columns)
-        parts.append(blocks.swapaxes(1, 2).reshape(-1, rows * columns).astype(np.float32))
+        block = blocks.swapaxes(1, 2).reshape(-1, rows * columns).astype(np.float32)
+        parts.append(block * 255 / white if deep else block)
     block = np.concatenate(parts)
     level, spread = block.mean(axis=1), block.std(axis=1)
     # Black has no speckle, and what is cut off at either end has another.
@@ -162,7 +182,8 @@ def holds_amplitudes(images: Sequence[np.ndarray]) -> bool:
     if np.count_nonzero(whole) < _LEAST_BLOCKS:
         return False
     block, level, spread = block[whole], level[whole], spread[whole]
-    if np.median(level) < _DIM and np.median(spread / level) > _LEAST_SPECKLE:
+    dim = not deep and np.median(level) < _DIM * 256
+    if dim and np.median(spread / level) > _LEAST_SPECKLE:
         return True
     if np.log(level).std() < _LEAST_RANGE:  # at one level a spread tells nothing
         return False

@@ -15,6 +15,8 @@ from sonarrec.readers import open_log
 from sonarrec.readers.pixels import grey_scale, holds_amplitudes, single_channel, to_grey8
 from sonarrec.readers.raw import UnusableError
 from sonarrec.records import SonarrecError
+from sonarrec.simulation.random_scenes import random_scene
+from sonarrec.simulation.simulate import render
 from sonarrec.sonar import Sonar, sonar_from_table
 from tests.support import messages
 from tests.support.messages import (
@@ -181,6 +183,58 @@ def test_without_speckle_nothing_is_taken_for_amplitudes():
     for image in (flat, 0 * flat, even, flat[:3, :3]):
         assert not holds_amplitudes([image])
     assert not holds_amplitudes([])
+
+
+def read_16_bit(folder: Path, images: list[np.ndarray], **keys: Any) -> tuple[Any, list[str]]:
+    """(pixel_scale, notes) of the log of these images."""
+    for k, image in enumerate(images):
+        assert image.dtype == np.uint16
+        cv2.imwrite(str(folder / f"{k}.png"), image)
+    sonar = Sonar(
+        layout="polar",
+        range_min_m=1.0,
+        range_max_m=3.0,
+        field_of_view_deg=28.8,
+        tilt_deg=20.0,
+        **keys,
+    )
+    with open_log(folder, sonar=sonar) as log:
+        next(iter(log))
+        return log.reading()["pixel_scale"], log.notes
+
+
+def simulated() -> np.ndarray:
+    """One polar image of the simulator: logarithmic grey, 0 to 1."""
+    frame = next(render(random_scene(2000)))
+    return frame.image.astype(float) / 255
+
+
+@pytest.mark.parametrize("median", [1 / 24, 1 / 10, 1 / 4])
+def test_16_bit_amplitudes_are_found_by_their_speckle_and_noted(tmp_path, median):
+    grey = simulated()
+    amplitude = np.where(grey > 0, 10 ** ((grey - 1) * 50 / 20), 0)
+    amplitude *= median / np.median(amplitude[amplitude > 0])
+    image = np.clip(amplitude * 65535, 0, 65535).astype(np.uint16)
+    scale, notes = read_16_bit(tmp_path, [image])
+    assert scale == "log"
+    assert len(notes) == 1
+    assert "16-bit pixels read as amplitudes" in notes[0]
+    assert read_16_bit(tmp_path, [image], pixel_scale="linear") == ("linear", [])
+
+
+@pytest.mark.parametrize("part", [1, 1 / 8])
+def test_16_bit_logarithms_stay_linear_and_dim_ones_are_noted(tmp_path, part):
+    image = np.rint(simulated() * 65535 * part).astype(np.uint16)
+    scale, notes = read_16_bit(tmp_path, [image])
+    assert scale == "linear"
+    assert len(notes) == (part < 1)
+    assert all("--pixel-scale log" in note and "--full-scale" in note for note in notes)
+    assert read_16_bit(tmp_path, [image], full_scale=65535 * part) == ("linear", [])
+
+
+def test_16_bit_images_next_to_black_are_log_without_a_note(tmp_path):
+    image = np.rint(simulated() * 65535 / 32).astype(np.uint16)
+    assert read_16_bit(tmp_path, [image, 0 * image]) == ("log", [])
 
 
 @pytest.mark.parametrize("stated", [None, "linear"])
