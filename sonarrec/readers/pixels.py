@@ -7,7 +7,7 @@ Recognition expects a logarithmic scale.
 | 8 bit | linear: sonars compress before they store so few bits; but log where the speckle of the
   first frames is that of amplitudes (`holds_amplitudes`) | 255; log: by the first frame |
 | 16 bit | linear, but log where the first frame would be next to black, or where the speckle is
-  that of amplitudes | 65535 |
+  that of amplitudes | 65535; log: by the first frame |
 | floating-point images within 0 to 1 | linear | 1 |
 | floating-point, some negative | db: decibels | by the first frame |
 | 32 and 64 bit, all other floating-point | log: echo amplitudes | by the first frame |

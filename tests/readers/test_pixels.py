@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -253,3 +255,26 @@ def test_8_bit_amplitudes_are_noted_and_what_is_stated_wins(tmp_path, stated):
         next(iter(log))
         assert log.reading()["pixel_scale"] == (stated or "log")
         assert len(log.notes) == (stated is None)
+
+
+def test_the_scales_that_the_manual_lists_are_those_taken() -> None:
+    page = resources.files("sonarrec").joinpath("help", "geometry.md").read_text("utf-8")
+    rows = re.findall(r"^ {4,6}.*?  +(linear|log|db) +(\S.*)$", page, re.MULTILINE)
+    images = [  # in the order of the page, and whether they hold amplitudes
+        (np.full((9, 9), 40, np.uint8), False),
+        (np.full((9, 9), 40, np.uint8), True),
+        (np.full((9, 9), 40000, np.uint16), False),
+        (np.full((9, 9), 40000, np.uint16), True),
+        (np.full((9, 9), 400, np.uint16), False),
+        (np.full((9, 9), 0.4, np.float32), False),
+        (np.full((9, 9), -4, np.float32), False),
+        (np.full((9, 9), 4, np.float32), False),
+    ]
+    for (scale, full), (image, amplitudes) in zip(rows, images, strict=True):
+        taken = grey_scale(Sonar(), image, amplitudes)
+        assert taken is not None
+        assert taken.pixel_scale == scale
+        if full == "from the first frame":
+            assert round(255 / 3) == to_grey8(image, taken)[0, 0]
+        else:
+            assert taken.full_scale == float(full)
