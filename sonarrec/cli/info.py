@@ -305,10 +305,11 @@ def _header_lines(images: Images) -> list[str]:
 def _origin_lines(images: Images) -> list[str]:
     """Which values are from where, a line for each origin."""
     names = {"flag": "by flag", "message": "from the messages", "default": "by default"}
-    names["header"] = "from the headers"
+    names |= {"header": "from the headers", "found": "found from the pings", "assumed": "assumed"}
     lines: dict[str, list[str]] = {}
     for key, origin in images.origins.items():
         value = f" = {images.layout}" if key == "layout" and origin == "default" else ""
+        value = f" = {images.geometry[key]}" if origin in ("found", "assumed") else value
         lines.setdefault(names.get(origin, f"from {origin}"), []).append(key + value)
     for key, value in images.assumed.items():
         numbers = value if isinstance(value, list) else [value]

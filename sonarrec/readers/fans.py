@@ -38,6 +38,7 @@ class FanImages:
 
     sonar: the geometry, of polar messages that of the first ping once it was read. fan: None
     before the first frame. notes: lines on what was stated against the messages, or found out.
+    order_from: "found" or "assumed", of a beam order that nobody told; None of another.
     """
 
     def __init__(self, stated: Sonar, where: str, tells: str = "messages") -> None:
@@ -47,6 +48,7 @@ class FanImages:
         self._stated = stated
         self.fan: Fan | None = None
         self.notes: list[str] = []
+        self.order_from: str | None = None
         self._where = where
         self._tells = tells
         self._scales: dict[np.dtype[Any], GreyScale] = {}  # one for each type of pixel
@@ -177,12 +179,25 @@ class FanImages:
         if self._order is None and order is not None:
             self._order = order
             self.sonar = replace(self.sonar, beam_order=order)
-            if order == "beam-major" and not self._stated.beam_order:
-                self.notes.append(
-                    f"{self._where}: read as beam-major, found from its first ping with echoes"
-                )
+            if not (self._stated.beam_order or told.beam_order):
+                self._note_order(order, image.shape)
         assert self._to_fan is not None
         return self._to_fan(image)
+
+    def _note_order(self, order: BeamOrder, shape: tuple[int, int]) -> None:
+        """Note an order that nobody told, unless it is the usual one. shape: (bins, beams)."""
+        if shape[0] == shape[1]:
+            self.order_from = "assumed"
+            self.notes.append(
+                f"{self._where}: assumed to be {order}, which cannot be found of as many range "
+                f"bins as beams ({shape[0]}); --beam-order states it"
+            )
+            return
+        self.order_from = "found"
+        if order == "beam-major":
+            self.notes.append(
+                f"{self._where}: read as beam-major, found from its first ping with echoes"
+            )
 
     def _resampling(self, told: PingGeometry, shape: tuple[int, int]) -> tuple[Sonar, PolarToFan]:
         sonar, against = _as_stated(told, self._stated, bins=shape[0])
@@ -295,7 +310,8 @@ def looks_beam_major(image: ByteImage) -> bool:
 
     In range-major data the sample `beams` on is the next range bin of the same beam, in beam-major
     data the one `bins` on is the next beam at the same range: it resembles the first more than its
-    own neighbours there do. Data that decide nothing are range-major, as most are.
+    own neighbours there do. Data that decide nothing are range-major, as most are, and so are as
+    many bins as beams, where the two are the same sample.
     """
     bins, beams = image.shape
     samples = image.ravel()

@@ -61,11 +61,11 @@ class Images:
     layout: "fan" or "polar". polar_messages: the messages tell their own geometry. header: what
     else the headers of a sonar's own file tell, by name and unit; empty elsewhere. geometry: its
     keys as stated, or told by the first ping. origins: where each of these, and the layout, is
-    from: "flag", "message", "header", "default" or the name of a file. assumed: keys that nothing
-    states and the values that serve in their place, where the geometry is complete. lacks: the keys
-    that are missing. notes: what was stated against the messages, is not sure, or cannot be by what
-    the first frames show. problems: one line for each frame that cannot be used (at most 20, then a
-    count).
+    from: "flag", "message", "header", "default", the name of a file; of a beam_order that nobody
+    told "found" or "assumed". assumed: keys that nothing states and the values that serve in their
+    place, where the geometry is complete. lacks: the keys that are missing. notes: what was stated
+    against the messages, is not sure, or cannot be by what the first frames show. problems: one
+    line for each frame that cannot be used (at most 20, then a count).
     """
 
     topic: str | None
@@ -290,6 +290,8 @@ def _images(
     origins = {
         key: _origin(key, flags, by_user, where, raw) for key in geometry if key not in lacks
     }
+    if log.order_from is not None:
+        origins["beam_order"] = log.order_from
     layout = geometry.pop("layout")
     polar = raw.polar or layout == "polar"
     doubts = [] if lacks else plausibility.contradictions(polar=polar)

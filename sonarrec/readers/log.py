@@ -55,6 +55,11 @@ class Log:
         return self._images.sonar
 
     @property
+    def order_from(self) -> str | None:
+        """Of a beam order that nobody told, whether it was "found" or "assumed"; else None."""
+        return self._images.order_from
+
+    @property
     def fan(self) -> Fan | None:
         """The fan images' geometry, None before the first frame."""
         return self._images.fan

@@ -173,7 +173,9 @@ def test_polar_messages_tell_their_own_geometry(tmp_path: Path) -> None:
     np.testing.assert_allclose(images["geometry"]["bearings_deg"], bearings, atol=1e-4)
     text = info(path).output
     assert "1 to 4 m, 24 beams from -30 to 30 deg\n" in text
-    assert "from the messages: layout, range_min_m, range_max_m, bearings_deg" in text
+    assert "from the messages: layout, range_min_m, range_max_m, bearings_deg\n" in text
+    assert "found from the pings: beam_order = range-major" in text
+    assert images["origins"]["beam_order"] == "found"
     assert "lacks tilt_deg" in text
     assert "stated against the messages" in info(path, "--layout", "fan").output
     assert "clock at 0.000 s, 4.8 s long" in text

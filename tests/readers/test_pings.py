@@ -18,6 +18,7 @@ from sonarrec.pipeline.prepared import Used
 from sonarrec.pipeline.run import process
 from sonarrec.readers import open_log
 from sonarrec.readers.fans import FanImages, looks_beam_major
+from sonarrec.readers.info import describe
 from sonarrec.readers.raw import RawFrame, UnusableError
 from sonarrec.records import SonarrecError, UsageError
 from sonarrec.results.run_file import Given
@@ -309,6 +310,26 @@ def test_beam_order_of_images_that_decide_nothing(tmp_path: Path) -> None:
     with open_log(log_of(tmp_path / "log.mcap", blank), sonar=TILT) as log:
         list(log)
         assert log.reading()["beam_order"] == "range-major"
+
+
+@pytest.mark.parametrize("stated", [None, "range-major"])
+def test_beam_order_of_as_many_bins_as_beams_is_assumed(tmp_path: Path, stated: Any) -> None:
+    pings = []
+    for k, image in enumerate(polar_frames()):
+        fields = messages.projected_fields(k, np.ascontiguousarray(image[:BEAMS]))
+        pings.append(fields | {"ranges": fields["ranges"][:BEAMS]})
+    path = log_of(tmp_path / "log.mcap", pings)
+    sonar = Sonar(tilt_deg=20.0, beam_order=stated)
+    with open_log(path, sonar=sonar) as log:
+        list(log)
+        assert log.reading()["beam_order"] == "range-major"
+        told = [
+            f"{path}: assumed to be range-major, which cannot be found of as many range bins as "
+            f"beams ({BEAMS}); --beam-order states it"
+        ]
+        assert log.notes == ([] if stated else told)
+    (images,) = describe(path, sonar=sonar).images
+    assert images.origins["beam_order"] == ("flag" if stated else "assumed")
 
 
 def test_beam_order_of_a_shared_recording() -> None:
