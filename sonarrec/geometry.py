@@ -205,8 +205,11 @@ class PolarToFan:
         self.fan = fan = fan or own
         if fan.rows * fan.columns > MAX_FAN_PIXELS:
             raise SonarrecError(
-                f"a fan image of {fan.columns} x {fan.rows} pixels, one range bin each, is more "
-                f"than is made; range_min_m = {fan.range_min_m:g} and the bearings ask for it"
+                f"polar images of {range_bins} range bins from {fan.range_min_m:.6g} to "
+                f"{fan.range_max_m:.6g} m over {fan.bearing_max_deg - fan.bearing_min_deg:.4g} deg "
+                f"make a fan image of {fan.columns} x {fan.rows} pixels, one range bin each; it "
+                f"may have no more than {MAX_FAN_PIXELS}: crop the images or shrink them to fewer "
+                "range bins"
             )
         if max(range_bins, beams, fan.rows, fan.columns) > MAX_SIDE:
             raise SonarrecError(

@@ -180,6 +180,13 @@ def test_bearings_must_match_the_beams() -> None:
         PolarToFan(sonar.complete("test"), 10, 4)
 
 
+def test_a_fan_of_too_many_pixels_is_put_down_to_the_range_bins() -> None:
+    sonar = BASIN.updated(Sonar(field_of_view_deg=130.0, range_min_m=0.5, range_max_m=5.5))
+    told = r"of 3400 range bins from 0\.5 to 5\.5 m over 130 deg .* crop the images or shrink them"
+    with pytest.raises(SonarrecError, match=told):
+        PolarToFan(sonar.complete("test"), 3400, 64)
+
+
 def test_images_with_a_side_too_long_to_resample() -> None:
     """OpenCV's remap takes no more, neither of what it reads nor of what it makes."""
     narrow = BASIN.updated(Sonar(field_of_view_deg=0.05, range_min_m=0.5, range_max_m=300.0))

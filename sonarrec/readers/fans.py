@@ -137,7 +137,7 @@ class FanImages:
             geometry = self.sonar.complete(self._where)
             self._note_other_view(geometry)
             if polar:
-                self._to_fan = PolarToFan(geometry, *image.shape)
+                self._to_fan = self._resampler(geometry, image.shape)
                 self.fan = self._to_fan.fan
             else:
                 self.fan = fan_for_image(geometry, *image.shape)
@@ -209,7 +209,7 @@ class FanImages:
                     f"its window, {window.range_min_m:.6g} to {window.range_max_m:.6g} m in "
                     f"{shape[0]} bins, makes a fan of {window.columns} x {window.rows} pixels"
                 )
-            to_fan = PolarToFan(geometry, *shape, self.fan)
+            to_fan = self._resampler(geometry, shape, self.fan)
         except SonarrecError as error:
             if self.fan is None:  # what is stated does not fit the log
                 raise
@@ -231,6 +231,21 @@ class FanImages:
             line = f"{self._where}: stated against the {self._tells}: {', '.join(against)}"
             self.notes.append(line)
         return sonar, to_fan
+
+    def _resampler(
+        self, geometry: Geometry, shape: tuple[int, ...], fan: Fan | None = None
+    ) -> PolarToFan:
+        """What resamples polar images of this shape. fan: of the log, where it has one.
+
+        Raises SonarrecError as PolarToFan does, and names the log unless a ping of it is at fault.
+        """
+        bins, beams = shape
+        try:
+            return PolarToFan(geometry, bins, beams, fan)
+        except SonarrecError as error:
+            if fan is not None:
+                raise
+            raise SonarrecError(f"{self._where}: {error}") from None
 
 
 def _grey_of_integers(raw: RawFrame) -> np.ndarray | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -151,6 +152,22 @@ def test_a_topic_of_pings_and_images() -> None:
         with pytest.raises(UnusableError, match="does not tell its geometry"):
             make(RawFrame("image", 0, image))
         assert make(RawFrame("ping", 0, image, None, told))[0].any()
+
+
+def test_polar_images_that_cannot_be_drawn_are_named_by_their_log(tmp_path: Path) -> None:
+    folder = image_folder(tmp_path / "long", [np.zeros((6000, 8), np.uint8)])
+    sonar = Sonar(layout="polar", field_of_view_deg=130.0)
+    with (
+        open_log(folder, sonar=sonar) as log,
+        pytest.raises(SonarrecError, match=f"^{re.escape(str(folder))}: polar images of 6000 "),
+    ):
+        next(iter(log))
+    pings = log_of(tmp_path / "log.mcap", [messages.projected_fields(0, polar_frames()[0])])
+    with (
+        open_log(pings, sonar=Sonar(tilt_deg=20.0, bearings_deg=(-1.0, 1.0))) as log,
+        pytest.raises(SonarrecError, match=f"^{re.escape(str(pings))}: bearings_deg has 2 "),
+    ):
+        next(iter(log))
 
 
 def test_a_first_ping_with_a_window_too_far_to_draw(tmp_path: Path) -> None:
