@@ -29,22 +29,24 @@ def table(summary: Summary, folder: str) -> list[str]:
             lines.append("no landmark declared")
             continue
         dated = shown[0].start_ns >= YEAR_2000_NS
-        times = f"{'from UTC':<22}  {'to UTC':<11}" if dated else f"{'from s':>9} {'to s':>9}"
+        wide = max(len(_end(s)) for s in shown) if dated else None
+        times = f"{'from UTC':<22}  {'to UTC':<{wide}}" if wide else f"{'from s':>9} {'to s':>9}"
         lines.append(
             f"landmark  track  frames       {times}  declared  best score  range m  bearing deg"
         )
-        lines += [_row(s, dated) for s in shown]
+        lines += [_row(s, wide) for s in shown]
         if count > len(shown):
             where = f"{folder}/sightings.csv"
             lines.append(f"these are the longest; {count - len(shown)} more in {where}")
     return lines
 
 
-def _row(s: Sighting, dated: bool) -> str:
+def _row(s: Sighting, end_width: int | None) -> str:
+    """end_width: of the column of dated ends; None where times are none of the calendar."""
     track = "-" if s.track is None else s.track
     times = f"{s.start_ns / 1e9:>9.2f} {s.end_ns / 1e9:>9.2f}"
-    if dated:
-        times = f"{_utc(s.start_ns):<22}  {_utc(s.end_ns)[11:]:<11}"
+    if end_width is not None:
+        times = f"{_utc(s.start_ns):<22}  {_end(s):<{end_width}}"
     return (
         f"{s.landmark:>8}  {track:>5}  {f'{s.first_frame}-{s.last_frame}':<11}  {times}"
         f"  {s.frames_declared:>8}  {s.best_score:>10.3f}  {_number(s.range_m, 2):>7}"
@@ -60,6 +62,12 @@ def _utc(time_ns: int) -> str:
     """A time to the hundredth of a second."""
     seconds, rest = divmod(time_ns, 10**9)
     return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%d %H:%M:%S}.{rest // 10**7:02d}"
+
+
+def _end(s: Sighting) -> str:
+    """When a pass ended, with its date where that is not the start's."""
+    start, end = _utc(s.start_ns), _utc(s.end_ns)
+    return end[11:] if end[:10] == start[:10] else end
 
 
 def as_json(summary: Summary, folder: str, sightings: Path) -> dict[str, Any]:
