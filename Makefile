@@ -4,7 +4,7 @@ BIN := .venv/bin
 SAMPLE := sample_data/pan
 
 .PHONY: test lint demo bench memory fuzz paper paper-world paper-choices \
-	paper-prediction scenes returns worlds ablation taught study speeds maps model regression kills scale \
+	paper-prediction scenes returns worlds ablation taught study speeds pans maps model regression kills scale \
 	scoring clean
 
 .venv/program: pyproject.toml  # what a user needs
@@ -79,6 +79,9 @@ study: .venv/installed  # the paper's scene thirty times over: intervals and tes
 
 speeds: .venv/installed  # vehicles of several speeds: the motion measured, and the IDs
 	$(BIN)/python -m tests.studies.speeds
+
+pans: .venv/installed  # slow pans of a standing sonar, measured between its images
+	$(BIN)/python -m tests.studies.pans
 
 maps: .venv/installed  # maps of simulated vehicle runs, and what they do for the path
 	$(BIN)/python -m tests.studies.maps
