@@ -20,7 +20,7 @@ from sonarrec.results.folders import LockedError, part_of
 
 NAME = "logs.csv"
 WRITE_EVERY_S = 1.0
-_USABLE: tuple[Status, ...] = ("done", "partial")
+USABLE: tuple[Status, ...] = ("done", "partial")
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ class LogsTable:
         self._seconds: dict[str, float] = {}  # of the runs of earlier calls that ended
         with suppress(SonarrecError):
             before = read_logs(self._path)
-            self._seconds = {row.log: row.seconds for row in before if row.status in _USABLE}
+            self._seconds = {row.log: row.seconds for row in before if row.status in USABLE}
         self._others: set[str] = set()  # logs that another call has in hand, and may have done
         self._written = -math.inf
         self.fault: str | None = None  # why the file could not be written
@@ -112,9 +112,15 @@ class LogsTable:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             with _turn(self._path.parent):
                 before = read_logs(self._path) if is_filled(self._path) else []
-                rows = {row.log: row for row in before}
-                kept = {x for x in self._others & rows.keys() if rows[x].status in _USABLE}
-                rows |= {row.log: row for row in self._rows if row.log not in kept}
+                usable = {row.log for row in before if row.status in USABLE}
+                mine = {
+                    _key(row): row for row in self._rows if row.log not in self._others & usable
+                }
+                # A log may be refused beside the results of a namesake, which stand: both have a
+                # row, until one of them has results there.
+                ended = {row.log for row in mine.values() if row.status in USABLE}
+                others = (row for row in before if row.log not in ended or _key(row) in mine)
+                rows = {_key(row): row for row in others} | mine
                 text = io.StringIO()
                 writer = csv.writer(text, lineterminator="\n")
                 writer.writerow(COLUMNS)
@@ -130,12 +136,23 @@ class LogsTable:
 def again(tasks: Sequence[Task], out: Path) -> tuple[list[Task], int]:
     """Of tasks those that logs.csv has as failed or done in part, to be done anew.
 
-    With how many it has as waiting or running.
+    With how many it has as waiting or running. Results of a namesake are not replaced.
     """
-    status = {row.log: row.status for row in read_logs(out / NAME)}
-    found = [(status.get(t.name), t) for t in tasks]
-    ended = [replace(t, overwrite=True) for state, t in found if state in ("failed", "partial")]
-    return ended, sum(state in ("waiting", "running") for state, _ in found)
+    rows = read_logs(out / NAME)
+    of_path = {_key(row): row.status for row in rows}
+    of_name = {row.log: row.status for row in rows}  # of a path written otherwise today
+    ended, unended = [], 0
+    for task in tasks:
+        state = of_path.get((task.name, task.path), of_name.get(task.name))
+        if state in ("failed", "partial"):
+            mine = of_path.get((task.name, task.path)) == "partial"
+            ended.append(replace(task, overwrite=task.overwrite or mine))
+        unended += state in ("waiting", "running")
+    return ended, unended
+
+
+def _key(row: Row) -> tuple[str, str]:
+    return row.log, row.path
 
 
 @contextmanager

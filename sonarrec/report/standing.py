@@ -77,10 +77,12 @@ def _unfinished(where: dict[str, Path], place: Path | None) -> Iterator[tuple[st
             rows = logs_table.read_logs(place / logs_table.NAME)
         except SonarrecError:  # another program's
             rows = []
-    for row in rows:
-        if row.status == "failed":
-            yield row.log, f"failed: {row.message}"
-    told = {row.log for row in rows if row.status == "failed"}
+    stand = {row.log for row in rows if row.status in logs_table.USABLE}
+    # A namesake of a log whose results stand was refused: that says nothing of them.
+    failed = [row for row in rows if row.status == "failed" and row.log not in stand]
+    for row in failed:
+        yield row.log, f"failed: {row.message}"
+    told = {row.log for row in failed}
     for name, folder in where.items():
         run = read_run(folder / "run.toml")
         if name not in told and not run.finished:

@@ -372,3 +372,41 @@ def test_a_file_given_for_all_logs_is_told_once(
     assert told.startswith(f"sonarrec: {bad}{line}")
     assert told.count("\n") == 1
     assert not (tmp_path / "out").exists()
+
+
+def test_a_refused_namesake_leaves_the_row_of_results_that_stand(tmp_path: Path) -> None:
+    """The row became its own: the log that was done was told as failed, and done again."""
+    logs = made(tmp_path, "day1/dive", "day2/dive", "other", frames=2)
+    shutil.copy(SAMPLE / "000005.png", logs[1] / "000001.png")  # another log
+    out = tmp_path / "out"
+
+    def states() -> dict[str, str]:
+        return {row.path: row.status for row in read_logs(out / "logs.csv")}
+
+    sonarrec("run", logs[0], logs[2], "-o", out, "-q")
+    both = ["run", logs[1], logs[2], "-o", out]
+    assert "holds the results of another log" in sonarrec(*both, code=3).stderr
+    assert states() == {str(logs[0]): "done", str(logs[2]): "done", str(logs[1]): "failed"}
+    kept = tables(out / "dive")
+    assert "holds the results" in sonarrec(*both, "--retry-failed", code=1).stderr
+    assert tables(out / "dive") == kept, "replaced unasked"
+    first = ["run", logs[0], logs[2], "-o", out]
+    assert sonarrec(*first, "--retry-failed").stderr == "nothing to do\n"
+    sonarrec(*both, "--overwrite", "-q")
+    assert states() == {str(logs[2]): "done", str(logs[1]): "done"}
+
+
+def test_a_second_try_knows_a_log_by_a_path_written_otherwise(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    logs = made(tmp_path, "a", "b", frames=2)
+    (logs[0] / "sonar.toml").rename(tmp_path / "kept.toml")
+    out = tmp_path / "out"
+    sonarrec("run", *logs, "-o", out, "-q", code=3)
+    (tmp_path / "kept.toml").rename(logs[0] / "sonar.toml")
+    monkeypatch.chdir(tmp_path)
+    sonarrec("run", "a", "b", "-o", out, "-q", "--retry-failed")
+    assert [(row.path, row.status) for row in read_logs(out / "logs.csv")] == [
+        (str(logs[1]), "done"),
+        ("a", "done"),
+    ]

@@ -40,7 +40,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     damaged.write_text(run + 'problems = ["frame 3: cut"]\n', encoding="utf-8")
     (out / "logs.csv").write_text(
         "log,path,status,frames,unusable,seconds,declared,message\n"
-        "gone,dives/gone.mcap,failed,0,0,1.0,0,dives/gone.mcap: <b>no MCAP</b>\n",
+        "gone,dives/gone.mcap,failed,0,0,1.0,0,dives/gone.mcap: <b>no MCAP</b>\n"
+        "log0007,a/log0007,done,200,0,1.0,0,\n"
+        "log0007,b/log0007,failed,0,0,1.0,0,b/log0007: no sonar\n",
         encoding="utf-8",
     )
     return pairs
@@ -74,6 +76,7 @@ def test_it_opens_with_what_differs(page: Path) -> None:
     )
     reasons = dict(told)
     assert told[0] == ("gone", "failed: dives/gone.mcap: &lt;b&gt;no MCAP&lt;/b&gt;")
+    assert "failed" not in reasons.get("log0007", ""), "a namesake of what stands"
     assert reasons["log0044"] == "partial: the run was cut short"
     assert reasons["log0050"] == "partial: frame 3: cut"
     assert "most mistakes of framework" in reasons["log0031"]
