@@ -111,7 +111,7 @@ class LogsTable:
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             with _turn(self._path.parent):
-                before = read_logs(self._path) if is_filled(self._path) else []
+                before, added = _read(self._path) if is_filled(self._path) else ([], {})
                 usable = {row.log for row in before if row.status in USABLE}
                 mine = {
                     _key(row): row for row in self._rows if row.log not in self._others & usable
@@ -123,8 +123,9 @@ class LogsTable:
                 rows = {_key(row): row for row in others} | mine
                 text = io.StringIO()
                 writer = csv.writer(text, lineterminator="\n")
-                writer.writerow(COLUMNS)
-                writer.writerows(astuple(row) for row in rows.values())
+                writer.writerow([*COLUMNS, *added])
+                for key, row in rows.items():
+                    writer.writerow([*astuple(row), *(of.get(key, "") for of in added.values())])
                 with replaced(self._path) as new:
                     new.write_bytes(text.getvalue().encode(errors="surrogateescape"))
         except OSError as error:
@@ -176,20 +177,30 @@ def read_logs(path: Path) -> list[Row]:
 
     Raises SonarrecError where it is not such a table.
     """
+    return _read(path)[0]
+
+
+def _read(path: Path) -> tuple[list[Row], dict[str, dict[tuple[str, str], str]]]:
+    """As `read_logs`, with the columns that a user added: the cells of each by the row's key."""
     kinds = {"frames": int, "unusable": int, "seconds": float, "declared": int}
     rows = []
+    added: dict[str, dict[tuple[str, str], str]] = {}
     try:
         with path.open(encoding="utf-8-sig", errors="surrogateescape", newline="") as file:
             table = csv.DictReader(file)
-            if not set(COLUMNS) <= set(table.fieldnames or ()):
+            names = table.fieldnames or ()
+            if not set(COLUMNS) <= set(names):
                 raise KeyError
+            added = {name: {} for name in names if name not in COLUMNS}
             for cells in table:
                 given = {name: kinds.get(name, str)(cells[name]) for name in COLUMNS}
                 if given["status"] not in get_args(Status):
                     raise ValueError
                 rows.append(Row(**given))
+                for name, of in added.items():
+                    of[_key(rows[-1])] = cells[name] or ""
     except FileNotFoundError:
-        return []
+        return [], {}
     except OSError as error:
         raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
     except (KeyError, TypeError, ValueError, csv.Error):
@@ -197,4 +208,4 @@ def read_logs(path: Path) -> list[Row]:
         raise SonarrecError(
             f"{path} line {line}: not a row of {','.join(COLUMNS)}; move the file away"
         ) from None
-    return rows
+    return rows, added

@@ -410,3 +410,20 @@ def test_a_second_try_knows_a_log_by_a_path_written_otherwise(
         (str(logs[1]), "done"),
         ("a", "done"),
     ]
+
+
+def test_columns_that_a_user_added_to_logs_csv_stay(tmp_path: Path) -> None:
+    """They were dropped, those of other calls' rows as well."""
+    (log,) = made(tmp_path, "a", frames=1)
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "logs.csv").write_text(
+        f"diver,{','.join(COLUMNS)},note\n"
+        f'Ann,a,{log},failed,0,0,0.5,0,no sonar,"cold, dark"\n'
+        "Bo,b,b.mcap,done,3,0,0.5,0,,\n"
+    )
+    sonarrec("run", log, "-o", out, "-q")
+    header, first, second = (out / "logs.csv").read_text().splitlines()
+    assert header == f"{','.join(COLUMNS)},diver,note"
+    assert re.fullmatch(rf'a,{log},done,1,0,[0-9.]+,0,,Ann,"cold, dark"', first)
+    assert second == "b,b.mcap,done,3,0,0.5,0,,Bo,"
