@@ -17,11 +17,13 @@ import pandas as pd
 from sonarrec.files.parquet import PARQUET, read_parts
 from sonarrec.records import BoolArray, FloatArray, IntArray, SonarrecError
 
-Kind = Literal["whole", "number", "blank or number", "share", "flag", "text", "label"]
+Kind = Literal[
+    "whole", "number", "blank or number", "share", "flag", "text", "blank or text", "label"
+]
 Table = dict[str, Any]
 """Column name to (rows,) array.
 
-int64, float64, float64 with NaN (two kinds), bool, str categories; of a label,
+int64, float64, float64 with NaN (two kinds), bool, str categories (two kinds); of a label,
 which may be any text, whole numbers as they are, else an int64 number per distinct one, -1 where
 blank."""
 
@@ -41,6 +43,7 @@ _OPTIONS: dict[str, Any] = {
     "na_values": ["", "nan"],
     "low_memory": False,
 }
+_TEXTS: tuple[Kind, ...] = ("text", "blank or text")
 _WORDS = {
     "whole": "a whole number",
     "number": "a finite number",
@@ -100,7 +103,7 @@ def read_tables(
             f"{','.join(header)}; expected a header such as {expected}"
         )
     used = {name: header[name] for name in kinds if name in header}
-    text = {c: "category" for n, c in used.items() if kinds[n] == "text"}
+    text = {c: "category" for n, c in used.items() if kinds[n] in _TEXTS}
     parts: Iterator[Any]
     if in_parquet:
         parts = (part.astype(dict.fromkeys(text, "category")) for part in parquet)
@@ -179,7 +182,7 @@ def _table(
     types = {"whole": np.int64, "flag": np.bool_, "label": np.int64}
     table = {
         name: array[:end]
-        if kinds[name] == "text"
+        if kinds[name] in _TEXTS
         else np.asarray(array[:end], dtype=types.get(kinds[name], np.float64))
         for name, (array, _) in values.items()
     }
@@ -256,6 +259,8 @@ def _values(column: Any, kind: Kind, labels: dict[Any, int]) -> tuple[Any, BoolA
     blank = column.isna().to_numpy()
     if kind == "text":
         return column.array, blank
+    if kind == "blank or text":
+        return column.array, np.zeros(len(column), dtype=bool)
     if kind == "label":
         return _numbered(column, blank, labels), np.zeros(len(column), dtype=bool)
     if column.dtype.kind == "b" and kind == "flag":

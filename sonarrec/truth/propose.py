@@ -15,9 +15,8 @@ from sonarrec.results.folders import estimates_of
 from sonarrec.results.read import LogResults, find_logs, not_whole, read_log
 from sonarrec.results.sightings import check_follows
 from sonarrec.truth.in_view import share_in_image
-from sonarrec.truth.table import write_truth
+from sonarrec.truth.table import FILLED_IN, TRACKED, write_truth
 
-FILLED_IN = "interpolated"
 HEADER = ("frame", "landmark", "x_px", "y_px", "visible", "track", "source")
 LEAST_DECLARED = 5
 """Frames in which a track must have declared its ID."""
@@ -178,7 +177,7 @@ def _rows(
     visible = share_in_image(fan, range_m, bearing_deg, log.landmarks.radius_m)
     floor, turn = ground_range(fan, range_m), np.radians(bearing_deg)
     place = np.column_stack([floor * np.sin(turn), floor * np.cos(turn)])
-    source = np.where(np.isin(at, track.frame_index), "tracked", FILLED_IN)
+    source = np.where(np.isin(at, track.frame_index), TRACKED, FILLED_IN)
     rows: list[tuple[object, ...]] = []
     for n, frame in enumerate(log.frame[at].tolist()):
         others = taken.setdefault((frame, track.landmark), [])

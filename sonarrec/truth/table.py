@@ -20,9 +20,11 @@ from sonarrec.files.tables import (
     read_header,
     read_table,
 )
-from sonarrec.records import FloatArray, IntArray, SonarrecError
+from sonarrec.records import BoolArray, FloatArray, IntArray, SonarrecError
 
 HEADER = "frame,landmark,x_px,y_px,visible"
+TRACKED, FILLED_IN = "tracked", "interpolated"
+"""In the column `source` of a proposal: what its rows are."""
 _PIXELS = "x_px,y_px (pixels of the fan image)"
 _POLAR = "range_m,bearing_deg (slant range in m; deg, positive to the right)"
 _LOOK_ALIKE = {
@@ -62,6 +64,8 @@ class TruthTable:
     """(R,) column and row beside a position by range and bearing, NaN where blank; None without."""
     orientation: FloatArray | None
     """(R,) deg, NaN where blank; None without the column."""
+    proposed: BoolArray
+    """(R,) whether `source` says that `truth propose` wrote the row."""
     not_read: tuple[str, ...]
     """Columns that look like positions, beside those that are read."""
 
@@ -108,6 +112,7 @@ def read_rows(path: Path) -> TruthTable:
         "visible": "blank or number",
         "orientation_deg": "blank or number",
         "log": "text",
+        "source": "blank or text",
     }
     table = read_table(path, kinds | POSITION_KINDS, ("landmark",), HEADER)
     key = "frame" if "frame" in table else "timestamp_ns"
@@ -140,6 +145,11 @@ def read_rows(path: Path) -> TruthTable:
             else None
         ),
         orientation=table.get("orientation_deg"),
+        proposed=(
+            np.asarray(table["source"].isin((TRACKED, FILLED_IN)))
+            if "source" in table
+            else np.zeros(len(table["landmark"]), dtype=bool)
+        ),
         not_read=tuple(name for names in alike.values() for name in names),
     )
 

@@ -258,3 +258,18 @@ def test_proposal_of_the_sample_comes_near_its_truth(tmp_path: Path) -> None:
         ],
     )
     assert checked.exit_code == 0, checked.output
+
+
+def test_scoring_counts_the_rows_that_nobody_has_checked(tmp_path: Path) -> None:
+    """Of results against a proposal made from them: every rate is 1, and nothing was said."""
+    folder, gt = results(tmp_path / "log", track(1, range(20))), tmp_path / "proposed.csv"
+    proposed(folder)
+    call = ["evaluate", str(folder), "--ground-truth", str(gt)]
+    told = CliRunner().invoke(main, call).stdout
+    assert "20 of 20 rows for log are as `truth propose` wrote them" in told
+    lines = gt.read_text().splitlines()
+    lines[1:16] = [line.replace(",tracked", ",") for line in lines[1:16]]
+    gt.write_text("\n".join(lines) + "\n")
+    assert "by `source`, 5 of 20 rows" in CliRunner().invoke(main, call).stdout
+    gt.write_text(gt.read_text().replace(",tracked", ",diver"))
+    assert "truth propose" not in CliRunner().invoke(main, call).stdout

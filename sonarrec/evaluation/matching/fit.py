@@ -99,6 +99,14 @@ def _notes(case: Matched) -> list[str]:
     notes = []
     if table.not_read:
         notes.append(f"{table.path}: columns {', '.join(table.not_read)} are not read")
+    rows = table.rows_of(log.name)
+    proposed = np.count_nonzero(table.proposed[rows])
+    if proposed:
+        notes.append(
+            f"{table.path}: by `source`, {proposed} of {len(rows)} rows for {log.name} are as "
+            "`truth propose` wrote them; they say nothing about the results they came from. Empty "
+            "`source` in the rows that a person has checked"
+        )
     outside = int(np.count_nonzero(outside_image(case.log, case.truth)))
     if outside:
         notes.append(
@@ -106,7 +114,7 @@ def _notes(case: Matched) -> list[str]:
             f"image of {log.name}; `sonarrec truth check` names them"
         )
     if log.fan is not None and table.pixels is not None:
-        apart = pixels_apart(table, table.rows_of(log.name), log.fan) > SLACK_PX
+        apart = pixels_apart(table, rows, log.fan) > SLACK_PX
         if apart.any():
             notes.append(
                 f"{table.path}: {np.count_nonzero(apart)} rows for {log.name} have x_px,y_px "
