@@ -169,6 +169,12 @@ def _frame_numbers(
         frames = {name: number - first for name, number in frames.items()}
     elif first_frame is not None:
         raise UsageError(f"--first-frame has no meaning here: {rule}")
+    for image, times in Counter(found.images).items():
+        if times > 1 and image in frames:
+            raise SonarrecError(
+                f"{source}: {times} images are called {image!r} and would all be frame "
+                f"{frames[image]}; give annotations of one log only"
+            )
     seen: dict[int, int | str] = {}
     for name, frame in frames.items():
         if frame < 0:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -499,6 +500,29 @@ def test_two_images_of_one_number_are_a_fault(tmp_path: Path) -> None:
     annotations = [BBOX | {"image_id": 7}]
     source = coco(tmp_path, annotations, ["left/1.png", "right/1.png"])
     assert "would both be frame 1" in failure(source)
+
+
+@pytest.mark.parametrize("form", ["coco", "cvat", "labelme"])
+def test_two_images_of_one_name_are_a_fault(form: str, tmp_path: Path) -> None:
+    """Their shapes went into one frame, unsaid."""
+    if form == "coco":
+        two = [BBOX | {"image_id": 7}, BBOX | {"image_id": 8, "bbox": [4, 0, 1, 1]}]
+        source = coco(tmp_path, two, ["34.png", "34.png"])
+    elif form == "cvat":
+        image = '<image id="{}" name="34.png" width="9" height="8">{}</image>'
+        shape = '<box label="1" occluded="0" xtl="1" ytl="1" xbr="2" ybr="2"/>'
+        body = image.format(0, shape) + image.format(1, "")
+        source = cvat(tmp_path, body, mode="annotation")
+    else:
+        source = tmp_path / "labels"
+        source.mkdir()
+        for log in "ab":
+            shape = [{"label": "1", "points": [[9, 9]], "shape_type": "point"}]
+            labelme(source / f"{log}.json", shape, f"..\\log{log}\\34.png")
+    assert re.search("would (both|all) be frame 34", failure(source))
+    if form == "labelme":  # two files of one image
+        labelme(source / "b.json", shape, "..\\loga\\34.png")
+        assert [row[0] for row in converted(tmp_path, source)] == [34]
 
 
 def test_images_of_another_log_are_not_taken_by_their_numbers(tmp_path: Path) -> None:

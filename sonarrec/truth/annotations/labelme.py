@@ -28,13 +28,15 @@ def matches(path: Path, text: str) -> bool:
 
 def read(path: Path) -> Annotations:
     """Read a folder of LabelMe files, or one. Raises SonarrecError on anything not understood."""
-    found = Annotations()
+    found, seen = Annotations(), set[str]()
     for file in sorted(path.glob("*.json")) if path.is_dir() else [path]:
         document = read_json(file)
         try:
-            # The image is named as the annotator's system names files.
-            name = str(document["imagePath"]).replace("\\", "/").rpartition("/")[2]
-            found.images.append(name)
+            # With its folder: images of two logs may share a name. Two files may be of one image.
+            name = str(document["imagePath"])
+            if name not in seen:
+                found.images.append(name)
+                seen.add(name)
             if document.get("imageWidth") and document.get("imageHeight"):
                 size = whole(document["imageWidth"]), whole(document["imageHeight"])
                 found.sizes[name] = size
