@@ -16,7 +16,8 @@ def share_in_image(
 ) -> FloatArray:
     """(N,) share, 0 to 1, of floor discs that the fan image shows.
 
-    range_m: (N,) slant range of the centres; nearer than the floor it counts as straight below.
+    range_m: (N,) slant range of the centres; nearer than the floor it counts as straight below,
+    but 0 or less, which is nowhere, as not shown.
     bearing_deg: (N,) positive to the right. radius_m: of every disc.
     """
     # Points spread evenly over the disc: a sunflower's seeds.
@@ -33,4 +34,5 @@ def share_in_image(
         along = ground * np.cos(bearing) + ahead
         slant = np.sqrt(across**2 + along**2 + floor_depth(fan) ** 2)
         share[batch] = in_image(fan, slant, np.degrees(np.arctan2(across, along))).mean(axis=1)
+    share[range_m <= 0] = 0  # squared, a negative one would be as good as its opposite
     return share

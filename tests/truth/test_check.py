@@ -143,6 +143,14 @@ def test_truth_of_other_logs_alone_is_a_failure_and_an_empty_one_is_sound(
 HEADER = "frame,landmark,range_m,bearing_deg,visible"
 
 
+def test_a_range_of_nothing_or_less_is_outside(tmp_path: Path, log: Path) -> None:
+    """Squared, -2 m was in the middle of the image."""
+    rows = ["0,1,-2.0,0,1", "1,1,-2.0,0,1", "5,1,0,0,1"]
+    found = [f for f in faults(truth(tmp_path, rows, HEADER), log) if f.kind == "outside"]
+    assert [fault.line for fault in found] == [2, 3, 4]
+    assert "range -2.00 m" in found[0].text
+
+
 @pytest.mark.parametrize(
     ("rows", "expected"),
     [
