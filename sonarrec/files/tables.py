@@ -18,21 +18,31 @@ from sonarrec.files.parquet import PARQUET, read_parts
 from sonarrec.records import BoolArray, FloatArray, IntArray, SonarrecError
 
 Kind = Literal[
-    "whole", "number", "blank or number", "share", "flag", "text", "blank or text", "label"
+    "whole",
+    "number",
+    "blank or number",
+    "blank or place",
+    "share",
+    "flag",
+    "text",
+    "blank or text",
+    "label",
 ]
 Table = dict[str, Any]
 """Column name to (rows,) array.
 
-int64, float64, float64 with NaN (two kinds), bool, str categories (two kinds); of a label,
+int64, float64, float64 with NaN (three kinds), bool, str categories (two kinds); of a label,
 which may be any text, whole numbers as they are, else an int64 number per distinct one, -1 where
 blank."""
 
 POSITION_KINDS: dict[str, Kind] = {
-    "x_px": "blank or number",
-    "y_px": "blank or number",
-    "range_m": "blank or number",
-    "bearing_deg": "blank or number",
+    "x_px": "blank or place",
+    "y_px": "blank or place",
+    "range_m": "blank or place",
+    "bearing_deg": "blank or place",
 }
+LARGEST = 10**9
+"""Places in pixels, m or deg beyond it are no image's and no sonar's, and their squares no use."""
 MOST_COLUMNS = 1_000
 LONGEST_LINE = 64_000
 _OPTIONS: dict[str, Any] = {
@@ -48,6 +58,7 @@ _WORDS = {
     "whole": "a whole number",
     "number": "a finite number",
     "blank or number": "a finite number",
+    "blank or place": "a finite number",
     "share": "0 to 1",
     "flag": "0 or 1",
     "text": "a name",
@@ -172,11 +183,14 @@ def _table(
         if row is not None and (end is None or row < end):
             cell = columns[name].iloc[row]
             found = "an empty cell or nan" if pd.isna(cell) else repr(str(cell)[:40])
-            wide = kinds[name] == "whole" and np.abs(array[row]) >= 2.0**63
+            size, wide = np.abs(array[row]), ""
+            if kinds[name] == "whole" and size >= 2.0**63:
+                wide = " below 2^63"
+            elif kinds[name] == "blank or place" and np.isfinite(size):
+                wide = " from -1e9 to 1e9"
             line = line_number(path, first + row)
             fault = SonarrecError(
-                f"{path} line {line}: {name} must be {_WORDS[kinds[name]]}"
-                f"{' below 2^63' if wide else ''}, not {found}"
+                f"{path} line {line}: {name} must be {_WORDS[kinds[name]]}{wide}, not {found}"
             )
             end = row
     types = {"whole": np.int64, "flag": np.bool_, "label": np.int64}
@@ -273,8 +287,10 @@ def _values(column: Any, kind: Kind, labels: dict[Any, int]) -> tuple[Any, BoolA
         except OverflowError:  # of hundreds of digits
             values = pd.to_numeric(column.astype(str), errors="coerce").to_numpy(dtype=float)
     bad = ~np.isfinite(values)
-    if kind in ("blank or number", "share"):
+    if kind in ("blank or number", "blank or place", "share"):
         bad &= ~blank
+        if kind == "blank or place":
+            bad |= np.abs(values) > LARGEST
         if kind == "share":
             bad |= (values < 0) | (values > 1)
     elif kind == "whole" and values.dtype.kind == "f":

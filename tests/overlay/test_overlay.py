@@ -375,6 +375,7 @@ def test_choice_of_method(tmp_path: Path) -> None:
         ("1.5,m,1,1,1,0.5,0", "line 3: frame must be a whole number"),
         ("0,m,nan,1,1,0.5,0", "line 3: no place"),
         ("0,m,,1,1,0.5,0", "line 3: no place"),
+        ("0,m,1e300,1,1,0.5,0", "line 3: .*_.* must be a finite number from -1e9 to 1e9"),
         ("0,m,1,1,1,high,0", "line 3: score must be a finite number"),
         ("0,m,1,1,1,0.5,yes", "line 3: declared must be 0 or 1"),
         ("0,m", "line 3: landmark must be a whole number, not an empty cell"),

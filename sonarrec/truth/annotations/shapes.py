@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from sonarrec.files.tables import LARGEST
 from sonarrec.records import SonarrecError
 
 PARTLY_HIDDEN = 0.5
@@ -19,9 +20,6 @@ PARTLY_HIDDEN = 0.5
 
 HALF_A_PIXEL = 0.5
 """Drawing tools put (0, 0) at the image's corner, we at the centre of its first pixel."""
-
-LARGEST = 10**9
-"""Coordinates, sizes and numbers beyond it are no image's and no log's."""
 
 MOST_DIGITS = 400
 """Of a number; Python itself refuses to read or write thousands of them."""
