@@ -200,8 +200,7 @@ def _named_at(log: str | Path | RemoteLog) -> tuple[str, Path]:
         with suppress(OSError):  # the current folder is gone
             place = place.absolute()
         return name, place
-    one = source.path if source.path.exists() else source.files[0].parent
-    return source.name, one.resolve()
+    return source.name, source.place.resolve()
 
 
 def process(

@@ -111,10 +111,14 @@ class Source:
     reader: Reader
     up_to: Path | None = None
 
+    @property
+    def place(self) -> Path:
+        """Its file or folder; of a glob of images their folder."""
+        return self.path if self.path.exists() else self.files[0].parent
+
     def beside(self, name: str) -> Path | None:
         """The file that belongs to the log, such as its sonar.toml; None without one."""
-        at = self.path if self.path.exists() else self.files[0].parent  # a glob of images
-        return companion(at, name, self.up_to)
+        return companion(self.place, name, self.up_to)
 
     def check_topic(self, topic: str | None, where: str | Path) -> None:
         """Raises UsageError, which names the log as given, where none can be chosen."""

@@ -63,6 +63,11 @@ def folder_names(logs: Sequence[tuple[str, Path]]) -> list[str]:
                 )
 
 
+def possible_names(name: str, place: Path) -> list[str]:
+    """Every name that `folder_names` may give to a log, by which others it is run with."""
+    return [_named(name, place, depth) for depth in range(len(place.parents))]
+
+
 def _named(name: str, place: Path, depth: int) -> str:
     folders = place.parent.parts[1:]  # without the root
     return "-".join([*folders[len(folders) - min(depth, len(folders)) :], name])

@@ -10,8 +10,10 @@ import numpy as np
 from sonarrec.files.tables import line_numbers
 from sonarrec.geometry import ground_range, pixel_from_polar, polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
+from sonarrec.readers.find import find_log
 from sonarrec.readers.log import Log
 from sonarrec.records import Fan, FloatArray, IntArray, SonarrecError
+from sonarrec.results.folders import possible_names
 from sonarrec.truth.in_view import share_in_image
 from sonarrec.truth.match import SLACK_PX, match_times, pixels_apart
 from sonarrec.truth.table import TruthTable, read_rows, repeated_rows
@@ -82,7 +84,9 @@ def check_truth(
     Raises SonarrecError where either cannot be read at all.
     """
     table = read_rows(path)
-    row = table.rows_of(log.name)
+    # As its results are named, which is by more than its own name beside a namesake.
+    names = possible_names(log.name, find_log(log.path).place.resolve())
+    row = next(filter(len, map(table.rows_of, names)), table.rows_of(log.name))
     if len(table.at) and not len(row):
         named = ", ".join(sorted({str(name) for name in table.log}))
         raise SonarrecError(f"{path}: its log column does not name {log.name}; it has {named}")

@@ -126,6 +126,17 @@ def test_other_logs_rows_are_not_looked_at(tmp_path: Path, log: Path) -> None:
     assert "1 rows of other logs" in run(path, log, "--sheet", tmp_path / "s.png").stdout
 
 
+def test_a_log_is_known_by_its_folders_and_its_name(tmp_path: Path, log: Path) -> None:
+    """As results are called whose logs share a name; it was told that no row names it."""
+    two = [f"{tmp_path.name}-pings", f"{tmp_path.parent.name}-{tmp_path.name}-pings"]
+    header = "log,frame,landmark,range_m,bearing_deg"
+    for name in two:
+        found = checked(truth(tmp_path, [f"{name},0,9,2,0", "b-pings,0,1,2,0"], header), log)
+        assert ([fault.line for fault in found.faults], found.others) == ([2], 1)
+    glob = checked(truth(tmp_path, [f"{two[0]},0,9,2,0"], header), log / "*.png")
+    assert [fault.line for fault in glob.faults] == [2]
+
+
 def test_truth_of_other_logs_alone_is_a_failure_and_an_empty_one_is_sound(
     tmp_path: Path, log: Path
 ) -> None:
