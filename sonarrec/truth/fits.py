@@ -21,10 +21,15 @@ def misfit(table: TruthTable, log: ReadLog, truth: Truth) -> str | None:
     """
     if truth.rows and not len(truth.frame_index):
         at = table.at[table.rows_of(log.name)]
+        rows = f"{truth.rows} rows ({table.key} {at.min()} to {at.max()})"
+        near, of_frames = "on", log.frame
+        if truth.tolerance_ns is not None:
+            assert log.timestamp_ns is not None
+            near, of_frames = f"within {truth.tolerance_ns / 1e9:.4g} s of", log.timestamp_ns
         return (
-            f"{table.path}: none of its {truth.rows} rows ({table.key} {at.min()} to {at.max()}) "
-            f"lies on a processed frame of {log.name} ({len(log.frame)} frames, {log.frame[0]} to "
-            f"{log.frame[-1]}); is this the truth of another log?"
+            f"{table.path}: none of its {rows} lies {near} a processed frame of {log.name} "
+            f"({len(log.frame)} frames, {of_frames.min()} to {of_frames.max()}); is this the truth "
+            "of another log?"
         )
     outside = outside_image(log, truth)
     if len(outside) and outside.all():

@@ -34,6 +34,8 @@ class Truth:
     """Rows of them on frames that were not processed."""
     between: int
     """Rows of them, matched by time, for which a nearer stamp has the frame."""
+    tolerance_ns: float | None
+    """Longest time from a row to its frame; None where rows name frames by number."""
 
     def pixels(self, fan: Fan) -> FloatArray | None:
         """(T, 2) column and row in the fan image; None where positions are not known."""
@@ -93,6 +95,7 @@ def match_truth(table: TruthTable, log: ReadLog, tolerance_s: float | None = Non
             f"{log.name}; name the right set with --landmarks"
         )
     at = table.at[mine]
+    tolerance_ns = None
     if table.key == "frame":
         row = np.minimum(np.searchsorted(log.frame, at), len(log.frame) - 1)
         matched = log.frame[row] == at
@@ -103,6 +106,7 @@ def match_truth(table: TruthTable, log: ReadLog, tolerance_s: float | None = Non
                 f"{table.path} names frames by timestamp_ns, but the frames.csv of {log.name} has "
                 "no such column; add it, or give the truth by frame"
             )
+        tolerance_ns = _tolerance_ns(log.timestamp_ns, tolerance_s)
         row, matched, kept = match_times(log.timestamp_ns, at, tolerance_s)
     position = None
     if table.position is not None:
@@ -117,7 +121,17 @@ def match_truth(table: TruthTable, log: ReadLog, tolerance_s: float | None = Non
         rows=len(at),
         unprocessed=int(np.count_nonzero(~matched)),
         between=int(np.count_nonzero(matched & ~kept)),
+        tolerance_ns=tolerance_ns,
     )
+
+
+def _tolerance_ns(timestamp_ns: IntArray, tolerance_s: float | None) -> float:
+    """As stated, else half the median time between frames, whose times are (F,), in any order."""
+    if tolerance_s is not None:
+        return tolerance_s * 1e9
+    if len(timestamp_ns) < 2:
+        return 0.0
+    return float(np.median(np.diff(np.sort(timestamp_ns)))) / 2
 
 
 def match_times(
@@ -130,17 +144,13 @@ def match_times(
     """
     order = np.argsort(timestamp_ns, kind="stable")
     times = timestamp_ns[order]
-    if tolerance_s is not None:
-        tolerance = tolerance_s * 1e9
-    else:
-        tolerance = float(np.median(np.diff(times))) / 2 if len(times) > 1 else 0.0
     after = np.clip(np.searchsorted(times, at), 1, max(len(times) - 1, 1))
     if len(times) == 1:
         near = np.zeros(len(at), dtype=np.int64)
     else:
         near = np.where(times[after] - at < at - times[after - 1], after, after - 1)
     away = np.abs(times[near] - at)
-    matched = away <= tolerance
+    matched = away <= _tolerance_ns(timestamp_ns, tolerance_s)
     # Per frame the stamp that is nearest, the earlier of two equally near; all its rows stay.
     best = np.lexsort((at, away, near))
     firsts = best[np.unique(near[best], return_index=True)[1]] if len(at) else best

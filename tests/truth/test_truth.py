@@ -212,7 +212,11 @@ def test_frame_numbers_go_before_times(case: Path) -> None:
         ("frame,landmark,x_px,y_px\n0,1,5,6\n1,1,5,6\n0,1,5,6\n", "line 4: repeats line 2"),
         ("frame,landmark\n0,7\n", "landmark 7 is not in the set 'basin' (1, 2, 3, 4)"),
         ("frame,landmark\n500,1\n501,1\n", "none of its 2 rows (frame 500 to 501)"),
-        ("timestamp_ns,landmark\n5,1\n", "none of its 1 rows (timestamp_ns 5 to 5)"),
+        (
+            "timestamp_ns,landmark\n5,1\n",
+            "none of its 1 rows (timestamp_ns 5 to 5) lies within 0.1875 s of a processed frame of "
+            "out (3 frames, 1000000000 to 1750000000); is this",
+        ),
         ("log,frame,landmark\nother,0,1\n", "its log column names none of out"),
     ],
 )
