@@ -6,12 +6,12 @@ import csv
 import io
 import math
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import astuple, dataclass, fields, replace
 from pathlib import Path
 from time import monotonic
-from typing import get_args
+from typing import Any, get_args
 
 from sonarrec.batch.task import Outcome, Status, Task
 from sonarrec.files.outputs import is_filled, replaced
@@ -180,9 +180,20 @@ def read_logs(path: Path) -> list[Row]:
     return _read(path)[0]
 
 
+def _seconds(cell: str) -> float:
+    """0, not known, where it is no time that a run can take."""
+    seconds = float(cell)
+    return seconds if 0 < seconds < math.inf else 0.0
+
+
 def _read(path: Path) -> tuple[list[Row], dict[str, dict[tuple[str, str], str]]]:
     """As `read_logs`, with the columns that a user added: the cells of each by the row's key."""
-    kinds = {"frames": int, "unusable": int, "seconds": float, "declared": int}
+    kinds: dict[str, Callable[[str], Any]] = {
+        "frames": int,
+        "unusable": int,
+        "seconds": _seconds,
+        "declared": int,
+    }
     rows = []
     added: dict[str, dict[tuple[str, str], str]] = {}
     try:

@@ -427,3 +427,18 @@ def test_columns_that_a_user_added_to_logs_csv_stay(tmp_path: Path) -> None:
     assert header == f"{','.join(COLUMNS)},diver,note"
     assert re.fullmatch(rf'a,{log},done,1,0,[0-9.]+,0,,Ann,"cold, dark"', first)
     assert second == "b,b.mcap,done,3,0,0.5,0,,Bo,"
+
+
+@pytest.mark.parametrize("seconds", ["nan", "inf", "-4"])
+def test_a_rate_is_of_the_rows_that_tell_a_time(seconds: str, tmp_path: Path) -> None:
+    """It was nan, 0 or below 0 frames a second; in JSON NaN, which is none."""
+    header = ",".join(COLUMNS)
+    (tmp_path / "logs.csv").write_text(
+        f"{header}\na,a,done,100,0,{seconds},0,\nb,b,done,100,0,2.0,0,\n"
+    )
+    assert "; 50 frames/s" in sonarrec("status", tmp_path).stdout
+    document = json.loads(sonarrec("status", tmp_path, "--json").stdout)
+    assert document["frames_per_second"] == 50
+    assert document["logs"][0]["seconds"] == 0
+    (tmp_path / "logs.csv").write_text(f"{header}\na,a,done,100,0,{seconds},0,\n")
+    assert "frames/s" not in sonarrec("status", tmp_path).stdout
