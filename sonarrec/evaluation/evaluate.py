@@ -15,9 +15,9 @@ from sonarrec.evaluation.matching.fit import Matched, fit, left_out, of_other_lo
 from sonarrec.evaluation.matching.joined import Joined, join
 from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import Elsewhere, Pair, found_beside, found_where
-from sonarrec.evaluation.matching.same import counted_once
 from sonarrec.evaluation.survey import Reading, Surveyed, each, survey
 from sonarrec.records import IntArray, SonarrecError, printable
+from sonarrec.results.counted_once import counted_once
 from sonarrec.results.read import find_logs, read_frames
 from sonarrec.sonar import Sonar
 from sonarrec.truth.table import TruthTable, read_truth
@@ -207,7 +207,8 @@ def _gathered(given: _Given, surveyed: Iterable[Surveyed], some: bool = False) -
     def frames(i: int) -> IntArray:
         return np.asarray(read_frames(logs[i].folder)["frame"])
 
-    once = counted_once([log.folder for log in logs], [log.recording for log in logs], frames)
+    folders, recordings = [log.folder for log in logs], [log.recording for log in logs]
+    once = counted_once(folders, recordings, frames, "scored")
     kept = [logs[i] for i in once.kept]
     table = given.table
     if table is not None and table.log is None and len(kept) > 1:

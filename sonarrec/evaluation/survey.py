@@ -19,8 +19,8 @@ from sonarrec.evaluation.matching.fit import Checked, Matched, checked, matched
 from sonarrec.evaluation.matching.joined import join
 from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import one_log
-from sonarrec.evaluation.matching.same import Recording, recording
 from sonarrec.records import SonarrecError
+from sonarrec.results.counted_once import Recording, recording
 from sonarrec.results.folders import estimates_of
 from sonarrec.results.read import read_log
 from sonarrec.truth.table import TruthTable, read_truth
@@ -91,7 +91,7 @@ def survey(reading: Reading, *, whole: bool = False) -> Surveyed:
         name=log.name,
         ids=log.landmarks.ids,
         methods=log.methods,
-        recording=recording(reading.folder, log),
+        recording=recording(reading.folder, log.run, len(log.frame_index)),
         between=0 if case is None else case.truth.between,
         checked=found,
         error=error,

@@ -16,6 +16,7 @@ from sonarrec.mapping.path import Drift, SonarPath, told_path
 from sonarrec.mapping.poses_of_run import poses_of_run
 from sonarrec.poses import PoseTable
 from sonarrec.records import Fan, SonarrecError, UsageError
+from sonarrec.results.counted_once import Recording, counted_once, recording
 from sonarrec.results.folders import estimates_of
 from sonarrec.results.read import find_logs
 from sonarrec.results.run_file import RunFile, cut_short, read_run
@@ -44,9 +45,9 @@ class SiteMap:
     """Where the landmarks of a site lie, in the poses' frame or that of the first frame.
 
     x is to the right and y ahead of a sonar whose yaw is 0. left_out: landmarks of too few frames.
-    logs: those that could be used. problems: a line for each that could not be, and for what of the
-    others could not. notes: what a reader should know. ros_axes: the poses' own axes are x ahead
-    and y to the left.
+    logs: those that could be used, each recording once. problems: a line for each that could not
+    be, and for what of the others could not. notes: what a reader should know. ros_axes: the poses'
+    own axes are x ahead and y to the left.
     """
 
     landmark_set: LandmarkSet
@@ -56,6 +57,17 @@ class SiteMap:
     problems: list[str]
     notes: list[str]
     ros_axes: bool
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """One log that can be mapped, and what is said of it if it is: as of a SiteMap."""
+
+    folder: Path
+    recording: Recording
+    log: MappedLog
+    notes: list[str]
+    problems: list[str]
 
 
 def make_map(
@@ -73,13 +85,13 @@ def make_map(
     results: folders of single logs, or such that hold some. odometry: tables of poses, see
     `poses_of_run`. drift: of told poses; default, they are exact. method: of estimates.csv,
     default `framework` or the only one. landmarks, sonar: in place of what run.toml says.
-    least_frames: with a declaration, over all passes; what has fewer is left out. Raises
-    SonarrecError where none of the logs can be used, or they have no frame in common.
+    least_frames: with a declaration, over all passes; what has fewer is left out. Of several
+    results of one recording the first counts. Raises SonarrecError where none of the logs can be
+    used, or they have no frame in common.
     """
     folders = list(dict.fromkeys(log for one in results for log in find_logs(one)))
-    logs: list[MappedLog] = []
+    there: list[_Found] = []
     problems: list[str] = []
-    notes: list[str] = []
     landmark_set: LandmarkSet | None = None
     for folder in folders:
         try:
@@ -93,17 +105,27 @@ def make_map(
             poses = poses_of_run(folder, run, odometry)
             path, said = _path(folder, poses, drift or Drift())
             ros = poses is not None and "topic" in poses.source
-            logs.append(_mapped(folder, run, path, ros, own, method, sonar))
-            notes += said
-            if not run.finished:
-                problems.append(cut_short(str(folder), len(path.frame), "used"))
-            problems += _left_out(folder, logs[-1])
+            log = _mapped(folder, run, path, ros, own, method, sonar)
+            lost = [] if run.finished else [cut_short(str(folder), len(path.frame), "used")]
+            lost += _left_out(folder, log)
+            of = recording(folder, run, len(log.seen.row))
+            there.append(_Found(folder, of, log, said, lost))
         except SonarrecError as error:
             if len(folders) == 1:
                 raise
             problems.append(str(error))
-    if landmark_set is None or not logs:
+    if landmark_set is None or not there:
         raise SonarrecError("\n".join(["no log can be mapped", *problems]))
+    once = counted_once(
+        [one.folder for one in there],
+        [one.recording for one in there],
+        lambda i: there[i].log.path.frame,
+        "used",
+    )
+    counted = [there[i] for i in once.kept]
+    logs = [one.log for one in counted]
+    problems += [line for one in counted for line in one.problems] + once.unused
+    notes = [line for one in counted for line in one.notes] + once.notes
     if len(logs) > 1 and not all(log.path.told for log in logs):
         alone = ", ".join(log.name for log in logs if not log.path.told)
         raise UsageError(

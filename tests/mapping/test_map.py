@@ -8,6 +8,7 @@ import csv
 import json
 import math
 import shlex
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -213,6 +214,59 @@ def test_two_logs_make_one_map(tmp_path: Path) -> None:
     ]
     told = sonarrec("map", one, other, code=2)
     assert "give the folder of their map with --out" in told.stderr
+
+
+def of_recording(folder: Path, digest: str) -> None:
+    """Let results be those of a recording."""
+    told = (folder / "run.toml").read_text()
+    (folder / "run.toml").write_text(told.replace('sha256 = ""', f'sha256 = "{digest}"'))
+
+
+@pytest.mark.parametrize("digest", ["", "0" * 64])
+def test_one_recording_counts_once(tmp_path: Path, digest: str) -> None:
+    """A copy of its results, a link to them and another spelling of their folder are noted."""
+    path = there_and_back()
+    dive = results(tmp_path / "dive", path, path)
+    of_recording(dive, digest)
+    shutil.copytree(dive, tmp_path / "copy")
+    (tmp_path / "link").symlink_to(dive)
+    again = tmp_path / "copy" / ".." / "dive"
+    done = sonarrec(
+        "map", dive, tmp_path / "copy", tmp_path / "link", again, "-q", "-o", tmp_path / "site"
+    )
+    told = "SHA-256 000000000000..." if digest else "by its tables"
+    assert done.stderr.splitlines() == [
+        f"sonarrec: note: {other}: the same log as {dive} ({told}), which counts once"
+        for other in (tmp_path / "copy", tmp_path / "link", again)
+    ]
+    rows = table(tmp_path / "site" / "map.csv")
+    assert [(row["passes"], row["logs"]) for row in rows] == [("2", "1")] * 3
+    sonarrec("map", dive)
+    assert rows == table(dive / "map" / "map.csv")
+
+
+def test_other_results_of_a_recording_are_left_out(tmp_path: Path) -> None:
+    """What else is said of them is of no use then; those of other frames count."""
+    path = there_and_back()
+    one = results(tmp_path / "one", path, path)
+    other = results(tmp_path / "other", path, path, seed=1)
+    late = results(tmp_path / "late", path, path, seed=2)
+    frames = table(late / "frames.csv")
+    for name in ("frames.csv", "estimates.csv"):
+        head, *lines = (late / name).read_text().splitlines()
+        moved = (line.partition(",") for line in lines)
+        rows = [f"{int(frame) + len(frames)},{rest}" for frame, _, rest in moved]
+        (late / name).write_text("\n".join([head, *rows, ""]))
+    for folder in (one, other, late):
+        of_recording(folder, "0" * 64)
+    told = (other / "run.toml").read_text()
+    (other / "run.toml").write_text(told.replace("finished = true", "finished = false"))
+    done = sonarrec("map", one, other, late, "-o", tmp_path / "site", code=3)
+    assert done.stderr.splitlines() == [
+        f"sonarrec: {other}: the same log as {one} (SHA-256 000000000000...), which counts once; "
+        "these other results of it are not used"
+    ]
+    assert {row["log"] for row in table(tmp_path / "site" / "passes.csv")} == {"one", "late"}
 
 
 def test_each_pass_asks_the_paths_the_same_number_of_times_however_many_logs(

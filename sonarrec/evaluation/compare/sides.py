@@ -16,9 +16,9 @@ from sonarrec.evaluation.matching.pairs import (
     found_where,
     truth_by_folder,
 )
-from sonarrec.evaluation.matching.same import Recording, counted_once, recording
 from sonarrec.files.tables import read_header
 from sonarrec.records import IntArray, SonarrecError, shown
+from sonarrec.results.counted_once import Recording, counted_once, recording
 from sonarrec.results.read import find_logs, read_frames, read_log
 from sonarrec.results.run_file import RunFile, read_run
 from sonarrec.results.same_log import check_one_log
@@ -67,7 +67,8 @@ def both_sides(
     def frames(i: int) -> IntArray:
         return np.asarray(read_frames(folders[i])["frame"])
 
-    once = counted_once(folders, [_recording(f, landmarks) for f in folders], frames)
+    recordings = [_recording(folder, landmarks) for folder in folders]
+    once = counted_once(folders, recordings, frames, "scored")
     together = [together[i] for i in once.kept]
     notes += [*once.notes, *once.unused]
     changes = changed_settings((_name(now), _run(was), _run(now)) for was, now in together)
@@ -85,7 +86,10 @@ def _name(folder: Path) -> str:
 
 
 def _recording(folder: Path, landmarks: str | None) -> Recording:
-    return _run(folder).input.recording or recording(folder, read_log(folder, landmarks))
+    run = _run(folder)
+    if run.input.recording:
+        return run.input.recording
+    return recording(folder, run, len(read_log(folder, landmarks).frame_index))
 
 
 def _checked(pair: Both, landmarks: str | None) -> list[str]:

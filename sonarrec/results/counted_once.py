@@ -12,7 +12,7 @@ import numpy as np
 
 from sonarrec.records import IntArray
 from sonarrec.results.folders import estimates_of
-from sonarrec.results.read import LogResults
+from sonarrec.results.run_file import RunFile
 
 Recording = tuple[str | None, Hashable]
 """A SHA-256, None where it is not known, and what else it takes."""
@@ -31,11 +31,13 @@ def counted_once(
     folders: Sequence[Path],
     recordings: Sequence[Recording],
     frames: Callable[[int], IntArray],
+    done: str,
 ) -> Once:
-    """The first results of every recording; pooled, others would count as independent logs.
+    """The first results of every recording; together, others would count as independent logs.
 
     recordings: of `recording`; frames: gives the frame numbers of the i-th, asked where two are of
-    one recording. Results of different frames of one recording all count.
+    one recording. Results of different frames of one recording all count. done: what a command does
+    with those that count, such as "scored".
     """
     found = Once([], [], [])
     first: dict[Recording, list[int]] = defaultdict(list)
@@ -52,18 +54,21 @@ def counted_once(
         if _tables(folder) == _tables(folders[twin]):
             found.notes.append(line)
         else:
-            found.unused.append(f"{line}; these other results of it are not scored")
+            found.unused.append(f"{line}; these other results of it are not {done}")
     return found
 
 
-def recording(folder: Path, log: LogResults) -> Recording:
+def recording(folder: Path, run: RunFile, estimates: int) -> Recording:
     """What tells one recording from another: SHA-256 and topic; where run.toml does not tell them,
-    what the tables hold, for a link, or a copy, has the same."""
-    if log.run.input.recording:
-        return log.run.input.recording
+    what the tables hold, for a link, or a copy, has the same.
+
+    estimates: how many were read.
+    """
+    if run.input.recording:
+        return run.input.recording
     # Two logs in which nothing was found may be alike; run.toml tells one from the other.
-    place = None if len(log.frame_index) or log.run.table else folder.resolve()
-    return None, (_tables(folder), str(log.run.table), place)
+    place = None if estimates or run.table else folder.resolve()
+    return None, (_tables(folder), str(run.table), place)
 
 
 def _tables(folder: Path) -> str:
