@@ -43,7 +43,7 @@ UNSTATED = (0.03, 0.5, 10.0)
 class Seen:
     """The declared estimates of one method in one log, n of them.
 
-    row: (n,) index of the frame in the path. landmark: (n,) IDs. track: (n,) -1 where not told.
+    row: (n,) index of the frame in the path. landmark: (n,) IDs. track: (n,) not negative.
     score: (n,). polar: (n, 3) slant range (m), bearing and orientation (deg, as in estimates.csv,
     NaN where not known). sigma: (n, 3) their standard errors.
     """
@@ -89,7 +89,8 @@ class Passes:
 def read_seen(path: Path, method: str, landmarks: LandmarkSet, fan: Fan, frame: IntArray) -> Seen:
     """The declared estimates of a method; frame: (F,) the numbers in frames.csv, rising.
 
-    Raises SonarrecError where the table cannot be read or a declared estimate has no place.
+    Raises SonarrecError where the table cannot be read or a declared estimate has no place or no
+    track.
     """
     parts = [np.empty((0, 10))]
     for first, table in estimate_tables(path, landmarks, ROWS):
@@ -119,6 +120,10 @@ def read_seen(path: Path, method: str, landmarks: LandmarkSet, fan: Fan, frame: 
                 column("orientation_sigma_deg"),
             ]
         )[chosen]
+        if (rows[:, 2] < 0).any():  # two landmarks of one ID could not be told apart
+            raise SonarrecError(
+                f"{path}: a track needs object; not every declared row of {method} has it"
+            )
         lost = ~np.isfinite(rows[:, 4:6]).all(axis=1)
         if lost.any():
             line = line_number(path, first + int(chosen[np.argmax(lost)]))

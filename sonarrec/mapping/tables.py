@@ -146,7 +146,7 @@ def write_passes(path: Path, site: SiteMap) -> None:
                     number.get((g, k), ""),
                     log.name,
                     int(p.landmark[k]),
-                    "" if p.track[k] < 0 else int(p.track[k]),
+                    int(p.track[k]),
                     int(log.path.frame[p.first[k]]),
                     int(log.path.frame[p.last[k]]),
                     int(p.frames[k]),

@@ -155,6 +155,13 @@ def table(path: Path) -> list[dict[str, str]]:
         return [*csv.DictReader(file)]
 
 
+def write_table(path: Path, rows: Sequence[dict[str, str]]) -> None:
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, rows[0])
+        writer.writeheader()
+        writer.writerows(rows)
+
+
 @pytest.fixture
 def mapped(tmp_path: Path) -> Path:
     folder = results(tmp_path / "dive", there_and_back(), there_and_back())
@@ -297,10 +304,7 @@ def test_what_lies_on_another_is_the_one_claimed_more(tmp_path: Path) -> None:
     for row in rows:
         if row["landmark"] == "2" and wrong < 5:
             row["landmark"], wrong = "3", wrong + 1
-    with estimates.open("w", newline="") as file:
-        writer = csv.DictWriter(file, rows[0])
-        writer.writeheader()
-        writer.writerows(rows)
+    write_table(estimates, rows)
     sonarrec("map", folder)
     rows = table(folder / "map" / "map.csv")
     assert [(row["landmark"], row["other_frames"]) for row in rows] == [
@@ -308,6 +312,28 @@ def test_what_lies_on_another_is_the_one_claimed_more(tmp_path: Path) -> None:
         ("1", "0"),
         ("2", "5"),
     ]
+
+
+@pytest.mark.parametrize("told", ["no column", "one cell empty"])
+def test_tracks_are_needed(tmp_path: Path, told: str) -> None:
+    """Without them two landmarks of one ID that are seen at once were one, between the two."""
+    path = there_and_back()
+    folder = results(tmp_path / "dive", path, path)
+    rows = table(folder / "estimates.csv")
+    if told == "no column":
+        for row in rows:
+            del row["object"]
+    else:
+        rows[-1]["object"] = ""
+    write_table(folder / "estimates.csv", rows)
+    done = sonarrec("map", folder, code=1)
+    assert done.stderr == (
+        f"sonarrec: {folder / 'estimates.csv'}: a track needs object; not every declared row of "
+        "framework has it\n"
+    )
+    rows[-1] |= {"declared": "0"}  # a row that is in no pass needs none
+    write_table(folder / "estimates.csv", rows)
+    sonarrec("map", folder, code=1 if told == "no column" else 0)
 
 
 def test_landmarks_of_few_frames_are_left_out(tmp_path: Path) -> None:
