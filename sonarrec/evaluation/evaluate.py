@@ -15,7 +15,7 @@ from sonarrec.evaluation.matching.fit import Matched, fit, left_out, of_other_lo
 from sonarrec.evaluation.matching.joined import Joined, join
 from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import Elsewhere, Pair, found_beside, found_where
-from sonarrec.evaluation.survey import Reading, Surveyed, each, survey
+from sonarrec.evaluation.survey import Reading, Surveyed, Unread, each, survey
 from sonarrec.records import IntArray, SonarrecError, printable
 from sonarrec.results.counted_once import counted_once
 from sonarrec.results.read import find_logs, read_frames
@@ -126,14 +126,20 @@ def evaluate_many(
     parts = Parts()
     numbers: dict[int, int] = {}
 
-    def counted() -> Iterable[Surveyed]:
-        ids: tuple[int, ...] | None = None
-        for i, one in enumerate(each(survey, given.readings, jobs)):
-            ids = ids or one.ids
-            if one.ids != ids and set(one.ids) == set(ids):  # in the order of the first
-                one = survey(replace(given.readings[i], ids=ids))
+    def counted() -> Iterable[Surveyed | Unread]:
+        ids: tuple[int, ...] = ()
+        read = 0
+        for reading, one in zip(given.readings, each(survey, given.readings, jobs), strict=True):
+            if isinstance(one, Surveyed):
+                ids = ids or one.ids
+                if one.ids != ids and set(one.ids) == set(ids):  # in the order of the first
+                    one = survey(replace(reading, ids=ids))
+            if isinstance(one, Unread):
+                yield one
+                continue
             if one.part is not None:
-                numbers[i] = parts.put(one.part)
+                numbers[read] = parts.put(one.part)
+            read += 1
             yield replace(one, part=None)
 
     found = _gathered(given, counted())
@@ -189,6 +195,7 @@ class _Gathered:
     """What was read."""
 
     logs: list[Surveyed]
+    """Those that could be."""
     used: list[int]
     """Those that are scored."""
     names: list[str]
@@ -197,12 +204,23 @@ class _Gathered:
     unused: list[str]
 
 
-def _gathered(given: _Given, surveyed: Iterable[Surveyed], some: bool = False) -> _Gathered:
-    """Which of the logs count. Raises SonarrecError where they cannot be scored together.
+def _gathered(
+    given: _Given, surveyed: Iterable[Surveyed | Unread], some: bool = False
+) -> _Gathered:
+    """Which of the logs count. Raises SonarrecError where none can be read, or they cannot be
+    scored together.
 
     some: as of `evaluate_whole`.
     """
-    logs = list(surveyed)
+    logs: list[Surveyed] = []
+    unread: list[Unread] = []
+    for one in surveyed:
+        if isinstance(one, Surveyed):
+            logs.append(one)
+        else:
+            unread.append(one)
+    if not logs:
+        raise unread[0].error
 
     def frames(i: int) -> IntArray:
         return np.asarray(read_frames(logs[i].folder)["frame"])
@@ -211,11 +229,12 @@ def _gathered(given: _Given, surveyed: Iterable[Surveyed], some: bool = False) -
     once = counted_once(folders, recordings, frames, "scored")
     kept = [logs[i] for i in once.kept]
     table = given.table
-    if table is not None and table.log is None and len(kept) > 1:
-        names = ", ".join(log.name for log in kept)
+    others = [log.name for log in unread]
+    there = [*(log.name for log in kept), *others]
+    if table is not None and table.log is None and len(there) > 1:
         raise SonarrecError(
-            f"{table.path}: {given.folder} holds {len(kept)} logs ({names}), so the truth needs "
-            "a log column that names their folders; or give the folder of one log"
+            f"{table.path}: {given.folder} holds {len(there)} logs ({', '.join(there)}), so the "
+            "truth needs a log column that names their folders; or give the folder of one log"
         )
     for log in kept:
         if log.error is not None:
@@ -226,7 +245,7 @@ def _gathered(given: _Given, surveyed: Iterable[Surveyed], some: bool = False) -
     if table is not None:
         lost = left_out(usable)
         if [log.folder for log in logs] != [given.folder]:  # of all logs, not of one
-            lost += of_other_logs(table, [log.name for log in logs])
+            lost += of_other_logs(table, [*(log.name for log in logs), *others])
     else:
         lost = [line for case in usable for line in left_out([case])]
     used = [once.kept[i] for i in found.usable]
@@ -243,7 +262,7 @@ def _gathered(given: _Given, surveyed: Iterable[Surveyed], some: bool = False) -
         used,
         names_,
         [*given.notes, *once.notes, *found.notes],
-        [*given.unused, *found.unused, *lost, *once.unused],
+        [*given.unused, *(u.told() for u in unread), *found.unused, *lost, *once.unused],
     )
 
 

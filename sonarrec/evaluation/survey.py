@@ -19,7 +19,7 @@ from sonarrec.evaluation.matching.fit import Checked, Matched, checked, matched
 from sonarrec.evaluation.matching.joined import join
 from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import one_log
-from sonarrec.records import SonarrecError
+from sonarrec.records import SonarrecError, shown
 from sonarrec.results.counted_once import Recording, recording
 from sonarrec.results.folders import estimates_of
 from sonarrec.results.read import read_log
@@ -47,6 +47,17 @@ class Reading:
 
 
 @dataclass(frozen=True, slots=True)
+class Unread:
+    """A log whose results cannot be read, and why."""
+
+    name: str
+    error: SonarrecError
+
+    def told(self) -> str:
+        return f"{self.error}; {self.name} is not scored"
+
+
+@dataclass(frozen=True, slots=True)
 class Surveyed:
     """What was found of one log."""
 
@@ -66,14 +77,18 @@ class Surveyed:
     """Else this, but for logs that cannot be scored."""
 
 
-def survey(reading: Reading, *, whole: bool = False) -> Surveyed:
+def survey(reading: Reading, *, whole: bool = False) -> Surveyed | Unread:
     """Read one log. whole: keep all that was read, and count nothing.
 
-    Raises SonarrecError where the log or its truth cannot be read.
+    Raises SonarrecError where its truth cannot be read, or the folder is not that of one log.
     """
     table = truth_table(reading.ground_truth)
     options = reading.options
-    log = read_log(one_log(reading.folder), options.landmarks, options.sonar)
+    folder = one_log(reading.folder)
+    try:
+        log = read_log(folder, options.landmarks, options.sonar)
+    except SonarrecError as fault:  # the other logs can be scored
+        return Unread(reading.log or shown(folder.resolve().name), fault)
     log = log if reading.log is None else replace(log, name=reading.log)
     case: Matched | None = None
     found: Checked | None = None

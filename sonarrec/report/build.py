@@ -14,12 +14,12 @@ from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import Pair, read_pairs
 from sonarrec.files.outputs import check_output, write_page
 from sonarrec.report import frames
-from sonarrec.report.logs import ReportedLog, Seen, read_logs, seen, told_false
+from sonarrec.report.logs import MOST_LOGS, ReportedLog, Seen, read_logs, seen, told_false
 from sonarrec.report.mistakes import Episode, episodes, told
 from sonarrec.report.page import MOST_MISTAKES, Drawn, Many, render
 from sonarrec.report.pictures import Picture, Wanted
 from sonarrec.report.recordings import match_recordings, open_recording
-from sonarrec.report.standing import MOST_LOGS, chosen, standing
+from sonarrec.report.standing import chosen, standing
 from sonarrec.results.read import find_logs, not_whole
 from sonarrec.sonar import Sonar
 from sonarrec.truth.table import read_truth
@@ -77,6 +77,7 @@ def write_report(
             pooled = evaluate_many(given, ground_truth, options)
         stand = standing(folders, pooled, results, options, method)
         folders = chosen(folders if pooled is None else pooled.folders, stand)
+        folders = folders if pooled is None else folders[:MOST_LOGS]
         row_of = {row.results: row for row in reversed(rows)}  # of a log named twice the first
         rows = [row_of[folder] for folder in folders] if rows else rows
     evaluation: Evaluation | None = None
@@ -85,7 +86,7 @@ def write_report(
     elif ground_truth is not None:
         assert results is not None
         evaluation = evaluate_whole(results, ground_truth, options)
-    logs = _with_panels(folders, rows, evaluation, options, method)
+    logs, unread = _with_panels(folders, rows, evaluation, options, method)
     pooled = pooled or (None if evaluation is None else evaluation.pooled())
     wrong = {}
     if evaluation is not None and pooled is not None:
@@ -93,7 +94,7 @@ def write_report(
         wrong = {m: episodes(evaluation, m, protocol) for m in evaluation.joined.methods}
     drawn, missing = _draw_all(logs, evaluation, wrong, recordings, options.sonar or Sonar(), topic)
     own = (line for log in logs for line in not_whole(log.results, "shown"))
-    unused = (*(own if pooled is None else pooled.unused), *missing)
+    unused = (*(own if pooled is None else pooled.unused), *unread, *missing)
     many = Many(in_all, stand)
     page = render(logs, evaluation, pooled, wrong, pairs or ground_truth, drawn, unused, many)
     write_page(path, page)
@@ -106,21 +107,28 @@ def _with_panels(
     evaluation: Evaluation | None,
     options: ScoringOptions,
     method: str | None,
-) -> list[ReportedLog]:
-    """The logs that have panels. rows: the truth of each, where it is known."""
+) -> tuple[list[ReportedLog], list[str]]:
+    """The logs that have panels, and a line for each that cannot be read.
+
+    rows: the truth of each, where it is known.
+    """
     tables = {file: read_truth(file) for file in {row.ground_truth for row in rows}}
     truths = [tables[row.ground_truth] for row in rows] if rows else [None] * len(folders)
     names = [row.log for row in rows] or [None] * len(folders)
-    logs = read_logs(folders, truths, names, options, method)
     if evaluation is None:
-        return logs
-    # It tells equal names apart, and counts copies of a log once.
+        return read_logs(folders, truths, names, options, method)
+    # It tells equal names apart, counts copies of a log once and has left out what cannot be read.
     scored = dict(zip(evaluation.folders, evaluation.joined.logs, strict=True))
-    return [
-        replace(log, results=replace(log.results, name=scored[folder]))
-        for log, folder in zip(logs, folders, strict=True)
-        if folder in scored
-    ]
+    mine = [i for i, folder in enumerate(folders) if folder in scored]
+    logs, unread = read_logs(
+        [folders[i] for i in mine],
+        [truths[i] for i in mine],
+        [names[i] for i in mine],
+        options,
+        method,
+    )
+    named = [replace(log, results=replace(log.results, name=scored[log.folder])) for log in logs]
+    return named, unread
 
 
 def _draw_all(

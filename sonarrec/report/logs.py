@@ -10,13 +10,24 @@ import numpy as np
 
 from sonarrec.evaluation.matching.joined import join, nearest_truth
 from sonarrec.evaluation.matching.options import ScoringOptions
-from sonarrec.records import BoolArray, FloatArray, IntArray, SonarrecError, UsageError, follows
+from sonarrec.records import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    SonarrecError,
+    UsageError,
+    follows,
+    shown,
+)
 from sonarrec.results.read import LogResults, read_log
 from sonarrec.results.run_file import RunFile, read_run
 from sonarrec.results.sightings import Sighting
 from sonarrec.results.sightings_file import read_sightings
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import TruthTable
+
+MOST_LOGS = 8
+"""Logs with panels of their own: each adds some 40 kB to the page."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,23 +92,34 @@ def read_logs(
     names: Sequence[str | None],
     options: ScoringOptions,
     method: str | None,
-) -> list[ReportedLog]:
-    """Read the results of each log, with the truth that goes with it.
+) -> tuple[list[ReportedLog], list[str]]:
+    """The results of the first MOST_LOGS that can be read, with the truth that goes with each.
 
+    Returns also a line for each log before the last of these that cannot be read.
     names: of the logs, None for the folder's own; the log column of a truth is matched with it.
     method: the one to follow; None for the framework, or the first that follows
     objects.
-    Raises SonarrecError where files cannot be used, UsageError where no log has the method.
+    Raises SonarrecError where no log can be read or a truth is not its log's, UsageError where no
+    log has the method.
     """
-    logs = []
+    logs: list[ReportedLog] = []
+    unread: list[tuple[str, SonarrecError]] = []
     for folder, truth, name in zip(folders, truths, names, strict=True):
-        found = read_log(folder, options.landmarks, options.sonar)
+        if len(logs) == MOST_LOGS:
+            break
+        try:
+            found = read_log(folder, options.landmarks, options.sonar)
+            every = list(read_sightings(folder, options.landmarks, options.sonar))
+        except SonarrecError as error:
+            unread.append((name or shown(folder.resolve().name), error))
+            continue
         found = found if name is None else replace(found, name=name)
         matched = None if truth is None else match_truth(truth, found, options.tolerance_s)
         follow = method or follows_by_default(found.methods)
-        every = read_sightings(folder, options.landmarks, options.sonar)
         passes = [s for s in every if s.method == follow]
         logs.append(_reported(folder, found, matched, options.min_visible, follow, passes))
+    if not logs:
+        raise unread[0][1]
     for log in logs:
         if log.results.landmarks.ids != logs[0].results.landmarks.ids:
             raise SonarrecError(
@@ -107,7 +129,7 @@ def read_logs(
     there = dict.fromkeys(name for log in logs for name in log.results.methods)
     if method is not None and method not in there:
         raise UsageError(f"{folders[0]}: no method {method!r}; there is {', '.join(there)}")
-    return logs
+    return logs, [f"{error}; {name} is not shown" for name, error in unread]
 
 
 def follows_by_default(methods: Sequence[str]) -> str:

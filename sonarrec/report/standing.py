@@ -18,8 +18,6 @@ from sonarrec.report.logs import follows_by_default
 from sonarrec.results.run_file import read_run
 from sonarrec.results.sightings_file import read_sightings
 
-MOST_LOGS = 8
-"""Logs with panels of their own: each adds some 40 kB to the page."""
 MOST_OF_A_KIND = 5
 """Logs named for one reason."""
 
@@ -46,27 +44,27 @@ def standing(
     place: the folder that holds the results, whose logs.csv tells of logs that have none. options:
     its landmarks and sonar are used in place of what run.toml says. method: whose mistakes count,
     by default as in `logs.read_logs`.
-    Raises SonarrecError where a run.toml or the sightings cannot be used, UsageError where no log
-    that was scored has the method.
+    Raises UsageError where no log that was scored has the method.
     """
     found: dict[str, list[str]] = {}
     where = {shown(folder.resolve().name): folder for folder in folders}
     if pooled is not None:
         where = dict(zip(pooled.logs, pooled.folders, strict=True))
-    said = [
-        *_unfinished(where, place),
-        *(_scored(pooled, method) if pooled else _seen(where, options, method)),
-    ]
+        said = [*_unfinished(where, place), *_scored(pooled, method)]
+    else:
+        every, unread = _sightings(where, options)
+        read = {name: where[name] for name in every}
+        said = [*unread, *_unfinished(read, place), *_seen(every, method)]
     for name, reason in said:
         found.setdefault(name, []).append(reason)
     return [Standing(name, where.get(name), tuple(why)) for name, why in found.items()]
 
 
 def chosen(folders: Sequence[Path], stand: Sequence[Standing]) -> list[Path]:
-    """Which of the folders have panels of their own: those that differ, then others."""
+    """The folders in the order in which they have panels: those that differ, then others."""
     known = set(folders)
     first = [one.folder for one in stand if one.folder is not None and one.folder in known]
-    return list(dict.fromkeys([*first, *folders]))[:MOST_LOGS]
+    return list(dict.fromkeys([*first, *folders]))
 
 
 def _unfinished(where: dict[str, Path], place: Path | None) -> Iterator[tuple[str, str]]:
@@ -111,18 +109,27 @@ def _scored(pooled: Pooled, method: str | None) -> Iterator[tuple[str, str]]:
         yield pooled.logs[i], f"most false claims of {method}: {false[i]}"
 
 
-def _seen(
-    where: dict[str, Path], options: ScoringOptions, method: str | None
-) -> Iterator[tuple[str, str]]:
+def _sightings(
+    where: dict[str, Path], options: ScoringOptions
+) -> tuple[dict[str, Counter[str]], list[tuple[str, str]]]:
+    """How many sightings of each method the logs have, and of those that cannot be read why."""
+    every: dict[str, Counter[str]] = {}
+    unread = []
+    for name, folder in where.items():
+        try:
+            found = read_sightings(folder, options.landmarks, options.sonar)
+            every[name] = Counter(s.method for s in found)
+        except SonarrecError as error:
+            unread.append((name, f"cannot be read: {error}"))
+    return every, unread
+
+
+def _seen(every: dict[str, Counter[str]], method: str | None) -> Iterator[tuple[str, str]]:
     """Without truth: numbers of sightings, of one method, far from what is usual."""
-    every = [
-        Counter(s.method for s in read_sightings(folder, options.landmarks, options.sonar))
-        for folder in where.values()
-    ]
-    method = method or follows_by_default(sorted(set().union(*every)))
-    count = [of_log[method] for of_log in every]
+    method = method or follows_by_default(sorted(set().union(*every.values())))
+    count = [of_log[method] for of_log in every.values()]
     usual = float(np.median(count)) if count else 0.0
-    names = list(where)
+    names = list(every)
     for i in _most([abs(n - usual) for n in count]):
         yield names[i], f"sightings of {method}: {count[i]}, where {usual:g} are usual"
 

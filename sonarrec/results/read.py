@@ -133,7 +133,7 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
         line = line_number(path, int(order[repeated[0] + 1]))
         raise SonarrecError(f"{path} line {line}: frame {frame[repeated[0]]} is listed twice")
     if not frame.size:
-        raise SonarrecError(f"{path}: no frame was processed, so there is nothing to score or show")
+        raise SonarrecError(f"{path}: no frame was processed")
 
     path = estimates_of(folder)
     [(_, table)] = estimate_tables(path, landmark_set)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.geometry import ground_range, pixel_from_polar, polar_from_plane
-from sonarrec.records import Fan, FloatArray, SonarrecError, UsageError, follows
+from sonarrec.records import Fan, FloatArray, SonarrecError, UsageError, follows, shown
 from sonarrec.results.folders import estimates_of
 from sonarrec.results.read import LogResults, find_logs, not_whole, read_log
 from sonarrec.results.sightings import check_follows
@@ -57,8 +57,8 @@ def propose(results: Path, out: Path, *, method: str, min_score: float, max_gap:
     A track is taken, over its whole life, where it declared one ID in LEAST_DECLARED frames or
     more and its best score reaches `min_score`. Up to `max_gap` frames that it misses are filled
     in, linear in range and bearing. `visible` is the share of the disc in the fan image.
-    Raises SonarrecError where the results cannot be used or `out` exists, UsageError on numbers
-    that cannot be meant.
+    Raises SonarrecError where no log can be read, the results cannot be used or `out` exists,
+    UsageError on numbers that cannot be meant.
     """
     check_follows(method)
     if not 0 <= min_score <= 1:
@@ -77,8 +77,16 @@ def _proposed(
 
     told: to which each track and each problem is added.
     """
+    unread: list[SonarrecError] = []
     for folder in folders:
-        log = read_log(folder)
+        try:
+            log = read_log(folder)
+        except SonarrecError as error:
+            unread.append(error)
+            if len(unread) == len(folders):
+                raise unread[0] from None
+            told.problems.append(f"{error}; {shown(folder.resolve().name)} is not used")
+            continue
         if log.fan is None:
             raise SonarrecError(
                 f"{folder / 'run.toml'}: does not tell the sonar's geometry, which gives pixels "

@@ -117,6 +117,28 @@ def test_one_truth_beside_several_logs_must_tell_them_apart(logs: Path) -> None:
     assert [(log[0].tp, log[0].fn) for log in per_log] == [(1, 0), (2, 0)]
 
 
+def test_a_log_that_cannot_be_read_is_left_out(logs: Path) -> None:
+    """Also where run.toml cannot be, which says where the truth is; but it is one of the logs that
+    a truth without a log column could be of."""
+    truth(logs / "logs" / "gt.csv", range(4))
+    truth(logs / "logs" / "pings" / "gt.csv", range(4))
+    (logs / "out" / "a" / "frames.csv").write_text("frame\n")
+    (logs / "out" / "b" / "run.toml").write_text("[sonar\n")
+    done = command(logs / "out", code=3)
+    lines = done.stderr.splitlines()
+    assert f"{logs / 'out' / 'b' / 'run.toml'}: not a readable TOML file" in lines[0]
+    assert lines[0].endswith("; not scored")
+    assert lines[1:] == [
+        f"sonarrec: {logs / 'out' / 'a' / 'frames.csv'}: no frame was processed; a is not scored"
+    ]
+    done = command("--ground-truth", logs / "logs" / "gt.csv", logs / "out", code=1)
+    assert "holds 3 logs (pings, a, b), so the truth needs a log column" in done.stderr
+    done = command(logs / "out" / "a", code=1)
+    assert done.stderr == f"sonarrec: {logs / 'out' / 'a' / 'frames.csv'}: no frame was processed\n"
+    done = command(logs / "out" / "b", code=1)
+    assert "run.toml: not a readable TOML file" in done.stderr
+
+
 # --- One recording counts once -------------------------------------------------------------------
 
 

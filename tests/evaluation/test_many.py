@@ -91,17 +91,51 @@ def test_the_same_bytes_however_many_processes(tmp_path: Path, pairs: Path) -> N
     assert made["1"] == made["5"]
 
 
+BROKEN = {
+    "estimates.csv": ("frame,method\n0,smi\n", "estimates.csv: wrong columns, no "),
+    "frames.csv": ("frame\n", "frames.csv: no frame was processed"),
+    "run.toml": ("[sonar\n", "run.toml: not a readable TOML file"),
+}
+
+
+def broken(folder: Path, name: str) -> str:
+    """Break a file of some results; how the line on it begins."""
+    text, told = BROKEN[name]
+    (folder / name).unlink(missing_ok=True)
+    (folder / name).write_text(text, encoding="utf-8")
+    return f"{folder}{os.sep}{told}"
+
+
 @pytest.mark.parametrize("jobs", ["1", "2"])
-def test_one_bad_log_is_one_line(tmp_path: Path, jobs: str) -> None:
-    pairs = make_logs(tmp_path / "made", 6, 50, 2)
-    bad = tmp_path / "made" / "out" / "log0003" / "estimates.csv"
-    bad.unlink()
-    bad.write_text("frame,method\n0,smi\n", encoding="utf-8")
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_log_that_cannot_be_read_is_left_out(tmp_path: Path, name: str, jobs: str) -> None:
+    """The first, whose IDs' order the others would follow. Without any other it is one line."""
+    pairs = make_logs(tmp_path / "made", 4, 50, 2)
+    head, first, *others = pairs.read_text(encoding="utf-8").splitlines()
+    pairs.write_text("\n".join([head, *others, ""]), encoding="utf-8")
+    ours = tmp_path / "made" / "evaluation"
+    tables = ("confusion.csv", "roc.csv", "figures.csv", "per_log.csv")
+    done = CliRunner().invoke(main, ["evaluate", "--pairs", str(pairs), "-j", jobs])
+    assert done.exit_code == 0, done.output
+    without = [files(ours)[table] for table in tables]
+    shutil.rmtree(ours)
+    pairs.write_text("\n".join([head, first, *others, ""]), encoding="utf-8")
+    told = broken(tmp_path / "made" / "out" / "log0000", name)
+    done = CliRunner().invoke(main, ["evaluate", "--pairs", str(pairs), "-j", jobs])
+    assert done.exit_code == 3
+    assert done.stderr.startswith(f"sonarrec: {told}")
+    assert done.stderr.endswith("; log0000 is not scored\n")
+    assert done.stderr.count("\n") == 1
+    assert [files(ours)[table] for table in tables] == without
+    assert evaluate_whole(read_pairs(pairs)).unused == evaluate_many(read_pairs(pairs)).unused
+    shutil.rmtree(ours)
+    for n in (1, 2, 3):
+        broken(tmp_path / "made" / "out" / f"log000{n}", name)
     done = CliRunner().invoke(main, ["evaluate", "--pairs", str(pairs), "-j", jobs])
     assert done.exit_code == 1
-    assert done.output.startswith(f"sonarrec: {bad}: wrong columns, no ")
+    assert done.output.startswith(f"sonarrec: {told}")
     assert done.output.count("\n") == 1
-    assert not (tmp_path / "made" / "evaluation").exists()
+    assert not ours.exists()
 
 
 # SHA-256 of what --compare writes and prints, first recorded when it held all logs at once; since

@@ -14,7 +14,7 @@ from sonarrec.evaluation.evaluate import evaluate_many
 from sonarrec.landmarks import load_landmarks
 from sonarrec.records import UsageError
 from sonarrec.report.build import write_report
-from sonarrec.report.standing import MOST_LOGS
+from sonarrec.report.logs import MOST_LOGS
 from tests.support.browser import chromium, look
 from tests.support.command import sonarrec
 from tests.support.made_up import make_logs
@@ -175,6 +175,40 @@ def test_no_panels_of_logs_that_are_not_scored(tmp_path: Path) -> None:
     assert len([line for line in report.unused if "is not scored" in line]) == 9
     text = page.read_text(encoding="utf-8")
     assert re.findall(r"<h3>(log\d\d)</h3>", section(text, "seen")) == ["log09", "log10"]
+
+
+@pytest.mark.parametrize("logs", [3, 11])
+@pytest.mark.parametrize("scored", [True, False])
+def test_a_log_that_cannot_be_read_is_left_out(tmp_path: Path, logs: int, scored: bool) -> None:
+    """The last two, which would have no panel of many; where no other is left it is an error."""
+    right = [f"{n},framework,1,2.0,0,1,.9,1" for n in range(10, 20)]
+    names = [f"log{n:02d}" for n in range(logs)]
+    truth = [f"{name},{n},1,2.0,0" for name in names for n in range(10, 20)]
+    out = plain_logs(tmp_path, {name: [PLACED, *right] for name in names}, truth)
+    *others, empty, bad = names
+    (out / empty / "frames.csv").write_text("frame\n")
+    run = out / empty / "run.toml"
+    run.write_text(run.read_text().replace("finished = true", "finished = false"))
+    (out / bad / "estimates.csv").write_text(f"{PLACED}\n10,framework,1,2.0,0,1,high,1\n")
+    given = ["--ground-truth", tmp_path / "gt.csv"] if scored else []
+    page = tmp_path / "page.html"
+    done = sonarrec("report", out, *given, "-o", page, code=3)
+    lines = done.stderr.splitlines()
+    told = "scored" if scored else "shown"
+    assert sorted(lines, key=lambda line: line[-20:]) == [
+        f"sonarrec: {out / empty / 'frames.csv'}: no frame was processed; {empty} is not {told}",
+        f"sonarrec: {out / bad / 'estimates.csv'} line 2: score must be a finite number, not "
+        f"'high'; {bad} is not {told}",
+    ]
+    text = page.read_text(encoding="utf-8")
+    if logs > MOST_LOGS + 2:
+        assert re.findall(r"<h3>(log\d\d)</h3>", section(text, "seen")) == others[:MOST_LOGS]
+    assert text.count(f"{empty} is not {told}") == 1
+    assert "none differs" not in text
+    for name in others:
+        (out / name / "frames.csv").write_text("frame\n")
+    done = sonarrec("report", out, *given, "-o", page, code=1)
+    assert done.stderr.count("\n") == 1
 
 
 def test_mistakes_are_told_as_all_logs_are_scored(tmp_path: Path) -> None:

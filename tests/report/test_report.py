@@ -684,13 +684,14 @@ def random_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def reported(folder: Path, truth: Path | None = None) -> ReportedLog:
-    return read_logs(
+    [log], _ = read_logs(
         [folder],
         [read_truth(truth or folder / "gt.csv")],
         [None],
         ScoringOptions(sonar=Sonar()),
         method=None,
-    )[0]
+    )
+    return log
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)

@@ -66,7 +66,11 @@ def proposed(folder: Path, *more: str | Path) -> list[dict[str, str]]:
     done = run(folder, "--out", out, *more)
     assert done.exit_code == 0, done.output
     read_truth(out)
-    with out.open(newline="") as file:
+    return table(out)
+
+
+def table(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
         return list(csv.DictReader(file))
 
 
@@ -181,12 +185,24 @@ def test_of_many_tracks_those_of_most_rows_are_printed(tmp_path: Path) -> None:
     assert end == "  these have the most rows; 10 more tracks"
 
 
-def test_a_log_that_cannot_be_read_leaves_no_half_of_a_file(tmp_path: Path) -> None:
+def test_a_log_that_cannot_be_read_is_left_out(tmp_path: Path) -> None:
+    """Where no other is left there is no file, and no half of one."""
     results(tmp_path / "out" / "a", track(1, range(10)))
-    (results(tmp_path / "out" / "b", track(1, range(5))) / "estimates.csv").write_text("nothing")
+    bad = results(tmp_path / "out" / "b", track(1, range(5))) / "estimates.csv"
+    bad.write_text("nothing")
+    empty = results(tmp_path / "out" / "c.part", (), ()) / "frames.csv"
+    done = run(tmp_path / "out", "--out", tmp_path / "gt.csv")
+    assert done.exit_code == 3
+    first, second = done.stderr.splitlines()
+    assert first.startswith(f"sonarrec: {bad}: wrong columns")
+    assert first.endswith("; b is not used")
+    assert second == f"sonarrec: {empty}: no frame was processed; c.part is not used"
+    assert [row["log"] for row in table(tmp_path / "gt.csv")] == ["a"] * 10
+    (tmp_path / "gt.csv").unlink()
+    (tmp_path / "out" / "a" / "frames.csv").write_text("frame\n")
     done = run(tmp_path / "out", "--out", tmp_path / "gt.csv")
     assert done.exit_code == 1
-    assert "wrong columns" in done.stderr
+    assert done.stderr.endswith("frames.csv: no frame was processed\n")
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 

@@ -71,12 +71,17 @@ def found_beside(
     """Each results folder with the truth beside its log, and a line for each that has none.
 
     The log is where run.toml says; elsewhere: looks where that is a URL. Raises UsageError where
-    no folder has any, SonarrecError where several logs share one that does not tell them apart.
+    no folder has any, SonarrecError where no run.toml can be read, or several logs share one truth
+    that does not tell them apart.
     """
-    pairs, without = [], []
+    pairs, without, unread = [], [], []
     sharing: dict[Path, dict[Hashable, Path]] = defaultdict(dict)
     for folder in folders:
-        run = read_run(folder / "run.toml")
+        try:
+            run = read_run(folder / "run.toml")
+        except SonarrecError as error:
+            unread.append(error)
+            continue
         try:
             truth = _truth_beside(folder, run.input, elsewhere)
         except SonarrecError as error:
@@ -91,10 +96,12 @@ def found_beside(
                 f"{truth}: lies beside {len(logs)} logs ({names}), so it needs a log column that "
                 "names their results folders; or name each log's own NAME.gt.csv"
             )
+    if unread and not (pairs or without):
+        raise unread[0]
     if not pairs:
         others = f" (and {len(without) - 1} more logs have none)" if without[1:] else ""
         raise UsageError(f"{without[0]}{others}; give --ground-truth, or --pairs")
-    return pairs, [f"{line}; not scored" for line in without]
+    return pairs, [f"{line}; not scored" for line in (*map(str, unread), *without)]
 
 
 def found_where(pair: Pair) -> str:
