@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -149,6 +150,10 @@ class _Shown:
     as_json: bool
     quiet: bool
 
+    def on_stderr(self, notes: Sequence[str]) -> Sequence[str]:
+        """Those of the notes, all or none, that stdout does not show, as JSON or below tables."""
+        return notes if self.quiet and not self.as_json else ()
+
 
 def _score(
     results: Path | str,
@@ -179,14 +184,14 @@ def _score(
     )
     summary = summarise(found, unit)
     written = write.write_evaluation(folder, found, summary, det)
-    unused = [*here.unused, *found.unused]
-    tell(unused)
+    unused, notes = [*here.unused, *found.unused], [*found.notes, *summary.notes]
+    tell(unused, shown.on_stderr(notes))
     if shown.as_json:
         click.echo(write.json_text(write.as_json(found, summary)), nl=False)
     elif not shown.quiet:
         click.echo(tabulate.screen(found))
         click.echo(tabulate.summary_screen(found, summary, shown.details))
-        for note in (*found.notes, *summary.notes):
+        for note in notes:
             click.echo(f"note: {note}")
         click.echo(f"{here.told(str(folder))}: {', '.join(written)}")
     return PARTLY if unused else 0
@@ -212,7 +217,7 @@ def _compare(
     folder = here.output(out or inside(sides[1], "evaluation"))
     written = write.write_comparison(folder, found)
     unused = [*here.unused, *found.unused]
-    tell(unused)
+    tell(unused, shown.on_stderr(found.notes))
     if shown.as_json:
         for piece in write.comparison_json(found):
             click.echo(piece, nl=False)

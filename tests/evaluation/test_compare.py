@@ -79,8 +79,28 @@ def test_fails_on_regression_only(sides: tuple[Path, Path, Path]) -> None:
     assert not any("ID.2" in line for line in lines)
     assert done.stdout == ""
     # The other way round ID.2 is claimed in two frames more, which are free.
-    assert command(*arguments, new, old).stderr == ""
-    assert command(*arguments, old, old).stderr == ""
+    for pair in ((new, old), (old, old)):
+        lines = command(*arguments, *pair).stderr.splitlines()
+        assert all(line.startswith("sonarrec: note: ") for line in lines)
+
+
+@pytest.mark.parametrize("comparing", [True, False])
+def test_notes_are_told_once(sides: tuple[Path, Path, Path], comparing: bool) -> None:
+    """Below the tables, in the JSON, and where --quiet leaves stdout empty on stderr."""
+    old, new, truth = sides
+    arguments = ["--ground-truth", truth, *(["--compare", old, new] if comparing else [old])]
+    done = command(*arguments)
+    head = "note: "
+    notes = [one[len(head) :] for one in done.stdout.splitlines() if one.startswith(head)]
+    assert notes
+    assert done.stderr == ""
+    done = command(*arguments, "-q")
+    assert done.stdout == ""
+    assert done.stderr.splitlines() == [f"sonarrec: note: {note}" for note in notes]
+    for quiet in ([], ["-q"]):
+        done = command(*arguments, "--json", *quiet)
+        assert set(notes) == set(json.loads(done.stdout)["notes"])
+        assert done.stderr == ""
 
 
 def test_one_frame_is_no_regression_of_a_short_log(tmp_path: Path) -> None:

@@ -53,7 +53,8 @@ def matched(case: Path, tolerance_s: float | None = None) -> Truth:
 
 def test_sound_case(case: Path) -> None:
     done = run(case, "-q")
-    assert (done.exit_code, done.output) == (0, "")
+    assert (done.exit_code, done.stdout) == (0, "")
+    assert all(line.startswith("sonarrec: note: ") for line in done.stderr.splitlines())
     assert {p.name for p in (case / "out" / "evaluation").iterdir()} >= {
         "confusion.csv",
         "evaluation.json",
