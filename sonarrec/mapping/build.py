@@ -166,10 +166,12 @@ def _mapped(
 
 def _left_out(folder: Path, log: MappedLog) -> Iterator[str]:
     """A line for each reason why declared estimates of a log are in no pass."""
-    whole = len(log.seen.row)
+    listed, strays = len(log.seen.row), log.seen.strays
+    whole = listed + strays
     without = int((~np.isfinite(log.path.pose[log.seen.row]).all(axis=1)).sum())
-    near = whole - without - len(log.on_floor.passes.order)
+    near = listed - without - len(log.on_floor.passes.order)
     for count, why in (
+        (strays, "frames.csv does not list their frames"),
         (without, "no pose is known in their frames"),
         (near, "their slant range is no more than the sonar's height above the floor"),
     ):

@@ -45,7 +45,8 @@ class Seen:
 
     row: (n,) index of the frame in the path. landmark: (n,) IDs. track: (n,) not negative.
     score: (n,). polar: (n, 3) slant range (m), bearing and orientation (deg, as in estimates.csv,
-    NaN where not known). sigma: (n, 3) their standard errors.
+    NaN where not known). sigma: (n, 3) their standard errors. strays: declared estimates besides,
+    on frames that frames.csv does not list.
     """
 
     row: IntArray
@@ -54,6 +55,7 @@ class Seen:
     score: FloatArray
     polar: FloatArray
     sigma: FloatArray
+    strays: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,13 +94,12 @@ def read_seen(path: Path, method: str, landmarks: LandmarkSet, fan: Fan, frame: 
     Raises SonarrecError where the table cannot be read or a declared estimate has no place or no
     track.
     """
-    parts = [np.empty((0, 10))]
+    parts, strays = [np.empty((0, 10))], 0
     for first, table in estimate_tables(path, landmarks, ROWS):
-        chosen = np.flatnonzero(
-            np.asarray(table["method"] == method)
-            & table["declared"]
-            & np.isin(table["frame"], frame)
-        )
+        declared = np.asarray(table["method"] == method) & table["declared"]
+        listed = np.isin(table["frame"], frame)
+        strays += int(np.count_nonzero(declared & ~listed))
+        chosen = np.flatnonzero(declared & listed)
         blank = np.full(len(table["frame"]), np.nan)
 
         def column(name: str, table: Table = table, blank: FloatArray = blank) -> FloatArray:
@@ -140,6 +141,7 @@ def read_seen(path: Path, method: str, landmarks: LandmarkSet, fan: Fan, frame: 
         score=rows[:, 3],
         polar=rows[:, 4:7],
         sigma=np.where(rows[:, 7:] > 0, rows[:, 7:], UNSTATED),
+        strays=strays,
     )
 
 

@@ -180,6 +180,22 @@ def test_what_a_run_left_that_was_stopped_is_told(tmp_path: Path) -> None:
     assert f"{folder}: the run was cut short (run.toml says finished = false); only its 20 " in said
 
 
+def test_estimates_on_frames_that_are_not_listed_are_told(tmp_path: Path) -> None:
+    folder = results(tmp_path / "dive", there_and_back(), there_and_back())
+    rows = table(folder / "estimates.csv")
+    strays = [row | {"frame": str(int(row["frame"]) + 1000)} for row in rows[:5]]
+    strays[0]["declared"] = "0"
+    strays[1]["method"] = "smi"
+    alone = map_rows(folder)
+    write_table(folder / "estimates.csv", [*rows, *strays])
+    done = sonarrec("map", folder, code=3)
+    assert done.stderr == (
+        f"sonarrec: {folder}: 3 of {len(rows) + 3} declared estimates left out: frames.csv does "
+        "not list their frames\n"
+    )
+    assert table(folder / "map" / "map.csv") == alone
+
+
 def test_each_landmark_once_where_it_lies(mapped: Path) -> None:
     rows = table(mapped / "map.csv")
     assert [int(row["landmark"]) for row in rows] == [1, 1, 2]
