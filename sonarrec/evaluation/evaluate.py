@@ -226,7 +226,8 @@ def _gathered(
         return np.asarray(read_frames(logs[i].folder)["frame"])
 
     folders, recordings = [log.folder for log in logs], [log.recording for log in logs]
-    once = counted_once(folders, recordings, frames, "scored")
+    truths = [log.ground_truth for log in logs]
+    once = counted_once(folders, recordings, frames, "scored", truths)
     kept = [logs[i] for i in once.kept]
     table = given.table
     others = [log.name for log in unread]

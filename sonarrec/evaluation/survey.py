@@ -62,6 +62,7 @@ class Surveyed:
     """What was found of one log."""
 
     folder: Path
+    ground_truth: Path
     name: str
     ids: tuple[int, ...]
     methods: tuple[str, ...]
@@ -103,6 +104,7 @@ def survey(reading: Reading, *, whole: bool = False) -> Surveyed | Unread:
         part = part_of(join([log], [case.truth], options.min_visible, reading.ids))
     return Surveyed(
         folder=reading.folder,
+        ground_truth=reading.ground_truth,
         name=log.name,
         ids=log.landmarks.ids,
         methods=log.methods,

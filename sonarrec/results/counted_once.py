@@ -32,12 +32,14 @@ def counted_once(
     recordings: Sequence[Recording],
     frames: Callable[[int], IntArray],
     done: str,
+    truths: Sequence[Path] | None = None,
 ) -> Once:
     """The first results of every recording; together, others would count as independent logs.
 
     recordings: of `recording`; frames: gives the frame numbers of the i-th, asked where two are of
     one recording. Results of different frames of one recording all count. done: what a command does
-    with those that count, such as "scored".
+    with those that count, such as "scored". truths: the file of each, where there are any; of
+    copies only that of the first is used.
     """
     found = Once([], [], [])
     first: dict[Recording, list[int]] = defaultdict(list)
@@ -51,10 +53,12 @@ def counted_once(
         digest = recordings[i][0]
         told = f"SHA-256 {digest[:12]}..." if digest else "by its tables"
         line = f"{folder}: the same log as {folders[twin]} ({told}), which counts once"
-        if _tables(folder) == _tables(folders[twin]):
-            found.notes.append(line)
-        else:
+        if _tables(folder) != _tables(folders[twin]):
             found.unused.append(f"{line}; these other results of it are not {done}")
+        elif truths is not None and _differ(truths[i], truths[twin]):
+            found.unused.append(f"{line}; its other truth, {truths[i]}, is not used")
+        else:
+            found.notes.append(line)
     return found
 
 
@@ -72,8 +76,16 @@ def recording(folder: Path, run: RunFile, estimates: int) -> Recording:
 
 
 def _tables(folder: Path) -> str:
+    return _digest([folder / "frames.csv", estimates_of(folder)])
+
+
+def _differ(one: Path, other: Path) -> bool:
+    return one != other and _digest([one]) != _digest([other])
+
+
+def _digest(paths: Sequence[Path]) -> str:
     digest = hashlib.sha256()
-    for path in (folder / "frames.csv", estimates_of(folder)):
+    for path in paths:
         with path.open("rb") as file:
             digest.update(hashlib.file_digest(file, "sha256").digest())
     return digest.hexdigest()

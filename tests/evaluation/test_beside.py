@@ -171,6 +171,22 @@ def test_copies_of_one_recording_count_once(logs: Path) -> None:
     assert told["frames"] == len(FRAMES)
 
 
+def test_another_truth_of_the_same_results_is_told(logs: Path) -> None:
+    """A copy of it is no other, as of a folder of images copied with its truth."""
+    truth(logs / "gt.csv", range(4))
+    truth(logs / "other.csv", range(5))
+    shutil.copy(logs / "gt.csv", logs / "copy.csv")
+    shutil.copytree(logs / "out" / "a", logs / "again")
+    rows = [("out/a", "gt.csv"), ("again", "copy.csv"), ("out/a", "other.csv")]
+    write_csv(logs / "pairs.csv", ("results", "ground_truth"), rows)
+    done = command("--pairs", logs / "pairs.csv", code=3)
+    assert f"{logs / 'again'}: the same log as {logs / 'out' / 'a'}" in done.stdout
+    assert done.stderr == (
+        f"sonarrec: {logs / 'out' / 'a'}: the same log as {logs / 'out' / 'a'} (SHA-256 "
+        f"000000000000...), which counts once; its other truth, {logs / 'other.csv'}, is not used\n"
+    )
+
+
 def test_other_topics_and_other_frames_of_a_recording_all_count(logs: Path) -> None:
     place = logs / "logs" / "a.mp4"
     for name, topic in (("left", "/left"), ("right", "/right")):
