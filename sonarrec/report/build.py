@@ -119,7 +119,8 @@ def _with_panels(
         return read_logs(folders, truths, names, options, method)
     # It tells equal names apart, counts copies of a log once and has left out what cannot be read.
     scored = dict(zip(evaluation.folders, evaluation.joined.logs, strict=True))
-    mine = [i for i, folder in enumerate(folders) if folder in scored]
+    first = {folder: i for i, folder in reversed(list(enumerate(folders)))}  # if named twice
+    mine = sorted(i for folder, i in first.items() if folder in scored)
     logs, unread = read_logs(
         [folders[i] for i in mine],
         [truths[i] for i in mine],

@@ -177,6 +177,22 @@ def test_no_panels_of_logs_that_are_not_scored(tmp_path: Path) -> None:
     assert re.findall(r"<h3>(log\d\d)</h3>", section(text, "seen")) == ["log09", "log10"]
 
 
+def test_a_log_named_twice_has_one_panel(tmp_path: Path) -> None:
+    """By the truth named first, by which it is scored."""
+    right = [f"{n},framework,1,2.0,0,1,.9,1" for n in range(10, 20)]
+    plain_logs(tmp_path, {"dive": [PLACED, *right]}, [f"dive,{n},1,2.0,0" for n in range(10, 20)])
+    (tmp_path / "other.csv").write_text("frame,landmark,range_m,bearing_deg\n10,2,2.0,0\n")
+    (tmp_path / "pairs.csv").write_text(
+        "results,ground_truth\nout/dive,gt.csv\nout/dive,other.csv\nout/dive,gt.csv\n"
+    )
+    page = tmp_path / "page.html"
+    done = sonarrec("report", "--pairs", tmp_path / "pairs.csv", "-o", page, code=3)
+    assert done.stderr.count("its other truth") == 1
+    text = page.read_text(encoding="utf-8")
+    assert "<h3>dive</h3>" not in text  # panels have names where there are several
+    assert "False claim" not in text
+
+
 @pytest.mark.parametrize("logs", [3, 11])
 @pytest.mark.parametrize("scored", [True, False])
 def test_a_log_that_cannot_be_read_is_left_out(tmp_path: Path, logs: int, scored: bool) -> None:
