@@ -341,7 +341,7 @@ def _notes(
     if not placed:
         notes.append(
             "the strict protocol is not scored: truth or estimates lack positions, or give them "
-            "in pixels while neither run.toml nor flags state metres_per_pixel and apex_px"
+            "in pixels while neither run.toml nor an option states the geometry (give --sonar FILE)"
         )
     for log in logs:
         if not log.rows:
