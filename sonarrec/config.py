@@ -64,7 +64,12 @@ class Candidates:
     min_visible: Annotated[float, bounds(0.01, 1)] = _setting(
         0.35, "share", "least share of the ring inside the fan"
     )
-    max_candidates: Count = _setting(12, "", "per frame, the best ones")
+    max_candidates: Count = _setting(
+        12,
+        "",
+        "per frame, the best ones; in proportion more where the floor in view has room for more "
+        "than 300 discs",
+    )
     separation: NotNegative = _setting(0.35, "disc diameters", "least distance between candidates")
     blur_px: Annotated[int, bounds(0, 255)] = _setting(
         13,

@@ -30,8 +30,10 @@ COARSE = 4  # pixels, of the grid on which the surroundings' brightness is measu
 LEAST_SIGMA = 0.5  # grey levels
 LEAST_LOCAL_SIGMA = 0.5  # share of the whole frame's sigma
 BESIDE = np.mgrid[-1:2, -1:2].reshape(2, 9, 1)  # (row, column) of a pixel and its neighbours
-# Peaks that are compared with each other, at most; a frame with more is all noise.
-MOST_PEAKS = 64
+# Peaks that are compared with each other, at most, on a floor with room for FLOOR_DISCS discs or
+# fewer; a frame with more is all noise. On a larger floor more lies: there may be more peaks, and
+# more candidates, in proportion. All kinds of scene that are measured have smaller floors.
+MOST_PEAKS, FLOOR_DISCS = 64, 300
 
 
 class CandidateSelector:
@@ -44,6 +46,9 @@ class CandidateSelector:
         self._config = config
         self._inside = plane.inside
         self._cells = max(1, int(np.count_nonzero(plane.inside)))
+        larger = max(1.0, self._cells / (np.pi * plane.axes[0] * plane.axes[1]) / FLOOR_DISCS)
+        self._most_peaks = round(larger * MOST_PEAKS)
+        self._most = round(larger * config.max_candidates)
         self._diameter = 2 * np.array(plane.axes)
         self._surroundings = Surroundings(plane)
         self._detector: Detector
@@ -81,7 +86,7 @@ class CandidateSelector:
         near = hill[(row + BESIDE[0]).clip(0, last_row), (column + BESIDE[1]).clip(0, last_column)]
         top = hill[row, column] >= near.max(axis=0)
         row, column = row[top], column[top]
-        order = np.lexsort((-hill[row, column], -best[row, column]))[:MOST_PEAKS]
+        order = np.lexsort((-hill[row, column], -best[row, column]))[: self._most_peaks]
         row, column = row[order], column[order]
         positions = _refine(hill, column, row)
         kept = self._apart(positions)
@@ -93,7 +98,7 @@ class CandidateSelector:
         far = np.hypot(offset[..., 0], offset[..., 1]) >= self._config.separation
         left = np.ones(len(positions), bool)
         kept: list[int] = []
-        while left.any() and len(kept) < self._config.max_candidates:
+        while left.any() and len(kept) < self._most:
             kept.append(int(left.argmax()))
             left &= far[kept[-1]]
             left[kept[-1]] = False  # also where separation is 0

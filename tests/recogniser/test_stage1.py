@@ -102,6 +102,16 @@ def test_of_several_discs_all_are_found_best_first_and_apart(kind):
     assert distance.min() >= DETECTORS[kind].separation - 1e-6
 
 
+def test_of_many_discs_on_a_large_floor_all_are_found():
+    """A fan of 130 deg to 10 m shows a floor forty times as large as the one above."""
+    wide = make_fan(512, 0.5, 10.0, 130.0, tilt_deg=15.0, height_m=1.5)
+    plane, select = selector("ring", wide)
+    places = [(r, b) for r in (3.0, 4.5, 6.0) for b in range(-55, 56, 11)]
+    found = select(plane.warp(picture(np.random.default_rng(5), places, fan=wide)))
+    for place in places:
+        assert miss(plane, found, *place) < 0.2 * plane.axes[0]
+
+
 @pytest.mark.parametrize("kind", DETECTORS)
 @pytest.mark.parametrize("bearing_deg", [-14.0, 13.0, 15.0])
 def test_a_part_of_a_ring_at_the_fan_s_edge_is_found(kind, bearing_deg):
