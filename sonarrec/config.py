@@ -67,8 +67,8 @@ class Candidates:
     max_candidates: Count = _setting(
         12,
         "",
-        "per frame, the best ones; in proportion more where the floor in view has room for more "
-        "than 300 discs",
+        "per frame, the best ones; where the floor in view has room for more than 300 discs in "
+        "proportion more, up to 8 times as many",
     )
     separation: NotNegative = _setting(0.35, "disc diameters", "least distance between candidates")
     blur_px: Annotated[int, bounds(0, 255)] = _setting(

@@ -32,8 +32,8 @@ LEAST_LOCAL_SIGMA = 0.5  # share of the whole frame's sigma
 BESIDE = np.mgrid[-1:2, -1:2].reshape(2, 9, 1)  # (row, column) of a pixel and its neighbours
 # Peaks that are compared with each other, at most, on a floor with room for FLOOR_DISCS discs or
 # fewer; a frame with more is all noise. On a larger floor more lies: there may be more peaks, and
-# more candidates, in proportion. All kinds of scene that are measured have smaller floors.
-MOST_PEAKS, FLOOR_DISCS = 64, 300
+# more candidates, in proportion, up to MOST_TIMES. All measured kinds of scene have smaller floors.
+MOST_PEAKS, FLOOR_DISCS, MOST_TIMES = 64, 300, 8
 
 
 class CandidateSelector:
@@ -46,9 +46,10 @@ class CandidateSelector:
         self._config = config
         self._inside = plane.inside
         self._cells = max(1, int(np.count_nonzero(plane.inside)))
-        larger = max(1.0, self._cells / (np.pi * plane.axes[0] * plane.axes[1]) / FLOOR_DISCS)
-        self._most_peaks = round(larger * MOST_PEAKS)
-        self._most = round(larger * config.max_candidates)
+        discs = self._cells / (np.pi * plane.axes[0] * plane.axes[1])
+        times = min(max(discs / FLOOR_DISCS, 1), MOST_TIMES)
+        self._most_peaks = round(times * MOST_PEAKS)
+        self._most = round(times * config.max_candidates)
         self._diameter = 2 * np.array(plane.axes)
         self._surroundings = Surroundings(plane)
         self._detector: Detector

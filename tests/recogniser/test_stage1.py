@@ -112,6 +112,15 @@ def test_of_many_discs_on_a_large_floor_all_are_found():
         assert miss(plane, found, *place) < 0.2 * plane.axes[0]
 
 
+def test_noise_on_the_largest_floors_gives_no_more_than_eight_times_as_many_candidates():
+    wide = make_fan(1024, 0.5, 40.0, 130.0, tilt_deg=15.0, height_m=1.5)
+    settings = dataclasses.replace(RING, threshold=0.1)
+    plane = working_plane("floor", wide, BASIN.radius_m, RING.disc_radius_px)
+    noise = np.random.default_rng(6).integers(1, 255, (wide.rows, wide.columns)).astype(np.uint8)
+    found = CandidateSelector(settings, plane, BASIN, BEAM_DEG)(plane.warp(noise))
+    assert len(found.positions) == 8 * RING.max_candidates
+
+
 @pytest.mark.parametrize("kind", DETECTORS)
 @pytest.mark.parametrize("bearing_deg", [-14.0, 13.0, 15.0])
 def test_a_part_of_a_ring_at_the_fan_s_edge_is_found(kind, bearing_deg):
