@@ -187,10 +187,9 @@ def test_without_speckle_nothing_is_taken_for_amplitudes():
     assert not holds_amplitudes([])
 
 
-def read_16_bit(folder: Path, images: list[np.ndarray], **keys: Any) -> tuple[Any, list[str]]:
+def read(folder: Path, images: list[np.ndarray], **keys: Any) -> tuple[Any, list[str]]:
     """(pixel_scale, notes) of the log of these images."""
     for k, image in enumerate(images):
-        assert image.dtype == np.uint16
         cv2.imwrite(str(folder / f"{k}.png"), image)
     sonar = Sonar(
         layout="polar",
@@ -217,44 +216,34 @@ def test_16_bit_amplitudes_are_found_by_their_speckle_and_noted(tmp_path, median
     amplitude = np.where(grey > 0, 10 ** ((grey - 1) * 50 / 20), 0)
     amplitude *= median / np.median(amplitude[amplitude > 0])
     image = np.clip(amplitude * 65535, 0, 65535).astype(np.uint16)
-    scale, notes = read_16_bit(tmp_path, [image])
+    scale, notes = read(tmp_path, [image])
     assert scale == "log"
     assert len(notes) == 1
     assert "16-bit pixels read as amplitudes" in notes[0]
-    assert read_16_bit(tmp_path, [image], pixel_scale="linear") == ("linear", [])
+    assert read(tmp_path, [image], pixel_scale="linear") == ("linear", [])
 
 
 @pytest.mark.parametrize("part", [1, 1 / 8])
 def test_16_bit_logarithms_stay_linear_and_dim_ones_are_noted(tmp_path, part):
     image = np.rint(simulated() * 65535 * part).astype(np.uint16)
-    scale, notes = read_16_bit(tmp_path, [image])
+    scale, notes = read(tmp_path, [image])
     assert scale == "linear"
     assert len(notes) == (part < 1)
     assert all("--pixel-scale log" in note and "--full-scale" in note for note in notes)
-    assert read_16_bit(tmp_path, [image], full_scale=65535 * part) == ("linear", [])
+    assert read(tmp_path, [image], full_scale=65535 * part) == ("linear", [])
 
 
 def test_16_bit_images_next_to_black_are_log_without_a_note(tmp_path):
     image = np.rint(simulated() * 65535 / 32).astype(np.uint16)
-    assert read_16_bit(tmp_path, [image, 0 * image]) == ("log", [])
+    assert read(tmp_path, [image, 0 * image]) == ("log", [])
 
 
 @pytest.mark.parametrize("stated", [None, "linear"])
 def test_8_bit_amplitudes_are_noted_and_what_is_stated_wins(tmp_path, stated):
-    for k in range(3):
-        cv2.imwrite(str(tmp_path / f"{k}.png"), speckle(k, log=False))
-    sonar = Sonar(
-        layout="polar",
-        range_min_m=1.0,
-        range_max_m=3.0,
-        field_of_view_deg=28.8,
-        tilt_deg=20.0,
-        pixel_scale=stated,
-    )
-    with open_log(tmp_path, sonar=sonar) as log:
-        next(iter(log))
-        assert log.reading()["pixel_scale"] == (stated or "log")
-        assert len(log.notes) == (stated is None)
+    images = [speckle(k, log=False) for k in range(3)]
+    scale, notes = read(tmp_path, images, pixel_scale=stated)
+    assert scale == (stated or "log")
+    assert len(notes) == (stated is None)
 
 
 def test_the_scales_that_the_manual_lists_are_those_taken() -> None:
