@@ -53,8 +53,8 @@ class Unread:
     name: str
     error: SonarrecError
 
-    def told(self) -> str:
-        return f"{self.error}; {self.name} is not scored"
+    def told(self, done: str = "scored") -> str:
+        return f"{self.error}; {self.name} is not {done}"
 
 
 @dataclass(frozen=True, slots=True)

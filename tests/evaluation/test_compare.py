@@ -313,6 +313,41 @@ def test_several_logs_each_with_a_truth_of_its_own(tmp_path: Path) -> None:
     assert "new/results/y: the pairs name no truth for it; not compared" in done.stderr
 
 
+def test_a_log_that_cannot_be_compared_is_left_out_of_several(tmp_path: Path) -> None:
+    """Of another recording, or without a frame in common; it still counts as one of several."""
+    a, b, c = ("a" * 64, "b" * 64, "c" * 64)
+    right = {"x": {5}, "y": {5, 6}, "z": {7}}
+    old = several(tmp_path / "old", {"x": a, "y": b, "z": c}, right)
+    new = several(tmp_path / "new", {"x": a, "y": "d" * 64, "z": c}, right)
+    (new / "z" / "frames.csv").write_text("frame\n99\n")
+    (new / "z" / "estimates.csv").write_text(",".join(ESTIMATE_HEADER) + "\n")
+    rows = [(name, *row) for name in right for row in TRUTH]
+    write_csv(tmp_path / "gt.csv", ("log", *TRUTH_HEADER), rows)
+    sides = ["--compare", old, new, "--ground-truth"]
+    done = command(*sides, tmp_path / "gt.csv", code=3)
+    first, second = done.stderr.splitlines()
+    assert f"{old / 'y'} and {new / 'y'}: results of different logs, pan (SHA-256 bbbb" in first
+    assert first.endswith("; y is not compared")
+    assert second == (
+        f"sonarrec: {old / 'z'} and {new / 'z'} have no frame in common; z is not compared"
+    )
+    assert json.loads((new / "evaluation" / "compare.json").read_text())["logs"] == ["x"]
+    write_csv(tmp_path / "one.csv", TRUTH_HEADER, TRUTH)
+    assert "3 logs are to be compared" in command(*sides, tmp_path / "one.csv", code=1).stderr
+
+
+def test_other_new_results_of_a_recording_are_not_compared(tmp_path: Path) -> None:
+    a = "a" * 64
+    old = several(tmp_path / "old", {"x": a}, {"x": {5}})
+    new = several(tmp_path / "new", {"x": a, "y": a, "z": a}, {"x": {5}, "y": {6}, "z": {7}})
+    (new / "z" / "estimates.csv").unlink()
+    write_csv(tmp_path / "gt.csv", ("log", *TRUTH_HEADER), [("x", *row) for row in TRUTH])
+    sides = ["--compare", old, new, "--ground-truth", tmp_path / "gt.csv"]
+    missing, other = command(*sides, code=3).stderr.splitlines()
+    assert missing == f"sonarrec: {new / 'z' / 'estimates.csv'}: no such file; z is not compared"
+    assert other.endswith("which counts once; these other results of it are not compared")
+
+
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [

@@ -138,6 +138,45 @@ def test_a_log_that_cannot_be_read_is_left_out(tmp_path: Path, name: str, jobs: 
     assert not ours.exists()
 
 
+@pytest.mark.parametrize(("side", "jobs"), [("out", "1"), ("new", "2")])
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_log_that_cannot_be_read_is_not_compared(
+    tmp_path: Path, name: str, side: str, jobs: str
+) -> None:
+    """The first, on either side. Without any other it is one line."""
+    old, new, pairs = make_sides(tmp_path / "made", 3, 50, 2)
+    sides = ["--pairs", str(pairs), "--compare", str(old), str(new)]
+    both = old / "log0000", new / "log0000"
+    for folder in both:
+        folder.rename(folder.parent.parent / f"{folder.parent.name}0")
+    done = CliRunner().invoke(main, ["evaluate", *sides, "-o", str(tmp_path / "without")])
+    assert done.exit_code == 0, done.output
+    for folder in both:
+        (folder.parent.parent / f"{folder.parent.name}0").rename(folder)
+    told = broken(tmp_path / "made" / side / "log0000", name)
+    out = tmp_path / "found"
+    done = CliRunner().invoke(main, ["evaluate", *sides, "-o", str(out), "-j", jobs, "-q"])
+    assert done.exit_code == 3, done.output
+    assert done.stderr.startswith(f"sonarrec: {told}")
+    assert done.stderr.endswith("; log0000 is not compared\n")
+    assert done.stderr.count("\n") == 1
+    for table in ("compare.csv", "changes.csv"):
+        assert (out / table).read_bytes() == (tmp_path / "without" / table).read_bytes()
+    found, less = (
+        json.loads((f / "compare.json").read_text()) for f in (out, out.parent / "without")
+    )
+    assert found | {"unused": []} == less
+    page = CliRunner().invoke(main, ["report", *sides, "-o", str(out / "compare.html"), "-q"])
+    assert (page.exit_code, page.stderr) == (3, done.stderr)
+    for n in (1, 2):
+        broken(tmp_path / "made" / side / f"log000{n}", name)
+    done = CliRunner().invoke(main, ["evaluate", *sides, "-j", jobs])
+    assert done.exit_code == 1
+    assert done.output.startswith(f"sonarrec: {told}")
+    assert done.output.count("\n") == 1
+    assert not (new / "evaluation").exists()
+
+
 # SHA-256 of what --compare writes and prints, first recorded when it held all logs at once; since
 # then of shorter logs, where the code still met what was recorded of the longer ones.
 RECORDED = {

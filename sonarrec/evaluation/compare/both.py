@@ -13,7 +13,7 @@ from sonarrec.evaluation.counting.parts import Part, part_of, score_all
 from sonarrec.evaluation.matching.fit import Checked, checked, matched
 from sonarrec.evaluation.matching.joined import join
 from sonarrec.evaluation.matching.options import ScoringOptions
-from sonarrec.evaluation.survey import truth_table
+from sonarrec.evaluation.survey import Unread, truth_table
 from sonarrec.records import SonarrecError
 from sonarrec.results.read import LogResults, not_whole, read_log
 
@@ -52,17 +52,21 @@ class BothCounted:
     """Frames and IDs that are counted differently."""
 
 
-def count_both(reading: BothReading) -> BothCounted:
-    """Read one log's results on both sides.
+def count_both(reading: BothReading) -> BothCounted | Unread:
+    """Read one log's results on both sides; Unread also where they share no frame.
 
-    Raises SonarrecError where one of them or the truth cannot be read, or they share no frame.
+    Raises SonarrecError where its truth cannot be read.
     """
     (was, now), options = reading.folders, reading.options
     table = truth_table(reading.ground_truth)
-    old, new = (read_log(f, options.landmarks, options.sonar) for f in reading.folders)
+    try:
+        old, new = (read_log(f, options.landmarks, options.sonar) for f in reading.folders)
+    except SonarrecError as fault:  # the other logs can be compared
+        return Unread(reading.name, fault)
     common = np.intersect1d(old.frame, new.frame)
     if not len(common):
-        raise SonarrecError(f"{new.name}: {was} and {now} have no frame in common")
+        none = f"{was} and {now} have no frame in common"
+        return Unread(reading.name, SonarrecError(none))
     unused = []
     for side, log in ((was, old), (now, new)):
         alone = len(log.frame) - len(common)

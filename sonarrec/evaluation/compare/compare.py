@@ -14,7 +14,7 @@ import numpy as np
 from sonarrec.evaluation import metrics
 from sonarrec.evaluation.compare.both import BothCounted, BothReading, count_both
 from sonarrec.evaluation.compare.changes import FrameChanges, put
-from sonarrec.evaluation.compare.settings import SettingChange
+from sonarrec.evaluation.compare.settings import SettingChange, changed_settings
 from sonarrec.evaluation.compare.sides import both_sides
 from sonarrec.evaluation.counting.behaviour import PassOutcomes
 from sonarrec.evaluation.counting.counted import Counted
@@ -33,8 +33,9 @@ from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import Elsewhere, Pair
 from sonarrec.evaluation.metrics import BY_NAME, MAIN
 from sonarrec.evaluation.summary import units_text
-from sonarrec.evaluation.survey import each
+from sonarrec.evaluation.survey import Unread, each
 from sonarrec.records import SonarrecError, printable
+from sonarrec.results.run_file import RunFile, read_run
 
 FRAMES_FREE = 2
 """Frames that may turn worse whatever the band: two of 24 are no trend, though they are .083."""
@@ -174,8 +175,9 @@ def compare(
 
     Logs go together by name or SHA-256, or where each side has one log. ground_truth: one table,
     or pairs, of which each log takes that of its results; None: the truth beside each log. unit:
-    as of `summary.summarise`. jobs, elsewhere: as of `evaluate.evaluate_many`. Raises
-    SonarrecError where files cannot be used, logs differ or nothing is in common.
+    as of `summary.summarise`. jobs, elsewhere: as of `evaluate.evaluate_many`. A log that cannot be
+    compared is left out of several. Raises SonarrecError where none is left, or the truth cannot
+    be read.
     """
     options.check()
     sides = both_sides(old, new, ground_truth, options.landmarks, elsewhere)
@@ -190,16 +192,24 @@ def compare(
         unit,
         old=str(old),
         new=str(new),
-        settings=tuple(sides.settings),
+        settings=tuple(changed_settings(map(_runs, both.used))),
         notes=tuple(map(printable, notes)),
         unused=tuple(map(printable, unused)),
     )
+
+
+def _runs(of: BothReading) -> tuple[str, RunFile, RunFile]:
+    """Read only now, one log at a time: of many logs these tables alone are large."""
+    before, after = (read_run(folder / "run.toml") for folder in of.folders)
+    return of.name, before, after
 
 
 @dataclass(frozen=True, slots=True)
 class _Both:
     """All logs on both sides, each of which was read once and let go."""
 
+    used: list[BothReading]
+    """Those that are compared."""
     before: Pooled
     after: Pooled
     """Of the same logs, frames and passes."""
@@ -216,19 +226,27 @@ def _counted(readings: Sequence[BothReading], jobs: int | None, min_visible: flo
     store = Store()
     before, after = Parts(store, "old"), Parts(store, "new")
     logs: list[BothCounted] = []
+    read: list[BothReading] = []
+    unread: list[Unread] = []
     numbers: dict[int, int] = {}
     ids: tuple[int, ...] | None = None
-    for i, log in enumerate(each(count_both, readings, jobs)):
+    for reading, log in zip(readings, each(count_both, readings, jobs), strict=True):
         one = log
-        if one.sides is not None:
+        if isinstance(one, BothCounted) and one.sides is not None:
             ids = ids or one.ids
             if one.ids != ids and set(one.ids) == set(ids):  # in the order of the first
-                one = count_both(replace(readings[i], ids=ids))
+                one = count_both(replace(reading, ids=ids))
+        if isinstance(one, Unread):
+            unread.append(one)
+            continue
         if one.sides is not None:
-            numbers[i] = before.put(one.sides[0])
+            number = numbers[len(logs)] = before.put(one.sides[0])
             after.put(one.sides[1])
-            put(store, numbers[i], one.changes)
+            put(store, number, one.changes)
         logs.append(replace(one, sides=None, changes={}))
+        read.append(reading)
+    if not logs:
+        raise unread[0].error
     found = fit([log.checked for log in logs])
     used = [logs[i] for i in found.usable]
     for log in used:
@@ -239,8 +257,15 @@ def _counted(readings: Sequence[BothReading], jobs: int | None, min_visible: flo
     if not (old.methods and new.methods):
         raise SonarrecError(f"{', '.join(names)}: estimates.csv names no method to score")
     named = tuple(zip(kept, names, strict=True))
-    cut = [line for log in logs for line in log.unused]
-    return _Both(old, new, partial(FrameChanges, store, named), found.notes, cut, found.unused)
+    return _Both(
+        used=[read[i] for i in found.usable],
+        before=old,
+        after=new,
+        frames=partial(FrameChanges, store, named),
+        notes=found.notes,
+        cut=[line for log in logs for line in log.unused],
+        unused=[*(one.told("compared") for one in unread), *found.unused],
+    )
 
 
 def _compared(both: _Both, unit: UnitKind | None, **told: Any) -> Comparison:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from sonarrec.evaluation.compare.settings import SettingChange, changed_settings
 from sonarrec.evaluation.matching.pairs import (
     Elsewhere,
     Pair,
@@ -19,6 +19,7 @@ from sonarrec.evaluation.matching.pairs import (
 from sonarrec.files.tables import read_header
 from sonarrec.records import IntArray, SonarrecError, shown
 from sonarrec.results.counted_once import Recording, counted_once, recording
+from sonarrec.results.folders import estimates_of
 from sonarrec.results.read import find_logs, read_frames, read_log
 from sonarrec.results.run_file import RunFile, read_run
 from sonarrec.results.same_log import check_one_log
@@ -44,7 +45,6 @@ class Sides:
     """The logs to be compared, in order, and what is said before they are read."""
 
     logs: list[BothSides]
-    settings: list[SettingChange]
     notes: list[str]
     unused: list[str]
 
@@ -58,27 +58,50 @@ def both_sides(
 ) -> Sides:
     """What is to be compared; the arguments are those of `compare.compare`.
 
-    Raises SonarrecError where logs differ, or nothing is in common.
+    Raises SonarrecError where nothing is.
     """
-    together, unused = _pair_up(old, new)
-    notes = [line for pair in together for line in _checked(pair, landmarks)]
+    pairs, unused = _pair_up(old, new)
+    together: list[Both] = []
+    recordings: list[Recording] = []
+    notes: list[str] = []
+    faults: list[SonarrecError] = []
+    for pair in pairs:
+        try:
+            told = _checked(pair, landmarks)
+            recordings.append(_recording(pair[1], landmarks))
+        except SonarrecError as fault:  # the other logs can be compared
+            faults.append(fault)
+            unused.append(f"{fault}; {_name(pair[1])} is not compared")
+        else:
+            together.append(pair)
+            notes += told
+    if not together:
+        raise faults[0]
     folders = [now for _, now in together]
 
     def frames(i: int) -> IntArray:
-        return np.asarray(read_frames(folders[i])["frame"])
+        try:
+            return np.asarray(read_frames(folders[i])["frame"])
+        except SonarrecError:  # told where the log is counted
+            return np.empty(0, dtype=np.int64)
 
-    recordings = [_recording(folder, landmarks) for folder in folders]
-    once = counted_once(folders, recordings, frames, "scored")
+    once = counted_once(folders, recordings, frames, "compared")
     together = [together[i] for i in once.kept]
-    notes += [*once.notes, *once.unused]
-    changes = changed_settings((_name(now), _run(was), _run(now)) for was, now in together)
-    logs, said, without = _with_truth(together, ground_truth, elsewhere)
-    return Sides(logs, changes, [*notes, *said], [*unused, *without])
+    notes += once.notes
+    unused += once.unused
+    logs, said, without = _with_truth(together, len(faults), ground_truth, elsewhere)
+    return Sides(logs, [*notes, *said], [*unused, *without])
 
 
 def _run(folder: Path) -> RunFile:
-    """Read each time it is needed: of many logs these tables alone are large."""
     return read_run(folder / "run.toml")
+
+
+def _sha256(folder: Path) -> tuple[str, str | None] | None:
+    """As `Input.recording`; None also where run.toml cannot be read, which is told later."""
+    with suppress(SonarrecError):
+        return _run(folder).input.recording
+    return None
 
 
 def _name(folder: Path) -> str:
@@ -95,6 +118,9 @@ def _recording(folder: Path, landmarks: str | None) -> Recording:
 def _checked(pair: Both, landmarks: str | None) -> list[str]:
     """What to note of two results to be compared. Raises SonarrecError where they cannot be."""
     was, now = pair
+    for folder in pair:
+        if not (table := estimates_of(folder)).is_file():
+            raise SonarrecError(f"{table}: no such file")
     a, b = map(_run, pair)
     note = check_one_log(was, a, now, b)
     ids = [run.landmark_set(landmarks).ids for run in (a, b)]
@@ -120,11 +146,11 @@ def _pair_up(old: Path, new: Path) -> tuple[list[Both], list[str]]:
     of_digest: dict[tuple[str, str | None], list[Path]] = {}
     for was in before:
         of_name.setdefault(_name(was), []).append(was)
-        if (digest := _run(was).input.recording) is not None:
+        if (digest := _sha256(was)) is not None:
             of_digest.setdefault(digest, []).append(was)
     pairs = []
     for now in after:
-        digest = _run(now).input.recording
+        digest = _sha256(now)
         same = [] if digest is None else of_digest.get(digest, [])
         named = of_name.get(_name(now), [])
         chosen = next((was for was in named if was in same), None)
@@ -145,15 +171,17 @@ def _pair_up(old: Path, new: Path) -> tuple[list[Both], list[str]]:
 
 def _with_truth(
     together: Sequence[Both],
+    left_out: int,
     ground_truth: Path | Sequence[Pair] | None,
     elsewhere: Elsewhere | None,
 ) -> tuple[list[BothSides], list[str], list[str]]:
     """The logs that have a truth; a line for each whose truth was found, and for each that has
-    none."""
+    none. left_out: logs beside these, that cannot be compared."""
     if isinstance(ground_truth, Path):
-        if len(together) > 1 and "log" not in read_header(ground_truth, HEADER):
+        logs = len(together) + left_out
+        if logs > 1 and "log" not in read_header(ground_truth, HEADER):
             raise SonarrecError(
-                f"{ground_truth}: {len(together)} logs are compared, so the truth needs a log "
+                f"{ground_truth}: {logs} logs are to be compared, so the truth needs a log "
                 "column that names their folders; or give the folders of one log"
             )
         return [BothSides(was, now, ground_truth, _name(now)) for was, now in together], [], []
