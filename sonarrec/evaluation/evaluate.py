@@ -14,7 +14,13 @@ from sonarrec.evaluation.counting.scoring import Scored
 from sonarrec.evaluation.matching.fit import Matched, fit, left_out, of_other_logs
 from sonarrec.evaluation.matching.joined import Joined, join
 from sonarrec.evaluation.matching.options import ScoringOptions
-from sonarrec.evaluation.matching.pairs import Elsewhere, Pair, found_beside, found_where
+from sonarrec.evaluation.matching.pairs import (
+    Elsewhere,
+    Pair,
+    found_beside,
+    found_where,
+    of_one_log,
+)
 from sonarrec.evaluation.survey import Reading, Surveyed, Unread, each, survey
 from sonarrec.records import IntArray, SonarrecError, printable
 from sonarrec.results.counted_once import counted_once
@@ -177,9 +183,9 @@ def _given(
 ) -> _Given:
     options.check()
     if not isinstance(results, str | Path):
-        if not results:
-            raise SonarrecError("no pair of results and ground truth to score")
-        return _Given([Reading(p.results, p.ground_truth, options, p.log) for p in results], [], [])
+        pairs, unused = of_one_log(results)
+        readings = [Reading(p.results, p.ground_truth, options, p.log) for p in pairs]
+        return _Given(readings, [], unused)
     folders = find_logs(Path(results))
     if ground_truth is None:  # each log with the truth that lies beside it
         pairs, without = found_beside(folders, elsewhere)

@@ -18,7 +18,6 @@ from sonarrec.evaluation.counting.parts import Part, part_of
 from sonarrec.evaluation.matching.fit import Checked, Matched, checked, matched
 from sonarrec.evaluation.matching.joined import join
 from sonarrec.evaluation.matching.options import ScoringOptions
-from sonarrec.evaluation.matching.pairs import one_log
 from sonarrec.records import SonarrecError, shown
 from sonarrec.results.counted_once import Recording, recording
 from sonarrec.results.folders import estimates_of
@@ -81,15 +80,14 @@ class Surveyed:
 def survey(reading: Reading, *, whole: bool = False) -> Surveyed | Unread:
     """Read one log. whole: keep all that was read, and count nothing.
 
-    Raises SonarrecError where its truth cannot be read, or the folder is not that of one log.
+    Raises SonarrecError where its truth cannot be read.
     """
     table = truth_table(reading.ground_truth)
     options = reading.options
-    folder = one_log(reading.folder)
     try:
-        log = read_log(folder, options.landmarks, options.sonar)
+        log = read_log(reading.folder, options.landmarks, options.sonar)
     except SonarrecError as fault:  # the other logs can be scored
-        return Unread(reading.log or shown(folder.resolve().name), fault)
+        return Unread(reading.log or shown(reading.folder.resolve().name), fault)
     log = log if reading.log is None else replace(log, name=reading.log)
     case: Matched | None = None
     found: Checked | None = None

@@ -112,19 +112,21 @@ def _with_panels(
 
     rows: the truth of each, where it is known.
     """
-    tables = {file: read_truth(file) for file in {row.ground_truth for row in rows}}
-    truths = [tables[row.ground_truth] for row in rows] if rows else [None] * len(folders)
-    names = [row.log for row in rows] or [None] * len(folders)
     if evaluation is None:
-        return read_logs(folders, truths, names, options, method)
+        no = [None] * len(folders)
+        return read_logs(folders, no, no, options, method)
     # It tells equal names apart, counts copies of a log once and has left out what cannot be read.
     scored = dict(zip(evaluation.folders, evaluation.joined.logs, strict=True))
-    first = {folder: i for i, folder in reversed(list(enumerate(folders)))}  # if named twice
-    mine = sorted(i for folder, i in first.items() if folder in scored)
+    first: dict[Path, Pair] = {}
+    for row in rows:
+        if row.results in scored:
+            first.setdefault(row.results, row)  # it may be named twice
+    mine = [*first.values()]
+    tables = {file: read_truth(file) for file in {row.ground_truth for row in mine}}
     logs, unread = read_logs(
-        [folders[i] for i in mine],
-        [truths[i] for i in mine],
-        [names[i] for i in mine],
+        [row.results for row in mine],
+        [tables[row.ground_truth] for row in mine],
+        [row.log for row in mine],
         options,
         method,
     )

@@ -432,6 +432,34 @@ def test_a_pair_is_one_log(tmp_path: Path) -> None:
         evaluate_whole([])
 
 
+@pytest.mark.parametrize("also", ["evaluate", "report"])
+def test_a_row_without_results_of_one_log_is_left_out(tmp_path: Path, also: str) -> None:
+    """And told with its line; its truth is not read."""
+    for name in ("a", "b"):
+        write_case(tmp_path / name, FRAMES, claims({5}), TRUTH)
+    (tmp_path / "bad.csv").touch()
+    pairs = tmp_path / "pairs.csv"
+    rows = [("c/out", "bad.csv"), ("a/out", "a/gt.csv"), ("both", "bad.csv")]
+    write_csv(pairs, ("results", "ground_truth"), rows)
+    (tmp_path / "both").mkdir()
+    for name in ("a", "b"):
+        (tmp_path / "both" / name).symlink_to(tmp_path / name / "out")
+    done = CliRunner().invoke(main, [also, "--pairs", str(pairs), "-q"])
+    assert done.exit_code == 3, done.output
+    told = [line for line in done.stderr.splitlines() if ": note: " not in line]
+    assert told == [
+        f"sonarrec: {pairs} line 2: {tmp_path / 'c' / 'out'}: no such results folder; "
+        "`sonarrec run LOG` writes one; not scored",
+        f"sonarrec: {pairs} line 4: {tmp_path / 'both'}: holds 2 logs; give each a row of its own; "
+        "not scored",
+    ]
+    write_csv(pairs, ("results", "ground_truth"), rows[:1])
+    done = CliRunner().invoke(main, [also, "--pairs", str(pairs)])
+    assert done.exit_code == 2
+    assert done.output.startswith(f"sonarrec: {pairs} line 2: {tmp_path / 'c' / 'out'}: no such")
+    assert done.output.count("\n") == 1
+
+
 def test_a_method_missing_from_one_log_is_said(tmp_path: Path) -> None:
     one, gt = write_case(tmp_path / "a", FRAMES, claims({5}) + claims({6}, method="n"), TRUTH)
     two, _ = write_case(tmp_path / "b", FRAMES, claims({5}), TRUTH)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from sonarrec.files.tables import line_number, read_header, read_table
+from sonarrec.files.tables import line_numbers, read_header, read_table
 from sonarrec.readers.find import Source, find_log, log_name
 from sonarrec.readers.images import MAX_FILE_BYTES, is_image
 from sonarrec.records import MissingError, SonarrecError, UsageError, unshown
@@ -30,6 +30,8 @@ class Pair:
     log: str | None = None
     """The log's name, where the folder's own is not wanted; the log column of the truth is matched
     with it."""
+    row: str | None = None
+    """Where it was read: a table and the line in it."""
 
 
 def read_pairs(path: Path) -> list[Pair]:
@@ -40,7 +42,8 @@ def read_pairs(path: Path) -> list[Pair]:
     columns = ("results", "ground_truth")
     table = read_table(path, dict.fromkeys((*columns, "log"), "text"), columns, ",".join(columns))
     logs = [str(log) for log in table["log"]] if "log" in table else [None] * len(table["results"])
-    for row, names in enumerate(zip(*(table[c] for c in columns), strict=True)):
+    rows = [f"{path} line {line}" for line, _ in zip(line_numbers(path), logs, strict=False)]
+    for row, *names in zip(rows, *(table[c] for c in columns), strict=True):
         for column, name in zip(columns, map(str, names), strict=True):
             try:
                 (path.parent / name).stat()
@@ -50,19 +53,34 @@ def read_pairs(path: Path) -> list[Pair]:
                     continue
                 no = f"no path, {name[:40]!r} ({error})"[:200]
                 told = f"{path.parent / name}: no such file" if missing else no
-                raise SonarrecError(f"{path} line {line_number(path, row)}: {told}") from None
+                raise SonarrecError(f"{row}: {told}") from None
     return [
-        Pair(path.parent / str(results), path.parent / str(truth), log)
-        for results, truth, log in zip(*(table[c] for c in columns), logs, strict=True)
+        Pair(path.parent / str(results), path.parent / str(truth), log, row)
+        for results, truth, log, row in zip(*(table[c] for c in columns), logs, rows, strict=True)
     ]
 
 
-def one_log(folder: Path) -> Path:
-    """A folder that holds one log's results. Raises SonarrecError where it holds several."""
-    folders = find_logs(folder)
-    if folders != [folder]:
-        raise SonarrecError(f"{folder}: holds {len(folders)} logs; give each a row of its own")
-    return folder
+def of_one_log(pairs: Iterable[Pair]) -> tuple[list[Pair], list[str]]:
+    """The pairs whose results are there and of one log, and a line for each other.
+
+    Raises SonarrecError where there is none.
+    """
+    found, faults = [], []
+    for pair in pairs:
+        row = "" if pair.row is None else f"{pair.row}: "
+        try:
+            folders = find_logs(pair.results)
+        except SonarrecError as fault:
+            faults.append(type(fault)(f"{row}{fault}"))
+            continue
+        if folders == [pair.results]:
+            found.append(pair)
+        else:
+            told = f"{pair.results}: holds {len(folders)} logs; give each a row of its own"
+            faults.append(SonarrecError(f"{row}{told}"))
+    if not found:
+        raise faults[0] if faults else SonarrecError("no pair of results and ground truth to score")
+    return found, [f"{fault}; not scored" for fault in faults]
 
 
 def found_beside(
