@@ -19,7 +19,7 @@ from sonarrec.evaluation.matching.fit import Checked, Matched, checked, matched
 from sonarrec.evaluation.matching.joined import join
 from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.records import SonarrecError, shown
-from sonarrec.results.counted_once import Recording, recording
+from sonarrec.results.counted_once import Recording, TruthOf, recording
 from sonarrec.results.folders import estimates_of
 from sonarrec.results.read import read_log
 from sonarrec.truth.table import TruthTable, read_truth
@@ -61,7 +61,7 @@ class Surveyed:
     """What was found of one log."""
 
     folder: Path
-    ground_truth: Path
+    ground_truth: TruthOf
     name: str
     ids: tuple[int, ...]
     methods: tuple[str, ...]
@@ -100,9 +100,10 @@ def survey(reading: Reading, *, whole: bool = False) -> Surveyed | Unread:
     part = None
     if case is not None and found is not None and found.fault is None and not whole:
         part = part_of(join([log], [case.truth], options.min_visible, reading.ids))
+    rows = table.rows_of(log.name)
     return Surveyed(
         folder=reading.folder,
-        ground_truth=reading.ground_truth,
+        ground_truth=TruthOf(reading.ground_truth, log.name, len(rows), table.digest_of(rows)),
         name=log.name,
         ids=log.landmarks.ids,
         methods=log.methods,

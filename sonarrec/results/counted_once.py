@@ -19,6 +19,18 @@ Recording = tuple[str | None, Hashable]
 
 
 @dataclass(frozen=True, slots=True)
+class TruthOf:
+    """What a truth says of a log."""
+
+    file: Path
+    name: str
+    """Of the log."""
+    rows: int
+    digest: str
+    """Of these."""
+
+
+@dataclass(frozen=True, slots=True)
 class Once:
     """Which of several results count, by index, and what is said of the others."""
 
@@ -32,14 +44,14 @@ def counted_once(
     recordings: Sequence[Recording],
     frames: Callable[[int], IntArray],
     done: str,
-    truths: Sequence[Path] | None = None,
+    truths: Sequence[TruthOf] | None = None,
 ) -> Once:
     """The first results of every recording; together, others would count as independent logs.
 
     recordings: of `recording`; frames: gives the frame numbers of the i-th, asked where two are of
     one recording. Results of different frames of one recording all count. done: what a command does
-    with those that count, such as "scored". truths: the file of each, where there are any; of
-    copies only that of the first is used.
+    with those that count, such as "scored". truths: of each, where there are any; of copies only
+    that of the first is used.
     """
     found = Once([], [], [])
     first: dict[Recording, list[int]] = defaultdict(list)
@@ -55,8 +67,8 @@ def counted_once(
         line = f"{folder}: the same log as {folders[twin]} ({told}), which counts once"
         if _tables(folder) != _tables(folders[twin]):
             found.unused.append(f"{line}; these other results of it are not {done}")
-        elif truths is not None and _differ(truths[i], truths[twin]):
-            found.unused.append(f"{line}; its other truth, {truths[i]}, is not used")
+        elif truths is not None and (lost := _not_used(truths[i], truths[twin])):
+            found.unused.append(f"{line}; {lost}")
         else:
             found.notes.append(line)
     return found
@@ -79,8 +91,13 @@ def _tables(folder: Path) -> str:
     return _digest([folder / "frames.csv", estimates_of(folder)])
 
 
-def _differ(one: Path, other: Path) -> bool:
-    return one != other and _digest([one]) != _digest([other])
+def _not_used(truth: TruthOf, first: TruthOf) -> str | None:
+    """What a truth says beside the one that is used; None where that is nothing."""
+    if truth.digest == first.digest:
+        return None
+    if truth.file != first.file:
+        return f"its other truth, {truth.file}, is not used"
+    return f"its rows for {truth.name} in {truth.file} are not used" if truth.rows else None
 
 
 def _digest(paths: Sequence[Path]) -> str:

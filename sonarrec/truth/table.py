@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -74,6 +75,15 @@ class TruthTable:
         if self.log is None:
             return np.arange(len(self.at))
         return np.flatnonzero(self.log == name)
+
+    def digest_of(self, rows: IntArray) -> str:
+        """Of all that some rows say, so that copies of a truth are known."""
+        kind, *position = self.position or (None,)
+        digest = hashlib.sha256(f"{self.key} {kind}".encode())
+        for column in (self.at, self.landmark, self.visible, *position, self.orientation):
+            if column is not None:
+                digest.update(column[rows].tobytes())
+        return digest.hexdigest()
 
 
 def read_truth(path: Path) -> TruthTable:

@@ -185,6 +185,14 @@ def test_another_truth_of_the_same_results_is_told(logs: Path) -> None:
         f"sonarrec: {logs / 'out' / 'a'}: the same log as {logs / 'out' / 'a'} (SHA-256 "
         f"000000000000...), which counts once; its other truth, {logs / 'other.csv'}, is not used\n"
     )
+    # Or in one file, under another name of the log.
+    named = [(name, f, 1, 2.0, 0.0) for name in "xyz" for f in range(4 + (name == "z"))]
+    write_csv(logs / "all.csv", ("log", *HEADER), named)
+    rows = [("out/a", "all.csv", name) for name in "xywz"]
+    write_csv(logs / "pairs.csv", ("results", "ground_truth", "log"), rows)
+    done = command("--pairs", logs / "pairs.csv", code=3)
+    (line,) = done.stderr.splitlines()
+    assert line.endswith(f"which counts once; its rows for z in {logs / 'all.csv'} are not used")
 
 
 def test_other_topics_and_other_frames_of_a_recording_all_count(logs: Path) -> None:
