@@ -88,6 +88,7 @@ def write_report(
         evaluation = evaluate_whole(results, ground_truth, options)
     logs, unread = _with_panels(folders, rows, evaluation, options, method)
     pooled = pooled or (None if evaluation is None else evaluation.pooled())
+    in_all = in_all if pooled is None else len(pooled.logs)  # each once
     wrong = {}
     if evaluation is not None and pooled is not None:
         protocol = protocols(pooled)[0]

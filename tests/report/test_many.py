@@ -189,6 +189,8 @@ def test_a_log_named_twice_has_one_panel(tmp_path: Path) -> None:
     done = sonarrec("report", "--pairs", tmp_path / "pairs.csv", "-o", page, code=3)
     assert done.stderr.count("its other truth") == 1
     text = page.read_text(encoding="utf-8")
+    assert "<h1>dive</h1>" in text
+    assert "Landmarks recognised in a recorded sonar log, scored against pairs.csv." in text
     assert "<h3>dive</h3>" not in text  # panels have names where there are several
     assert "False claim" not in text
 
