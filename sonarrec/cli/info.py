@@ -79,7 +79,7 @@ def info(
       sonarrec info pings/ --tilt-deg 22 --preview pings.png
       sonarrec info --json dive.mcap | jq '.logs[0].images[].usable'
     """
-    from sonarrec import __version__
+    from sonarrec.results.run_file import PROGRAM
 
     tables: list[dict[str, Any]] = []
     useless = missing = faulty = 0
@@ -114,7 +114,8 @@ def info(
                 except SonarrecError as error:  # told after the account, which says more
                     undrawn = error
     if as_json:
-        click.echo(json.dumps({"version": __version__, "logs": tables}, indent=2))
+        head = {"program": PROGRAM, "version": PROGRAM["version"]}
+        click.echo(json.dumps({**head, "logs": tables}, indent=2))
     if undrawn is not None:
         raise undrawn
     if useless == len(logs):

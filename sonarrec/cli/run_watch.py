@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sonarrec import __version__
 from sonarrec.batch.logs_table import NAME, LogsTable
 from sonarrec.batch.processes import Watch
 from sonarrec.batch.task import Outcome, Task
@@ -21,6 +20,7 @@ from sonarrec.cli.endings import FAILED, MISUSED, PARTLY, tell
 from sonarrec.cli.passes import as_json, table
 from sonarrec.pipeline.run import Summary
 from sonarrec.records import MissingError, SonarrecError
+from sonarrec.results.run_file import PROGRAM
 
 if TYPE_CHECKING:
     from sonarrec.remote.upload import Outbox
@@ -79,9 +79,8 @@ class RunWatch(Watch):
         if self._table.fault and all(o.status != "failed" for o in self._outcomes.values()):
             tell([self._table.fault])  # else it is told already: the disk is full
         if self._json:
-            program = {"name": "sonarrec", "version": __version__}
             logs = [self._document(i) for i in range(len(self._tasks))]
-            click.echo(json.dumps({"program": program, "logs": logs}, indent=2))
+            click.echo(json.dumps({"program": PROGRAM, "logs": logs}, indent=2))
 
     def _upload_table(self, box: Outbox) -> None:
         """logs.csv beside the results, with the rows of calls from elsewhere."""

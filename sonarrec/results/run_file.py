@@ -23,6 +23,9 @@ from sonarrec.records import Clock, Fan, Origin, SonarrecError, UsageError
 from sonarrec.results.folders import ESTIMATES, TABLES, estimates_of
 from sonarrec.sonar import Sonar, sonar_from_table
 
+PROGRAM = {"name": "sonarrec", "version": __version__}
+"""What made a file, as run.toml and JSON documents say."""
+
 
 def run_table(
     settings: Sequence[config.Config],
@@ -43,7 +46,7 @@ def run_table(
     name, size, digest = source
     tables = [config.as_table(c) for c in settings]
     return {
-        "program": {"name": "sonarrec", "version": __version__, "methods": list(methods)},
+        "program": {**PROGRAM, "methods": list(methods)},
         "input": {"name": name, "bytes": size, "sha256": digest, **reading},
         "config": tables if len(tables) > 1 else tables[0],
         "sonar": sonar.as_table(),

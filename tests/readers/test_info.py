@@ -230,7 +230,9 @@ def test_exit_codes_of_several_logs(tmp_path: Path) -> None:
     assert info(good, good).exit_code == 0
     result = info(good, nothing, "--json")
     assert result.exit_code == 3
-    assert [("error" in each) for each in json.loads(result.stdout)["logs"]] == [False, True]
+    told = json.loads(result.stdout)
+    assert [("error" in each) for each in told["logs"]] == [False, True]
+    assert told["program"] == {"name": "sonarrec", "version": told["version"]}
     assert "not an MCAP file" in result.stderr
     assert info(nothing).exit_code == 1
     assert info(nothing, tmp_path / "missing").exit_code == 1
