@@ -71,7 +71,7 @@ def site(
     """
     from dataclasses import replace
 
-    from sonarrec.pipeline.prepared import Used
+    from sonarrec.pipeline.prepared import Used, digest_asked, is_same_log
     from sonarrec.readers.find import find_log
     from sonarrec.report.site import Laid, assess, write_site
     from sonarrec.report.site_page import render
@@ -80,11 +80,13 @@ def site(
 
     config = settings.config()
     contrasts, values = laying.contrasts(), laying.values
-    # Of a run.toml the landmark set and the geometry serve as well, as of `run`.
-    earlier = read_run(settings.file)
+    # Of a run.toml all but the frames serves as well, as of `run`.
+    earlier, source = read_run(settings.file), find_log(log)
     landmarks = earlier.landmark_set(values["landmarks"])
-    given = earlier.lay_under(laying.reading(log_choice, frames), same_log=False)
-    out = out or Path("sonarrec_site") / find_log(log).name
+    stated = laying.reading(log_choice, frames)
+    same_log, _ = is_same_log(earlier, source, digest_asked(earlier, source))
+    given = replace(earlier.lay_under(stated, same_log=same_log), frames=stated.frames)
+    out = out or Path("sonarrec_site") / source.name
     check_free([out])
     with progress(quiet, title="motion") as step:
         background = laying.survey(log, given, landmarks, config, step)

@@ -69,8 +69,8 @@ def prepared(
     """
     earlier = read_run(used.earlier_run)
     found = find_log(path, given.up_to)
-    digest = digest_of(found.path, found.files) if earlier.input.sha256 else None
-    same_log, other = _same_log(earlier, shown(found.name), digest)
+    digest = digest_asked(earlier, found)
+    same_log, other = is_same_log(earlier, found, digest)
     given = earlier.lay_under(given, same_log=same_log)
     given, notes = _with_companions(found, given, again=same_log)
     notes = [*other, *notes]
@@ -122,13 +122,19 @@ def prepared(
         )
 
 
-def _same_log(
-    earlier: RunFile, name: str, digest: tuple[int, str] | None
+def digest_asked(earlier: RunFile, found: Source) -> tuple[int, str] | None:
+    """As `digest_of`; None where the earlier run does not tell one, for it takes long."""
+    return digest_of(found.path, found.files) if earlier.input.sha256 else None
+
+
+def is_same_log(
+    earlier: RunFile, found: Source, digest: tuple[int, str] | None
 ) -> tuple[bool, list[str]]:
     """Whether the earlier run was of this log, and a note where it was of another of its name.
 
-    digest: as `digest_of`; None where the earlier run does not tell one: then the name serves.
+    digest: of `digest_asked`; without one the name serves.
     """
+    name = shown(found.name)
     alike = earlier.input.name == name
     if digest is None:
         return alike, []
