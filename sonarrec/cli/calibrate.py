@@ -59,18 +59,24 @@ def calibrate(
       sonarrec calibrate day_1/ day_2/ --ground-truth both.csv -o model.toml --landmarks my.toml
     """
     from sonarrec.files.outputs import check_output, write_text, writing
-    from sonarrec.landmarks import load_landmarks
     from sonarrec.learning.calibrate import learn
+    from sonarrec.results.run_file import Given, read_run
 
     check_output(out, "model", [*log, ground_truth])
     config = settings.config()
+    # Of a run.toml the landmark set and the geometry serve as well, as of `run`.
+    earlier = read_run(settings.file)
+    given = earlier.lay_under(Given(**log_choice.arguments()), same_log=False)
     with progress(quiet) as step:
         lesson = learn(
             log,
             ground_truth,
             config,
-            load_landmarks(landmarks or "basin"),
-            **log_choice.arguments(),
+            earlier.landmark_set(landmarks),
+            sonar=given.sonar,
+            sonar_file=given.sonar_file,
+            topic=given.topic,
+            time=given.time,
             from_scratch=from_scratch,
             observe=step,
         )

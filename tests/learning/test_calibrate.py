@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from sonarrec.config import preset
-from sonarrec.landmarks import load_landmarks
+from sonarrec.landmarks import BUILT_IN, load_landmarks
 from sonarrec.learning.calibrate import FOLDS, Lesson, _not_taught, learn
 from sonarrec.learning.fit import PRIOR_WEIGHT, fit
 from sonarrec.learning.samples import Samples, Tracks, label
@@ -294,6 +294,26 @@ def test_what_cannot_teach_is_told_in_one_line(tmp_path, text, arguments, code, 
     assert told in result.stderr
     assert result.stderr.count("\n") == 1
     assert not out.exists()
+
+
+def test_a_run_toml_tells_landmarks_and_geometry_as_it_does_run(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("pan").mkdir()
+    for n in range(12):
+        name = f"{n:06d}.png"
+        Path("pan", name).write_bytes((SAMPLES / "pan" / name).read_bytes())
+    basin = (BUILT_IN / "basin.toml").read_text()
+    Path("mine.toml").write_text(basin.replace("id = 1\n", "id = 11\n"))
+    head, *lines = (SAMPLES / "pan" / "gt.csv").read_text().splitlines()
+    right = [line.replace(",1,", ",11,", 1) for line in lines if int(line.partition(",")[0]) < 12]
+    Path("gt.csv").write_text("\n".join([head, *right, ""]))
+    geometry = SAMPLES / "pan" / "sonar.toml"
+    sonarrec("run", "pan", "--sonar", geometry, "--landmarks", "mine.toml", "-q")
+    learning = ("calibrate", "pan", "--ground-truth", "gt.csv")
+    sonarrec(*learning, "--config", "sonarrec_out/pan/run.toml", "-o", "by_run.toml", "-q")
+    stated = ("--sonar", geometry, "--landmarks", "mine.toml")
+    sonarrec(*learning, *stated, "-o", "stated.toml", "-q")
+    assert Path("by_run.toml").read_bytes() == Path("stated.toml").read_bytes()
 
 
 def test_truth_on_frames_that_are_not_there_is_told(tmp_path):
