@@ -243,10 +243,11 @@ def _gathered(
             f"{table.path}: {given.folder} holds {len(there)} logs ({', '.join(there)}), so the "
             "truth needs a log column that names their folders; or give the folder of one log"
         )
-    for log in kept:
-        if log.error is not None:
-            raise log.error
-    cases = [log.checked for log in kept if log.checked is not None]
+    faults = [Unread(log.name, log.error) for log in kept if log.error is not None]
+    if len(faults) == len(kept):
+        raise faults[0].error
+    matching = [i for i in once.kept if logs[i].error is None]
+    cases = [case for i in matching if (case := logs[i].checked) is not None]
     found = fit(cases, some)
     usable = [cases[i] for i in found.usable]
     if table is not None:
@@ -255,7 +256,7 @@ def _gathered(
             lost += of_other_logs(table, [*(log.name for log in logs), *others])
     else:
         lost = [line for case in usable for line in left_out([case])]
-    used = [once.kept[i] for i in found.usable]
+    used = [matching[i] for i in found.usable]
     alike = [logs[i].name for i in used]
     names_ = [
         n if alike.count(n) == 1 else str(logs[i].folder) for n, i in zip(alike, used, strict=True)
@@ -269,7 +270,13 @@ def _gathered(
         used,
         names_,
         [*given.notes, *once.notes, *found.notes],
-        [*given.unused, *(u.told() for u in unread), *found.unused, *lost, *once.unused],
+        [
+            *given.unused,
+            *(one.told() for one in [*unread, *faults]),
+            *found.unused,
+            *lost,
+            *once.unused,
+        ],
     )
 
 

@@ -47,7 +47,7 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class Unread:
-    """A log whose results cannot be read, and why."""
+    """A log whose results or truth cannot be read, and why."""
 
     name: str
     error: SonarrecError
@@ -78,13 +78,10 @@ class Surveyed:
 
 
 def survey(reading: Reading, *, whole: bool = False) -> Surveyed | Unread:
-    """Read one log. whole: keep all that was read, and count nothing.
-
-    Raises SonarrecError where its truth cannot be read.
-    """
-    table = truth_table(reading.ground_truth)
+    """Read one log. whole: keep all that was read, and count nothing."""
     options = reading.options
     try:
+        table = truth_table(reading.ground_truth)
         log = read_log(reading.folder, options.landmarks, options.sonar)
     except SonarrecError as fault:  # the other logs can be scored
         return Unread(reading.log or shown(reading.folder.resolve().name), fault)

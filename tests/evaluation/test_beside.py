@@ -271,6 +271,27 @@ def test_one_log_whose_truth_cannot_be_its_own_does_not_stop_the_others(logs: Pa
 # --- What goes to stdout, which methods there are ------------------------------------------------
 
 
+@pytest.mark.parametrize("text", ["0,x,2,0", "0,9,2,0"])
+def test_a_truth_that_cannot_be_read_leaves_its_log_out(logs: Path, text: str) -> None:
+    """A cell that is no number, and an ID that the landmark set does not have."""
+    for name in ("a.gt.csv", "pings/gt.csv"):
+        truth(logs / "logs" / name, range(4))
+    own = logs / "logs" / "b.gt.csv"
+    own.write_text(",".join(HEADER) + f"\n{text}\n")
+    for words in ([logs / "out"], ["--compare", logs / "out", logs / "out"]):
+        done = command(*words, code=3)
+        (line,) = done.stderr.splitlines()
+        assert line.startswith(f"sonarrec: {own} line 2: landmark ")
+        assert line.endswith(f"; b is not {'compared' if words[1:] else 'scored'}")
+    told = json.loads((logs / "out" / "evaluation" / "evaluation.json").read_text())
+    assert told["logs"] == ["a", "pings"]
+    for name in ("a.gt.csv", "pings/gt.csv"):
+        shutil.copy(own, logs / "logs" / name)
+    done = command(logs / "out", code=1)
+    assert done.stderr.startswith(f"sonarrec: {logs / 'logs' / 'a.gt.csv'} line 2: landmark ")
+    assert done.stderr.count("\n") == 1
+
+
 def test_json_is_the_only_thing_on_stdout(logs: Path) -> None:
     for name in ("a", "b"):
         truth(logs / f"logs/{name}.gt.csv", range(4))

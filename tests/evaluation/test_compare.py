@@ -369,14 +369,6 @@ def test_options_that_do_not_go_together(
 # --- Pairs of results and truth ------------------------------------------------------------------
 
 
-def test_a_truth_that_is_not_there_is_told_with_its_row(tmp_path: Path) -> None:
-    (tmp_path / "one.csv").touch()
-    rows = [("out/one", "one.csv"), ("out/two", "two.csv")]
-    write_csv(tmp_path / "pairs.csv", ("results", "ground_truth"), rows)
-    with pytest.raises(SonarrecError, match=r"pairs\.csv line 3: .*two\.csv: no such file"):
-        read_pairs(tmp_path / "pairs.csv")
-
-
 def test_pairs_are_pooled(tmp_path: Path) -> None:
     rng = np.random.default_rng(5)
     alone = []
@@ -433,13 +425,13 @@ def test_a_pair_is_one_log(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("also", ["evaluate", "report"])
-def test_a_row_without_results_of_one_log_is_left_out(tmp_path: Path, also: str) -> None:
-    """And told with its line; its truth is not read."""
+def test_a_row_that_names_no_results_or_truth_is_left_out(tmp_path: Path, also: str) -> None:
+    """And told with its line; its truth is not read. Results are of one log."""
     for name in ("a", "b"):
         write_case(tmp_path / name, FRAMES, claims({5}), TRUTH)
     (tmp_path / "bad.csv").touch()
     pairs = tmp_path / "pairs.csv"
-    rows = [("c/out", "bad.csv"), ("a/out", "a/gt.csv"), ("both", "bad.csv")]
+    rows = [("c/out", "bad.csv"), ("a/out", "a/gt.csv"), ("both", "bad.csv"), ("b/out", "no.csv")]
     write_csv(pairs, ("results", "ground_truth"), rows)
     (tmp_path / "both").mkdir()
     for name in ("a", "b"):
@@ -452,6 +444,7 @@ def test_a_row_without_results_of_one_log_is_left_out(tmp_path: Path, also: str)
         "`sonarrec run LOG` writes one; not scored",
         f"sonarrec: {pairs} line 4: {tmp_path / 'both'}: holds 2 logs; give each a row of its own; "
         "not scored",
+        f"sonarrec: {pairs} line 5: {tmp_path / 'no.csv'}: no such file; not scored",
     ]
     write_csv(pairs, ("results", "ground_truth"), rows[:1])
     done = CliRunner().invoke(main, [also, "--pairs", str(pairs)])

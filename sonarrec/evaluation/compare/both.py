@@ -53,20 +53,22 @@ class BothCounted:
 
 
 def count_both(reading: BothReading) -> BothCounted | Unread:
-    """Read one log's results on both sides; Unread also where they share no frame.
-
-    Raises SonarrecError where its truth cannot be read.
-    """
-    (was, now), options = reading.folders, reading.options
-    table = truth_table(reading.ground_truth)
+    """Read one log's results on both sides."""
     try:
-        old, new = (read_log(f, options.landmarks, options.sonar) for f in reading.folders)
+        return _counted(reading)
     except SonarrecError as fault:  # the other logs can be compared
         return Unread(reading.name, fault)
+
+
+def _counted(reading: BothReading) -> BothCounted:
+    """Raises SonarrecError where one of the sides or the truth cannot be read, or they share no
+    frame."""
+    (was, now), options = reading.folders, reading.options
+    table = truth_table(reading.ground_truth)
+    old, new = (read_log(f, options.landmarks, options.sonar) for f in reading.folders)
     common = np.intersect1d(old.frame, new.frame)
     if not len(common):
-        none = f"{was} and {now} have no frame in common"
-        return Unread(reading.name, SonarrecError(none))
+        raise SonarrecError(f"{was} and {now} have no frame in common")
     unused = []
     for side, log in ((was, old), (now, new)):
         alone = len(log.frame) - len(common)

@@ -176,8 +176,8 @@ def compare(
     Logs go together by name or SHA-256, or where each side has one log. ground_truth: one table,
     or pairs, of which each log takes that of its results; None: the truth beside each log. unit:
     as of `summary.summarise`. jobs, elsewhere: as of `evaluate.evaluate_many`. A log that cannot be
-    compared is left out of several. Raises SonarrecError where none is left, or the truth cannot
-    be read.
+    compared is left out of several. Raises SonarrecError where none is left, or the one truth of
+    all of them cannot be read.
     """
     options.check()
     sides = both_sides(old, new, ground_truth, options.landmarks, elsewhere)

@@ -44,15 +44,13 @@ def read_pairs(path: Path) -> list[Pair]:
     logs = [str(log) for log in table["log"]] if "log" in table else [None] * len(table["results"])
     rows = [f"{path} line {line}" for line, _ in zip(line_numbers(path), logs, strict=False)]
     for row, *names in zip(rows, *(table[c] for c in columns), strict=True):
-        for column, name in zip(columns, map(str, names), strict=True):
+        for name in map(str, names):
             try:
                 (path.parent / name).stat()
+            except (FileNotFoundError, NotADirectoryError):  # told where it is read, if it is
+                continue
             except (OSError, ValueError) as error:  # or too long, or with a NUL byte
-                missing = isinstance(error, FileNotFoundError | NotADirectoryError)
-                if missing and column == "results":  # told where they are read, if they are
-                    continue
-                no = f"no path, {name[:40]!r} ({error})"[:200]
-                told = f"{path.parent / name}: no such file" if missing else no
+                told = f"no path, {name[:40]!r} ({error})"[:200]
                 raise SonarrecError(f"{row}: {told}") from None
     return [
         Pair(path.parent / str(results), path.parent / str(truth), log, row)
@@ -61,23 +59,24 @@ def read_pairs(path: Path) -> list[Pair]:
 
 
 def of_one_log(pairs: Iterable[Pair]) -> tuple[list[Pair], list[str]]:
-    """The pairs whose results are there and of one log, and a line for each other.
+    """The pairs that are there, with results of one log, and a line for each other.
 
     Raises SonarrecError where there is none.
     """
     found, faults = [], []
     for pair in pairs:
-        row = "" if pair.row is None else f"{pair.row}: "
         try:
             folders = find_logs(pair.results)
+            if folders != [pair.results]:
+                raise SonarrecError(
+                    f"{pair.results}: holds {len(folders)} logs; give each a row of its own"
+                )
+            if not pair.ground_truth.exists():
+                raise SonarrecError(f"{pair.ground_truth}: no such file")
         except SonarrecError as fault:
-            faults.append(type(fault)(f"{row}{fault}"))
-            continue
-        if folders == [pair.results]:
-            found.append(pair)
+            faults.append(fault if pair.row is None else type(fault)(f"{pair.row}: {fault}"))
         else:
-            told = f"{pair.results}: holds {len(folders)} logs; give each a row of its own"
-            faults.append(SonarrecError(f"{row}{told}"))
+            found.append(pair)
     if not found:
         raise faults[0] if faults else SonarrecError("no pair of results and ground truth to score")
     return found, [f"{fault}; not scored" for fault in faults]
