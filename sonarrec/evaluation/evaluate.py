@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -257,10 +258,6 @@ def _gathered(
     else:
         lost = [line for case in usable for line in left_out([case])]
     used = [matching[i] for i in found.usable]
-    alike = [logs[i].name for i in used]
-    names_ = [
-        n if alike.count(n) == 1 else str(logs[i].folder) for n, i in zip(alike, used, strict=True)
-    ]
     first = logs[used[0]]
     for i in used:
         if set(logs[i].ids) != set(first.ids):
@@ -268,7 +265,7 @@ def _gathered(
     return _Gathered(
         logs,
         used,
-        names_,
+        told_apart([(logs[i].name, logs[i].folder) for i in used]),
         [*given.notes, *once.notes, *found.notes],
         [
             *given.unused,
@@ -278,6 +275,12 @@ def _gathered(
             *once.unused,
         ],
     )
+
+
+def told_apart(logs: Sequence[tuple[str, Path]]) -> list[str]:
+    """The names of logs, of equal ones their folders. logs: (name, folder) of each."""
+    many = Counter(name for name, _ in logs)
+    return [name if many[name] == 1 else str(folder) for name, folder in logs]
 
 
 def pool(

@@ -348,6 +348,37 @@ def test_other_new_results_of_a_recording_are_not_compared(tmp_path: Path) -> No
     assert other.endswith("which counts once; these other results of it are not compared")
 
 
+def test_logs_of_equal_names_are_told_apart_as_evaluate_does(tmp_path: Path) -> None:
+    right = {"x": {5}, "y": {5, 6}}
+    old = several(tmp_path / "old", {"x": "a" * 64, "y": "b" * 64}, right)
+    new = several(tmp_path / "new", {"x": "a" * 64, "y": "b" * 64}, {"x": {6}, "y": {7}})
+    write_csv(tmp_path / "gt.csv", TRUTH_HEADER, TRUTH)
+    rows = [(new / name, "gt.csv", "dive") for name in right]
+    write_csv(tmp_path / "pairs.csv", ("results", "ground_truth", "log"), rows)
+    command("--pairs", tmp_path / "pairs.csv", "--compare", old, new)
+    told = json.loads((new / "evaluation" / "compare.json").read_text())
+    assert told["logs"] == [str(new / name) for name in right]
+    with (new / "evaluation" / "changes.csv").open() as file:
+        assert {row["log"] for row in csv.DictReader(file)} == set(told["logs"])
+
+
+def test_pairs_that_name_no_truth_at_all(tmp_path: Path) -> None:
+    """In a short line, however many logs there are."""
+    digests = {name: name * 64 for name in "abc"}
+    out = several(tmp_path / "out", digests, {name: {5} for name in digests})
+    pairs = tmp_path / "pairs.csv"
+    write_csv(pairs, ("results", "ground_truth"), [])
+    for words in ([], ["--compare", out, out]):
+        assert command("--pairs", pairs, *words, code=1).stderr == (
+            f"sonarrec: {pairs}: it has no row; give one for each log (results,ground_truth)\n"
+        )
+    write_csv(pairs, ("results", "ground_truth"), [("elsewhere", "gt.csv")])
+    assert command("--pairs", pairs, "--compare", out, out, code=1).stderr == (
+        f"sonarrec: {out / 'a'}: the pairs name no truth for it; not compared (nor for 2 more "
+        "logs)\n"
+    )
+
+
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [

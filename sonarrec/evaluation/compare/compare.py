@@ -27,7 +27,7 @@ from sonarrec.evaluation.counting.uncertainty import (
     coin_tosses,
     differences,
 )
-from sonarrec.evaluation.evaluate import DEFAULT, other_ids
+from sonarrec.evaluation.evaluate import DEFAULT, other_ids, told_apart
 from sonarrec.evaluation.matching.fit import fit
 from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import Elsewhere, Pair
@@ -252,13 +252,14 @@ def _counted(readings: Sequence[BothReading], jobs: int | None, min_visible: flo
     for log in used:
         if set(log.ids) != set(used[0].ids):
             raise other_ids(used[0].name, log.name)
-    kept, names = [numbers[i] for i in found.usable], [log.name for log in used]
+    names = told_apart([(read[i].name, read[i].now) for i in found.usable])
+    kept = [numbers[i] for i in found.usable]
     old, new = (pooled(parts, kept, names, min_visible) for parts in (before, after))
     if not (old.methods and new.methods):
         raise SonarrecError(f"{', '.join(names)}: estimates.csv names no method to score")
     named = tuple(zip(kept, names, strict=True))
     return _Both(
-        used=[read[i] for i in found.usable],
+        used=[replace(read[i], name=n) for i, n in zip(found.usable, names, strict=True)],
         before=old,
         after=new,
         frames=partial(FrameChanges, store, named),

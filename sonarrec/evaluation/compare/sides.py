@@ -201,7 +201,8 @@ def _with_truth(
             if pair is None
         ]
     if not any(chosen):
-        raise SonarrecError("; ".join(without))
+        others = f" (nor for {len(without) - 1} more logs)" if without[1:] else ""
+        raise SonarrecError(f"{without[0]}{others}")
     return list(_logs(together, chosen)), said, without
 
 

@@ -42,6 +42,8 @@ def read_pairs(path: Path) -> list[Pair]:
     columns = ("results", "ground_truth")
     table = read_table(path, dict.fromkeys((*columns, "log"), "text"), columns, ",".join(columns))
     logs = [str(log) for log in table["log"]] if "log" in table else [None] * len(table["results"])
+    if not logs:
+        raise SonarrecError(f"{path}: it has no row; give one for each log ({','.join(columns)})")
     rows = [f"{path} line {line}" for line, _ in zip(line_numbers(path), logs, strict=False)]
     for row, *names in zip(rows, *(table[c] for c in columns), strict=True):
         for name in map(str, names):
