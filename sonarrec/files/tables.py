@@ -104,9 +104,12 @@ def read_tables(
     in_parquet = path.suffix == PARQUET
     if in_parquet:
         names, parquet = read_parts(path, rows)
-        header = {name.strip(): name for name in names}
     else:
-        header = {str(c).strip(): c for c in read(nrows=0).columns}
+        names = list(map(str, read(nrows=0).columns))
+    header = {name.strip(): name for name in names}
+    for name in kinds:  # pandas calls the second of equal names NAME.1
+        if f"{name}.1" in header or sum(other.strip() == name for other in names) > 1:
+            raise SonarrecError(f"{path}: two columns are called {name}; rename or delete one")
     missing = [name for name in required if name not in header]
     if missing:
         raise SonarrecError(

@@ -35,6 +35,15 @@ def test_lines_are_those_of_the_file(tmp_path: Path, end: str) -> None:
     assert len(table["a"]) == 4
 
 
+@pytest.mark.parametrize("header", ["a,b,a", "a ,b, a", '"a",b,a'])
+def test_one_of_two_columns_of_a_name_is_not_chosen(tmp_path: Path, header: str) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text(f"{header}\n1,2,3\n")
+    with pytest.raises(SonarrecError, match="two columns are called a; rename or delete one"):
+        read_table(path, {"a": "whole"}, ("a",), "a,b")
+    assert read_table(path, {"b": "whole"}, ("b",), "a,b")["b"].tolist() == [2]
+
+
 def test_many_lines_that_end_as_on_old_macs_are_no_wide_header(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     path.write_bytes(b"a,b\r" + 2_000 * b"1,2\r")
