@@ -89,6 +89,25 @@ def test_without_any_truth_one_line_says_where_it_was_looked_for(logs: Path) -> 
     assert "no such file" in command(logs / "out" / "b", code=2).stderr
 
 
+def test_the_log_is_found_from_any_folder_and_where_it_moved_with_its_results(
+    logs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    truth(logs / "logs" / "a.gt.csv", range(4))
+    run = logs / "out" / "a" / "run.toml"
+    text = run.read_text().replace(f'path = "{logs / "logs" / "a.mp4"}"', 'path = "logs/a.mp4"')
+    run.write_text(text + 'place = "../../logs/a.mp4"\n')
+    (logs / "elsewhere").mkdir()
+    monkeypatch.chdir(logs / "elsewhere")
+    done = command("../out/a")
+    assert f"../out/a: ground truth {logs / 'logs' / 'a.gt.csv'}, beside its log" in done.stdout
+    for name in ("out", "logs"):
+        (logs / name).rename(logs / "elsewhere" / name)
+    assert "logs/a.gt.csv, beside its log" in command("out/a").stdout
+    (logs / "elsewhere" / "logs" / "a.mp4").unlink()
+    said = command("out/a", code=2).stderr
+    assert said.startswith("sonarrec: out/a: no ground truth: logs/a.mp4: no such file or folder;")
+
+
 def test_a_packed_log_is_named_without_both_of_its_endings(tmp_path: Path) -> None:
     log = tmp_path / "dive.mcap.zst"
     log.write_bytes(b"packed")

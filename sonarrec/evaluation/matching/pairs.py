@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -143,7 +144,7 @@ def _truth_beside(folder: Path, source: Input, elsewhere: Elsewhere | None) -> P
             log, own = source.path, f"{log_name(Path(source.path))}.{TRUTH_FILE}, nor "
             truth, size = elsewhere(log, TRUTH_FILE)
         else:
-            found = _log_at(source.path)
+            found = _log_at(source.path, folder, source.place)
             log = str(found.path)
             own = (
                 f"{log_name(found.path)}.{TRUTH_FILE}, nor " if found.files == [found.path] else ""
@@ -161,12 +162,18 @@ def _truth_beside(folder: Path, source: Input, elsewhere: Elsewhere | None) -> P
     return truth
 
 
-def _log_at(path: str) -> Source:
-    """The log at a path of run.toml, which has escapes for bytes that are no UTF-8."""
-    try:
-        return find_log(path)
-    except MissingError:
-        return find_log(unshown(path))
+def _log_at(path: str, folder: Path, place: str | None) -> Source:
+    """The log at a path of run.toml, else where it lies from the results' folder on.
+
+    Both have escapes for bytes that are no UTF-8. Raises MissingError where there is none.
+    """
+    places = [path, unshown(path)]
+    if place is not None:  # the path is of the folder that `run` was called in
+        places.append(str((folder.resolve() / unshown(place)).resolve()))
+    for each in places:
+        with suppress(MissingError):
+            return find_log(each)
+    return find_log(path)
 
 
 def _size(log: Source) -> int:
