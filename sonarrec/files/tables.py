@@ -117,16 +117,19 @@ def read_tables(
             f"{','.join(header)}; expected a header such as {expected}"
         )
     used = {name: header[name] for name in kinds if name in header}
-    text = {c: "category" for n, c in used.items() if kinds[n] in _TEXTS}
+    text = [c for n, c in used.items() if kinds[n] in _TEXTS]
     parts: Iterator[Any]
     if in_parquet:
-        parts = (part.astype(dict.fromkeys(text, "category")) for part in parquet)
+        parts = parquet
     else:
-        # Not with `usecols`, which passes over rows that are longer than the header.
-        parts = iter([read(dtype=text)]) if rows is None else read(dtype=text, chunksize=rows)
+        # Not as "category", which takes the name 007 for a number. Not with `usecols`, which passes
+        # over rows that are longer than the header.
+        as_text = dict.fromkeys(text, object)
+        parts = iter([read(dtype=as_text)]) if rows is None else read(dtype=as_text, chunksize=rows)
     labels: dict[Any, int] = {}
     first = 0
     while (part := _parsed(path, expected, lambda: next(parts, None))) is not None:
+        part = part.astype(dict.fromkeys(text, "category"))
         columns = {name: part[column] for name, column in used.items()}
         table, fault = _table(path, first, columns, kinds, labels)
         yield first, table

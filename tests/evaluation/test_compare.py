@@ -441,6 +441,22 @@ def test_pairs_take_the_rows_of_their_log(tmp_path: Path) -> None:
         evaluate_whole([Pair(results, tmp_path / "both.csv")])
 
 
+def test_logs_may_be_called_by_numbers(tmp_path: Path) -> None:
+    """As by the date, with zeros in front: in a truth, and in a table of pairs."""
+    results, _ = write_case(tmp_path / "case", FRAMES, claims({5, 6}), [])
+    results.rename(tmp_path / "007")
+    rows = [("007", *row) for row in TRUTH] + [("20261124", 0, 2, 2.0, 0.0, 1.0)]
+    write_csv(tmp_path / "gt.csv", ("log", *TRUTH_HEADER), rows)
+    found = evaluate(tmp_path / "007", tmp_path / "gt.csv")
+    write_csv(
+        tmp_path / "pairs.csv", ("results", "ground_truth", "log"), [("007", "gt.csv", "007")]
+    )
+    pairs = evaluate_whole(read_pairs(tmp_path / "pairs.csv"))
+    for one in (found, pairs):
+        assert one.joined.logs == ("007",)
+        assert scored(one, "strict").count().fn == 18
+
+
 def test_a_pair_is_one_log(tmp_path: Path) -> None:
     for name in ("a", "b"):
         write_case(tmp_path / name, FRAMES, claims({5}), TRUTH)

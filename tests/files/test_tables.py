@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from sonarrec.files.tables import line_number, read_table
+from sonarrec.files.tables import line_number, read_table, read_tables
 from sonarrec.records import SonarrecError
 
 
@@ -42,6 +42,18 @@ def test_one_of_two_columns_of_a_name_is_not_chosen(tmp_path: Path, header: str)
     with pytest.raises(SonarrecError, match="two columns are called a; rename or delete one"):
         read_table(path, {"a": "whole"}, ("a",), "a,b")
     assert read_table(path, {"b": "whole"}, ("b",), "a,b")["b"].tolist() == [2]
+
+
+@pytest.mark.parametrize("rows", [None, 1])
+@pytest.mark.parametrize("names", [("007", "008"), ("20261124", "1"), ("1.0", "1e3"), ("True", "")])
+def test_names_are_text_whatever_they_look_like(
+    tmp_path: Path, names: tuple[str, str], rows: int | None
+) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text("log,a\n" + "".join(f"{name},1\n" for name in names))
+    parts = read_tables(path, {"log": "blank or text"}, ("log",), "log", rows)
+    found = [name for _, part in parts for name in part["log"]]
+    assert [name for name in found if name == name] == [name for name in names if name]
 
 
 def test_many_lines_that_end_as_on_old_macs_are_no_wide_header(tmp_path: Path) -> None:
