@@ -336,6 +336,20 @@ def test_a_log_that_cannot_be_compared_is_left_out_of_several(tmp_path: Path) ->
     assert "3 logs are to be compared" in command(*sides, tmp_path / "one.csv", code=1).stderr
 
 
+def test_links_to_folders_of_one_name_go_together_by_their_own(tmp_path: Path) -> None:
+    """Of results without a run.toml, whose SHA-256 is not known."""
+    for side, right in (("old", ({5}, {6})), ("new", ({5}, {6, 7}))):
+        (tmp_path / side).mkdir()
+        for name, frames in zip("ab", right, strict=True):
+            out, _ = write_case(tmp_path / f"{side}_{name}", FRAMES, claims(frames), TRUTH)
+            (tmp_path / side / name).symlink_to(out)
+    rows = [(tmp_path / "new" / name, f"new_{name}/gt.csv") for name in "ab"]
+    write_csv(tmp_path / "pairs.csv", ("results", "ground_truth"), rows)
+    sides = ["--compare", tmp_path / "old", tmp_path / "new"]
+    done = command("--pairs", tmp_path / "pairs.csv", *sides)
+    assert "frames and IDs: 2 better, 0 worse, 0 otherwise changed" in done.stdout
+
+
 def test_other_new_results_of_a_recording_are_not_compared(tmp_path: Path) -> None:
     a = "a" * 64
     old = several(tmp_path / "old", {"x": a}, {"x": {5}})

@@ -152,7 +152,8 @@ def _pair_up(old: Path, new: Path) -> tuple[list[Both], list[str]]:
     for now in after:
         digest = _sha256(now)
         same = [] if digest is None else of_digest.get(digest, [])
-        named = of_name.get(_name(now), [])
+        # Links to folders of one name go together by their own names.
+        named = sorted(of_name.get(_name(now), []), key=lambda was: was.name != now.name)
         chosen = next((was for was in named if was in same), None)
         chosen = chosen or next(iter([*same, *named]), None)
         if chosen is not None:
