@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,16 +16,16 @@ def poses_of_run(folder: Path, run: RunFile, given: Sequence[Path]) -> PoseTable
     """The poses of a log's run; None where it had none and none are given.
 
     given: tables to look among first; a log that was run without poses takes the only one. A table
-    is known by its SHA-256; not given, it is looked for by its name beside the log, beside the
-    results and here. A topic is read from the log again. Raises SonarrecError where the poses that
-    were used cannot be found.
+    is known by its SHA-256; not given, it is looked for by its name in a log that is a folder,
+    beside the log and above it, as a run does, then beside the results and here. A topic is read
+    from the log again. Raises SonarrecError where the poses that were used cannot be found.
     """
     stated = run.odometry
     log = Path(run.table.get("input", {}).get("path", ""))
     if "topic" in stated and not given:
         from sonarrec.readers.mcap.poses import read_topic  # with its decompressors, where needed
 
-        if not log.is_file():
+        if not log.exists():
             raise SonarrecError(
                 f"{folder}: its poses are the topic {stated['topic']} of {log}, which is not "
                 "there; give a table of them with --odometry"
@@ -33,16 +34,22 @@ def poses_of_run(folder: Path, run: RunFile, given: Sequence[Path]) -> PoseTable
     if not stated or "topic" in stated:
         return read_poses(given[0]) if len(given) == 1 else None
     name = str(stated.get("name"))
-    places = [log.parent]
+    places = [log, *log.parents]
     for home in (folder.absolute(), folder.resolve()):  # beside a link; "." and ".." have no parent
         places += [home, home.parent, home.parent.parent]
     places.append(Path())
     for path in [*given, *(place / name for place in places)]:
-        if path.is_file():
-            poses = read_poses(path)
-            if poses.source.get("sha256") == stated.get("sha256"):
-                return poses
+        if _digest(path) == stated.get("sha256"):
+            return read_poses(path)
     raise SonarrecError(
         f"{folder}: the poses it was run with, {name}, are not there or have changed; give that "
         "table with --odometry, or run the log again"
     )
+
+
+def _digest(path: Path) -> str | None:
+    """SHA-256 of a file; None where there is none that can be read."""
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError:
+        return None

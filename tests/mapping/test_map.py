@@ -711,9 +711,17 @@ def test_the_frame_of_a_topic_is_as_ros_has_it(tmp_path: Path) -> None:
         period = 180 if one["landmark"] == "2" else 360
         turn = float(other["orientation_deg"]) - 90 - float(one["orientation_deg"])
         assert math.remainder(turn, period) == pytest.approx(0, abs=0.05)
-    log.unlink()
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    log.rename(bag / "bag_0.mcap")
     told = sonarrec("map", ros, code=1)
     assert "its poses are the topic /odom of" in told.stderr
+    run = ros / "run.toml"
+    stated = run.read_text()
+    run.write_text(stated.replace(str(log), str(bag)))
+    first = map_rows(ros)
+    assert len(first) == 3
+    run.write_text(stated)
     table_of_poses = write_poses(tmp_path / "poses.csv", path)
     sonarrec("map", ros, "--odometry", table_of_poses)
 
@@ -799,6 +807,21 @@ def test_poses_are_found_from_wherever_the_results_are_named(
     (folder / "sub").mkdir()
     monkeypatch.chdir(tmp_path / here)
     sonarrec("map", named)
+    assert table(folder / "map" / "map.csv")
+
+
+@pytest.mark.parametrize("where", ["day/dive", "day", ".", "day/dive/shots"])
+def test_poses_are_found_where_a_run_finds_those_of_a_folder(where: str, tmp_path: Path) -> None:
+    """In the folder that is the log, or above it; other tables of that name are in the way."""
+    folder = results(tmp_path / "out" / "dive", there_and_back(20), there_and_back(20))
+    log = tmp_path / "day" / "dive" / "shots"
+    log.mkdir(parents=True)
+    run = folder / "run.toml"
+    told = run.read_text().replace(str(tmp_path / "out" / "dive.mcap"), str(log))
+    run.write_text(told.replace("dive.poses.csv", "poses.csv"))
+    (tmp_path / "out" / "poses.csv").write_text("of another log\n")
+    (tmp_path / "out" / "dive.poses.csv").rename(tmp_path / where / "poses.csv")
+    sonarrec("map", folder)
     assert table(folder / "map" / "map.csv")
 
 
