@@ -75,6 +75,16 @@ class Log:
         return settled if scale is None else settled | scale.as_table()
 
     @property
+    def dynamic_range_db(self) -> float | None:
+        """Decibels from black to white; None where nothing tells, or before the first frame."""
+        # On other scales than linear the reader itself made the grey, by as many dB.
+        read, step = self.reading(), self._raw.told.sample_db
+        stated: float | None = read.get("dynamic_range_db", self.sonar.dynamic_range_db)
+        if stated is None and step is not None and "full_scale" in read:
+            stated = step * read["full_scale"]
+        return stated
+
+    @property
     def notes(self) -> list[str]:
         """Where the stated geometry contradicts the log, and what was taken or is not certain;
         complete after the pass."""

@@ -57,11 +57,13 @@ class Told:
 
     sonar: of its geometry what the pings leave open (tilt). header: every value worth knowing, by
     its name and unit, None where the sonar measured none. notes: what of all this is not sure.
+    sample_db: decibels from one sample value to the next, where samples are decibels.
     """
 
     sonar: Sonar = field(default_factory=Sonar)
     header: Mapping[str, str | float | None] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    sample_db: float | None = None
 
 
 class RawLog(ABC):

@@ -138,8 +138,7 @@ def survey(
                 step(log.frame_count)
         if odometry is None:
             raise UsageError(f"{where}: no frame lies in --frames {span[0]}:{span[1] or ''}")
-        # On other scales than linear the reader itself made the grey, by as many dB.
-        stated = log.reading().get("dynamic_range_db", log.sonar.dynamic_range_db)
+        stated = log.dynamic_range_db
         rate = log.sonar.frame_rate_hz
         (own,), beams = with_beams([config], log.beam_width_deg, begin)
         notes = [*log.notes, *odometry.notes(), *(f"{where}: {line}" for line in beams)]

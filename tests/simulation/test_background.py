@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import math
 import shutil
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -36,6 +37,7 @@ from sonarrec.simulation.simulate import write_recording
 from tests.support.command import sonarrec
 
 BASIN = load_landmarks("basin")
+ARIS = Path(__file__).parents[1] / "readers" / "aris_sample" / "sample.aris"
 LAMPREY = Path(__file__).resolve().parents[3] / "shared/data/river/lamprey1.avi"
 FRAMES = 24
 # A made-up sonar whose images are as even as speckle lets them be.
@@ -321,6 +323,23 @@ def test_amplitudes_have_the_range_that_the_reader_gave_them(
         words = ("--pixel-scale", scale, "--count", "1", "-o", out)
         told = sonarrec("simulate", "--background", folder, *words).stderr
         assert ("grey is taken as 50 dB" in told) == noted
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [((), 80.0), (("--full-scale", "159"), 49.88), (("--dynamic-range-db", "60"), 60.0)],
+)
+def test_an_aris_file_tells_its_range(
+    words: tuple[str, ...], expected: float, tmp_path: Path
+) -> None:
+    """Its samples are 0 to 80 dB; a stated range goes before."""
+    out = tmp_path / "out"
+    told = sonarrec("simulate", "--background", ARIS, *words, "--count", "1", "-o", out).stderr
+    assert "grey is taken as" not in told
+    written = tomllib.loads((out / "background.toml").read_text())["background"]
+    assert written["dynamic_range_db"] == pytest.approx(expected, abs=0.01)
+    sonar = tomllib.loads((out / "sonar.toml").read_text())["sonar"]
+    assert sonar["dynamic_range_db"] == written["dynamic_range_db"]
 
 
 def test_black_floor_has_no_room() -> None:

@@ -14,6 +14,7 @@ from sonarrec.readers.raw import Told, UnusableError
 from sonarrec.sonar import MIN_WINDOW_M, PingGeometry, Sonar
 
 _HEADER_BYTES = 1024
+FULL_SCALE_DB = 80
 
 FILE_HEADER = {
     "FrameCount": (4, "<u4"),
@@ -128,7 +129,7 @@ class Aris:
             "sound_speed_m_s": measured(frame["SoundSpeed"]),
             "sample_start_us": int(frame["SampleStartDelay"]),
             "sample_period_us": int(frame["SamplePeriod"]),
-            "sample_full_scale_db": 80,
+            "sample_full_scale_db": FULL_SCALE_DB,
             "receiver_gain_db": int(frame["ReceiverGain"]),
             "water_temperature_c": measured(frame["WaterTemp"]),
             "salinity_ppt": int(frame["Salinity"]),
@@ -140,7 +141,8 @@ class Aris:
             "rotator_roll_deg": measured(frame["SonarRoll"]),
         }
         rate = rate if rate is not None and 0 < rate < 1000 else None
-        return Told(Sonar(tilt_deg=tilt, frame_rate_hz=rate), header, tuple(notes))
+        sonar = Sonar(tilt_deg=tilt, frame_rate_hz=rate)
+        return Told(sonar, header, tuple(notes), sample_db=FULL_SCALE_DB / 255)
 
 
 def in_beam_order(samples: np.ndarray, pings: int) -> np.ndarray:
