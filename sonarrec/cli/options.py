@@ -23,9 +23,9 @@ landmarks_option = option(
 )
 
 
-def frames_option(text: str) -> Decorator:
-    """--frames; text: what becomes of these frames."""
-    text = f"{text} Either may be left out."
+def frames_option(text: str, default: str | None = None) -> Decorator:
+    """--frames; text: what becomes of these frames. default: all of them where it is None."""
+    text = f"{text} Either may be left out." + (f"  [default: {default}]" if default else "")
     return option(INPUT, "--frames", metavar="A:B", help=text)
 
 

@@ -43,7 +43,9 @@ from sonarrec.records import UsageError
 )
 @option(OUTPUT, "--images", type=ANY, metavar="DIR", help="Draw the frames as DIR/000000.png, ...")
 @option(INPUT, "--method", help="Method of estimates.csv.  [default: framework]")
-@frames_option("Draw only these frames, from A up to, not including, B.")
+@frames_option(
+    "Draw only these frames, from A up to, not including, B.", default="those of the run"
+)
 @option(OUTPUT, "--grid", is_flag=True, help="Draw range rings and bearings in videos and images.")
 @quiet_option
 # Long by its options and its help.
@@ -96,7 +98,7 @@ def overlay(
             Targets(mcap, video, images, foxglove_layout),
             results=results,
             method=method,
-            span=(0, None) if frames is None else frame_span(frames),
+            span=None if frames is None else frame_span(frames),
             ground_truth=ground_truth,
             landmarks=landmarks,
             **log_choice.arguments(),

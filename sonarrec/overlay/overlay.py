@@ -61,7 +61,7 @@ def write_overlay(
     *,
     results: Path = Path("sonarrec_out"),
     method: str | None = None,
-    span: tuple[int, int | None] = (0, None),
+    span: tuple[int, int | None] | None = None,
     ground_truth: Path | None = None,
     landmarks: str | None = None,
     sonar: Sonar | None = None,
@@ -73,10 +73,10 @@ def write_overlay(
     """Draw the results of one log onto its frames, in one pass.
 
     results: the folder of this log's results, or one that holds it. method: None for the
-    framework. span: frames from the first number up to, not including, the second. landmarks,
-    sonar, sonar_file, topic: where run.toml does not tell them; they win over it. grid: range
-    rings and bearings in the pictures. observe: called after every frame with the number of frames,
-    where that is known.
+    framework. span: frames from the first number up to, not including, the second; None for those
+    of the run. landmarks, sonar, sonar_file, topic: where run.toml does not tell them; they win
+    over it. grid: range rings and bearings in the pictures. observe: called after every frame with
+    the number of frames, where that is known.
     Raises SonarrecError where something cannot be used or the results are of another log,
     UsageError where an option cannot be meant.
     """
@@ -90,6 +90,7 @@ def write_overlay(
         Given(sonar or Sonar(), sonar_file, topic),
         same_log=source.reader.has_topics,  # else a topic in run.toml is another log's
     )
+    span = span or run.span() or (0, None)
     table = estimates_of(folder)
     method = choose_method(table, method)
     with open_log(source, **given.reading()) as log:

@@ -277,10 +277,11 @@ class RunFile:
             sonar=given.sonar if given.sonar_file else self.sonar().updated(given.sonar),
             topic=given.topic or (self.input.topic if same_log else None),
             time=given.time or (self.input.time if same_log else None),
-            frames=given.frames or (self._frames() if same_log else None),
+            frames=given.frames or (self.span() if same_log else None),
         )
 
-    def _frames(self) -> tuple[int, int | None] | None:
+    def span(self) -> tuple[int, int | None] | None:
+        """The frames that were asked for; None where it does not say."""
         return None if self.input.frames is None else frame_span(self.input.frames)
 
     def fan(self, given: Sonar | None = None) -> Fan | None:

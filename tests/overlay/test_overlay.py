@@ -722,6 +722,19 @@ def test_results_of_a_packed_log_of_any_name_are_found(tmp_path: Path) -> None:
     assert write_overlay(packed, targets, results=tmp_path / "out").frames == 2
 
 
+def test_the_frames_drawn_are_those_that_were_run(work: Path) -> None:
+    """Nobody looked at the others: an empty picture of them would say that nothing is there."""
+    run = work / "sonarrec_out" / "log" / "run.toml"
+    text = run.read_text().replace("[input]", '[input]\nframes = "1:3"')
+    assert "frames" in text
+    run.write_text(text)
+    sonarrec("overlay", "log", "--mcap", "o.mcap", "--images", "shots", "-q")
+    assert sorted(p.name for p in (work / "shots").iterdir()) == ["000001.png", "000002.png"]
+    assert len(list(messages(work / "o.mcap"))) == 4
+    sonarrec("overlay", "log", "--images", "all", "--frames", "0:", "-q")
+    assert len(list((work / "all").iterdir())) == 4
+
+
 def test_a_run_that_was_cut_short(work: Path) -> None:
     run = work / "sonarrec_out" / "log" / "run.toml"
     run.write_text(run.read_text().replace("finished = true", "finished = false"))
