@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from click.shell_completion import BashComplete
 from click.testing import CliRunner
 
 from sonarrec.cli import main
@@ -34,6 +36,20 @@ def sonarrec(
         capture_output=True,
         timeout=120,
     )
+
+
+PATHS = """run . | info . | calibrate . | site . | overlay . | overlay x . | map . | evaluate .
+report . | truth check . | truth check x . | truth convert . | truth propose .
+truth convert --log . | run --landmarks . | run --model . | simulate --landmarks .
+simulate --scene . | simulate --background . | evaluate --compare . | evaluate --compare x .
+report --compare ."""
+
+
+@pytest.mark.parametrize("line", [one.strip() for one in re.split(r"[|\n]", PATHS)])
+def test_a_shell_completes_the_names_of_files(line: str) -> None:
+    *words, begun = line.split()
+    shell = BashComplete(main, {}, "sonarrec", "_SONARREC_COMPLETE")
+    assert [item.type for item in shell.get_completions(words, begun)] == ["file"]
 
 
 @pytest.fixture

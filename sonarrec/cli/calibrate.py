@@ -8,7 +8,7 @@ import click
 
 from sonarrec.cli.bars import progress
 from sonarrec.cli.endings import end, tell
-from sonarrec.cli.groups import LEARNING, NEW_FILE, command, option
+from sonarrec.cli.groups import LEARNING, NEW_FILE, command, file_names, option
 from sonarrec.cli.options import (
     SettingsChoice,
     ground_truth_option,
@@ -21,7 +21,7 @@ from sonarrec.cli.options_log import LogChoice, log_options
 
 
 @command(short_help="Learn from labelled logs how landmarks look.")
-@click.argument("log", nargs=-1, required=True)
+@click.argument("log", shell_complete=file_names, nargs=-1, required=True)
 @ground_truth_option("gt.csv with positions.", required=True)
 @log_options(time=True)
 @landmarks_option

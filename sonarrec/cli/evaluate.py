@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sonarrec.cli.endings import PARTLY, leave, tell
-from sonarrec.cli.groups import BATCH, FILE, INPUT, OUTPUT, SCORING, command, option
+from sonarrec.cli.groups import BATCH, FILE, INPUT, OUTPUT, SCORING, command, file_names, option
 from sonarrec.cli.options import ground_truth_option, out_option, quiet_option, scoring_options
 from sonarrec.cli.options_remote import ANY_OR_URL, FILE_OR_URL, CacheChoice, cache_options
 from sonarrec.records import UsageError
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     INPUT,
     "--compare",
     type=(ANY_OR_URL, ANY_OR_URL),
+    shell_complete=file_names,
     metavar="OLD NEW",
     help="In place of RESULTS: what got better or worse from OLD to NEW, frame by frame.",
 )

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.shell_completion import CompletionItem
 
 from sonarrec.records import UsageError
 
@@ -69,6 +70,11 @@ class GroupedCommand(click.Command):
         page = ctx.command_path.removeprefix(ctx.find_root().command_path).split()[0]
         formatter.write_paragraph()
         formatter.write_text(f"More: sonarrec help {page}".removesuffix(" help"))
+
+
+def file_names(_: click.Context, __: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """`shell_complete` of a text that may be a path."""
+    return [CompletionItem(incomplete, type="file")]
 
 
 command = partial(click.command, cls=GroupedCommand)

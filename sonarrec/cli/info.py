@@ -13,7 +13,7 @@ import click
 
 from sonarrec.cli.bars import fetching, progress
 from sonarrec.cli.endings import PARTLY, leave, tell
-from sonarrec.cli.groups import INPUT, NEW_FILE, OUTPUT, command, option
+from sonarrec.cli.groups import INPUT, NEW_FILE, OUTPUT, command, file_names, option
 from sonarrec.cli.options import landmarks_option, quiet_option
 from sonarrec.cli.options_log import LogChoice, log_options, many_logs_options, named_logs
 from sonarrec.cli.options_remote import CacheChoice, cache_options
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 @command(short_help="Show what is in a log, and whether it is whole.")
-@click.argument("log", nargs=-1)
+@click.argument("log", shell_complete=file_names, nargs=-1)
 @many_logs_options
 @option(
     INPUT,

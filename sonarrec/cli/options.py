@@ -9,7 +9,17 @@ from typing import Any
 
 import click
 
-from sonarrec.cli.groups import FILE, INPUT, OUTPUT, SCORING, SETTINGS, Decorator, as_one, option
+from sonarrec.cli.groups import (
+    FILE,
+    INPUT,
+    OUTPUT,
+    SCORING,
+    SETTINGS,
+    Decorator,
+    as_one,
+    file_names,
+    option,
+)
 from sonarrec.cli.options_log import GEOMETRY_OPTIONS, LogChoice
 from sonarrec.records import UsageError
 
@@ -18,6 +28,7 @@ from sonarrec.records import UsageError
 landmarks_option = option(
     INPUT,
     "--landmarks",
+    shell_complete=file_names,
     help="Landmark set: a built-in name or a TOML file.  "
     "[default: that of run.toml where one is read, else basin]",
 )

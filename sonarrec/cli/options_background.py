@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sonarrec.cli.groups import BACKGROUND, FILE, Decorator, as_one, option
+from sonarrec.cli.groups import BACKGROUND, FILE, Decorator, as_one, file_names, option
 from sonarrec.cli.options_log import LogChoice
 from sonarrec.records import UsageError
 
@@ -33,6 +33,7 @@ _LAYING = {
     "landmarks": option(
         BACKGROUND,
         "--landmarks",
+        shell_complete=file_names,
         help="Landmark set: a built-in name or a TOML file.  [default: basin]",
     ),
     "count": option(

@@ -8,14 +8,14 @@ import click
 
 from sonarrec.cli.bars import progress
 from sonarrec.cli.endings import end, tell
-from sonarrec.cli.groups import ANY, INPUT, NEW_FILE, OUTPUT, command, option
+from sonarrec.cli.groups import ANY, INPUT, NEW_FILE, OUTPUT, command, file_names, option
 from sonarrec.cli.options import frames_option, ground_truth_option, landmarks_option, quiet_option
 from sonarrec.cli.options_log import LogChoice, log_options
 from sonarrec.records import UsageError
 
 
 @command(short_help="Draw results onto the frames of their log.")
-@click.argument("log")
+@click.argument("log", shell_complete=file_names)
 @click.argument("results", type=ANY, default=Path("sonarrec_out"))
 @log_options(pixels=False)
 @landmarks_option

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sonarrec.cli.endings import end, tell
-from sonarrec.cli.groups import FILE, INPUT, OUTPUT, command, option
+from sonarrec.cli.groups import FILE, INPUT, OUTPUT, command, file_names, option
 from sonarrec.cli.options import ground_truth_option, out_option, quiet_option, scoring_options
 from sonarrec.cli.options_log import topic_option
 from sonarrec.cli.options_remote import (
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     INPUT,
     "--compare",
     type=(ANY_OR_URL, ANY_OR_URL),
+    shell_complete=file_names,
     metavar="OLD NEW",
     help="In place of RESULTS: a page on what got better or worse from OLD to NEW. Truth is given, "
     "or found beside each log.",

@@ -22,7 +22,7 @@ from sonarrec.cli.endings import (
     leave,
     tell,
 )
-from sonarrec.cli.groups import BATCH, FILE, INPUT, NEW_FILE, OUTPUT, command, option
+from sonarrec.cli.groups import BATCH, FILE, INPUT, NEW_FILE, OUTPUT, command, file_names, option
 from sonarrec.cli.options import (
     SettingsChoice,
     frames_option,
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 
 
 @command(short_help="Recognise the landmarks in logs.")
-@click.argument("log", nargs=-1)
+@click.argument("log", shell_complete=file_names, nargs=-1)
 @many_logs_options
 @log_options(time=True)
 @landmarks_option

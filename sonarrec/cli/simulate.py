@@ -8,7 +8,7 @@ import click
 
 from sonarrec.cli.bars import progress
 from sonarrec.cli.endings import begun, end, tell
-from sonarrec.cli.groups import ANY, INPUT, OUTPUT, command, option
+from sonarrec.cli.groups import ANY, INPUT, OUTPUT, command, file_names, option
 from sonarrec.cli.options import out_option, quiet_option
 from sonarrec.cli.options_background import Laying, laying_options
 from sonarrec.cli.options_log import LogChoice, log_options
@@ -20,12 +20,14 @@ from sonarrec.records import UsageError, shown
     INPUT,
     "--scene",
     "source",
+    shell_complete=file_names,
     help="Scene: a built-in name (paper, basin, sample_pan, sample_polar) or a TOML file.  "
     "[default: paper]",
 )
 @option(
     INPUT,
     "--background",
+    shell_complete=file_names,
     metavar="LOG",
     help="In place of a scene: a recording without landmarks, read as by `sonarrec run`, to lay "
     "landmarks into.",

@@ -10,7 +10,7 @@ import click
 
 from sonarrec.cli.bars import progress
 from sonarrec.cli.endings import begun, end, tell
-from sonarrec.cli.groups import BACKGROUND, FOLDER, OUTPUT, command, option
+from sonarrec.cli.groups import BACKGROUND, FOLDER, OUTPUT, command, file_names, option
 from sonarrec.cli.options import (
     SettingsChoice,
     frames_option,
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 @command(short_help="Estimate at which contrast, and how far, landmarks would be recognised.")
-@click.argument("log")
+@click.argument("log", shell_complete=file_names)
 @log_options(time=True)
 @frames_option("Use only these frames, from A up to, not including, B.")
 @laying_options("0,3,6,10")

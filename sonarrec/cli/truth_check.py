@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from sonarrec.cli.endings import end, tell
-from sonarrec.cli.groups import FILE, NEW_FILE, OUTPUT, SCORING, command, option
+from sonarrec.cli.groups import FILE, NEW_FILE, OUTPUT, SCORING, command, file_names, option
 from sonarrec.cli.options import landmarks_option, quiet_option
 from sonarrec.cli.options_log import LogChoice, log_options
 
@@ -17,7 +17,7 @@ _MOST_LINES = 20  # told of one kind of fault
 
 @command(short_help="Find what cannot be true in a gt.csv.")
 @click.argument("ground_truth", type=FILE, metavar="GT.CSV")
-@click.argument("log")
+@click.argument("log", shell_complete=file_names)
 @log_options(time=True)
 @landmarks_option
 @option(

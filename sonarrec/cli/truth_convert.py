@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from sonarrec.cli.endings import end, tell
-from sonarrec.cli.groups import ANY, INPUT, NEW_FILE, command, option
+from sonarrec.cli.groups import ANY, INPUT, NEW_FILE, command, file_names, option
 from sonarrec.cli.options import landmarks_option, out_option, quiet_option
 from sonarrec.cli.options_log import LogChoice, log_options
 from sonarrec.records import UsageError
@@ -26,7 +26,7 @@ def _label_map(_: click.Context, __: click.Parameter, given: tuple[str, ...]) ->
 
 @command(short_help="Write annotations as a gt.csv.")
 @click.argument("annotations", type=ANY)
-@option(INPUT, "--log", help="The log that was annotated.")
+@option(INPUT, "--log", shell_complete=file_names, help="The log that was annotated.")
 @option(
     INPUT,
     "--map",
