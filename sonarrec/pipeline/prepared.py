@@ -21,6 +21,7 @@ from sonarrec.recogniser.beam_width import FRAMES_FOR_BEAMS, with_beams
 from sonarrec.recogniser.side_by_side import SideBySide
 from sonarrec.recogniser.stage3_features.model import ModelFile, model_from_table, read_model
 from sonarrec.records import Fan, Frame, SonarrecError, UsageError, shown
+from sonarrec.results.folders import check_name
 from sonarrec.results.run_file import Given, RunFile, read_run, run_table, span_text
 
 
@@ -163,6 +164,7 @@ def _results_of(log: Path, folder: Path) -> Path:
         raise SonarrecError(f"{shown(folder)}: cannot be written ({error.strerror})") from None
     if itself:
         raise UsageError(f"{shown(folder)}: this is the log itself; choose another --out")
+    check_name(folder)
     if folder.exists() and not folder.is_dir():
         raise SonarrecError(
             f"{shown(folder)}: a file is where the folder of the results would be; move it away, "

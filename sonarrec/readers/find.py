@@ -5,6 +5,7 @@ A further format is one module with a RawLog, or a Recording of messages, and on
 
 from __future__ import annotations
 
+import errno
 import glob
 import os
 import re
@@ -212,7 +213,16 @@ def companion(log: Path, name: str, up_to: Path | None = None) -> Path | None:
         places.append((log.parent if log.name not in ("", "..") else log.resolve().parent) / own)
     for above in _folders_up_to(folder, up_to):
         places += [above / own, above / name]
-    return next((place for place in places if place.is_file()), None)
+    return next((place for place in places if _is_file(place)), None)
+
+
+def _is_file(place: Path) -> bool:
+    try:
+        return place.is_file()
+    except OSError as error:
+        if error.errno != errno.ENAMETOOLONG:
+            raise
+        return False  # the log's own name is near the limit
 
 
 def _folders_up_to(folder: Path, up_to: Path | None) -> list[Path]:

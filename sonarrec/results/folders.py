@@ -15,7 +15,10 @@ from typing import IO
 
 from sonarrec.files.locks import is_there, locked
 from sonarrec.files.outputs import Kind, is_output
-from sonarrec.records import PART, SonarrecError, UsageError
+from sonarrec.records import PART, SonarrecError, UsageError, shown
+
+LONGEST_NAME = 255
+"""Bytes of a file's name, on all common file systems."""
 
 TABLES = ("frames.csv", "estimates.csv", "sightings.csv")
 ESTIMATES = ("estimates.csv", "estimates.parquet")
@@ -91,6 +94,15 @@ def part_of(folder: Path) -> Path:
 
 def _place(folder: Path) -> Path:
     return folder.resolve() if folder.is_symlink() else folder
+
+
+def check_name(folder: Path) -> None:
+    """Raises SonarrecError where the name is too long for what lies beside the folder in a run."""
+    over = len(os.fsencode(_lock_file(folder).name)) - LONGEST_NAME
+    if over > 0:
+        raise SonarrecError(
+            f"{shown(folder)}: a name too long for results by {over} bytes; shorten the log's"
+        )
 
 
 def lock(folder: Path) -> IO[bytes]:

@@ -86,10 +86,10 @@ def test_a_name_too_long_costs_that_log_only(tmp_path: Path) -> None:
     logs = made(tmp_path, "n" * 250, "a", frames=1)
     for jobs in ("1", "2"):
         told = sonarrec("run", *logs, "-j", jobs, "-o", tmp_path / jobs, code=3).stderr
-        assert told.startswith(f"sonarrec: {logs[0]}/nnn")
-        assert "nnn.sonar.toml: File name too long\n1 done, 1 failed: " in told
+        assert told.startswith(f"sonarrec: {tmp_path / jobs}/nnn")
+        assert "a name too long for results by 1 bytes; shorten the log's\n1 done, 1 failed" in told
     planned = sonarrec("run", *logs, "--dry-run", "-o", tmp_path / "1", code=3).stdout
-    assert "File name too long" in planned
+    assert "a name too long for results" in planned
     assert planned.endswith("a: up to date\n")
 
 

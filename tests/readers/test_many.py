@@ -229,9 +229,21 @@ def test_companions(tmp_path: Path) -> None:
     assert companion(folder, "gt.csv") == tmp_path / "pings.gt.csv"
     (folder / "gt.csv").touch()
     assert companion(folder, "gt.csv") == folder / "gt.csv"
+    long = image_folder(tmp_path / ("n" * 250), IMAGES)  # with .gt.csv it is no file's name
+    assert companion(long, "gt.csv") is None
+    (long / "gt.csv").touch()
+    assert companion(long, "gt.csv") == long / "gt.csv"
     packed = recording(tmp_path / "c" / "x.mcap.zst")
     (tmp_path / "c" / "x.gt.csv").touch()
     assert companion(packed, "gt.csv") == tmp_path / "c" / "x.gt.csv"
+
+
+def test_a_log_whose_name_is_near_the_limit(tmp_path: Path) -> None:
+    """Beside its results lies a file whose name is six letters longer."""
+    out = ("-o", tmp_path / "out")
+    sonarrec("run", image_folder(tmp_path / ("n" * 249), IMAGES), *out)
+    told = sonarrec("run", image_folder(tmp_path / ("n" * 250), IMAGES), *out, code=1)
+    assert told.stderr.endswith("a name too long for results by 1 bytes; shorten the log's\n")
 
 
 def test_names_of_results(campaign: Path) -> None:
