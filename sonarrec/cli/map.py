@@ -116,7 +116,7 @@ def _origin(text: str) -> Any:
 
     origin = Origin(*_numbers("--origin", text, 3))
     if not (abs(origin.latitude_deg) < 90 and abs(origin.longitude_deg) <= 180):
-        raise UsageError(f"--origin {text}: latitude within -90 to 90, longitude -180 to 180")
+        raise UsageError(f"--origin {text}: latitude between the poles, longitude -180 to 180")
     return origin
 
 

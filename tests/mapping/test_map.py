@@ -766,7 +766,8 @@ def odometry_log(log: Path, path: FloatArray) -> None:
     ("options", "code", "told"),
     [
         ("--origin 54,10", 2, "--origin 54,10: expected 3 numbers with commas between"),
-        ("--origin 95,10,0", 2, "latitude within -90 to 90"),
+        ("--origin 95,10,0", 2, "latitude between the poles"),
+        ("--origin 90,10,0", 2, "latitude between the poles"),
         ("--drift 0.1", 2, "--drift 0.1: expected 2 numbers"),
         ("--drift -1,2", 2, "standard errors are not negative"),
         ("--method nobody", 2, "no method 'nobody'"),
