@@ -401,7 +401,7 @@ def write_recording(
         # Last: a folder without geometry is not taken for a whole recording.
         _describe(scene, stated, folder, prefix)
     except OSError as error:
-        raise SonarrecError(f"{out}: cannot be written ({error})") from None
+        raise SonarrecError(f"{out}: cannot be written ({error.strerror})") from None
 
 
 def _describe(scene: Scene, stated: Sonar, folder: Path, prefix: str) -> None:

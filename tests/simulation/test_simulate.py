@@ -554,6 +554,11 @@ def test_simulate_command(tmp_path) -> None:
     again = runner.invoke(main, ["simulate", "--scene", "basin", "--out", str(out)])
     assert again.exit_code == 1
     assert "already exists" in again.output
+    (tmp_path / "file").touch()
+    inside = str(tmp_path / "file" / "log")
+    fault = runner.invoke(main, ["simulate", "--scene", "basin", "--out", inside])
+    assert fault.exit_code == 1
+    assert fault.stderr == f"sonarrec: {inside}: cannot be written (Not a directory)\n"
     wrong = runner.invoke(main, ["simulate", "--scene", "x", "--out", str(tmp_path / "new")])
     assert wrong.exit_code == 2
     assert not (tmp_path / "new").exists()
