@@ -73,8 +73,8 @@ def overlay(
     \b
     --mcap    Open it in Foxglove together with LOG, show /sonarrec/annotations in the
               Image panel, or import the layout. /sonarrec/detections has what is declared,
-              as vision_msgs/Detection3DArray for ROS 2. For polar logs, and for logs that
-              are no MCAP, it also holds the fan images, /sonarrec/fan.
+              as vision_msgs/Detection3DArray for ROS 2. Of polar or flipped logs, and of
+              folders and videos, it also holds the fan images, /sonarrec/fan.
     --video   MPEG-4 Part 2, for VLC, mpv and most desktop players. For browsers:
               ffmpeg -i OUT.mp4 -c:v libx264 -pix_fmt yuv420p WEB.mp4
 
