@@ -28,7 +28,7 @@ from sonarrec.records import (
     printable,
 )
 from sonarrec.sonar import Sonar
-from sonarrec.truth.fits import misfit, without_rows
+from sonarrec.truth.fits import misfit, pixels_elsewhere, without_rows
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import TruthTable, read_truth
 
@@ -138,6 +138,7 @@ def learn(
             misfits.append(fault)
             problems.append(f"{fault}; nothing is learned from {log.name}")
             continue
+        notes += pixels_elsewhere(table, tracks, "teach")
         learned.append(log.name)
         rows += truth.rows
         frames += len(tracks.frame)

@@ -10,7 +10,7 @@ import numpy as np
 from sonarrec.geometry import polar_from_plane
 from sonarrec.records import BoolArray
 from sonarrec.truth.in_view import share_in_image
-from sonarrec.truth.match import ReadLog, Truth
+from sonarrec.truth.match import SLACK_PX, ReadLog, Truth, pixels_apart
 from sonarrec.truth.table import TruthTable
 
 
@@ -53,6 +53,17 @@ def without_rows(path: Path, rows: int, logs: Iterable[str], so: str) -> str:
         f"{path}: it has no row, so {so}; a truth has a row per landmark in view "
         "(sonarrec help truth)"
     )
+
+
+def pixels_elsewhere(table: TruthTable, log: ReadLog, so: str) -> list[str]:
+    """A line where rows of the log tell two places. so: what is done with range and bearing."""
+    if log.fan is None or table.pixels is None:
+        return []
+    apart = np.count_nonzero(pixels_apart(table, table.rows_of(log.name), log.fan) > SLACK_PX)
+    return [
+        f"{table.path}: {apart} rows for {log.name} have x_px,y_px elsewhere than "
+        f"range_m,bearing_deg, which {so}; `sonarrec truth check` names them"
+    ] * bool(apart)
 
 
 def outside_image(log: ReadLog, truth: Truth) -> BoolArray:

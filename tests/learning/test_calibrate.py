@@ -345,6 +345,14 @@ def test_a_log_whose_truth_is_not_its_own_teaches_nothing(site, tmp_path):
     assert model.partition("\n[")[2] == (tmp_path / "one.toml").read_text().partition("\n[")[2]
 
 
+def test_truth_whose_pixels_are_of_another_fan_is_told(tmp_path):
+    """Ranges and bearings alone may well be those of another landmark here."""
+    truth = SAMPLES / "polar" / "gt.csv"
+    words = ("--ground-truth", truth, "-o", tmp_path / "m.toml")
+    told = sonarrec("calibrate", SAMPLES / "pan", *words).stderr
+    assert "204 rows for pan have x_px,y_px elsewhere than range_m,bearing_deg, which teach" in told
+
+
 def test_names_of_logs_do_not_break_the_model_file():
     model = built_in_model()
     seen = ((1, 1),) * 4 + ((9, 2),)

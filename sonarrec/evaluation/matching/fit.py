@@ -10,8 +10,8 @@ import numpy as np
 
 from sonarrec.records import SonarrecError
 from sonarrec.results.read import LogResults, not_whole
-from sonarrec.truth.fits import misfit, outside_image, without_rows
-from sonarrec.truth.match import SLACK_PX, Truth, match_truth, pixels_apart
+from sonarrec.truth.fits import misfit, outside_image, pixels_elsewhere, without_rows
+from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import TruthTable
 
 
@@ -113,15 +113,7 @@ def _notes(case: Matched) -> list[str]:
             f"{table.path}: {outside} of {len(case.truth.frame_index)} positions lie outside the "
             f"image of {log.name}; `sonarrec truth check` names them"
         )
-    if log.fan is not None and table.pixels is not None:
-        apart = pixels_apart(table, rows, log.fan) > SLACK_PX
-        if apart.any():
-            notes.append(
-                f"{table.path}: {np.count_nonzero(apart)} rows for {log.name} have x_px,y_px "
-                "elsewhere than range_m,bearing_deg, which are scored; `sonarrec truth check` "
-                "names them"
-            )
-    return notes
+    return notes + pixels_elsewhere(table, log, "are scored")
 
 
 def left_out(cases: Sequence[Checked]) -> list[str]:
