@@ -83,5 +83,6 @@ def _figures(path: Path, rows: list[Row]) -> dict[str, Any]:
         "unusable": sum(row.unusable for row in rows),
         "declared": sum(row.declared for row in rows),
         "frames_per_second": sum(row.frames for row in ended) / seconds if seconds else None,
-        "age_s": time() - path.stat().st_mtime,
+        # Another machine's clock, whose file it is, may be ahead.
+        "age_s": max(time() - path.stat().st_mtime, 0.0),
     }

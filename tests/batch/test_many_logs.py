@@ -251,6 +251,15 @@ def test_status_of_what_is_no_such_table(text: str, tmp_path: Path) -> None:
     assert not told.stdout
 
 
+def test_a_table_of_a_clock_that_is_ahead_is_of_now(tmp_path: Path) -> None:
+    """Another machine wrote it; no age is below 0."""
+    table = tmp_path / "logs.csv"
+    table.write_text(f"{','.join(COLUMNS)}\na,a,running,3,0,0,0,\n")
+    os.utime(table, (time.time() + 100,) * 2)
+    assert "as of 0 s ago" in sonarrec("status", tmp_path).stdout
+    assert json.loads(sonarrec("status", tmp_path, "--json").stdout)["age_s"] == 0
+
+
 def test_a_foreign_logs_csv_is_not_replaced(tmp_path: Path) -> None:
     (log,) = made(tmp_path, "a", frames=3)
     (tmp_path / "out").mkdir()
