@@ -13,7 +13,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from sonarrec.records import ByteImage, Fan, FloatArray, SonarrecError
+from sonarrec.records import BoolArray, ByteImage, Fan, FloatArray, SonarrecError
 from sonarrec.sonar import Geometry
 
 MAX_FAN_PIXELS = 2**24
@@ -109,7 +109,7 @@ def polar_from_plane(position: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.hypot(right, ahead), np.degrees(np.arctan2(right, ahead))
 
 
-def in_fan(fan: Fan, range_m: FloatArray, bearing_deg: FloatArray) -> np.ndarray:
+def in_fan(fan: Fan, range_m: FloatArray, bearing_deg: FloatArray) -> BoolArray:
     """Which slant ranges and bearings the sonar sees: bool, shapes broadcast."""
     return np.asarray(
         (range_m >= fan.range_min_m)
@@ -170,17 +170,49 @@ def beam_bearings(sonar: Geometry, beams: int) -> FloatArray:
     return np.asarray(low + (np.arange(beams) + 0.5) * (high - low) / beams)
 
 
-@functools.lru_cache(maxsize=1)
-def _polar_of_pixels(fan: Fan) -> tuple[FloatArray, FloatArray]:
-    range_m = np.empty((fan.rows, fan.columns))
-    bearing_deg = np.empty_like(range_m)
-    for band, row, column in row_bands((fan.rows, fan.columns)):
-        range_m[band], bearing_deg[band] = polar_from_pixel(fan, column, row)
-    return range_m, bearing_deg
+class Resampling:
+    """Resamples images, bilinearly, by a table that is filled a few rows at a time.
+
+    What was not filled in shows 0.
+    """
+
+    def __init__(self, shape: tuple[int, int], shrink: tuple[int, int] = (1, 1)) -> None:
+        """shape: (rows, columns) of what is made. shrink: (along rows, along columns) by how many
+        pixels images are shrunk first: their mean has less speckle than the pixels picked here.
+        """
+        self._shrink = shrink
+        self._columns = np.full((*shape, 2), BEYOND, np.int16)
+        self._weights = np.zeros(shape, np.uint16)
+
+    def fill(self, band: slice, column: FloatArray, row: FloatArray, seen: BoolArray) -> None:
+        """For some rows of what is made: where in the images each pixel lies, and whether it does.
+
+        column, row: in pixels of the images. seen: bool. All (rows of the band, columns).
+        """
+        down, across = self._shrink
+        self._columns[band], self._weights[band] = cv2.convertMaps(
+            ((column + 0.5) / across - 0.5).astype(np.float32),
+            ((row + 0.5) / down - 0.5).astype(np.float32),
+            cv2.CV_16SC2,
+        )
+        self._columns[band][~seen] = BEYOND
+
+    def __call__(self, image: ByteImage) -> ByteImage:
+        """An image (uint8) resampled, (rows, columns) uint8."""
+        if max(self._shrink) > 1:
+            # Whole blocks only: a remainder would shift the scale by a part of a pixel.
+            rows, columns = (-side % by for side, by in zip(image.shape, self._shrink, strict=True))
+            if rows or columns:
+                image = cv2.copyMakeBorder(image, 0, rows, 0, columns, cv2.BORDER_REPLICATE)  # type: ignore[assignment]
+            size = (image.shape[1] // self._shrink[1], image.shape[0] // self._shrink[0])
+            image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)  # type: ignore[assignment]
+        return cv2.remap(  # type: ignore[return-value]
+            image, self._columns, self._weights, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT
+        )
 
 
 class PolarToFan:
-    """Resamples polar images (rows = range bins, nearest first; columns = beams) into a fan."""
+    """How a log's polar images (rows = range bins, nearest first; columns = beams) fill its fan."""
 
     def __init__(
         self, sonar: Geometry, range_bins: int, beams: int, fan: Fan | None = None
@@ -201,8 +233,8 @@ class PolarToFan:
                     f"{key} has {len(stated)} {what} but the images have {count} {name}; "
                     f"give one per image {'column' if name == 'beams' else 'row'}"
                 )
-        own = fan_for_polar(sonar, range_bins)
-        self.fan = fan = fan or own
+        self._own = fan_for_polar(sonar, range_bins)
+        self.fan = fan = fan or self._own
         if fan.rows * fan.columns > MAX_FAN_PIXELS:
             raise SonarrecError(
                 f"polar images of {range_bins} range bins from {fan.range_min_m:.6g} to "
@@ -217,43 +249,61 @@ class PolarToFan:
                 f"{fan.columns} x {fan.rows} pixels; no side of either may be above {MAX_SIDE}: "
                 "crop the images or make them smaller"
             )
-        self._columns = np.empty((fan.rows, fan.columns, 2), np.int16)
-        self._weights = np.empty((fan.rows, fan.columns), np.uint16)
-        bearings = order = None
-        if sonar.bearings_deg is not None:
+        self._sonar, self._range_bins, self._beams = sonar, range_bins, beams
+
+    @property
+    def bin_m(self) -> float:
+        """Metres of slant range from one range bin to the next, on average."""
+        return self._own.metres_per_pixel
+
+    @property
+    def ranges_m(self) -> FloatArray:
+        """(range bins,) their slant ranges, m."""
+        return bin_ranges(self._sonar, self._range_bins)
+
+    @property
+    def beam_deg(self) -> float:
+        """Degrees from one beam to the next, on average."""
+        return (self._own.bearing_max_deg - self._own.bearing_min_deg) / self._beams
+
+    def pixel(
+        self, range_m: FloatArray, bearing_deg: FloatArray
+    ) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """(beam, range bin, whether the polar images show it) of slant ranges (m), bearings (deg).
+
+        Half a bin beyond the outermost centres counts as there. The arguments have one shape.
+        """
+        sonar, own = self._sonar, self._own
+        if sonar.bearings_deg is None:
+            span = own.bearing_max_deg - own.bearing_min_deg
+            side = -bearing_deg if sonar.flip else bearing_deg
+            beam = (side - own.bearing_min_deg) / span * self._beams - 0.5
+        else:
             bearings = np.asarray(sonar.bearings_deg) * (-1 if sonar.flip else 1)
             order = np.argsort(bearings)
-        # A log's own fan is resampled to once, that of other pings again and again.
-        kept = None if fan is own else _polar_of_pixels(fan)
+            beam = np.interp(bearing_deg, bearings[order], order.astype(float))
+        if sonar.ranges_m is None:
+            range_bin = (range_m - own.range_min_m) / own.metres_per_pixel - 0.5
+        else:
+            bins = np.arange(self._range_bins, dtype=float)
+            range_bin = np.interp(range_m, sonar.ranges_m, bins)
+        beam = np.clip(beam, 0, self._beams - 1)
+        range_bin = np.clip(range_bin, 0, self._range_bins - 1)
+        return beam, range_bin, in_fan(own, range_m, bearing_deg)
+
+    @functools.cached_property
+    def _resampling(self) -> Resampling:
+        fan = self.fan
+        resampling = Resampling((fan.rows, fan.columns))
         for band, row, column in row_bands((fan.rows, fan.columns)):
-            range_m, bearing_deg = (
-                polar_from_pixel(fan, column, row)
-                if kept is None
-                else (kept[0][band], kept[1][band])
-            )
-            if bearings is None or order is None:
-                span = own.bearing_max_deg - own.bearing_min_deg
-                side = -bearing_deg if sonar.flip else bearing_deg
-                beam = (side - own.bearing_min_deg) / span * beams - 0.5
-            else:
-                beam = np.interp(bearing_deg, bearings[order], order.astype(float))
-            if sonar.ranges_m is None:
-                range_bin = (range_m - own.range_min_m) / own.metres_per_pixel - 0.5
-            else:
-                range_bin = np.interp(range_m, sonar.ranges_m, np.arange(range_bins, dtype=float))
-            # Half a bin beyond the outermost centres repeats the outermost sample.
-            beam = np.clip(beam, 0, beams - 1)
-            range_bin = np.clip(range_bin, 0, range_bins - 1)
-            self._columns[band], self._weights[band] = cv2.convertMaps(
-                beam.astype(np.float32), range_bin.astype(np.float32), cv2.CV_16SC2
-            )
-            seen = in_fan(fan, range_m, bearing_deg) & in_fan(own, range_m, bearing_deg)
-            self._columns[band][~seen] = BEYOND
+            range_m, bearing_deg = polar_from_pixel(fan, column, row)
+            beam, range_bin, seen = self.pixel(range_m, bearing_deg)
+            resampling.fill(band, beam, range_bin, seen & in_fan(fan, range_m, bearing_deg))
+        return resampling
 
     def __call__(self, polar: ByteImage) -> ByteImage:
         """(range_bins, beams) uint8 to (fan.rows, fan.columns) uint8; 0 outside the fan."""
-        border = cv2.BORDER_CONSTANT
-        return cv2.remap(polar, self._columns, self._weights, cv2.INTER_LINEAR, borderMode=border)  # type: ignore[return-value]
+        return self._resampling(polar)
 
 
 # The floor. Eq. 1 squeezes a floor circle along the range by cos(tilt). On a flat floor the exact

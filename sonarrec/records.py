@@ -8,7 +8,8 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Literal
+from functools import cached_property
+from typing import Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -136,21 +137,60 @@ class Stamps:
 NO_STAMPS = Stamps()
 
 
-@dataclass(frozen=True, slots=True)
+class PolarImages(Protocol):
+    """How a log's polar images (rows = range bins, nearest first; columns = beams) fill its fan."""
+
+    @property
+    def bin_m(self) -> float:
+        """Metres of slant range from one range bin to the next, on average."""
+        ...
+
+    @property
+    def ranges_m(self) -> FloatArray:
+        """(range bins,) their slant ranges, m."""
+        ...
+
+    @property
+    def beam_deg(self) -> float:
+        """Degrees from one beam to the next, on average."""
+        ...
+
+    def __call__(self, polar: ByteImage) -> ByteImage:
+        """(range bins, beams) uint8 to (fan.rows, fan.columns) uint8; 0 outside the fan."""
+        ...
+
+    def pixel(
+        self, range_m: FloatArray, bearing_deg: FloatArray
+    ) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """(beam, range bin, whether the images show it) of slant ranges (m), bearings (deg).
+
+        Half a bin beyond the outermost centres counts as there. The arguments have one shape.
+        """
+        ...
+
+
+@dataclass(frozen=True)
 class Frame:
-    """One ping as a fan image.
+    """One ping, in a fan.
 
     index: 0-based position in the log (unusable frames keep their number).
     timestamp_ns: time in ns; where the log carries none, index / frame rate.
-    image: (fan.rows, fan.columns) uint8, log-compressed intensity.
+    pixels: uint8, log-compressed intensity: the fan image, or where `polar` says how it lies in the
+    fan, a polar image (range bins, beams).
     stamps: every time that the log keeps of the frame.
     """
 
     index: int
     timestamp_ns: int
-    image: ByteImage
+    pixels: ByteImage
     fan: Fan
     stamps: Stamps = NO_STAMPS
+    polar: PolarImages | None = None
+
+    @cached_property
+    def image(self) -> ByteImage:
+        """The fan image, (fan.rows, fan.columns) uint8."""
+        return self.pixels if self.polar is None else self.polar(self.pixels)
 
 
 @dataclass(frozen=True, slots=True)

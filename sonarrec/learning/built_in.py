@@ -65,14 +65,12 @@ def samples_of(scene: Scene) -> Samples:
 
 def _frames(scene: Scene, truth: list[tuple[int, LandmarkTruth]]) -> Iterator[Frame]:
     """A scene's frames as a reader would give them; their truth is added to `truth`."""
-    to_fan = None
+    polar = None
     for frame in render(scene):
         truth += [(frame.index, landmark) for landmark in frame.truth]
-        image = frame.image
-        if scene.sonar.layout == "polar":
-            to_fan = to_fan or PolarToFan(scene_sonar(scene).complete(scene.name), *image.shape)
-            image = to_fan(image)
-        yield Frame(frame.index, frame.timestamp_ns, image, frame.fan)
+        if scene.sonar.layout == "polar" and polar is None:
+            polar = PolarToFan(scene_sonar(scene).complete(scene.name), *frame.image.shape)
+        yield Frame(frame.index, frame.timestamp_ns, frame.image, frame.fan, polar=polar)
 
 
 def make_model() -> None:

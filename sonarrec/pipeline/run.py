@@ -169,8 +169,8 @@ def _of_one_fan(frames: Iterable[Frame], fan: Fan | None) -> Iterator[Frame]:
     before = -1
     for frame in frames:
         fan = fan or frame.fan
-        image, wanted = frame.image, (fan.rows, fan.columns)
-        if image.shape != wanted or image.dtype != np.uint8:
+        image, wanted = frame.pixels, (fan.rows, fan.columns)
+        if frame.polar is None and (image.shape != wanted or image.dtype != np.uint8):
             raise UsageError(
                 f"frame {frame.index}: an image of {image.shape} {image.dtype}, where the fan "
                 f"needs {wanted} uint8"

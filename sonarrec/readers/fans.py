@@ -59,8 +59,8 @@ class FanImages:
         self._amplitudes = set[np.dtype[Any]]()  # types of integers that hold them
         self._told_against = self._told_cut = False
 
-    def __call__(self, raw: RawFrame) -> tuple[ByteImage, Fan]:
-        """(the frame's image, (fan.rows, fan.columns) uint8, the fan).
+    def __call__(self, raw: RawFrame) -> tuple[ByteImage, Fan, PolarToFan | None]:
+        """A Frame's `pixels`, `fan` and `polar`.
 
         Raises UnusableError where the frame cannot be used, SonarrecError where the geometry
         cannot be that of the log.
@@ -78,7 +78,7 @@ class FanImages:
         if scale is not None:
             self._scales[pixels.dtype] = scale
         assert self.fan is not None
-        return image, self.fan
+        return image, self.fan, self._to_fan
 
     def settle(self, first: Sequence[RawFrame]) -> None:
         """Find out what integers are, and take the fan from the ping with which most agree.
@@ -127,7 +127,7 @@ class FanImages:
         return next(iter(self._scales.values()), None)
 
     def _image(self, image: ByteImage) -> ByteImage:
-        """The fan image of a frame that does not tell its geometry."""
+        """The fan or polar image of a frame that does not tell its geometry."""
         if self._shape is None and self._stated.missing():
             raise UnusableError("it does not tell its geometry, as other messages of its topic do")
         polar = self.sonar.layout == "polar"
@@ -147,9 +147,9 @@ class FanImages:
                 f"{image.shape[1]} x {image.shape[0]} pixels in a log of "
                 f"{self._shape[1]} x {self._shape[0]}"
             )
-        if self._to_fan is not None:
-            return self._to_fan(image)
-        return np.ascontiguousarray(image[:, ::-1]) if self.sonar.flip else image
+        if self._to_fan is not None or not self.sonar.flip:
+            return image
+        return np.ascontiguousarray(image[:, ::-1])
 
     def _note_other_view(self, geometry: Geometry) -> None:
         """Note a stated field of view that is not that of the bearings stated beside it."""
@@ -165,7 +165,7 @@ class FanImages:
             )
 
     def _ping(self, image: ByteImage, told: PingGeometry) -> ByteImage:
-        """The fan image of a polar frame that tells its geometry."""
+        """The polar image of a frame that tells its geometry."""
         order = self._order or self._stated.beam_order or told.beam_order
         if order is None and image.any():  # a blank ping decides nothing
             order = "beam-major" if looks_beam_major(image) else "range-major"
@@ -181,8 +181,7 @@ class FanImages:
             self.sonar = replace(self.sonar, beam_order=order)
             if not (self._stated.beam_order or told.beam_order):
                 self._note_order(order, image.shape)
-        assert self._to_fan is not None
-        return self._to_fan(image)
+        return image
 
     def _note_order(self, order: BeamOrder, shape: tuple[int, int]) -> None:
         """Note an order that nobody told, unless it is the usual one. shape: (bins, beams)."""

@@ -124,7 +124,7 @@ class Log:
             if (raw.pixels is None and raw.problem is None) or (used and index < span[0]):
                 continue  # told in the faults, with others, or not asked for
             try:
-                image, fan = self._images(raw)
+                pixels, fan, polar = self._images(raw)
                 stamp = self._named(index, raw)
             except UnusableError as error:
                 self.unusable += 1
@@ -137,7 +137,7 @@ class Log:
             if index < span[0]:
                 self._raw.passed_over = range(span[0])
             else:
-                yield Frame(index, stamp, image, fan, raw.stamps)
+                yield Frame(index, stamp, pixels, fan, raw.stamps, polar)
         if self.unusable > MAX_PROBLEM_LINES:
             self.problems.append(f"{self.unusable - MAX_PROBLEM_LINES} more frames skipped")
         self.problems.extend(dict.fromkeys(self._raw.faults))  # some are told in each pass

@@ -15,6 +15,7 @@ import numpy as np
 
 from sonarrec.geometry import (
     STEEPEST,
+    Resampling,
     fan_mask,
     floor_depth,
     ground_range,
@@ -24,7 +25,15 @@ from sonarrec.geometry import (
     row_bands,
     slant_range,
 )
-from sonarrec.records import ByteImage, Fan, FloatArray, FloatImage, Motion, SonarrecError
+from sonarrec.records import (
+    ByteImage,
+    Fan,
+    FloatArray,
+    FloatImage,
+    Motion,
+    PolarImages,
+    SonarrecError,
+)
 
 
 class Plane(ABC):
@@ -44,8 +53,8 @@ class Plane(ABC):
     """(column, row) of the sonar in working pixels: in either plane a pan is a turn about it."""
 
     @abstractmethod
-    def warp(self, image: ByteImage) -> ByteImage:
-        """(fan.rows, fan.columns) uint8 to the working image, `shape` uint8."""
+    def warp(self, pixels: ByteImage, polar: PolarImages | None = None) -> ByteImage:
+        """The working image, `shape` uint8, of a Frame's `pixels` (uint8) and `polar`."""
 
     @abstractmethod
     def to_polar(
@@ -145,8 +154,8 @@ class FanPlane(Plane):
         self.apex = (fan.apex_column, fan.apex_row)
         self.inside = np.minimum(fan_mask(fan), 1)
 
-    def warp(self, image: ByteImage) -> ByteImage:
-        return image
+    def warp(self, pixels: ByteImage, polar: PolarImages | None = None) -> ByteImage:
+        return pixels if polar is None else polar(pixels)
 
     def to_polar(
         self, column: FloatArray | float, row: FloatArray | float
@@ -207,18 +216,9 @@ class FloorPlane(Plane):
         edges = np.radians([fan.bearing_min_deg, fan.bearing_max_deg])
         left, right = far * np.sin(edges) / self._metres
         bottom = near * np.cos(edges).min() / self._metres
-        column, row = -math.floor(left), math.ceil(far / self._metres)
-        self.apex = (column, row)
-        self.shape = (row - math.floor(bottom) + 1, math.ceil(right) + column + 1)
-        self._make_map(nearest)
-
-    def _make_map(self, nearest: float) -> None:
-        """Where each working pixel lies in the fan; nothing is seen nearer than `nearest` m."""
-        fan = self.fan
-        # Whole-number shrinking averages speckle before the resampling picks pixels.
-        self._shrink = max(1, round(1 / self.scale))
-        self._map = np.empty((*self.shape, 2), np.int16)
-        self._weights = np.empty(self.shape, np.uint16)
+        self.apex = (-math.floor(left), math.ceil(far / self._metres))
+        rows = self.apex[1] - math.floor(bottom) + 1
+        self.shape = (rows, math.ceil(right) + self.apex[0] + 1)
         floor = np.empty(self.shape, np.uint8)
         for band, row, column in row_bands(self.shape):
             range_m, bearing_deg = self.to_polar(column, row)
@@ -227,25 +227,53 @@ class FloorPlane(Plane):
             inside &= (fan_column >= 0) & (fan_column <= fan.columns - 1)
             inside &= (fan_row >= 0) & (fan_row <= fan.rows - 1)
             floor[band] = inside
-            self._map[band], self._weights[band] = cv2.convertMaps(
-                ((fan_column + 0.5) / self._shrink - 0.5).astype(np.float32),
-                ((fan_row + 0.5) / self._shrink - 0.5).astype(np.float32),
-                cv2.CV_16SC2,
-            )
         # The outermost pixels are mixed with the black outside.
         self.inside = np.asarray(
             cv2.erode(floor, np.ones((3, 3), np.uint8), borderValue=0), np.uint8
         )
+        self._polar: PolarImages | None = None
+        self._beside: FloatArray | None = None  # (bins, 1) weight of the beams beside, if polar
+        self._resampling: Resampling | None = None  # of images that are as `_polar` says
 
-    def warp(self, image: ByteImage) -> ByteImage:
-        if self._shrink > 1:
-            # Whole blocks only: a remainder would shift the scale by a part of a pixel.
-            rows, columns = (-side % self._shrink for side in image.shape)
-            if rows or columns:
-                image = cv2.copyMakeBorder(image, 0, rows, 0, columns, cv2.BORDER_REPLICATE)  # type: ignore[assignment]
-            size = (image.shape[1] // self._shrink, image.shape[0] // self._shrink)
-            image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)  # type: ignore[assignment]
-        return cv2.remap(image, self._map, self._weights, cv2.INTER_LINEAR)  # type: ignore[return-value]
+    def _lay_out(self, polar: PolarImages | None) -> None:
+        """Prepare for a Frame's `pixels` that lie as its `polar` says.
+
+        A floor pixel is to be the mean of what it covers. Blocks of whole pixels see to that; of
+        beams, which lie closer the nearer they are, a blur does.
+        """
+        metres, across = self._metres, 1
+        pixel_m = self.fan.metres_per_pixel if polar is None else polar.bin_m
+        along = max(1, round(metres / pixel_m))
+        self._polar, self._beside = polar, None
+        if polar is None:
+            across = along
+        else:
+            ground = np.maximum(np.nan_to_num(ground_range(self.fan, polar.ranges_m)), metres)
+            covered = metres / (np.radians(polar.beam_deg) * ground)  # beams in a pixel
+            # With the weights w/3, 1 - 2w/3, w/3 the variance is that of a mean over a pixel and
+            # of the look-up between two pixels, covered^2 (1/12 + 1/6).
+            self._beside = np.minimum(3 / 8 * covered**2, 1).astype(np.float32)[:, None]
+        self._resampling = Resampling(self.shape, (along, across))
+        for band, row, column in row_bands(self.shape):
+            range_m, bearing_deg = self.to_polar(column, row)
+            if polar is None:
+                across_px, along_px = pixel_from_polar(self.fan, range_m, bearing_deg)
+                seen = np.ones(range_m.shape, bool)
+            else:
+                across_px, along_px, seen = polar.pixel(range_m, bearing_deg)
+            self._resampling.fill(band, across_px, along_px, seen)
+
+    def warp(self, pixels: ByteImage, polar: PolarImages | None = None) -> ByteImage:
+        # Polar images go to the floor in one step: the fan has many more pixels than either.
+        if self._resampling is None or polar is not self._polar:
+            self._lay_out(polar)
+        assert self._resampling is not None
+        if self._beside is not None:
+            grey = pixels.astype(np.float32)
+            change = cv2.blur(grey, (3, 1), borderType=cv2.BORDER_REPLICATE) - grey
+            grey += self._beside * change
+            pixels = np.asarray(cv2.convertScaleAbs(grey), np.uint8)
+        return self._resampling(pixels)
 
     def to_polar(
         self, column: FloatArray | float, row: FloatArray | float

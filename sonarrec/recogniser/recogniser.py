@@ -97,7 +97,7 @@ class Recogniser:
 
     def stage1(self, frame: Frame) -> AfterStage1:
         """Candidate selection (Section 3.2): where could a landmark's circle be? Of any frame."""
-        image = self._plane.warp(frame.image)
+        image = self._plane.warp(frame.pixels, frame.polar)
         return AfterStage1(frame.index, frame.timestamp_ns, image, self._select(image))
 
     def stage2(self, frame: AfterStage1) -> AfterStage2:

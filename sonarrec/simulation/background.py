@@ -129,7 +129,7 @@ def survey(
                 plane = working_plane(choice.plane, fan, radius, choice.disc_radius_px)
                 odometry = Odometry(plane, config.continuity, poses)
                 echoes = np.zeros(frame.image.shape, dtype=np.int64)
-            motion = odometry.step(plane.warp(frame.image), frame.timestamp_ns)
+            motion = odometry.step(plane.warp(frame.pixels, frame.polar), frame.timestamp_ns)
             unknown += (motion is None or not motion.known) and bool(path)
             path.append(_moved(path[-1] if path else None, motion, floor_depth(fan)))
             stamps.append(frame.timestamp_ns)

@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.ndimage import map_coordinates
 
-from sonarrec.geometry import floor_depth
+from sonarrec.geometry import PolarToFan, beam_bearings, bin_ranges, floor_depth
 from sonarrec.recogniser.plane import FanPlane, FloorPlane, working_plane
 from sonarrec.records import Motion
+from sonarrec.sonar import Sonar
 from tests.support.drawn import draw_on_floor, make_fan
 
 WINDOWS = [  # range_min_m, range_max_m, height_m
@@ -171,6 +173,82 @@ def test_made_in_bands_it_is_what_all_rows_at_once_give(rows, disc_radius_px):
     maps = [((side + 0.5) / shrink - 0.5).astype(np.float32) for side in (fan_column, fan_row)]
     expected = cv2.remap(small, *cv2.convertMaps(*maps, cv2.CV_16SC2), cv2.INTER_LINEAR)
     np.testing.assert_array_equal(plane.warp(image), expected)
+
+
+POLAR = Sonar(
+    layout="polar",
+    range_min_m=1.25,
+    range_max_m=3.75,
+    field_of_view_deg=28.8,
+    tilt_deg=20.0,
+    height_m=0.68,
+)
+
+
+@pytest.mark.parametrize("flip", [False, True])
+@pytest.mark.parametrize(("bins", "shrink"), [(140, 1), (400, 3), (401, 3), (512, 4)])
+def test_polar_images_go_straight_to_the_floor(bins, shrink, flip):
+    """Against means over beams and whole blocks of range bins, then a plain bilinear look-up."""
+    beams = 48
+    sonar = POLAR.updated(Sonar(flip=flip)).complete("test")
+    polar = PolarToFan(sonar, bins, beams)
+    plane = FloorPlane(polar.fan, 0.15, 8.0)
+    assert max(1, round(1 / plane.scale)) == shrink
+    image = np.random.default_rng(0).integers(0, 256, (bins, beams), np.uint8)
+    found = plane.warp(image, polar).astype(float)
+
+    # In a pixel there are so many beams; a third of the weight goes to each of the two beside.
+    ground = np.sqrt(bin_ranges(sonar, bins) ** 2 - 0.68**2)
+    in_pixel = 0.15 / 8 / (math.radians(28.8 / beams) * ground)
+    share = np.minimum(in_pixel**2 / 8, 1 / 3)[:, None]
+    beside = np.pad(image, [(0, 0), (1, 1)], mode="edge").astype(float)
+    blurred = (1 - 2 * share) * image + share * (beside[:, :-2] + beside[:, 2:])
+    whole = np.pad(blurred, [(0, -bins % shrink), (0, 0)], mode="edge")
+    small = whole.reshape(-1, shrink, beams).mean(axis=1)
+    row, column = np.mgrid[0 : plane.shape[0], 0 : plane.shape[1]]
+    range_m, bearing_deg = plane.to_polar(column, row)
+    bearing_deg = -bearing_deg if flip else bearing_deg
+    beam = np.interp(bearing_deg, beam_bearings(sonar, beams), np.arange(beams))
+    range_bin = np.interp(range_m, bin_ranges(sonar, bins), np.arange(bins))
+    at = [(range_bin + 0.5) / shrink - 0.5, beam]
+    expected = map_coordinates(small, at, order=1, mode="nearest")
+    inside = plane.inside == 1
+    # cv2.remap places to the nearest 1/32 pixel: off by 255 / 64 grey levels in either direction.
+    assert np.abs(found - expected)[inside].max() <= 9
+    assert np.abs(found - expected)[inside].mean() < 2
+
+
+def test_the_floor_of_polar_images_is_that_of_their_fan():
+    """A picture that changes slowly, by way of the fan and without it."""
+    bins, beams = 512, 96
+    polar = PolarToFan(POLAR.complete("test"), bins, beams)
+    plane = FloorPlane(polar.fan, 0.15, 12.0)
+    row, column = np.mgrid[0:bins, 0:beams]
+    image = (128 + 60 * np.sin(row / 40) + 60 * np.sin(column / 12)).astype(np.uint8)
+    straight, by_way = plane.warp(image, polar), plane.warp(polar(image))
+    # At its edges the fan is mixed with the black outside.
+    well = cv2.erode(plane.inside, np.ones((7, 7), np.uint8), borderValue=0) == 1
+    apart = np.abs(straight.astype(int) - by_way)[well]
+    assert apart.max() <= 4  # both round, to whole grey levels and to 1/32 pixel
+    assert apart.mean() < 1
+
+
+def test_a_ping_of_another_window_lies_where_the_fan_of_the_log_has_it():
+    fan = PolarToFan(POLAR.complete("test"), 400, 48).fan
+    near = POLAR.updated(Sonar(range_max_m=2.75)).complete("test")
+    polar = PolarToFan(near, 300, 48, fan)
+    plane = FloorPlane(fan, 0.15, 12.0)
+    whole = plane.warp(
+        np.full((400, 48), 200, np.uint8), PolarToFan(POLAR.complete("test"), 400, 48)
+    )
+    found = plane.warp(np.full((300, 48), 200, np.uint8), polar)
+    row, column = np.mgrid[0 : plane.shape[0], 0 : plane.shape[1]]
+    range_m, _ = plane.to_polar(column, row)
+    inside = plane.inside == 1
+    assert (whole[inside] == 200).all()
+    # Along the end of its window a ping is mixed with the black beyond.
+    assert (found[inside & (range_m <= 2.75 - 0.02)] == 200).all()
+    assert not found[range_m > 2.75].any()
 
 
 @pytest.mark.parametrize("kind", ["fan", "floor"])

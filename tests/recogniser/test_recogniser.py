@@ -130,7 +130,7 @@ def test_odd_frames_in_the_middle_of_a_log_are_no_trouble(name):
     ]
     for i, change in enumerate(odd):
         place = 3 + 2 * i
-        log[place] = dataclasses.replace(log[place], image=change(log[place].image))
+        log[place] = dataclasses.replace(log[place], pixels=change(log[place].image))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for result in run(log, config.preset(name)):
@@ -202,7 +202,7 @@ NUMBERS = [
 def test_extreme_settings_are_refused_or_run(name, value):
     log = drawn_log(SECTORS[1], 3, fan=make_fan(160))
     black = np.zeros_like(log[-1].image)
-    log += [dataclasses.replace(log[-1], index=3, image=black)]
+    log += [dataclasses.replace(log[-1], index=3, pixels=black)]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for section, key in NUMBERS:
