@@ -232,11 +232,12 @@ class FloorPlane(Plane):
             cv2.erode(floor, np.ones((3, 3), np.uint8), borderValue=0), np.uint8
         )
         self._polar: PolarImages | None = None
-        self._beside: FloatArray | None = None  # (bins, 1) weight of the beams beside, if polar
+        # (bins, beams) shares of the blurred image and of the image itself, where it is polar.
+        self._blur: tuple[FloatImage, FloatImage] | None = None
         self._resampling: Resampling | None = None  # of images that are as `_polar` says
 
-    def _lay_out(self, polar: PolarImages | None) -> None:
-        """Prepare for a Frame's `pixels` that lie as its `polar` says.
+    def _lay_out(self, polar: PolarImages | None, beams: int) -> None:
+        """Prepare for a Frame's `pixels`, of so many columns, that lie as its `polar` says.
 
         A floor pixel is to be the mean of what it covers. Blocks of whole pixels see to that; of
         beams, which lie closer the nearer they are, a blur does.
@@ -244,15 +245,17 @@ class FloorPlane(Plane):
         metres, across = self._metres, 1
         pixel_m = self.fan.metres_per_pixel if polar is None else polar.bin_m
         along = max(1, round(metres / pixel_m))
-        self._polar, self._beside = polar, None
+        self._polar, self._blur = polar, None
         if polar is None:
             across = along
         else:
             ground = np.maximum(np.nan_to_num(ground_range(self.fan, polar.ranges_m)), metres)
             covered = metres / (np.radians(polar.beam_deg) * ground)  # beams in a pixel
-            # With the weights w/3, 1 - 2w/3, w/3 the variance is that of a mean over a pixel and
-            # of the look-up between two pixels, covered^2 (1/12 + 1/6).
-            self._beside = np.minimum(3 / 8 * covered**2, 1).astype(np.float32)[:, None]
+            # A mean of three beams has a variance of 2/3; a mean over a pixel and the look-up
+            # between two have covered^2 (1/12 + 1/6).
+            share = np.minimum(3 / 8 * covered**2, 1).astype(np.float32)
+            share = np.repeat(share[:, None], beams, axis=1)
+            self._blur = share, 1 - share
         self._resampling = Resampling(self.shape, (along, across))
         for band, row, column in row_bands(self.shape):
             range_m, bearing_deg = self.to_polar(column, row)
@@ -266,13 +269,11 @@ class FloorPlane(Plane):
     def warp(self, pixels: ByteImage, polar: PolarImages | None = None) -> ByteImage:
         # Polar images go to the floor in one step: the fan has many more pixels than either.
         if self._resampling is None or polar is not self._polar:
-            self._lay_out(polar)
+            self._lay_out(polar, pixels.shape[1])
         assert self._resampling is not None
-        if self._beside is not None:
-            grey = pixels.astype(np.float32)
-            change = cv2.blur(grey, (3, 1), borderType=cv2.BORDER_REPLICATE) - grey
-            grey += self._beside * change
-            pixels = np.asarray(cv2.convertScaleAbs(grey), np.uint8)
+        if self._blur is not None:
+            blurred = cv2.blur(pixels, (3, 1), borderType=cv2.BORDER_REPLICATE)
+            pixels = np.asarray(cv2.blendLinear(blurred, pixels, *self._blur), np.uint8)
         return self._resampling(pixels)
 
     def to_polar(

@@ -26,7 +26,7 @@ from sonarrec.recogniser.stage3_features.appearance import AppearanceMeasurement
 from sonarrec.recogniser.stage3_features.model import built_in_model
 from sonarrec.recogniser.stage3_features.published import PublishedMeasurement
 from sonarrec.recogniser.stage3_features.smi import identify
-from sonarrec.records import Fan, Frame, FrameResult
+from sonarrec.records import ByteImage, Fan, Frame, FrameResult
 
 SMI = "smi"
 FRAMEWORK = "framework"
@@ -93,11 +93,17 @@ class Recogniser:
 
     def step(self, frame: Frame) -> FrameResult:
         """The three stages over the log's next frame alone."""
-        return self.stage3([self.stage2(self.stage1(frame))])[0]
+        return self.stage3([self.stage2(self.stage1(frame, self.working_image(frame)))])[0]
 
-    def stage1(self, frame: Frame) -> AfterStage1:
-        """Candidate selection (Section 3.2): where could a landmark's circle be? Of any frame."""
-        image = self._plane.warp(frame.pixels, frame.polar)
+    def working_image(self, frame: Frame) -> ByteImage:
+        """What stage 1 works on: any frame in the working plane."""
+        return self._plane.warp(frame.pixels, frame.polar)
+
+    def stage1(self, frame: Frame, image: ByteImage) -> AfterStage1:
+        """Candidate selection (Section 3.2): where could a landmark's circle be?
+
+        Of any frame and its working image.
+        """
         return AfterStage1(frame.index, frame.timestamp_ns, image, self._select(image))
 
     def stage2(self, frame: AfterStage1) -> AfterStage2:
@@ -157,10 +163,15 @@ def together(
     """
     cv2.ipp.setUseIPP(False)  # as in __init__.py: each thread has its own switch
     with ExitStack() as threads:
+        seen: Iterable[tuple[Frame, list[ByteImage]]]
+        seen = ((frame, [r.working_image(frame) for r in recognisers]) for frame in frames)
         if ahead and all(r.fan.rows * r.fan.columns >= LARGE for r in recognisers):
-            frames = threads.enter_context(closing(Ahead(frames)))
+            seen = threads.enter_context(closing(Ahead(seen)))
         selected: Iterable[list[AfterStage1]]
-        selected = ([r.stage1(frame) for r in recognisers] for frame in frames)
+        selected = (
+            [r.stage1(frame, image) for r, image in zip(recognisers, images, strict=True)]
+            for frame, images in seen
+        )
         if ahead:
             selected = threads.enter_context(closing(Ahead(selected)))
         left, broken = iter(selected), None

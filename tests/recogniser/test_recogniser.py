@@ -366,7 +366,9 @@ def test_presets_that_differ_in_hindsight_alone_share_the_stages(monkeypatch):
     seen: list[int] = []
     stage1 = Recogniser.stage1
     monkeypatch.setattr(
-        Recogniser, "stage1", lambda self, frame: seen.append(frame.index) or stage1(self, frame)
+        Recogniser,
+        "stage1",
+        lambda self, frame, image: seen.append(frame.index) or stage1(self, frame, image),
     )
     log = still_log(3, 3)
     side_by_side(log, "default", "paper", "offline")

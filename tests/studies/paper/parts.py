@@ -52,7 +52,8 @@ class Parts:
         """The estimates of all parts in the log's next frame."""
         self._index += 1
         frame = Frame(self._index, 0, image, self._fan)
-        followed = self._recogniser.stage2(self._recogniser.stage1(frame))
+        stages = self._recogniser
+        followed = stages.stage2(stages.stage1(frame, stages.working_image(frame)))
         groups = followed.groups
         declare = self._config.features.declare
         found = identify(
