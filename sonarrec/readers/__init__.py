@@ -1,4 +1,4 @@
-"""Opens recorded logs: any kind of file in, a stream of fan images out."""
+"""Opens recorded logs: any kind of file in, a stream of frames out, fan images or polar."""
 
 from __future__ import annotations
 
