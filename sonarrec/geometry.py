@@ -1,6 +1,7 @@
 """Metres and pixels: the fan image, polar to fan, and the floor.
 
-Every conversion between metres and pixels in the program is made here.
+Every conversion between metres and pixels of the fan is made here; that between metres and pixels
+of the working image, seen from above, in recogniser/plane.py.
 """
 
 from __future__ import annotations
@@ -81,7 +82,8 @@ def polar_from_pixel(
 def plane_position(pair: tuple[str, FloatArray, FloatArray], fan: Fan | None) -> FloatArray | None:
     """(rows, 2) metres in the fan plane, right and ahead of the sonar.
 
-    None where the pair is in pixels and there is no fan to turn them into metres.
+    pair: ("polar", slant ranges in m, bearings in deg) or ("pixel", columns, rows), each (rows,).
+    None where it is in pixels and there is no fan to turn them into metres.
     """
     kind, first, second = pair
     if kind == "pixel":
@@ -119,8 +121,8 @@ def in_fan(fan: Fan, range_m: FloatArray, bearing_deg: FloatArray) -> BoolArray:
     )
 
 
-def in_image(fan: Fan, range_m: FloatArray, bearing_deg: FloatArray) -> np.ndarray:
-    """Which of them its image shows: bool, shapes broadcast.
+def in_image(fan: Fan, range_m: FloatArray, bearing_deg: FloatArray) -> BoolArray:
+    """Which slant ranges and bearings the fan image shows: bool, shapes broadcast.
 
     An image whose rows reach from range_max_m to range_min_m straight ahead, as most are, cuts the
     near corners of a wide fan off.

@@ -1,4 +1,4 @@
-"""Stages 1 to 3 over the frames of one log: fan images in, estimates out."""
+"""Stages 1 to 3 over the frames of one log: frames in, estimates out."""
 
 import cv2
 

@@ -37,7 +37,7 @@ from sonarrec.records import (
 
 
 class Plane(ABC):
-    """Fan image to working image and back."""
+    """From a frame to the working image; places in it to slant range and bearing, and back."""
 
     fan: Fan
     """The geometry of the images that it is made for."""
@@ -236,11 +236,11 @@ class FloorPlane(Plane):
         self._blur: tuple[FloatImage, FloatImage] | None = None
         self._resampling: Resampling | None = None  # of images that are as `_polar` says
 
-    def _lay_out(self, polar: PolarImages | None, beams: int) -> None:
-        """Prepare for a Frame's `pixels`, of so many columns, that lie as its `polar` says.
+    def _lay_out(self, polar: PolarImages | None, columns: int) -> None:
+        """Prepare for frames whose `polar` is this and whose `pixels` have so many columns.
 
-        A floor pixel is to be the mean of what it covers. Blocks of whole pixels see to that; of
-        beams, which lie closer the nearer they are, a blur does.
+        A floor pixel is to be the mean of what it covers. So images are shrunk by whole blocks
+        first. Beams lie the closer the nearer they are: across them a blur takes the blocks' place.
         """
         metres, across = self._metres, 1
         pixel_m = self.fan.metres_per_pixel if polar is None else polar.bin_m
@@ -251,10 +251,10 @@ class FloorPlane(Plane):
         else:
             ground = np.maximum(np.nan_to_num(ground_range(self.fan, polar.ranges_m)), metres)
             covered = metres / (np.radians(polar.beam_deg) * ground)  # beams in a pixel
-            # A mean of three beams has a variance of 2/3; a mean over a pixel and the look-up
-            # between two have covered^2 (1/12 + 1/6).
+            # As variances, in beams squared: a mean of three beams has 2/3; a mean over a floor
+            # pixel and the look-up between two of them have covered^2 (1/12 + 1/6).
             share = np.minimum(3 / 8 * covered**2, 1).astype(np.float32)
-            share = np.repeat(share[:, None], beams, axis=1)
+            share = np.repeat(share[:, None], columns, axis=1)
             self._blur = share, 1 - share
         self._resampling = Resampling(self.shape, (along, across))
         for band, row, column in row_bands(self.shape):

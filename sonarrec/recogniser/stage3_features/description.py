@@ -12,9 +12,10 @@ from sonarrec.recogniser.stage3_features.expected_symbol import ExpectedSymbols
 from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES, Bands, turned_codes
 from sonarrec.records import BoolArray, FloatArray, IndexArray
 
-# Levels are in standard deviations of the frame. Those named "local" are counted from the gap in
-# the same direction, which late echoes and uneven light raise as much as the symbol; that named
-# "over_floor" from the floor just outside in the same direction.
+# Levels are in standard deviations of the grey levels about the object (see ShapeSampler). Those
+# named "local" are counted from the gap in the same direction, which late echoes and uneven light
+# raise as much as the symbol; that named "over_floor" from the floor just outside in the same
+# direction.
 FEATURES = (
     "correlation",  # with the ID's expected symbol and gap at the best rotation
     # Log of the share that the ID leaves unexplained, less the same of the best rival.
