@@ -1,7 +1,7 @@
-"""Every tunable number, once: its default, its unit, where in the paper, and why.
+"""Every setting, once: its default, bounds, unit and meaning, and where it is in the paper.
 
 The presets are one code path with different numbers. What the paper leaves open is marked
-"open in the paper" with the choice made for `--preset paper`.
+"open in the paper"; PRESETS has what `--preset paper` takes for it.
 """
 
 from __future__ import annotations
@@ -67,8 +67,8 @@ class Candidates:
     max_candidates: Count = _setting(
         12,
         "",
-        "per frame, the best ones; where the floor in view has room for more than 300 discs in "
-        "proportion more, up to 8 times as many",
+        "per frame, the best ones; where the floor in view has room for more than 300 discs, "
+        "more in proportion, up to 8 times as many",
     )
     separation: NotNegative = _setting(0.35, "disc diameters", "least distance between candidates")
     blur_px: Annotated[int, bounds(0, 255)] = _setting(
@@ -96,28 +96,31 @@ class Continuity:
     motion: Literal["random_walk", "image"] = _setting(
         "image",
         "",
-        "random_walk: Eq. 3 alone, as the paper; image: the pan is first measured between the "
-        "frames, and the walk is sigma_known_px wide",
+        "random_walk: Eq. 3 alone, as the paper; image: the sonar's motion is measured between "
+        "the frames first. Poses tell it in both cases. Where it is known the walk is "
+        "sigma_known_px wide",
     )
     sigma_known_px: NotNegative = _setting(
-        4.0, "fan pixels", "image: random walk about the known pan, and how wide a group begins"
+        4.0,
+        "fan pixels",
+        "random walk where the motion is known; image: also how wide a group begins",
     )
     min_match: NotNegative = _setting(
         0.25,
         "correlation",
-        "image: frames that match less tell no pan; particles then walk by sigma_px",
+        "image: where a standing sonar's frames match less, the motion is not known",
     )
     jump: NotNegative = _setting(
         0.25,
         "disc diameters",
-        "image: a group this far from where the pan should have taken it has left its object: it "
-        "is deleted, or remembered where it is out of view",
+        "motion known: a group this far from where the motion should have taken it has left its "
+        "object: it is deleted, or remembered where it is out of view",
     )
     own_candidate: NotNegative = _setting(
         0.2,
         "disc diameters",
-        "image: a candidate this near to where the pan takes a group's object is the group's own; "
-        "particles nearer to another candidate do not count",
+        "motion known: a candidate this near to where the motion takes a group's object is the "
+        "group's own; particles nearer to another candidate do not count",
     )
     z_hit: NotNegative = _setting(
         0.95, "weight", "weight of the score map in Eq. 4; open in the paper"
@@ -152,27 +155,25 @@ class Continuity:
     remember_frames: Count = _setting(
         400,
         "frames",
-        "image: how long a group that left the view is remembered, to keep its number",
+        "motion known: how long a group that left the view is remembered, to keep its number",
     )
     recall: NotNegative = _setting(
         0.2,
         "disc diameters",
-        "image: a candidate this near to where the pan takes a remembered group may be its "
-        "object, had it just left",
+        "a candidate this near to where the motion takes a remembered group may be its object, "
+        "had it just left",
     )
     recall_drift: NotNegative = _setting(
         0.02,
         "disc diameters",
-        "image: standard error that this place gains with every frame away, beside that of the "
-        "measured pan; twice both together are added to recall",
+        "standard error that this place gains with every frame away, beside that of the motion; "
+        "twice both together are added to recall",
     )
-    recall_most: NotNegative = _setting(
-        0.5, "disc diameters", "image: recall grows no wider than this"
-    )
+    recall_most: NotNegative = _setting(0.5, "disc diameters", "recall grows no wider than this")
     recall_in_view: Share = _setting(
         0.5,
         "share",
-        "image: of the disc inside the fan; with less, a candidate near a remembered group waits",
+        "of the disc inside the fan; with less, a candidate near a remembered group waits",
     )
     merge: NotNegative = _setting(
         0.3, "disc diameters", "groups nearer than this are one object: the older stays"
