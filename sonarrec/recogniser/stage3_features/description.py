@@ -117,7 +117,7 @@ class Describer:
         self._halves = np.repeat(table, 2, axis=1)
         self._in_sector, self._in_half = (_Parts(n * table.shape[1]) for n in (1, 2))
 
-    # Long, so that all FEATURES are computed in one place, in their order.
+    # Long, so that all FEATURES are computed in one place.
     def __call__(
         self, average: FloatArray, count: FloatArray, existence: FloatArray, smear: FloatArray
     ) -> Description:
@@ -157,46 +157,47 @@ class Describer:
         )
         dark, step, texture = dark[..., 0], steps[..., 0], textures[..., 0]
         level, shown = self._in_sector.levels(counted, known, turn)
-        brightest = _most(level, shown & ~self._sectors)
-        darkest = -_most(-level[1], shown[1] & self._sectors)
+        brightest_dark = _most(level, shown & ~self._sectors)
+        darkest_bright = -_most(-level[1], shown[1] & self._sectors)
         half, half_shown = self._in_half.levels(counted[1:2], known[1:2], turn)
-        brightest_half = _most(half[0], half_shown[0] & ~self._halves)
-        darkest_half = -_most(-half[0], half_shown[0] & self._halves)
+        brightest_dark_half = _most(half[0], half_shown[0] & ~self._halves)
+        darkest_bright_half = -_most(-half[0], half_shown[0] & self._halves)
         edge, weakest_edge = _steepness(symbol, weight, self._edges[turn, np.arange(ids)])
 
         odds = existence / (1 - existence)
         rival_misfit = np.log(_unexplained(best) / _unexplained(rival)[:, None])
         over_ring = dark + step - (ring_level - gap_level)[:, None]
         share = 1 / contrast[:, None]
-        values = [
-            best,
-            rival_misfit,
-            step,
-            steps[..., 1:].min(axis=-1) * share,
-            dark,
-            over_ring,
-            over_ring * share,
-            darkest,
-            brightest[0],
-            brightest[1],
-            brightest[2],
-            darkest_half * share,
-            brightest_half * share,
-            edge,
-            weakest_edge,
-            texture,
-            texture * share,
-            ring_level - outer_level,
-            ring_level - gap_level,
-            weakest,
-            weakest_over_gap,
-            weakest * np.maximum(np.log(frames), 0),
-            ring_spread / contrast,
-            np.log(frames),
-            np.log(odds),
-        ]
+        values = {  # (n, K), or (n,) where it is the same of every ID
+            "correlation": best,
+            "rival_misfit": rival_misfit,
+            "step": step,
+            "weakest_line_step_share": steps[..., 1:].min(axis=-1) * share,
+            "dark_over_gap": dark,
+            "bright_over_ring": over_ring,
+            "bright_over_ring_share": over_ring * share,
+            "local_weakest_bright": darkest_bright,
+            "strongest_dark": brightest_dark[0],
+            "local_strongest_dark": brightest_dark[1],
+            "strongest_dark_over_floor": brightest_dark[2],
+            "weakest_bright_half_share": darkest_bright_half * share,
+            "strongest_dark_half_share": brightest_dark_half * share,
+            "edge": edge,
+            "weakest_edge": weakest_edge,
+            "texture": texture,
+            "texture_share": texture * share,
+            "ring_over_floor": ring_level - outer_level,
+            "ring_over_gap": ring_level - gap_level,
+            "weakest_ring": weakest,
+            "weakest_ring_over_gap": weakest_over_gap,
+            "weakest_ring_by_frames": weakest * np.maximum(np.log(frames), 0),
+            "ring_texture_share": ring_spread / contrast,
+            "log_frames": np.log(frames),
+            "existence": np.log(odds),
+        }
         features = np.empty((objects, ids, len(FEATURES)))
-        for i, value in enumerate(values):
+        for i, name in enumerate(FEATURES):
+            value = values[name]
             features[:, :, i] = value if value.ndim == 2 else value[:, None]
         exact, turn_sigma = _exact_turn(correlation, turn, best)
         return Description(np.clip(features, -LIMIT, LIMIT), exact, turn_sigma)
@@ -288,7 +289,10 @@ def _level(profile: FloatArray, weight: FloatArray) -> FloatArray:
 
 
 def _weakest_quarter(contrast: FloatArray, seen: FloatArray) -> FloatArray:
-    """(n,) least mean of (n, ANGLES) contrast over a quarter turn of which half was seen."""
+    """(n,) least mean of (n, ANGLES) contrast over a quarter turn of which more than half was seen.
+
+    LIMIT where there is none.
+    """
     cells = seen @ QUARTERS
     mean = (contrast * seen) @ QUARTERS / np.maximum(cells, 1e-9)
     return np.asarray(np.where(cells > 0.5 * ANGLES / 4, mean, LIMIT).min(axis=1))
