@@ -98,10 +98,11 @@ def evaluate_whole(
     *,
     some: bool = False,
 ) -> Evaluation:
-    """As `evaluate`. results: or pairs, logs each with a truth of its own, to be pooled.
+    """As `evaluate`. results: a folder, or pairs of a log's results and its truth, to be pooled.
 
     Logs of equal name are told apart by their folders as given. some: these are a few of the logs
-    that `evaluate_many` scored, so that none of them need have a row in its truth or a method.
+    that `evaluate_many` scored, so it is no fault if none of them has a row in its truth, or a
+    method.
     """
     given = _given(results, ground_truth, options)
     found = _gathered(given, (survey(r, whole=True) for r in given.readings), some)
@@ -171,9 +172,9 @@ class _Given:
     notes: list[str]
     unused: list[str]
     table: TruthTable | None = None
-    """Where one truth is for all."""
+    """The truth of all logs; None where each has its own."""
     folder: Path | None = None
-    """... that are in it."""
+    """With `table`: the results folder as given."""
 
 
 def _given(
@@ -314,6 +315,7 @@ def pool(
 
 
 def other_ids(first: str, other: str) -> SonarrecError:
+    """The error for two logs, by name, whose landmark IDs differ."""
     return SonarrecError(
         f"logs {first} and {other} were run with different landmark IDs and "
         "cannot be pooled; evaluate them one by one, or give --landmarks"
@@ -321,7 +323,7 @@ def other_ids(first: str, other: str) -> SonarrecError:
 
 
 def _check_methods(logs: Sequence[Surveyed], names: Sequence[str]) -> None:
-    """names: of the logs, told apart. Raises SonarrecError where none of them has a method."""
+    """Raise SonarrecError where none of the logs has a method. names: of the logs, told apart."""
     if not any(log.methods for log in logs):
         raise SonarrecError(f"{', '.join(names)}: estimates.csv names no method to score")
 
@@ -352,7 +354,11 @@ def _notes(
     ids: Sequence[int],
     positives: IntArray,
 ) -> list[str]:
-    """estimates: (M,) of each method. positives: (K,)."""
+    """What is worth knowing of what was scored, a line each.
+
+    estimates: (M,) how many each method has. positives: (K,) how many truths each ID has whole in
+    view.
+    """
     notes = []
     if not placed:
         notes.append(

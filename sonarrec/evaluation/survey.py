@@ -72,9 +72,9 @@ class Surveyed:
     """None where truth and log could not be matched: see `error`."""
     error: SonarrecError | None
     case: Matched | None
-    """Where it was asked for."""
+    """All that was read, where the whole was asked for and log and truth match."""
     part: Part | None
-    """Else this, but for logs that cannot be scored."""
+    """The counts, where the whole was not asked for and the log can be scored."""
 
 
 def survey(reading: Reading, *, whole: bool = False) -> Surveyed | Unread:

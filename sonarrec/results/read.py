@@ -39,6 +39,11 @@ METHODS = ("smi", "framework")
 """The methods that a run of one preset holds, also where one of them saw nothing."""
 
 
+def in_order(methods: set[str]) -> tuple[str, ...]:
+    """Those of METHODS, then the others by name."""
+    return (*(m for m in METHODS if m in methods), *sorted(methods - set(METHODS)))
+
+
 @dataclass(frozen=True, slots=True)
 class LogResults:
     """What all methods said of one log.

@@ -25,7 +25,7 @@ FPR_GRID = np.unique(
 )
 """Steps at which resampled curves are held, close about FPR_POINTS. The curves told are exact."""
 QUANTILES = (0.5, 0.9, 0.95)
-"""Shares of values that metrics may ask for; of others `exact_spread` does not know."""
+"""Shares of values that metrics may ask for: `exact_spread` holds no others."""
 
 Claims = Iterable[tuple[FloatArray, IntArray, IntArray]]
 """(n,) scores, (n, 4) effects and (n,) units of claims, any number of them at a time."""
@@ -79,7 +79,11 @@ class Spread:
 def rate_count(
     labels: tuple[str, str, str], base: IntArray, declared: IntArray, curve: Curve, claims: Claims
 ) -> Counted:
-    """labels: protocol, method, landmark_text. base, declared: (U, 4). curve: of all claims."""
+    """What the units add to Rates.
+
+    labels: protocol, method, landmark_text. base, declared: (U, 4) TP, TN, FP, FN with nothing
+    claimed, and at the operating point. curve: of all claims.
+    """
     units, bins = len(base), len(FPR_GRID)
     # A bin per step of the FPR, so that methods with other scores can be swapped bin by bin.
     at = np.maximum(np.searchsorted(curve.fpr, FPR_GRID, side="right") - 1, 0)
@@ -115,7 +119,9 @@ def _rates(rows: FloatArray) -> Rates:
 def spread_count(
     labels: tuple[str, str, str], values: Values, units: int, edges: FloatArray
 ) -> Counted:
-    """labels: protocol, method, landmark_text. edges: rising, the last one no less than any value;
+    """What the units add to a Spread.
+
+    labels: protocol, method, landmark_text. edges: rising, the last one no less than any value;
     resampled values count as the next edge, so equal edges make methods comparable.
     """
     sums = np.zeros((units, len(edges)), dtype=np.float32)
@@ -127,15 +133,15 @@ def spread_count(
             added = np.bincount(place, minlength=size).reshape(-1, len(edges))
             sums[first : first + len(added)] += added
     np.cumsum(sums, axis=1, out=sums)
-    exact = exact_spread(lambda: (some for some, _ in values()), edges)
+    exact = exact_spread(lambda: (some for some, _ in values()))
     return Counted(*labels, sums, lambda rows: Spread(edges, rows), exact)
 
 
-def exact_spread(values: Blocks, edges: FloatArray) -> Spread:
-    """Values of which those at QUANTILES are known, and how many there are; edges: where none."""
+def exact_spread(values: Blocks) -> Spread:
+    """All values in steps at their QUANTILES and their largest, so that these are exact."""
     total = sum(map(len, values()))
     if not total:
-        return Spread(edges[:1], np.zeros((1, 1)))
+        return Spread(np.zeros(1), np.zeros((1, 1)))
     least = np.ceil(np.array([*QUANTILES, 1.0]) * total - 1e-3)  # as in Spread.quantile
     reached = np.clip(least, 1, total)
     return Spread(ranked(values, reached.astype(np.int64) - 1), reached[None])
@@ -146,7 +152,7 @@ def sum_count(
     record: Callable[..., Any],
     columns: Sequence[FloatArray | IntArray],
 ) -> Counted:
-    """Plain sums: columns, (U,) each, are what the units add to the fields of the record."""
+    """Plain sums. columns: (U,) each, what the units add to the record's fields, in order."""
     sums = np.stack(columns, axis=1).astype(float)
     return Counted(*labels, sums, lambda rows: record(*rows.T), record(*sums.sum(axis=0)[:, None]))
 

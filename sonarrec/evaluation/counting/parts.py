@@ -22,7 +22,8 @@ from sonarrec.evaluation.counting.behaviour import (
     switches,
 )
 from sonarrec.evaluation.counting.passes import (
-    UnitKind,
+    Passes,
+    Units,
     find_passes,
     find_units,
     pass_units,
@@ -35,7 +36,6 @@ from sonarrec.records import FloatArray, IntArray
 
 CLAIM = np.dtype([("score", "f8"), ("unit", "i4"), ("effect", "i1", 4)])
 ERROR = np.dtype([("error", "f8"), ("unit", "i4")])
-KINDS: tuple[UnitKind, ...] = ("pass", "log")
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,9 +107,10 @@ class Part(Totals):
 def part_of(
     joined: Joined, scored: Sequence[Scored] | None = None, *, rates_only: bool = False
 ) -> Part:
-    """scored: every method under every protocol; default: they are scored here.
+    """What the logs of `joined` add.
 
-    rates_only: nothing of errors, false claims a minute, switches and calibration.
+    scored: every method under every protocol; default: they are scored here. rates_only: nothing of
+    errors, false claims a minute, switches and calibration.
     """
     if scored is None:
         scored = score_all(joined)
@@ -153,7 +154,7 @@ def part_of(
             for s in scored
         ),
         switches=() if nearest is None else tuple(switches(joined, nearest, passes)),
-        blocks=dict(_blocks(joined, scored, nearest, rates_only)),
+        blocks=_blocks(joined, scored, nearest, passes, units),
     )
 
 
@@ -168,8 +169,12 @@ def score_all(joined: Joined) -> tuple[Scored, ...]:
 
 
 def _blocks(
-    joined: Joined, scored: Sequence[Scored], nearest: IntArray | None, rates_only: bool
-) -> list[tuple[Hashable, npt.NDArray[Any]]]:
+    joined: Joined,
+    scored: Sequence[Scored],
+    nearest: IntArray | None,
+    passes: Passes,
+    units: Units,
+) -> dict[Hashable, npt.NDArray[Any]]:
     """Arrays by key.
 
     ("base", protocol): (U, K, 4) by pass units; ("made", protocol, method): what the declared
@@ -177,44 +182,46 @@ def _blocks(
     ("position" or "orientation", method, k): ERROR by pass units. ("false", method): (U, K, 2) by
     pass units. ("minutes", kind): (U,) and ("calibration", method, kind): (U, K + 2, C), by units
     of this kind: sums of fractions depend in the last bit on how they are put together.
+
+    nearest: of `on_truth`; None where rates alone are wanted, or positions are not known. units: of
+    `pass_units`.
     """
-    passes = find_passes(joined)
-    units = pass_units(joined, passes)
     groups = units.of_frame, units.of_truth
-    found: list[tuple[Hashable, npt.NDArray[Any]]] = []
+    found: dict[Hashable, npt.NDArray[Any]] = {}
     for s in scored:
-        found.append((("base", s.protocol), s.base_by(*groups, units.count)))
-        made = s.declared_by(*groups, units.count) - found[-1][1]
-        found.append((("made", s.protocol, s.method), made))
+        base = s.base_by(*groups, units.count)
+        found["base", s.protocol] = base  # the same of every method
+        found["made", s.protocol, s.method] = s.declared_by(*groups, units.count) - base
         group = s.claims_by(*groups)
         for k in range(len(joined.ids)):
             mine = s.landmark_index == k
             claims = np.empty(int(mine.sum()), dtype=CLAIM)
             claims["score"], claims["unit"] = s.score[mine], group[mine]
             claims["effect"] = s.effect[mine]
-            found.append((("claims", s.protocol, s.method, k), claims))
-        if s.protocol == "strict" and not rates_only:
-            found += _errors(s, joined, units.of_truth)
+            found["claims", s.protocol, s.method, k] = claims
+        if s.protocol == "strict" and nearest is not None:
+            found |= _errors(s, joined, units.of_truth)
     if nearest is not None:
-        by_kind = {kind: find_units(joined, passes, kind) for kind in KINDS} | {"pass": units}
+        by_kind = {"pass": units, "log": find_units(joined, passes, "log")}
         for kind, of in by_kind.items():
-            found.append((("minutes", kind), minutes(joined, of)))
+            found["minutes", kind] = minutes(joined, of)
         for m, method in enumerate(joined.methods):
-            found.append((("false", method), false_claims(joined, nearest, units, m)))
+            found["false", method] = false_claims(joined, nearest, units, m)
             for kind, of in by_kind.items():
                 rows = calibration(joined, nearest, of, m)
                 if rows is not None:
-                    found.append((("calibration", method, kind), rows))
-    return list(dict(found).items())  # what is the same of every method once
+                    found["calibration", method, kind] = rows
+    return found
 
 
 def _errors(
     strict: Scored, joined: Joined, unit_of_truth: IntArray
-) -> list[tuple[Hashable, npt.NDArray[Any]]]:
+) -> dict[Hashable, npt.NDArray[Any]]:
+    """The "position" and "orientation" blocks of one method; see `_blocks`."""
     right = right_claims(strict)
     landmark = strict.landmark_index[right]
     unit = unit_of_truth[strict.truth[right]]
-    found: list[tuple[Hashable, npt.NDArray[Any]]] = []
+    found: dict[Hashable, npt.NDArray[Any]] = {}
     kinds: dict[str, FloatArray] = {
         "position": position_errors(strict, joined, right),
         "orientation": orientation_errors(strict, joined, right),
@@ -224,5 +231,5 @@ def _errors(
             mine = (landmark == k) & ~np.isnan(error)
             errors = np.empty(int(mine.sum()), dtype=ERROR)
             errors["error"], errors["unit"] = error[mine], unit[mine]
-            found.append(((name, strict.method, k), errors))
+            found[name, strict.method, k] = errors
     return found

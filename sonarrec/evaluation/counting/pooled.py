@@ -23,7 +23,7 @@ from sonarrec.evaluation.counting.passes import LOGS_ENOUGH, MOST_UNITS, UnitKin
 from sonarrec.evaluation.counting.scoring import PROTOCOLS
 from sonarrec.evaluation.counting.store import Store, summed
 from sonarrec.records import FloatArray, IntArray
-from sonarrec.results.read import METHODS
+from sonarrec.results.read import in_order
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,8 +185,7 @@ def pooled(
 ) -> Pooled:
     """Parts that were put by, by their numbers, as one; names: of their logs. All of equal IDs."""
     used = parts.use(numbers)
-    there = {method for part in used for method in part.methods}
-    methods = tuple(m for m in METHODS if m in there) + tuple(sorted(there - set(METHODS)))
+    methods = in_order({method for part in used for method in part.methods})
     placed = all(part.placed for part in used)
     ids = used[0].ids
     scored, outcomes = [], []

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sonarrec.records import BoolArray, FloatArray, IntArray
-from sonarrec.results.read import METHODS, LogResults
+from sonarrec.results.read import LogResults, in_order
 from sonarrec.truth.match import Truth
 
 ROUNDING_M = 1e-9
@@ -78,8 +78,7 @@ def join(
     of the first."""
     landmarks = logs[0].landmarks
     ids = ids or landmarks.ids
-    names = {name for log in logs for name in log.methods}
-    methods = tuple(m for m in METHODS if m in names) + tuple(sorted(names - set(METHODS)))
+    methods = in_order({name for log in logs for name in log.methods})
     parts, start = [], 0
     for n, (log, truth) in enumerate(zip(logs, truths, strict=True)):
         of_log = {"log_index": np.full(len(log.frame), n)} | _frames_and_claims(log, ids, methods)
