@@ -24,7 +24,7 @@ IndexArray = npt.NDArray[np.intp]
 PART = ".part"
 """How the name of a folder of results ends while its run is not finished; no other ends so."""
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"})
-"""Of the images that are read; a folder that holds some is a log."""
+"""How the names of images end; a folder that holds some is a log."""
 
 
 def printable(text: str) -> str:
@@ -37,7 +37,7 @@ class SonarrecError(Exception):
     """A fault in the input or the settings, told in one line: what, where, what to do."""
 
     def __str__(self) -> str:
-        # It quotes what files hold.
+        # It may quote what files hold.
         return "\n".join(map(printable, super().__str__().split("\n")))
 
     @property

@@ -49,7 +49,7 @@ _LAYING = {
         type=click.FloatRange(0, 5),
         metavar="DEG",
         help="Width of the beams, by which the discs are smeared.  "
-        "[default: features.beam_width_deg, else as `sonarrec run` finds it]",
+        "[default: as `sonarrec run` takes it]",
     ),
     "odometry": option(
         BACKGROUND,

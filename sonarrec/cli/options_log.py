@@ -102,8 +102,8 @@ _TIME = {
         INPUT,
         "--time",
         type=click.Choice(["log", "publish", "header"]),
-        help="Which time of an MCAP message becomes the timestamp_ns of its frame. Frames come in "
-        "the order of log time all the same.  [default: log]",
+        help="Which time of a message of an MCAP or bag becomes the timestamp_ns of its frame. "
+        "Frames come in the order of log time all the same.  [default: log]",
     )
 }
 

@@ -118,10 +118,9 @@ def label(tracks: Tracks, row: IntArray, landmark: IntArray, place: FloatArray) 
     nearest = np.full(len(tracks.row), np.inf)
     first, end = (np.searchsorted(tracks.row, row, side) for side in ("left", "right"))
     for a, b, what, where in zip(first, end, landmark, place, strict=True):
-        here = np.arange(a, b)
-        distance = np.linalg.norm(tracks.position[here] - where, axis=1)
-        closer = here[distance < nearest[here]]
-        found[closer], nearest[closer] = what, distance[distance < nearest[here]]
+        distance = np.linalg.norm(tracks.position[a:b] - where, axis=1)
+        closer = distance < nearest[a:b]
+        found[a:b][closer], nearest[a:b][closer] = what, distance[closer]
     distance = nearest / (2 * tracks.landmarks.radius_m)
     found[distance > ON] = ids
     taught = (distance <= ON) | (distance > OFF)

@@ -32,8 +32,8 @@ class Used:
     configs: Sequence[Config]  # several: side by side, each under its own method name
     landmarks: str | Path | None = None  # a set by name or file; default: the earlier run's, basin
     model: Path | None = None  # of appearance; default: the earlier run's, else the built-in one
-    earlier_run: Path | None = None  # a run.toml that serves where nothing else is given; a plain
-    # file of settings has nothing that does, and changes nothing
+    earlier_run: Path | None = None  # a run.toml, whose geometry, landmarks and model serve where
+    # none are given; a plain file of settings has none of these
     parquet: bool = False  # whether the estimates go to estimates.parquet, in place of CSV
 
     def check(self) -> None:

@@ -46,9 +46,7 @@ from sonarrec.sonar import Sonar, sonar_from
 Presets = str | Config | Sequence[str | Config]
 """One preset by name or as a Config, or several to run side by side."""
 Observe = Callable[[FrameResult, int | None], None]
-"""Told each result and the number of frames, where that is known."""
-
-
+"""Called with each result and the number of frames, None where that is not known."""
 MOST_SIGHTINGS = 20
 """Kept of each method in a Summary; sightings.csv has all."""
 
@@ -58,8 +56,8 @@ class Summary:
     """What became of one log.
 
     folder: where the results are. frames: how many were processed. unusable: how many could not
-    be. problems: what could not be used, a line each. notes: what is stated against the log's own
-    messages. candidates: over all frames. passes: how many sightings.csv has of each method that
+    be. problems: what could not be used, a line each. notes: what else is worth knowing, a line
+    each. candidates: over all frames. passes: how many sightings.csv has of each method that
     follows objects. sightings: of each of these the MOST_SIGHTINGS declared in the most frames, in
     order of first sight. up_to_date: these very results were there, so nothing was done.
     """
@@ -98,7 +96,7 @@ def run(
     landmarks: a set by name or TOML file, default `basin`. model: of `sonarrec calibrate`. sonar:
     geometry that wins over files, such as {"tilt_deg": 20.0} (keys and units of sonar.toml: m,
     deg). sonar_file: in place of the sonar.toml beside the log. topic: the image channel of an
-    MCAP. time: which time of an MCAP's messages names a frame, "log" (default), "publish" or
+    MCAP or bag. time: which time of its messages names a frame, "log" (default), "publish" or
     "header". odometry: CSV of the sonar's poses. frames: only those from the first number up to,
     not including, the second, if there is one; they keep their numbers. overwrite: do again what is
     up to date, and replace the results of another log of that name. observe: called after each
@@ -143,9 +141,10 @@ class Recogniser:
     def recognise(self, frames: Iterable[Frame] | None = None) -> Iterator[FrameResult]:
         """A FrameResult per Frame, in the frames' order; some frames later than they come.
 
-        frames: images (rows, columns) uint8 of one fan, by rising index; default, the log's own.
-        Every call begins anew: nothing is remembered of the frames of another. Raises UsageError
-        at an image that is not as the fan needs it, and at a frame that is not after the last.
+        frames: of one fan, by rising index; `pixels` are the fan image, (rows, columns) uint8, or
+        polar where a frame has `polar`. Default: the log's own. Every call begins anew: nothing is
+        remembered of the frames of another. Raises UsageError at an image that is not as the fan
+        needs it, and at a frame that is not after the last.
         """
         if frames is None:
             if isinstance(self._source, Fan):

@@ -57,7 +57,7 @@ def sightings_in(path: Path) -> Iterator[Sighting]:
 def _worked_out(
     folder: Path, run: RunFile, landmarks: str | None, sonar: Sonar | None
 ) -> Iterator[Sighting]:
-    from sonarrec.results.read import read_frames
+    from sonarrec.results.read import read_frames  # with pandas, which a run does not need
 
     frames = read_frames(folder)
     times = frames.get("timestamp_ns", np.zeros(len(frames["frame"]), dtype=np.int64))
@@ -90,7 +90,7 @@ def _declared(
     folder: Path, run: RunFile, landmarks: str | None, sonar: Sonar | None
 ) -> Iterator[tuple[int, Estimate]]:
     """(frame, estimate) of every declared row of estimates.csv."""
-    from sonarrec.results.read import estimate_tables
+    from sonarrec.results.read import estimate_tables  # with pandas, as above
     from sonarrec.results.stream import estimates_in
 
     own, fan = run.landmark_set(landmarks), run.fan(sonar)
