@@ -49,7 +49,7 @@ class LandmarkSet:
         return np.asarray(table[:, np.minimum(sector, table.shape[1] - 1)])
 
     def indices(self, ids: IntArray) -> IntArray:
-        """(n,) the place in the set of each ID, all of which it has."""
+        """(n,) the place in the set of each of (n,) IDs, which must be in it."""
         order = np.argsort(self.ids)
         return np.asarray(order[np.searchsorted(self.ids, ids, sorter=order)])
 

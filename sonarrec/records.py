@@ -216,9 +216,9 @@ class Selection:
     """Stage 1: the candidates of one frame.
 
     score_map: (rows, columns) float32, 0 to 1, over the working plane. positions: (n, 2) float,
-    (column, row) in plane pixels. scores: (n,), best first. mean: float32, grey level of each
-    pixel's surroundings, and sigma: the standard deviation about it, above 0, both on a coarse
-    grid; see CandidateSelector.levels.
+    (column, row) in plane pixels. scores: (n,), best first. mean, sigma: float32, mean and standard
+    deviation (above 0) of the grey levels in each pixel's surroundings, on coarse grids; see
+    CandidateSelector.levels.
     """
 
     score_map: FloatImage

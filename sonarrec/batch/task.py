@@ -33,7 +33,7 @@ class Task:
     used: Used
     overwrite: bool = False
     elsewhere: Elsewhere | None = None  # what of it lies on servers
-    ahead: bool = False  # whether a second core decodes
+    ahead: bool = False  # whether other cores read frames and select candidates in advance
 
     def absolute(self) -> Task:
         """The same for a process that works in another folder."""

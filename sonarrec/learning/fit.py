@@ -58,10 +58,32 @@ def fit(
         penalty = prior_weight * np.kron(np.eye(2), _penalty(knots, bias=RIDGE))
         sharp, smeared = np.concatenate([prior.bias[:, None], *prior.values], axis=1)
         centre = np.concatenate([sharp, smeared - sharp])
+    best = _most_likely(used, knots, penalty, centre)
+    both = best.reshape(2, -1).cumsum(axis=0)  # sharp, smeared
+    ends = np.cumsum([1] + [len(k) for k in knots])
+    values = [both[:, a:b] for a, b in pairwise(ends)]
+    # Of a curve and the bias only the sum counts: curves are stated with mean 0.
+    means = [v.mean(axis=1) for v in values]
+    bias = both[:, 0] + np.sum(means, axis=0)
+    return AppearanceModel(
+        bias, knots, tuple(v - m[:, None] for v, m in zip(values, means, strict=True))
+    )
+
+
+def _most_likely(
+    recordings: Sequence[Samples],
+    knots: Sequence[FloatArray],
+    penalty: FloatArray,
+    centre: FloatArray,
+) -> FloatArray:
+    """(2 D,) the curves of least loss, as `_likelihood` has them, by Newton's method.
+
+    penalty: (2 D, 2 D) quadratic form of what they differ by from `centre`, (2 D,).
+    """
     best = curves = centre
     least, step = np.inf, np.zeros_like(centre)
     for _ in range(60):
-        loss, gradient, curvature = _likelihood(used, knots, curves)
+        loss, gradient, curvature = _likelihood(recordings, knots, curves)
         pull = penalty @ (curves - centre)
         loss += 0.5 * float((curves - centre) @ pull)
         if loss > least + 1e-6 * abs(least):  # far from the minimum Newton's step overshoots
@@ -73,15 +95,7 @@ def fit(
             step = np.linalg.solve(curvature + penalty, gradient - pull)
             step = step / max(1.0, float(np.abs(step).max()) / 5)  # no curve by more than 5
         curves = best + step
-    both = best.reshape(2, -1).cumsum(axis=0)  # sharp, smeared
-    ends = np.cumsum([1] + [len(k) for k in knots])
-    values = [both[:, a:b] for a, b in pairwise(ends)]
-    # Of a curve and the bias only the sum counts: curves are stated with mean 0.
-    means = [v.mean(axis=1) for v in values]
-    bias = both[:, 0] + np.sum(means, axis=0)
-    return AppearanceModel(
-        bias, knots, tuple(v - m[:, None] for v, m in zip(values, means, strict=True))
-    )
+    return best
 
 
 def _basis(features: FloatArray, knots: Sequence[FloatArray]) -> npt.NDArray[np.float32]:

@@ -21,8 +21,9 @@ from sonarrec.records import ByteImage, Fan, FloatArray, FloatImage, IndexArray,
 # outside, in disc radii.
 GAP_MARGIN = 0.03
 OUTSIDE = (1.08, 1.35)
-# Weight of the gap in this, the floor has the rest. A ring always stands out from its plate,
-# whatever the floor is like; but beams as wide as the gap fill it with echoes of ring and symbol.
+# Weight of the gap in that comparison; the floor outside has the rest. A ring always stands out
+# from its plate, whatever the floor is like; but beams as wide as the gap fill it with echoes of
+# ring and symbol.
 GAP_SHARE, FILLED_GAP_SHARE = 0.75, 0.5
 # Width of the gap at which it is filled, and at which it is clear: in beams, midway in the window.
 FILLED_BEAMS, CLEAR_BEAMS = 1.0, 1.5
@@ -156,8 +157,8 @@ class Hills(NamedTuple):
     best: FloatImage
     """Score of a candidate whose peak is at this pixel."""
     sigma: FloatImage
-    """Standard deviation of the grey levels about each pixel's surroundings, on their coarse grid;
-    one value where it is the same everywhere."""
+    """Standard deviation of the grey levels in each pixel's surroundings, on their coarse grid; one
+    value where it is the same everywhere."""
 
 
 class Detector(Protocol):

@@ -66,13 +66,15 @@ class TrackMatrix:
         steps, _ = whole_steps(groups.sights)
         grey, seen = _turned(grey, steps), _turned(seen, steps)
         place = {number: i for i, number in enumerate(self._numbers)}
-        numbers = groups.numbers.tolist()
-        for number in groups.remembered.tolist():
+        numbers, remembered = groups.numbers.tolist(), groups.remembered.tolist()
+        for number in remembered:
             if number in place and number not in self._before:
                 i = place[number]
                 self._before[number] = _Picture(
                     self._sum[i].copy(), self._count[i].copy(), int(self._chapters[i])
                 )
+        there = {*numbers, *remembered}
+        self._before = {k: p for k, p in self._before.items() if k in there}
         total = np.zeros((len(numbers), *self._sum.shape[1:]))
         count = np.zeros_like(total)
         frames = np.zeros(len(numbers), np.int64)
@@ -85,26 +87,33 @@ class TrackMatrix:
         total = self._keep * total + np.where(seen, grey, 0.0)
         count = self._keep * count + seen
         frames += 1
-        if self._before:
-            there = {*numbers, *groups.remembered.tolist()}
-            self._before = {k: p for k, p in self._before.items() if k in there}
-            for i, number in enumerate(numbers):
-                if (picture := self._before.get(number)) is None:
-                    continue
-                alike = picture.alike(_Picture(total[i], count[i], int(chapters[i])))
-                earned = frames[i] >= FRAMES_TO_EARN
-                if alike >= (LEAST_ALIKE if earned else VERY_ALIKE):
-                    total[i] += OLD_SHARE * picture.total
-                    count[i] += OLD_SHARE * picture.seen
-                    frames[i] = max(frames[i], FRAMES_TO_EARN)
-                    chapters[i] = picture.chapter
-                    earned = True
-                if earned:
-                    del self._before[number]
         self._numbers, self._sum, self._count = numbers, total, count
         self._frames, self._chapters = frames, chapters
+        self._take_up()
         count = _turned(count, -steps)
         return Gathered(_turned(total, -steps) / np.maximum(count, 1e-9), count, frames, chapters)
+
+    def _take_up(self) -> None:
+        """Give the tracks that came back their pictures from before they left, or drop these.
+
+        See FRAMES_TO_EARN.
+        """
+        if not self._before:
+            return
+        total, count, frames, chapters = self._sum, self._count, self._frames, self._chapters
+        for i, number in enumerate(self._numbers):
+            if (picture := self._before.get(number)) is None:
+                continue
+            alike = picture.alike(_Picture(total[i], count[i], int(chapters[i])))
+            earned = frames[i] >= FRAMES_TO_EARN
+            if alike >= (LEAST_ALIKE if earned else VERY_ALIKE):
+                total[i] += OLD_SHARE * picture.total
+                count[i] += OLD_SHARE * picture.seen
+                frames[i] = max(frames[i], FRAMES_TO_EARN)
+                chapters[i] = picture.chapter
+                earned = True
+            if earned:
+                del self._before[number]
 
 
 def _turned(cells: npt.NDArray[_T], steps: IntArray) -> npt.NDArray[_T]:
