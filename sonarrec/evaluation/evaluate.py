@@ -12,7 +12,7 @@ import numpy as np
 from sonarrec.evaluation.counting.parts import part_of, score_all
 from sonarrec.evaluation.counting.pooled import Parts, Pooled, pooled
 from sonarrec.evaluation.counting.scoring import Scored
-from sonarrec.evaluation.matching.fit import Matched, fit, left_out, of_other_logs
+from sonarrec.evaluation.matching.fit import Checked, Matched, fit, left_out, of_other_logs
 from sonarrec.evaluation.matching.joined import Joined, join
 from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import (
@@ -200,14 +200,14 @@ def _given(
 
 @dataclass(frozen=True, slots=True)
 class _Gathered:
-    """What was read."""
+    """The logs that were read, and what is said of them."""
 
     logs: list[Surveyed]
-    """Those that could be."""
+    """Those that could be read."""
     used: list[int]
-    """Those that are scored."""
+    """Those of them that are scored, by index."""
     names: list[str]
-    """Of these, told apart."""
+    """Of those that are scored, no two alike."""
     notes: list[str]
     unused: list[str]
 
@@ -237,27 +237,14 @@ def _gathered(
     truths = [log.ground_truth for log in logs]
     once = counted_once(folders, recordings, frames, "scored", truths)
     kept = [logs[i] for i in once.kept]
-    table = given.table
     others = [log.name for log in unread]
-    there = [*(log.name for log in kept), *others]
-    if table is not None and table.log is None and len(there) > 1:
-        raise SonarrecError(
-            f"{table.path}: {given.folder} holds {len(there)} logs ({', '.join(there)}), so the "
-            "truth needs a log column that names their folders; or give the folder of one log"
-        )
+    _check_names(given, [*(log.name for log in kept), *others])
     faults = [Unread(log.name, log.error) for log in kept if log.error is not None]
     if len(faults) == len(kept):
         raise faults[0].error
     matching = [i for i in once.kept if logs[i].error is None]
     cases = [case for i in matching if (case := logs[i].checked) is not None]
     found = fit(cases, some)
-    usable = [cases[i] for i in found.usable]
-    if table is not None:
-        lost = left_out(usable)
-        if [log.folder for log in logs] != [given.folder]:  # of all logs, not of one
-            lost += of_other_logs(table, [*(log.name for log in logs), *others])
-    else:
-        lost = [line for case in usable for line in left_out([case])]
     used = [matching[i] for i in found.usable]
     first = logs[used[0]]
     for i in used:
@@ -272,14 +259,39 @@ def _gathered(
             *given.unused,
             *(one.told() for one in [*unread, *faults]),
             *found.unused,
-            *lost,
+            *_left_out(given, logs, others, [cases[i] for i in found.usable]),
             *once.unused,
         ],
     )
 
 
+def _check_names(given: _Given, logs: Sequence[str]) -> None:
+    """Raise SonarrecError where one truth is for several logs (their names) and names none."""
+    table = given.table
+    if table is not None and table.log is None and len(logs) > 1:
+        raise SonarrecError(
+            f"{table.path}: {given.folder} holds {len(logs)} logs ({', '.join(logs)}), so the "
+            "truth needs a log column that names their folders; or give the folder of one log"
+        )
+
+
+def _left_out(
+    given: _Given, logs: Sequence[Surveyed], unread: Sequence[str], usable: Sequence[Checked]
+) -> list[str]:
+    """A line on each part of truth and results that is not scored.
+
+    logs: that could be read; unread: names of the others. usable: what is scored.
+    """
+    if given.table is None:
+        return [line for case in usable for line in left_out([case])]
+    lines = left_out(usable)
+    if [log.folder for log in logs] != [given.folder]:  # of all logs, not of one
+        lines += of_other_logs(given.table, [*(log.name for log in logs), *unread])
+    return lines
+
+
 def told_apart(logs: Sequence[tuple[str, Path]]) -> list[str]:
-    """The names of logs, of equal ones their folders. logs: (name, folder) of each."""
+    """The names of logs, but the folders of those that share one. logs: (name, folder) of each."""
     many = Counter(name for name, _ in logs)
     return [name if many[name] == 1 else str(folder) for name, folder in logs]
 

@@ -238,10 +238,12 @@ class ImageMotion:
     def _standing(self, before: FloatImage, pan_deg: float, match: float, seconds: float) -> Motion:
         """Of a sonar that stood so far."""
         turn = math.radians(pan_deg)
-        worse, drifts, quick = match < USUAL_SHARE * FIRST_USUAL, False, None
+        drifts, quick = False, None
         self._unseen += 1
         self._unsearched += 1
-        poor = match < USUAL_SHARE * self._usual or (worse and self._unsearched >= self._pause)
+        poor = match < USUAL_SHARE * self._usual
+        if match < USUAL_SHARE * FIRST_USUAL:  # the pan explains little, also where that is usual
+            poor |= self._unsearched >= self._pause
         if poor or self._pan_sigma is None or self._unseen >= LOOK_EVERY:
             self._unseen = 0
             quick = self._registration.quick(before, self.pan.picture, turn)
