@@ -183,6 +183,7 @@ def _given(
     options: ScoringOptions,
     elsewhere: Elsewhere | None = None,
 ) -> _Given:
+    """Which logs to read, each with which truth; the arguments are those of `evaluate_many`."""
     options.check()
     if not isinstance(results, str | Path):
         pairs, unused = of_one_log(results)

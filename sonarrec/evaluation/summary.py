@@ -123,6 +123,7 @@ def over_units(summary: Summary) -> str:
 
 
 def _notes(found: Pooled, units: PooledUnits, figures: list[Figure]) -> tuple[str, ...]:
+    """What the figures cannot say, a line each."""
     if units.count < MIN_UNITS:
         kind = {"pass": "pass of a landmark", "log": "log"}[units.kind]
         return (

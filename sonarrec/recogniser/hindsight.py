@@ -81,6 +81,7 @@ class Hindsight:
         self._opinions.forget(self._frame - 2 * self.lag)
 
     def _add(self, frame: int, estimate: Estimate) -> None:
+        """Add one frame's estimate to the opinion of its track."""
         opinion = self._opinions.now(estimate.object, estimate.chapter, frame)
         opinion.add(estimate.probabilities)
         opinion.beliefs_sum += estimate.probabilities
@@ -94,6 +95,7 @@ class Hindsight:
         return replace(result, estimates=tuple(self._revise(e) for e in result.estimates))
 
     def _revise(self, estimate: Estimate) -> Estimate:
+        """The estimate with its track's belief and orientation; of another method as it is."""
         if estimate.method != self._method:
             return estimate
         opinion = self._opinions.of(estimate.object, estimate.chapter)

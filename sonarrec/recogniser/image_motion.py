@@ -318,6 +318,7 @@ def unknown(seconds: float) -> Motion:
 
 
 def _motion(found: Registered) -> Motion:
+    """A registration as a Motion, its errors widened by SCALE_ERROR."""
     right, ahead, turn = found.motion.tolist()
     sigma = np.hypot(found.sigma, [SCALE_ERROR * right, SCALE_ERROR * ahead, 0])
     return Motion(

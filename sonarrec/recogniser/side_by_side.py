@@ -113,6 +113,7 @@ class SideBySide:
         return list(dict.fromkeys(chain.from_iterable(each)))
 
     def _final(self) -> FrameResult:
+        """The oldest frame that waits, its results put together."""
         results = self._pending[0]
         self._pending.popleft()  # not before: Ctrl-C may come in between
         return replace(

@@ -41,6 +41,7 @@ def read_results(folder: str | Path) -> Tables:
 
 
 def _table(path: Path, expected: str) -> pd.DataFrame:
+    """One table, CSV or Parquet. expected: a header to name in the error."""
     if path.suffix == PARQUET:
         _, parts = read_parts(path, None)
         return next(parts)

@@ -214,6 +214,7 @@ def estimate_tables(
 def _probability(
     table: Table, columns: list[str], listed: BoolArray
 ) -> npt.NDArray[np.float32] | None:
+    """(N, K + 1) of the rows listed, taken out of the table; None where a column is missing."""
     if any(name not in table for name in columns):
         return None
     probability = np.empty((int(listed.sum()), len(columns)), dtype=np.float32)

@@ -96,6 +96,7 @@ class _Pass:
     def add(
         self, frame: int, timestamp_ns: int, estimate: Estimate, place: tuple[float, float]
     ) -> None:
+        """Take in a declaration. place: x and y on the floor, m, NaN where not known."""
         self.frames_declared += frame != self.last_frame
         self.last_frame, self.end_ns = frame, timestamp_ns
         self.best_score = max(self.best_score, estimate.score)
@@ -118,6 +119,7 @@ class _Pass:
             self.means[name].add(value)
 
     def ended(self) -> Sighting:
+        """The pass as a row of sightings.csv."""
         mean = {name: mean.value() for name, mean in self.means.items()}
         return Sighting(
             method=self.method,

@@ -147,6 +147,7 @@ def changed_frames(
 
 
 def _scored(joined: Joined, scored: Sequence[Scored], protocol: str, method: str) -> Scored:
+    """One method under one protocol; of a method that the side lacks, without any claim."""
     for one in scored:
         if (one.protocol, one.method) == (protocol, method):
             return one
@@ -155,6 +156,7 @@ def _scored(joined: Joined, scored: Sequence[Scored], protocol: str, method: str
 
 
 def _between(a: Scored, b: Scored, joined: Joined) -> npt.NDArray[Any]:
+    """The CHANGEs of one method, from the old side (a) to the new one (b)."""
     frames = len(joined.frame)
     cells = [s.declared_by(np.arange(frames), joined.truth_frame_index, frames) for s in (a, b)]
     old, new = (c[:, :, [0, 2, 3]] for c in cells)

@@ -223,6 +223,10 @@ class _Both:
 
 
 def _counted(readings: Sequence[BothReading], jobs: int | None, min_visible: float) -> _Both:
+    """The logs that can be compared, each read on both sides and counted.
+
+    Raises SonarrecError where there is none, or where they have different IDs or no method.
+    """
     store = Store()
     before, after = Parts(store, "old"), Parts(store, "new")
     logs: list[BothCounted] = []

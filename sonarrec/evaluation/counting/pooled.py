@@ -245,6 +245,7 @@ def _scored(part: Part, protocol: str, method: str) -> ScoredPart:
 
 
 def _switches(used: Sequence[Part], method: str) -> Switches:
+    """Of one method over all logs; 0 in the passes of logs that hold nothing of it."""
     found = [next((s for s in part.switches if s.method == method), None) for part in used]
     nothing = [np.zeros(len(part.passes.unit), dtype=np.int64) for part in used]
     objects = any(one.objects for one in found if one is not None)

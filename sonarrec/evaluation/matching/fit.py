@@ -95,6 +95,7 @@ def fit(cases: Sequence[Checked], some: bool = False) -> Fit:
 
 
 def _notes(case: Matched) -> list[str]:
+    """What is worth knowing of a truth before its log is scored by it, a line each."""
     table, log = case.table, case.log
     notes = []
     if table.not_read:
