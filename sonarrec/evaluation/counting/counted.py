@@ -23,7 +23,7 @@ FPR_GRID = np.unique(
         *FPR_POINTS,
     ]
 )
-"""Steps at which resampled curves are held, close about FPR_POINTS. The curves told are exact."""
+"""FPRs at which resampled curves are held, dense about FPR_POINTS. Reported curves are exact."""
 QUANTILES = (0.5, 0.9, 0.95)
 """Shares of values that metrics may ask for: `exact_spread` holds no others."""
 
