@@ -1,4 +1,4 @@
-"""Turns what a log holds into fan images of one geometry."""
+"""Turns what a log holds into 8-bit images of one fan: fan images, or polar ones that fill it."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ MIN_SHARED_WINDOW = 0.5
 
 
 class FanImages:
-    """Makes the fan images of one log; the first frame settles the fan and the grey scale.
+    """Makes the images of one log; the first frame settles the fan and the grey scale.
 
-    A polar message tells its own window, which may change from ping to ping: later pings are
-    resampled into the fan of the first (see `settle`), so that a metre stays a metre, and show 0
-    where they hold nothing. What the user states goes before what messages tell.
+    A polar message tells its own window, which may change from ping to ping: later pings lie in the
+    fan of the first (see `settle`), so that a metre stays a metre, and show 0 where they hold
+    nothing. What the user states goes before what messages tell.
 
     sonar: the geometry, of polar messages that of the first ping once it was read. fan: None
     before the first frame. notes: lines on what was stated against the messages, or found out.
