@@ -42,8 +42,8 @@ class Table:
 
 
 @dataclass(frozen=True, slots=True)
-class Rates:
-    """A method's operating point under one protocol."""
+class OperatingPoint:
+    """Rates and mistakes of one method at its operating point, under one protocol."""
 
     tpr: Cell
     fpr: Cell
@@ -84,13 +84,13 @@ def paper_table(scored: PooledScored, thousands: str = "") -> Table:
     )
 
 
-def rates(evaluation: Pooled, summary: Summary) -> list[tuple[str, list[Rates]]]:
+def rates(evaluation: Pooled, summary: Summary) -> list[tuple[str, list[OperatingPoint]]]:
     """Per method its operating point over all IDs under every protocol."""
     return [
         (
             method,
             [
-                _rates(
+                _operating_point(
                     of(evaluation, method, protocol).count(),
                     *(figure(summary.figure(protocol, method, n), n) for n in HEADLINE),
                 )
@@ -101,20 +101,20 @@ def rates(evaluation: Pooled, summary: Summary) -> list[tuple[str, list[Rates]]]
     ]
 
 
-def rates_per_log(evaluation: Pooled) -> list[tuple[str, list[Rates]]]:
+def rates_per_log(evaluation: Pooled) -> list[tuple[str, list[OperatingPoint]]]:
     """Per log the operating point of every method over all IDs under the stricter protocol."""
     protocol = protocols(evaluation)[0]
     counts = [of(evaluation, m, protocol).counts_per_log() for m in evaluation.methods]
     return [
-        (log, [_rates(per_log[i][-1]) for per_log in counts])
+        (log, [_operating_point(per_log[i][-1]) for per_log in counts])
         for i, log in enumerate(evaluation.logs)
     ]
 
 
-def _rates(count: Count, tpr: Cell = NONE, fpr: Cell = NONE) -> Rates:
-    """The intervals of the figures beside rates to four digits, a dash for 0/0."""
+def _operating_point(count: Count, tpr: Cell = NONE, fpr: Cell = NONE) -> OperatingPoint:
+    """The rates of a count to four digits, a dash for 0/0; tpr, fpr: cells with their intervals."""
     positives, negatives = count.tp + count.fn, count.fp + count.tn
-    return Rates(
+    return OperatingPoint(
         replace(tpr, value=rate(count.tp, positives) if positives else NONE.value),
         replace(fpr, value=rate(count.fp, negatives) if negatives else NONE.value),
         count.fn,

@@ -118,8 +118,8 @@ class Scores:
     """
 
     protocols: list[str]
-    rates: list[tuple[str, list[cells.Rates]]]
-    rates_per_log: list[tuple[str, list[cells.Rates]]]
+    rates: list[tuple[str, list[cells.OperatingPoint]]]
+    rates_per_log: list[tuple[str, list[cells.OperatingPoint]]]
     units: str
     over: str
     others: list[tuple[str, list[cells.Cell]]]
@@ -292,7 +292,7 @@ def _scores(
     )
 
 
-def _mistakes_of(row: tuple[str, list[cells.Rates]]) -> int:
+def _mistakes_of(row: tuple[str, list[cells.OperatingPoint]]) -> int:
     """The worst log first."""
     return -sum(rates.missed + rates.false for rates in row[1])
 
