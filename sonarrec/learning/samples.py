@@ -10,7 +10,7 @@ import numpy as np
 from sonarrec.config import Config
 from sonarrec.geometry import plane_from_polar
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.recogniser.recogniser import FRAMEWORK, Recogniser
+from sonarrec.recogniser.recogniser import Recogniser
 from sonarrec.recogniser.stage3_features.description import FEATURES
 from sonarrec.records import Fan, FloatArray, Frame, IntArray
 
@@ -83,9 +83,8 @@ def describe(
     rows: list[int] = []
     for row, frame in enumerate(frames):
         fan = fan or frame.fan
-        recogniser = recogniser or Recogniser(config, fan, landmarks, recorder)
-        result = recogniser.step(frame)
-        tracks = [e for e in result.estimates if e.method == FRAMEWORK]
+        recogniser = recogniser or Recogniser(config, fan, landmarks, recorder, smi=None)
+        tracks = recogniser.step(frame).estimates
         index.append(frame.index)
         stamp.append(frame.timestamp_ns)
         rows += [row] * len(tracks)
