@@ -348,7 +348,10 @@ def _longest(folder: Path, methods: Sequence[str]) -> tuple[dict[str, int], list
 
 
 def _configs(presets: Presets) -> list[Config]:
-    """Raises UsageError where there is none, or two go by one name, as their results would."""
+    """The presets as Configs.
+
+    Raises UsageError where there is none, or two of one name, by which their results go.
+    """
     chosen = [presets] if isinstance(presets, str | Config) else presets
     found = [config_of(one) if isinstance(one, str) else one for one in chosen]
     names = [one.preset for one in found]

@@ -31,7 +31,7 @@ LEARNED = "learned"
 
 
 class Parts:
-    """The paper's preset taken apart; a `Rival` of tests.simulated."""
+    """The paper's preset taken apart; a `Rival` of tests.support.simulated."""
 
     def __init__(self, fan: Fan, landmarks: LandmarkSet) -> None:
         self._config = config = preset("paper")
