@@ -15,6 +15,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from sonarrec.recogniser.floor_keys import FloorKeys
 from sonarrec.recogniser.plane import Plane
 from sonarrec.recogniser.registration import FloorRegistration, Registered
 from sonarrec.records import ByteImage, FloatArray, FloatImage, Motion
@@ -33,8 +34,6 @@ KEY_SIGMA = 0.05  # cells, by which turns from keys scatter (simulated slow pans
 # and one that was searched for. Pictures of different floor match by up to 0.2 (tuning seeds), with
 # wide standard errors.
 LEAST_NEAR, LEAST_SEARCHED = 0.1, 0.25
-# Standard errors (m, m, rad) beyond which a registration is not believed.
-LOOSEST = (0.015, 0.015, math.radians(0.6))
 # A sonar has set out where a searched registration matches by this much more than the pan alone.
 BETTER = 0.1
 # A standing sonar may have set out where the match falls below this share of its usual value: the
@@ -207,6 +206,7 @@ class ImageMotion:
         self._registration = FloorRegistration(
             plane.fan, self.pan.range_m, self.pan.bearing_deg, self.pan.seen
         )
+        self._keys = FloorKeys(self._registration)
         self._drift = _Drift.none()
         self._usual = FIRST_USUAL
         self._speed: FloatArray | None = None  # (3,) m, m and rad a second; None: it stands
@@ -238,7 +238,7 @@ class ImageMotion:
     def _standing(self, before: FloatImage, pan_deg: float, match: float, seconds: float) -> Motion:
         """Of a sonar that stood so far."""
         turn = math.radians(pan_deg)
-        drifts, quick = False, None
+        drifts, crept, quick = False, False, None
         self._unseen += 1
         self._unsearched += 1
         poor = match < USUAL_SHARE * self._usual
@@ -247,18 +247,21 @@ class ImageMotion:
         if poor or self._pan_sigma is None or self._unseen >= LOOK_EVERY:
             self._unseen = 0
             quick = self._registration.quick(before, self.pan.picture, turn)
-            drifts = quick is not None and self._drift.add(quick) > SET_OUT
+            crept = self._keys.crept(self.pan.picture, turn, SET_OUT)
+            drifts = (quick is not None and self._drift.add(quick) > SET_OUT) or crept
             self._pan_sigma = None
             if quick is not None:
                 sigma = math.degrees(quick.sigma[2])
                 self._pan_sigma = math.hypot(sigma, KEY_SIGMA * self.pan.step_deg)
+        start = np.array([0.0, 0.0, turn])
         if drifts or poor:
-            start = np.array([0.0, 0.0, turn])
             found = self._registered(before, start, searched=not drifts)
             least = match if drifts else match + BETTER
             if found is not None and found.match > least:
                 self._drift, self._under_way = _Drift.none(), 0
                 self._pause = 0
+                if not crept:
+                    self._keys.clear()
                 return self._went(found, seconds)
             # It stands: pictures of this floor match no better.
             self._usual = match
@@ -268,6 +271,7 @@ class ImageMotion:
                 self._drift = _Drift.none()
                 self._drift.add(quick)
         self._usual += (match - self._usual) / USUAL_MEMORY
+        self._keys.keep(self.pan.picture, start)
         if match < self._min_match or self._pan_sigma is None or self._drift.sigma is None:
             return unknown(seconds)
         right, ahead = self._drift.sigma.tolist()
@@ -277,14 +281,22 @@ class ImageMotion:
         """Of a sonar under way."""
         assert self._speed is not None
         start = self._speed * seconds
-        found = self._registered(before, start, searched=False)
-        found = found or self._registered(before, start, searched=True)
+        by_key = self._keys.registered(self.pan.picture, start)
+        found = by_key
+        if found is None:
+            self._keys.clear()
+            found = self._registered(before, start, searched=False)
+            found = found or self._registered(before, start, searched=True)
         if found is not None:
+            motion = self._went(found, seconds)
             self._under_way += 1
-            if self._drift.add(found) < STAND and self._under_way >= LEAST_UNDER_WAY:
+            evidence = self._drift.add(found)
+            if by_key is not None and (way := self._keys.under_way(by_key)) is not None:
+                evidence = way
+            if evidence < STAND and self._under_way >= LEAST_UNDER_WAY:
                 self._speed, self._usual = None, match
-                return _motion(found)
-            return self._went(found, seconds)
+                self._keys.clear()
+            return motion
         self._lost += 1
         if self._lost > MOST_LOST:
             self._speed, self._lost, self._usual = None, 0, FIRST_USUAL
@@ -301,12 +313,13 @@ class ImageMotion:
         if searched:
             start = self._registration.searched(before, now)
         found = self._registration.refined(before, now, start)
-        if found is None or (found.sigma > LOOSEST).any():
+        if found is None or found.loose:
             return None
         return found if found.match >= (LEAST_SEARCHED if searched else LEAST_NEAR) else None
 
     def _went(self, found: Registered, seconds: float) -> Motion:
-        """The motion of a sonar that is under way; its speed is kept."""
+        """The motion of a sonar that is under way; its speed and place are kept."""
+        self._keys.keep(self.pan.picture, found.motion)
         self._speed, self._lost = found.motion / seconds, 0
         return _motion(found)
 

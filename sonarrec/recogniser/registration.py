@@ -20,6 +20,7 @@ from sonarrec.records import ByteImage, Fan, FloatArray, FloatImage
 STEPS = 8  # of Gauss and Newton, at most
 CONVERGED = (3e-4, 3e-4, 2e-4)  # m, m, rad
 FARTHEST = (0.1, 0.1, 0.12)  # m, m, rad from the start; steps that lead beyond it are lost
+LOOSEST = (0.015, 0.015, 0.0105)  # standard errors beyond which a registration is not believed
 LEAST_SHARE = 0.02  # least slope of the later picture on the earlier one
 # Standard deviation of the height's change from frame to frame, m. It moves echoes along the range
 # as surge does, more so the nearer they are.
@@ -49,6 +50,16 @@ class Registered:
     def sigma(self) -> FloatArray:
         """(3,) standard errors of the motion."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def loose(self) -> bool:
+        """Whether its standard errors are too large for it to be believed."""
+        return bool((self.sigma > LOOSEST).any())
+
+    def translation(self, motion: FloatArray) -> float:
+        """The chi-square, of 2 degrees of freedom, of a (3,) motion's way, as exact as this one."""
+        way = motion[:2]
+        return float(way @ np.linalg.solve(self.covariance[:2, :2], way))
 
 
 class FloorRegistration:
@@ -114,6 +125,11 @@ class FloorRegistration:
         row = (slant - self._slant[0, 0]) / np.float32(self._slant_step)
         column = (np.arctan2(x, y) - self._bearing[0, 0]) / np.float32(self._bearing_step)
         return row.astype(np.float32), column.astype(np.float32)
+
+    def cells(self, motion: FloatArray) -> float:
+        """By how many cells a picture moves, about, with a motion (3,) as Registered.motion."""
+        right, ahead, turn = np.abs(motion)
+        return float(max(max(right, ahead) / self._slant_step, turn / self._bearing_step))
 
     def refined(self, before: FloatImage, now: FloatImage, start: FloatArray) -> Registered | None:
         """The motion near `start`; None where the steps do not come to rest.

@@ -14,7 +14,7 @@ from sonarrec.config import Continuity
 from sonarrec.recogniser.odometry import Odometry
 from sonarrec.recogniser.plane import working_plane
 from sonarrec.records import ByteImage, Fan, FloatArray, Motion
-from sonarrec.simulation.motion import Pose
+from sonarrec.simulation.motion import Pose, poses
 from sonarrec.simulation.random_scenes import random_scene
 from sonarrec.simulation.scene import MotionSection, Scene, SonarSection, scene_fan
 from sonarrec.simulation.simulate import render
@@ -138,6 +138,33 @@ def test_a_vehicle_that_sets_out_and_stops_is_noticed() -> None:
     np.testing.assert_allclose(way[:, 1], truth(poses)[12:41, 1], atol=0.02)
     assert (found[-5:, :2] == 0).all()
     assert np.abs(found - truth(poses)).sum(axis=0)[0] < 0.2
+
+
+@pytest.mark.parametrize(("speed_m_s", "rate_hz"), [(0.01, 4.0), (0.02, 15.0), (0.1, 15.0)])
+def test_small_steps_add_up(speed_m_s: float, rate_hz: float) -> None:
+    """A part of a cell (2 cm) a frame, then at rest. From frame to frame some are told to be none,
+    and others come out a tenth too long or too short, each time to the same side."""
+    frames, rest = 80, 20
+    drawn = random_scene(8711, "vehicle")
+    ahead = MotionSection(surge_m_s=speed_m_s, pan_start_deg=0.0, pan_deg_s=0.0)
+    scene = replace(drawn, motion=ahead, rate_hz=rate_hz, frames=frames)
+    path = poses(scene)
+    path += [path[-1]] * rest
+    images = [f.image for f in render(replace(scene, frames=len(path)), path)]
+    plane = working_plane("floor", scene_fan(scene), scene.landmark_set.radius_m, 12.0)
+    odometry = Odometry(plane, Continuity())
+    motions = [
+        odometry.step(plane.warp(image), round(n * 1e9 / rate_hz)) for n, image in enumerate(images)
+    ]
+    found, sigma = as_rows(motions)
+    true = truth(path)
+    off = (found - true)[: frames - 1].sum(axis=0)
+    stated = np.hypot.reduce(sigma[: frames - 1])
+    assert abs(off[1]) < 3 * stated[1]
+    # It takes a few frames until it is sure.
+    assert -0.02 - 0.05 * true[:, 1].sum() < off[1] < 0.01 + 0.02 * true[:, 1].sum()
+    assert abs(off[0]) < 0.03
+    assert (found[-4:, :2] == 0).all()
 
 
 def test_where_the_floor_shows_nothing_in_common_it_says_so() -> None:
