@@ -254,6 +254,11 @@ class PolarToFan:
         self._sonar, self._range_bins, self._beams = sonar, range_bins, beams
 
     @property
+    def shape(self) -> tuple[int, int]:
+        """(range bins, beams) of the images."""
+        return self._range_bins, self._beams
+
+    @property
     def bin_m(self) -> float:
         """Metres of slant range from one range bin to the next, on average."""
         return self._own.metres_per_pixel

@@ -141,6 +141,11 @@ class PolarImages(Protocol):
     """How a log's polar images (rows = range bins, nearest first; columns = beams) fill its fan."""
 
     @property
+    def shape(self) -> tuple[int, int]:
+        """(range bins, beams) of the images."""
+        ...
+
+    @property
     def bin_m(self) -> float:
         """Metres of slant range from one range bin to the next, on average."""
         ...

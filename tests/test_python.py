@@ -104,6 +104,23 @@ def test_frame_by_frame_is_what_a_run_writes(tmp_path: Path) -> None:
         list(sonarrec.Recogniser(fan).recognise([frames[3], frames[3]]))
 
 
+def test_polar_frames_of_one_s_own_are_as_the_fan_needs_them(tmp_path: Path) -> None:
+    """Others were told by a traceback of OpenCV, or were recognised in the wrong place."""
+    log = sonarrec.simulate("sample_polar", tmp_path / "log", frames=2)
+    with sonarrec.open_log(log) as opened:
+        frames = list(opened)
+        fan = opened.fan
+    assert fan is not None
+    assert len(list(sonarrec.Recogniser(fan, "paper").recognise(frames))) == 2
+    short, narrow, deep = frames[1].pixels[:-1], frames[1].pixels[:, :-1], frames[1].pixels * 1.0
+    for pixels, told in ((short, "255, 96.* needs .256, 96"), (narrow, "256, 95"), (deep, "float")):
+        with pytest.raises(UsageError, match=f"frame 1: an image of .*{told}"):
+            list(sonarrec.Recogniser(fan).recognise([frames[0], replace(frames[1], pixels=pixels)]))
+    other = replace(fan, rows=fan.rows + 1)
+    with pytest.raises(UsageError, match=f"of .{fan.rows}, .* needs .{other.rows}, "):
+        list(sonarrec.Recogniser(other).recognise(frames))
+
+
 def test_a_url_is_no_folder_to_write_to(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The results went to a local folder `s3:`."""
     monkeypatch.chdir(tmp_path)

@@ -168,10 +168,14 @@ def _of_one_fan(frames: Iterable[Frame], fan: Fan | None) -> Iterator[Frame]:
     before = -1
     for frame in frames:
         fan = fan or frame.fan
-        image, wanted = frame.pixels, (fan.rows, fan.columns)
-        if frame.polar is None and (image.shape != wanted or image.dtype != np.uint8):
+        pixels, shape, wanted = frame.pixels, frame.pixels.shape, (fan.rows, fan.columns)
+        if frame.polar is not None and shape == frame.polar.shape:
+            shape = frame.fan.rows, frame.fan.columns  # of the fan image that they make
+        elif frame.polar is not None:
+            wanted = frame.polar.shape
+        if shape != wanted or pixels.dtype != np.uint8:
             raise UsageError(
-                f"frame {frame.index}: an image of {image.shape} {image.dtype}, where the fan "
+                f"frame {frame.index}: an image of {shape} {pixels.dtype}, where the fan "
                 f"needs {wanted} uint8"
             )
         if frame.index <= before:

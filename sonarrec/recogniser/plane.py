@@ -236,8 +236,8 @@ class FloorPlane(Plane):
         self._blur: tuple[FloatImage, FloatImage] | None = None
         self._resampling: Resampling | None = None  # of images that are as `_polar` says
 
-    def _lay_out(self, polar: PolarImages | None, columns: int) -> None:
-        """Prepare for frames whose `polar` is this and whose `pixels` have so many columns.
+    def _lay_out(self, polar: PolarImages | None) -> None:
+        """Prepare for frames whose `polar` is this.
 
         A floor pixel is to be the mean of what it covers. So images are shrunk by whole blocks
         first. Beams lie the closer the nearer they are: across them a blur takes the blocks' place.
@@ -254,7 +254,7 @@ class FloorPlane(Plane):
             # As variances, in beams squared: a mean of three beams has 2/3; a mean over a floor
             # pixel and the look-up between two of them have covered^2 (1/12 + 1/6).
             share = np.minimum(3 / 8 * covered**2, 1).astype(np.float32)
-            share = np.repeat(share[:, None], columns, axis=1)
+            share = np.repeat(share[:, None], polar.shape[1], axis=1)
             self._blur = share, 1 - share
         self._resampling = Resampling(self.shape, (along, across))
         for band, row, column in row_bands(self.shape):
@@ -269,7 +269,7 @@ class FloorPlane(Plane):
     def warp(self, pixels: ByteImage, polar: PolarImages | None = None) -> ByteImage:
         # Polar images go to the floor in one step: the fan has many more pixels than either.
         if self._resampling is None or polar is not self._polar:
-            self._lay_out(polar, pixels.shape[1])
+            self._lay_out(polar)
         assert self._resampling is not None
         if self._blur is not None:
             blurred = cv2.blur(pixels, (3, 1), borderType=cv2.BORDER_REPLICATE)
