@@ -128,7 +128,8 @@ class FanImages:
 
     def _image(self, image: ByteImage) -> ByteImage:
         """The fan or polar image of a frame that does not tell its geometry."""
-        if self._shape is None and self._stated.missing():
+        after_pings = self._shape is None and self.fan is not None
+        if after_pings or self._stated.missing():
             raise UnusableError("it does not tell its geometry, as other messages of its topic do")
         polar = self.sonar.layout == "polar"
         if polar and self.sonar.beam_order == "beam-major":
@@ -166,6 +167,8 @@ class FanImages:
 
     def _ping(self, image: ByteImage, told: PingGeometry) -> ByteImage:
         """The polar image of a frame that tells its geometry."""
+        if self._shape is not None:
+            raise UnusableError("it tells its geometry, as the first messages of its topic do not")
         order = self._order or self._stated.beam_order or told.beam_order
         if order is None and image.any():  # a blank ping decides nothing
             order = "beam-major" if looks_beam_major(image) else "range-major"

@@ -154,6 +154,25 @@ def test_a_topic_of_pings_and_images() -> None:
         assert make(RawFrame("ping", 0, image, None, told))[0].any()
 
 
+@pytest.mark.parametrize("layout", ["fan", "polar"])
+def test_a_topic_of_pings_and_images_whose_geometry_is_stated(layout: Any) -> None:
+    """The first usable one says which of them the log is of; the others had its fan, not theirs."""
+    image = polar_frames(1)[0]
+    told = ping_of(PROJECTED, messages.projected_fields(0, image)).sonar
+    ping, picture = RawFrame("ping", 0, image, None, told), RawFrame("image", 0, image)
+    stated = TILT.updated(
+        Sonar(layout=layout, range_min_m=1.0, range_max_m=4.0, field_of_view_deg=30.0)
+    )
+    for first, other, why in ((ping, picture, "does not tell"), (picture, ping, "it tells its")):
+        make = FanImages(stated, "log")
+        made = make(first)
+        with pytest.raises(UnusableError, match=why):
+            make(other)
+        again = make(first)
+        assert again[1:] == made[1:]
+        assert (again[2] is None) == (first is picture and layout == "fan")
+
+
 def test_polar_images_that_cannot_be_drawn_are_named_by_their_log(tmp_path: Path) -> None:
     folder = image_folder(tmp_path / "long", [np.zeros((6000, 8), np.uint8)])
     sonar = Sonar(layout="polar", field_of_view_deg=130.0)
