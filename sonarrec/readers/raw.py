@@ -115,8 +115,11 @@ def ping_geometry(ranges_m: FloatArray, bearings_deg: FloatArray) -> PingGeometr
     even = np.linspace(ranges_m[0], ranges_m[-1], len(ranges_m))
     first = last = even[1] - even[0]
     ranges = None
-    if np.abs(ranges_m - even).max() > first / 64:  # resampling does not resolve less
+    least = first / 64  # resampling does not resolve less
+    if np.abs(ranges_m - even).max() > least:
         first, last = steps[0], steps[-1]
+        ranges = tuple(ranges_m.tolist())
+    elif ranges_m[0] < first / 2 - least:  # no window has half a bin before the sonar
         ranges = tuple(ranges_m.tolist())
     return PingGeometry(
         range_min_m=max(float(ranges_m[0] - first / 2), 0.0),

@@ -16,12 +16,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sonarrec import config
+from sonarrec.geometry import bin_ranges
 from sonarrec.pipeline.run import run as run_log
 from sonarrec.readers.mcap.fields import Fields
 from sonarrec.readers.mcap.messages import decoder_for, read_projected_sonar_image
 from sonarrec.readers.raw import UnusableError
 from sonarrec.simulation.scene import load_scene
 from sonarrec.simulation.simulate import render
+from sonarrec.sonar import Sonar
 from tests.support import messages
 from tests.support.logs import PERIOD_NS, SONAR_TOML, image_folder, mcap_file
 from tests.support.messages import (
@@ -190,6 +192,23 @@ def test_raw_sonar_image_ranges() -> None:
     metres = SOUND_SPEED / 4000.0
     assert told.range_min_m == pytest.approx(2.5 * metres)
     assert told.range_max_m == pytest.approx((2.5 + BINS) * metres)
+
+
+@pytest.mark.parametrize("name", [PROJECTED, RAW])
+def test_bins_from_the_sonar_on_lie_at_their_own_ranges(name: str) -> None:
+    """A first bin at 0 would begin before the sonar: all near it lay up to half a bin too far."""
+    ranges = np.arange(BINS) * BIN_M
+    image = polar_frames(1)[0]
+    if name == PROJECTED:
+        fields = messages.projected_fields(0, image) | {"ranges": ranges.astype(np.float32)}
+    else:
+        fields = messages.raw_fields(0, image) | {"sample0": 0}
+    told = ping_of(name, fields).sonar
+    assert told is not None
+    assert told.range_min_m == 0
+    assert told.range_max_m == pytest.approx(ranges[-1] + BIN_M / 2)
+    sonar = told.as_sonar().updated(Sonar(tilt_deg=20.0)).complete("ping")
+    np.testing.assert_allclose(bin_ranges(sonar, BINS), ranges, atol=1e-6)
 
 
 @pytest.mark.parametrize(
