@@ -179,7 +179,7 @@ class Frame:
     """One ping, in a fan.
 
     index: 0-based position in the log (unusable frames keep their number).
-    timestamp_ns: time in ns; where the log carries none, index / frame rate.
+    timestamp_ns: time in ns; where the log carries none, as its index and the frame rate tell.
     pixels: uint8, log-compressed intensity: the fan image, or where `polar` says how it lies in the
     fan, a polar image (range bins, beams).
     stamps: every time that the log keeps of the frame.

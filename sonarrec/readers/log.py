@@ -48,6 +48,7 @@ class Log:
         self._images = FanImages(stated, shown(path), tells)
         self.beam_width_deg: float | None = None
         self.untimed = False
+        self._timed = 0, 0  # number and time of the last frame that carried one
 
     @property
     def sonar(self) -> Sonar:
@@ -105,13 +106,15 @@ class Log:
         """The usable frames in order, from the first number up to, not including, the second, if
         there is one; each keeps its number in the log.
 
-        Where frames carry no time, it is number / frame_rate_hz, or at one a second without. Of the
-        frames before the span the log's first usable one is looked at, which settles its geometry
-        and grey scale; the others are passed over, whatever is wrong with them.
+        Where frames carry no time, it is number / frame_rate_hz, or at one a second without; those
+        behind one that carries a time are counted on from it. Of the frames before the span the
+        log's first usable one is looked at, which settles its geometry and grey scale; the others
+        are passed over, whatever is wrong with them.
         Raises SonarrecError where no frame can be used, or where the bearings in the sonar
         geometry do not match the images.
         """
         used = self.unusable = 0
+        self._timed = 0, 0
         self.problems.clear()  # of an earlier pass
         frames = _settled(self._raw)
         first = list(islice(frames, SETTLING_FRAMES))
@@ -155,9 +158,11 @@ class Log:
         if stamp is not None and not -(2**63) <= stamp < 2**63:
             raise UnusableError(f"its {self._time} time of {stamp} ns is beyond every clock")
         if stamp is not None:
+            self._timed = index, stamp
             return stamp
         self.untimed = self.sonar.frame_rate_hz is None
-        return round(index * 1e9 / (self.sonar.frame_rate_hz or 1.0))
+        number, time_ns = self._timed
+        return time_ns + round((index - number) * 1e9 / (self.sonar.frame_rate_hz or 1.0))
 
     def digest_source(self) -> tuple[int, str]:
         """(size in bytes, SHA-256 in hex) of the log's file: see `digest_of`."""

@@ -366,6 +366,28 @@ def test_windows_of_a_didson(
     assert geometry["range_max_m"] == pytest.approx(near + length)
 
 
+@pytest.mark.parametrize("year", [0, 13, 1969, 3000])
+def test_a_didson_whose_clock_was_never_set(year: int, tmp_path: Path) -> None:
+    """Years that are no date, or beyond every clock: the latter cost all frames."""
+    path = didson_file(tmp_path / "d.ddf", frames(3, 64, 96), 3, Year=year)
+    found, problems, _ = read(path)
+    assert [frame.timestamp_ns for frame in found] == [0, 125_000_000, 250_000_000]
+    assert not problems
+
+
+def test_frames_without_a_time_among_others_do_not_leap_to_1970(tmp_path: Path) -> None:
+    path = didson_file(tmp_path / "d.ddf", frames(6, 64, 48), 3)
+    times = [frame.timestamp_ns for frame in read(path)[0]]
+    data = bytearray(path.read_bytes())
+    for number in (2, 3):
+        at = 512 + number * (256 + 64 * 48) + 24
+        data[at : at + 4] = bytes(4)  # the month
+    path.write_bytes(data)
+    told = [frame.timestamp_ns for frame in read(path)[0]]
+    assert told[:2] + told[4:] == times[:2] + times[4:]
+    assert told[2:4] == [times[1] + 125_000_000, times[1] + 250_000_000]
+
+
 # Files that are not whole
 
 

@@ -111,7 +111,8 @@ class Didson:
         except (ValueError, OverflowError):
             return None, None  # what the file calls the computer's time is of unsure form
         stamp = int(whole.timestamp()) * 10**9 + min(int(frame["Hundredth"]), 99) * 10**7
-        return stamp, None
+        # A clock that was never set, or counts years from 2000, tells no time.
+        return (stamp if 0 <= stamp < 2**63 else None), None
 
     def told(self, file: np.void, frames: list[np.void]) -> Told:
         """Tilt and frame rate; everything else for `info`."""
