@@ -19,19 +19,25 @@ MAX_FILE_BYTES = 2**27  # an image of 4096 x 4096 pixels of eight bytes
 
 
 def natural_order(path: str | Path) -> str:
-    """Sort key by which frame2.png comes before frame10.png.
+    """Sort key by which frame2.png comes before frame10.png, and 1700000000.25 before 1700000000.5.
 
     One text, which of very many files takes a fraction of what a list of its parts would: a number
     is led by a zero byte, which no path holds, and by how many digits it has. The path itself comes
     last, for 1 and 01 are the same number.
     """
     text = os.fspath(path)
-    return f"{re.sub('[0-9]+', _led_by_its_length, text)}\0\0{text}"
+    return f"{_NUMBER.sub(_led_by_its_length, text)}\0\0{text}"
+
+
+# Seconds since 1970 with their fraction, in which programs that name images by them leave zeros at
+# the end out; else whole.
+_NUMBER = re.compile(r"1[0-9]{9}\.[0-9]+|[0-9]+")
 
 
 def _led_by_its_length(number: re.Match[str]) -> str:
-    digits = number[0].lstrip("0")
-    return f"\0{len(digits):04d}{digits}"
+    whole, point, fraction = number[0].partition(".")
+    digits = whole.lstrip("0")
+    return f"\0{len(digits):04d}{digits}{point}{fraction}"
 
 
 def names_an_image(name: str) -> bool:

@@ -331,6 +331,17 @@ def test_natural_order_is_that_of_texts_and_numbers_in_turns(names: list[str]) -
     assert sorted(names, key=natural_order) == sorted(names, key=in_turns)
 
 
+def test_seconds_since_1970_come_in_the_order_of_their_value() -> None:
+    """Python writes 0.50 s as .5: such frames came before all others of their second."""
+    seconds = [1700000000.0, 1700000000.0625, 1700000000.25, 1700000000.5, 1700000000.5123456]
+    names = [f"sonar_{s}.png" for s in (*seconds, 1700000001.0)]
+    assert sorted(names, key=natural_order) == names
+    dates = [
+        f"{date}.png" for date in ("20231101.9", "20231101.10", "2023110112.9", "2023110112.10")
+    ]
+    assert sorted(dates, key=natural_order) == dates
+
+
 def test_natural_order_glob_and_digest(tmp_path: Path) -> None:
     images = frames(12, 20, 20)
     log = image_folder(tmp_path / "log", images)
