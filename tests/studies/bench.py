@@ -175,7 +175,7 @@ def cost(work: Path) -> None:
     judge("d'/c from zstd MCAP / from PNG", zstd / c, 1.0)
     judge("f/c  offline / default", offline / c, 2.0)
     judge("h/g  5 m window / decoding", h / g, 6.0)
-    judge("j/i  130 deg / decoding", j / i, 13.0)
+    judge("j/i  130 deg / decoding", j / i, 10.0)
     where(ours("fan"))
     memory(work, images)
 
