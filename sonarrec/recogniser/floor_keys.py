@@ -2,7 +2,7 @@
 
 From frame to frame a small step is measured long or short by up to a twentieth of a cell, at a
 steady speed always to the same side: over many frames it adds up, and what creeps looks as if it
-stood. Measured from a picture some cells ago, a place is off by no more than one step is.
+stood. Measured from a picture some cells ago, a place is off by no more than a single step.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from sonarrec.records import FloatArray, FloatImage
 # A key is 6 to 12 cells away, as long as it matches. Steps of more than MOST_STEP cells are
 # measured from frame to frame: such errors are small then, and pictures have more in common.
 KEY_CELLS, LEAST_MATCH, MOST_STEP = 12, 0.3, 2.0
-STRETCH = 12  # frames over which a sonar that stands comes back to where it was
+STRETCH = 12  # frames whose way, all together, must show, else the sonar stands
 SUSPECT = 9.0  # chi-square, of 2 degrees of freedom, of the quick registration: look again
 
 
