@@ -20,7 +20,8 @@ from sonarrec.records import ByteImage, Fan, FloatArray, FloatImage
 STEPS = 8  # of Gauss and Newton, at most
 CONVERGED = (3e-4, 3e-4, 2e-4)  # m, m, rad
 FARTHEST = (0.1, 0.1, 0.12)  # m, m, rad from the start; steps that lead beyond it are lost
-LOOSEST = (0.015, 0.015, 0.0105)  # standard errors beyond which a registration is not believed
+# Standard errors (m, m, rad) beyond which a registration is not believed.
+LOOSEST = (0.015, 0.015, math.radians(0.6))
 LEAST_SHARE = 0.02  # least slope of the later picture on the earlier one
 # Standard deviation of the height's change from frame to frame, m. It moves echoes along the range
 # as surge does, more so the nearer they are.
@@ -57,7 +58,10 @@ class Registered:
         return bool((self.sigma > LOOSEST).any())
 
     def translation(self, motion: FloatArray) -> float:
-        """The chi-square, of 2 degrees of freedom, of a (3,) motion's way, as exact as this one."""
+        """The chi-square, of 2 degrees of freedom, of a motion (3,) not being a turn alone.
+
+        Its way (right, ahead) is taken to be as exact as this registration's.
+        """
         way = motion[:2]
         return float(way @ np.linalg.solve(self.covariance[:2, :2], way))
 
