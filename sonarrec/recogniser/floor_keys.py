@@ -49,7 +49,7 @@ class FloorKeys:
 
         start: (3,) as Registered.motion.
         """
-        if not self._keys or self._registration.cells(start) > MOST_STEP:
+        if not self._keys or self._registration.floor.shift(start) > MOST_STEP:
             return None
         key = self._keys[0]
         expected = _between(key.pose, _after(self._pose, start))
@@ -66,7 +66,7 @@ class FloorKeys:
         self._trail.append(self._pose)
         away = math.inf
         if self._keys:
-            away = self._registration.cells(_between(self._keys[0].pose, self._pose))
+            away = self._registration.floor.shift(_between(self._keys[0].pose, self._pose))
         if away >= KEY_CELLS / 2 * len(self._keys):
             self._keys.append(_Key(self._pose, now))  # the older of two goes, 12 cells away
 

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from sonarrec.recogniser.floor_cells import FloorCells
 from sonarrec.recogniser.floor_keys import FloorKeys
 from sonarrec.recogniser.plane import Plane
 from sonarrec.recogniser.registration import FloorRegistration, Registered
@@ -204,7 +205,7 @@ class ImageMotion:
         self.pan = PanEstimator(plane)
         self._min_match = min_match
         self._registration = FloorRegistration(
-            plane.fan, self.pan.range_m, self.pan.bearing_deg, self.pan.seen
+            FloorCells(plane.fan, self.pan.range_m, self.pan.bearing_deg, self.pan.seen)
         )
         self._keys = FloorKeys(self._registration)
         self._drift = _Drift.none()

@@ -1,0 +1,72 @@
+"""The floor in polar pictures: where its points lie, and how they move with the sonar."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sonarrec.geometry import floor_depth
+from sonarrec.records import Fan, FloatArray, FloatImage
+
+
+class FloorCells:
+    """The cells of polar pictures of one shape: rows of slant range, columns of bearing.
+
+    seen: (rows, columns) float32, 1 where a cell shows floor, else 0. slant, ground: (rows, 1) m.
+    bearing: (1, columns) rad. slant_step, bearing_step: m and rad from one cell to the next. depth:
+    height of the sonar above the floor, m. down, across: (4, rows, columns) by how many cells a
+    picture moves with a metre to the right, a metre ahead, a radian of turn and a metre of height.
+    """
+
+    def __init__(
+        self, fan: Fan, range_m: FloatArray, bearing_deg: FloatArray, seen: FloatImage
+    ) -> None:
+        """range_m: (rows,), bearing_deg: (columns,) of the cells' middles, evenly spaced."""
+        self.seen = seen
+        self.depth = depth = np.float32(floor_depth(fan))
+        slant = range_m.astype(np.float32)[:, None]
+        bearing = np.radians(bearing_deg).astype(np.float32)[None]
+        self.slant, self.bearing = slant, bearing
+        self.slant_step = float(slant[1, 0] - slant[0, 0])
+        self.bearing_step = float(bearing[0, 1] - bearing[0, 0])
+        # Nearer than the floor nothing is seen: any distance serves.
+        self.ground = ground = np.sqrt(np.maximum(slant**2 - depth**2, 0.01 * slant**2))
+        down = np.float32(1 / self.slant_step)
+        across = np.float32(1 / self.bearing_step)
+        even = np.ones_like(seen)
+        self.down = np.stack(
+            [
+                down * ground / slant * np.sin(bearing),
+                down * ground / slant * np.cos(bearing),
+                0 * even,
+                -down * depth / slant * even,
+            ]
+        )
+        self.across = np.stack(
+            [
+                across * np.cos(bearing) / ground,
+                -across * np.sin(bearing) / ground,
+                across * even,
+                0 * even,
+            ]
+        )
+
+    def before(
+        self, ground: FloatArray, bearing: FloatArray, motion: FloatArray
+    ) -> tuple[FloatImage, FloatImage]:
+        """(row, column), in cells, of where points of the floor lay before a motion.
+
+        ground (m), bearing (rad): where they lie now; shapes broadcast with the motion's parts,
+        motion[0], motion[1] and motion[2].
+        """
+        toward = bearing + motion[2]
+        x = ground * np.sin(toward) + motion[0]
+        y = ground * np.cos(toward) + motion[1]
+        slant = np.sqrt(x * x + y * y + self.depth**2)
+        row = (slant - self.slant[0, 0]) / np.float32(self.slant_step)
+        column = (np.arctan2(x, y) - self.bearing[0, 0]) / np.float32(self.bearing_step)
+        return row.astype(np.float32), column.astype(np.float32)
+
+    def shift(self, motion: FloatArray) -> float:
+        """About how many cells a motion (3,), as Registered.motion, moves a picture."""
+        right, ahead, turn = np.abs(motion)
+        return float(max(max(right, ahead) / self.slant_step, turn / self.bearing_step))
