@@ -1,0 +1,121 @@
+"""Keyframes: earlier pictures to which a slow sonar's later ones are registered.
+
+From frame to frame a small step is measured too long or too short by up to a twentieth of a cell,
+at a steady speed always in the same sense. Over many frames these errors add up, and a sonar that
+creeps seems to stand. Measured from a keyframe some cells away, a place has the error of one step.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from sonarrec.recogniser.registration import FloorRegistration, Registered
+from sonarrec.records import FloatArray, FloatImage
+
+# A keyframe serves from 6 to 12 cells away, as long as it matches. Steps of more than MOST_STEP
+# cells are measured from frame to frame: such errors are small then, and two pictures in a row have
+# more in common.
+KEYFRAME_CELLS, LEAST_MATCH, MOST_STEP = 12, 0.3, 2.0
+STRETCH = 12  # frames: a sonar whose motion over so many does not show is taken to stand
+# Chi-square, of 2 degrees of freedom, of a quick registration above which a full one is made.
+SUSPECT = 9.0
+
+
+class _Keyframe(NamedTuple):
+    pose: FloatArray
+    """(3,) of the sonar, as Registered.motion, since the log's first picture."""
+    picture: FloatImage
+
+
+class Keyframes:
+    """The last keyframes of one log, and the sonar's pose by them."""
+
+    def __init__(self, registration: FloorRegistration) -> None:
+        self._registration = registration
+        self._pose: FloatArray = np.zeros(3)
+        self._kept = deque[_Keyframe](maxlen=2)  # older first
+        self._trail = deque[FloatArray](maxlen=STRETCH)  # the last poses
+
+    def clear(self) -> None:
+        """Begin anew: for where a motion was not measured from a keyframe."""
+        self._kept.clear()
+        self._trail.clear()
+
+    def registered(self, now: FloatImage, start: FloatArray) -> Registered | None:
+        """The motion since the last picture, near `start`; None where no keyframe gives it.
+
+        start: (3,) as Registered.motion.
+        """
+        if not self._kept or self._registration.floor.shift(start) > MOST_STEP:
+            return None
+        keyframe = self._kept[0]
+        expected = _between(keyframe.pose, _after(self._pose, start))
+        found = self._registration.refined(keyframe.picture, now, expected)
+        if found is None or found.loose or found.match < LEAST_MATCH:
+            return None
+        # The last picture's pose has an error of its own.
+        motion = _between(self._pose, _after(keyframe.pose, found.motion))
+        return replace(found, motion=motion, covariance=2 * found.covariance)
+
+    def keep(self, now: FloatImage, motion: FloatArray) -> None:
+        """Take in a motion (3,) since the last picture; this one may become a keyframe."""
+        self._pose = _after(self._pose, motion)
+        self._trail.append(self._pose)
+        away = math.inf
+        if self._kept:
+            away = self._registration.floor.shift(_between(self._kept[0].pose, self._pose))
+        if away >= KEYFRAME_CELLS / 2 * len(self._kept):
+            # Of two, the older goes.
+            self._kept.append(_Keyframe(self._pose, now))
+
+    def crept(self, now: FloatImage, turn: float, sure: float) -> bool:
+        """Whether a keyframe shows that a sonar taken to stand has moved; then its pose is mended.
+
+        turn: rad, since the last picture. sure: the chi-square, of 2 degrees of freedom, above
+        which it has moved.
+        """
+        if not self._kept:
+            return False
+        keyframe = self._kept[0]
+        expected = _between(keyframe.pose, _after(self._pose, np.array([0.0, 0.0, turn])))
+        quick = self._registration.quick(keyframe.picture, now, float(expected[2]))
+        if quick is None or quick.match < LEAST_MATCH:
+            self.clear()
+            return False
+        if quick.translation(quick.motion) <= SUSPECT:
+            return False
+        found = self._registration.refined(keyframe.picture, now, expected)
+        if found is None or found.loose or found.translation(found.motion) <= sure:
+            return False
+        # The motion so far is reported to nobody: the tracks have followed their discs.
+        self._pose = _after(_after(keyframe.pose, found.motion), np.array([0.0, 0.0, -turn]))
+        return True
+
+    def under_way(self, found: Registered) -> float | None:
+        """The chi-square, of 2 degrees of freedom, of having moved over the last STRETCH frames.
+
+        found: from `registered`. None after fewer frames.
+        """
+        if len(self._trail) < STRETCH:
+            return None
+        return found.translation(_between(self._trail[0], self._pose))
+
+
+def _after(pose: FloatArray, motion: FloatArray) -> FloatArray:
+    """(3,) the pose after a motion (3,) from another."""
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    right, ahead, turn = motion
+    way = [right * cos + ahead * sin, ahead * cos - right * sin, turn]
+    return np.asarray(pose + np.array(way))
+
+
+def _between(pose: FloatArray, later: FloatArray) -> FloatArray:
+    """(3,) the motion that leads from one pose to another."""
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    x, y, turn = later - pose
+    return np.array([x * cos - y * sin, x * sin + y * cos, turn])

@@ -1,0 +1,139 @@
+"""The pan of a sonar that stands, by correlation of its images along the bearing."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from sonarrec.recogniser.plane import Plane
+from sonarrec.records import ByteImage, FloatArray, FloatImage
+
+RANGES = 128
+BEARINGS = 192
+LEAST_OVERLAP = 0.4  # of two frames, as a share of the field of view
+# A turn of about a cell is measured too short, for what leaks from beam to beam turns with the
+# sonar. From frame to frame these errors would add up. So turns are measured from a keyframe, an
+# earlier picture 6 to 12 cells away, as long as it matches.
+KEYFRAME_CELLS = 12
+LEAST_KEYFRAME_MATCH = 0.5
+KEYFRAME_SIGMA = 0.05  # cells, by which turns from keyframes scatter (simulated slow pans)
+
+
+class _View(NamedTuple):
+    """A picture as PanEstimator correlates it."""
+
+    spectrum: FloatImage
+    """(RANGES, 2 BEARINGS) of its rows, zero-padded."""
+    energy: FloatArray
+    """(BEARINGS + 1,) sum of squares of the beams before each."""
+
+
+class PanEstimator:
+    """Pan between consecutive working images by correlation along the bearing.
+
+    range_m: (RANGES,), bearing_deg: (BEARINGS,) of the cells' middles. seen: (RANGES, BEARINGS)
+    float32, 1 where a cell shows floor. picture: (RANGES, BEARINGS) float32 of the last image: grey
+    level less the mean of its range bin and of its beam, 0 where nothing is seen. scatter_deg: by
+    which turns from keyframes scatter.
+    """
+
+    def __init__(self, plane: Plane) -> None:
+        fan = plane.fan
+        self._step_deg = (fan.bearing_max_deg - fan.bearing_min_deg) / BEARINGS
+        self.bearing_deg = fan.bearing_min_deg + (np.arange(BEARINGS) + 0.5) * self._step_deg
+        self.scatter_deg = KEYFRAME_SIGMA * self._step_deg
+        margin = 0.5 * fan.window_m / RANGES
+        self.range_m = np.linspace(fan.range_min_m + margin, fan.range_max_m - margin, RANGES)
+        column, row = plane.from_polar(self.range_m[:, None], self.bearing_deg[None])
+        self._column = column.astype(np.float32)
+        self._row = row.astype(np.float32)
+        seen = cv2.remap(plane.inside, self._column, self._row, cv2.INTER_NEAREST)
+        self.seen = np.asarray(seen, dtype=np.float32)
+        self.picture: FloatImage = np.zeros_like(self.seen)
+        self._cells = np.maximum(self.seen.sum(axis=1, keepdims=True), 1)
+        shift = np.arange(2 * BEARINGS)
+        shift = np.where(shift < BEARINGS, shift, shift - 2 * BEARINGS)
+        self._shift = shift
+        # The beams that two frames have in common at each shift: [low, high) of the later one.
+        self._low = np.clip(-shift, 0, BEARINGS)
+        self._high = np.clip(BEARINGS - shift, 0, BEARINGS)
+        self._tried = np.abs(shift) <= (1 - LEAST_OVERLAP) * BEARINGS
+        self._before: _View | None = None
+        self._heading = 0.0  # deg, turned since the first image
+        # Heading and view of each, the older first.
+        self._keyframes = deque[tuple[float, _View]](maxlen=2)
+
+    def step(self, image: ByteImage) -> tuple[float, float]:
+        """(pan in deg since the last image, correlation there, 0 to 1).
+
+        The pan is positive where the sonar turned right, so that objects moved to the left.
+        (0, 0) for the first image and for a blank one.
+        """
+        polar = np.asarray(cv2.remap(image, self._column, self._row, cv2.INTER_LINEAR), np.float32)
+        polar *= self.seen
+        # What does not turn with the floor would pull the match to no shift. The means of the range
+        # bins hold the fall-off with range, those of the beams the beams' gains.
+        polar -= polar.sum(axis=1, keepdims=True) / self._cells
+        polar *= self.seen
+        polar -= polar.mean(axis=0)
+        polar *= self.seen
+        self.picture = polar
+        view = self._view(polar)
+        before, self._before = self._before, view
+        if before is None:
+            return 0.0, 0.0
+        pan_deg, match = self._turn(before, view)
+        return self._from_keyframe(before, view, pan_deg, match), match
+
+    def _from_keyframe(self, before: _View, view: _View, pan_deg: float, match: float) -> float:
+        """The pan since the last view by the turn from a keyframe; without one that matches, as is.
+
+        pan_deg, match: from the last view to this one.
+        """
+        heading = self._heading + pan_deg
+        if match < LEAST_KEYFRAME_MATCH:
+            self._keyframes.clear()
+        elif self._keyframes and self._keyframes[0][1] is not before:
+            at, keyframe = self._keyframes[0]
+            turn, alike = self._turn(keyframe, view)
+            if alike < LEAST_KEYFRAME_MATCH or abs(at + turn - heading) > self._step_deg:
+                self._keyframes.clear()
+            else:
+                heading = at + turn
+        pan_deg, self._heading = heading - self._heading, heading
+        away: float = KEYFRAME_CELLS
+        if self._keyframes:
+            away = abs(heading - self._keyframes[0][0]) / self._step_deg
+        if away >= KEYFRAME_CELLS / 2 * len(self._keyframes):
+            self._keyframes.append((heading, view))  # of two, the older goes
+        return pan_deg
+
+    def _view(self, picture: FloatImage) -> _View:
+        # Zero-padded to twice the width, so that no beam meets one from the other edge.
+        wide = cv2.copyMakeBorder(picture, 0, 0, 0, BEARINGS, cv2.BORDER_CONSTANT)
+        spectrum = np.asarray(cv2.dft(wide, flags=cv2.DFT_ROWS), np.float32)
+        energy = np.concatenate([[0.0], np.cumsum((picture**2).sum(axis=0, dtype=float))])
+        return _View(spectrum, energy)
+
+    def _turn(self, before: _View, now: _View) -> tuple[float, float]:
+        """(turn in deg from one view to another, correlation there, 0 to 1)."""
+        # product[s] = sum over cells of now[b] * before[b + s]: s > 0 is a turn to the right.
+        crossed = cv2.mulSpectrums(before.spectrum, now.spectrum, cv2.DFT_ROWS, conjB=True)
+        summed = cv2.reduce(crossed, 0, cv2.REDUCE_SUM)
+        product = cv2.idft(summed, flags=cv2.DFT_ROWS | cv2.DFT_SCALE)[0]
+        low, high = self._low, self._high
+        now_energy = now.energy[high] - now.energy[low]
+        before_energy = before.energy[BEARINGS - low] - before.energy[BEARINGS - high]
+        scale = np.sqrt(np.maximum(now_energy * before_energy, 1e-9))
+        match = np.where(self._tried, product / scale, -1.0)
+        best = int(match.argmax())
+        left, right = match[best - 1], match[(best + 1) % len(match)]
+        bend = left - 2 * match[best] + right
+        part = 0.5 * (left - right) / bend if bend < 0 else 0.0
+        return (
+            float((self._shift[best] + np.clip(part, -0.5, 0.5)) * self._step_deg),
+            float(np.clip(match[best], 0, 1)),
+        )
