@@ -63,7 +63,7 @@ class Sonar:
     flip: bool | None = None  # left and right are exchanged
     pixel_scale: Literal["linear", "log", "db"] | None = None  # this and the next two:
     full_scale: Finite | None = None  # how pixels become 8-bit grey,
-    dynamic_range_db: Finite | None = None  # see readers.pixels
+    dynamic_range_db: Finite | None = None  # see readers.grey
 
     def updated(self, other: Sonar) -> Sonar:
         """This geometry with every key that `other` states put in its place."""

@@ -149,7 +149,7 @@ class _Watched(RawLog):
         self._raw = raw
         self._observe = observe
         self.frame_count, self.topic = raw.frame_count, raw.topic
-        self.polar, self.faults, self.told = raw.polar, raw.faults, raw.told
+        self.polar, self.faults, self.header_info = raw.polar, raw.faults, raw.header_info
         self.frames = self.timed = 0
         self.sizes: Counter[tuple[int, int]] = Counter()
         self.pixels: Counter[str] = Counter()
@@ -307,7 +307,7 @@ def _images(
         rate_hz=None if quick else raw.rate_hz(),
         layout="polar" if raw.polar else layout,
         polar_messages=raw.polar,
-        header=dict(raw.told.header),
+        header=dict(raw.header_info.values),
         geometry={key: value for key, value in geometry.items() if key not in lacks},
         geometry_from=where if where != str(source.path) else None,
         origins=origins,
@@ -344,7 +344,7 @@ def _origin(key: str, flags: Sonar, stated: Sonar, where: str, raw: _Watched) ->
         return "flag"
     if getattr(stated, key) is not None:
         return where
-    if raw.told.header:
+    if raw.header_info.values:
         return "header"
     return "message" if raw.polar else "default"
 

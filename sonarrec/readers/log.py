@@ -10,7 +10,7 @@ from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
-from sonarrec.readers.fans import FanImages
+from sonarrec.readers.frame_maker import FrameMaker
 from sonarrec.readers.images import MAX_FILE_BYTES, is_image
 from sonarrec.readers.raw import RawFrame, RawLog, UnusableError
 from sonarrec.records import Clock, Fan, Frame, SonarrecError, shown
@@ -44,8 +44,8 @@ class Log:
         self._files = files
         self._raw = raw
         self._time = time
-        tells = "headers" if raw.told.header else "messages"
-        self._images = FanImages(stated, shown(path), tells)
+        origin = "headers" if raw.header_info.values else "messages"
+        self._make = FrameMaker(stated, shown(path), origin)
         self.beam_width_deg: float | None = None
         self.untimed = False
         self._timed = 0, 0  # number and time of the last frame that carried one
@@ -53,17 +53,17 @@ class Log:
     @property
     def sonar(self) -> Sonar:
         """The geometry as resolved: of polar messages that of the first ping once it was read."""
-        return self._images.sonar
+        return self._make.sonar
 
     @property
     def order_from(self) -> str | None:
         """Of a beam order that nobody told, whether it was "found" or "assumed"; else None."""
-        return self._images.order_from
+        return self._make.order_from
 
     @property
     def fan(self) -> Fan | None:
         """The fan images' geometry, None before the first frame."""
-        return self._images.fan
+        return self._make.fan
 
     def reading(self) -> dict[str, Any]:
         """How the log was read, for run.toml: what was chosen, and what the first frame settled."""
@@ -72,14 +72,14 @@ class Log:
             settled["topic"] = self._raw.topic
         if self._raw.polar and self.sonar.beam_order is not None:
             settled["beam_order"] = self.sonar.beam_order
-        scale = self._images.scale
+        scale = self._make.scale
         return settled if scale is None else settled | scale.as_table()
 
     @property
     def dynamic_range_db(self) -> float | None:
         """Decibels from black to white; None where nothing tells, or before the first frame."""
         # On other scales than linear the reader itself made the grey, by as many dB.
-        read, step = self.reading(), self._raw.told.sample_db
+        read, step = self.reading(), self._raw.header_info.sample_db
         stated: float | None = read.get("dynamic_range_db", self.sonar.dynamic_range_db)
         if stated is None and step is not None and "full_scale" in read:
             stated = step * read["full_scale"]
@@ -89,8 +89,8 @@ class Log:
     def notes(self) -> list[str]:
         """Where the stated geometry contradicts the log, and what was taken or is not certain;
         complete after the pass."""
-        told = [f"{shown(self.path)}: {note}" for note in self._raw.told.notes]
-        return told + self._images.notes
+        own = [f"{shown(self.path)}: {note}" for note in self._raw.header_info.notes]
+        return own + self._make.notes
 
     def __enter__(self) -> Log:
         return self
@@ -118,7 +118,7 @@ class Log:
         self.problems.clear()  # of an earlier pass
         frames = _settled(self._raw)
         first = list(islice(frames, SETTLING_FRAMES))
-        self._images.settle(first)
+        self._make.settle(first)
         frames = chain(first, frames)
         del first  # or it would keep its images to the end
         for index, raw in enumerate(frames):
@@ -127,7 +127,7 @@ class Log:
             if (raw.pixels is None and raw.problem is None) or (used and index < span[0]):
                 continue  # told in the faults, with others, or not asked for
             try:
-                pixels, fan, polar = self._images(raw)
+                pixels, fan, polar = self._make(raw)
                 stamp = self._named(index, raw)
             except UnusableError as error:
                 self.unusable += 1

@@ -19,10 +19,10 @@ import numpy as np
 from sonarrec.readers.file_bytes import FileBytes
 from sonarrec.readers.raw import (
     MAX_FRAME_BYTES,
+    HeaderInfo,
     Ping,
     RawFrame,
     RawLog,
-    Told,
     UnusableError,
     ping_geometry,
 )
@@ -258,7 +258,7 @@ class OculusPings(RawLog):
         self._file = FileBytes(path)
         try:
             self._framing, self._start = self._framed(shown(path))
-            self.told = Told(header=self._first_header(shown(path)))
+            self.header_info = HeaderInfo(values=self._first_header(shown(path)))
         except BaseException:
             self._file.close()
             raise

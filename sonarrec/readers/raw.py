@@ -52,16 +52,16 @@ class RawFrame:
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class HeaderInfo:
     """What the headers of a sonar's own file say of the log as a whole.
 
-    sonar: of its geometry what the pings leave open (tilt). header: every value worth knowing, by
-    its name and unit, None where the sonar measured none. notes: what of all this is not sure.
-    sample_db: decibels from one sample value to the next, where samples are decibels.
+    sonar: the part of its geometry that pings do not state (tilt, frame rate). values: all that is
+    worth knowing, by its name and unit, None where the sonar measured none. notes: what of all this
+    is not sure. sample_db: decibels from one sample value to the next, where samples are decibels.
     """
 
     sonar: Sonar = field(default_factory=Sonar)
-    header: Mapping[str, str | float | None] = field(default_factory=dict)
+    values: Mapping[str, str | float | None] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     sample_db: float | None = None
 
@@ -70,7 +70,8 @@ class RawLog(ABC):
     """One opened log: a single pass over its frames, in time order, one in memory at a time.
 
     frame_count: frames to come, None where unknown before the end. topic: the channel read, None
-    where there are none. polar: its frames tell their own geometry. told: by its headers.
+    where there are none. polar: its frames state their own geometry. header_info: of a
+    sonar's own file.
     faults: lines about what is wrong with the log as a whole, complete after the pass.
     passed_over: the numbers of frames that nobody asked for, which are given without their pixels
     and without a problem; it may be set in the midst of the pass.
@@ -81,12 +82,12 @@ class RawLog(ABC):
         self.topic: str | None = None
         self.polar = False
         self.faults: list[str] = []
-        self.told = Told()
+        self.header_info = HeaderInfo()
         self.passed_over = range(0)
 
     def geometry(self, stated: Sonar) -> Sonar:
-        """What is stated over what its headers tell, its layout as the frames have it."""
-        sonar = self.told.sonar.updated(stated)
+        """What is stated, completed by the headers; an unstated layout is as the frames have it."""
+        sonar = self.header_info.sonar.updated(stated)
         usual = Sonar(layout="polar" if self.polar else "fan")
         return sonar if sonar.layout else sonar.updated(usual)
 

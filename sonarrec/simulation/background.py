@@ -22,8 +22,8 @@ from sonarrec.geometry import floor_depth, slant_range
 from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.poses import PoseTable
 from sonarrec.readers.find import find_log
+from sonarrec.readers.grey import DYNAMIC_RANGE_DB
 from sonarrec.readers.log import Log
-from sonarrec.readers.pixels import DYNAMIC_RANGE_DB
 from sonarrec.readers.poses_csv import POSES_FILE, read_poses
 from sonarrec.recogniser.beam_width import FRAMES_FOR_BEAMS, usual_beam_width_deg, with_beams
 from sonarrec.recogniser.odometry import Odometry

@@ -151,12 +151,12 @@ def test_samples_of_16_bit_and_gains(tmp_path: Path) -> None:
         written(tmp_path / "a.raw", oculus_ping(0, sent, gains=gains)), sonar=TILT
     ) as log:
         (frame,) = log
-    told = OculusPings(tmp_path / "a.raw")
-    (raw,) = told
+    log = OculusPings(tmp_path / "a.raw")
+    (raw,) = log
     assert raw.pixels is not None
     assert raw.pixels.dtype == np.float32
     np.testing.assert_allclose(raw.pixels, echoes, atol=1)
-    assert told.told.header["gains_sent"] == "yes"
+    assert log.header_info.values["gains_sent"] == "yes"
     assert frame.image.any()
     (raw,) = OculusPings(written(tmp_path / "b.raw", oculus_ping(0, echoes)))
     np.testing.assert_array_equal(raw.pixels, echoes)

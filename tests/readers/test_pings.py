@@ -18,7 +18,8 @@ from sonarrec.geometry import PolarToFan, polar_from_pixel
 from sonarrec.pipeline.prepared import Used
 from sonarrec.pipeline.run import process
 from sonarrec.readers import open_log
-from sonarrec.readers.fans import FanImages, looks_beam_major
+from sonarrec.readers.beam_order import looks_beam_major
+from sonarrec.readers.frame_maker import FrameMaker
 from sonarrec.readers.info import describe
 from sonarrec.readers.raw import RawFrame, UnusableError
 from sonarrec.records import SonarrecError, UsageError
@@ -147,7 +148,7 @@ def test_a_topic_of_pings_and_images() -> None:
     """An image that tells nothing has no place in the fan that pings made."""
     image = polar_frames(1)[0]
     told = ping_of(PROJECTED, messages.projected_fields(0, image)).sonar
-    make = FanImages(Sonar(layout="polar", tilt_deg=20.0), "log")
+    make = FrameMaker(Sonar(layout="polar", tilt_deg=20.0), "log")
     for _ in range(2):
         with pytest.raises(UnusableError, match="does not tell its geometry"):
             make(RawFrame("image", 0, image))
@@ -164,7 +165,7 @@ def test_a_topic_of_pings_and_images_whose_geometry_is_stated(layout: Any) -> No
         Sonar(layout=layout, range_min_m=1.0, range_max_m=4.0, field_of_view_deg=30.0)
     )
     for first, other, why in ((ping, picture, "does not tell"), (picture, ping, "it tells its")):
-        make = FanImages(stated, "log")
+        make = FrameMaker(stated, "log")
         made = make(first)
         with pytest.raises(UnusableError, match=why):
             make(other)

@@ -14,7 +14,7 @@ import pytest
 
 from sonarrec.geometry import PolarToFan
 from sonarrec.readers import open_log
-from sonarrec.readers.pixels import grey_scale, holds_amplitudes, single_channel, to_grey8
+from sonarrec.readers.grey import grey_scale, holds_amplitudes, single_channel, to_grey8
 from sonarrec.readers.raw import UnusableError
 from sonarrec.records import SonarrecError
 from sonarrec.simulation.random_scenes import random_scene

@@ -10,7 +10,7 @@ import numpy as np
 
 from sonarrec.readers.ddf.aris_beams import BEARINGS_DEG
 from sonarrec.readers.ddf.headers import COMPASS, attitude_of, compass, header_dtype, measured
-from sonarrec.readers.raw import Told, UnusableError
+from sonarrec.readers.raw import HeaderInfo, UnusableError
 from sonarrec.sonar import MIN_WINDOW_M, PingGeometry, Sonar
 
 _HEADER_BYTES = 1024
@@ -108,7 +108,7 @@ class Aris:
         """The computer's time, and the sonar's."""
         return _nanoseconds(frame["FrameTime"]), _nanoseconds(frame["sonarTimeStamp"])
 
-    def told(self, file: np.void, frames: list[np.void]) -> Told:
+    def header_info(self, file: np.void, frames: list[np.void]) -> HeaderInfo:
         """Tilt and frame rate; everything else for `info`."""
         frame = frames[0]
         tilt, notes = attitude_of(frames, "SonarTilt")
@@ -120,7 +120,7 @@ class Aris:
         rate = measured(frame["FrameRate"])
         lens = ", telephoto lens" if frame["LargeLens"] else ""
         system = SYSTEMS.get(int(frame["TheSystemType"]), "ARIS")
-        header = {
+        values = {
             "sonar": f"{system}{lens}, serial {frame['SonarSerialNumber']}",
             "ping_mode": int(frame["PingMode"]),
             "frequency": "high" if frame["FrequencyHiLow"] else "low",
@@ -142,7 +142,7 @@ class Aris:
         }
         rate = rate if rate is not None and 0 < rate < 1000 else None
         sonar = Sonar(tilt_deg=tilt, frame_rate_hz=rate)
-        return Told(sonar, header, tuple(notes), sample_db=FULL_SCALE_DB / 255)
+        return HeaderInfo(sonar, values, tuple(notes), sample_db=FULL_SCALE_DB / 255)
 
 
 def in_beam_order(samples: np.ndarray, pings: int) -> np.ndarray:

@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 from sonarrec.readers.ddf.headers import COMPASS, attitude_of, compass, header_dtype, measured
-from sonarrec.readers.raw import Told, UnusableError
+from sonarrec.readers.raw import HeaderInfo, UnusableError
 from sonarrec.sonar import PingGeometry, Sonar
 
 FILE_HEADER = {
@@ -114,7 +114,7 @@ class Didson:
         # A clock that was never set, or counts years from 2000, tells no time.
         return (stamp if 0 <= stamp < 2**63 else None), None
 
-    def told(self, file: np.void, frames: list[np.void]) -> Told:
+    def header_info(self, file: np.void, frames: list[np.void]) -> HeaderInfo:
         """Tilt and frame rate; everything else for `info`."""
         frame = frames[0]
         tilt, notes = attitude_of(frames, None)
@@ -127,7 +127,7 @@ class Didson:
             notes.append("readers disagree on the windows of a long-range DIDSON: check the ranges")
         kind = "DIDSON-LR" if flags & _LONG_RANGE else "DIDSON-S"
         windows = "classic" if flags & _CLASSIC else "extended"
-        header = {
+        values = {
             "sonar": f"{kind}, {windows} windows, serial {file['SerialNumber']}",
             "frequency": "high" if file["HighResolution"] else "low",
             "frame_rate_hz": rate or None,
@@ -137,7 +137,7 @@ class Didson:
             **compass(frame),
         }
         known_rate = float(rate) if 0 < rate < 1000 else None
-        return Told(Sonar(tilt_deg=tilt, frame_rate_hz=known_rate), header, tuple(notes))
+        return HeaderInfo(Sonar(tilt_deg=tilt, frame_rate_hz=known_rate), values, tuple(notes))
 
 
 def _configuration(file: np.void, frame: np.void) -> int:

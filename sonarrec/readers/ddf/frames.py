@@ -17,7 +17,7 @@ import numpy as np
 from sonarrec.readers.ddf.aris import Aris
 from sonarrec.readers.ddf.didson import Didson
 from sonarrec.readers.file_bytes import FileBytes
-from sonarrec.readers.raw import MAX_FRAME_BYTES, RawFrame, RawLog, Told, UnusableError
+from sonarrec.readers.raw import MAX_FRAME_BYTES, HeaderInfo, RawFrame, RawLog, UnusableError
 from sonarrec.records import SonarrecError, Stamps, shown
 from sonarrec.sonar import PingGeometry
 
@@ -52,7 +52,7 @@ class Layout(Protocol):
         """When the frame was recorded, and the sonar's own time of it; ns since 1970."""
         ...
 
-    def told(self, file: np.void, frames: list[np.void]) -> Told:
+    def header_info(self, file: np.void, frames: list[np.void]) -> HeaderInfo:
         """What the headers say of the log; frames: of frames all over it, the first to begin."""
         ...
 
@@ -103,12 +103,12 @@ class DdfFrames(RawLog):
             )
         self.frame_count = room // self._length
         headers = self._headers_all_over()
-        told = layout.told(self._header, headers) if headers else Told()
+        info = layout.header_info(self._header, headers) if headers else HeaderInfo()
         stated = int(self._header["FrameCount"])
         if stated > self.frame_count:  # a note: its maker advises against believing it
             missing = f"its header counts {stated} frames, {self.frame_count} are there"
-            told = replace(told, notes=(*told.notes, missing))
-        self.told = told
+            info = replace(info, notes=(*info.notes, missing))
+        self.header_info = info
 
     def _frame_shape(self) -> tuple[tuple[int, int], int]:
         """(samples, beams) of every frame, and its length in bytes.

@@ -1,0 +1,217 @@
+"""The one place where pixels become the 8-bit grey of recognition, on a logarithmic scale.
+
+| pixels | `pixel_scale` | `full_scale`, which becomes 255 |
+|---|---|---|
+| 8 bit | linear: sonars compress before they store so few bits; but log where the speckle of the
+  first frames is that of amplitudes (`holds_amplitudes`) | 255; log: by the first frame |
+| 16 bit | linear, but log where the first frame would be next to black, or where the speckle is
+  that of amplitudes | 65535; log: by the first frame |
+| floating-point images within 0 to 1 | linear | 1 |
+| floating-point, some negative | db: decibels | by the first frame |
+| 32 and 64 bit, all other floating-point | log: echo amplitudes | by the first frame |
+
+`linear` is 255 v / full_scale, `log` 255 (1 + 20 log10(v / full_scale) / dynamic_range_db), `db`
+255 (1 + (v - full_scale) / dynamic_range_db), each cut to 0 to 255. These are the defaults; keys of
+the geometry state others. The full scale of log and db is such that the median of the first frame's
+echoes, floor speckle whatever bright things lie on it, comes to a third of the range. Later frames
+never enter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+
+from sonarrec.readers.raw import UnusableError
+from sonarrec.records import ByteImage, SonarrecError
+from sonarrec.sonar import Sonar
+
+DYNAMIC_RANGE_DB = 50.0
+_MEDIAN_AT = 1 / 3  # where floor speckle lies in the range: high enough for shadows to show
+_NEXT_TO_BLACK = 1 / 32  # of full scale: no compressed image has its median below
+
+# Of `holds_amplitudes`: rows and columns of a block, when a block is of use, and the sum of slope
+# and skew above which pixels are amplitudes. In simulated pictures (77 of tuning and model seeds)
+# that sum is .94 at most for logarithms, and 1.05 or more for 95 of 100 pictures of amplitudes; the
+# others show a floor in relief without speckle.
+_BLOCK = (16, 4)
+_MOST_BLACK, _LEAST_LEVEL, _LEAST_SPREAD, _LEAST_BLOCKS = 0.2, 4.0, 0.5, 50
+_DIM, _LEAST_SPECKLE = 1 / 8, 0.2  # of full scale; spread over level
+_LEAST_RANGE = 0.12  # standard deviation of the logarithm of levels
+_AMPLITUDES = 1.0
+
+Scale = Literal["linear", "log", "db"]
+
+
+@dataclass(frozen=True, slots=True)
+class GreyScale:
+    """How the pixels of one log become grey; see the module. bounded: finite pixels below 0 or
+    above full_scale are a fault rather than black or white."""
+
+    pixel_scale: Scale
+    full_scale: float
+    dynamic_range_db: float
+    bounded: bool = False
+
+    def as_table(self) -> dict[str, Any]:
+        """The keys of the geometry that would state this scale."""
+        table = {"pixel_scale": self.pixel_scale, "full_scale": self.full_scale}
+        linear = self.pixel_scale == "linear"
+        return table if linear else table | {"dynamic_range_db": self.dynamic_range_db}
+
+
+def single_channel(pixels: np.ndarray) -> np.ndarray:
+    """(rows, columns) in this machine's byte order, of pixels as a Ping holds them.
+
+    Colour becomes grey by OpenCV's weights (.299 R + .587 G + .114 B; alpha is left out).
+    Raises UnusableError for other pixels.
+    """
+    if pixels.dtype.kind not in "uif" or pixels.dtype == np.float16:
+        raise UnusableError(f"{pixels.dtype} pixels are not supported")
+    pixels = pixels.astype(pixels.dtype.newbyteorder("="), copy=False)
+    if pixels.dtype == np.float64:
+        with np.errstate(over="ignore"):  # beyond 32 bits is infinite, hence white
+            pixels = pixels.astype(np.float32)
+    if pixels.ndim == 3 and pixels.shape[2] == 1:
+        pixels = pixels[:, :, 0]
+    if pixels.ndim == 3 and pixels.shape[2] in (3, 4):
+        if pixels.dtype not in (np.uint8, np.uint16, np.float32):
+            raise UnusableError(f"{pixels.dtype} colour pixels are not supported")
+        code = cv2.COLOR_BGR2GRAY if pixels.shape[2] == 3 else cv2.COLOR_BGRA2GRAY
+        pixels = cv2.cvtColor(np.ascontiguousarray(pixels), code)
+    if pixels.ndim != 2 or not pixels.size:
+        raise UnusableError(f"an image of shape {pixels.shape} is not supported")
+    return np.asarray(pixels)
+
+
+def grey_scale(sonar: Sonar, pixels: np.ndarray, amplitudes: bool) -> GreyScale | None:
+    """The scale of a log by its first frame, as far as `sonar` does not state it.
+
+    pixels: of single_channel. amplitudes: they are echo amplitudes, of floating point whatever
+    their size. None where the frame is blank, and so black on any scale.
+    Raises SonarrecError for a full scale that cannot be meant.
+    """
+    values = pixels[np.isfinite(pixels)]
+    if not values.any():
+        return None
+    floating = pixels.dtype.kind == "f"
+    unit = floating and not amplitudes and values.min() >= 0 and values.max() <= 1
+    largest = 1.0 if unit else None
+    if not floating and pixels.itemsize <= 2:
+        largest = float(np.iinfo(pixels.dtype).max)
+    scale = sonar.pixel_scale or _usual_scale(values, largest)
+    if sonar.pixel_scale is None and amplitudes and not floating:
+        scale = "log"
+    span = sonar.dynamic_range_db or DYNAMIC_RANGE_DB
+    if sonar.full_scale is not None:
+        if sonar.full_scale <= 0 and scale != "db":
+            raise SonarrecError(
+                f"full_scale = {sonar.full_scale:g} must be above 0 ({scale} scale)"
+            )
+        return GreyScale(scale, sonar.full_scale, span)
+    if scale == "linear":
+        full = float(values.max()) if largest is None else largest
+        return GreyScale(scale, full, span, bounded=unit)
+    above = (1 - _MEDIAN_AT) * span
+    if scale == "db":
+        return GreyScale(scale, float(np.median(values)) + above, span)
+    echoes = values[values > 0]
+    if not echoes.size:
+        return None
+    return GreyScale(scale, float(np.median(echoes) * 10 ** (above / 20)), span)
+
+
+def _usual_scale(values: np.ndarray, largest: float | None) -> Scale:
+    """The default for finite values of a type whose full scale is `largest`, None if unknown."""
+    if largest is None:
+        return "db" if values.dtype.kind == "f" and values.min() < 0 else "log"
+    return "log" if values.itemsize == 2 and next_to_black(values) else "linear"
+
+
+def _middle(values: np.ndarray) -> float:
+    return float(np.median(values[values != 0]))
+
+
+def next_to_black(pixels: np.ndarray) -> bool:
+    """Whether 16-bit integers, not all 0, are so dark that they are read as log for that."""
+    return _middle(pixels) < _NEXT_TO_BLACK * np.iinfo(pixels.dtype).max
+
+
+def dim_level(pixels: np.ndarray) -> str | None:
+    """How dim 16-bit integers, not all 0, would be as linear grey; None where they are not."""
+    middle, full = _middle(pixels), np.iinfo(pixels.dtype).max
+    return f"median {middle:.0f} of {full}" if middle < _DIM * full else None
+
+
+def holds_amplitudes(images: Sequence[np.ndarray]) -> bool:
+    """Whether images of integers hold echo amplitudes rather than their logarithm, by speckle.
+
+    images: of single_channel, all of 8 or all of 16 bits; of the latter none next to black. In
+    amplitudes speckle spreads in proportion to its level, and its peaks reach farther than its
+    troughs; in logarithms it spreads evenly, and its troughs reach farther. An 8-bit picture
+    so dim that distant echoes are next to black is taken for amplitudes as well: if it holds
+    logarithms, little is lost. Measured in small blocks; False where too few show speckle.
+    """
+    rows, columns = _BLOCK
+    # 16 bits hold far more steps than their content may fill: its brightest pixel is its white.
+    deep = bool(images) and images[0].dtype != np.uint8
+    white = np.float32(max(image.max() for image in images) if deep else 255)
+    parts = [np.empty((0, rows * columns), np.float32)]
+    for image in images:
+        down, across = image.shape[0] // rows, image.shape[1] // columns
+        blocks = image[: down * rows, : across * columns].reshape(down, rows, across, columns)
+        block = blocks.swapaxes(1, 2).reshape(-1, rows * columns).astype(np.float32)
+        parts.append(block * 255 / white if deep else block)
+    block = np.concatenate(parts)
+    level, spread = block.mean(axis=1), block.std(axis=1)
+    # Black has no speckle, and what is cut off at either end has another.
+    whole = ((block == 0).mean(axis=1) < _MOST_BLACK) & (block.max(axis=1) < 255)
+    whole &= (level > _LEAST_LEVEL) & (spread > _LEAST_SPREAD)
+    if np.count_nonzero(whole) < _LEAST_BLOCKS:
+        return False
+    block, level, spread = block[whole], level[whole], spread[whole]
+    dim = not deep and np.median(level) < _DIM * 256
+    if dim and np.median(spread / level) > _LEAST_SPECKLE:
+        return True
+    if np.log(level).std() < _LEAST_RANGE:  # at one level a spread tells nothing
+        return False
+    slope = np.polyfit(np.log(level), np.log(spread), 1)[0]  # 1 of amplitudes, 0 of logarithms
+    off = (block - level[:, None]) / spread[:, None]
+    skew = np.median((off * off * off).mean(axis=1))  # a power takes twenty times as long
+    return bool(slope + skew > _AMPLITUDES)
+
+
+def to_grey8(pixels: np.ndarray, scale: GreyScale) -> ByteImage:
+    """(rows, columns) uint8 of the pixels of single_channel; NaN (no data) becomes 0.
+
+    Raises UnusableError where pixels are out of bounds.
+    """
+    full = scale.full_scale
+    if scale.pixel_scale == "linear":
+        if pixels.dtype == np.uint8 and full == 255:
+            return np.ascontiguousarray(pixels)
+        if pixels.dtype == np.uint16:
+            return _rounded(np.ascontiguousarray(pixels), 255 / full)
+    values = np.nan_to_num(pixels.astype(np.float32), nan=0.0, posinf=np.inf, neginf=-np.inf)
+    # Infinities are no fault, as `grey_scale` settles on what is finite.
+    if scale.bounded and (((values < 0) | (values > full)) & np.isfinite(values)).any():
+        raise UnusableError(
+            f"floating-point pixels must lie in 0 to {full:g}, as in the first frame"
+        )
+    if scale.pixel_scale == "log":
+        decibels = np.log10(np.maximum(values, np.finfo(np.float32).tiny)) * np.float32(20)
+        values = decibels - np.float32(20 * np.log10(full)) + np.float32(scale.dynamic_range_db)
+    elif scale.pixel_scale == "db":
+        no_data = np.isnan(pixels)
+        values = values - np.float32(full - scale.dynamic_range_db)
+        values[no_data] = 0
+    white = full if scale.pixel_scale == "linear" else scale.dynamic_range_db
+    return _rounded(np.clip(values, 0, np.float32(white)), 255 / white)
+
+
+def _rounded(values: np.ndarray, factor: float) -> ByteImage:
+    return np.asarray(cv2.convertScaleAbs(values, alpha=factor), np.uint8)

@@ -1,0 +1,78 @@
+"""A ping's geometry, compared with that of other pings, of the fan, and as the user states it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from sonarrec.records import Fan
+from sonarrec.sonar import PingGeometry, Sonar
+
+MIN_SHARED_WINDOW = 0.5
+"""A ping whose window covers less of the fan's is not used."""
+
+
+def shows(window: Fan | PingGeometry, other: Fan | PingGeometry) -> bool:
+    """Whether a range window covers enough of another."""
+    near = max(window.range_min_m, other.range_min_m)
+    far = min(window.range_max_m, other.range_max_m)
+    return far - near >= MIN_SHARED_WINDOW * (other.range_max_m - other.range_min_m)
+
+
+def as_wide(window: Fan | PingGeometry, other: Fan | PingGeometry) -> bool:
+    """Whether a field of view covers enough of another."""
+    (left, right), (from_deg, to_deg) = _bearings(window), _bearings(other)
+    return min(right, to_deg) - max(left, from_deg) >= MIN_SHARED_WINDOW * (to_deg - from_deg)
+
+
+def agree(a: PingGeometry, b: PingGeometry) -> bool:
+    """Whether two pings each show enough of the other's window and field of view."""
+    return shows(a, b) and shows(b, a) and as_wide(a, b) and as_wide(b, a)
+
+
+def _bearings(window: Fan | PingGeometry) -> tuple[float, float]:
+    if isinstance(window, Fan):
+        return window.bearing_min_deg, window.bearing_max_deg
+    return min(window.bearings_deg), max(window.bearings_deg)
+
+
+def extent(fan: Fan) -> str:
+    """A fan's window and field of view, for a line."""
+    return (
+        f"{fan.range_min_m:.3g} to {fan.range_max_m:.3g} m and "
+        f"{fan.bearing_max_deg - fan.bearing_min_deg:.3g} deg"
+    )
+
+
+def as_stated(ping: PingGeometry, stated: Sonar, bins: int) -> tuple[Sonar, list[str]]:
+    """A ping's geometry, replaced by what the user states, and a text for each contradiction.
+
+    Ranges that agree to half a bin, and a field of view to half a beam, contradict nothing.
+    """
+    against = []
+    if stated.layout == "fan":
+        against.append('layout = "fan" (they are polar, and read so)')
+    sonar = ping.as_sonar().updated(replace(stated, layout=None))
+    bin_m = (ping.range_max_m - ping.range_min_m) / bins
+    for key in ("range_min_m", "range_max_m"):
+        mine, theirs = getattr(stated, key), getattr(ping, key)
+        if mine is None:
+            continue
+        if abs(mine - theirs) > bin_m / 2:
+            against.append(f"{key} = {mine:g} (not {theirs:.4g})")
+            sonar = replace(sonar, ranges_m=stated.ranges_m)
+        elif stated.ranges_m is None and ping.ranges_m is not None:
+            sonar = replace(sonar, **{key: theirs})  # the bins' own middles end there
+    bearings = np.asarray(ping.bearings_deg)
+    beam_deg = float(np.ptp(bearings)) / (len(bearings) - 1)
+    if stated.bearings_deg is not None:
+        mine = np.asarray(stated.bearings_deg)
+        if mine.shape != bearings.shape or np.abs(mine - bearings).max() > beam_deg / 2:
+            against.append("bearings_deg")
+    elif stated.field_of_view_deg is not None:
+        theirs = beam_deg * len(bearings)
+        if abs(stated.field_of_view_deg - theirs) > beam_deg / 2:
+            against.append(f"field_of_view_deg = {stated.field_of_view_deg:g} (not {theirs:.4g})")
+            sonar = replace(sonar, bearings_deg=None)
+    return sonar, against
