@@ -5,15 +5,19 @@ from __future__ import annotations
 import math
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Literal, Protocol
+from typing import TYPE_CHECKING, Literal, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+Record = TypeVar("Record", bound="DataclassInstance")
 FloatArray = npt.NDArray[np.floating]
 FloatImage = npt.NDArray[np.float32]
 ByteImage = npt.NDArray[np.uint8]
@@ -238,9 +242,9 @@ class Groups:
     """Stage 2: the particle groups (tracks) in view after one frame, by rising number.
 
     numbers: (n,) int, stable over frames. positions: (n, 2) float, (column, row) in plane pixels.
-    spread: (n, 2) standard deviation per axis in disc diameters. existence: (n,) 0 to 1. sights:
-    (n,) deg counter-clockwise, seen from above, by how much the line of sight to the object has
-    turned over the floor since the track began: 0 of a sonar that only pans. in_view: (n,) whether
+    spread: (n, 2) standard deviation per axis in disc diameters. existence: (n,) 0 to 1. sight_deg:
+    (n,) by how many degrees, counter-clockwise seen from above, the line of sight to the object has
+    turned over the floor since the track began: 0 where the sonar only pans. in_view: (n,) whether
     enough of the disc is inside the fan (continuity.least_in_view); one that comes in shows less at
     first. remembered: (m,) numbers of those that left the view and may return.
     """
@@ -249,9 +253,16 @@ class Groups:
     positions: FloatArray
     spread: FloatArray
     existence: FloatArray
-    sights: FloatArray
+    sight_deg: FloatArray
     in_view: BoolArray
     remembered: IntArray
+
+
+def joined(parts: Sequence[Record]) -> Record:
+    """One record whose every field holds the arrays of several, at least one, in a row."""
+    return type(parts[0])(
+        *(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(parts[0]))
+    )
 
 
 def follows(method: str) -> bool:
@@ -269,9 +280,8 @@ class Estimate:
     probabilities: (K + 1,) one per ID in the landmark set's order, then 'none of these'; sums to 1.
     landmark: the most probable ID. score: 0 to 1, what a ROC threshold sweeps.
     declared: the method claims the ID at its operating point. range_sigma_m, bearing_sigma_deg,
-    orientation_sigma_deg: standard errors, NaN where the method has none. sight_deg: as the
-    object's in Groups.sights. chapter: as in Gathered. in_view: as in Groups. These three are not
-    written.
+    orientation_sigma_deg: standard errors, NaN where the method has none. sight_deg, in_view: as in
+    Groups. chapter: as in Gathered. These three are not written.
     """
 
     method: str

@@ -18,6 +18,7 @@ from sonarrec.records import (
     IntArray,
     Motion,
     Selection,
+    joined,
 )
 
 
@@ -73,14 +74,11 @@ class Batch:
         """(n, L, ANGLES), and so is `seen`: as in AfterStage2."""
         self.seen: BoolArray = np.concatenate([f.seen for f in frames])
         self.groups = [f.groups for f in frames]
-        """Frame by frame. The arrays below hold all m groups, as Groups and Gathered do."""
-        self.numbers: IntArray = np.concatenate([g.numbers for g in self.groups])
-        self.positions: FloatArray = np.concatenate([g.positions for g in self.groups])
-        self.spread: FloatArray = np.concatenate([g.spread for g in self.groups])
-        self.existence: FloatArray = np.concatenate([g.existence for g in self.groups])
-        self.sights: FloatArray = np.concatenate([g.sights for g in self.groups])
-        self.in_view: BoolArray = np.concatenate([g.in_view for g in self.groups])
-        self.gathered = Gathered.joined([f.gathered for f in frames])
+        """Frame by frame."""
+        self.tracked = joined(self.groups)
+        """All m of them."""
+        self.gathered = joined([f.gathered for f in frames])
+        """Of all m."""
 
     def results(self, single: list[Estimate], tracked: list[Estimate]) -> list[FrameResult]:
         """Frame by frame: `single` of the candidates (or of none), then `tracked` of the groups."""

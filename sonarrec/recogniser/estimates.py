@@ -11,7 +11,7 @@ from sonarrec.recogniser.plane import Plane
 from sonarrec.recogniser.stage3_features import Beliefs, likeliest, settled
 from sonarrec.recogniser.stage3_features.shape_matrix import STEP_DEG, whole_steps
 from sonarrec.recogniser.stage3_features.smi import Identification
-from sonarrec.records import BoolArray, Estimate, FloatArray, IntArray
+from sonarrec.records import BoolArray, Estimate, FloatArray, Groups, IntArray
 
 # Standard error of a group's mean, as a share of its particles' spread: chosen on tuning seeds,
 # checked against the truth by `make scenes`.
@@ -35,77 +35,57 @@ class EstimateMaker:
     def of_groups(self, method: str, batch: Batch, beliefs: Beliefs) -> list[Estimate]:
         """The framework's estimates of a batch's groups. Its score is the belief in the ID."""
         _, scores = likeliest(beliefs.probabilities)
-        return self._estimates(
-            method,
-            objects=batch.numbers,
-            positions=batch.positions,
-            existence=batch.existence,
-            beliefs=beliefs,
-            scores=scores,
-            threshold=self._declare,
-            sigma=self._plane.polar_sigma(batch.positions, POSITION_SHARE * batch.spread),
-            sights=batch.sights,
-            chapters=batch.gathered.chapters,
-            in_view=batch.in_view,
-        )
+        chapters = batch.gathered.chapters
+        return self._estimates(method, batch.tracked, chapters, beliefs, scores, self._declare)
 
     def of_candidates(self, method: str, batch: Batch, found: Identification) -> list[Estimate]:
         """SMI's estimates of a batch's candidates. It has no standard errors."""
         n = len(batch.candidates)
-        unknown: FloatArray = np.full(n, np.nan)
-        return self._estimates(
-            method,
-            objects=batch.candidate_numbers,
+        objects = Groups(
+            numbers=batch.candidate_numbers,
             positions=batch.candidates,
+            spread=np.full((n, 2), np.nan),
             existence=batch.scores,
-            beliefs=found.beliefs,
-            scores=found.score,
-            threshold=self._declare_smi,
-            sigma=(unknown, unknown),
-            sights=np.zeros(n),
-            chapters=np.zeros(n, np.int64),
+            sight_deg=np.zeros(n),
             in_view=np.ones(n, bool),
+            remembered=np.empty(0, np.int64),
         )
+        chapters = np.zeros(n, np.int64)
+        threshold = self._declare_smi
+        return self._estimates(method, objects, chapters, found.beliefs, found.score, threshold)
 
     def _estimates(
         self,
         method: str,
-        *,
-        objects: IntArray,
-        positions: FloatArray,
-        existence: FloatArray,
+        objects: Groups,
+        chapters: IntArray,
         beliefs: Beliefs,
         scores: FloatArray,
         threshold: float,
-        sigma: tuple[FloatArray, FloatArray],
-        sights: FloatArray,
-        chapters: IntArray,
-        in_view: BoolArray,
     ) -> list[Estimate]:
         """One Estimate for each of n objects.
 
-        objects, existence, scores, sights, chapters, in_view: (n,). positions: (n, 2) working
-        pixels. threshold: as `declared`. sigma: (n,) standard errors of slant range (m) and bearing
-        (deg).
+        chapters: (n,) as in Gathered. scores: (n,). threshold: as `declared`.
         """
         landmark_index, _ = likeliest(beliefs.probabilities)
-        range_sigma, bearing_sigma = sigma
+        positions, spread = objects.positions, objects.spread
+        range_sigma, bearing_sigma = self._plane.polar_sigma(positions, POSITION_SHARE * spread)
         column, row = self._plane.to_fan(*positions.T)
         range_m, bearing_deg = self._plane.to_polar(*positions.T)
-        _, left_deg = whole_steps(sights)
+        _, left_deg = whole_steps(objects.sight_deg)
         orientation_deg = (90 - bearing_deg - left_deg + beliefs.turn * STEP_DEG) % 360
         orientation_sigma = beliefs.turn_sigma * STEP_DEG
         claimed = declared(scores, threshold) & beliefs.earned
         return [
             Estimate(
                 method=method,
-                object=int(objects[i]),
+                object=int(objects.numbers[i]),
                 x_px=float(column[i]),
                 y_px=float(row[i]),
                 range_m=float(range_m[i]),
                 bearing_deg=float(bearing_deg[i]),
                 orientation_deg=float(orientation_deg[i]),
-                existence=float(existence[i]),
+                existence=float(objects.existence[i]),
                 probabilities=beliefs.probabilities[i],
                 landmark=self._ids[landmark_index[i]],
                 score=float(scores[i]),
@@ -113,9 +93,9 @@ class EstimateMaker:
                 range_sigma_m=float(range_sigma[i]),
                 bearing_sigma_deg=float(bearing_sigma[i]),
                 orientation_sigma_deg=float(orientation_sigma[i]),
-                sight_deg=float(sights[i]),
+                sight_deg=float(objects.sight_deg[i]),
                 chapter=int(chapters[i]),
-                in_view=bool(in_view[i]),
+                in_view=bool(objects.in_view[i]),
             )
             for i in range(len(positions))
         ]

@@ -26,7 +26,7 @@ class Table:
     fan's edge, where the score map ends, particles stay when their object leaves; these do not."""
     existence: FloatArray
     """(n,) probability that there is an object, 0 to 1."""
-    sights: FloatArray
+    sight_deg: FloatArray
     """(n,) deg, by how much the line of sight to it has turned over the floor since it began."""
 
     def __len__(self) -> int:
@@ -37,15 +37,6 @@ class Table:
         if rows.dtype == bool and rows.all():
             return self
         return type(self)(*(getattr(self, f.name)[rows] for f in fields(self)))
-
-    def joined(self, others: Self) -> Self:
-        """These rows, then the others."""
-        return type(self)(
-            *(
-                np.concatenate([getattr(self, f.name), getattr(others, f.name)])
-                for f in fields(self)
-            )
-        )
 
 
 @dataclass(slots=True)
@@ -63,7 +54,7 @@ class ParticleGroups(Table):
         numbers: IntArray,
         places: FloatArray,
         existence: FloatArray,
-        sights: FloatArray,
+        sight_deg: FloatArray,
         count: int,
         sigma: float,
         rng: np.random.Generator,
@@ -72,7 +63,7 @@ class ParticleGroups(Table):
         cloud = rng.standard_normal((len(places), count, 2), np.float32) * np.float32(sigma)
         particles = cloud + places[:, None].astype(np.float32)
         strikes = np.zeros(len(places), np.int64)
-        return cls(numbers, places, existence, sights, strikes, particles)
+        return cls(numbers, places, existence, sight_deg, strikes, particles)
 
     def walk(self, sigma: float, rng: np.random.Generator) -> None:
         """Eq. 3: every particle takes a random step, Gaussian, `sigma` pixels in each axis."""

@@ -69,10 +69,13 @@ class Recogniser:
         self.odometry = Odometry(plane, config.continuity, poses)
         self._continuity = ContinuityFilter(config.continuity, plane, rng)
         self._sampler = sampler = shape_matrix.ShapeSampler(landmarks, plane.axes)
-        bands, turned = sampler.bands, shape_matrix.turned_codes(landmarks)
+        turned = shape_matrix.turned_codes(landmarks)
+        self._identify = partial(identify, bands=sampler.bands, turned=turned)
         self._measurement: Measurement
         if features.measurement == "single":
-            self._measurement = PublishedMeasurement(features, bands, landmarks, fan.window_m)
+            self._measurement = PublishedMeasurement(
+                features, self._identify, landmarks, fan.window_m
+            )
         else:
             self._measurement = AppearanceMeasurement(
                 features,
@@ -83,7 +86,6 @@ class Recogniser:
                 beam_width_deg,
                 config.continuity.remember_frames,
             )
-        self._identify = partial(identify, bands=bands, turned=turned)
         self._estimates = EstimateMaker(config, plane, landmarks)
         self._method, self._smi = method, smi
 
@@ -120,7 +122,7 @@ class Recogniser:
         places = np.concatenate([selection.positions, groups.positions])
         sight = self._plane.line_of_sight(places)
         # A group's matrices are turned by whole steps alone: so their cells coincide.
-        sight[n:] -= np.radians(shape_matrix.whole_steps(groups.sights)[1])
+        sight[n:] -= np.radians(shape_matrix.whole_steps(groups.sight_deg)[1])
         levels = self._select.levels(selection, places)
         grey, seen = self._sampler(image, self._plane.inside, places, sight, *levels)
         gathered = self._measurement.gather(groups, grey[n:], seen[n:])

@@ -69,30 +69,30 @@ class CandidateSelector:
         # A black or even frame has no relief but that of rounding.
         sigma = float(np.sqrt(cv2.norm(relief, cv2.NORM_L2SQR) / self._cells))
         sigma = max(sigma, LEAST_SIGMA)
-        hills = self._detector(image, relief, sigma)
-        positions, scores = self._peaks(hills)
-        score = np.clip(hills.score, 0, 1, out=hills.score)
-        return Selection(score, positions, scores, mean, hills.sigma)
+        maps = self._detector(image, relief, sigma)
+        positions, scores = self._peaks(maps)
+        score = np.clip(maps.score, 0, 1, out=maps.score)
+        return Selection(score, positions, scores, mean, maps.sigma)
 
     def levels(self, selection: Selection, places: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(n,) mean and deviation of the grey levels about (n, 2) places in the frame's image."""
         around = self._surroundings
         return around.at(selection.mean, places), around.at(selection.sigma, places)
 
-    def _peaks(self, hills: Hills) -> tuple[FloatArray, FloatArray]:
+    def _peaks(self, maps: ScoreMaps) -> tuple[FloatArray, FloatArray]:
         """(n, 2) peaks that score enough, with sub-pixel positions, and (n,) scores; best first."""
-        hill, best = hills.hill, hills.best
+        peaks, score = maps.peaks, maps.peak_score
         # Few pixels score enough: only these are compared with their neighbours.
-        row, column = np.divmod(np.flatnonzero(best >= self._config.threshold), best.shape[1])
-        last_row, last_column = best.shape[0] - 1, best.shape[1] - 1
-        near = hill[(row + BESIDE[0]).clip(0, last_row), (column + BESIDE[1]).clip(0, last_column)]
-        top = hill[row, column] >= near.max(axis=0)
+        row, column = np.divmod(np.flatnonzero(score >= self._config.threshold), score.shape[1])
+        last_row, last_column = score.shape[0] - 1, score.shape[1] - 1
+        near = peaks[(row + BESIDE[0]).clip(0, last_row), (column + BESIDE[1]).clip(0, last_column)]
+        top = peaks[row, column] >= near.max(axis=0)
         row, column = row[top], column[top]
-        order = np.lexsort((-hill[row, column], -best[row, column]))[: self._most_peaks]
+        order = np.lexsort((-peaks[row, column], -score[row, column]))[: self._most_peaks]
         row, column = row[order], column[order]
-        positions = _refine(hill, column, row)
+        positions = _refine(peaks, column, row)
         kept = self._apart(positions)
-        return positions[kept], np.minimum(best[row, column][kept], 1).astype(float)
+        return positions[kept], np.minimum(score[row, column][kept], 1).astype(float)
 
     def _apart(self, positions: FloatArray) -> list[int]:
         """Indices of the peaks, best first, that are not too near a better one."""
@@ -147,14 +147,14 @@ class Surroundings:
         return np.asarray(cv2.blur(coarse, self._size, borderType=cv2.BORDER_CONSTANT), np.float32)
 
 
-class Hills(NamedTuple):
+class ScoreMaps(NamedTuple):
     """A detector's maps of one frame, each (rows, columns) float32."""
 
     score: FloatImage
     """Of a disc centred on each pixel."""
-    hill: FloatImage
-    """Its peaks are the candidates' positions."""
-    best: FloatImage
+    peaks: FloatImage
+    """Smoothed where scores have plateaus; its peaks are the candidates' positions."""
+    peak_score: FloatImage
     """Score of a candidate whose peak is at this pixel."""
     sigma: FloatImage
     """Standard deviation of the grey levels in each pixel's surroundings, on their coarse grid; one
@@ -164,7 +164,7 @@ class Hills(NamedTuple):
 class Detector(Protocol):
     """How well a landmark's circle fits at every pixel."""
 
-    def __call__(self, image: ByteImage, relief: FloatImage, sigma: float) -> Hills:
+    def __call__(self, image: ByteImage, relief: FloatImage, sigma: float) -> ScoreMaps:
         """Of a working image.
 
         relief: (rows, columns) grey level over that of the surroundings. sigma: its deviation.
@@ -192,7 +192,7 @@ class EdgeScore:
         image: ByteImage,
         relief: FloatImage,  # noqa: ARG002
         sigma: float,
-    ) -> Hills:
+    ) -> ScoreMaps:
         """Edges are found in the grey levels themselves."""
         config = self._config
         grey_sigma = float(cv2.meanStdDev(image, mask=self._inside)[1][0, 0])
@@ -204,9 +204,9 @@ class EdgeScore:
         # The tolerance makes plateaus. The circle is in the middle of one, and scores as its best
         # pixel.
         size = 2 * config.edge_tolerance_px + 3
-        hill = np.asarray(cv2.GaussianBlur(score, (size, size), 0), np.float32)
+        peaks = np.asarray(cv2.GaussianBlur(score, (size, size), 0), np.float32)
         best = np.asarray(cv2.dilate(score, np.ones((size, size), np.uint8)), np.float32)
-        return Hills(score, hill, best, np.full((1, 1), sigma, np.float32))
+        return ScoreMaps(score, peaks, best, np.full((1, 1), sigma, np.float32))
 
 
 class RingScore:
@@ -239,7 +239,7 @@ class RingScore:
         image: ByteImage,  # noqa: ARG002
         relief: FloatImage,
         sigma: float,
-    ) -> Hills:
+    ) -> ScoreMaps:
         """Contrast is counted in the relief's standard deviation about each pixel."""
         # Never far below the whole frame's: an even patch must not turn its noise into rings.
         least = (LEAST_LOCAL_SIGMA * sigma) ** 2
@@ -247,7 +247,7 @@ class RingScore:
         score = self._correlate(relief)
         score *= self._gain
         score /= self._surroundings.fine(local)
-        return Hills(score, score, score, local)
+        return ScoreMaps(score, score, score, local)
 
 
 class Correlation:
@@ -324,7 +324,7 @@ def _correlate(image: FloatImage, kernel: FloatImage) -> FloatImage:
     """(rows, columns) of the image with a kernel centred on each pixel; 0 beyond the image."""
     m = kernel.shape[0] // 2
     padded = cv2.copyMakeBorder(image, m, m, m, m, cv2.BORDER_CONSTANT, value=0)
-    return cv2.matchTemplate(padded, kernel, cv2.TM_CCORR)  # type: ignore[return-value]
+    return np.asarray(cv2.matchTemplate(padded, kernel, cv2.TM_CCORR), np.float32)
 
 
 def _band(radius: FloatArray, band: tuple[float, float], pixel: float) -> FloatArray:

@@ -25,7 +25,7 @@ import numpy as np
 from sonarrec.config import Continuity
 from sonarrec.recogniser.particles import LostGroups, ParticleGroups
 from sonarrec.recogniser.plane import Plane
-from sonarrec.records import BoolArray, FloatArray, Groups, IntArray, Motion, Selection
+from sonarrec.records import BoolArray, FloatArray, Groups, IntArray, Motion, Selection, joined
 
 NEW_EXISTENCE = 0.5  # of a group that has just begun
 WHOLE = 0.9  # share of a disc in view with which its object should show
@@ -57,54 +57,45 @@ class ContinuityFilter:
 
         motion: of the sonar since the last frame; None where unknown.
         """
-        config = self._config
         # Predict.
         before = self._groups.places
         self._predict(motion)
         expected = self._groups.mean()
         # Weigh.
-        weight = self._groups.weigh(
-            selection.score_map, config.z_hit, config.z_rand, config.hit_power
-        )
-        if motion is not None:
-            weight = self._own(weight, selection.positions, motion)
-        positions, spread = self._groups.weighted(weight)
-        spread = spread / self._diameter
-        self._groups.resample(weight, self._rng)
+        positions, spread = self._weigh(selection, motion)
         # Strike.
-        hit = np.any(self._distances(positions, selection.positions) < config.merge, axis=1)
-        # The floor does not move: a group pulled this far has left its object for another.
-        moved = np.hypot(*((positions - expected) / self._diameter).T)
-        farthest = config.jump + 2 * self._uncertain(motion) / self._diameter[0]
-        pulled = (moved > farthest) & (motion is not None)
+        distances = self._distances(positions, selection.positions)
+        hit = np.any(distances < self._config.merge, axis=1)
+        pulled = self._pulled(positions, expected, motion)
         self._place(positions, hit & ~pulled, motion)
-        shares = self._shares(self._groups.places)
-        if motion is not None:
-            # At the fan's edge particles may stay when their object leaves, or leave before it.
-            shares = np.minimum(shares, self._shares(positions))
-        shown = in_view = shares >= config.least_in_view
-        if motion is not None and not shown.all():
-            in_view = shown | (hit & (shares > self._shares(before)))  # what comes in
+        shown, in_view = self._in_view(positions, before, hit, motion)
         self._strike(spread, hit, in_view)
         # Delete.
         kept = self._delete(pulled, in_view, motion)
         # Begin.
         born = self._begin(positions[kept], selection)
-        positions = np.concatenate([positions[kept], born])
-        wide = np.full((len(born), 2), self._sigma_new) / self._diameter
-        spread, shown = np.concatenate([spread[kept], wide]), shown[kept]
-        if len(born):  # those that came back go to their old place
+        return self._as_groups(positions[kept], spread[kept], shown[kept], born)
+
+    def _as_groups(
+        self, positions: FloatArray, spread: FloatArray, shown: BoolArray, born: FloatArray
+    ) -> Groups:
+        """The groups by rising number; born: (n, 2) centres of those that have just begun."""
+        if len(born):
+            # Those that came back go to their old place in the order.
             order = np.argsort(self._groups.numbers)
             self._groups = self._groups.take(order)
-            shown = np.concatenate([shown, self._shares(born) >= config.least_in_view])
-            positions, spread, shown = positions[order], spread[order], shown[order]
+            wide = np.full((len(born), 2), self._sigma_new) / self._diameter
+            positions = np.concatenate([positions, born])[order]
+            spread = np.concatenate([spread, wide])[order]
+            new_shown = self._shares(born) >= self._config.least_in_view
+            shown = np.concatenate([shown, new_shown])[order]
         groups = self._groups
         return Groups(
             numbers=groups.numbers,
             positions=positions,
             spread=spread,
             existence=groups.existence,
-            sights=groups.sights,
+            sight_deg=groups.sight_deg,
             in_view=shown,
             remembered=self._lost.numbers,
         )
@@ -116,6 +107,16 @@ class ContinuityFilter:
             groups.particles = self._plane.moved(groups.particles, motion).astype(np.float32)
             sigma = math.hypot(self._sigma_known, self._uncertain(motion))
         groups.walk(sigma, self._rng)
+
+    def _weigh(self, selection: Selection, motion: Motion | None) -> tuple[FloatArray, FloatArray]:
+        """Eq. 4, and resampling: (n, 2) positions, and spread per axis in disc diameters."""
+        config, groups = self._config, self._groups
+        weight = groups.weigh(selection.score_map, config.z_hit, config.z_rand, config.hit_power)
+        if motion is not None:
+            weight = self._own(weight, selection.positions, motion)
+        positions, spread = groups.weighted(weight)
+        groups.resample(weight, self._rng)
+        return positions, spread / self._diameter
 
     def _own(self, weight: FloatArray, candidates: FloatArray, motion: Motion) -> FloatArray:
         """(n, particles) weights, 0 for particles that are nearer to a neighbour's candidate.
@@ -146,6 +147,34 @@ class ContinuityFilter:
         kept = np.where(theirs, 0.0, weight)
         total = kept.sum(axis=1, keepdims=True)
         return np.where(total > 0, kept / np.maximum(total, 1e-12), weight)
+
+    def _pulled(
+        self, positions: FloatArray, expected: FloatArray, motion: Motion | None
+    ) -> BoolArray:
+        """(n,) which groups were pulled off the (n, 2) places where the motion expects them.
+
+        The floor does not move: a group pulled this far has left its object for another.
+        """
+        moved = np.hypot(*((positions - expected) / self._diameter).T)
+        farthest = self._config.jump + 2 * self._uncertain(motion) / self._diameter[0]
+        return np.asarray((moved > farthest) & (motion is not None))
+
+    def _in_view(
+        self, positions: FloatArray, before: FloatArray, hit: BoolArray, motion: Motion | None
+    ) -> tuple[BoolArray, BoolArray]:
+        """(n,) which groups show enough of the disc, and which are in view: what is just coming in
+        as well.
+
+        before: (n, 2) places in the last frame.
+        """
+        shares = self._shares(self._groups.places)
+        if motion is not None:
+            # At the fan's edge particles may stay when their object leaves, or leave before it.
+            shares = np.minimum(shares, self._shares(positions))
+        shown = shares >= self._config.least_in_view
+        if motion is None or shown.all():
+            return shown, shown
+        return shown, shown | (hit & (shares > self._shares(before)))
 
     def _uncertain(self, motion: Motion | None) -> float:
         """Standard error, in pixels, of where a motion puts what lies midway in the window.
@@ -184,7 +213,7 @@ class ContinuityFilter:
     def _carry(self, table: ParticleGroups | LostGroups, motion: Motion) -> None:
         """Move places with the floor, and turn the lines of sight to them."""
         after = self._plane.moved(table.places, motion)
-        table.sights = table.sights + self._plane.sight_turned(table.places, after, motion)
+        table.sight_deg = table.sight_deg + self._plane.sight_turned(table.places, after, motion)
         table.places = after
 
     def _strike(self, spread: FloatArray, hit: BoolArray, in_view: BoolArray) -> None:
@@ -240,12 +269,12 @@ class ContinuityFilter:
             groups.numbers[left],
             groups.places[left],
             groups.existence[left],
-            groups.sights[left],
+            groups.sight_deg[left],
             np.full(count, self._config.remember_frames),
             np.zeros(count),
             np.zeros(count, np.int64),
         )
-        self._lost = self._lost.joined(gone)
+        self._lost = joined([self._lost, gone])
 
     def _begin(self, positions: FloatArray, selection: Selection) -> FloatArray:
         """Start a group round every candidate that no group has. Returns their (n, 2) centres.
@@ -260,32 +289,32 @@ class ContinuityFilter:
             hidden = self._shares(born) < self._config.recall_in_view
             born = born[~(near & hidden)]
         if len(born):
-            self._groups = self._groups.joined(self._new(*self._recall(born)))
+            self._groups = joined([self._groups, self._new(*self._recall(born))])
         return born
 
     def _recall(self, born: FloatArray) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
-        """(n,) numbers, (n, 2) places, (n,) existence, (n,) sights of groups that begin at places.
+        """Numbers, places, existence and sight_deg of groups that begin at (n, 2) places.
 
-        What begins near a lost group takes these from it, nearest pair first. Others get a new
-        number.
+        What begins near a lost group takes these from it, but for the place; nearest pairs first.
+        Others get a new number.
         """
         lost = self._lost
         numbers = np.zeros(len(born), np.int64)
         existence: FloatArray = np.full(len(born), NEW_EXISTENCE)
-        sights: FloatArray = np.zeros(len(born))
+        sight_deg: FloatArray = np.zeros(len(born))
         distance = self._distances(born, lost.places)
         distance[distance > self._gate()] = np.inf
         while distance.size and distance.min() < np.inf:
             new, old = np.unravel_index(distance.argmin(), distance.shape)
             numbers[new], existence[new] = lost.numbers[old], lost.existence[old]
-            sights[new] = lost.sights[old]
+            sight_deg[new] = lost.sight_deg[old]
             distance[new], distance[:, old] = np.inf, np.inf
         self._lost = lost.take(~np.isin(lost.numbers, numbers))
         unknown = numbers == 0
         count = int(np.count_nonzero(unknown))
         numbers[unknown] = self._next + np.arange(count)
         self._next += count
-        return numbers, born, existence, sights
+        return numbers, born, existence, sight_deg
 
     def _gate(self) -> FloatArray:
         """(n,) how far a candidate may lie from each lost group that it is, in disc diameters."""
@@ -293,10 +322,10 @@ class ContinuityFilter:
         return np.minimum(config.recall + 2 * np.sqrt(self._lost.drift), config.recall_most)
 
     def _new(
-        self, numbers: IntArray, places: FloatArray, existence: FloatArray, sights: FloatArray
+        self, numbers: IntArray, places: FloatArray, existence: FloatArray, sight_deg: FloatArray
     ) -> ParticleGroups:
         count, sigma = self._config.particles, self._sigma_new
-        return ParticleGroups.around(numbers, places, existence, sights, count, sigma, self._rng)
+        return ParticleGroups.around(numbers, places, existence, sight_deg, count, sigma, self._rng)
 
     def _shares(self, positions: FloatArray) -> FloatArray:
         """(n,) share of the disc inside the fan; -1 beyond the image."""

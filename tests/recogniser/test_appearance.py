@@ -50,14 +50,14 @@ SURE = np.full(3, 0.9)  # that the objects exist
 SHARP = np.zeros(3)  # beams that smear nothing
 
 
-def groups(*in_view, remembered=(), sights=None) -> Groups:
+def groups(*in_view, remembered=(), sight_deg=None) -> Groups:
     n = len(in_view)
     return Groups(
         np.array(in_view, np.int64),
         np.zeros((n, 2)),
         np.zeros((n, 2)),
         np.full(n, 0.9),
-        np.zeros(n) if sights is None else np.array(sights, float),
+        np.zeros(n) if sight_deg is None else np.array(sight_deg, float),
         np.ones(n, bool),
         np.array(remembered, np.int64),
     )
@@ -149,7 +149,7 @@ def test_what_is_passed_is_averaged_as_it_lies():
     for turned in (0, 1, 2, 4, 40, -3):
         by = -turned  # as the line of sight turns one way, the object turns the other beneath it
         found = matrix.step(
-            groups(7, sights=[turned * STEP_DEG + 0.3 * STEP_DEG]),
+            groups(7, sight_deg=[turned * STEP_DEG + 0.3 * STEP_DEG]),
             np.roll(picture, by, axis=2),
             np.roll(seen, by, axis=2),
         )

@@ -33,7 +33,7 @@ def groups(*numbers: int, remembered: tuple[int, ...] = ()) -> Groups:
         positions=np.zeros((n, 2)),
         existence=np.ones(n),
         spread=np.ones((n, 2)),
-        sights=np.zeros(n),
+        sight_deg=np.zeros(n),
         in_view=np.ones(n, bool),
         remembered=np.array(remembered, np.int64),
     )

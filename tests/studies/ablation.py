@@ -17,7 +17,7 @@ from sonarrec.evaluation.counting.passes import find_passes
 from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.recogniser.plane import FloorPlane
 from sonarrec.recogniser.recogniser import FRAMEWORK
-from sonarrec.recogniser.stage1_candidates import Hills, RingScore
+from sonarrec.recogniser.stage1_candidates import RingScore, ScoreMaps
 from sonarrec.simulation.random_scenes import ALL_KINDS, KINDS_OF_SCENE, random_scene
 from sonarrec.simulation.simulate import render
 from sonarrec.simulation.unlike import UNLIKE_KINDS
@@ -51,10 +51,10 @@ class Ablation:
         return " ".join([*self.settings, *code])
 
 
-def spread_of_the_frame(self: RingScore, _: object, relief: np.ndarray, sigma: float) -> Hills:
+def spread_of_the_frame(self: RingScore, _: object, relief: np.ndarray, sigma: float) -> ScoreMaps:
     """`RingScore.__call__` with contrast counted in what the whole frame varies by."""
     score = self._correlate(relief) * self._gain / np.float32(sigma)
-    return Hills(score, score, score, np.full((1, 1), sigma, np.float32))
+    return ScoreMaps(score, score, score, np.full((1, 1), sigma, np.float32))
 
 
 def straight_ahead(_: FloorPlane, position: np.ndarray) -> np.ndarray:

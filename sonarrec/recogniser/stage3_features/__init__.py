@@ -8,7 +8,7 @@ averaged along the track, described and judged by a model).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -43,13 +43,6 @@ class Gathered:
     chapters: IntArray
     """(n,) of the track's life: where it comes back with another picture a new one begins. 0 in the
     published measurement, which keeps no pictures."""
-
-    @classmethod
-    def joined(cls, parts: Sequence[Gathered]) -> Gathered:
-        """Several, at least one, in a row."""
-        return cls(
-            *(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls))
-        )
 
 
 class Measurement(Protocol):

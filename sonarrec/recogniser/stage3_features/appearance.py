@@ -21,7 +21,7 @@ from sonarrec.recogniser.stage3_features.description import Describer
 from sonarrec.recogniser.stage3_features.opinions import TrackBelief
 from sonarrec.recogniser.stage3_features.shape_matrix import ShapeSampler
 from sonarrec.recogniser.stage3_features.track_matrix import TrackMatrix
-from sonarrec.records import BoolArray, FloatArray, Groups
+from sonarrec.records import BoolArray, FloatArray, Groups, joined
 
 # Frames of a track from which on an ID is declared, where enough of the disc is in view. Discs
 # fewer than FEW_BEAMS beams wide need more: a single frame hardly shows their symbol.
@@ -70,10 +70,9 @@ class AppearanceMeasurement:
 
     def beliefs(self, groups: Sequence[Groups], gathered: Gathered) -> Beliefs:
         """See Measurement."""
-        existence = np.concatenate([g.existence for g in groups])
-        positions = np.concatenate([g.positions for g in groups])
-        smear = self._smear(positions)
-        description = self._describe(gathered.brightness, gathered.count, existence, smear)
+        tracked = joined(groups)
+        smear = self._smear(tracked.positions)
+        description = self._describe(gathered.brightness, gathered.count, tracked.existence, smear)
         of_frames = self._model.probabilities(description.features, smear)
         probabilities = self._belief(groups, gathered, of_frames)
         best, _ = likeliest(probabilities)
@@ -81,7 +80,7 @@ class AppearanceMeasurement:
         # A beam is HALF_POWER sigmas wide, a disc two radii.
         few_beams = smear * HALF_POWER * FEW_BEAMS > 2
         earned = gathered.frames >= np.where(few_beams, FRAMES_OF_FEW_BEAMS, LEAST_FRAMES)
-        earned &= np.concatenate([g.in_view for g in groups])
+        earned &= tracked.in_view
         return Beliefs(probabilities, description.turn[at], description.turn_sigma[at], earned)
 
     def _smear(self, positions: FloatArray) -> FloatArray:

@@ -8,16 +8,14 @@ updated with the shape matrices' measurement through the measurement model.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import partial
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from sonarrec.config import Features
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.stage3_features import Beliefs, Gathered
-from sonarrec.recogniser.stage3_features.shape_matrix import Bands, turned_codes
-from sonarrec.recogniser.stage3_features.smi import identify, without_none
+from sonarrec.recogniser.stage3_features.smi import Identification, without_none
 from sonarrec.records import BoolArray, FloatArray, Groups
 
 # Measurement models, rows k = true ID, columns j = measured ID.
@@ -37,6 +35,7 @@ TABLE_3 = np.array(  # range window 2.50 m
         [0.1681, 0.2485, 0.2515, 0.3319],
     ]
 )
+Identify = Callable[[FloatArray, BoolArray], Identification]
 LEAST_PREDICTED = 1e-300  # belief; 0 / 0 is avoided
 PAPER_SECTORS = ((1, 0, 0, 0), (1, 0, 1, 0), (1, 1, 0, 0), (1, 1, 1, 0))
 
@@ -126,11 +125,11 @@ class PublishedMeasurement:
     """The similarities of each frame by itself, and the beliefs that Eq. 5 to 8 make of them."""
 
     def __init__(
-        self, config: Features, bands: Bands, landmarks: LandmarkSet, window_m: float
+        self, config: Features, identify: Identify, landmarks: LandmarkSet, window_m: float
     ) -> None:
-        """bands: of ShapeSampler. window_m: length of the range window."""
+        """identify: SMI of (n, L, ANGLES) matrices. window_m: length of the range window."""
         self._least_ring = config.least_ring
-        self._identify = partial(identify, bands=bands, turned=turned_codes(landmarks))
+        self._identify = identify
         self._estimator = FeatureEstimator(config, measurement_model(landmarks, window_m))
 
     def gather(

@@ -63,7 +63,7 @@ class TrackMatrix:
 
         Tracks that are neither in view nor remembered are forgotten.
         """
-        steps, _ = whole_steps(groups.sights)
+        steps, _ = whole_steps(groups.sight_deg)
         grey, seen = _turned(grey, steps), _turned(seen, steps)
         place = {number: i for i, number in enumerate(self._numbers)}
         numbers, remembered = groups.numbers.tolist(), groups.remembered.tolist()
