@@ -67,6 +67,28 @@ class Description:
     """(n, K) its standard error, in steps."""
 
 
+@dataclass(frozen=True, slots=True)
+class _Bands:
+    """Symbol, ring, gap and the floor outside (4 bands, in this order) of n averaged matrices."""
+
+    profiles: FloatArray
+    """(4, n, ANGLES) mean over each band's lines."""
+    weights: FloatArray
+    """(4, n, ANGLES) how often their cells were seen."""
+    levels: FloatArray
+    """(4, n) mean round the disc."""
+
+    @property
+    def ring_over_gap(self) -> FloatArray:
+        """(n,) contrast of the ring."""
+        return np.asarray(self.levels[1] - self.levels[2])
+
+    @property
+    def contrast(self) -> FloatArray:
+        """(n,) the same, not so small that shares of it explode."""
+        return np.maximum(self.ring_over_gap, LEAST_CONTRAST)
+
+
 class _Parts:
     """Means over equal parts of the circle, at every rotation."""
 
@@ -117,7 +139,6 @@ class Describer:
         self._halves = np.repeat(table, 2, axis=1)
         self._in_sector, self._in_half = (_Parts(n * table.shape[1]) for n in (1, 2))
 
-    # Long, so that all FEATURES are computed in one place.
     def __call__(
         self, average: FloatArray, count: FloatArray, existence: FloatArray, smear: FloatArray
     ) -> Description:
@@ -128,24 +149,47 @@ class Describer:
         """
         frames = np.maximum(count.max(axis=(1, 2)), 0.5)
         count = count * self._area
-        profiles, weights = self._profiles(average, count)
-        symbol, ring, gap, outer = profiles
-        weight, ring_weight, gap_weight, outer_weight = weights
-        _, ring_level, gap_level, outer_level = _level(profiles, weights)
-        contrast = np.maximum(ring_level - gap_level, LEAST_CONTRAST)
-        ring_spread = np.sqrt(_level((ring - ring_level[:, None]) ** 2, ring_weight))
-        seen = np.minimum(ring_weight, 1.0)
-        weakest = _weakest_quarter(ring - 0.5 * (gap + outer), seen)
-        weakest_over_gap = _weakest_quarter(ring - gap, seen * (gap_weight > 0))
-
-        objects, ids = len(average), self._codes.shape[1]
+        bands = self._bands(average, count)
         lines = self._expected.lines
         correlation, rival = self._expected.correlation(
             average[:, lines], count[:, lines] > 0, smear
         )
         turn = settled(correlation).argmax(axis=1)  # (n, K)
-        best = correlation[np.arange(objects)[:, None], turn, np.arange(ids)]
-        code = self._codes[turn, np.arange(ids)]  # (n, K, ANGLES)
+        best = correlation[np.arange(len(turn))[:, None], turn, np.arange(turn.shape[1])]
+        # (n, K), or (n,) where it is the same of every ID
+        values = {
+            "correlation": best,
+            "rival_misfit": np.log(_unexplained(best) / _unexplained(rival)[:, None]),
+            **self._of_symbol(average, count, bands, turn),
+            **_of_ring(bands, frames),
+            "log_frames": np.log(frames),
+            "existence": np.log(existence / (1 - existence)),
+        }
+        features = np.empty((*turn.shape, len(FEATURES)))
+        for i, name in enumerate(FEATURES):
+            value = values[name]
+            features[:, :, i] = value if value.ndim == 2 else value[:, None]
+        exact, turn_sigma = _exact_turn(correlation, turn, best)
+        return Description(np.clip(features, -LIMIT, LIMIT), exact, turn_sigma)
+
+    def _bands(self, average: FloatArray, count: FloatArray) -> _Bands:
+        """The matrices' bands: the mean over each one's lines, and how often cells were seen."""
+        weights = np.add.reduceat(count, self._starts, axis=1).swapaxes(0, 1)
+        profiles = np.add.reduceat(average * count, self._starts, axis=1).swapaxes(0, 1)
+        profiles = profiles / np.maximum(weights, 1e-9)
+        return _Bands(profiles, weights, _level(profiles, weights))
+
+    def _of_symbol(
+        self, average: FloatArray, count: FloatArray, bands: _Bands, turn: IndexArray
+    ) -> dict[str, FloatArray]:
+        """The features of the symbol, each (n, K), under each ID at its best turn (n, K).
+
+        average, count: (n, L, ANGLES), the count weighted by the cells' area.
+        """
+        symbol, _, gap, outer = bands.profiles
+        weight, _, gap_weight, outer_weight = bands.weights
+        gap_level = bands.levels[2]
+        ids = np.arange(turn.shape[1])
         # The symbol counted from the gap's level, locally, and from the floor: (3, n, ANGLES).
         floor = 0.5 * outer + 0.25 * (outer[:, BEFORE] + outer[:, AFTER])
         counted = np.stack([symbol - gap_level[:, None], symbol - gap, symbol - floor])
@@ -153,60 +197,50 @@ class Describer:
         dark, steps, textures = _regress(
             np.concatenate([counted[0][:, None], average[:, self._step_lines]], axis=1),
             np.concatenate([weight[:, None], count[:, self._step_lines]], axis=1),
-            code,
+            self._codes[turn, ids],
         )
         dark, step, texture = dark[..., 0], steps[..., 0], textures[..., 0]
         level, shown = self._in_sector.levels(counted, known, turn)
         brightest_dark = _most(level, shown & ~self._sectors)
-        darkest_bright = -_most(-level[1], shown[1] & self._sectors)
         half, half_shown = self._in_half.levels(counted[1:2], known[1:2], turn)
-        brightest_dark_half = _most(half[0], half_shown[0] & ~self._halves)
-        darkest_bright_half = -_most(-half[0], half_shown[0] & self._halves)
-        edge, weakest_edge = _steepness(symbol, weight, self._edges[turn, np.arange(ids)])
-
-        odds = existence / (1 - existence)
-        rival_misfit = np.log(_unexplained(best) / _unexplained(rival)[:, None])
-        over_ring = dark + step - (ring_level - gap_level)[:, None]
-        share = 1 / contrast[:, None]
-        values = {  # (n, K), or (n,) where it is the same of every ID
-            "correlation": best,
-            "rival_misfit": rival_misfit,
+        edge, weakest_edge = _steepness(symbol, weight, self._edges[turn, ids])
+        over_ring = dark + step - bands.ring_over_gap[:, None]
+        share = 1 / bands.contrast[:, None]
+        return {
             "step": step,
             "weakest_line_step_share": steps[..., 1:].min(axis=-1) * share,
             "dark_over_gap": dark,
             "bright_over_ring": over_ring,
             "bright_over_ring_share": over_ring * share,
-            "local_weakest_bright": darkest_bright,
+            "local_weakest_bright": -_most(-level[1], shown[1] & self._sectors),
             "strongest_dark": brightest_dark[0],
             "local_strongest_dark": brightest_dark[1],
             "strongest_dark_over_floor": brightest_dark[2],
-            "weakest_bright_half_share": darkest_bright_half * share,
-            "strongest_dark_half_share": brightest_dark_half * share,
+            "weakest_bright_half_share": -_most(-half[0], half_shown[0] & self._halves) * share,
+            "strongest_dark_half_share": _most(half[0], half_shown[0] & ~self._halves) * share,
             "edge": edge,
             "weakest_edge": weakest_edge,
             "texture": texture,
             "texture_share": texture * share,
-            "ring_over_floor": ring_level - outer_level,
-            "ring_over_gap": ring_level - gap_level,
-            "weakest_ring": weakest,
-            "weakest_ring_over_gap": weakest_over_gap,
-            "weakest_ring_by_frames": weakest * np.maximum(np.log(frames), 0),
-            "ring_texture_share": ring_spread / contrast,
-            "log_frames": np.log(frames),
-            "existence": np.log(odds),
         }
-        features = np.empty((objects, ids, len(FEATURES)))
-        for i, name in enumerate(FEATURES):
-            value = values[name]
-            features[:, :, i] = value if value.ndim == 2 else value[:, None]
-        exact, turn_sigma = _exact_turn(correlation, turn, best)
-        return Description(np.clip(features, -LIMIT, LIMIT), exact, turn_sigma)
 
-    def _profiles(self, average: FloatArray, count: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(bands, n, ANGLES) mean over each band's lines, and how often its cells were seen."""
-        weights = np.add.reduceat(count, self._starts, axis=1).swapaxes(0, 1)
-        profiles = np.add.reduceat(average * count, self._starts, axis=1).swapaxes(0, 1)
-        return profiles / np.maximum(weights, 1e-9), weights
+
+def _of_ring(bands: _Bands, frames: FloatArray) -> dict[str, FloatArray]:
+    """The features of the ring, each (n,). frames: (n,) gathered."""
+    _, ring, gap, outer = bands.profiles
+    _, ring_weight, gap_weight, _ = bands.weights
+    _, ring_level, _, outer_level = bands.levels
+    spread = np.sqrt(_level((ring - ring_level[:, None]) ** 2, ring_weight))
+    seen = np.minimum(ring_weight, 1.0)
+    weakest = _weakest_quarter(ring - 0.5 * (gap + outer), seen)
+    return {
+        "ring_over_floor": ring_level - outer_level,
+        "ring_over_gap": bands.ring_over_gap,
+        "weakest_ring": weakest,
+        "weakest_ring_over_gap": _weakest_quarter(ring - gap, seen * (gap_weight > 0)),
+        "weakest_ring_by_frames": weakest * np.maximum(np.log(frames), 0),
+        "ring_texture_share": spread / bands.contrast,
+    }
 
 
 def _unexplained(correlation: FloatArray) -> FloatArray:
