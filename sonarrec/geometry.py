@@ -14,7 +14,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from sonarrec.records import BoolArray, ByteImage, Fan, FloatArray, SonarrecError
+from sonarrec.records import BoolArray, ByteImage, Fan, FloatArray, PolarImages, SonarrecError
 from sonarrec.sonar import Geometry
 
 MAX_FAN_PIXELS = 2**24
@@ -144,10 +144,10 @@ def fan_mask(fan: Fan) -> ByteImage:
 
 
 def row_bands(shape: tuple[int, int]) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
-    """An image's rows a few at a time: what is worked out in between takes little memory then.
+    """An image's rows a few at a time, so that intermediate arrays take little memory.
 
-    shape: (rows, columns). Yields the band's rows, and their pixels' row (n, 1) and column
-    (columns,).
+    shape: (rows, columns). Yields which rows the band has, and the rows (n, 1) and columns
+    (columns,) of its pixels.
     """
     rows, columns = shape
     column = np.arange(columns, dtype=float)
@@ -179,8 +179,8 @@ class Resampling:
     """
 
     def __init__(self, shape: tuple[int, int], shrink: tuple[int, int] = (1, 1)) -> None:
-        """shape: (rows, columns) of what is made. shrink: (along rows, along columns) by how many
-        pixels images are shrunk first: their mean has less speckle than the pixels picked here.
+        """shape: (rows, columns) of what is made. shrink: (down, across) how many pixels are first
+        averaged: their mean has less speckle than single pixels picked here.
         """
         self._shrink = shrink
         self._columns = np.full((*shape, 2), BEYOND, np.int16)
@@ -205,16 +205,18 @@ class Resampling:
             # Whole blocks only: a remainder would shift the scale by a part of a pixel.
             rows, columns = (-side % by for side, by in zip(image.shape, self._shrink, strict=True))
             if rows or columns:
-                image = cv2.copyMakeBorder(image, 0, rows, 0, columns, cv2.BORDER_REPLICATE)  # type: ignore[assignment]
+                filled = cv2.copyMakeBorder(image, 0, rows, 0, columns, cv2.BORDER_REPLICATE)
+                image = np.asarray(filled, np.uint8)
             size = (image.shape[1] // self._shrink[1], image.shape[0] // self._shrink[0])
-            image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)  # type: ignore[assignment]
-        return cv2.remap(  # type: ignore[return-value]
+            image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+        resampled = cv2.remap(
             image, self._columns, self._weights, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT
         )
+        return np.asarray(resampled, np.uint8)
 
 
-class PolarToFan:
-    """How a log's polar images (rows = range bins, nearest first; columns = beams) fill its fan."""
+class PolarToFan(PolarImages):
+    """Evenly spaced bins and beams, or as `bearings_deg` and `ranges_m` of the geometry say."""
 
     def __init__(
         self, sonar: Geometry, range_bins: int, beams: int, fan: Fan | None = None
@@ -255,31 +257,23 @@ class PolarToFan:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """(range bins, beams) of the images."""
         return self._range_bins, self._beams
 
     @property
     def bin_m(self) -> float:
-        """Metres of slant range from one range bin to the next, on average."""
         return self._own.metres_per_pixel
 
     @property
     def ranges_m(self) -> FloatArray:
-        """(range bins,) their slant ranges, m."""
         return bin_ranges(self._sonar, self._range_bins)
 
     @property
     def beam_deg(self) -> float:
-        """Degrees from one beam to the next, on average."""
         return (self._own.bearing_max_deg - self._own.bearing_min_deg) / self._beams
 
     def pixel(
         self, range_m: FloatArray, bearing_deg: FloatArray
     ) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """(beam, range bin, whether the polar images show it) of slant ranges (m), bearings (deg).
-
-        Half a bin beyond the outermost centres counts as there. The arguments have one shape.
-        """
         sonar, own = self._sonar, self._own
         if sonar.bearings_deg is None:
             span = own.bearing_max_deg - own.bearing_min_deg
@@ -309,7 +303,6 @@ class PolarToFan:
         return resampling
 
     def __call__(self, polar: ByteImage) -> ByteImage:
-        """(range_bins, beams) uint8 to (fan.rows, fan.columns) uint8; 0 outside the fan."""
         return self._resampling(polar)
 
 
@@ -340,3 +333,10 @@ def ground_range(fan: Fan, range_m: FloatArray | float) -> FloatArray:
 def slant_range(fan: Fan, ground_m: FloatArray | float) -> FloatArray:
     """Slant range (m) of floor points at ground range (m): the inverse of ground_range."""
     return np.asarray(np.hypot(np.asarray(ground_m, dtype=float), floor_depth(fan)))
+
+
+def points_on_disc(radius_m: float, count: int) -> tuple[FloatArray, FloatArray]:
+    """(count,) right and ahead of its centre, m: points spread evenly, as a sunflower's seeds."""
+    n = np.arange(count) + 0.5
+    distance, turn = radius_m * np.sqrt(n / count), n * (np.pi * (3 - math.sqrt(5)))
+    return distance * np.cos(turn), distance * np.sin(turn)

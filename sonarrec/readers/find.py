@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from sonarrec.readers.bag_folder import bag_files, is_bag_folder
+from sonarrec.readers.bag_folder import BagFolder, bag_files, is_bag_folder
 from sonarrec.readers.ddf.frames import DdfFrames
 from sonarrec.readers.images import ImageFiles, ImagePaths, is_image, natural_order
 from sonarrec.readers.oculus import OculusPings
@@ -48,8 +48,6 @@ def _ros_bag(path: Path, at: Path) -> Recording:
 
 
 def _bag_folder(path: Path, _: Path) -> Recording:
-    from sonarrec.readers.bag_folder import BagFolder
-
     return BagFolder(path, open_recording)
 
 

@@ -14,7 +14,7 @@ from sonarrec.recogniser.stage3_features import likeliest
 from sonarrec.recogniser.stage3_features.opinions import NOW, SO_FAR, Opinion, Opinions
 from sonarrec.records import Estimate, FloatArray, FrameResult
 
-LEAST_BORNE_OUT = 0.5  # least mean belief of a track's frames in the ID that all of them get
+LEAST_BORNE_OUT = 0.5  # least mean belief of a track's frames in the ID that all of them are given
 
 
 @dataclass
@@ -33,7 +33,7 @@ class _Opinion(Opinion):
         return np.asarray(pool / pool.sum())
 
     def join(self, other: Self) -> None:
-        """Take in what other frames of the same object said."""
+        """Take in the beliefs of other frames of the same object."""
         super().join(other)
         self.beliefs_sum += other.beliefs_sum
         for landmark, turn in other.turns.items():
@@ -51,10 +51,10 @@ class Hindsight:
     (see Opinion). The last frame's belief would not do: a track is known badly as it leaves the
     view, and where it is mistaken for another on its return.
 
-    Frames stay as they were where most of them speak against the pool's ID. An ID is never declared
-    in a frame where too little of its object is in view. Where a track comes back with another
-    picture, another object has taken up its number: a belief holds for one chapter of a track (see
-    Gathered).
+    Where most frames do not believe in the pool's ID, they stay as they were. An ID is never
+    declared in a frame where too little of its object is in view. Where a track comes back with
+    another picture, another object has taken up its number: so a belief holds for one chapter of a
+    track alone (see Gathered).
 
     lag: how many frames a result waits for its revision.
     """
@@ -64,10 +64,10 @@ class Hindsight:
         self.lag = config.features.lag_frames
         self._threshold = config.features.declare
         self._ids = landmarks.ids
-        self._opinions = Opinions(self._unheard)
+        self._opinions = Opinions(self._no_opinion)
         self._frame = 0  # counted: the numbers of a log's frames may jump
 
-    def _unheard(self) -> _Opinion:
+    def _no_opinion(self) -> _Opinion:
         none = np.zeros((2, len(self._ids) + 1))
         return _Opinion(none[0], beliefs_sum=none[1])
 

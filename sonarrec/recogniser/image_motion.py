@@ -65,12 +65,12 @@ class _Evidence:
         return cls(np.zeros(2), np.zeros((2, 2)))
 
     def add(self, found: Registered) -> float:
-        """Take in a frame. Returns the chi-square, of 2 degrees of freedom, of not standing."""
+        """Take in a frame. Returns the chi-square, of 2 degrees of freedom, of a motion so far."""
         information = np.linalg.inv(found.covariance[:2, :2] + 1e-9 * np.eye(2))
         self.vector = KEEP * self.vector + information @ found.motion[:2]
         self.matrix = KEEP * self.matrix + information
         inverse = np.linalg.inv(self.matrix)
-        # So much less does the faded mean of independent frames vary than inverse says.
+        # The faded mean of independent frames varies less than `inverse` says, by this factor.
         self.sigma = np.sqrt(np.diag(inverse) / (1 + KEEP))
         return float(self.vector @ inverse @ self.vector) * (1 + KEEP)
 
@@ -95,7 +95,7 @@ class ImageMotion:
         self._pause = self._since_search = 0  # frames between searches, and since the last
 
     def step(self, image: ByteImage, seconds: float | None) -> Motion | None:
-        """The motion since the last image; where it cannot be measured under way, the speed stays.
+        """The motion since the last image; under way, where it is not measured, by the last speed.
 
         image: the working image. seconds: since the last one, None for the first, which has none.
         """

@@ -35,6 +35,10 @@ from sonarrec.records import (
     SonarrecError,
 )
 
+Values = FloatArray | float
+Pair = tuple[FloatArray, FloatArray]
+"""(column, row), or (slant range, bearing)."""
+
 
 class Plane(ABC):
     """From a frame to the working image; places in it to slant range and bearing, and back."""
@@ -57,34 +61,26 @@ class Plane(ABC):
         """The working image, `shape` uint8, of a Frame's `pixels` (uint8) and `polar`."""
 
     @abstractmethod
-    def to_polar(
-        self, column: FloatArray | float, row: FloatArray | float
-    ) -> tuple[FloatArray, FloatArray]:
+    def to_polar(self, column: Values, row: Values) -> Pair:
         """(slant range in m, bearing in deg) of working pixels; shapes broadcast."""
 
     @abstractmethod
-    def from_polar(
-        self, range_m: FloatArray, bearing_deg: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
+    def from_polar(self, range_m: FloatArray, bearing_deg: FloatArray) -> Pair:
         """(column, row) in working pixels of slant ranges (m) and bearings (deg)."""
 
     @abstractmethod
-    def to_fan(
-        self, column: FloatArray | float, row: FloatArray | float
-    ) -> tuple[FloatArray, FloatArray]:
+    def to_fan(self, column: Values, row: Values) -> Pair:
         """(column, row) in fan pixels of working pixels; shapes broadcast."""
 
     @abstractmethod
-    def _slant_per_pixel(self, position: FloatArray, distance: FloatArray) -> FloatArray | float:
-        """By how many metres slant range grows with a pixel away from the sonar.
+    def _slant_per_pixel(self, position: FloatArray, distance: FloatArray) -> Values:
+        """By how many metres the slant range grows with one pixel away from the sonar.
 
         position: (n, 2) working pixels. distance: (n,) theirs from the apex, in pixels.
         """
 
     @abstractmethod
-    def _carried(
-        self, column: FloatArray, row: FloatArray, motion: Motion
-    ) -> tuple[FloatArray, FloatArray]:
+    def _carried(self, column: FloatArray, row: FloatArray, motion: Motion) -> Pair:
         """(column, row) of still objects once the sonar was carried, before it turns."""
 
     def disc_share(self) -> FloatImage:
@@ -97,7 +93,7 @@ class Plane(ABC):
         )
         return np.asarray(share, np.float32)
 
-    def polar_sigma(self, position: FloatArray, sigma: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def polar_sigma(self, position: FloatArray, sigma: FloatArray) -> Pair:
         """Standard errors (n,) in slant range (m) and bearing (deg) of (n, 2) working pixels.
 
         sigma: (n, 2) (across, along) in disc diameters.
@@ -157,31 +153,23 @@ class FanPlane(Plane):
     def warp(self, pixels: ByteImage, polar: PolarImages | None = None) -> ByteImage:
         return pixels if polar is None else polar(pixels)
 
-    def to_polar(
-        self, column: FloatArray | float, row: FloatArray | float
-    ) -> tuple[FloatArray, FloatArray]:
+    def to_polar(self, column: Values, row: Values) -> Pair:
         return polar_from_pixel(self.fan, column, row)
 
-    def from_polar(
-        self, range_m: FloatArray, bearing_deg: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
+    def from_polar(self, range_m: FloatArray, bearing_deg: FloatArray) -> Pair:
         return pixel_from_polar(self.fan, range_m, bearing_deg)
 
-    def to_fan(
-        self, column: FloatArray | float, row: FloatArray | float
-    ) -> tuple[FloatArray, FloatArray]:
+    def to_fan(self, column: Values, row: Values) -> Pair:
         return np.asarray(column, dtype=float), np.asarray(row, dtype=float)
 
     def _slant_per_pixel(
         self,
         position: FloatArray,  # noqa: ARG002
         distance: FloatArray,  # noqa: ARG002
-    ) -> FloatArray | float:
+    ) -> Values:
         return self.fan.metres_per_pixel
 
-    def _carried(
-        self, column: FloatArray, row: FloatArray, motion: Motion
-    ) -> tuple[FloatArray, FloatArray]:
+    def _carried(self, column: FloatArray, row: FloatArray, motion: Motion) -> Pair:
         range_m, bearing_deg = self.to_polar(column, row)
         ground = np.nan_to_num(ground_range(self.fan, range_m))  # nearer than the floor: below
         bearing = np.radians(bearing_deg)
@@ -204,7 +192,7 @@ class FloorPlane(Plane):
         radius_px = radius_m / fan.metres_per_pixel
         self.scale = min(1.0, disc_radius_px / radius_px)
         self.axes = (radius_px * self.scale, radius_px * self.scale)
-        self._metres = fan.metres_per_pixel / self.scale
+        self._pixel_m = fan.metres_per_pixel / self.scale
         nearest = max(fan.range_min_m, STEEPEST * floor_depth(fan))
         if nearest >= fan.range_max_m:
             raise SonarrecError(
@@ -214,9 +202,9 @@ class FloorPlane(Plane):
             )
         near, far = (float(ground_range(fan, r)) for r in (nearest, fan.range_max_m))
         edges = np.radians([fan.bearing_min_deg, fan.bearing_max_deg])
-        left, right = far * np.sin(edges) / self._metres
-        bottom = near * np.cos(edges).min() / self._metres
-        self.apex = (-math.floor(left), math.ceil(far / self._metres))
+        left, right = far * np.sin(edges) / self._pixel_m
+        bottom = near * np.cos(edges).min() / self._pixel_m
+        self.apex = (-math.floor(left), math.ceil(far / self._pixel_m))
         rows = self.apex[1] - math.floor(bottom) + 1
         self.shape = (rows, math.ceil(right) + self.apex[0] + 1)
         floor = np.empty(self.shape, np.uint8)
@@ -239,18 +227,20 @@ class FloorPlane(Plane):
     def _lay_out(self, polar: PolarImages | None) -> None:
         """Prepare for frames whose `polar` is this.
 
-        A floor pixel is to be the mean of what it covers. So images are shrunk by whole blocks
-        first. Beams lie the closer the nearer they are: across them a blur takes the blocks' place.
+        A floor pixel is to be the mean of what it covers. So images are first shrunk by whole
+        blocks. Beams lie the closer together the nearer the range: across them a blur whose width
+        depends on the range does what the blocks do along it.
         """
-        metres, across = self._metres, 1
-        pixel_m = self.fan.metres_per_pixel if polar is None else polar.bin_m
-        along = max(1, round(metres / pixel_m))
+        along_m = self.fan.metres_per_pixel if polar is None else polar.bin_m
+        across, along = 1, max(1, round(self._pixel_m / along_m))
         self._polar, self._blur = polar, None
         if polar is None:
             across = along
         else:
-            ground = np.maximum(np.nan_to_num(ground_range(self.fan, polar.ranges_m)), metres)
-            covered = metres / (np.radians(polar.beam_deg) * ground)  # beams in a pixel
+            ground = np.maximum(
+                np.nan_to_num(ground_range(self.fan, polar.ranges_m)), self._pixel_m
+            )
+            covered = self._pixel_m / (np.radians(polar.beam_deg) * ground)  # beams in a pixel
             # As variances, in beams squared: a mean of three beams has 2/3; a mean over a floor
             # pixel and the look-up between two of them have covered^2 (1/12 + 1/6).
             share = np.minimum(3 / 8 * covered**2, 1).astype(np.float32)
@@ -276,37 +266,29 @@ class FloorPlane(Plane):
             pixels = np.asarray(cv2.blendLinear(blurred, pixels, *self._blur), np.uint8)
         return self._resampling(pixels)
 
-    def to_polar(
-        self, column: FloatArray | float, row: FloatArray | float
-    ) -> tuple[FloatArray, FloatArray]:
-        across = (np.asarray(column, dtype=float) - self.apex[0]) * self._metres
-        along = (self.apex[1] - np.asarray(row, dtype=float)) * self._metres
+    def to_polar(self, column: Values, row: Values) -> Pair:
+        across = (np.asarray(column, dtype=float) - self.apex[0]) * self._pixel_m
+        along = (self.apex[1] - np.asarray(row, dtype=float)) * self._pixel_m
         return (
             slant_range(self.fan, np.hypot(across, along)),
             np.degrees(np.arctan2(across, along)),
         )
 
-    def from_polar(
-        self, range_m: FloatArray, bearing_deg: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        distance = ground_range(self.fan, range_m) / self._metres
+    def from_polar(self, range_m: FloatArray, bearing_deg: FloatArray) -> Pair:
+        distance = ground_range(self.fan, range_m) / self._pixel_m
         bearing = np.radians(bearing_deg)
         return self.apex[0] + distance * np.sin(bearing), self.apex[1] - distance * np.cos(bearing)
 
-    def to_fan(
-        self, column: FloatArray | float, row: FloatArray | float
-    ) -> tuple[FloatArray, FloatArray]:
+    def to_fan(self, column: Values, row: Values) -> Pair:
         return pixel_from_polar(self.fan, *self.to_polar(column, row))
 
-    def _slant_per_pixel(self, position: FloatArray, distance: FloatArray) -> FloatArray | float:
-        # It grows with the way along the floor by the cosine of the grazing angle.
-        metres = self._metres
-        return np.asarray(metres * distance * metres / self.to_polar(*position.T)[0])
+    def _slant_per_pixel(self, position: FloatArray, distance: FloatArray) -> Values:
+        # A step along the floor times the cosine of the grazing angle, ground over slant range.
+        ground_m = self._pixel_m * distance
+        return np.asarray(ground_m * self._pixel_m / self.to_polar(*position.T)[0])
 
-    def _carried(
-        self, column: FloatArray, row: FloatArray, motion: Motion
-    ) -> tuple[FloatArray, FloatArray]:
-        return column - motion.right_m / self._metres, row + motion.ahead_m / self._metres
+    def _carried(self, column: FloatArray, row: FloatArray, motion: Motion) -> Pair:
+        return column - motion.right_m / self._pixel_m, row + motion.ahead_m / self._pixel_m
 
 
 def working_plane(kind: str, fan: Fan, radius_m: float, disc_radius_px: float) -> Plane:

@@ -1,4 +1,4 @@
-"""The three stages on one screen."""
+"""The three stages of one preset over the frames of one log, on one screen."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ class Recogniser:
         return self.stage3([self.stage2(self.stage1(frame, self.working_image(frame)))])[0]
 
     def working_image(self, frame: Frame) -> ByteImage:
-        """What stage 1 works on: any frame in the working plane."""
+        """The frame in the working plane: what stage 1 works on. Of any frame."""
         return self._plane.warp(frame.pixels, frame.polar)
 
     def stage1(self, frame: Frame, image: ByteImage) -> AfterStage1:
@@ -141,7 +141,8 @@ class Recogniser:
     def stage3(self, frames: Sequence[AfterStage2]) -> list[FrameResult]:
         """Bayesian feature estimation (Section 3.4): which landmark is each object?
 
-        Of the log's next frames, one or more. How they are split into calls changes rounding alone.
+        Of the log's next frames, one or more. Into how many calls they are divided changes nothing
+        but rounding.
         """
         batch = Batch(frames)
         beliefs = self._measurement.beliefs(batch.groups, batch.gathered)

@@ -27,9 +27,9 @@ LEAST_SHARE = 0.02  # least regression slope of the later picture on the earlier
 # Standard deviation of the height's change from frame to frame, m. It moves echoes along the range
 # as surge does, more so the nearer they are.
 HEAVE_M = 0.01
-GRAIN = 4.0  # cells in a grain of speckle: they count as one observation
-# (down, across) blocks of a picture, so large that their residuals are independent: larger than a
-# grain of speckle, and than what leaks from beam to beam.
+GRAIN = 4.0  # cells in a grain of speckle, which count as one observation
+# (down, across) blocks of a picture. Their residuals are independent: a block is larger than a
+# grain of speckle, and wider than beams leak into each other.
 BLOCKS = (8, 12)
 # The quick registration looks at every so many rows, in fewer blocks.
 EVERY = 8
@@ -59,9 +59,9 @@ class Registered:
         return bool((self.sigma > LOOSEST).any())
 
     def translation(self, motion: FloatArray) -> float:
-        """The chi-square, of 2 degrees of freedom, of a motion (3,) not being a turn alone.
+        """The chi-square, of 2 degrees of freedom, of a motion (3,) being more than a turn.
 
-        Its way (right, ahead) is taken to be as exact as this registration's.
+        Its translation is taken to have this registration's covariance.
         """
         way = motion[:2]
         return float(way @ np.linalg.solve(self.covariance[:2, :2], way))
@@ -147,7 +147,7 @@ class FloorRegistration:
         return Registered(rest, inverse @ (blocks @ blocks.T) @ inverse, match)
 
     def _sampled_rows(self, picture: FloatImage) -> FloatImage:
-        """(3, rows, columns) the rows above those of the quick registration, they, those below."""
+        """(3, rows, columns): above each row of the quick registration, that row, and below it."""
         stop = self._quick.stop
         return np.stack([picture[k : stop - 1 + k : EVERY] for k in range(3)])
 

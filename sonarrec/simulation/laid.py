@@ -9,7 +9,7 @@ import numpy as np
 
 from sonarrec.records import BoolArray, FloatArray
 from sonarrec.simulation.grid import PolarGrid, SquareGrid, smooth_noise
-from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene
+from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene, place_of
 
 SILT_EDGE = 0.15  # of smooth noise of unit variance: from bare to covered
 
@@ -37,8 +37,7 @@ class Raised:
     ) -> None:
         """sonar_m: its height. x_m, y_m: of the cells on the floor."""
         lean, towards = math.radians(item.lean_deg), math.radians(item.lean_towards_deg)
-        place = math.radians(item.azimuth_deg)
-        x0, y0 = item.ground_m * math.sin(place), item.ground_m * math.cos(place)
+        x0, y0 = place_of(item)
         right, ahead = math.sin(towards), math.cos(towards)
         floor = np.hypot(x_m, y_m)
         range_ = np.hypot(floor, sonar_m)

@@ -14,6 +14,7 @@ from sonarrec.geometry import (
     ground_range,
     in_image,
     pixel_from_polar,
+    points_on_disc,
     slant_range,
 )
 from sonarrec.landmarks import LandmarkSet
@@ -126,9 +127,8 @@ def _shows(fan: Fan, lit: BoolArray, radius_m: float, ground: float, bearing: fl
     here = Pose(0.0, floor_depth(fan), 0.0, 0.0)
     if visible_share(fan, here, x, y, radius_m) < WHOLE:
         return False
-    n = np.arange(200) + 0.5
-    reach, turn = radius_m * np.sqrt(n / len(n)), n * (np.pi * (3 - math.sqrt(5)))
-    dx, dy = x + reach * np.cos(turn), y + reach * np.sin(turn)
+    dx, dy = points_on_disc(radius_m, 200)
+    dx, dy = x + dx, y + dy
     column, row = pixel_from_polar(
         fan, slant_range(fan, np.hypot(dx, dy)), np.degrees(np.arctan2(dx, dy))
     )

@@ -25,11 +25,12 @@ from sonarrec.simulation.scene import (
     Scene,
     SonarSection,
     check_scene,
+    place_of,
     vertical_beam_db,
 )
 from sonarrec.simulation.symbols import LEARNED_SYMBOLS, OTHER_SYMBOLS
+from sonarrec.simulation.things import object_radius
 from sonarrec.simulation.unlike import UNLIKE_KINDS, made_unlike, vehicle_motion
-from sonarrec.simulation.world import object_radius
 
 KINDS_OF_SCENE = (
     "plain",
@@ -385,9 +386,8 @@ def _cover(landmark: PlacedLandmark, disc_m: float, rng: np.random.Generator) ->
     """Sediment over a tenth to a quarter of a disc, across its rim."""
     away = disc_m * rng.uniform(0.9, 1.15)
     angle = rng.uniform(0, 2 * math.pi)
-    place = math.radians(landmark.azimuth_deg)
-    x = landmark.ground_m * math.sin(place) + away * math.cos(angle)
-    y = landmark.ground_m * math.cos(place) + away * math.sin(angle)
+    x, y = place_of(landmark)
+    x, y = x + away * math.cos(angle), y + away * math.sin(angle)
     return PlacedObject(
         "cover",
         round(math.hypot(x, y), 3),

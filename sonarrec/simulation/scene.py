@@ -170,11 +170,11 @@ class FadingSection:
 class MultipathSection:
     """Echoes by way of the surface, which moves: their speckle is new in every frame."""
 
-    copy_db: Level = -100.0  # of a later, blurred copy of the scene, to the scene; -60: none
+    copy_db: Level = -100.0  # of a later, blurred copy of the scene; none at NO_ECHO_DB or less
     delay_m: Positive = 0.4  # how much farther away it shows
     blur_m: NotNegative = 0.03  # standard deviation in range
     blur_beams: NotNegative = 1.5  # and across
-    band_db: Level = -100.0  # of a band of surface echo, relative to the floor; -60: none
+    band_db: Level = -100.0  # of a band of surface echo, over the floor; likewise
     band_m: Positive = 2.2  # its range; further ones, each 3 dB weaker, follow at band_step_m
     band_step_m: Positive = 0.7
     band_width_m: Positive = 0.05  # standard deviation
@@ -258,6 +258,12 @@ class PlacedObject:
     lean_deg: Lean = 0.0  # as of a landmark
     lean_towards_deg: Finite = 0.0
     silted: Share = 0.0
+
+
+def place_of(item: PlacedLandmark | PlacedObject) -> tuple[float, float]:
+    """(x, y) in m of its centre: right and forward of the floor's origin."""
+    azimuth = math.radians(item.azimuth_deg)
+    return item.ground_m * math.sin(azimuth), item.ground_m * math.cos(azimuth)
 
 
 @dataclass(frozen=True, slots=True)

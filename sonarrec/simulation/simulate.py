@@ -18,7 +18,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from sonarrec.geometry import in_image, pixel_from_polar
+from sonarrec.geometry import in_image, pixel_from_polar, points_on_disc
 from sonarrec.landmarks import load_landmarks
 from sonarrec.records import ByteImage, Fan, FloatArray, SonarrecError, UsageError
 from sonarrec.remote.urls import local
@@ -30,15 +30,19 @@ from sonarrec.simulation.multipath import Multipath, shifted
 from sonarrec.simulation.plane import FLAT, Plane
 from sonarrec.simulation.receiver import Picture, Receiver, vertical_pattern
 from sonarrec.simulation.scene import (
+    PlacedLandmark,
+    PlacedObject,
     Scene,
     check_scene,
     load_scene,
+    place_of,
     scene_fan,
     scene_sonar,
     scene_table,
     travels,
 )
-from sonarrec.simulation.world import View, World, object_radius
+from sonarrec.simulation.things import object_radius
+from sonarrec.simulation.world import View, World
 from sonarrec.sonar import Geometry, Sonar
 
 
@@ -114,14 +118,11 @@ def visible_share(
     plane: Plane = FLAT,
     lean: tuple[float, float] = (0.0, 0.0),
 ) -> float:
-    """Share of a floor disc's area in the fan image: a disc of 2,000 evenly spread points.
+    """Share of a floor disc's area in the fan image.
 
     lean: how far it leans and towards which azimuth, deg; its lower edge touches the floor.
     """
-    n = np.arange(2000) + 0.5
-    radius = radius_m * np.sqrt(n / len(n))
-    angle = n * (np.pi * (3 - math.sqrt(5)))
-    dx, dy = radius * np.cos(angle), radius * np.sin(angle)
+    dx, dy = points_on_disc(radius_m, 2000)
     up: FloatArray | float = 0.0
     if lean[0]:
         tilt, towards = math.radians(lean[0]), math.radians(lean[1])
@@ -139,19 +140,19 @@ def _truth(
     """What shows in a frame, to the digits that gt.csv carries."""
     radius = scene.landmark_set.radius_m
     plane = Plane.of(scene)
+    things: list[tuple[PlacedLandmark | PlacedObject, float]]
     things = [(item, radius) for item in scene.landmarks]
-    things += [(item, object_radius(scene, item)) for item in scene.objects]  # type: ignore[misc]
+    things += [(item, object_radius(scene, item)) for item in scene.objects]
     landmarks, distractors = [], []
     for item, size in things:
-        azimuth = math.radians(item.azimuth_deg)
-        x, y = item.ground_m * math.sin(azimuth), item.ground_m * math.cos(azimuth)
+        x, y = place_of(item)
         lean = (item.lean_deg, item.lean_towards_deg)
         share = round(visible_share(fan, pose, x, y, size, plane, lean), 4)
         if share == 0:
             continue
         seen = plane.seen(pose, x, y, raised_m(item, size))
         row = truth_row(fan, seen, share, item.orientation_deg + pose.pan_deg)
-        if hasattr(item, "kind"):
+        if isinstance(item, PlacedObject):
             distractors.append(DistractorTruth(item.kind, *row))
         else:
             landmarks.append(LandmarkTruth(item.id, *row))

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -15,37 +14,10 @@ from sonarrec.simulation.grid import PolarGrid, SquareGrid, smooth_noise
 from sonarrec.simulation.laid import Raised, ripples, silt_over
 from sonarrec.simulation.motion import Pose
 from sonarrec.simulation.plane import Plane
-from sonarrec.simulation.scene import KINDS, ROUND, SYMBOLS, PlacedLandmark, PlacedObject, Scene
-from sonarrec.simulation.symbols import symbol
+from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene, place_of
+from sonarrec.simulation.things import Canvas, Place, draw_thing, object_radius, size_of
 
 TWIG = 0.12  # half the thickness of debris, in that over which it winds
-
-
-def object_radius(scene: Scene, thing: PlacedObject) -> float:
-    """Radius (m) of the circle that an object's truth and spacing go by."""
-    size, width = _size(scene, thing)
-    return size if thing.kind in ROUND else math.hypot(size, width) / 2
-
-
-def _size(scene: Scene, thing: PlacedObject) -> tuple[float, float]:
-    size, width, _, _ = KINDS[thing.kind]
-    size = thing.size_m or size or scene.landmark_set.radius_m
-    return size, thing.width_m or width or size
-
-
-class Place(NamedTuple):
-    """Where the cells of a box lie on a thing: (box) arrays.
-
-    u, v: along and across it, in its radius_m. rho: from its middle. line: how far that way is the
-    line of sight, -1 to 1. facing: dB that ring edges which face the sonar gain.
-    """
-
-    u: np.ndarray
-    v: np.ndarray
-    rho: np.ndarray
-    line: np.ndarray
-    facing: np.ndarray
-    radius_m: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,13 +112,11 @@ class World:
     ) -> None:
         """Lay one thing on the floor: its level (dB), its number, its height and relief (m)."""
         scene, grid = self._scene, self._grid
-        place = math.radians(item.azimuth_deg)
-        x0, y0 = item.ground_m * math.sin(place), item.ground_m * math.cos(place)
+        x0, y0 = place_of(item)
         if isinstance(item, PlacedLandmark):
-            radius = scene.landmark_set.radius_m
-            reach = radius
+            radius = reach = scene.landmark_set.radius_m
         else:
-            radius, _ = _size(scene, item)
+            radius, _ = size_of(scene, item)
             reach = object_radius(scene, item)
         box = grid.box(item.ground_m, item.azimuth_deg, reach)
         dx, dy = grid.x_m[box] - x0, grid.y_m[box] - y0
@@ -157,91 +127,20 @@ class World:
         turn = math.radians(item.orientation_deg)
         u = (dx * math.cos(turn) + dy * math.sin(turn)) / radius
         v = (-dx * math.sin(turn) + dy * math.cos(turn)) / radius
-        rho = np.hypot(u, v)
         # Edges that face the sonar, near and far, send more of the sound back.
         line = (dx * x0 + dy * y0) / (np.maximum(np.hypot(dx, dy), 1e-6) * item.ground_m)
         facing = scene.fading.specular_db * (np.abs(line) - 0.5)
-        out, who, tall, rough = level[box], owner[box], height[box], relief[box]
-        texture = out.copy()
-
-        def paint(where: np.ndarray, value: FloatArray | float, gravel_m: float = 0.0) -> None:
-            # Below 0: bumps only, above what lies there.
-            rough[where] = -gravel_m
-            shade = np.broadcast_to(np.asarray(value, dtype=np.float32), where.shape)
-            out[where] = (shade + 0.5 * texture)[where]
-            who[where] = number
-
-        self._paint(item, number, Place(u, v, rho, line, facing, radius), paint, tall)
-        mine = who == number
+        place = Place(u, v, np.hypot(u, v), line, facing, radius)
+        canvas = Canvas(place, number, level[box], owner[box], height[box], relief[box])
+        draw_thing(item, scene, canvas)
+        mine = canvas.owner == number
         if raised is not None and self._lifted is not None:
-            out[mine] += raised.lit_db(scene.fading.specular_db)[mine]
+            canvas.level[mine] += raised.lit_db(scene.fading.specular_db)[mine]
             self._lifted[box][mine] = raised.lifted_m[mine]
         if item.silted and self._silt is not None:
             silt = silt_over(self._silt[box], mine, item.silted)
-            out += silt * (texture - out)
-            who[silt > 0.5] = -1
-
-    def _paint(
-        self,
-        item: PlacedLandmark | PlacedObject,
-        number: int,
-        at: Place,
-        paint: Callable[..., None],
-        tall: np.ndarray,
-    ) -> None:
-        """Paint a thing's parts, dB over the floor, and say how tall they are: a branch a kind."""
-        u, v, rho, line, facing, radius = at
-        discs = self._scene.landmark_set
-        ring = (rho >= discs.ring[0]) & (rho <= discs.ring[1])
-        angle = np.arctan2(v, u)
-        if isinstance(item, PlacedLandmark):
-            k = discs.ids.index(item.id)
-            bright = discs.pattern(k, u, v) > 0.5
-            paint(rho <= 1, item.plate_db)
-            paint(bright & ~ring, item.symbol_db, item.relief_m)
-            paint(ring, item.bright_db + facing, item.relief_m)
-            return
-        _, _, tallness, usual = KINDS[item.kind]
-        bright_db = usual if item.bright_db is None else item.bright_db
-        long, wide = np.abs(u) * 2, np.abs(v) * 2 * radius / _size(self._scene, item)[1]
-        if item.kind in ("blank", "spokes", "half_ring", *SYMBOLS):
-            paint(rho <= 1, item.plate_db)
-            if item.kind == "half_ring":
-                ring &= angle >= 0
-            paint(ring, bright_db + facing, item.relief_m)
-            if item.kind in SYMBOLS:
-                x, y = u / discs.symbol[1], v / discs.symbol[1]
-                bright = symbol(item.kind, item.number, discs, x, y) & (rho >= discs.symbol[0])
-                paint(bright, bright_db - 1, item.relief_m)
-            if item.kind == "spokes":
-                across = np.minimum(np.abs(u), np.abs(v))
-                paint((across < 0.07) & (rho >= 0.12) & (rho <= discs.symbol[1]), bright_db)
-        elif item.kind in ("filled", "cover"):
-            paint(rho <= 1, bright_db, item.relief_m)
-        elif item.kind == "stone":
-            # Rounded: brightest in the middle of the side that faces the sonar.
-            inside = rho <= 1 + 0.25 * np.sin(3 * angle + number) + 0.1 * np.sin(7 * angle)
-            paint(inside, bright_db - 2 * rho - 2 * line * rho)
-            tall[inside] = tallness * radius / 0.05
-        elif item.kind == "tyre":
-            torus = (rho <= 1) & (rho >= 0.55)
-            paint(torus, bright_db + facing - 6 * ((rho - 0.78) / 0.22) ** 2)
-            tall[torus] = tallness * np.sqrt(np.maximum(1 - ((rho[torus] - 0.775) / 0.23) ** 2, 0))
-        elif item.kind == "mesh":
-            inside = (long <= 1) & (wide <= 1)
-            wire_m, gap_m = 0.012, 0.05
-            su, sv = np.mod(u * radius, gap_m), np.mod(v * radius, gap_m)
-            wire = inside & ((su < wire_m) | (sv < wire_m))
-            paint(inside, -3.0)
-            paint(wire, bright_db)
-        elif item.kind == "beam":
-            inside = (long <= 1) & (wide <= 1)
-            paint(inside, bright_db - 2 * wide)
-            tall[inside] = tallness
-        elif item.kind == "wall":
-            inside = (long <= 1) & (wide <= 1)
-            paint(inside, bright_db)
-            tall[inside & (v > 0)] = tallness
+            canvas.level += silt * (canvas.texture - canvas.level)
+            canvas.owner[silt > 0.5] = -1
 
     def _relieve(
         self, level: np.ndarray, height: np.ndarray, relief: np.ndarray, owner: np.ndarray

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sonarrec.geometry import floor_depth, ground_range, in_image
+from sonarrec.geometry import floor_depth, ground_range, in_image, points_on_disc
 from sonarrec.records import Fan, FloatArray
 
 _POINTS = 500  # of a disc: shares are good to a hundredth
@@ -20,11 +20,7 @@ def share_in_image(
     but 0 or less, which is nowhere, as not shown.
     bearing_deg: (N,) positive to the right. radius_m: of every disc.
     """
-    # Points spread evenly over the disc: a sunflower's seeds.
-    n = np.arange(_POINTS) + 0.5
-    distance = radius_m * np.sqrt(n / _POINTS)
-    turn = n * np.pi * (3 - np.sqrt(5))
-    right, ahead = distance * np.cos(turn), distance * np.sin(turn)
+    right, ahead = points_on_disc(radius_m, _POINTS)
     share = np.empty(len(range_m))
     for start in range(0, len(range_m), _BATCH):
         batch = slice(start, start + _BATCH)

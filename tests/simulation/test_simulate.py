@@ -36,7 +36,7 @@ from sonarrec.simulation.scene import (
     scene_table,
 )
 from sonarrec.simulation.simulate import render, write_recording
-from sonarrec.simulation.world import object_radius
+from sonarrec.simulation.things import object_radius
 from sonarrec.sonar import load_sonar
 from sonarrec.truth.in_view import share_in_image
 from tests.support.bare import BARE, POLAR, mean_power, power

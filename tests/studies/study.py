@@ -23,7 +23,7 @@ from sonarrec.evaluation.summary import Summary, summarise
 from sonarrec.evaluation.write import write_evaluation
 from sonarrec.records import FloatArray, SonarrecError
 from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene, load_scene
-from sonarrec.simulation.world import object_radius
+from sonarrec.simulation.things import object_radius
 from tests.studies.scenes import seeds, show, told
 from tests.support.simulated import (
     METHODS,

@@ -47,7 +47,7 @@ class Opinion:
         self.log_beliefs += weight * logs
 
     def join(self, other: Self) -> None:
-        """Take in what other frames of the same object said."""
+        """Take in the beliefs of other frames of the same object."""
         self.log_beliefs += other.log_beliefs
         self.weight += other.weight
         self.frames += other.frames
@@ -66,13 +66,14 @@ class Opinions(Generic[AnyOpinion]):
     def __init__(self, new: Callable[[], AnyOpinion]) -> None:
         self._new = new
         self._of: dict[tuple[int, int], AnyOpinion] = {}
-        self._heard: dict[tuple[int, int], int] = {}  # the last frame in which each was asked for
+        self._last_used: dict[tuple[int, int], int] = {}  # frame
         self._chapter: dict[int, int] = {}
 
     def now(self, track: int, chapter: int, frame: int) -> AnyOpinion:
         """The opinion that a frame of a track in this chapter is to be added to.
 
-        Where an older chapter goes on, it and the one that it replaces share one opinion from now.
+        Where an older chapter goes on, it and the one that it replaces share one opinion from then
+        on.
         """
         key = (track, chapter)
         if key not in self._of:
@@ -82,7 +83,7 @@ class Opinions(Generic[AnyOpinion]):
         if last > chapter:
             opinion.join(self._of[track, last])
             self._of[track, last] = opinion
-        self._chapter[track], self._heard[key] = chapter, frame
+        self._chapter[track], self._last_used[key] = chapter, frame
         return opinion
 
     def of(self, track: int, chapter: int) -> AnyOpinion:
@@ -90,9 +91,9 @@ class Opinions(Generic[AnyOpinion]):
         return self._of[track, chapter]
 
     def forget(self, before: int) -> None:
-        """Drop opinions that `now` gave for no frame from `before` on."""
-        for key in [k for k, frame in self._heard.items() if frame < before]:
-            del self._of[key], self._heard[key]
+        """Drop the opinions that were last used before this frame."""
+        for key in [k for k, frame in self._last_used.items() if frame < before]:
+            del self._of[key], self._last_used[key]
             if self._chapter.get(key[0]) == key[1]:
                 del self._chapter[key[0]]
 

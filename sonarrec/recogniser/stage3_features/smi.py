@@ -69,8 +69,8 @@ def identify(grey: FloatArray, seen: BoolArray, bands: Bands, turned: FloatArray
     bright = grey > level[:, None, None]
     weight = seen[:, bands.symbol].sum(axis=1)
     on = (bright & seen)[:, bands.symbol].sum(axis=1)
-    # Agreeing cells = bright where the code is 1, dark where it is 0; sums over the lines first.
-    # on . code + off . (1 - code), as one matrix product over all rotations and IDs.
+    # Agreeing cells are bright where the code is 1, or dark where it is 0. Their number, summed
+    # over the lines, is on . code + off . (1 - code): one matrix product for all rotations and IDs.
     off = weight - on
     agreeing = (on - off).astype(float) @ turned.reshape(-1, ANGLES).T + off.sum(axis=1)[:, None]
     total = np.maximum(weight.sum(axis=1), 1)[:, None]
@@ -98,5 +98,5 @@ def otsu_levels(values: FloatArray, seen: BoolArray) -> FloatArray:
     between = np.where(above > 0, below * above * (high - low) ** 2, -1.0)
     best = between.argmax(axis=1)
     rows = np.arange(len(values))
-    nxt = np.minimum(best + 1, values.shape[1] - 1)
-    return np.asarray((ranked[rows, best] + ranked[rows, nxt]) / 2)
+    above_best = np.minimum(best + 1, values.shape[1] - 1)
+    return np.asarray((ranked[rows, best] + ranked[rows, above_best]) / 2)

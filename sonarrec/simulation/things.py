@@ -1,0 +1,178 @@
+"""How landmarks and other objects look on the simulated floor: one function for each kind."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from sonarrec.records import BoolArray, FloatArray
+from sonarrec.simulation.scene import KINDS, ROUND, SYMBOLS, PlacedLandmark, PlacedObject, Scene
+from sonarrec.simulation.symbols import symbol
+
+WIRE_M, MESH_M = 0.012, 0.05  # of wire netting: thickness, and from wire to wire
+
+
+def object_radius(scene: Scene, thing: PlacedObject) -> float:
+    """Radius (m) of the circle that an object's truth and spacing go by."""
+    size, width = size_of(scene, thing)
+    return size if thing.kind in ROUND else math.hypot(size, width) / 2
+
+
+def size_of(scene: Scene, thing: PlacedObject) -> tuple[float, float]:
+    """Size and width (m) of an object, as KINDS has them."""
+    size, width, _, _ = KINDS[thing.kind]
+    size = thing.size_m or size or scene.landmark_set.radius_m
+    return size, thing.width_m or width or size
+
+
+class Place(NamedTuple):
+    """Where the cells of a box lie on a thing: (box) arrays.
+
+    u, v: along and across it, in its radius_m. rho: from its middle. line: how far that way is the
+    line of sight, -1 to 1. facing: dB that ring edges which face the sonar gain.
+    """
+
+    u: np.ndarray
+    v: np.ndarray
+    rho: np.ndarray
+    line: np.ndarray
+    facing: np.ndarray
+    radius_m: float
+
+
+class Canvas:
+    """The cells of a box on which one thing is painted.
+
+    level: dB over the floor. owner: number of the thing in each cell. height: m. relief: m, below 0
+    where bumps only rise. All (box), parts of the world's own. texture: the level before.
+    """
+
+    def __init__(
+        self,
+        place: Place,
+        number: int,
+        level: np.ndarray,
+        owner: np.ndarray,
+        height: np.ndarray,
+        relief: np.ndarray,
+    ) -> None:
+        self.place, self.number = place, number
+        self.level, self.owner, self.height, self.relief = level, owner, height, relief
+        self.texture = level.copy()
+
+    def paint(self, where: BoolArray, level_db: FloatArray | float, gravel_m: float = 0.0) -> None:
+        """Make these cells the thing's: so bright, with half the floor's texture, and so rough."""
+        self.relief[where] = -gravel_m
+        shade = np.broadcast_to(np.asarray(level_db, dtype=np.float32), where.shape)
+        self.level[where] = (shade + 0.5 * self.texture)[where]
+        self.owner[where] = self.number
+
+
+def draw_thing(item: PlacedLandmark | PlacedObject, scene: Scene, canvas: Canvas) -> None:
+    """Paint a thing's parts, and say how tall they are."""
+    if isinstance(item, PlacedLandmark):
+        _landmark(item, scene, canvas)
+        return
+    _, _, tallness, usual_db = KINDS[item.kind]
+    bright_db = usual_db if item.bright_db is None else item.bright_db
+    _DRAW[item.kind](item, scene, canvas, bright_db, tallness)
+
+
+def _ring(scene: Scene, rho: np.ndarray) -> BoolArray:
+    inner, outer = scene.landmark_set.ring
+    return np.asarray((rho >= inner) & (rho <= outer))
+
+
+def _landmark(item: PlacedLandmark, scene: Scene, canvas: Canvas) -> None:
+    at, discs = canvas.place, scene.landmark_set
+    ring = _ring(scene, at.rho)
+    bright = discs.pattern(discs.ids.index(item.id), at.u, at.v) > 0.5
+    canvas.paint(at.rho <= 1, item.plate_db)
+    canvas.paint(bright & ~ring, item.symbol_db, item.relief_m)
+    canvas.paint(ring, item.bright_db + at.facing, item.relief_m)
+
+
+def _ringed(item: PlacedObject, scene: Scene, canvas: Canvas, bright_db: float, _: float) -> None:
+    """A plate with a landmark's ring, or half of it, and with no symbol or nobody's."""
+    at, discs = canvas.place, scene.landmark_set
+    canvas.paint(at.rho <= 1, item.plate_db)
+    ring = _ring(scene, at.rho)
+    if item.kind == "half_ring":
+        ring &= np.arctan2(at.v, at.u) >= 0
+    canvas.paint(ring, bright_db + at.facing, item.relief_m)
+    if item.kind in SYMBOLS:
+        x, y = at.u / discs.symbol[1], at.v / discs.symbol[1]
+        bright = symbol(item.kind, item.number, discs, x, y) & (at.rho >= discs.symbol[0])
+        canvas.paint(bright, bright_db - 1, item.relief_m)
+    if item.kind == "spokes":
+        across = np.minimum(np.abs(at.u), np.abs(at.v))
+        canvas.paint((across < 0.07) & (at.rho >= 0.12) & (at.rho <= discs.symbol[1]), bright_db)
+
+
+def _filled(item: PlacedObject, _: Scene, canvas: Canvas, bright_db: float, __: float) -> None:
+    canvas.paint(canvas.place.rho <= 1, bright_db, item.relief_m)
+
+
+def _stone(_: PlacedObject, __: Scene, canvas: Canvas, bright_db: float, tallness: float) -> None:
+    """Rounded: brightest in the middle of the side that faces the sonar."""
+    at = canvas.place
+    angle = np.arctan2(at.v, at.u)
+    outline = 1 + 0.25 * np.sin(3 * angle + canvas.number) + 0.1 * np.sin(7 * angle)
+    inside = at.rho <= outline
+    canvas.paint(inside, bright_db - 2 * at.rho - 2 * at.line * at.rho)
+    canvas.height[inside] = tallness * at.radius_m / 0.05
+
+
+def _tyre(_: PlacedObject, __: Scene, canvas: Canvas, bright_db: float, tallness: float) -> None:
+    rho = canvas.place.rho
+    torus = (rho <= 1) & (rho >= 0.55)
+    canvas.paint(torus, bright_db + canvas.place.facing - 6 * ((rho - 0.78) / 0.22) ** 2)
+    round_ = np.sqrt(np.maximum(1 - ((rho[torus] - 0.775) / 0.23) ** 2, 0))
+    canvas.height[torus] = tallness * round_
+
+
+def _oblong(item: PlacedObject, scene: Scene, canvas: Canvas) -> tuple[BoolArray, np.ndarray]:
+    """The cells on a thing with corners, and how far across it they lie, 1 at its sides."""
+    at = canvas.place
+    wide = np.abs(at.v) * 2 * at.radius_m / size_of(scene, item)[1]
+    return np.asarray((np.abs(at.u) * 2 <= 1) & (wide <= 1)), wide
+
+
+def _mesh(item: PlacedObject, scene: Scene, canvas: Canvas, bright_db: float, _: float) -> None:
+    at = canvas.place
+    inside, _wide = _oblong(item, scene, canvas)
+    along, across = np.mod(at.u * at.radius_m, MESH_M), np.mod(at.v * at.radius_m, MESH_M)
+    canvas.paint(inside, -3.0)
+    canvas.paint(inside & ((along < WIRE_M) | (across < WIRE_M)), bright_db)
+
+
+def _beam(
+    item: PlacedObject, scene: Scene, canvas: Canvas, bright_db: float, tallness: float
+) -> None:
+    inside, wide = _oblong(item, scene, canvas)
+    canvas.paint(inside, bright_db - 2 * wide)
+    canvas.height[inside] = tallness
+
+
+def _wall(
+    item: PlacedObject, scene: Scene, canvas: Canvas, bright_db: float, tallness: float
+) -> None:
+    inside, _ = _oblong(item, scene, canvas)
+    canvas.paint(inside, bright_db)
+    canvas.height[inside & (canvas.place.v > 0)] = tallness
+
+
+_DRAW: dict[str, Callable[[PlacedObject, Scene, Canvas, float, float], None]] = {
+    **dict.fromkeys(("blank", "spokes", "half_ring", *SYMBOLS), _ringed),
+    **dict.fromkeys(("filled", "cover"), _filled),
+    "stone": _stone,
+    "tyre": _tyre,
+    "mesh": _mesh,
+    "beam": _beam,
+    "wall": _wall,
+}
+"""By kind: what draws an object. The last two arguments: its brightness, dB over the floor, and its
+height, m, as in KINDS."""
