@@ -12,7 +12,8 @@ if TYPE_CHECKING:
     from sonarrec.config import preset
     from sonarrec.evaluation.evaluate import evaluate
     from sonarrec.landmarks import load_landmarks
-    from sonarrec.pipeline.run import Recogniser, run
+    from sonarrec.pipeline.frames import Recogniser
+    from sonarrec.pipeline.run import run
     from sonarrec.readers import open_log
     from sonarrec.results.frames import read_results
     from sonarrec.simulation.simulate import simulate
@@ -28,7 +29,7 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 __version__ = "0.1.0"
 
 _HOMES = {
-    "Recogniser": "pipeline.run",
+    "Recogniser": "pipeline.frames",
     "evaluate": "evaluation.evaluate",
     "load_landmarks": "landmarks",
     "open_log": "readers",

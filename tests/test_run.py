@@ -17,7 +17,7 @@ import tomli_w
 from click.testing import CliRunner
 
 from sonarrec.cli import main
-from sonarrec.recogniser.recogniser import Recogniser
+from sonarrec.recogniser.three_stages import ThreeStages
 from sonarrec.simulation.mcap_writer import McapImageWriter
 from tests.support.command import SAMPLE, sonarrec
 
@@ -453,7 +453,7 @@ def test_died_in_the_middle_is_not_passed_off_as_whole(
 ) -> None:
     sonarrec("run", pings)
     before = Path("sonarrec_out/pings/estimates.csv").read_bytes()
-    stage2, calls = Recogniser.stage2, []
+    stage2, calls = ThreeStages.stage2, []
 
     def failing(*arguments: object) -> object:
         calls.append(1)
@@ -461,7 +461,7 @@ def test_died_in_the_middle_is_not_passed_off_as_whole(
             raise RuntimeError("power cut")
         return stage2(*arguments)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(Recogniser, "stage2", failing)
+    monkeypatch.setattr(ThreeStages, "stage2", failing)
     with pytest.raises(RuntimeError, match="power cut"):
         sonarrec("run", pings, "--overwrite")
     run = tomllib.loads(Path("sonarrec_out/pings.part/run.toml").read_text())

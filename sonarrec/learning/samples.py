@@ -10,8 +10,8 @@ import numpy as np
 from sonarrec.config import Config
 from sonarrec.geometry import plane_from_polar
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.recogniser.recogniser import Recogniser
 from sonarrec.recogniser.stage3_features.description import FEATURES
+from sonarrec.recogniser.three_stages import ThreeStages
 from sonarrec.records import Fan, FloatArray, Frame, IntArray
 
 # In disc diameters: a track up to ON from a true centre shows the landmark, one farther than OFF
@@ -83,7 +83,7 @@ def describe(
     rows: list[int] = []
     for row, frame in enumerate(frames):
         fan = fan or frame.fan
-        recogniser = recogniser or Recogniser(config, fan, landmarks, recorder, smi=None)
+        recogniser = recogniser or ThreeStages(config, fan, landmarks, recorder, smi=None)
         tracks = recogniser.step(frame).estimates
         index.append(frame.index)
         stamp.append(frame.timestamp_ns)

@@ -11,8 +11,8 @@ from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.poses import PoseTable
 from sonarrec.recogniser.hindsight import Hindsight
-from sonarrec.recogniser.recogniser import FRAMEWORK, SMI, Recogniser, together
 from sonarrec.recogniser.stage3_features.appearance import Judge
+from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, ThreeStages, together
 from sonarrec.records import Fan, Frame, FrameResult
 
 
@@ -51,7 +51,7 @@ class SideBySide:
         alike = [replace(c, preset="", features=replace(c.features, lag_frames=0)) for c in configs]
         self._whose = [alike.index(one) for one in alike]
         self._recognisers = {
-            i: Recogniser(configs[i], fan, landmarks, model, self.tracking[i], single[i], poses)
+            i: ThreeStages(configs[i], fan, landmarks, model, self.tracking[i], single[i], poses)
             for i in dict.fromkeys(self._whose)
         }
         self._hindsight = [

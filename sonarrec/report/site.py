@@ -27,7 +27,7 @@ from sonarrec.landmarks import LandmarkSet
 from sonarrec.pipeline.prepared import Used
 from sonarrec.pipeline.run import process
 from sonarrec.readers.pixels import decode_image
-from sonarrec.recogniser.recogniser import FRAMEWORK
+from sonarrec.recogniser.three_stages import FRAMEWORK
 from sonarrec.records import ByteImage, Estimate, FrameResult
 from sonarrec.results.run_file import Given
 from sonarrec.simulation.background import (

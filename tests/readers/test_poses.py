@@ -21,7 +21,7 @@ from sonarrec.poses import PoseTable, pose_table
 from sonarrec.readers.mcap.poses import read_topic
 from sonarrec.readers.poses_csv import read_poses
 from sonarrec.recogniser.plane import working_plane
-from sonarrec.recogniser.recogniser import FRAMEWORK, Recogniser
+from sonarrec.recogniser.three_stages import FRAMEWORK, ThreeStages
 from sonarrec.records import Frame, Motion, SonarrecError
 from sonarrec.simulation.motion import poses
 from sonarrec.simulation.scene import Scene, load_scene
@@ -163,7 +163,7 @@ def tracks_on_landmarks(
     frames: list[SimulatedFrame], scene: Scene, config: Config, table: PoseTable | None
 ) -> tuple[dict[int, set[int]], int, int]:
     """Track numbers on each landmark (by its place in the scene); right claims, whole landmarks."""
-    recogniser = Recogniser(config, frames[0].fan, scene.landmark_set, poses=table)
+    recogniser = ThreeStages(config, frames[0].fan, scene.landmark_set, poses=table)
     numbers: dict[int, set[int]] = defaultdict(set)
     right = whole = 0
     for frame in frames:

@@ -14,7 +14,7 @@ import pytest
 from click.testing import CliRunner
 
 from sonarrec.cli import main
-from sonarrec.recogniser import recogniser
+from sonarrec.recogniser import three_stages
 from sonarrec.recogniser.ahead import DEPTH, Ahead
 from tests.support.batch import made, tables
 
@@ -88,7 +88,7 @@ def test_a_run_is_the_same_with_and_without(
 ) -> None:
     """With one thread more, and with two, as large fans have."""
     if more == 2:
-        monkeypatch.setattr(recogniser, "LARGE", 0)
+        monkeypatch.setattr(three_stages, "LARGE", 0)
     (log,) = made(tmp_path, "log", frames=12)
     for number in damaged:
         image = log / f"{number:06d}.png"

@@ -15,8 +15,8 @@ import pytest
 from sonarrec import config
 from sonarrec.geometry import fan_for_image
 from sonarrec.landmarks import LandmarkSet, load_landmarks
-from sonarrec.recogniser.recogniser import FRAMES_AT_ONCE, FRAMEWORK, SMI, Recogniser
 from sonarrec.recogniser.side_by_side import SideBySide
+from sonarrec.recogniser.three_stages import FRAMES_AT_ONCE, FRAMEWORK, SMI, ThreeStages
 from sonarrec.records import Frame, FrameResult, SonarrecError, UsageError
 from sonarrec.results.write import ResultsWriter
 from sonarrec.simulation.motion import Pose
@@ -52,7 +52,7 @@ def truth(frame: int, least_visible: float = 0.9) -> dict[int, tuple[float, floa
 
 
 def run(log: list[Frame], settings: config.Config, landmarks=BASIN) -> list[FrameResult]:
-    recogniser = Recogniser(settings, log[0].fan, landmarks)
+    recogniser = ThreeStages(settings, log[0].fan, landmarks)
     return [recogniser.step(frame) for frame in log]
 
 
@@ -287,7 +287,7 @@ def noted(log: list[Frame], drawn: list[Frame]) -> Iterator[Frame]:
 
 def test_all_at_once_says_what_frame_by_frame_does():
     log = still_log(2, 2 * FRAMES_AT_ONCE + 3)
-    recogniser = Recogniser(config.preset("default"), log[0].fan, BASIN)
+    recogniser = ThreeStages(config.preset("default"), log[0].fan, BASIN)
     for one, other in zip(
         run(log, config.preset("default")), recogniser.recognise(log), strict=True
     ):
@@ -364,9 +364,9 @@ def test_each_preset_gives_side_by_side_what_it_gives_alone():
 
 def test_presets_that_differ_in_hindsight_alone_share_the_stages(monkeypatch):
     seen: list[int] = []
-    stage1 = Recogniser.stage1
+    stage1 = ThreeStages.stage1
     monkeypatch.setattr(
-        Recogniser,
+        ThreeStages,
         "stage1",
         lambda self, frame, image: seen.append(frame.index) or stage1(self, frame, image),
     )

@@ -16,8 +16,8 @@ from sonarrec.config import preset, with_assignments
 from sonarrec.evaluation.counting.passes import find_passes
 from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.recogniser.plane import FloorPlane
-from sonarrec.recogniser.recogniser import FRAMEWORK
 from sonarrec.recogniser.stage1_candidates import RingScore, ScoreMaps
+from sonarrec.recogniser.three_stages import FRAMEWORK
 from sonarrec.simulation.random_scenes import ALL_KINDS, KINDS_OF_SCENE, random_scene
 from sonarrec.simulation.simulate import render
 from sonarrec.simulation.unlike import UNLIKE_KINDS

@@ -27,10 +27,10 @@ from sonarrec.landmarks import load_landmarks
 from sonarrec.pipeline.run import run as run_log
 from sonarrec.recogniser.odometry import Odometry
 from sonarrec.recogniser.plane import FloorPlane
-from sonarrec.recogniser.recogniser import Recogniser
 from sonarrec.recogniser.stage1_candidates import CandidateSelector
 from sonarrec.recogniser.stage2_continuity import ContinuityFilter
 from sonarrec.recogniser.stage3_features.shape_matrix import ShapeSampler
+from sonarrec.recogniser.three_stages import ThreeStages
 from sonarrec.results.write import ResultsWriter
 from sonarrec.simulation.mcap_writer import McapImageWriter
 from sonarrec.simulation.random_scenes import random_scene
@@ -51,7 +51,7 @@ PARTS = {
     "pan from the images": (Odometry, "step"),
     "stage 2": (ContinuityFilter, "step"),
     "shape matrices": (ShapeSampler, "__call__"),
-    "stage 3 and smi": (Recogniser, "stage3"),
+    "stage 3 and smi": (ThreeStages, "stage3"),
     "writing": (ResultsWriter, "write"),
 }
 REST = "decoding, set-up and the rest"

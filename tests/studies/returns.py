@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from sonarrec.config import preset
-from sonarrec.recogniser.recogniser import FRAMEWORK
+from sonarrec.recogniser.three_stages import FRAMEWORK
 from sonarrec.simulation.random_scenes import ALL_KINDS, random_scene
 from sonarrec.simulation.scene import Scene
 from tests.studies.scenes import seeds, show, told

@@ -18,7 +18,7 @@ import pandas as pd
 
 from sonarrec.evaluation.counting.curves import Count
 from sonarrec.evaluation.evaluate import evaluate
-from sonarrec.recogniser.recogniser import FRAMEWORK
+from sonarrec.recogniser.three_stages import FRAMEWORK
 from tests.studies.scenes import show, told
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -24,8 +24,8 @@ from sonarrec.evaluation.evaluate import Evaluation, pool
 from sonarrec.evaluation.matching.fit import matched
 from sonarrec.geometry import polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.recogniser.recogniser import FRAMEWORK, SMI
 from sonarrec.recogniser.side_by_side import SideBySide
+from sonarrec.recogniser.three_stages import FRAMEWORK, SMI
 from sonarrec.records import Estimate, Fan, Frame
 from sonarrec.results.read import read_log
 from sonarrec.results.run_file import run_table

@@ -23,7 +23,7 @@ import tomli_w
 from sonarrec.config import Config, preset, with_table
 from sonarrec.evaluation.counting.scoring import Scored
 from sonarrec.evaluation.evaluate import Evaluation
-from sonarrec.recogniser.recogniser import FRAMEWORK, SMI
+from sonarrec.recogniser.three_stages import FRAMEWORK, SMI
 from tests.studies.paper.published import FRAMES
 from tests.studies.paper.world import World, kept_worlds, mean_similarities
 from tests.support.simulated import Job, in_processes, recognise, score

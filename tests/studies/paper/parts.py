@@ -10,7 +10,6 @@ import numpy as np
 from sonarrec.config import preset
 from sonarrec.geometry import polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.recogniser.recogniser import Recogniser
 from sonarrec.recogniser.stage3_features.published import (
     FeatureEstimator,
     measurement_model,
@@ -19,6 +18,7 @@ from sonarrec.recogniser.stage3_features.published import (
 )
 from sonarrec.recogniser.stage3_features.shape_matrix import ShapeSampler, turned_codes
 from sonarrec.recogniser.stage3_features.smi import identify
+from sonarrec.recogniser.three_stages import ThreeStages
 from sonarrec.records import Estimate, Fan, FloatArray, Frame
 from tests.studies.paper.choices import CHOSEN
 
@@ -37,7 +37,7 @@ class Parts:
         self._config = config = preset("paper")
         self._fan = fan
         self._ids = landmarks.ids
-        self._recogniser = Recogniser(config, fan, landmarks, smi=None)
+        self._recogniser = ThreeStages(config, fan, landmarks, smi=None)
         self._bands = ShapeSampler(landmarks, (1.0, 1.0)).bands
         self._turned = turned_codes(landmarks)
         self._published = measurement_model(landmarks, fan.window_m)

@@ -25,7 +25,7 @@ from sonarrec.config import preset
 from sonarrec.evaluation.counting.uncertainty import LEVEL
 from sonarrec.evaluation.summary import Summary, summarise
 from sonarrec.evaluation.write import write_evaluation
-from sonarrec.recogniser.recogniser import FRAMEWORK, SMI
+from sonarrec.recogniser.three_stages import FRAMEWORK, SMI
 from sonarrec.records import FloatArray
 from tests.studies.paper.choices import LITERAL, named
 from tests.studies.paper.parts import BAYES, CONTINUITY, LEARNED, Parts

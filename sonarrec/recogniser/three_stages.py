@@ -37,7 +37,7 @@ FRAMES_AT_ONCE = 16
 LARGE = 2**19
 
 
-class Recogniser:
+class ThreeStages:
     """Frames of one log in, estimates out, in the log's order.
 
     Everything random comes from one generator seeded by the configuration: the same frames and
@@ -156,7 +156,7 @@ class Recogniser:
 
 
 def together(
-    recognisers: Sequence[Recogniser], frames: Iterable[Frame], *, ahead: bool = False
+    recognisers: Sequence[ThreeStages], frames: Iterable[Frame], *, ahead: bool = False
 ) -> Iterator[tuple[FrameResult, ...]]:
     """Several recognisers over the same frames: for each frame, one result of each recogniser.
 

@@ -1,0 +1,106 @@
+"""Frames through the recogniser, without files: `sonarrec.Recogniser`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain, islice
+from pathlib import Path
+
+import numpy as np
+
+from sonarrec.config import Config
+from sonarrec.config import preset as config_of
+from sonarrec.landmarks import LandmarkSet, load_landmarks
+from sonarrec.readers.log import Log
+from sonarrec.recogniser.beam_width import FRAMES_FOR_BEAMS, with_beams
+from sonarrec.recogniser.side_by_side import SideBySide
+from sonarrec.recogniser.stage3_features.model import read_model
+from sonarrec.records import Fan, Frame, FrameResult, UsageError
+
+Presets = str | Config | Sequence[str | Config]
+"""One preset by name or as a Config, or several to run side by side."""
+
+
+class Recogniser:
+    """The landmarks in frames, without files: frames of a log in, their results out."""
+
+    def __init__(
+        self,
+        source: Log | Fan,
+        preset: Presets = "default",
+        *,
+        landmarks: str | Path | LandmarkSet = "basin",
+        model: str | Path | None = None,
+    ) -> None:
+        """source: an opened log, or the fan geometry that frames of your own share.
+
+        The rest is as in `run`. Raises SonarrecError where one of them cannot be used.
+        """
+        self._source = source
+        self._configs = configs_of(preset)
+        chosen = landmarks if isinstance(landmarks, LandmarkSet) else load_landmarks(landmarks)
+        self.landmarks = chosen
+        self._model = None if model is None else read_model(Path(model)).model
+
+    def recognise(self, frames: Iterable[Frame] | None = None) -> Iterator[FrameResult]:
+        """A FrameResult per Frame, in the frames' order; some frames later than they come.
+
+        frames: of one fan, by rising index; `pixels` are the fan image, (rows, columns) uint8, or
+        polar where a frame has `polar`. Default: the log's own. Every call begins anew: nothing is
+        remembered of the frames of another. Raises UsageError at an image that is not as the fan
+        needs it, and at a frame that is not after the last.
+        """
+        if frames is None:
+            if isinstance(self._source, Fan):
+                raise UsageError("a Recogniser made from a fan needs frames to recognise")
+            frames = self._source
+        left = _of_one_fan(frames, self._source if isinstance(self._source, Fan) else None)
+        begin = [*islice(left, FRAMES_FOR_BEAMS)]
+        if not begin:
+            return
+        if isinstance(self._source, Fan):
+            fan, told_deg = self._source, None
+        else:
+            fan, told_deg = begin[0].fan, self._source.beam_width_deg
+        configs, _ = with_beams(self._configs, told_deg, begin)
+        recogniser = SideBySide(configs, fan, self.landmarks, self._model)
+        yield from recogniser.recognise(chain(begin, left))
+
+
+def _of_one_fan(frames: Iterable[Frame], fan: Fan | None) -> Iterator[Frame]:
+    """The frames; fan: theirs, if None that of the first. Raises UsageError as `recognise` does."""
+    before = -1
+    for frame in frames:
+        fan = fan or frame.fan
+        pixels, shape, wanted = frame.pixels, frame.pixels.shape, (fan.rows, fan.columns)
+        if frame.polar is not None and shape == frame.polar.shape:
+            shape = frame.fan.rows, frame.fan.columns  # of the fan image that they make
+        elif frame.polar is not None:
+            wanted = frame.polar.shape
+        if shape != wanted or pixels.dtype != np.uint8:
+            raise UsageError(
+                f"frame {frame.index}: an image of {shape} {pixels.dtype}, where the fan "
+                f"needs {wanted} uint8"
+            )
+        if frame.index <= before:
+            raise UsageError(f"frame {frame.index} comes after frame {before}; sort by index")
+        before = frame.index
+        yield frame
+
+
+def configs_of(presets: Presets) -> list[Config]:
+    """The presets as Configs.
+
+    Raises UsageError where there is none, or two of one name, by which their results go.
+    """
+    chosen = [presets] if isinstance(presets, str | Config) else presets
+    found = [config_of(one) if isinstance(one, str) else one for one in chosen]
+    names = [one.preset for one in found]
+    if not names:
+        raise UsageError("preset: none is given; leave it out for default")
+    if len(set(names)) < len(names):
+        raise UsageError(
+            f"preset {', '.join(names)}: each once, for results go by its name; run settings of "
+            "one preset apart, each with an out of its own"
+        )
+    return found
