@@ -15,7 +15,7 @@ import numpy as np
 
 from sonarrec.records import FloatArray, IntArray, Motion
 
-# Longer than so many times the usual time between rows, nobody measured in between.
+# Between rows that are farther apart than this many times the usual step there is no pose.
 GAP = 10
 
 
@@ -25,9 +25,9 @@ class PoseTable:
 
     name: in messages. source: what run.toml says of it. at: (N,) ns. pose: (N, 3) yaw in deg,
     positive to the right (clockwise seen from above) and without jumps of 360, then x and y, the
-    place on the floor in m, y ahead and x to the right of a sonar whose yaw is 0. gap_ns: across a
-    longer time between two rows nobody measured. problems: a line for each row that could not be
-    used. axes: what its own x and y are where yaw is 0; `pose` has right and ahead in any case.
+    place on the floor in m, y ahead and x to the right of a sonar whose yaw is 0. gap_ns: between
+    two rows that are farther apart there is no pose. problems: a line for each row that could not
+    be used. axes: what its own x and y are where yaw is 0; `pose` has right and ahead in any case.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Passes of one landmark joined, those of another kept apart, and what no two landmarks can be."""
+"""Joins the passes of one landmark, and settles which ID holds where landmarks would overlap."""
 
 from __future__ import annotations
 
@@ -142,8 +142,9 @@ def _pool(logs: Sequence[LogPasses], landmarks: LandmarkSet) -> _Pool:
 def _of_one_id(pool: _Pool, passes: IntArray, radius_m: float) -> list[list[int]]:
     """Groups of the passes of one landmark each, of (n,) passes of one ID.
 
-    Each pass in turn joins the landmark that it fits best, or is the first of a new one. It fits
-    as its nearest pass does. Passes seen at the same time in two places are two landmarks.
+    Each pass in turn joins the landmark that it fits best, or is the first of a new one. How well
+    it fits a landmark is told by the nearest pass of that. Passes seen at the same time in two
+    places are of two landmarks.
     """
     disc = ONE_DISC * 2 * radius_m
     member = np.full(len(passes), -1)
@@ -164,10 +165,10 @@ def _of_one_id(pool: _Pool, passes: IntArray, radius_m: float) -> list[list[int]
 
 
 def _placed(pool: _Pool, group: Sequence[int]) -> Landmark:
-    """The landmark that passes of it tell: each weighed by what it and the path add in error.
+    """The landmark placed by its passes, each weighed by its own error and that of the path.
 
-    Within a log against its first pass, whose own error of the path they have in common; the logs
-    have none. The error of the height is one for all, and a share of the orientation's.
+    The passes of one log share the path's error up to the first of them; different logs share none.
+    The error of the stated height, and a part of the orientation's, is common to all passes.
     """
     parts = []
     for log in np.unique(pool.log[group]).tolist():
@@ -225,7 +226,7 @@ def _fused_turn(
 def _one_at_a_place(
     logs: Sequence[LogPasses], found: list[Landmark], disc_m: float
 ) -> list[Landmark]:
-    """Where landmarks lie on each other, the one that was claimed most; the others stood corrected.
+    """Of landmarks that lie on each other, the one claimed most; the others become its `others`.
 
     disc_m: nearer than this no two discs can lie.
     """

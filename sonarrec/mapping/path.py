@@ -1,9 +1,9 @@
 """The sonar's path over one log, and how its error grows along it.
 
-The error of every step is its own: a shift, and a turn about where the sonar then was, which moves
-all that is placed later the farther away it lies. Of measured motion a part is common to all steps:
-it is too long or too short by a share. Sums over the steps give the error of a place seen in any
-frame, and of one place against another, in closed form.
+Every step has an error of its own: a shift, and a turn about where the sonar then was, which moves
+all places seen later, and those far away the most. Measured motion has also an error that is common
+to all steps: each is too long or too short by the same share. Sums over the steps give the error of
+a place seen in any frame, and of one place against another, in closed form.
 """
 
 from __future__ import annotations

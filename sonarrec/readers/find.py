@@ -246,7 +246,7 @@ def names_a_log(name: str) -> bool:
 def is_log_file(path: Path) -> bool:
     """Whether a path is a file that is a log by itself, or a link to one that is not there.
 
-    Such a link is told when it is opened: passed over, its log would be missed unsaid.
+    Such a link is reported when it is opened; passing over it would hide that its log is missing.
     """
     return names_a_log(path.name) and (path.is_file() or (path.is_symlink() and not path.exists()))
 

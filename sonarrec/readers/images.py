@@ -21,16 +21,15 @@ MAX_FILE_BYTES = 2**27  # an image of 4096 x 4096 pixels of eight bytes
 def natural_order(path: str | Path) -> str:
     """Sort key by which frame2.png comes before frame10.png, and 1700000000.25 before 1700000000.5.
 
-    One text, which of very many files takes a fraction of what a list of its parts would: a number
-    is led by a zero byte, which no path holds, and by how many digits it has. The path itself comes
-    last, for 1 and 01 are the same number.
+    The key is one text: for very many files it takes a fraction of the memory of a list of parts. A
+    zero byte, which no path holds, and the count of its digits are put before each number. The path
+    itself comes last, for 1 and 01 are the same number.
     """
     text = os.fspath(path)
     return f"{_NUMBER.sub(_led_by_its_length, text)}\0\0{text}"
 
 
-# Seconds since 1970 with their fraction, in which programs that name images by them leave zeros at
-# the end out; else whole.
+# Seconds since 1970 with their fraction, at whose end programs leave out zeros; else whole numbers.
 _NUMBER = re.compile(r"1[0-9]{9}\.[0-9]+|[0-9]+")
 
 

@@ -31,14 +31,14 @@ def find_logs(names: Iterable[str], *, recursive: bool = False) -> list[NamedLog
 
     Of a folder of logs every file and bag in it; recursive: also in the folders below, and every
     folder of images there. Of a glob of logs each that matches; parts of a bag stand for the bag.
-    All else is the argument itself: one log, or none, which is told when it is opened.
+    All else is the argument itself: one log, or none, which is reported when it is opened.
     Raises UsageError for a folder that holds images and other logs.
     """
     logs: list[NamedLog] = []
     for name in names:
         try:
             found = _named(name, recursive)
-        except OSError:  # told when it is opened
+        except OSError:  # reported when it is opened
             found = []
         logs += found or [NamedLog(name)]
     return logs
@@ -75,9 +75,9 @@ def _named(name: str, recursive: bool) -> list[NamedLog]:
 
 
 def _closed(pattern: Path) -> set[Path]:
-    """The folders that a glob looks into and that cannot be read, each told when it is opened.
+    """The folders that a glob looks into and that cannot be read: reported when they are opened.
 
-    Python's glob passes over them unsaid, and so over the logs in them.
+    Python's glob passes over them, and the logs in them, without a word.
     """
     above = pattern.parents[: len(pattern.parents) - len(_fixed(pattern).parents)]
     folders = (folder for one in above for folder in matches(os.path.join(one, "")))  # noqa: PTH118
@@ -120,9 +120,9 @@ def _holds_results(folder: Path) -> bool:
 
 
 def _is_bag(folder: Path) -> bool:
-    """Whether a folder is a bag, or cannot be read: then it is told when it is opened.
+    """Whether a folder is a bag, or cannot be read: then it is reported when it is opened.
 
-    Passed over, what is in it would be missed unsaid.
+    Passing over it would hide what is in it.
     """
     try:
         return is_bag_folder(folder)

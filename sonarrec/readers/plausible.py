@@ -1,4 +1,4 @@
-"""Whether a log's picture can be what its stated geometry says: told only where it is clear.
+"""Whether a log's pictures contradict its stated geometry; reported only where that is clear.
 
 Three things are looked at in the mean of the first frames: what lies outside of the stated fan, the
 outline of a picture that is read as polar, and echoes from nearer than the stated floor.
@@ -16,9 +16,10 @@ FRAMES = 5
 
 _RINGS, _BEAMS = 96, 64  # the fan seen as rows of slant range, nearest first, and bearing columns
 _BACKGROUND = 6.0  # grey levels about the background's that hold no echo
-# Measured on the sample logs and on recordings of others: a wrong fan .42 and more outside, a right
-# one .03 at the most; a height stated too great by half .96 and more of the floor's grey level,
-# water before a right one .58 at the most, .84 where half of the picture is noise.
+# Measured on the sample logs and on recordings of others. Share of echoes outside: .42 and more for
+# a wrong fan, .03 at the most for a right one. Grey level of what lies before the floor, over that
+# of the floor: .96 and more where the height is stated half too great; for a right height .58 at
+# the most, .84 where half of the picture is noise.
 _OUTSIDE = 0.15  # share of the pixels outside of the stated fan that hold echoes
 _FILLED = 0.6  # the same share of a picture without a fan's outline
 _CUT = 0.2  # share of the stated fan that lies outside of the picture
@@ -55,7 +56,7 @@ class Plausibility:
         picture = self._sum / self._frames
         seen = _as_polar(picture, self._fan)
         shape = _polar_outline(seen) if polar else _fan_outline(picture, self._fan)
-        # Of a picture that lies wrongly no range is what it seems.
+        # If the picture is misplaced, ranges in it mean nothing.
         return shape or _floor(seen, self._fan)
 
 

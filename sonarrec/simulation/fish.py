@@ -15,7 +15,7 @@ from sonarrec.simulation.world import View
 
 WIDTH = 0.25  # of a fish's length; and its height
 BROADSIDE_DB = 4.0  # how much brighter one is from the side than from head or tail
-OUTSIDE_M = 0.4  # beyond the floor that is seen: there they turn up anew
+OUTSIDE_M = 0.4  # beyond the floor that is seen, where fish come in again
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,8 +33,8 @@ class Fishes:
 class Shoal:
     """All fish of a scene. Each swims straight on with a slow weave, those of a school together.
 
-    area: least and most x, least and most y (m) of the floor that the sonar may see; who leaves it
-    comes in again at the other side.
+    area: least and most x, least and most y (m) of the floor that the sonar may see; a fish that
+    leaves it comes in again on the other side.
     """
 
     def __init__(self, scene: Scene, area: tuple[float, float, float, float]) -> None:
@@ -43,7 +43,7 @@ class Shoal:
         rng = np.random.default_rng([scene.seed, 11])
         n = fish.number
         schooled = round(n * fish.schooling) if fish.schools else 0
-        # Who swims with whom: schools first, then each by itself.
+        # The group of each fish: schools first, then each single fish is one.
         self._group = np.concatenate(
             [np.arange(schooled) % max(fish.schools, 1), fish.schools + np.arange(n - schooled)]
         ).astype(int)

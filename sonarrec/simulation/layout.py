@@ -79,7 +79,9 @@ def lay_out(
     for kind, landmark in _rounds(landmarks.ids, rng, count):
         for _ in range(TRIES):
             pose = path[int(rng.integers(len(path)))]
-            ground = rng.uniform(near, far)  # not by area: near discs are to be told of as well
+            ground = rng.uniform(
+                near, far
+            )  # not by area, for results at short range matter as well
             bearing = rng.uniform(fan.bearing_min_deg, fan.bearing_max_deg)
             world = math.radians(bearing + pose.pan_deg)
             x, y = pose.x_m + ground * math.sin(world), pose.y_m + ground * math.cos(world)

@@ -1,4 +1,4 @@
-"""Symbols that are nobody's: what a ring may hold that no ID of a landmark set has."""
+"""Symbols of fakes: what a ring may hold that no ID of a landmark set has."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ class Truth:
     """The T landmarks in view of one log's processed frames."""
 
     frame_index: IntArray
-    """(T,) into LogResults.frame."""
+    """(T,) into ReadLog.frame."""
     landmark_index: IntArray
     """(T,) into the set's ids."""
     visible: FloatArray
