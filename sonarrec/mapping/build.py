@@ -103,13 +103,7 @@ def make_map(
                     f"{folder}: landmark set {own.name!r}, not {landmark_set.name!r} as the others"
                 )
             poses = poses_of_run(folder, run, odometry)
-            path, said = _path(folder, poses, drift or Drift())
-            ros = poses is not None and "topic" in poses.source
-            log = _mapped(folder, run, path, ros, own, method, sonar)
-            lost = [] if run.finished else [cut_short(str(folder), len(path.frame), "used")]
-            lost += _left_out(folder, log)
-            of = recording(folder, run, len(log.seen.row))
-            there.append(_Found(folder, of, log, said, lost))
+            there.append(_found(folder, run, poses, drift or Drift(), own, method, sonar))
         except SonarrecError as error:
             if len(folders) == 1:
                 raise
@@ -142,16 +136,17 @@ def make_map(
     return SiteMap(landmark_set, kept, len(found) - len(kept), logs, problems, notes, ros_axes)
 
 
-def _mapped(
+def _found(
     folder: Path,
     run: RunFile,
-    path: SonarPath,
-    ros_axes: bool,
+    poses: PoseTable | None,
+    drift: Drift,
     landmarks: LandmarkSet,
     method: str | None,
     sonar: Sonar | None,
-) -> MappedLog:
-    """The passes of one log along its path."""
+) -> _Found:
+    """One log with its passes along its path. Raises SonarrecError where it cannot be mapped."""
+    path, notes = _path(folder, poses, drift)
     fan = run.fan(sonar)
     if fan is None:
         raise SonarrecError(f"{folder}: no geometry in run.toml; give it with --sonar or its flags")
@@ -161,7 +156,11 @@ def _mapped(
     seen = read_seen(table, method, landmarks, fan, path.frame)
     passes = find_passes(seen, path, landmarks, fan)
     name = folder.resolve().name
-    return MappedLog(name, path, seen, LogPasses(name, path, passes), fan, ros_axes)
+    ros_axes = poses is not None and "topic" in poses.source
+    log = MappedLog(name, path, seen, LogPasses(name, path, passes), fan, ros_axes)
+    problems = [] if run.finished else [cut_short(str(folder), len(path.frame), "used")]
+    problems += _left_out(folder, log)
+    return _Found(folder, recording(folder, run, len(seen.row)), log, notes, problems)
 
 
 def _left_out(folder: Path, log: MappedLog) -> Iterator[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -14,6 +15,7 @@ from sonarrec.drawing.pen import landmark_colours
 from sonarrec.files.outputs import plain, write_figure
 from sonarrec.geometry import floor_depth, ground_range
 from sonarrec.mapping.build import MappedLog, SiteMap
+from sonarrec.mapping.join import Landmark
 from sonarrec.mapping.tables import Axes, ellipse
 from sonarrec.records import FloatArray
 
@@ -48,27 +50,8 @@ def draw_map(path: Path, site: SiteMap) -> None:
     widths = [_width(one.covariance) for one in site.landmarks]
     span = abs(np.subtract(*axes.get_xlim()))
     larger = ENLARGED if widths and np.median(widths) < LEAST_SEEN * span else 1
-    colours = landmark_colours(site.landmark_set.ids)
     for number, one in enumerate(site.landmarks, 1):
-        colour = tuple(np.array(colours[one.id]) / 255)
-        place = axes_of.place(one.place)
-        disc = place + site.landmark_set.radius_m * _circle()
-        axes.fill(*disc.T, facecolor=colour, alpha=0.7, edgecolor=LINES, zorder=2)
-        covariance = axes_of.covariance(one.covariance) * larger**2
-        axes.plot(*ellipse(place, covariance).T, color=LINES, linewidth=1.2, zorder=3)
-        if not math.isnan(one.turn_deg):
-            turn = math.radians(axes_of.turn(one.turn_deg, 360))
-            tip = place + site.landmark_set.radius_m * np.array([math.cos(turn), math.sin(turn)])
-            axes.plot(*np.array([place, tip]).T, color=LINES, linewidth=2, zorder=3)
-        axes.annotate(
-            f"ID.{one.id}  ({number})",
-            tuple((place + 0.75 * site.landmark_set.radius_m).tolist()),
-            xytext=(2, 2),
-            textcoords="offset points",
-            fontsize=9,
-            color="black",
-            zorder=4,
-        )
+        _draw_landmark(axes, site, one, number, larger)
     axes.autoscale_view()
     size = "95 % ellipses" + (f", {larger} times as large" if larger > 1 else "")
     axes.plot([], [], color=LINES, linewidth=1.2, label=size)
@@ -80,6 +63,30 @@ def draw_map(path: Path, site: SiteMap) -> None:
     axes.set_facecolor("#f8f8f8")
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=2, fontsize=8, frameon=False)
     write_figure(path, figure)
+
+
+def _draw_landmark(axes: Any, site: SiteMap, one: Landmark, number: int, larger: int) -> None:
+    """Its disc in its ID's colour, the begin of its first sector, its ellipse `larger` times."""
+    axes_of, radius = Axes(site.ros_axes), site.landmark_set.radius_m
+    colour = tuple(np.array(landmark_colours(site.landmark_set.ids)[one.id]) / 255)
+    place = axes_of.place(one.place)
+    disc = place + radius * _circle()
+    axes.fill(*disc.T, facecolor=colour, alpha=0.7, edgecolor=LINES, zorder=2)
+    covariance = axes_of.covariance(one.covariance) * larger**2
+    axes.plot(*ellipse(place, covariance).T, color=LINES, linewidth=1.2, zorder=3)
+    if not math.isnan(one.turn_deg):
+        turn = math.radians(axes_of.turn(one.turn_deg, 360))
+        tip = place + radius * np.array([math.cos(turn), math.sin(turn)])
+        axes.plot(*np.array([place, tip]).T, color=LINES, linewidth=2, zorder=3)
+    axes.annotate(
+        f"ID.{one.id}  ({number})",
+        tuple((place + 0.75 * radius).tolist()),
+        xytext=(2, 2),
+        textcoords="offset points",
+        fontsize=9,
+        color="black",
+        zorder=4,
+    )
 
 
 def _title(site: SiteMap) -> str:

@@ -18,7 +18,7 @@ from sonarrec.drawing.results import AROUND, Mark, caption
 from sonarrec.files.outputs import OVERLAY_LIBRARY, writing
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.overlay import detections
-from sonarrec.readers.mcap.foxglove import json_schema
+from sonarrec.readers.mcap.foxglove_schemas import json_schema
 from sonarrec.records import Estimate, FloatArray, Frame, SonarrecError, shown
 
 ANNOTATIONS_TOPIC = "/sonarrec/annotations"

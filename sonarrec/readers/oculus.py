@@ -133,30 +133,30 @@ def _ping(message: bytes, layout: np.dtype[Any]) -> tuple[Ping, Header]:
     """What both versions hold alike."""
     if len(message) < layout.itemsize:
         raise UnusableError(f"a ping of {len(message)} bytes")
-    told = np.frombuffer(message, layout, 1)[0]
-    bins, beams, offset = int(told["ranges"]), int(told["beams"]), int(told["offset"])
-    image = message[offset : offset + int(told["size"])]
-    if len(image) != told["size"] or offset < layout.itemsize + 2 * beams:
-        raise UnusableError(f"its image of {told['size']} bytes from {offset} on lies outside")
-    size = _BYTES_OF_SAMPLE.get(int(told["data_size"]))
+    fields = np.frombuffer(message, layout, 1)[0]
+    bins, beams, offset = int(fields["ranges"]), int(fields["beams"]), int(fields["offset"])
+    image = message[offset : offset + int(fields["size"])]
+    if len(image) != fields["size"] or offset < layout.itemsize + 2 * beams:
+        raise UnusableError(f"its image of {fields['size']} bytes from {offset} on lies outside")
+    size = _BYTES_OF_SAMPLE.get(int(fields["data_size"]))
     if size is None:
-        raise UnusableError(f"unknown sample type {told['data_size']}")
+        raise UnusableError(f"unknown sample type {fields['data_size']}")
     gains = len(image) == bins * (beams * size + 4)  # the flag that announces them may be wrong
     hundredths = np.frombuffer(message, "<i2", beams, layout.itemsize).astype(float)
-    geometry = oculus_geometry(hundredths, float(told["resolution"]), bins, beams)
+    geometry = oculus_geometry(hundredths, float(fields["resolution"]), bins, beams)
     pixels = oculus_samples(image, bins, beams, size, gains=gains)
     header: Header = {
-        "sonar": f"Oculus, device {told['source']}",
-        "mode": {1: "low frequency", 2: "high frequency"}.get(int(told["mode"])),
-        "frequency_hz": _within(told["frequency"], 1e4, 1e8),
-        "sound_speed_m_s": _within(told["sound_speed"], 1000, 2000),
-        "range_resolution_m": float(told["resolution"]),
-        "range_asked_m": _within(told["range"], 0, 1000) if told["flags"] & 1 else None,
-        "gain_percent": _within(told["gain"], 0, 100),
-        "gamma": _within(1.0 if told["gamma"] in (0, 255) else told["gamma"] / 254, 0, 1),
+        "sonar": f"Oculus, device {fields['source']}",
+        "mode": {1: "low frequency", 2: "high frequency"}.get(int(fields["mode"])),
+        "frequency_hz": _within(fields["frequency"], 1e4, 1e8),
+        "sound_speed_m_s": _within(fields["sound_speed"], 1000, 2000),
+        "range_resolution_m": float(fields["resolution"]),
+        "range_asked_m": _within(fields["range"], 0, 1000) if fields["flags"] & 1 else None,
+        "gain_percent": _within(fields["gain"], 0, 100),
+        "gamma": _within(1.0 if fields["gamma"] in (0, 255) else fields["gamma"] / 254, 0, 1),
         "gains_sent": "yes" if gains else "no",
-        "temperature_c": _within(told["temperature"], -5, 60),
-        "pressure_bar": _within(told["pressure"], 1e-3, 1e4),
+        "temperature_c": _within(fields["temperature"], -5, 60),
+        "pressure_bar": _within(fields["pressure"], 1e-3, 1e4),
     }
     return Ping(pixels, sonar=geometry), header
 
@@ -183,9 +183,9 @@ class _Framing:
 def _message_length(head: bytes) -> int | None:
     if len(head) < _HEAD_TYPE.itemsize or head[:2] != _ID:
         return None
-    told = np.frombuffer(head, _HEAD_TYPE, 1)[0]
-    length = _HEAD_TYPE.itemsize + int(told["payload"])
-    return length if told["message"] in _KNOWN_MESSAGES and length <= MAX_FRAME_BYTES else None
+    fields = np.frombuffer(head, _HEAD_TYPE, 1)[0]
+    length = _HEAD_TYPE.itemsize + int(fields["payload"])
+    return length if fields["message"] in _KNOWN_MESSAGES and length <= MAX_FRAME_BYTES else None
 
 
 _LOG_MARK, _ITEM_MARK = b"\x44\x33\x22\x11", b"\xdd\xcc\xbb\xaa"
@@ -206,9 +206,9 @@ _Q_COMPRESSED = 1  # of Qt: the length in four bytes, most significant first, th
 def _item_length(head: bytes) -> int | None:
     if len(head) < _ITEM.itemsize or head[:4] != _ITEM_MARK:
         return None
-    told = np.frombuffer(head, _ITEM, 1)[0]
-    length = int(told["head"]) + int(told["payload"])
-    return length if 36 <= told["head"] <= 4096 and length <= MAX_FRAME_BYTES else None
+    fields = np.frombuffer(head, _ITEM, 1)[0]
+    length = int(fields["head"]) + int(fields["payload"])
+    return length if 36 <= fields["head"] <= 4096 and length <= MAX_FRAME_BYTES else None
 
 
 _STREAM = _Framing(_ID, _HEAD_TYPE.itemsize, _message_length)

@@ -50,16 +50,16 @@ class VideoFrames(RawLog):
 
     def __iter__(self) -> Iterator[RawFrame]:
         index, last_ns = 0, -1
+        timestamp_ns: int | None
         while self._video.grab():
             pixels = None
             if index not in self.passed_over:
                 ok, pixels = self._video.retrieve()
                 if not ok:
                     break
-            timestamp_ns: int | None = round(self._video.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
-            assert timestamp_ns is not None
-            if timestamp_ns > last_ns:
-                last_ns = timestamp_ns
+            at_ns = round(self._video.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
+            if at_ns > last_ns:
+                last_ns = timestamp_ns = at_ns
             else:  # a container without times of its own
                 period = self._period_ns
                 timestamp_ns = None if period is None else round(index * period)
