@@ -92,19 +92,11 @@ def prepared(
         folder = _results_of(path, out / (name or log.name))
         source = (shown(log.name), *(digest or log.digest_source()))
         table = run_table(
-            configs,
-            recogniser.methods,
-            log.stated,
-            first.fan,
-            landmarks,
-            source,
-            log.reading(),
+            configs, recogniser.methods, log.stated, first.fan, landmarks, source, log.reading()
         )
         table["input"] |= _where(path, folder, given)
         if used.parquet:
             table["program"]["tables"] = "parquet"
-        if given.frames is not None:
-            table["input"]["frames"] = span_text(span)
         if poses is not None:
             table["odometry"] = dict(poses.source)
         if learned is not None:
@@ -146,11 +138,12 @@ def is_same_log(
 
 
 def _where(path: Path, folder: Path, given: Given) -> dict[str, str]:
-    """`path` and `place` of run.toml's [input]."""
+    """`path`, `place` and, if they were asked for, `frames` of run.toml's [input]."""
+    frames = {} if given.frames is None else {"frames": span_text(given.frames)}
     if given.origin is not None:
-        return dict.fromkeys(("path", "place"), given.origin.url)
+        return {**dict.fromkeys(("path", "place"), given.origin.url), **frames}
     place = os.path.relpath(path.resolve(), folder.resolve())
-    return {"path": shown(path), "place": shown(place)}
+    return {"path": shown(path), "place": shown(place), **frames}
 
 
 def _results_of(log: Path, folder: Path) -> Path:

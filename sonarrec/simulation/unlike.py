@@ -45,58 +45,79 @@ _PLATED = ("blank", "spokes", "half_ring", *SYMBOLS)
 
 def made_unlike(scene: Scene, kind: str, rng: np.random.Generator) -> Scene:
     """The scene as its kind has it; of kinds that change nothing as it is."""
+    change = _CHANGES.get(kind)
+    return scene if change is None else change(scene, rng)
+
+
+def _any_floor(scene: Scene, rng: np.random.Generator) -> Scene:
     u = rng.uniform
-    if kind == "any_floor":
-        plate = u(-12, 6)
-        scene = _with_levels(scene, plate, plate + u(5, 14), rng)
-        scene = replace(scene, sonar=replace(scene.sonar, pulse_m=round(u(0.004, 0.02), 4)))
-        return _lit(scene, u(2, 6), rng) if u() < 0.3 else scene
-    if kind == "relief":
-        plate = u(-12, -2)
-        scene = _with_levels(scene, plate, plate + u(5, 14), rng, relief_m=u(0, 0.012))
-        floor = replace(
-            scene.floor,
-            coherence=round(max(u(-0.5, 0.5), 0.0), 3),
-            relief_m=round(u(0.001, 0.005), 4),
-            relief_size_m=round(u(0.015, 0.04), 4),
-        )
-        fading = replace(scene.fading, object_db=u(0, 0.5), patch_db=u(0, 1), specular_db=u(0, 3))
-        scene = replace(scene, floor=floor, fading=fading)
-        return _lit(scene, u(2, 6), rng) if u() < 0.2 else scene
-    if kind == "light":
-        return _lit(scene, u(3, 10), rng)
-    if kind == "debris":
-        plate = u(-12, 0)
-        scene = _with_levels(scene, plate, plate + u(8, 16), rng)
-        floor = replace(
-            scene.floor,
-            texture_db=round(u(1.5, 4.5), 2),
-            texture_m=round(u(0.04, 0.2), 3),
-            debris_db=round(u(4, 14), 2),
-            debris_m=round(u(0.08, 0.4), 3),
-        )
-        sonar = replace(scene.sonar, pulse_m=round(u(0.005, 0.02), 4))
-        scene = replace(scene, floor=floor, sonar=sonar)
-        return _lit(scene, u(2, 8), rng) if u() < 0.5 else scene
-    if kind == "slope":
-        return _on_floor(scene, slope_deg=round(u(1.5, 8), 2), slope_towards_deg=_way(rng))
-    if kind == "ripples":
-        length = math.exp(u(math.log(0.05), math.log(0.3)))
-        return _on_floor(
-            scene,
-            ripple_length_m=round(length, 4),
-            ripple_height_m=round(length * math.exp(u(math.log(0.02), math.log(0.12))), 5),
-            ripple_towards_deg=_way(rng),
-            ripple_bends=round(u(0.1, 0.5), 2),
-        )
-    if kind in ("leaning", "silted"):
-        scene = _on_floor(scene, silt_m=round(u(0.02, 0.07), 3)) if kind == "silted" else scene
-        return _each_disc(scene, _leaning if kind == "leaning" else _silted, rng)
-    if kind == "multipath":
-        return _with_multipath(scene, rng)
-    if kind == "fish":
-        return replace(scene, fish=_fish(rng))
-    return scene
+    plate = u(-12, 6)
+    scene = _with_levels(scene, plate, plate + u(5, 14), rng)
+    scene = replace(scene, sonar=replace(scene.sonar, pulse_m=round(u(0.004, 0.02), 4)))
+    return _lit(scene, u(2, 6), rng) if u() < 0.3 else scene
+
+
+def _relief(scene: Scene, rng: np.random.Generator) -> Scene:
+    u = rng.uniform
+    plate = u(-12, -2)
+    scene = _with_levels(scene, plate, plate + u(5, 14), rng, relief_m=u(0, 0.012))
+    floor = replace(
+        scene.floor,
+        coherence=round(max(u(-0.5, 0.5), 0.0), 3),
+        relief_m=round(u(0.001, 0.005), 4),
+        relief_size_m=round(u(0.015, 0.04), 4),
+    )
+    fading = replace(scene.fading, object_db=u(0, 0.5), patch_db=u(0, 1), specular_db=u(0, 3))
+    scene = replace(scene, floor=floor, fading=fading)
+    return _lit(scene, u(2, 6), rng) if u() < 0.2 else scene
+
+
+def _light(scene: Scene, rng: np.random.Generator) -> Scene:
+    return _lit(scene, rng.uniform(3, 10), rng)
+
+
+def _debris(scene: Scene, rng: np.random.Generator) -> Scene:
+    u = rng.uniform
+    plate = u(-12, 0)
+    scene = _with_levels(scene, plate, plate + u(8, 16), rng)
+    floor = replace(
+        scene.floor,
+        texture_db=round(u(1.5, 4.5), 2),
+        texture_m=round(u(0.04, 0.2), 3),
+        debris_db=round(u(4, 14), 2),
+        debris_m=round(u(0.08, 0.4), 3),
+    )
+    sonar = replace(scene.sonar, pulse_m=round(u(0.005, 0.02), 4))
+    scene = replace(scene, floor=floor, sonar=sonar)
+    return _lit(scene, u(2, 8), rng) if u() < 0.5 else scene
+
+
+def _slope(scene: Scene, rng: np.random.Generator) -> Scene:
+    return _on_floor(scene, slope_deg=round(rng.uniform(1.5, 8), 2), slope_towards_deg=_way(rng))
+
+
+def _ripples(scene: Scene, rng: np.random.Generator) -> Scene:
+    u = rng.uniform
+    length = math.exp(u(math.log(0.05), math.log(0.3)))
+    return _on_floor(
+        scene,
+        ripple_length_m=round(length, 4),
+        ripple_height_m=round(length * math.exp(u(math.log(0.02), math.log(0.12))), 5),
+        ripple_towards_deg=_way(rng),
+        ripple_bends=round(u(0.1, 0.5), 2),
+    )
+
+
+def _leaning(scene: Scene, rng: np.random.Generator) -> Scene:
+    return _each_disc(
+        scene,
+        lambda: {"lean_deg": round(rng.uniform(2, 15), 2), "lean_towards_deg": _way(rng)},
+    )
+
+
+def _silted(scene: Scene, rng: np.random.Generator) -> Scene:
+    scene = _on_floor(scene, silt_m=round(rng.uniform(0.02, 0.07), 3))
+    return _each_disc(scene, lambda: {"silted": round(rng.uniform(0.1, 0.4), 3)})
 
 
 def _way(rng: np.random.Generator) -> float:
@@ -107,33 +128,21 @@ def _on_floor(scene: Scene, **changed: float) -> Scene:
     return replace(scene, floor=replace(scene.floor, **changed))
 
 
-def _leaning(rng: np.random.Generator) -> dict[str, Any]:
-    return {"lean_deg": round(rng.uniform(2, 15), 2), "lean_towards_deg": _way(rng)}
-
-
-def _silted(rng: np.random.Generator) -> dict[str, Any]:
-    return {"silted": round(rng.uniform(0.1, 0.4), 3)}
-
-
-def _each_disc(
-    scene: Scene,
-    drawn: Callable[[np.random.Generator], dict[str, Any]],
-    rng: np.random.Generator,
-) -> Scene:
-    """Landmarks and what looks like them: what befalls one must not tell them apart."""
+def _each_disc(scene: Scene, drawn: Callable[[], dict[str, Any]]) -> Scene:
+    """Change landmarks and what looks like them alike: the change must not tell them apart."""
     return replace(
         scene,
-        landmarks=tuple(replace(item, **drawn(rng)) for item in scene.landmarks),
+        landmarks=tuple(replace(item, **drawn()) for item in scene.landmarks),
         objects=tuple(
-            replace(item, **drawn(rng)) if item.kind in (*_PLATED, "filled") else item
+            replace(item, **drawn()) if item.kind in (*_PLATED, "filled") else item
             for item in scene.objects
         ),
     )
 
 
-def _fish(rng: np.random.Generator) -> FishSection:
+def _fish(scene: Scene, rng: np.random.Generator) -> Scene:
     u = rng.uniform
-    return FishSection(
+    fish = FishSection(
         number=int(rng.integers(15, 90)),
         schools=int(rng.integers(0, 4)),
         schooling=round(u(0.3, 0.9), 2),
@@ -142,6 +151,7 @@ def _fish(rng: np.random.Generator) -> FishSection:
         height_m=round(u(0.05, 0.35), 3),
         speed_m_s=round(u(0.05, 0.5), 3),
     )
+    return replace(scene, fish=fish)
 
 
 def _with_multipath(scene: Scene, rng: np.random.Generator) -> Scene:
@@ -235,3 +245,18 @@ def _with_levels(
             )
         objects.append(item)
     return replace(scene, landmarks=tuple(landmarks), objects=tuple(objects))
+
+
+_CHANGES: dict[str, Callable[[Scene, np.random.Generator], Scene]] = {
+    "any_floor": _any_floor,
+    "relief": _relief,
+    "light": _light,
+    "debris": _debris,
+    "slope": _slope,
+    "leaning": _leaning,
+    "silted": _silted,
+    "ripples": _ripples,
+    "multipath": _with_multipath,
+    "fish": _fish,
+}
+"""By kind: what it changes. Symbols, wide and vehicle are drawn by random_scenes."""
