@@ -12,7 +12,7 @@ import numpy as np
 from sonarrec.evaluation.counting.parts import part_of, score_all
 from sonarrec.evaluation.counting.pooled import Parts, Pooled, pooled
 from sonarrec.evaluation.counting.scoring import Scored
-from sonarrec.evaluation.matching.fit import Checked, Matched, fit, left_out, of_other_logs
+from sonarrec.evaluation.matching.fit import Checked, fit, left_out, of_other_logs
 from sonarrec.evaluation.matching.joined import Joined, join
 from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import (
@@ -106,14 +106,26 @@ def evaluate_whole(
     """
     given = _given(results, ground_truth, options)
     found = _gathered(given, (survey(r, whole=True) for r in given.readings), some)
+    logs = [found.logs[i] for i in found.used]
     if not some:
-        _check_methods([found.logs[i] for i in found.used], found.names)
-    cases = []
-    for i, name in zip(found.used, found.names, strict=True):
-        case = found.logs[i].case
-        assert case is not None
-        cases.append(replace(case, log=replace(case.log, name=name)))
-    return pool(cases, options.min_visible, found.notes, found.unused)
+        _check_methods(logs, found.names)
+    cases = [log.case for log in logs if log.case is not None]
+    named = [replace(case.log, name=name) for case, name in zip(cases, found.names, strict=True)]
+    joined = join(named, [case.truth for case in cases], options.min_visible)
+    estimates = np.bincount(joined.method_index, minlength=len(joined.methods))
+    positives = np.bincount(
+        joined.truth_landmark_index[joined.truth_positive], minlength=len(joined.ids)
+    )
+    facts = joined.methods, joined.placed, estimates, joined.ids, positives
+    notes = [*found.notes, *_notes(logs, found.names, *facts)]
+    return Evaluation(
+        joined=joined,
+        folders=tuple(log.folder for log in logs),
+        scored=score_all(joined),
+        min_visible=options.min_visible,
+        notes=tuple(map(printable, notes)),
+        unused=tuple(map(printable, found.unused)),
+    )
 
 
 def evaluate_many(
@@ -155,7 +167,7 @@ def evaluate_many(
     logs = [found.logs[i] for i in found.used]
     _check_methods(logs, found.names)
     facts = result.methods, result.placed, result.estimates, result.ids, result.positives
-    notes = [*found.notes, *_notes(_told(logs, found.names), *facts)]
+    notes = [*found.notes, *_notes(logs, found.names, *facts)]
     return replace(
         result,
         folders=tuple(log.folder for log in logs),
@@ -297,36 +309,6 @@ def told_apart(logs: Sequence[tuple[str, Path]]) -> list[str]:
     return [name if many[name] == 1 else str(folder) for name, folder in logs]
 
 
-def pool(
-    cases: Sequence[Matched],
-    min_visible: float,
-    notes: Sequence[str] = (),
-    unused: Sequence[str] = (),
-) -> Evaluation:
-    """Score logs that were read, each with its truth, as one.
-
-    notes, unused: what is to be told besides.
-    Raises SonarrecError where their landmark IDs differ.
-    """
-    logs, truths = [case.log for case in cases], [case.truth for case in cases]
-    for log in logs:
-        if set(log.landmarks.ids) != set(logs[0].landmarks.ids):
-            raise other_ids(logs[0].name, log.name)
-    joined = join(logs, truths, min_visible)
-    told_of = [
-        _Told(log.name, truth.rows, truth.between, log.methods)
-        for log, truth in zip(logs, truths, strict=True)
-    ]
-    seen = np.bincount(joined.method_index, minlength=len(joined.methods))
-    positives = np.bincount(
-        joined.truth_landmark_index[joined.truth_positive], minlength=len(joined.ids)
-    )
-    said = _notes(told_of, joined.methods, joined.placed, seen, joined.ids, positives)
-    told = tuple(map(printable, [*notes, *said])), tuple(map(printable, unused))
-    folders = tuple(case.folder for case in cases)
-    return Evaluation(joined, folders, score_all(joined), min_visible, *told)
-
-
 def other_ids(first: str, other: str) -> SonarrecError:
     """The error for two logs, by name, whose landmark IDs differ."""
     return SonarrecError(
@@ -341,26 +323,9 @@ def _check_methods(logs: Sequence[Surveyed], names: Sequence[str]) -> None:
         raise SonarrecError(f"{', '.join(names)}: estimates.csv names no method to score")
 
 
-@dataclass(frozen=True, slots=True)
-class _Told:
-    """Of one log what notes speak of."""
-
-    name: str
-    rows: int
-    between: int
-    methods: tuple[str, ...]
-
-
-def _told(logs: Sequence[Surveyed], names: Sequence[str]) -> list[_Told]:
-    return [
-        _Told(name, log.checked.rows, log.between, log.methods)
-        for name, log in zip(names, logs, strict=True)
-        if log.checked is not None
-    ]
-
-
 def _notes(
-    logs: Sequence[_Told],
+    logs: Sequence[Surveyed],
+    names: Sequence[str],
     methods: Sequence[str],
     placed: bool,
     estimates: IntArray,
@@ -378,19 +343,17 @@ def _notes(
             "the strict protocol is not scored: truth or estimates lack positions, or give them "
             "in pixels while neither run.toml nor an option states the geometry (give --sonar FILE)"
         )
-    for log in logs:
-        if not log.rows:
-            notes.append(f"{log.name}: no row in the ground truth, so taken to hold no landmark")
+    for name, log in zip(names, logs, strict=True):
+        if log.checked is not None and not log.checked.rows:
+            notes.append(f"{name}: no row in the ground truth, so taken to hold no landmark")
         if log.between:
             notes.append(
-                f"{log.name}: {log.between} ground-truth rows lie between frames and are passed "
+                f"{name}: {log.between} ground-truth rows lie between frames and are passed "
                 "over for others nearer in time"
             )
         missing = [m for m in methods if m not in log.methods]
         if missing:
-            notes.append(
-                f"{log.name}: holds nothing of {', '.join(missing)}, which counts as no claim"
-            )
+            notes.append(f"{name}: holds nothing of {', '.join(missing)}, which counts as no claim")
     notes += [f"{m}: no estimate at all" for m, n in zip(methods, estimates, strict=True) if not n]
     for i, n in zip(ids, positives, strict=True):
         if not n:
