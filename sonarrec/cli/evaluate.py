@@ -210,20 +210,20 @@ def _compare(
     here: Here,
 ) -> int:
     """The exit code."""
-    from sonarrec.evaluation import write
-    from sonarrec.evaluation.compare import compare
+    from sonarrec.evaluation.compare.screen import screen
+    from sonarrec.evaluation.compare.write import comparison_json, write_comparison
     from sonarrec.remote.run import inside
 
     found = compared(sides, truth, scoring, here, unit, jobs)
     folder = here.output(out or inside(sides[1], "evaluation"))
-    written = write.write_comparison(folder, found)
+    written = write_comparison(folder, found)
     unused = [*here.unused, *found.unused]
     tell(unused, shown.on_stderr(found.notes))
     if shown.as_json:
-        for piece in write.comparison_json(found):
+        for piece in comparison_json(found):
             click.echo(piece, nl=False)
     elif not shown.quiet:
-        click.echo(compare.screen(found))
+        click.echo(screen(found))
         for note in found.notes:
             click.echo(f"note: {note}")
         click.echo(f"{here.told(str(folder))}: {', '.join(written)}")

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from textwrap import indent
 from typing import Any
 
-from sonarrec.evaluation.compare.compare import Comparison, RateChange
 from sonarrec.evaluation.counting.curves import Count, macro_curve
 from sonarrec.evaluation.counting.pooled import Pooled, PooledScored
 from sonarrec.evaluation.counting.reliability import BINS
-from sonarrec.evaluation.counting.uncertainty import Difference, Figure
 from sonarrec.evaluation.plots import draw_det, draw_reliability, draw_roc, draw_roc_by_id
 from sonarrec.evaluation.summary import Summary
 from sonarrec.files.outputs import (
@@ -22,7 +19,6 @@ from sonarrec.files.outputs import (
     check_output,
     check_tables,
     is_filled,
-    replaced,
     write_csv,
     write_text,
     writing,
@@ -39,11 +35,6 @@ TESTS = (
 PASSES = (
     *("log", "landmark", "first_frame", "last_frame", "protocol", "method", "frames", "right"),
     *("frames_to_id", "id_switches", "track_switches"),
-)
-COMPARE = ("protocol", "method", "landmark", "rate", "old", "new", "worse_by", "of")
-CHANGES = (
-    *("protocol", "method", "log", "frame", "landmark", "change"),
-    *("tp_old", "fp_old", "fn_old", "tp_new", "fp_new", "fn_new"),
 )
 RELIABILITY = ("method", "landmark", "bin_low", "bin_high", "count", "mean_probability", "right")
 
@@ -89,40 +80,13 @@ def write_evaluation(
     return (*tables, *pictures, "evaluation.json")
 
 
-def write_comparison(folder: Path, found: Comparison) -> tuple[str, ...]:
-    """Write compare.csv, changes.csv and compare.json; returns their names.
-
-    Raises as `write_evaluation`.
-    """
-    rates = (
-        (r.protocol, r.method, r.landmark_text, r.rate, r.old, r.new, r.worse, r.of)
-        for r in found.rates
-    )
-    changes = (
-        (c.protocol, c.method, c.log, c.frame, c.landmark, c.verdict, *c.old, *c.new)
-        for c in found.frames
-    )
-    check_tables(folder, {"compare.csv": COMPARE, "changes.csv": CHANGES})
-    check_output(folder / "compare.json", "JSON", header='{\n  "old": ')
-    check_no_recording(folder, ["evaluation.json", "compare.csv"])
-    with writing(folder):
-        write_table(folder / "compare.csv", COMPARE, rates)
-        write_table(folder / "changes.csv", CHANGES, changes)
-        with (
-            replaced(folder / "compare.json") as new,
-            new.open("w", encoding="utf-8", newline="") as file,
-        ):
-            file.writelines(comparison_json(found))
-    return ("compare.csv", "changes.csv", "compare.json")
-
-
 def write_table(path: Path, header: tuple[str, ...], rows: Iterable[tuple[Any, ...]]) -> None:
     """A CSV file; NaN is an empty cell."""
-    known = (
+    cells = (
         ["" if isinstance(cell, float) and math.isnan(cell) else cell for cell in row]
         for row in rows
     )
-    write_csv(path, header, known)
+    write_csv(path, header, cells)
 
 
 def _cells(scored: PooledScored) -> list[tuple[str, Count]]:
@@ -234,8 +198,8 @@ def as_json(evaluation: Pooled, summary: Summary) -> dict[str, Any]:
         "units": summary.units.count,
         "methods": methods,
         "per_log": per_log,
-        "figures": [_record(figure) for figure in summary.figures],
-        "differences": [_record(difference) for difference in summary.differences],
+        "figures": [as_record(asdict(figure)) for figure in summary.figures],
+        "differences": [as_record(asdict(difference)) for difference in summary.differences],
         "notes": [*evaluation.notes, *summary.notes],
         "unused": list(evaluation.unused),
     }
@@ -243,45 +207,16 @@ def as_json(evaluation: Pooled, summary: Summary) -> dict[str, Any]:
 
 def _named_counts(names: Sequence[str], counts: Sequence[Count]) -> dict[str, Any]:
     return {
-        name: {key: _known(v) for key, v in zip(COUNTS, _counts(count), strict=True)}
+        name: {key: known(v) for key, v in zip(COUNTS, _counts(count), strict=True)}
         for name, count in zip(names, counts, strict=True)
     }
 
 
-def comparison_json(found: Comparison) -> Iterator[str]:
-    """compare.json piece by piece: what was compared and how it was made, rates, tests, passes;
-    0/0 is null."""
-    document = {
-        "old": found.old,
-        "new": found.new,
-        "logs": list(found.logs),
-        "frames": found.frames_compared,
-        "landmarks": list(found.landmarks),
-        "units": found.units,
-        "settings": [asdict(change) for change in found.settings],
-        "rates": [_record(rate) | {"worse_by": _known(rate.worse)} for rate in found.rates],
-        "differences": [_record(difference) for difference in found.differences],
-        "passes": [],
-        "frames_and_ids": found.frames.verdicts(),
-        "lost": list(found.lost),
-        "gained": list(found.gained),
-        "notes": list(found.notes),
-        "unused": list(found.unused),
-    }
-    # Of many logs the passes are many. No text in the document holds the key as it stands here:
-    # in one its quotes are escaped.
-    before, after = json_text(document).split('"passes": []')
-    yield f'{before}"passes": ['
-    end = ""
-    for change in found.passes:
-        yield ("," if end else "") + "\n" + indent(json.dumps(asdict(change), indent=2), " " * 4)
-        end = "\n  "
-    yield f"{end}]{after}"
+def as_record(fields: dict[str, Any]) -> dict[str, Any]:
+    """The fields of a figure or a rate for JSON, null in place of NaN and infinity."""
+    return {key.removesuffix("_text"): known(value) for key, value in fields.items()}
 
 
-def _record(record: Figure | Difference | RateChange) -> dict[str, Any]:
-    return {key.removesuffix("_text"): _known(v) for key, v in asdict(record).items()}
-
-
-def _known(value: Any) -> Any:
+def known(value: Any) -> Any:
+    """The value; None in place of NaN and infinity, which JSON does not have."""
     return None if isinstance(value, float) and not math.isfinite(value) else value

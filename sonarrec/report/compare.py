@@ -9,7 +9,8 @@ from pathlib import Path
 
 from sonarrec import __version__
 from sonarrec.evaluation import cells
-from sonarrec.evaluation.compare.compare import Comparison, PassChange, outcome, settings_lines
+from sonarrec.evaluation.compare.compare import Comparison, PassChange
+from sonarrec.evaluation.compare.screen import outcome, settings_lines
 from sonarrec.evaluation.counting.uncertainty import LEVEL, MIN_UNITS, Difference
 from sonarrec.evaluation.metrics import BY_NAME, MAIN
 from sonarrec.files.outputs import write_page

@@ -144,7 +144,7 @@ def test_a_protocol_that_is_gone_is_a_regression(sides: tuple[Path, Path, Path])
     arguments = ["--ground-truth", truth, "--fail-on-regression", 0.5, "--compare"]
     done = command(*arguments, old, new, code=1)
     assert done.stderr.splitlines() == ["sonarrec: worse: protocol strict: no longer scored"]
-    note = f"note: protocol strict is not compared: {new} lacks positions that can be used"
+    note = f"note: protocol strict is not compared: {new} has no positions that can be used"
     assert note in done.stdout.splitlines()
     back = command(*arguments, new, old)
     assert note in back.stdout.splitlines()
@@ -273,7 +273,7 @@ def test_without_a_sha256_frames_go_together_by_number_and_it_is_said(
     made(new)
     arguments = ["--ground-truth", truth, "--compare", old, new]
     said = command(*arguments, code=1).stderr  # the built-in set has four IDs
-    assert "run with the landmark IDs 1, 2, 3, 4 and 1, 2; to compare them the same" in said
+    assert "run with the landmark IDs 1, 2, 3, 4 and 1, 2; only results with the same" in said
     output = command(*arguments, "--landmarks", "basin").stdout
     assert f"note: {old}: no SHA-256 of the log in run.toml; frames go together by number" in output
     assert f"note: {old}: no run.toml, so its settings are not known" in output

@@ -1,4 +1,4 @@
-"""Two sets of results on one truth: what got better, what got worse, and in which frames."""
+"""Two sets of results scored against one truth: what got better or worse, and in which frames."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from sonarrec.evaluation import metrics
-from sonarrec.evaluation.compare.both import BothCounted, BothReading, count_both
 from sonarrec.evaluation.compare.changes import FrameChanges, put
+from sonarrec.evaluation.compare.log_pair import CountedPair, LogPair, count_pair
+from sonarrec.evaluation.compare.pairing import pair_logs
 from sonarrec.evaluation.compare.settings import SettingChange, changed_settings
-from sonarrec.evaluation.compare.sides import both_sides
 from sonarrec.evaluation.counting.behaviour import PassOutcomes
 from sonarrec.evaluation.counting.counted import Counted
 from sonarrec.evaluation.counting.passes import UnitKind
@@ -38,7 +38,7 @@ from sonarrec.records import SonarrecError, printable
 from sonarrec.results.run_file import RunFile, read_run
 
 FRAMES_FREE = 2
-"""Frames that may turn worse whatever the band: two of 24 are no trend, though they are .083."""
+"""So many frames may get worse, whatever the band: 2 of 24 are no trend, though they are .083."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,22 +55,22 @@ class RateChange:
     new: float
     """NaN where 0/0."""
     of: int
-    """The frames, or claims, that it is taken over."""
+    """The denominator: how many cases the rate is over."""
 
     @property
     def worse(self) -> float:
-        """By how much it got worse; below 0 it got better. A rate that was 0/0 counts as 0."""
+        """By how much it got worse; negative if it got better. 0/0 counts as 0."""
         up = float(np.nan_to_num(self.new) - np.nan_to_num(self.old))
         return up if self.rate == "fpr" else -up
 
     def is_regression(self, band: float) -> bool:
-        """Whether it got worse by more than the band, and by more than FRAMES_FREE frames."""
+        """Whether it got worse by more than `band` and by more than FRAMES_FREE frames."""
         return self.worse > max(band, FRAMES_FREE / max(self.of, 1)) + 1e-9
 
 
 @dataclass(frozen=True, slots=True)
 class PassChange:
-    """A pass of a landmark through the view in which one method has more right frames, or fewer."""
+    """A pass of a landmark in which one method is right in more frames, or in fewer."""
 
     protocol: str
     method: str
@@ -79,29 +79,29 @@ class PassChange:
     first_frame: int
     last_frame: int
     frames: int
-    """With the landmark whole in view."""
+    """Frames with the whole landmark in view."""
     old: int
     new: int
-    """Those of them in which it was claimed."""
+    """Frames of these in which it was claimed."""
 
 
 @dataclass(frozen=True, slots=True)
 class PassChanges:
-    """All of them, each made as it is asked for: of many logs they are many."""
+    """All PassChange records. Each is made when it is asked for, since many logs have very many."""
 
     outcomes: tuple[tuple[PassOutcomes, PassOutcomes], ...]
-    """Before and after, of each method under each protocol."""
-    found: Pooled
+    """Before and after, per method and protocol."""
+    pooled: Pooled
 
     def __iter__(self) -> Iterator[PassChange]:
-        found, passes = self.found, self.found.passes
+        pooled, passes = self.pooled, self.pooled.passes
         for a, b in self.outcomes:
             for i in np.flatnonzero(a.right != b.right).tolist():
                 yield PassChange(
                     protocol=a.protocol,
                     method=a.method,
-                    log=found.logs[passes.log_index[i]],
-                    landmark=found.ids[passes.landmark_index[i]],
+                    log=pooled.logs[passes.log_index[i]],
+                    landmark=pooled.ids[passes.landmark_index[i]],
                     first_frame=int(passes.first_frame[i]),
                     last_frame=int(passes.last_frame[i]),
                     frames=int(b.frames[i]),
@@ -116,33 +116,32 @@ class Comparison:
 
     old: str
     new: str
-    """The folders as given."""
+    """The results folders as given."""
     logs: tuple[str, ...]
     frames_compared: int
     units: str
-    """How many, and of what, intervals and tests rest on."""
+    """What intervals and tests treat as independent, such as "12 passes"."""
     landmarks: tuple[int, ...]
     settings: tuple[SettingChange, ...]
-    """What differs in how the results were made."""
+    """The settings that differ."""
     rates: tuple[RateChange, ...]
     frames: FrameChanges
     passes: PassChanges
     differences: tuple[Difference, ...]
-    """New less old, per ID and in total, with interval and p-value."""
+    """New minus old, per ID and in total, with interval and p-value."""
     lost: tuple[str, ...]
     """Methods that only the old results have."""
     gained: tuple[str, ...]
     """Methods that only the new results have."""
     unplaced: bool
-    """Whether protocol strict is scored of the old results only."""
+    """Whether protocol strict could be scored for the old results only."""
     notes: tuple[str, ...]
-    """Worth knowing."""
     unused: tuple[str, ...]
     """Input that could not be used, one line each."""
 
     def regressions(self, band: float) -> list[str]:
-        """One line per rate that got worse beyond the band, and per method or protocol that is
-        gone."""
+        """A line for each rate that got worse by more than `band`, and for each missing method or
+        protocol."""
         lines = [f"{method}: no longer in the results" for method in self.lost]
         lines += ["protocol strict: no longer scored"] * self.unplaced
         for r in self.rates:
@@ -150,12 +149,13 @@ class Comparison:
                 name = "ID." * r.landmark_text.isdigit() + r.landmark_text
                 lines.append(
                     f"{r.method}, {r.protocol}, {name}: {BY_NAME[r.rate].label} was "
-                    f"{_told(r.old)}, is {_told(r.new)}"
+                    f"{rate_text(r.old)}, is {rate_text(r.new)}"
                 )
         return lines
 
 
-def _told(rate: float) -> str:
+def rate_text(rate: float) -> str:
+    """A rate to four digits, or "0/0"."""
     return "0/0" if math.isnan(rate) else f"{rate:.4f}"
 
 
@@ -169,86 +169,84 @@ def compare(
     jobs: int | None = None,
     elsewhere: Elsewhere | None = None,
 ) -> Comparison:
-    """Compare two results folders, each of one log or of several, on the frames both hold.
+    """Compare two results folders, each of one log or of several, on their common frames.
 
-    Each log is read, counted and let go: memory does not grow with the logs.
+    Logs are read one at a time, so memory does not grow with their number. A log that cannot be
+    compared is left out if there are others.
 
-    Logs go together by name or SHA-256, or where each side has one log. ground_truth: one table,
-    or pairs, of which each log takes that of its results; None: the truth beside each log. unit:
-    as of `summary.summarise`. jobs, elsewhere: as of `evaluate.evaluate_many`. A log that cannot be
-    compared is left out of several. Raises SonarrecError where none is left, or the one truth of
-    all of them cannot be read.
+    old, new: their logs are paired by name or SHA-256; if each holds one log, these are paired.
+    ground_truth: one table for all logs, or pairs that name a truth per log; None: the truth
+    beside each log. unit: as in `summary.summarise`. jobs, elsewhere: as in
+    `evaluate.evaluate_many`.
+    Raises SonarrecError if no log can be compared, or if one truth is for all logs and cannot be
+    read.
     """
     options.check()
-    sides = both_sides(old, new, ground_truth, options.landmarks, elsewhere)
-    readings = [
-        BothReading(one.was, one.now, one.ground_truth, one.name, options) for one in sides.logs
-    ]
-    both = _counted(readings, jobs, options.min_visible)
-    notes = [*dict.fromkeys(sides.notes), *both.notes]
-    unused = [*dict.fromkeys([*sides.unused, *both.cut]), *both.unused]
+    pairing = pair_logs(old, new, ground_truth, options, elsewhere)
+    counted = _counted(pairing.pairs, jobs, options.min_visible)
+    notes = [*dict.fromkeys(pairing.notes), *counted.notes]
+    unused = [*dict.fromkeys([*pairing.unused, *counted.cut]), *counted.unused]
     return _compared(
-        both,
+        counted,
         unit,
         old=str(old),
         new=str(new),
-        settings=tuple(changed_settings(map(_runs, both.used))),
+        settings=tuple(changed_settings(map(_runs, counted.used))),
         notes=tuple(map(printable, notes)),
         unused=tuple(map(printable, unused)),
     )
 
 
-def _runs(of: BothReading) -> tuple[str, RunFile, RunFile]:
-    """Read only now, one log at a time: of many logs these tables alone are large."""
-    before, after = (read_run(folder / "run.toml") for folder in of.folders)
-    return of.name, before, after
+def _runs(pair: LogPair) -> tuple[str, RunFile, RunFile]:
+    """(name, old run.toml, new run.toml), not kept: those of many logs take much memory."""
+    before, after = (read_run(folder / "run.toml") for folder in pair.folders)
+    return pair.name, before, after
 
 
 @dataclass(frozen=True, slots=True)
-class _Both:
-    """All logs on both sides, each of which was read once and let go."""
+class _Counted:
+    """The counts of all pairs that can be compared."""
 
-    used: list[BothReading]
-    """Those that are compared."""
+    used: list[LogPair]
     before: Pooled
     after: Pooled
     """Of the same logs, frames and passes."""
     frames: Callable[[tuple[tuple[str, str], ...]], FrameChanges]
-    """What changed, of each protocol and method that is asked for."""
+    """The changed frames of the given protocols and methods."""
     notes: list[str]
     cut: list[str]
     """A line for each part of a log that is not compared."""
     unused: list[str]
-    """A line for each log that is not."""
+    """A line for each log that is not compared."""
 
 
-def _counted(readings: Sequence[BothReading], jobs: int | None, min_visible: float) -> _Both:
-    """The logs that can be compared, each read on both sides and counted.
+def _counted(pairs: Sequence[LogPair], jobs: int | None, min_visible: float) -> _Counted:
+    """Read and count all pairs.
 
-    Raises SonarrecError where there is none, or where they have different IDs or no method.
+    Raises SonarrecError if none can be compared, or if they have different IDs or no method.
     """
     store = Store()
     before, after = Parts(store, "old"), Parts(store, "new")
-    logs: list[BothCounted] = []
-    read: list[BothReading] = []
+    logs: list[CountedPair] = []
+    read: list[LogPair] = []
     unread: list[Unread] = []
-    numbers: dict[int, int] = {}
+    numbers: dict[int, int] = {}  # of a log, by its index in `logs`, the number of its parts
     ids: tuple[int, ...] | None = None
-    for reading, log in zip(readings, each(count_both, readings, jobs), strict=True):
+    for pair, log in zip(pairs, each(count_pair, pairs, jobs), strict=True):
         one = log
-        if isinstance(one, BothCounted) and one.sides is not None:
+        if isinstance(one, CountedPair) and one.parts is not None:
             ids = ids or one.ids
-            if one.ids != ids and set(one.ids) == set(ids):  # in the order of the first
-                one = count_both(replace(reading, ids=ids))
+            if one.ids != ids and set(one.ids) == set(ids):  # count again, in the first log's order
+                one = count_pair(replace(pair, ids=ids))
         if isinstance(one, Unread):
             unread.append(one)
             continue
-        if one.sides is not None:
-            number = numbers[len(logs)] = before.put(one.sides[0])
-            after.put(one.sides[1])
+        if one.parts is not None:
+            number = numbers[len(logs)] = before.put(one.parts[0])
+            after.put(one.parts[1])
             put(store, number, one.changes)
-        logs.append(replace(one, sides=None, changes={}))
-        read.append(reading)
+        logs.append(replace(one, parts=None, changes={}))
+        read.append(pair)
     if not logs:
         raise unread[0].error
     found = fit([log.checked for log in logs])
@@ -256,134 +254,79 @@ def _counted(readings: Sequence[BothReading], jobs: int | None, min_visible: flo
     for log in used:
         if set(log.ids) != set(used[0].ids):
             raise other_ids(used[0].name, log.name)
-    names = told_apart([(read[i].name, read[i].now) for i in found.usable])
+    names = told_apart([(read[i].name, read[i].new) for i in found.usable])
     kept = [numbers[i] for i in found.usable]
     old, new = (pooled(parts, kept, names, min_visible) for parts in (before, after))
     if not (old.methods and new.methods):
         raise SonarrecError(f"{', '.join(names)}: estimates.csv names no method to score")
-    named = tuple(zip(kept, names, strict=True))
-    return _Both(
+    return _Counted(
         used=[replace(read[i], name=n) for i, n in zip(found.usable, names, strict=True)],
         before=old,
         after=new,
-        frames=partial(FrameChanges, store, named),
+        frames=partial(FrameChanges, store, tuple(zip(kept, names, strict=True))),
         notes=found.notes,
         cut=[line for log in logs for line in log.unused],
         unused=[*(one.told("compared") for one in unread), *found.unused],
     )
 
 
-def _compared(both: _Both, unit: UnitKind | None, **told: Any) -> Comparison:
-    """told: the fields of Comparison that are known already."""
-    before, after = both.before, both.after
+def _compared(counted: _Counted, unit: UnitKind | None, **known: Any) -> Comparison:
+    """known: the fields of Comparison that are known already."""
+    before, after = counted.before, counted.after
     units = after.units(unit)
     rng = np.random.default_rng(0)
     weights, tosses = bootstrap_weights(units.count, rng), coin_tosses(units.count, rng)
-    olds = {(s.protocol, s.method): n for n, s in enumerate(before.scored)}
+    index_before = {(s.protocol, s.method): n for n, s in enumerate(before.scored)}
+    methods = []
     rates: list[RateChange] = []
     outcomes = []
-    found: list[Difference] = []
-    methods = []
-    for m, b in enumerate(after.scored):
-        n = olds.get((b.protocol, b.method))
-        if n is not None:
-            methods.append((b.protocol, b.method))
-            outcomes.append((before.outcomes[n], after.outcomes[m]))
-            # An ID at a time: a curve of many logs is long.
-            old = metrics.rates_of(metrics.Case(before, units), before.scored[n])
-            new = metrics.rates_of(metrics.Case(after, units), b)
-            for was, now in zip(old, new, strict=True):
-                rates += _rate_changes(was, now)
-                was_tally, now_tally = (metrics.tally(metrics.rates, side) for side in (was, now))
-                found += differences(was_tally, now_tally, weights, tosses)
+    tests: list[Difference] = []
+    for m, scored in enumerate(after.scored):
+        n = index_before.get((scored.protocol, scored.method))
+        if n is None:
+            continue
+        methods.append((scored.protocol, scored.method))
+        outcomes.append((before.outcomes[n], after.outcomes[m]))
+        # One ID at a time, since the curves of many logs are long.
+        olds = metrics.rates_of(metrics.Case(before, units), before.scored[n])
+        news = metrics.rates_of(metrics.Case(after, units), scored)
+        for old, new in zip(olds, news, strict=True):
+            rates += _rate_changes(old, new)
+            old_tally, new_tally = (metrics.tally(metrics.rates, rate) for rate in (old, new))
+            tests += differences(old_tally, new_tally, weights, tosses)
     if not methods:
         has = (
-            f"{told[k]} has {', '.join(p.methods)}" for k, p in (("old", before), ("new", after))
+            f"{known[k]} has {', '.join(p.methods)}"
+            for k, p in zip(("old", "new"), (before, after), strict=True)
         )
         raise SonarrecError(
             printable(f"nothing to compare: no method is in both; {'; '.join(has)}")
         )
     if before.placed != after.placed:
-        without = told["new"] if before.placed else told["old"]
-        note = f"protocol strict is not compared: {without} lacks positions that can be used"
-        told["notes"] = (*told["notes"], printable(note))
+        without = known["new"] if before.placed else known["old"]
+        note = f"protocol strict is not compared: {without} has no positions that can be used"
+        known["notes"] = (*known["notes"], printable(note))
     return Comparison(
         logs=after.logs,
         frames_compared=after.frames,
         units=units_text(units),
         landmarks=after.ids,
         rates=tuple(rates),
-        frames=both.frames(tuple(methods)),
+        frames=counted.frames(tuple(methods)),
         passes=PassChanges(tuple(outcomes), after),
-        differences=tuple(found),
+        differences=tuple(tests),
         lost=tuple(m for m in before.methods if m not in after.methods),
         gained=tuple(m for m in after.methods if m not in before.methods),
         unplaced=before.placed and not after.placed,
-        **told,
+        **known,
     )
 
 
-def _rate_changes(a: Counted, b: Counted) -> Iterable[RateChange]:
-    tp, tn, fp, fn = b.exact.made[0].tolist()
+def _rate_changes(old: Counted, new: Counted) -> Iterable[RateChange]:
+    """The rates of MAIN that are known in the old or the new results."""
+    tp, tn, fp, fn = new.exact.made[0].tolist()
     for name in MAIN:
-        was, now = (BY_NAME[name].value(side) for side in (a, b))
+        was, now = (BY_NAME[name].value(rate) for rate in (old, new))
         if not (math.isnan(was) and math.isnan(now)):
             of = fp + tn if name == "fpr" else tp + fn
-            yield RateChange(b.protocol, b.method, b.landmark_text, name, was, now, of)
-
-
-def screen(found: Comparison, most: int = 12) -> str:
-    """What the runs were made with differently, totals with their tests, then the longest runs of
-    changed frames."""
-    whole = (d for d in found.differences if d.landmark_text == "total")
-    tests = {(d.protocol, d.b, d.name): d for d in whole}
-    totals: dict[str, list[str]] = {}
-    few = ""
-    for r in found.rates:
-        if r.landmark_text == "total":
-            text = f"{BY_NAME[r.rate].label} {_told(r.old)}"
-            if r.new != r.old:
-                test = tests[r.protocol, r.method, r.rate]
-                text += f" -> {_told(r.new)}"
-                text += "" if math.isnan(test.p) else f" (p = {test.p:.2g})"
-                few = test.note.removesuffix(": no test") if math.isnan(test.p) else few
-            totals.setdefault(f"{r.method}, {r.protocol}", []).append(text)
-    lines = [*settings_lines(found, most)]
-    lines += [f"{name}: {', '.join(texts)}" for name, texts in totals.items()]
-    if few:
-        lines.append(f"no p-values: {few}")
-    lines += [f"{method}: only in the old results" for method in found.lost]
-    lines += [f"{method}: only in the new results" for method in found.gained]
-    verdicts = found.frames.verdicts()
-    lines.append(
-        f"frames and IDs: {verdicts['better']} better, {verdicts['worse']} worse, "
-        f"{verdicts['other']} otherwise changed"
-    )
-    runs, count = found.frames.runs(most)
-    for run in runs:
-        first, last = run.first, run.last_frame
-        span = f"frame {first.frame}" if run.count == 1 else f"frames {first.frame}-{last}"
-        lines.append(
-            f"  {first.verdict}: {first.log} {span}, {first.method}, {first.protocol}, "
-            f"ID.{first.landmark}: {outcome(first.old)} -> {outcome(first.new)}"
-        )
-    if count > most:
-        lines.append(f"  and {count - most} more runs; changes.csv has all")
-    return "\n".join(map(printable, lines))
-
-
-def settings_lines(found: Comparison, most: int = 12) -> Iterable[str]:
-    """What differs in how the results were made; of some of several logs their names."""
-    for change in found.settings[:most]:
-        logs = "" if len(change.logs) == len(found.logs) else f" ({', '.join(change.logs)})"
-        yield f"{change.key}: {change.old} -> {change.new}{logs}"
-    if len(found.settings) > most:
-        yield f"and {len(found.settings) - most} more settings; compare.json has all"
-    if not found.settings and not any("settings are not known" in note for note in found.notes):
-        yield "settings, version and landmark set: the same"
-
-
-def outcome(counts: tuple[int, int, int]) -> str:
-    """TP, FP, FN of one frame and ID in words."""
-    named = [n for n, c in zip(("TP", "FP", "FN"), counts, strict=True) for _ in range(c)]
-    return " + ".join(named) or "TN"
+            yield RateChange(new.protocol, new.method, new.landmark_text, name, was, now, of)

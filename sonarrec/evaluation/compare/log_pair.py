@@ -1,0 +1,111 @@
+"""Old and new results of one log: cut to their common frames, matched with truth, counted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sonarrec.evaluation.compare.changes import ByMethod, changed_frames
+from sonarrec.evaluation.counting.parts import Part, part_of, score_all
+from sonarrec.evaluation.matching.fit import Checked, checked, matched
+from sonarrec.evaluation.matching.joined import join
+from sonarrec.evaluation.matching.options import ScoringOptions
+from sonarrec.evaluation.survey import Unread, truth_table
+from sonarrec.records import SonarrecError
+from sonarrec.results.read import LogResults, not_whole, read_log
+
+
+@dataclass(frozen=True, slots=True)
+class LogPair:
+    """The old and the new results of one log, to be read and counted."""
+
+    old: Path
+    new: Path
+    """Results folders."""
+    ground_truth: Path
+    name: str
+    """Name of the log, in messages and in the log column of the truth."""
+    options: ScoringOptions
+    ids: tuple[int, ...] | None = None
+    """As in `survey.Reading`."""
+
+    @property
+    def folders(self) -> tuple[Path, ...]:
+        return self.old, self.new
+
+
+@dataclass(frozen=True, slots=True)
+class CountedPair:
+    """The counts of one LogPair."""
+
+    name: str
+    ids: tuple[int, ...]
+    checked: Checked
+    unused: list[str]
+    """A line for each part of the results that is not compared."""
+    parts: tuple[Part, Part] | None
+    """Of the old and the new results; None where the truth does not fit the log."""
+    changes: ByMethod
+    """Frames and IDs that are counted differently."""
+
+
+def count_pair(pair: LogPair) -> CountedPair | Unread:
+    """Read and count the old and the new results of one log."""
+    try:
+        return _counted(pair)
+    except SonarrecError as fault:  # the other logs can be compared
+        return Unread(pair.name, fault)
+
+
+def _counted(pair: LogPair) -> CountedPair:
+    """As `count_pair`.
+
+    Raises SonarrecError if the results or the truth cannot be read, or if old and new results
+    have no common frame.
+    """
+    options = pair.options
+    table = truth_table(pair.ground_truth)
+    old, new = (read_log(f, options.landmarks, options.sonar) for f in pair.folders)
+    common = np.intersect1d(old.frame, new.frame)
+    if not len(common):
+        raise SonarrecError(f"{pair.old} and {pair.new} have no frame in common")
+    unused = []
+    for folder, log in ((pair.old, old), (pair.new, new)):
+        alone = len(log.frame) - len(common)
+        unused += [f"{log.name}: {alone} frames are in {folder} only; not compared"] * bool(alone)
+        unused += not_whole(log, "scored")
+    old, new = (_only(replace(log, name=pair.name), common) for log in (old, new))
+    case = matched(pair.new, table, new, options.tolerance_s)
+    found = checked(case)
+    labels = pair.name, new.landmarks.ids, found, unused
+    if found.fault is not None:
+        return CountedPair(*labels, None, {})
+    scored = []
+    for log in (old, new):
+        joined = join([log], [case.truth], options.min_visible, pair.ids)
+        scored.append((joined, score_all(joined)))
+    before, after = (part_of(*side, rates_only=True) for side in scored)
+    return CountedPair(*labels, (before, after), changed_frames(*scored))
+
+
+def _only(log: LogResults, frames: Any) -> LogResults:
+    """The results on the frames of these numbers."""
+    kept = np.isin(log.frame, frames)
+    mine = kept[log.frame_index]  # (N,) whether an estimate lies on one of them
+    return replace(
+        log,
+        frame=log.frame[kept],
+        timestamp_ns=None if log.timestamp_ns is None else log.timestamp_ns[kept],
+        method=log.method[mine],
+        frame_index=(np.cumsum(kept) - 1)[log.frame_index[mine]],
+        landmark_index=log.landmark_index[mine],
+        score=log.score[mine],
+        declared=log.declared[mine],
+        position=None if log.position is None else log.position[mine],
+        orientation=log.orientation[mine],
+        object=log.object[mine],
+        probability=None if log.probability is None else log.probability[mine],
+    )

@@ -1,0 +1,76 @@
+"""A comparison as text for the terminal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+from sonarrec.evaluation.compare.compare import Comparison, rate_text
+from sonarrec.evaluation.metrics import BY_NAME
+from sonarrec.records import printable
+
+
+def screen(found: Comparison, most: int = 12) -> str:
+    """Changed settings, rates in total with tests, then at most `most` runs of changed frames, the
+    longest ones."""
+    lines = [*settings_lines(found, most), *_rate_lines(found)]
+    lines += [f"{method}: only in the old results" for method in found.lost]
+    lines += [f"{method}: only in the new results" for method in found.gained]
+    verdicts = found.frames.verdicts()
+    lines.append(
+        f"frames and IDs: {verdicts['better']} better, {verdicts['worse']} worse, "
+        f"{verdicts['other']} otherwise changed"
+    )
+    lines += _frame_lines(found, most)
+    return "\n".join(map(printable, lines))
+
+
+def _rate_lines(found: Comparison) -> Iterable[str]:
+    """A line per method and protocol, and one that says why there are no p-values."""
+    whole = (d for d in found.differences if d.landmark_text == "total")
+    tests = {(d.protocol, d.b, d.name): d for d in whole}
+    totals: dict[str, list[str]] = {}
+    no_test = ""
+    for r in found.rates:
+        if r.landmark_text == "total":
+            text = f"{BY_NAME[r.rate].label} {rate_text(r.old)}"
+            if r.new != r.old:
+                test = tests[r.protocol, r.method, r.rate]
+                text += f" -> {rate_text(r.new)}"
+                text += "" if math.isnan(test.p) else f" (p = {test.p:.2g})"
+                no_test = test.note.removesuffix(": no test") if math.isnan(test.p) else no_test
+            totals.setdefault(f"{r.method}, {r.protocol}", []).append(text)
+    yield from (f"{name}: {', '.join(texts)}" for name, texts in totals.items())
+    if no_test:
+        yield f"no p-values: {no_test}"
+
+
+def _frame_lines(found: Comparison, most: int) -> Iterable[str]:
+    """A line per run of changed frames."""
+    runs, count = found.frames.runs(most)
+    for run in runs:
+        first, last = run.first, run.last_frame
+        span = f"frame {first.frame}" if run.count == 1 else f"frames {first.frame}-{last}"
+        yield (
+            f"  {first.verdict}: {first.log} {span}, {first.method}, {first.protocol}, "
+            f"ID.{first.landmark}: {outcome(first.old)} -> {outcome(first.new)}"
+        )
+    if count > most:
+        yield f"  and {count - most} more runs; changes.csv has all"
+
+
+def settings_lines(found: Comparison, most: int = 12) -> Iterable[str]:
+    """A line per setting that differs, with the names of the logs if it differs in some only."""
+    for change in found.settings[:most]:
+        logs = "" if len(change.logs) == len(found.logs) else f" ({', '.join(change.logs)})"
+        yield f"{change.key}: {change.old} -> {change.new}{logs}"
+    if len(found.settings) > most:
+        yield f"and {len(found.settings) - most} more settings; compare.json has all"
+    if not found.settings and not any("settings are not known" in note for note in found.notes):
+        yield "settings, version and landmark set: the same"
+
+
+def outcome(counts: tuple[int, int, int]) -> str:
+    """(TP, FP, FN) of one frame and ID in words, such as "FP + FN"."""
+    named = [n for n, c in zip(("TP", "FP", "FN"), counts, strict=True) for _ in range(c)]
+    return " + ".join(named) or "TN"

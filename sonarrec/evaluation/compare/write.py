@@ -1,0 +1,85 @@
+"""The files of `evaluation/` that a comparison writes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+from textwrap import indent
+
+from sonarrec.evaluation.compare.compare import Comparison
+from sonarrec.evaluation.write import as_record, json_text, known, write_table
+from sonarrec.files.outputs import (
+    check_no_recording,
+    check_output,
+    check_tables,
+    replaced,
+    writing,
+)
+
+COMPARE = ("protocol", "method", "landmark", "rate", "old", "new", "worse_by", "of")
+CHANGES = (
+    *("protocol", "method", "log", "frame", "landmark", "change"),
+    *("tp_old", "fp_old", "fn_old", "tp_new", "fp_new", "fn_new"),
+)
+
+
+def write_comparison(folder: Path, found: Comparison) -> tuple[str, ...]:
+    """Write compare.csv, changes.csv and compare.json; returns their names.
+
+    Raises as `write_evaluation`.
+    """
+    rates = (
+        (r.protocol, r.method, r.landmark_text, r.rate, r.old, r.new, r.worse, r.of)
+        for r in found.rates
+    )
+    changes = (
+        (c.protocol, c.method, c.log, c.frame, c.landmark, c.verdict, *c.old, *c.new)
+        for c in found.frames
+    )
+    check_tables(folder, {"compare.csv": COMPARE, "changes.csv": CHANGES})
+    check_output(folder / "compare.json", "JSON", header='{\n  "old": ')
+    check_no_recording(folder, ["evaluation.json", "compare.csv"])
+    with writing(folder):
+        write_table(folder / "compare.csv", COMPARE, rates)
+        write_table(folder / "changes.csv", CHANGES, changes)
+        with (
+            replaced(folder / "compare.json") as new,
+            new.open("w", encoding="utf-8", newline="") as file,
+        ):
+            file.writelines(comparison_json(found))
+    return ("compare.csv", "changes.csv", "compare.json")
+
+
+def comparison_json(found: Comparison) -> Iterator[str]:
+    """compare.json piece by piece: what was compared and how it was made, rates, tests, passes;
+    0/0 is null."""
+    document = {
+        "old": found.old,
+        "new": found.new,
+        "logs": list(found.logs),
+        "frames": found.frames_compared,
+        "landmarks": list(found.landmarks),
+        "units": found.units,
+        "settings": [asdict(change) for change in found.settings],
+        "rates": [
+            as_record(asdict(rate)) | {"worse_by": known(rate.worse)} for rate in found.rates
+        ],
+        "differences": [as_record(asdict(difference)) for difference in found.differences],
+        "passes": [],
+        "frames_and_ids": found.frames.verdicts(),
+        "lost": list(found.lost),
+        "gained": list(found.gained),
+        "notes": list(found.notes),
+        "unused": list(found.unused),
+    }
+    # Of many logs the passes are many. No text in the document holds the key as it stands here:
+    # in one its quotes are escaped.
+    before, after = json_text(document).split('"passes": []')
+    yield f'{before}"passes": ['
+    end = ""
+    for change in found.passes:
+        yield ("," if end else "") + "\n" + indent(json.dumps(asdict(change), indent=2), " " * 4)
+        end = "\n  "
+    yield f"{end}]{after}"
