@@ -54,6 +54,11 @@ class MissingError(UsageError):
     """An input that is not there."""
 
 
+def number_of(count: int, noun: str, ending: str = "s") -> str:
+    """A count and its noun, such as "1 log" and "2 logs"; ending: of the plural."""
+    return f"{count} {noun}{'' if count == 1 else ending}"
+
+
 def shown(name: object) -> str:
     """A file's name as text for a line or a table: bytes that are no UTF-8 become \\xe9."""
     return str(name).encode(errors="surrogateescape").decode(errors="backslashreplace")

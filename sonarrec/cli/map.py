@@ -12,7 +12,7 @@ from sonarrec.cli.endings import end, tell
 from sonarrec.cli.groups import ANY, FILE, FOLDER, INPUT, OUTPUT, command, option
 from sonarrec.cli.options import landmarks_option, out_option, quiet_option
 from sonarrec.cli.options_log import geometry_options
-from sonarrec.records import UsageError
+from sonarrec.records import UsageError, number_of
 
 
 @command("map", short_help="Say where the landmarks lie.")
@@ -103,8 +103,7 @@ def map_(
     write_all(out, site, on_earth)
     tell(site.problems, site.notes)
     if not quiet:
-        logs = "1 log" if len(site.logs) == 1 else f"{len(site.logs)} logs"
-        click.echo(f"{out}: {logs}")
+        click.echo(f"{out}: {number_of(len(site.logs), 'log')}")
         for line in lines(site):
             click.echo(f"  {line}")
     end(site.problems)

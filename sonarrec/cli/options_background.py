@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sonarrec.cli.groups import BACKGROUND, FILE, Decorator, as_one, file_names, option
-from sonarrec.cli.options_log import LogChoice
+from sonarrec.cli.groups import BACKGROUND, Decorator, as_one, file_names, option
+from sonarrec.cli.options_log import LogChoice, flags_of, odometry_options
 from sonarrec.records import UsageError
 
 if TYPE_CHECKING:
@@ -51,19 +51,7 @@ _LAYING = {
         help="Width of the beams, by which the discs are smeared.  "
         "[default: as `sonarrec run` takes it]",
     ),
-    "odometry": option(
-        BACKGROUND,
-        "--odometry",
-        type=FILE,
-        help="CSV of the sonar's poses, as of `sonarrec run`.  [default: NAME.poses.csv or "
-        "poses.csv beside the log; without one the motion is measured between the images]",
-    ),
-    "odometry_topic": option(
-        BACKGROUND,
-        "--odometry-topic",
-        metavar="TOPIC",
-        help="Poses in the MCAP or bag itself, as of `sonarrec run`.",
-    ),
+    **odometry_options(BACKGROUND),
 }
 
 
@@ -74,9 +62,9 @@ class Laying:
     values: Mapping[str, Any]
     default_contrast: str
 
-    def given(self) -> list[str]:
+    def flags(self) -> list[str]:
         """The flags that were given."""
-        return [f"--{k.replace('_', '-')}" for k, v in self.values.items() if v is not None]
+        return flags_of(self.values)
 
     def contrasts(self) -> list[float]:
         """dB, rising. Raises UsageError for what is no list of numbers."""
@@ -115,19 +103,9 @@ class Laying:
 
         return load_landmarks(self.values["landmarks"] or "basin")
 
-    def reading(self, log_choice: LogChoice, frames: str | None) -> Given:
-        """How the recording is to be read. Raises UsageError for what cannot be meant."""
-        from sonarrec.results.run_file import Given, frame_span
-
-        odometry, topic = self.values["odometry"], self.values["odometry_topic"]
-        if odometry is not None and topic is not None:
-            raise UsageError("--odometry and --odometry-topic: choose one of the two")
-        return Given(
-            **log_choice.arguments(),
-            odometry=odometry,
-            odometry_topic=topic,
-            frames=None if frames is None else frame_span(frames),
-        )
+    def given(self, log_choice: LogChoice, frames: str | None) -> Given:
+        """How the recording is to be read. Raises UsageError for values that are invalid."""
+        return log_choice.given(self.values["odometry"], self.values["odometry_topic"], frames)
 
     def survey(
         self,

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import click
 
 from sonarrec.cli.groups import FILE, GEOMETRY, INPUT, PIXELS, Decorator, as_one, option
 from sonarrec.records import Clock, UsageError, shown
+
+if TYPE_CHECKING:
+    from sonarrec.results.run_file import Given
 
 _NUMBERS = {
     "range_min_m": "Slant range of the window's near end, m.",
@@ -158,9 +161,9 @@ class LogChoice:
 
     values: Mapping[str, Any]  # of the options by name, None where not given
 
-    def given(self) -> list[str]:
+    def flags(self) -> list[str]:
         """The flags that were given."""
-        return [f"--{k.replace('_', '-')}" for k, v in self.values.items() if v is not None]
+        return flags_of(self.values)
 
     def sonar(self) -> Any:
         """The Sonar that the flags alone state. Raises UsageError for what cannot be meant."""
@@ -174,9 +177,9 @@ class LogChoice:
             except ValueError:
                 flag = f"--{key.replace('_', '-')}"
                 raise UsageError(f"{flag}: expected numbers with commas between") from None
-        flags = sonar_from_table(stated, "command line")
-        flags.check_flags(flags)
-        return flags
+        sonar = sonar_from_table(stated, "command line")
+        sonar.check_flags(sonar)
+        return sonar
 
     def sonar_without_log(self) -> Any:
         """The Sonar of --sonar and the flags, which win, where no log is opened."""
@@ -202,6 +205,47 @@ class LogChoice:
             "topic": self.values["topic"],
             **({"time": time} if time else {}),
         }
+
+    def given(self, odometry: Path | None, odometry_topic: str | None, frames: str | None) -> Given:
+        """How the log is to be read, with its poses and its frames A:B.
+
+        Raises UsageError for values that are invalid.
+        """
+        from sonarrec.results.run_file import Given, frame_span
+
+        if odometry is not None and odometry_topic is not None:
+            raise UsageError("--odometry and --odometry-topic: choose one of the two")
+        return Given(
+            **self.arguments(),
+            odometry=odometry,
+            odometry_topic=odometry_topic,
+            frames=None if frames is None else frame_span(frames),
+        )
+
+
+def flags_of(values: Mapping[str, Any]) -> list[str]:
+    """The flags of the options that have a value."""
+    return [f"--{name.replace('_', '-')}" for name, value in values.items() if value is not None]
+
+
+def odometry_options(group: str) -> dict[str, Decorator]:
+    """--odometry and --odometry-topic, in a group of --help."""
+    return {
+        "odometry": option(
+            group,
+            "--odometry",
+            type=FILE,
+            help="CSV of the sonar's poses: timestamp or timestamp_ns, yaw (deg, positive to the "
+            "right) and, if known, x, y (m).  [default: NAME.poses.csv or poses.csv beside the "
+            "log; without one the motion is measured between the images]",
+        ),
+        "odometry_topic": option(
+            group,
+            "--odometry-topic",
+            metavar="TOPIC",
+            help="Poses in the MCAP or bag itself: nav_msgs/Odometry or geometry_msgs/PoseStamped.",
+        ),
+    }
 
 
 def log_options(*, pixels: bool = True, time: bool = False) -> Decorator:

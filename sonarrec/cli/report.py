@@ -20,7 +20,7 @@ from sonarrec.cli.options_remote import (
     CacheChoice,
     cache_options,
 )
-from sonarrec.records import UsageError
+from sonarrec.records import UsageError, number_of
 
 if TYPE_CHECKING:
     from sonarrec.evaluation.matching.options import ScoringOptions
@@ -145,9 +145,9 @@ def _report(
         **given,
     )
     size = written.path.stat().st_size / 1e6
-    shown = f"{written.pictures} picture" + "s" * (written.pictures != 1)
+    pictures = number_of(written.pictures, "picture")
     held = f", {written.held} frames to click" if written.held else ""
-    return written.unused, f"{written.path}: {size:.1f} MB, {shown}{held}"
+    return written.unused, f"{written.path}: {size:.1f} MB, {pictures}{held}"
 
 
 def _compare(

@@ -22,7 +22,7 @@ from sonarrec.cli.endings import (
     leave,
     tell,
 )
-from sonarrec.cli.groups import BATCH, FILE, INPUT, NEW_FILE, OUTPUT, command, file_names, option
+from sonarrec.cli.groups import BATCH, INPUT, NEW_FILE, OUTPUT, command, file_names, option
 from sonarrec.cli.options import (
     SettingsChoice,
     frames_option,
@@ -33,7 +33,13 @@ from sonarrec.cli.options import (
     settings_options,
     verbose_option,
 )
-from sonarrec.cli.options_log import LogChoice, log_options, many_logs_options, named_logs
+from sonarrec.cli.options_log import (
+    LogChoice,
+    log_options,
+    many_logs_options,
+    named_logs,
+    odometry_options,
+)
 from sonarrec.cli.options_remote import FOLDER_OR_URL, CacheChoice, cache_options
 from sonarrec.records import SonarrecError, UsageError, shown
 
@@ -47,25 +53,16 @@ if TYPE_CHECKING:
     from sonarrec.results.run_file import Given
 
 
+_ODOMETRY = odometry_options(INPUT)
+
+
 @command(short_help="Recognise the landmarks in logs.")
 @click.argument("log", shell_complete=file_names, nargs=-1)
 @many_logs_options
 @log_options(time=True)
 @landmarks_option
-@option(
-    INPUT,
-    "--odometry",
-    type=FILE,
-    help="CSV of the sonar's poses: timestamp or timestamp_ns, yaw (deg, positive to the right) "
-    "and, where known, x, y (m).  [default: NAME.poses.csv or poses.csv beside the log; without "
-    "one the motion is measured between the images]",
-)
-@option(
-    INPUT,
-    "--odometry-topic",
-    metavar="TOPIC",
-    help="Poses in the MCAP or bag itself: nav_msgs/Odometry or geometry_msgs/PoseStamped.",
-)
+@_ODOMETRY["odometry"]
+@_ODOMETRY["odometry_topic"]
 @frames_option("Recognise only these frames, from A up to, not including, B.")
 @model_option
 @settings_options
@@ -191,16 +188,8 @@ def run(
     from sonarrec.cli.run_watch import RunWatch
     from sonarrec.files.parquet import check_parquet
     from sonarrec.pipeline.prepared import Used
-    from sonarrec.results.run_file import Given, frame_span
 
-    if odometry is not None and odometry_topic is not None:
-        raise UsageError("--odometry and --odometry-topic: choose one of the two")
-    given = Given(
-        **log_choice.arguments(),
-        odometry=odometry,
-        odometry_topic=odometry_topic,
-        frames=None if frames is None else frame_span(frames),
-    )
+    given = log_choice.given(odometry, odometry_topic, frames)
     if tables == "parquet":
         check_parquet()
     used = Used(settings.configs(), landmarks, model, settings.file, tables == "parquet")

@@ -19,7 +19,7 @@ from sonarrec.cli.bars import fetching, progress, progress_of_logs
 from sonarrec.cli.endings import FAILED, MISUSED, PARTLY, tell
 from sonarrec.cli.passes import as_json, table
 from sonarrec.pipeline.run import Summary
-from sonarrec.records import MissingError, SonarrecError
+from sonarrec.records import MissingError, SonarrecError, number_of
 from sonarrec.results.run_file import PROGRAM
 
 if TYPE_CHECKING:
@@ -215,7 +215,7 @@ class RunWatch(Watch):
             summary = outcome.summary
             if summary is None or self._quiet or self._json or len(self._tasks) > MOST_SHOWN:
                 continue
-            frames = f"{summary.frames} frame{'s' * (summary.frames != 1)}"
+            frames = number_of(summary.frames, "frame")
             click.echo(f"{outcome.folder}: {'up to date, ' * summary.up_to_date}{frames}")
             for line in [] if summary.up_to_date else table(summary, outcome.folder):
                 click.echo(f"  {line}")

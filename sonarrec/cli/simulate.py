@@ -12,7 +12,7 @@ from sonarrec.cli.groups import ANY, INPUT, OUTPUT, command, file_names, option
 from sonarrec.cli.options import out_option, quiet_option
 from sonarrec.cli.options_background import Laying, laying_options
 from sonarrec.cli.options_log import LogChoice, log_options
-from sonarrec.records import UsageError, shown
+from sonarrec.records import UsageError, number_of, shown
 
 
 @command(short_help="Render a recording with known truth.")
@@ -114,7 +114,7 @@ def simulate(
                 raise UsageError(f"{flag} is of scenes, not of --background")
         _lay(background, seed or 0, frames, laying, log_choice, out, quiet)
         return
-    stray = [*laying.given(), *log_choice.given()]
+    stray = [*laying.flags(), *log_choice.flags()]
     if stray:
         raise UsageError(f"{stray[0]} is for --background LOG; a scene states its own")
     if image_format != "mcap" and (schema or compression):
@@ -173,7 +173,7 @@ def _lay(
         folders = {contrasts[0]: out}
     check_free(list(folders.values()))
     with progress(quiet, title="motion") as step:
-        given = laying.reading(log_choice, frames)
+        given = laying.given(log_choice, frames)
         background = laying.survey(log, given, landmarks, config, step)
     layout = draw_layout(background, landmarks, seed, laying.count)
     with begun(*folders.values()), progress(quiet, len(background.path), "discs") as step:
@@ -192,7 +192,7 @@ def _lay(
     tell(background.problems, notes)
     if not quiet:
         fakes = len(layout.discs) - layout.landmarks
-        count = f"{layout.landmarks} landmark" + "s" * (layout.landmarks != 1)
+        count = number_of(layout.landmarks, "landmark")
         for db, folder in folders.items():
             click.echo(
                 f"{shown(folder)}: {len(background.path)} frames, {count} and {fakes} fakes "

@@ -21,7 +21,7 @@ from sonarrec.cli.options import (
 )
 from sonarrec.cli.options_background import Laying, laying_options
 from sonarrec.cli.options_log import LogChoice, log_options
-from sonarrec.records import shown
+from sonarrec.records import number_of, shown
 
 if TYPE_CHECKING:
     from sonarrec.report.site import Site
@@ -83,7 +83,7 @@ def site(
     # Of a run.toml all but the frames serves as well, as of `run`.
     earlier, source = read_run(settings.file), find_log(log)
     landmarks = earlier.landmark_set(values["landmarks"])
-    stated = laying.reading(log_choice, frames)
+    stated = laying.given(log_choice, frames)
     same_log, _ = is_same_log(earlier, source, digest_asked(earlier, source))
     given = replace(earlier.lay_under(stated, same_log=same_log), frames=stated.frames)
     out = out or Path("sonarrec_site") / source.name
@@ -120,15 +120,14 @@ def site(
 
 def _told(found: Site, page: Path, layouts: int) -> Iterator[str]:
     """What was found, a line for each contrast."""
-    told = "1 layout" if layouts == 1 else f"{layouts} layouts"
-    yield f"{shown(page)}: {found.frames} frames, {told}"
+    yield f"{shown(page)}: {found.frames} frames, {number_of(layouts, 'layout')}"
     for one in found.contrasts:
         rate = one.found.tpr
         false = one.found.false_per_100.value
         far = f", 90% from {one.span}" if one.reaches else ""
         yield (
-            f"  {one.contrast_db:4g} dB: TPR {rate.value:.3f} over {rate.units} "
-            f"pass{'es' * (rate.units != 1)}, "
+            f"  {one.contrast_db:4g} dB: TPR {rate.value:.3f} over "
+            f"{number_of(rate.units, 'pass', 'es')}, "
             f"{false:.2f} false claims in 100 frames{far}"
         )
     yield from (f"  {sentence}" for sentence in found.sentences)

@@ -14,7 +14,7 @@ import click
 
 from sonarrec.cli.groups import OUTPUT, command, option
 from sonarrec.cli.options_remote import FOLDER_OR_URL, CacheChoice, cache_options
-from sonarrec.records import UsageError
+from sonarrec.records import UsageError, number_of
 
 if TYPE_CHECKING:
     from sonarrec.batch.logs_table import Row
@@ -56,7 +56,7 @@ def _tell(path: Path, out: Path | str, as_json: bool) -> None:
         return
     figures = _figures(path, rows)
     counts = ", ".join(f"{n} {status}" for status, n in figures["counts"].items())
-    click.echo(f"{len(rows)} log{'s' * (len(rows) != 1)}: {counts}")
+    click.echo(f"{number_of(len(rows), 'log')}: {counts}")
     rate = figures["frames_per_second"]
     click.echo(
         f"{figures['frames']} frames, {figures['unusable']} unusable, {figures['declared']} passes "

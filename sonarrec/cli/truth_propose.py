@@ -12,6 +12,7 @@ import click
 from sonarrec.cli.endings import end, tell
 from sonarrec.cli.groups import ANY, INPUT, NEW_FILE, SCORING, command, option
 from sonarrec.cli.options import out_option, quiet_option
+from sonarrec.records import number_of
 
 if TYPE_CHECKING:
     from sonarrec.truth.propose import ProposedTrack
@@ -73,7 +74,7 @@ def propose(
 
 def _print(tracks: Sequence[ProposedTrack], out: Path) -> None:
     rows, used = sum(track.rows for track in tracks), sum(bool(t.rows) for t in tracks)
-    click.echo(f"{out}: {rows} row{'s' * (rows != 1)} from {used} track{'s' * (used != 1)}")
+    click.echo(f"{out}: {number_of(rows, 'row')} from {number_of(used, 'track')}")
     shown = nlargest(MOST_TRACKS, tracks, key=lambda t: t.rows)
     for t in sorted(shown, key=lambda t: (t.log, t.frames)):
         span = f"frames {t.frames[0]}-{t.frames[1]}"
@@ -82,4 +83,4 @@ def _print(tracks: Sequence[ProposedTrack], out: Path) -> None:
         score = f"best score {t.best_score:.3f}"
         click.echo(f"  {t.log}  ID.{t.landmark}  track {t.track:<4} {span:<15} {score}  {told}")
     if more := len(tracks) - len(shown):
-        click.echo(f"  these have the most rows; {more} more track{'s' * (more != 1)}")
+        click.echo(f"  these have the most rows; {number_of(more, 'more track')}")

@@ -28,7 +28,7 @@ from sonarrec.evaluation.counting.uncertainty import (
     replicates,
 )
 from sonarrec.evaluation.evaluate import Evaluation
-from sonarrec.records import FloatArray, printable
+from sonarrec.records import FloatArray, number_of, printable
 
 _UNITS = {"pass": "passes", "log": "logs"}
 SEED = 0
@@ -127,8 +127,8 @@ def _notes(found: Pooled, units: PooledUnits, figures: list[Figure]) -> tuple[st
     if units.count < MIN_UNITS:
         kind = {"pass": "pass of a landmark", "log": "log"}[units.kind]
         return (
-            f"no intervals and no tests: only {units.count} independent "
-            f"unit{'s' * (units.count != 1)} (each a {kind}), and "
+            f"no intervals and no tests: only {number_of(units.count, 'independent unit')} "
+            f"(each a {kind}), and "
             f"with fewer than {MIN_UNITS} no difference can be told from chance",
         )
     notes = []

@@ -19,7 +19,7 @@ from sonarrec.files.outputs import OVERLAY_LIBRARY, writing
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.overlay import detections
 from sonarrec.readers.mcap.foxglove_schemas import json_schema
-from sonarrec.records import Estimate, FloatArray, Frame, SonarrecError, shown
+from sonarrec.records import Estimate, FloatArray, Frame, SonarrecError, number_of, shown
 
 ANNOTATIONS_TOPIC = "/sonarrec/annotations"
 FAN_TOPIC = "/sonarrec/fan"
@@ -76,7 +76,7 @@ class FoxgloveFile:
         """What could not be written, a line each."""
         if not self._untimed:
             return []
-        frames = f"{self._untimed} frame{'s' * (self._untimed != 1)}"
+        frames = number_of(self._untimed, "frame")
         return [
             f"{shown(self._path)}: {frames} without {DETECTIONS_TOPIC}, as ROS 2 has times from "
             "1901 to 2038 only; all else is there"

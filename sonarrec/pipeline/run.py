@@ -21,6 +21,7 @@ from sonarrec.records import (
     FrameResult,
     SonarrecError,
     Stamps,
+    number_of,
     shown,
 )
 from sonarrec.remote.find import RemoteLog
@@ -247,7 +248,7 @@ def _doubts(it: Prepared, writer: ResultsWriter, plausibility: Plausibility) -> 
     if not writer.candidates:
         width = disc_width_px(it.fan, it.landmarks)
         of = f"a disc of {it.landmarks.name} would be {width:.0f} px wide here"
-        frames = f"{writer.frames} frame{'s' * (writer.frames != 1)}"
+        frames = number_of(writer.frames, "frame")
         doubts.append(f"0 candidates in {frames}: {of}")
     path = shown(it.log.path)
     look = f"`sonarrec info {path} --preview FILE.png`, with the same geometry"

@@ -28,7 +28,7 @@ from sonarrec.pipeline.prepared import Used
 from sonarrec.pipeline.run import process
 from sonarrec.readers.pixels import decode_image
 from sonarrec.recogniser.three_stages import FRAMEWORK
-from sonarrec.records import ByteImage, Estimate, FrameResult
+from sonarrec.records import ByteImage, Estimate, FrameResult, number_of
 from sonarrec.results.run_file import Given
 from sonarrec.simulation.background import (
     Background,
@@ -313,7 +313,7 @@ def sentences(found: Sequence[AtContrast], claims: int, frames: int) -> list[str
 
 
 def _passes(count: int) -> str:
-    return f"{count} pass" + ("" if count == 1 else "es") + " of landmarks through the view"
+    return number_of(count, "pass", "es") + " of landmarks through the view"
 
 
 def _most_telling(background: Background, layout: Layout, landmarks: LandmarkSet) -> int:

@@ -13,7 +13,7 @@ from sonarrec.batch import logs_table
 from sonarrec.evaluation import cells
 from sonarrec.evaluation.counting.pooled import Pooled
 from sonarrec.evaluation.matching.options import ScoringOptions
-from sonarrec.records import SonarrecError, UsageError, shown
+from sonarrec.records import SonarrecError, UsageError, number_of, shown
 from sonarrec.report.logs import follows_by_default
 from sonarrec.results.run_file import read_run
 from sonarrec.results.sightings_file import read_sightings
@@ -103,7 +103,7 @@ def _scored(pooled: Pooled, method: str | None) -> Iterator[tuple[str, str]]:
     for i in _most(mistakes):
         count = counts[i]
         whole = f" of {count.tp + count.fn}" * bool(count.tp + count.fn)
-        told = f"{count.fn}{whole} missed, {count.fp} false claim" + "s" * (count.fp != 1)
+        told = f"{count.fn}{whole} missed, {number_of(count.fp, 'false claim')}"
         yield pooled.logs[i], f"most mistakes of {method}: {told}"
     for i in _most([n if n > 1 else 0 for n in false]):  # one tells nothing
         yield pooled.logs[i], f"most false claims of {method}: {false[i]}"
