@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from sonarrec.evaluation.counting.behaviour import right_claims
+from sonarrec.evaluation.counting.behaviour import positive_is_claimed
 from sonarrec.evaluation.counting.passes import find_passes, find_units
 from sonarrec.evaluation.counting.scoring import Scored
 from sonarrec.evaluation.counting.uncertainty import MIN_UNITS, bootstrap_weights, interval
@@ -63,9 +63,8 @@ def recognised(evaluation: Evaluation, method: str, edges_m: Sequence[float]) ->
     scored = next(s for s in evaluation.scored if (s.protocol, s.method) == ("strict", method))
     passes = find_passes(joined)
     positive = scored.positive
-    claimed = np.zeros(len(joined.truth_frame_index), dtype=bool)
-    claimed[scored.truth[right_claims(scored)]] = True
-    right, unit = claimed[positive].astype(float), passes.of_truth[positive]
+    right = positive_is_claimed(scored, joined).astype(float)
+    unit = passes.of_truth[positive]
     range_m = np.hypot(*joined.truth_position[positive].T)
     count = len(passes.first_frame_index)
     steps = []

@@ -26,6 +26,7 @@ from sonarrec.evaluation.counting.uncertainty import (
     intervals,
     macro,
     replicates,
+    unseen_share,
 )
 from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.records import FloatArray, number_of, printable
@@ -136,11 +137,10 @@ def _notes(found: Pooled, units: PooledUnits, figures: list[Figure]) -> tuple[st
     for figure in figures:
         told = (figure.protocol, figure.landmark_text, figure.name, figure.value)
         if told == (protocol, "total", "fpr", 0):
-            # None of n: with 95 % confidence a share below 1 - .05 ** (1 / n) has any.
-            most = 1 - (1 - LEVEL) ** (1 / figure.units)
+            most = f"{100 * unseen_share(figure.units):.2g}%"
             notes.append(
                 f"{figure.method}: no false claim in {units_text(units, figure.units)}, so with "
-                f"{LEVEL:.0%} confidence fewer than {100 * most:.2g}% of them have one"
+                f"{LEVEL:.0%} confidence fewer than {most} of them have one"
             )
     if found.placed and not found.timed:
         notes.append("claims a minute are not told: frames.csv has no timestamp_ns")

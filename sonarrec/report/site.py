@@ -17,7 +17,7 @@ import numpy as np
 
 from sonarrec.drawing.results import Mark, draw_frame
 from sonarrec.evaluation.by_range import Rate, Recognised, recognised
-from sonarrec.evaluation.counting.uncertainty import LEVEL, MIN_UNITS
+from sonarrec.evaluation.counting.uncertainty import MIN_UNITS, unseen_share
 from sonarrec.evaluation.evaluate import evaluate_whole
 from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import Pair
@@ -266,10 +266,10 @@ def sentences(found: Sequence[AtContrast], claims: int, frames: int) -> list[str
             + (f", {one.span} away." if one.reaches else ", all ranges taken together.")
         )
         if math.isnan(rate.low) and rate.units >= MIN_UNITS:
-            unseen = 1 - (1 - LEVEL) ** (1 / rate.units)
+            one_in = max(round(1 / unseen_share(rate.units)), 2)
             told.append(
-                f"That rests on {_passes(rate.units)}, which went alike: if one in "
-                f"{max(round(1 / unseen), 2)} went wrong, so few might not show it."
+                f"That rests on {_passes(rate.units)}, which went alike: if one in {one_in} went "
+                "wrong, so few might not show it."
             )
         elif math.isnan(rate.low):
             told.append(

@@ -20,7 +20,7 @@ from sonarrec.evaluation.counting.passes import Passes, Units
 from sonarrec.evaluation.counting.scoring import Scored
 from sonarrec.evaluation.counting.store import ranked
 from sonarrec.evaluation.matching.joined import Joined, distance, nearest_truth
-from sonarrec.records import FloatArray, IntArray, follows
+from sonarrec.records import BoolArray, FloatArray, IntArray, follows
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,10 +73,8 @@ class Switched:
 
 def pass_outcomes(scored: Scored, joined: Joined, passes: Passes) -> PassOutcomes:
     """Each pass of a landmark under one method."""
-    claimed = np.zeros(len(joined.truth_frame_index), dtype=bool)
-    claimed[scored.truth[right_claims(scored)]] = True
-    truth = scored.positive
-    number, frame, right = passes.of_truth[truth], joined.truth_frame_index[truth], claimed[truth]
+    truth, right = scored.positive, positive_is_claimed(scored, joined)
+    number, frame = passes.of_truth[truth], joined.truth_frame_index[truth]
     count = len(passes.first_frame_index)
     wrong_last = passes.first_frame_index - 1
     np.maximum.at(wrong_last, number[~right], frame[~right])
@@ -240,6 +238,13 @@ def orientation_errors(strict: Scored, joined: Joined, right: IntArray) -> Float
 def right_claims(scored: Scored) -> IntArray:
     """Which of its claims are declared and right."""
     return scored.made[scored.made_effect[:, 0] > 0]
+
+
+def positive_is_claimed(scored: Scored, joined: Joined) -> BoolArray:
+    """(P,) whether each positive has a right claim."""
+    claimed = np.zeros(len(joined.truth_frame_index), dtype=bool)
+    claimed[scored.truth[right_claims(scored)]] = True
+    return claimed[scored.positive]
 
 
 def error_counts(

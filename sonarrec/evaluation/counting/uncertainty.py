@@ -126,6 +126,14 @@ def interval(drawn: FloatArray, units: int) -> tuple[float, float]:
     return float(low), float(high)
 
 
+def unseen_share(units: int) -> float:
+    """The largest share of units that may have a case although none of `units` has one.
+
+    At LEVEL: a larger share s would show in one of them, as (1 - s) ** units < 1 - LEVEL.
+    """
+    return float(1 - (1 - LEVEL) ** (1 / units))
+
+
 def _student(z: float, freedom: int) -> float:
     """Student's quantile from the normal one (Abramowitz and Stegun 26.7.5); 1e-3 from 5 up."""
     return (

@@ -1,0 +1,162 @@
+"""What `sonarrec info` prints of a log."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sonarrec.cli.passes import YEAR_2000_NS
+
+if TYPE_CHECKING:
+    from sonarrec.readers.info import Channel, Container, Images, LogInfo
+
+
+def lines(info: LogInfo) -> list[str]:
+    """The account of a log as text, for the screen."""
+    size = f"{info.size_bytes / 1e6:.1f} MB" if info.size_bytes >= 1e5 else f"{info.size_bytes} B"
+    kind = f"{info.files} images" if info.kind == "images" else info.kind
+    out = [f"{info.path}: {kind}, {size}"]
+    if info.container is not None:
+        out += _container_lines(info.container)
+        out += _entry("whole", [_whole(info, info.container)])
+    out += _entry(
+        "faults", [fault.removeprefix(f"{Path(info.path).name}: ") for fault in info.faults]
+    )
+    for images in info.images:
+        out += _images_lines(images)
+    if not info.images:
+        out += _entry("images", ["none: no channel holds messages that are read"])
+    return out
+
+
+def _whole(info: LogInfo, container: Container) -> str:
+    if not container.footer:
+        return "no: cut short or damaged"
+    if info.faults:
+        return "no: damaged"
+    return (
+        "yes: footer and checksums" if info.checked else "it has a footer; checksums not compared"
+    )
+
+
+def _entry(name: str, texts: list[str]) -> list[str]:
+    """Lines under one heading."""
+    return [f"  {name if n == 0 else '':<10}{text}" for n, text in enumerate(texts)]
+
+
+def _container_lines(container: Container) -> list[str]:
+    out = []
+    if container.start_ns is not None and container.end_ns is not None:
+        seconds = (container.end_ns - container.start_ns) / 1e9
+        out += _entry("recorded", [f"{_moment(container.start_ns)}, {seconds:.1f} s long"])
+    writer = ", ".join(text for text in (container.profile, container.library) if text)
+    out += _entry("writer", [writer] if writer else [])
+    chunks = ", ".join(f"{count} {name}" for name, count in container.chunks.items())
+    out += _entry("chunks", [chunks or "none"])
+    if container.channels:
+        out += _entry(
+            "channels", _columns([_channel_row(c, container) for c in container.channels])
+        )
+    return out
+
+
+def _channel_row(channel: Channel, container: Container) -> list[str]:
+    rate = ""
+    if container.start_ns is not None and container.end_ns is not None and channel.messages > 1:
+        span = container.end_ns - container.start_ns
+        rate = f"{(channel.messages - 1) / span * 1e9:.4g} Hz" if span > 0 else ""
+    return [
+        channel.topic,
+        channel.schema or "no schema",
+        channel.message_encoding or "no encoding",
+        f"{channel.messages} messages",
+        rate,
+        "images" if channel.images else "",
+    ]
+
+
+def _columns(rows: list[list[str]]) -> list[str]:
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    ]
+
+
+def _images_lines(images: Images) -> list[str]:
+    out = ["", f"  {images.topic}"] if images.topic is not None else []
+    if images.usable is None:
+        text = f"{'?' if images.frames is None else images.frames}, not checked"
+    else:
+        once = ", once the geometry is complete" if images.lacks else ""
+        text = f"{images.usable} of {images.frames} can be used{once}"
+    out += _entry("frames", [text])
+    if images.rows is not None:
+        text = f"{images.columns} x {images.rows}, {images.pixels}, {images.layout}"
+        if images.rate_hz is not None:
+            text += f", {images.rate_hz:.4g} Hz"
+        elif "frame_rate_hz" in images.geometry:
+            text += f", {images.geometry['frame_rate_hz']:g} Hz as stated"
+        out += _entry("images", [text])
+    out += _entry("header", _header_lines(images))
+    out += _entry("geometry", _geometry_lines(images))
+    out += _entry("notes", images.notes)
+    return out + _entry("problems", images.problems)
+
+
+def _geometry_lines(images: Images) -> list[str]:
+    from sonarrec.sonar import Sonar
+
+    known = Sonar(**images.geometry)
+    parts = []
+    if known.range_min_m is not None and known.range_max_m is not None:
+        parts.append(f"{known.range_min_m:.4g} to {known.range_max_m:.4g} m")
+    if known.bearings_deg is not None:
+        low, high = min(known.bearings_deg), max(known.bearings_deg)
+        parts.append(f"{len(known.bearings_deg)} beams from {low:.4g} to {high:.4g} deg")
+    elif known.field_of_view_deg is not None:
+        parts.append(f"{known.field_of_view_deg:g} deg")
+    if known.tilt_deg is not None:
+        parts.append(f"tilt {known.tilt_deg:g} deg")
+    if known.height_m is not None:
+        parts.append(f"height {known.height_m:g} m")
+    out = [", ".join(parts), *_origin_lines(images)]
+    if images.lacks:
+        flags = " ".join(f"--{key.replace('_', '-')}" for key in images.lacks)
+        out.append(f"lacks {', '.join(images.lacks)}")
+        out.append(f"give {flags}, or put a sonar.toml beside the log:")
+        out.append("`sonarrec help geometry` has one to copy")
+    return [text for text in out if text]
+
+
+def _header_lines(images: Images) -> list[str]:
+    """What the headers of a sonar's own file tell, but for what it did not measure."""
+    known = {key: value for key, value in images.header.items() if value is not None}
+    sonar = [str(known.pop("sonar"))] if "sonar" in known else []
+    parts = [f"{k} = {v}" if isinstance(v, str) else f"{k} = {v:.6g}" for k, v in known.items()]
+    return sonar + [", ".join(parts[i : i + 3]) for i in range(0, len(parts), 3)]
+
+
+def _origin_lines(images: Images) -> list[str]:
+    """Which values are from where, a line for each origin."""
+    names = {"flag": "by flag", "message": "from the messages", "default": "by default"}
+    names |= {"header": "from the headers", "found": "found from the pings", "assumed": "assumed"}
+    lines: dict[str, list[str]] = {}
+    for key, origin in images.origins.items():
+        value = f" = {images.layout}" if key == "layout" and origin == "default" else ""
+        value = f" = {images.geometry[key]}" if origin in ("found", "assumed") else value
+        lines.setdefault(names.get(origin, f"from {origin}"), []).append(key + value)
+    for key, value in images.assumed.items():
+        numbers = value if isinstance(value, list) else [value]
+        text = ", ".join(f"{number:.4g}" for number in numbers)
+        text = f"[{text}]" if isinstance(value, list) else text
+        lines.setdefault(names["default"], []).append(f"{key} = {text}")
+    return [f"{origin}: {', '.join(keys)}" for origin, keys in lines.items()]
+
+
+def _moment(time_ns: int) -> str:
+    """A time as a date where it can be one, else in seconds."""
+    if time_ns < YEAR_2000_NS:
+        return f"clock at {time_ns / 1e9:.3f} s"
+    return f"{datetime.fromtimestamp(time_ns // 10**9, UTC):%Y-%m-%d %H:%M:%S} UTC"
