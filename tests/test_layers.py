@@ -44,7 +44,7 @@ MAY_IMPORT = {
     "tomllib": ("files.toml",),
     "pandas": ("files.tables", "files.parquet", "results.frames", "report.mistakes"),
     "pyarrow": ("files.parquet",),
-    "matplotlib": ("evaluation.plots", "mapping.picture", "report.charts", "truth.contact_sheet"),
+    "matplotlib": ("evaluation.plots", "mapping.picture", "report.svg", "truth.contact_sheet"),
     "fsspec": ("remote.store",),
     "aiohttp": ("remote.store",),
     "sshfs": ("remote.store",),

@@ -24,7 +24,7 @@ from sonarrec.cli.options_log import LogChoice, log_options
 from sonarrec.records import number_of, shown
 
 if TYPE_CHECKING:
-    from sonarrec.report.site import Site
+    from sonarrec.report.site_results import Site
 
 
 @command(short_help="Estimate at which contrast, and how far, landmarks would be recognised.")
@@ -73,8 +73,9 @@ def site(
 
     from sonarrec.pipeline.prepared import Used, digest_asked, is_same_log
     from sonarrec.readers.find import find_log
-    from sonarrec.report.site import Laid, assess, write_site
+    from sonarrec.report.site import Laid, assess
     from sonarrec.report.site_page import render
+    from sonarrec.report.site_results import write_site
     from sonarrec.results.run_file import read_run
     from sonarrec.simulation.background import check_free
 

@@ -29,6 +29,7 @@ from sonarrec.report.mistakes import Episode, told
 from sonarrec.report.pictures import Picture
 from sonarrec.report.settings import settings_tables
 from sonarrec.report.standing import Standing
+from sonarrec.report.svg import STYLES, Axis, Chart, darkened, frames_a_bar, glyph
 from sonarrec.report.templates import filled
 from sonarrec.results.sightings import PASS_GAP
 
@@ -48,9 +49,9 @@ class TrackView:
     claims: str
     frames: str
     times: str
-    axis: charts.Axis
+    axis: Axis
     truth: int | None
-    strip: charts.Chart | None
+    strip: Chart | None
     panels: list[charts.TrackPanel]
 
 
@@ -63,7 +64,7 @@ class LogView:
     problems: list[str]
     timeline: list[tuple[int, list[charts.Lane]]]
     frames_a_bar: int
-    axis: charts.Axis
+    axis: Axis
     """Of time, over the whole log."""
     unseen: list[int]
     sightings: list[Seen]
@@ -128,8 +129,8 @@ class Scores:
     notes: list[str]
     tables: list[cells.Table]
     starred: bool
-    curves: list[tuple[str, charts.Chart, list[tuple[int, charts.Chart]]]]
-    reliability: list[tuple[str, charts.Chart]]
+    curves: list[tuple[str, Chart, list[tuple[int, Chart]]]]
+    reliability: list[tuple[str, Chart]]
     mistakes: list[Mistakes]
 
 
@@ -181,13 +182,13 @@ def render(
         ),
         few=FEW,
         pass_gap=PASS_GAP,
-        light_colours=[charts.darkened(colour) for colour in colours],
+        light_colours=[darkened(colour) for colour in colours],
         dark_colours=["#{:02x}{:02x}{:02x}".format(*colour) for colour in colours],
         method_colours=[COLOURS[n % len(COLOURS)] for n in range(len(methods))],
         landmarks=landmarks,
-        glyphs=[charts.glyph(landmarks, k) for k in range(len(landmarks.ids))],
+        glyphs=[glyph(landmarks, k) for k in range(len(landmarks.ids))],
         methods=methods,
-        line_styles=charts.STYLES,
+        line_styles=STYLES,
         logs=[_log_view(log, most_tracks) for log in logs],
         tracker=logs[0].tracker,
         truth=None if truth is None else truth.name,
@@ -308,7 +309,7 @@ def _log_view(log: ReportedLog, most_tracks: int) -> LogView:
         facts=list(_facts(log)),
         problems=list(log.run.input.problems),
         timeline=rows,
-        frames_a_bar=charts.frames_a_bar(len(log.time)),
+        frames_a_bar=frames_a_bar(len(log.time)),
         axis=charts.time_axis(log)[0],
         unseen=[i for k, i in enumerate(log.results.landmarks.ids) if k not in drawn],
         sightings=sorted(
@@ -368,7 +369,7 @@ def _track_view(log: ReportedLog, track: Track) -> TrackView:
 
 def _curves(
     evaluation: Pooled,
-) -> list[tuple[str, charts.Chart, list[tuple[int, charts.Chart]]]]:
+) -> list[tuple[str, Chart, list[tuple[int, Chart]]]]:
     """Per protocol: its name, the curve over all IDs, and (index of an ID, its curve)."""
     found = []
     for protocol in cells.protocols(evaluation):

@@ -13,9 +13,9 @@ from sonarrec.evaluation.by_range import Rate
 from sonarrec.evaluation.cells import Cell
 from sonarrec.evaluation.counting.uncertainty import LEVEL, MIN_UNITS
 from sonarrec.evaluation.plots import COLOURS
-from sonarrec.report.charts import STYLES, UNIT, Axis, Chart, Dot, Shape, polyline
 from sonarrec.report.pictures import LARGEST, QUALITY, as_webp, shrunk
-from sonarrec.report.site import ENOUGH, AtContrast, Shown, Site
+from sonarrec.report.site_results import ENOUGH, AtContrast, Shown, Site
+from sonarrec.report.svg import STYLES, UNIT, Axis, Chart, Dot, Shape, polyline
 from sonarrec.report.templates import filled
 
 

@@ -33,8 +33,7 @@ from sonarrec.evaluation.evaluate import evaluate
 from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.summary import summarise
 from sonarrec.landmarks import load_landmarks
-from sonarrec.report import charts, frames
-from sonarrec.report.charts import darkened
+from sonarrec.report import charts, frames, svg
 from sonarrec.report.logs import ReportedLog, Track, alongside, read_logs, seen, tracks
 from sonarrec.report.mistakes import episodes, told
 from sonarrec.report.settings import settings_tables
@@ -820,7 +819,7 @@ def test_sightings_of_the_sample(results: Path) -> None:
 @settings(max_examples=60, deadline=None)
 def test_thinning_keeps_peaks_and_dips(values: list[float], most: int) -> None:
     y = np.array(values)
-    kept = charts.thinned(y, most)
+    kept = svg.thinned(y, most)
     assert len(kept) <= max(most, 1)
     assert (np.diff(kept) > 0).all()
     if np.isfinite(y).any():
@@ -839,11 +838,11 @@ def drawn_points(path: str) -> list[list[tuple[int, int]]]:
 def test_lines_break_where_nothing_was_seen() -> None:
     x = np.array([0, 0.25, 0.5, 0.75, 1.0])
     y = np.array([0, 1, np.nan, 0.5, np.nan])
-    assert drawn_points(charts.polyline(x, y)) == [
+    assert drawn_points(svg.polyline(x, y)) == [
         [(0, 1000), (500, 0)],
         [(1500, 500), (1500, 500)],
     ]
-    assert charts.polyline(x, np.full(5, np.nan)) == ""
+    assert svg.polyline(x, np.full(5, np.nan)) == ""
 
 
 def test_no_line_through_a_step_of_few_estimates() -> None:
@@ -885,7 +884,7 @@ def test_a_track_never_declared_is_seen_though_its_score_is_nothing() -> None:
 
 def painted(path: str) -> np.ndarray:
     """(WIDTH,) height of the bars at every column of the sheet, by filling each rectangle."""
-    height = np.zeros(charts.WIDTH)
+    height = np.zeros(svg.WIDTH)
     for left, up, wide in re.findall(r"M(\d+) 1000v-(\d+)h(\d+)v\d+z", path):
         columns = slice(int(left), int(left) + int(wide))
         height[columns] = np.maximum(height[columns], int(up))
@@ -897,40 +896,40 @@ def test_bars_cover_their_frames(count: int) -> None:
     rng = np.random.default_rng(count)
     start = np.cumsum(rng.choice([1.0, 30.0], count, p=[0.95, 0.05])) - 1
     height = np.where(rng.random(count) < 0.6, rng.random(count).round(1), 0)
-    axis = charts.Axis(0.0, float(start[-1]) + 1)
-    path = charts.bars(axis, start, 1.0, height)
+    axis = svg.Axis(0.0, float(start[-1]) + 1)
+    path = svg.bars(axis, start, 1.0, height)
     columns = painted(path)
-    centre = np.floor(axis.share(start + 0.5) * charts.WIDTH).astype(int)
-    at = columns[np.minimum(centre, charts.WIDTH - 1)]
-    if count < charts.MOST_POINTS:
+    centre = np.floor(axis.share(start + 0.5) * svg.WIDTH).astype(int)
+    at = columns[np.minimum(centre, svg.WIDTH - 1)]
+    if count < svg.MOST_POINTS:
         assert at == pytest.approx(1000 * height)
         between = np.diff(start) > 2  # nothing is drawn over time without frames
-        gaps = np.floor(axis.share(start[:-1][between] + 15) * charts.WIDTH).astype(int)
+        gaps = np.floor(axis.share(start[:-1][between] + 15) * svg.WIDTH).astype(int)
         assert not columns[gaps].any()
     else:
-        assert path.count("M") <= charts.MOST_POINTS
+        assert path.count("M") <= svg.MOST_POINTS
         assert columns.max() == 1000 * height.max()
 
 
 def test_bars_are_seen_beside_a_pause_of_a_day() -> None:
     start = np.array([0.0, 0.25, 0.5, 86_400.0, 86_400.25])
-    path = charts.bars(charts.Axis(0.0, 86_400.5), start, 0.25, np.array([0, 1, 0, 0, 0.5]))
+    path = svg.bars(svg.Axis(0.0, 86_400.5), start, 0.25, np.array([0, 1, 0, 0, 0.5]))
     columns = painted(path)
-    assert np.flatnonzero(columns).tolist() == [0, charts.WIDTH - 1]
+    assert np.flatnonzero(columns).tolist() == [0, svg.WIDTH - 1]
     assert columns[[0, -1]].tolist() == [1000, 500]
 
 
 def test_ticks_are_round_and_in_place() -> None:
     for high in (0.3, 1.0, 61.75, 25_000.0):
-        ticks = charts.Axis(0.0, high).ticks()
+        ticks = svg.Axis(0.0, high).ticks()
         assert 3 <= len(ticks) <= 7
         for tick in ticks:
             assert tick.at == pytest.approx(100 * float(tick.text) / high, abs=0.01)
-    assert charts.Axis(0.0, 0.3).ticks()[-1].text == "0.3"
+    assert svg.Axis(0.0, 0.3).ticks()[-1].text == "0.3"
     # A second of a track, ten hours into the log; frames of a very long one.
-    late = [tick.text for tick in charts.Axis(36_000.125, 36_001.375).ticks()]
+    late = [tick.text for tick in svg.Axis(36_000.125, 36_001.375).ticks()]
     assert late == ["36000.25", "36000.5", "36000.75", "36001", "36001.25"]
-    assert charts.Axis(0.0, 3_000_000.0).ticks()[-1].text == "3000000"
+    assert svg.Axis(0.0, 3_000_000.0).ticks()[-1].text == "3000000"
 
 
 def test_the_landmark_drawn_is_the_landmark() -> None:
@@ -943,7 +942,7 @@ def test_the_landmark_drawn_is_the_landmark() -> None:
 
     for k in range(len(landmarks.ids)):
         inside = np.zeros(len(x), dtype=bool)
-        for part in charts.glyph(landmarks, k).split("M")[1:]:
+        for part in svg.glyph(landmarks, k).split("M")[1:]:
             inside ^= Outline(traced(part)).contains_points(
                 np.column_stack([50 + 49 * x, 50 - 49 * y])
             )
@@ -975,7 +974,7 @@ def test_colours_stand_out_on_white() -> None:
     """Those of a set of 20 IDs as well: 3 to 1, as WCAG 2 asks of what is drawn."""
     white = [255, 255, 255]
     for colour in (*landmark_colours(range(20)).values(), (0, 0, 0), (255, 255, 255)):
-        dark = darkened(colour)
+        dark = svg.darkened(colour)
         assert contrast([int(dark[n : n + 2], 16) for n in (1, 3, 5)], white) >= 3
         if contrast(list(colour), white) > 3.2:
             assert dark == "#{:02x}{:02x}{:02x}".format(*colour)

@@ -17,7 +17,7 @@ import pytest
 
 from sonarrec.evaluation.by_range import RangeRate, Rate, Recognised
 from sonarrec.landmarks import BUILT_IN
-from sonarrec.report.site import AtContrast, sentences
+from sonarrec.report.site_results import AtContrast, sentences
 from sonarrec.simulation.random_scenes import random_scene
 from sonarrec.simulation.simulate import write_recording
 from tests.support.browser import chromium, look

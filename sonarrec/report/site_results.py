@@ -1,0 +1,223 @@
+"""What `sonarrec site` finds: the answer in words, site.csv and site.json."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sonarrec.evaluation.by_range import Rate, Recognised
+from sonarrec.evaluation.counting.uncertainty import MIN_UNITS, unseen_share
+from sonarrec.files.outputs import write_csv, write_text, writing
+from sonarrec.records import ByteImage, number_of
+from sonarrec.simulation.background import Layout
+
+ENOUGH = 0.9
+"""Landmarks are recognised at a contrast where they are in this share of the frames with them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """A frame at one contrast, drawn on: truth dashed, declared landmarks in colour."""
+
+    contrast_db: float
+    frame: int
+    image: ByteImage
+    truth: int
+    declared: int
+
+
+@dataclass(frozen=True, slots=True)
+class AtContrast:
+    """What came of one contrast.
+
+    near_m, far_m: slant ranges between which landmarks are recognised in ENOUGH of the frames, from
+    the nearest step that holds a landmark on; NaN where they are not in that step.
+    """
+
+    contrast_db: float
+    found: Recognised
+    near_m: float
+    far_m: float
+
+    @property
+    def reaches(self) -> bool:
+        """Whether there is such a range."""
+        return not math.isnan(self.far_m)
+
+    @property
+    def span(self) -> str:
+        """The range in words."""
+        return f"{self.near_m:.1f} to {self.far_m:.1f} m" if self.reaches else "-"
+
+
+@dataclass(frozen=True, slots=True)
+class Site:
+    """What `sonarrec site` found out.
+
+    contrasts: rising. empty: claims per 100 frames on the recording as it is, none of which is
+    right if it holds no landmarks. sentences: the answer in words.
+    """
+
+    log: str
+    frames: int
+    landmarks: str
+    radius_m: float
+    plate_db: float
+    beam_width_deg: float
+    dynamic_range_db: float
+    preset: str
+    seed: int
+    layouts: tuple[Layout, ...]
+    contrasts: tuple[AtContrast, ...]
+    empty: float
+    sentences: tuple[str, ...]
+    shown: tuple[Shown, ...]
+    notes: tuple[str, ...]
+
+
+def sentences(found: Sequence[AtContrast], claims: int, frames: int) -> list[str]:
+    """The answer: from which contrast on, how far, how sure, and what is claimed falsely."""
+    told = []
+    good = len(found)
+    while good and found[good - 1].found.tpr.value >= ENOUGH:
+        good -= 1
+    if good < len(found):
+        one = found[good]
+        rate = one.found.tpr
+        more = " or more" if good + 1 < len(found) else ""
+        told.append(
+            f"At {one.contrast_db:g} dB{more} over the floor landmarks would be recognised in at "
+            f"least {ENOUGH:.0%} of the frames that show them whole"
+            + (f", {one.span} away." if one.reaches else ", all ranges taken together.")
+        )
+        if math.isnan(rate.low) and rate.units >= MIN_UNITS:
+            one_in = max(round(1 / unseen_share(rate.units)), 2)
+            told.append(
+                f"That rests on {_passes(rate.units)}, which went alike: if one in {one_in} went "
+                "wrong, so few might not show it."
+            )
+        elif math.isnan(rate.low):
+            told.append(
+                f"That rests on {_passes(rate.units)}, too few for an interval: more --layouts "
+                "would tell."
+            )
+        elif rate.low < ENOUGH:
+            told.append(
+                f"That rests on {_passes(rate.units)} and is not certain: the 95% interval of "
+                f"{rate.value:.3f} begins at {rate.low:.3f}."
+            )
+        else:
+            told.append(
+                f"That rests on {_passes(rate.units)}; the 95% interval of {rate.value:.3f} is "
+                f"{rate.low:.3f} to {rate.high:.3f}."
+            )
+    else:
+        best = max(found, key=lambda one: one.found.tpr.value)
+        told.append(
+            f"At none of these contrasts would landmarks be recognised in {ENOUGH:.0%} of the "
+            f"frames that show them whole; at best in {best.found.tpr.value:.1%}, at "
+            f"{best.contrast_db:g} dB."
+        )
+        near = [one for one in found if one.reaches]
+        if near:
+            told.append(f"From {near[0].span} they would be, at {near[0].contrast_db:g} dB.")
+    worst = max(found, key=lambda one: one.found.false_per_100.value)
+    false = worst.found.false_per_100
+    told.append(
+        f"False claims: at most {false.value:.1f} in 100 frames, at {worst.contrast_db:g} dB."
+        if false.count
+        else "No false claim was made."
+    )
+    if claims:
+        told.append(
+            f"On the recording as it is {100 * claims / frames:.1f} landmarks are claimed in 100 "
+            "frames: if it holds none, these are false as well; if it holds some, the figures "
+            "here mean little."
+        )
+    return told
+
+
+def _passes(count: int) -> str:
+    return number_of(count, "pass", "es") + " of landmarks through the view"
+
+
+COLUMNS = (
+    *("contrast_db", "range_from_m", "range_to_m", "landmark_frames", "passes", "recognised"),
+    *("tpr", "tpr_low", "tpr_high", "frames", "false_claims", "false_per_100"),
+    *("false_per_100_low", "false_per_100_high"),
+)
+
+
+def table(site: Site) -> list[dict[str, Any]]:
+    """A row per contrast over all ranges (their columns empty), then one per step of range."""
+    rows: list[dict[str, Any]] = []
+    for one in site.contrasts:
+        false = one.found.false_per_100
+        steps: list[tuple[float | None, float | None, Rate]] = [
+            (None, None, one.found.tpr),
+            *((r.near_m, r.far_m, r.tpr) for r in one.found.by_range),
+        ]
+        for near, far, rate in steps:
+            row = dict.fromkeys(COLUMNS) | {
+                "contrast_db": one.contrast_db,
+                "range_from_m": _rounded(near),
+                "range_to_m": _rounded(far),
+                "landmark_frames": rate.cases,
+                "passes": rate.units,
+                "recognised": rate.count,
+                **_three("tpr", rate),
+            }
+            if near is None:
+                row |= {"frames": false.cases, "false_claims": false.count}
+                row |= _three("false_per_100", false)
+            rows.append(row)
+    return rows
+
+
+def _three(name: str, rate: Rate) -> dict[str, float | None]:
+    return {
+        name: _rounded(rate.value),
+        f"{name}_low": _rounded(rate.low),
+        f"{name}_high": _rounded(rate.high),
+    }
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None or math.isnan(value) else round(value, 4)
+
+
+def as_document(site: Site) -> dict[str, Any]:
+    """All figures and what they rest on, as plain values."""
+    stated = (
+        *("log", "frames", "landmarks", "radius_m", "plate_db", "beam_width_deg"),
+        *("dynamic_range_db", "preset", "seed"),
+    )
+    return {
+        **{name: getattr(site, name) for name in stated},
+        "layouts": [{"seed": one.seed, "landmarks": one.landmarks} for one in site.layouts],
+        "claims_per_100_as_it_is": round(site.empty, 4),
+        "summary": list(site.sentences),
+        "notes": list(site.notes),
+        "contrasts": [
+            {
+                "contrast_db": one.contrast_db,
+                "recognised_from_m": _rounded(one.near_m),
+                "recognised_to_m": _rounded(one.far_m),
+            }
+            for one in site.contrasts
+        ],
+        "rates": table(site),
+    }
+
+
+def write_site(out: Path, site: Site, page: str) -> None:
+    """site.html, site.csv and site.json. Raises SonarrecError where they cannot be written."""
+    with writing(out):
+        write_csv(out / "site.csv", COLUMNS, (row.values() for row in table(site)))
+        text = json.dumps(as_document(site), indent=2, ensure_ascii=False)
+        write_text(out / "site.json", text + "\n")
+        write_text(out / "site.html", page)
