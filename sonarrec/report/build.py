@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.evaluation.cells import protocols
+from sonarrec.evaluation.counting.pooled import Pooled
 from sonarrec.evaluation.evaluate import DEFAULT, Evaluation, evaluate_many, evaluate_whole
 from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import Pair, read_pairs
@@ -16,10 +17,10 @@ from sonarrec.files.outputs import check_output, write_page
 from sonarrec.report import frames
 from sonarrec.report.logs import MOST_LOGS, ReportedLog, Seen, read_logs, seen, told_false
 from sonarrec.report.mistakes import Episode, episodes, told
+from sonarrec.report.outliers import Outlier, outliers, outliers_first
 from sonarrec.report.page import MOST_MISTAKES, Drawn, Many, render
 from sonarrec.report.pictures import Picture, Wanted
 from sonarrec.report.recordings import match_recordings, open_recording
-from sonarrec.report.standing import chosen, standing
 from sonarrec.results.read import find_logs, not_whole
 from sonarrec.sonar import Sonar
 from sonarrec.truth.table import read_truth
@@ -31,8 +32,11 @@ MOST_MISTAKEN = 6
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What was written. pictures: of the log's frames; held: frames shown on a click. unused: one
-    line for each part of the input that could not be used."""
+    """What was written.
+
+    pictures: drawn frames on the page. held: frames that a click shows. unused: one line for each
+    part of the input that could not be used.
+    """
 
     path: Path
     pictures: int
@@ -40,7 +44,6 @@ class Report:
     unused: tuple[str, ...]
 
 
-# Long by its parameters and what is said of them.
 def write_report(
     path: Path,
     results: Path | None = None,
@@ -54,52 +57,84 @@ def write_report(
 ) -> Report:
     """Write the report on a results folder (of one log or of several) to `path`.
 
-    pairs: in place of results and ground_truth, a table of them.
-    recordings: the logs that the results came from, or folders with such logs, told apart by
-    their names; without them the page has no frames. options: as of
-    `evaluation.evaluate.evaluate_whole`. topic: chooses the channel of an MCAP recording, where
-    run.toml does not tell it. method: whose sightings and tracks are shown, as in `logs.read_logs`.
+    pairs: a table that names results and truth of each log, in place of results and ground_truth.
+    recordings: the logs that the results came from, or folders with such logs; without them the
+    page shows no frames. options: as in `evaluation.evaluate.evaluate_whole`. topic: the image
+    channel of an MCAP recording, if run.toml does not name it. method: whose sightings and tracks
+    are shown, as in `logs.read_logs`.
     Raises SonarrecError where files cannot be used, read or written.
     """
     check_output(path, "report", [ground_truth, pairs, *recordings])
-    rows = [] if pairs is None else read_pairs(pairs)
-    if pairs is None:
-        assert results is not None
-        folders = find_logs(results)
-        if ground_truth is not None:
-            rows = [Pair(folder, ground_truth) for folder in folders]
-    else:
-        folders = [row.results for row in rows]
-    in_all, pooled, stand = len(folders), None, []
-    if in_all > MOST_LOGS:  # read one at a time; only some are shown
-        if rows:
-            given = rows if results is None else results
-            pooled = evaluate_many(given, ground_truth, options)
-        stand = standing(folders, pooled, results, options, method)
-        folders = chosen(folders if pooled is None else pooled.folders, stand)
-        folders = folders if pooled is None else folders[:MOST_LOGS]
-        row_of = {row.results: row for row in reversed(rows)}  # of a log named twice the first
-        rows = [row_of[folder] for folder in folders] if rows else rows
-    evaluation: Evaluation | None = None
-    if pairs is not None or pooled is not None:
-        evaluation = evaluate_whole(rows, None, options, some=pooled is not None)
-    elif ground_truth is not None:
-        assert results is not None
-        evaluation = evaluate_whole(results, ground_truth, options)
-    logs, unread = _with_panels(folders, rows, evaluation, options, method)
-    pooled = pooled or (None if evaluation is None else evaluation.pooled())
-    in_all = in_all if pooled is None else len(pooled.logs)  # each once
-    wrong = {}
+    rows = None if pairs is None else read_pairs(pairs)
+    shown = _choose(results, ground_truth, rows, options, method)
+    logs, unread = _with_panels(shown.folders, shown.rows, shown.evaluation, options, method)
+    evaluation, pooled = shown.evaluation, shown.pooled
+    mistakes = {}
     if evaluation is not None and pooled is not None:
         protocol = protocols(pooled)[0]
-        wrong = {m: episodes(evaluation, m, protocol) for m in evaluation.joined.methods}
-    drawn, missing = _draw_all(logs, evaluation, wrong, recordings, options.sonar or Sonar(), topic)
-    own = (line for log in logs for line in not_whole(log.results, "shown"))
-    unused = (*(own if pooled is None else pooled.unused), *unread, *missing)
-    many = Many(in_all, stand)
-    page = render(logs, evaluation, pooled, wrong, pairs or ground_truth, drawn, unused, many)
-    write_page(path, page)
+        mistakes = {m: episodes(evaluation, m, protocol) for m in evaluation.joined.methods}
+    sonar = options.sonar or Sonar()
+    drawn, missing = _draw_all(logs, evaluation, mistakes, recordings, sonar, topic)
+    incomplete = (line for log in logs for line in not_whole(log.results, "shown"))
+    unused = (*(incomplete if pooled is None else pooled.unused), *unread, *missing)
+    many = Many(len(shown.folders) if pooled is None else len(pooled.logs), shown.outliers)
+    truth = pairs or ground_truth
+    write_page(path, render(logs, evaluation, pooled, mistakes, truth, drawn, unused, many))
     return Report(path, len(drawn.pictures), sum(len(s.frames) for s in drawn.shown), unused)
+
+
+@dataclass(frozen=True, slots=True)
+class _Chosen:
+    """The logs to show, in order, and their scores."""
+
+    folders: list[Path]
+    """Of results; if there are very many, the first of them get panels."""
+    rows: list[Pair]
+    """Their truth, if it is known."""
+    outliers: list[Outlier]
+    evaluation: Evaluation | None
+    """Of the logs with panels."""
+    pooled: Pooled | None
+    """Of all logs."""
+
+
+def _choose(
+    results: Path | None,
+    ground_truth: Path | None,
+    rows: list[Pair] | None,
+    options: ScoringOptions,
+    method: str | None,
+) -> _Chosen:
+    """Read and score the logs. rows: results and truth of each, in place of the other two.
+
+    If there are more than MOST_LOGS, they are read one at a time, and only MOST_LOGS of those that
+    can be scored get panels, outliers first.
+    """
+    if rows is None:
+        assert results is not None
+        folders = find_logs(results)
+        truth = [Pair(folder, ground_truth) for folder in folders] if ground_truth else []
+    else:
+        folders, truth = [row.results for row in rows], rows
+    if len(folders) <= MOST_LOGS:
+        evaluation = None
+        if rows is not None:
+            evaluation = evaluate_whole(rows, None, options)
+        elif ground_truth is not None and results is not None:
+            evaluation = evaluate_whole(results, ground_truth, options)
+        return _Chosen(
+            folders, truth, [], evaluation, None if evaluation is None else evaluation.pooled()
+        )
+    if not truth:
+        found = outliers(folders, None, results, options, method)
+        return _Chosen(outliers_first(folders, found), [], found, None, None)
+    pooled = evaluate_many(truth if results is None else results, ground_truth, options)
+    found = outliers(folders, pooled, results, options, method)
+    folders = outliers_first(pooled.folders, found)[:MOST_LOGS]
+    row_of = {row.results: row for row in reversed(truth)}  # the first row of a log named twice
+    truth = [row_of[folder] for folder in folders]
+    evaluation = evaluate_whole(truth, None, options, some=True)
+    return _Chosen(folders, truth, found, evaluation, pooled)
 
 
 def _with_panels(
@@ -111,17 +146,17 @@ def _with_panels(
 ) -> tuple[list[ReportedLog], list[str]]:
     """The logs that have panels, and a line for each that cannot be read.
 
-    rows: the truth of each, where it is known.
+    rows: their truth, if it is known.
     """
     if evaluation is None:
-        no = [None] * len(folders)
-        return read_logs(folders, no, no, options, method)
-    # It tells equal names apart, counts copies of a log once and has left out what cannot be read.
+        unknown = [None] * len(folders)
+        return read_logs(folders, unknown, unknown, options, method)
+    # The evaluation has distinct names, each recording once, and no log that cannot be read.
     scored = dict(zip(evaluation.folders, evaluation.joined.logs, strict=True))
     first: dict[Path, Pair] = {}
     for row in rows:
         if row.results in scored:
-            first.setdefault(row.results, row)  # it may be named twice
+            first.setdefault(row.results, row)  # a log may be named twice
     mine = [*first.values()]
     tables = {file: read_truth(file) for file in {row.ground_truth for row in mine}}
     logs, unread = read_logs(
@@ -138,17 +173,17 @@ def _with_panels(
 def _draw_all(
     logs: Sequence[ReportedLog],
     evaluation: Evaluation | None,
-    wrong: Mapping[str, Sequence[Episode]],
+    mistakes: Mapping[str, Sequence[Episode]],
     recordings: Sequence[Path],
     sonar: Sonar,
     topic: str | None,
 ) -> tuple[Drawn, list[str]]:
-    """The frames worth seeing of the logs whose recordings were given; what was not found."""
+    """Pictures and frames of the recordings given; a line for each recording not found."""
     sources, missing = match_recordings(logs, recordings, sonar, topic)
     there = [log for log in logs if log.results.name in sources]
     passes = [(log, s) for log in there for s in seen(log)]
-    wanted = [*_seen(there, passes), *_mistaken(evaluation, wrong, sources)]
-    held = frames.choose(there, _told(passes, wrong, wanted))
+    wanted = [*_seen(there, passes), *_mistaken(evaluation, mistakes, sources)]
+    held = frames.choose(there, _named(passes, mistakes, wanted))
     pictures: dict[Wanted, Picture] = {}
     shown: list[frames.ShownLog] = []
     for log in there:
@@ -162,19 +197,19 @@ def _draw_all(
 
 
 def _share(held: Mapping[str, Sequence[int]]) -> int:
-    """Bytes for each frame held."""
+    """Bytes for each frame that the page holds."""
     return frames.MOST_BYTES // max(1, sum(map(len, held.values())))
 
 
-def _told(
+def _named(
     passes: Sequence[tuple[ReportedLog, Seen]],
-    wrong: Mapping[str, Sequence[Episode]],
+    mistakes: Mapping[str, Sequence[Episode]],
     wanted: Sequence[Wanted],
 ) -> Iterator[tuple[str, int]]:
-    """(log, frame) of all that the page names, the most telling first."""
+    """(log, frame) of all frames that the page names, the most interesting first."""
     yield from ((w.log, w.frame) for w in wanted)
     yield from ((log.results.name, log.frame_of(s.surest)) for log, s in passes)
-    for found in wrong.values():
+    for found in mistakes.values():
         yield from ((e.log, e.worst) for e in found[:MOST_MISTAKES])
     for log, s in passes:
         yield log.results.name, s.sighting.first_frame
@@ -182,13 +217,13 @@ def _told(
 
 
 def _seen(logs: Sequence[ReportedLog], seen: Sequence[tuple[ReportedLog, Seen]]) -> list[Wanted]:
-    """The surest frame of each declared landmark, then the sightings of the fewest frames."""
+    """The surest frame of each declared landmark, then the shortest sightings."""
     if logs and not seen:
         return _nearest_to_one(logs)
 
     def sure(one: tuple[ReportedLog, Seen]) -> tuple[float, bool, int]:
         log, s = one
-        # Of scores that print alike a true one, then the longest sighting, not the first.
+        # Of scores that print alike: a true claim first, then the longest sighting.
         return -round(log.results.score[s.surest], 2), s.is_false, -s.sighting.frames_declared
 
     best = {
@@ -215,7 +250,7 @@ def _wanted(log: ReportedLog, seen: Seen, group: str, more: str) -> Wanted:
 
 
 def _nearest_to_one(logs: Sequence[ReportedLog]) -> list[Wanted]:
-    """Where nothing was declared: what came nearest to it."""
+    """The estimate of the highest score, for logs in which nothing was declared."""
     best: tuple[float, ReportedLog, int] | None = None
     for log in logs:
         mine = np.flatnonzero(log.of_method(log.tracker))
@@ -228,19 +263,19 @@ def _nearest_to_one(logs: Sequence[ReportedLog]) -> list[Wanted]:
         return []
     score, log, n = best
     landmark = log.ids[log.results.landmark_index[n]]
-    told = f"Nothing declared; nearest to it ID.{landmark} ({score:.2f})."
-    return [Wanted(log.results.name, log.tracker, log.frame_of(n), "surest", told)]
+    caption = f"Nothing declared; nearest to it ID.{landmark} ({score:.2f})."
+    return [Wanted(log.results.name, log.tracker, log.frame_of(n), "surest", caption)]
 
 
 def _mistaken(
     evaluation: Evaluation | None,
-    wrong: Mapping[str, Sequence[Episode]],
+    mistakes: Mapping[str, Sequence[Episode]],
     sources: Mapping[str, Path],
 ) -> list[Wanted]:
     """The worst frame of the worst mistakes, per method."""
     return [
         Wanted(e.log, method, e.worst, "mistake", "", f"{told(e, evaluation.joined)}.")
-        for method, found in wrong.items()
+        for method, found in mistakes.items()
         for e in [e for e in found if e.log in sources][:MOST_MISTAKEN]
         if evaluation is not None
     ]

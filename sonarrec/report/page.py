@@ -26,9 +26,9 @@ from sonarrec.report.frames import ShownLog
 from sonarrec.report.logs import ReportedLog, Seen, Track, seen, tracks, true_landmark
 from sonarrec.report.measured import MEASURED, Measured
 from sonarrec.report.mistakes import Episode, told
+from sonarrec.report.outliers import Outlier
 from sonarrec.report.pictures import Picture
 from sonarrec.report.settings import settings_tables
-from sonarrec.report.standing import Standing
 from sonarrec.report.svg import STYLES, Axis, Chart, darkened, frames_a_bar, glyph
 from sonarrec.report.templates import filled
 from sonarrec.results.sightings import PASS_GAP
@@ -136,10 +136,10 @@ class Scores:
 
 @dataclass(frozen=True, slots=True)
 class Many:
-    """Of how many logs the page speaks, and those that differ from the rest."""
+    """How many logs there are, and those that differ from the rest."""
 
     in_all: int
-    standing: Sequence[Standing]
+    outliers: Sequence[Outlier]
 
 
 def render(
@@ -177,7 +177,7 @@ def render(
             scores is not None,
             bool(scores and scores.others),
             several=many.in_all > 1,
-            standing=bool(many.standing),
+            outliers=bool(many.outliers),
             mapped=map_picture is not None,
         ),
         few=FEW,
@@ -199,7 +199,7 @@ def render(
         mistake_pictures=[p for p in drawn.pictures if p.wanted.group == "mistake"],
         unused=_first(unused),
         many=many,
-        most_standing=MOST_RATES,
+        most_outliers=MOST_RATES,
         pooled=pooled,
         held={shown.name: n for n, shown in enumerate(drawn.shown)},
         shown=drawn.shown,
@@ -231,13 +231,13 @@ def _map_picture(logs: Sequence[ReportedLog]) -> str | None:
 
 
 def _contents(
-    scored: bool, figures: bool, several: bool, standing: bool, mapped: bool
+    scored: bool, figures: bool, several: bool, outliers: bool, mapped: bool
 ) -> dict[str, str]:
     """The sections by name, in the page's order, and their headings."""
     seen = {"seen": "What was seen, when and how surely"}
     rates = {"rates": "Rates at the operating point"} if scored else {}
     return {
-        **({"standing": "What differs from the rest"} if standing else {}),
+        **({"standing": "What differs from the rest"} if outliers else {}),
         # Of one log the page begins with what was seen, of several with how well it went.
         **(rates | seen if several else seen | rates),
         "sightings": "Sightings",
