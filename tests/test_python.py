@@ -124,12 +124,12 @@ def test_polar_frames_of_one_s_own_are_as_the_fan_needs_them(tmp_path: Path) -> 
 def test_a_url_is_no_folder_to_write_to(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The results went to a local folder `s3:`."""
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(UsageError, match="s3://dives/out: a local place is needed"):
+    with pytest.raises(UsageError, match="s3://dives/out: a local path is needed"):
         sonarrec.run(SAMPLE, "s3://dives/out")
-    with pytest.raises(UsageError, match="s3://dives/out: a local place is needed"):
+    with pytest.raises(UsageError, match="s3://dives/out: a local path is needed"):
         sonarrec.simulate("paper", "s3://dives/out", frames=1)
     done = command("simulate", "--frames", "1", "-o", "s3://dives/out", code=2)
-    assert done.stderr.startswith("sonarrec: s3://dives/out: a local place is needed here")
+    assert done.stderr.startswith("sonarrec: s3://dives/out: a local path is needed here")
     assert not list(tmp_path.iterdir())
 
 

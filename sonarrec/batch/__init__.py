@@ -1,1 +1,1 @@
-"""Many logs in one call: processes side by side, what became of each, a cluster."""
+"""Runs many logs in one call: in parallel processes or on a cluster, with a table of outcomes."""

@@ -1,4 +1,4 @@
-"""The logs on a Dask cluster: each task the same process of its own, on a worker."""
+"""Runs logs on a Dask cluster: each task in a process of its own on a worker."""
 
 from __future__ import annotations
 
@@ -12,29 +12,29 @@ from sonarrec.records import SonarrecError, UsageError
 from sonarrec.results.folders import LockedError
 
 RETRIES = 2
-"""How often a task is begun anew whose worker was lost."""
+"""How often a task is started again after its worker was lost."""
 PATIENCE = "10s"
-"""How long a scheduler is waited for."""
+"""How long to wait for the scheduler."""
 _TLS = "DASK_DISTRIBUTED__COMM__TLS__"
-"""Begins the variables that name certificates; dask's configuration files may as well."""
+"""Prefix of the environment variables that name certificates."""
 
 
 def run_on_cluster(
     tasks: list[Task], address: str, watch: Watch, timeout_s: float | None = None
 ) -> None:
-    """Run tasks on the workers of the Dask scheduler at `address`; results go where all see them.
+    """Run tasks on the workers of the Dask scheduler at `address`.
 
-    A scheduler that dies loses nothing that is finished: the same call goes on from there. Raises
-    UsageError without the extra `cluster`, for what is no address, without the certificates that it
-    needs, or where no scheduler answers.
+    If the scheduler dies, finished results stay and the same call continues from there.
+    Raises UsageError if the extra `cluster` is not installed, the address is invalid, certificates
+    are missing or no scheduler answers.
     """
     try:
         import distributed
     except ImportError:
         raise UsageError("--scheduler needs pip install 'sonarrec[cluster]'") from None
-    dask: Any = distributed  # it is typed in part only
+    dask: Any = distributed  # only part of it has types
     try:
-        # First, for a client that was begun in vain prints a traceback when it is let go.
+        # Checked first because a client that cannot connect prints a traceback.
         dask.comm.get_address_host_port(address)
     except ValueError:
         raise UsageError(
@@ -54,21 +54,23 @@ def run_on_cluster(
         )
     if secure["require_encryption"] and not address.startswith(("tls://", "wss://")):
         raise UsageError(
-            f"--scheduler {address}: dask's configuration requires encryption; tls://host:8786"
+            f"--scheduler {address}: dask's configuration requires encryption; give tls://host:8786"
         )
     for name in ("distributed", "distributed.client"):
-        logging.getLogger(name).setLevel(logging.CRITICAL)  # a lost scheduler is told below
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # a lost scheduler is reported below
     try:
         client = dask.Client(address, timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError) as error:
         raise UsageError(f"--scheduler {address}: no scheduler answers there ({error})") from None
     with client:
         if not client.scheduler_info()["workers"]:
-            watch.note(f"{address}: no worker is there; the logs wait for one")
+            watch.note(f"{address}: there is no worker yet; the logs wait for one")
         for i in range(len(tasks)):
-            watch.begun(i)  # when each really begins only its worker knows
+            watch.begun(i)  # only the worker knows when a task really starts
         left = {
-            client.submit(_there, task.absolute(), timeout_s, pure=False, retries=RETRIES): i
+            client.submit(
+                _run_on_worker, task.absolute(), timeout_s, pure=False, retries=RETRIES
+            ): i
             for i, task in enumerate(tasks)
         }
         for future in dask.as_completed(list(left), loop=client.loop):
@@ -80,14 +82,14 @@ def run_on_cluster(
             future.release()
 
 
-def _there(task: Task, timeout_s: float | None) -> Outcome:
-    """What a worker of the cluster does: a task in a process of its own."""
+def _run_on_worker(task: Task, timeout_s: float | None) -> Outcome:
+    """Run a task in a process of its own; called on a worker."""
     worker = Worker(timeout_s)
     give_up = monotonic() + 2 * GRACE_S
     try:
         while True:
             outcome = worker.run(task)
-            # The process of a worker that was lost may still be writing down its part.
+            # The process of a lost worker may still be writing its results.
             if not isinstance(outcome.error, LockedError) or monotonic() > give_up:
                 return outcome
             sleep(1)
@@ -98,4 +100,4 @@ def _there(task: Task, timeout_s: float | None) -> Outcome:
 def _lost(task: Task, future: Any) -> SonarrecError:
     if future.status == "error":
         return SonarrecError(f"{task.path}: {future.exception()}")
-    return SonarrecError(f"{task.path}: the scheduler gave it up ({future.status})")
+    return SonarrecError(f"{task.path}: the scheduler gave up on it ({future.status})")

@@ -1,4 +1,4 @@
-"""How many cores there are for what runs side by side."""
+"""How many processor cores there are."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 
 
 def cores() -> int:
-    """How many this process may use: a batch system or a container may give it fewer than all."""
+    """How many this process may use; a batch system or a container may limit them."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

@@ -1,4 +1,4 @@
-"""OUT/logs.csv: a row per log of the calls that wrote into OUT."""
+"""OUT/logs.csv: one row for each log that was run into OUT."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ USABLE: tuple[Status, ...] = ("done", "partial")
 class Row:
     """A row of logs.csv; its fields are the columns."""
 
-    log: str  # the name of its results' folder
+    log: str  # name of its results folder
     path: str  # as given
     status: Status
     frames: int = 0  # processed
-    unusable: int = 0  # frames of the log that could not be used
-    seconds: float = 0.0  # that its last run took; 0: not known
-    declared: int = 0  # passes in sightings.csv of the methods that follow objects
-    message: str = ""  # what could not be used, or why it failed; "stopped"
+    unusable: int = 0  # frames that could not be used
+    seconds: float = 0.0  # duration of its last run; 0: not known
+    declared: int = 0  # passes in sightings.csv, of methods that track objects
+    message: str = ""  # what could not be used, or why it failed; or "stopped"
 
 
 COLUMNS = tuple(f.name for f in fields(Row))
@@ -43,21 +43,20 @@ COLUMNS = tuple(f.name for f in fields(Row))
 class LogsTable:
     """The rows of one call's logs, kept in OUT/logs.csv with those of other calls.
 
-    The file is rewritten whole and exchanged at once, at most every WRITE_EVERY_S; calls that
-    write into one OUT at the same time, such as --shard, take turns and keep each other's rows.
+    The file is replaced as a whole, at most every WRITE_EVERY_S. Calls that write into one OUT at
+    the same time, such as those of --shard, take turns and keep each other's rows.
     """
 
     def __init__(self, out: Path, tasks: Sequence[Task], *, alone: bool = False) -> None:
-        """alone: of a call of one log, no share of several: where nothing came of it the file is
-        left as it is."""
+        """alone: there is a single log; if that gives no results, the file is not written."""
         self._alone = alone
         self._path = out / NAME
         self._rows = [Row(t.name, t.path, "waiting") for t in tasks]
-        self._seconds: dict[str, float] = {}  # of the runs of earlier calls that ended
+        self._seconds: dict[str, float] = {}  # of finished runs of earlier calls
         with suppress(SonarrecError):
             before = read_logs(self._path)
             self._seconds = {row.log: row.seconds for row in before if row.status in USABLE}
-        self._others: set[str] = set()  # logs that another call has in hand, and may have done
+        self._others: set[str] = set()  # logs that another call is running
         self._written = -math.inf
         self.fault: str | None = None  # why the file could not be written
 
@@ -67,7 +66,7 @@ class LogsTable:
         self._write_at_times()
 
     def frames(self, i: int, done: int) -> None:
-        """So many frames of task i are done."""
+        """`done` frames of task i are processed."""
         self._rows[i] = replace(self._rows[i], frames=done)
         self._write_at_times()
 
@@ -90,11 +89,11 @@ class LogsTable:
         self._write_at_times()
 
     def stopped(self) -> None:
-        """The call was stopped: what ran waits for the next, with its frames so far in its part."""
+        """The call was stopped: running logs become waiting, with their frames so far."""
         for i, row in enumerate(self._rows):
             if row.status == "running":
                 kept = part_of(self._path.with_name(row.log)) / "frames.csv"
-                frames = row.frames  # as told from time to time
+                frames = row.frames  # the last number reported
                 with suppress(OSError), kept.open("rb") as file:
                     frames = sum(1 for _ in file) - 1
                 self._rows[i] = replace(row, status="waiting", frames=frames, message="stopped")
@@ -104,7 +103,7 @@ class LogsTable:
             self.write()
 
     def write(self) -> None:
-        """Write the rows as they are now, as far as the disk takes them: see `fault`."""
+        """Write the rows as they are now; `fault` says if that failed."""
         self.fault, self._written = None, monotonic()
         if self._alone and not (self._rows[0].frames or self._rows[0].status == "done"):
             return
@@ -116,8 +115,8 @@ class LogsTable:
                 mine = {
                     _key(row): row for row in self._rows if row.log not in self._others & usable
                 }
-                # A log may be refused beside the results of a namesake, which stand: both have a
-                # row, until one of them has results there.
+                # A log may be refused because another log of its name has results there. Then
+                # both keep a row, until this log has results too.
                 ended = {row.log for row in mine.values() if row.status in USABLE}
                 others = (row for row in before if row.log not in ended or _key(row) in mine)
                 rows = {_key(row): row for row in others} | mine
@@ -130,18 +129,18 @@ class LogsTable:
                     new.write_bytes(text.getvalue().encode(errors="surrogateescape"))
         except OSError as error:
             self.fault = f"{self._path}: cannot be written ({error.strerror})"
-        except SonarrecError as error:  # what is there is no such table
+        except SonarrecError as error:  # the file there is another kind of table
             self.fault = str(error)
 
 
 def again(tasks: Sequence[Task], out: Path) -> tuple[list[Task], int]:
-    """Of tasks those that logs.csv has as failed or done in part, to be done anew.
+    """The tasks that failed or were partial by logs.csv, and how many are waiting or running.
 
-    With how many it has as waiting or running. Results of a namesake are not replaced.
+    Results of another log of the same name are not replaced.
     """
     rows = read_logs(out / NAME)
     of_path = {_key(row): row.status for row in rows}
-    of_name = {row.log: row.status for row in rows}  # of a path written otherwise today
+    of_name = {row.log: row.status for row in rows}  # for paths that are written differently now
     ended, unended = [], 0
     for task in tasks:
         state = of_path.get((task.name, task.path), of_name.get(task.name))
@@ -158,7 +157,7 @@ def _key(row: Row) -> tuple[str, str]:
 
 @contextmanager
 def _turn(folder: Path) -> Iterator[None]:
-    """Wait until nobody else exchanges the file, as far as the file system knows locks."""
+    """Wait until no other call writes the file, if the file system supports locks."""
     handle = None
     with suppress(ImportError, OSError):
         import fcntl
@@ -173,21 +172,21 @@ def _turn(folder: Path) -> Iterator[None]:
 
 
 def read_logs(path: Path) -> list[Row]:
-    """The rows of a logs.csv; none where there is no such file.
+    """The rows of a logs.csv; none if there is no such file.
 
-    Raises SonarrecError where it is not such a table.
+    Raises SonarrecError if it is not such a table.
     """
     return _read(path)[0]
 
 
 def _seconds(cell: str) -> float:
-    """0, not known, where it is no time that a run can take."""
+    """The duration in a cell; 0, not known, if it is not positive and finite."""
     seconds = float(cell)
     return seconds if 0 < seconds < math.inf else 0.0
 
 
 def _read(path: Path) -> tuple[list[Row], dict[str, dict[tuple[str, str], str]]]:
-    """As `read_logs`, with the columns that a user added: the cells of each by the row's key."""
+    """The rows, and for each column that a user added its cells by the keys of the rows."""
     kinds: dict[str, Callable[[str], Any]] = {
         "frames": int,
         "unusable": int,

@@ -1,4 +1,4 @@
-"""Logs in processes apart: a crash, an out-of-memory kill or a hung decoder costs that log only."""
+"""Runs logs in separate processes, so that a crash or a lack of memory costs one log only."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from sonarrec.batch.task import GRACE_S, Outcome, Task, do
 from sonarrec.records import FrameResult, SonarrecError
 from sonarrec.remote.fetch import fetch_ahead
 
-# The paths are handed on, so that the child runs this very program. One thread a process: the logs
-# share the cores, and OpenCV's threads would only get into each other's way.
+# The child gets sys.path, so that it runs this same program. It uses one thread: the logs share the
+# cores, and OpenCV's threads would only compete.
 _START = "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
 _START += "from sonarrec.batch.worker import main; main()"
 _ONE_THREAD = {"OPENCV_FOR_THREADS_NUM": "1"}
 
 Frames = Callable[[int, int | None], None]
-"""Told from time to time how many frames of a log are done, and of how many, where known."""
+"""Called now and then with the number of frames done and the total, None if not known."""
 
 
 class Worker:
@@ -38,22 +38,22 @@ class Worker:
     """
 
     def __init__(self, timeout_s: float | None = None) -> None:
-        """timeout_s: how long one log may take; default, as long as it likes."""
+        """timeout_s: how long one log may take; None: no limit."""
         self._timeout_s = timeout_s
         self._child: subprocess.Popen[bytes] | None = None
-        self._said: IO[bytes] | None = None  # what the process prints: a traceback, above all
+        self._printed: IO[bytes] | None = None  # what the process prints, such as a traceback
         self._starting = Lock()
         self._stopped = False
 
     def run(self, task: Task, frames: Frames | None = None) -> Outcome:
-        """The outcome of a task, or of the end of its process, however that was."""
+        """Run a task; its outcome says if the process died."""
         begun = monotonic()
         with self._starting:
             if self._stopped:
                 return Outcome("waiting")
             try:
                 child = self._child = self._child or self._started()
-            except OSError as error:  # no memory, no file descriptors, no room for what it prints
+            except OSError as error:  # no memory, file descriptors or disk space
                 why = f"no process could be started for it ({error.strerror})"
                 return Outcome("failed", error=SonarrecError(f"{task.path}: {why}"))
         late = False
@@ -66,7 +66,7 @@ class Worker:
         timer = Timer(self._timeout_s or 0, overdue)
         if self._timeout_s is not None:
             timer.start()
-        outcome = _told(child, task, frames)
+        outcome = _listen(child, task, frames)
         timer.cancel()
         if outcome is not None and not late:
             return outcome
@@ -75,13 +75,13 @@ class Worker:
             return Outcome("waiting")
         why = f"took more than {self._timeout_s:g} s (--timeout)" if late else _why(child)
         fault = fault if child.returncode > 0 and not late else ""
-        told = SonarrecError(f"{task.path}: {why}")
-        return Outcome("failed", monotonic() - begun, error=told, fault=fault)
+        failed = SonarrecError(f"{task.path}: {why}")
+        return Outcome("failed", monotonic() - begun, error=failed, fault=fault)
 
     def stop(self) -> None:
-        """End what runs; the log keeps its frames so far in its part. Nothing new is begun.
+        """End the running process and start none; the log keeps its frames so far.
 
-        Returns at once; a process that does not end by itself is killed GRACE_S later.
+        Returns at once. A process that does not end is killed after GRACE_S.
         """
         with self._starting:
             self._stopped = True
@@ -97,22 +97,22 @@ class Worker:
 
     def _started(self) -> subprocess.Popen[bytes]:
         """A process that waits for tasks."""
-        self._said = TemporaryFile()  # noqa: SIM115 - as long as the process
+        self._printed = TemporaryFile()  # noqa: SIM115 - as long as the process
         return subprocess.Popen(
             [sys.executable, "-c", _START, json.dumps(sys.path)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=self._said,
+            stderr=self._printed,
             env=os.environ | _ONE_THREAD,
             start_new_session=True,
         )
 
     def _ended(self) -> str:
-        """What the process has printed, once it has ended."""
-        child, said = self._child, self._said
+        """Wait for the process to end; what it has printed."""
+        child, printed = self._child, self._printed
         assert child is not None
-        assert said is not None
-        with child, said:
+        assert printed is not None
+        with child, printed:
             assert child.stdin is not None
             with suppress(OSError):
                 child.stdin.close()  # no more tasks
@@ -121,23 +121,23 @@ class Worker:
             except subprocess.TimeoutExpired:
                 child.kill()
             self._child = None
-            said.seek(0)
-            return said.read().decode(errors="replace")
+            printed.seek(0)
+            return printed.read().decode(errors="replace")
 
 
-def _told(child: subprocess.Popen[bytes], task: Task, frames: Frames | None) -> Outcome | None:
-    """What the process tells of the task to its end; None where it ends without an Outcome."""
+def _listen(child: subprocess.Popen[bytes], task: Task, frames: Frames | None) -> Outcome | None:
+    """Send the task and report its frames until it ends; None if the process dies before."""
     assert child.stdin is not None
     assert child.stdout is not None
     try:
         pickle.dump(task, child.stdin)
         child.stdin.flush()
         while True:
-            news = pickle.load(child.stdout)
-            if isinstance(news, Outcome):
-                return news
+            message = pickle.load(child.stdout)
+            if isinstance(message, Outcome):
+                return message
             if frames is not None:
-                frames(*news)
+                frames(*message)
     except (EOFError, OSError, pickle.UnpicklingError):
         return None
 
@@ -153,32 +153,32 @@ def _end(child: subprocess.Popen[bytes]) -> None:
 def _why(child: subprocess.Popen[bytes]) -> str:
     code = child.returncode
     if code >= 0:
-        return "a fault of sonarrec ended its process; the traceback is above"
+        return "a bug in sonarrec ended its process; the traceback is above"
     name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
     return f"its process was ended by {name}" + (" (out of memory?)" if name == "SIGKILL" else "")
 
 
 class Watch:
-    """What is told while logs are run, always in the caller's thread. i: which task."""
+    """Gets events while logs are run, always in the caller's thread. i: index of the task."""
 
     def note(self, line: str) -> None:
-        """What is to be known of the call, in a line."""
+        """A line about the call as a whole."""
 
     def begun(self, i: int) -> None:
         """Task i has begun."""
 
     def frames(self, i: int, done: int, total: int | None) -> None:
-        """So many frames of task i are done; told from time to time."""
+        """`done` frames of task i are processed; called now and then."""
 
     def fetching(self, i: int, came: int, total: int | None) -> None:
-        """So many bytes of the log of task i came; told of a log of this process only."""
+        """`came` bytes of the log of task i are fetched; only for logs run in this process."""
 
     def ended(self, i: int, outcome: Outcome) -> None:
         """Task i has ended."""
 
 
 def run_here(tasks: list[Task], watch: Watch) -> None:
-    """Run tasks one after the other in this process; the next log on a server comes meanwhile."""
+    """Run tasks one after the other in this process; the next remote log is fetched meanwhile."""
     for i, task in enumerate(tasks):
         done = 0
 
@@ -194,21 +194,21 @@ def run_here(tasks: list[Task], watch: Watch) -> None:
 
 
 def _fetch_next(tasks: list[Task]) -> None:
-    for far in (task.elsewhere for task in tasks):
-        if far is not None and far.log is not None:
-            fetch_ahead(far.log, far.cache)
+    for remote in (task.remote for task in tasks):
+        if remote is not None and remote.log is not None:
+            fetch_ahead(remote.log, remote.cache)
             return
 
 
 def run_apart(tasks: list[Task], jobs: int, watch: Watch, timeout_s: float | None = None) -> None:
-    """Run tasks in processes apart, `jobs` at a time; begun in their order.
+    """Run tasks in separate processes, `jobs` at a time, started in their order.
 
-    An exception in the caller's thread, Ctrl-C above all, ends the processes, each with its frames
-    so far in its part.
+    An exception in the caller's thread, such as Ctrl-C, ends the processes; their logs keep the
+    frames so far.
     """
     left = iter(enumerate(tasks))
     turn = Lock()
-    news: SimpleQueue[tuple[Callable[..., None], tuple[Any, ...]] | None] = SimpleQueue()
+    events: SimpleQueue[tuple[Callable[..., None], tuple[Any, ...]] | None] = SimpleQueue()
 
     def work(worker: Worker) -> None:
         try:
@@ -217,15 +217,15 @@ def run_apart(tasks: list[Task], jobs: int, watch: Watch, timeout_s: float | Non
                     i, task = next(left, (-1, None))
                 if task is None:
                     return
-                news.put((watch.begun, (i,)))
-                outcome = worker.run(task, partial(_put, news, watch.frames, i))
+                events.put((watch.begun, (i,)))
+                outcome = worker.run(task, partial(_put, events, watch.frames, i))
                 if outcome.status == "waiting":
                     return
-                news.put((watch.ended, (i, outcome)))
-        except BaseException as error:  # a fault of ours: the call must not end as if all were done
-            news.put((_raised, (error,)))
+                events.put((watch.ended, (i, outcome)))
+        except BaseException as error:  # a bug: the call must not end as if all were done
+            events.put((_raised, (error,)))
         finally:
-            news.put(None)
+            events.put(None)
 
     workers = [Worker(timeout_s) for _ in range(min(jobs, len(tasks)))]
     threads = [Thread(target=work, args=(worker,), daemon=True) for worker in workers]
@@ -234,10 +234,10 @@ def run_apart(tasks: list[Task], jobs: int, watch: Watch, timeout_s: float | Non
     working = len(threads)
     try:
         while working:
-            if (said := news.get()) is None:
+            if (event := events.get()) is None:
                 working -= 1
             else:
-                call, arguments = said
+                call, arguments = event
                 call(*arguments)
     except BaseException:
         for worker in workers:
@@ -253,5 +253,5 @@ def _raised(error: BaseException) -> None:
     raise error
 
 
-def _put(news: SimpleQueue[Any], call: Callable[..., None], *arguments: Any) -> None:
-    news.put((call, arguments))
+def _put(events: SimpleQueue[Any], call: Callable[..., None], *arguments: Any) -> None:
+    events.put((call, arguments))

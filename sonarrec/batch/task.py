@@ -1,4 +1,4 @@
-"""One log of a call: what is to be done with it, and what became of it."""
+"""One log of a call: how to run it, and its outcome."""
 
 from __future__ import annotations
 
@@ -12,31 +12,31 @@ from typing import Literal
 from sonarrec.pipeline.prepared import Used
 from sonarrec.pipeline.run import Observe, Summary, planned, process
 from sonarrec.records import SonarrecError, shown
-from sonarrec.remote.fetch import Told, fetched, untold
-from sonarrec.remote.run import Elsewhere
+from sonarrec.remote.fetch import Progress, fetched, no_progress
+from sonarrec.remote.run import RemotePlaces
 from sonarrec.results.folders import part_of
 from sonarrec.results.run_file import Given
 
 Status = Literal["waiting", "running", "done", "partial", "failed"]
 GRACE_S = 10.0
-"""How long a task's process may take to write down what it has after SIGTERM, before SIGKILL."""
+"""Time that a process has after SIGTERM to write its results, before SIGKILL."""
 
 
 @dataclass(frozen=True, slots=True)
 class Task:
     """A log to run; it can be pickled, and handed to another process or machine."""
 
-    path: str  # of a log on a server its URL without secrets
-    name: str  # of its results, see pipeline.run.result_names
-    out: str  # where they are made
+    path: str  # for a log on a server its URL without secrets
+    name: str  # of its results folder, see pipeline.run.result_names
+    out: str  # the folder for that folder
     given: Given
     used: Used
     overwrite: bool = False
-    elsewhere: Elsewhere | None = None  # what of it lies on servers
+    remote: RemotePlaces | None = None  # set if the log or its results lie on a server
     ahead: bool = False  # whether other cores read frames and select candidates in advance
 
     def absolute(self) -> Task:
-        """The same for a process that works in another folder."""
+        """The same task with absolute paths, for another working folder."""
         given, used = self.given, self.used
         landmarks = used.landmarks  # a file or a built-in set
         if landmarks is not None and Path(landmarks).is_file():
@@ -69,15 +69,15 @@ class Outcome:
     """What became of a task."""
 
     status: Status  # `partial`: part of the log could not be used
-    seconds: float = 0.0  # taken by the log
+    seconds: float = 0.0  # duration
     summary: Summary | None = None  # None where it failed
     folder: str = ""  # where its results are now: a path, or a URL
-    error: SonarrecError | None = None  # what failed, where it did
-    fault: str = ""  # the traceback of a fault of our own, where its process could print one
+    error: SonarrecError | None = None  # if it failed
+    fault: str = ""  # the traceback of a bug, if its process printed one
 
     @property
     def message(self) -> str:
-        """One line on what could not be used; empty where all could."""
+        """One line on what could not be used; empty if all could."""
         if self.error is not None:
             return self.error.line
         problems = self.summary.problems if self.summary else []
@@ -86,7 +86,7 @@ class Outcome:
 
 
 def plan(task: Task) -> str:
-    """What `do` would do, and why; nothing is written. Raises SonarrecError as it would."""
+    """What `do` would do, and why; writes nothing. Raises SonarrecError as `do` would."""
     with _at_hand(task, upload=False) as (path, given, _):
         folder = Path(task.out) / task.name
         held = planned(path, task.out, given, task.used, name=task.name, overwrite=task.overwrite)
@@ -97,14 +97,14 @@ def plan(task: Task) -> str:
     return "done anew (it was stopped before its end)" if part_of(folder).exists() else "new"
 
 
-def do(task: Task, observe: Observe | None = None, fetching: Told = untold) -> Outcome:
-    """Run a task in this process. What the input lacks is an outcome; our own faults are raised.
+def do(task: Task, observe: Observe | None = None, fetching: Progress = no_progress) -> Outcome:
+    """Run a task in this process. A fault of the input becomes an outcome; a bug raises.
 
-    fetching: told as the bytes of a log on a server come.
+    fetching: called as the bytes of a log on a server arrive.
     """
     begun = monotonic()
     try:
-        with _at_hand(task, fetching) as (path, given, told):
+        with _at_hand(task, fetching) as (path, given, renamed):
             summary = process(
                 path,
                 task.out,
@@ -119,38 +119,38 @@ def do(task: Task, observe: Observe | None = None, fetching: Told = untold) -> O
         return Outcome("failed", monotonic() - begun, error=error)
     summary = replace(
         summary,
-        problems=[told(line) for line in summary.problems],
-        notes=[told(line) for line in summary.notes],
+        problems=[renamed(line) for line in summary.problems],
+        notes=[renamed(line) for line in summary.notes],
     )
     status: Status = "partial" if summary.problems else "done"
-    return Outcome(status, monotonic() - begun, summary, told(str(summary.folder)))
+    return Outcome(status, monotonic() - begun, summary, renamed(str(summary.folder)))
 
 
 @contextmanager
 def _at_hand(
-    task: Task, fetching: Told = untold, *, upload: bool = True
+    task: Task, fetching: Progress = no_progress, *, upload: bool = True
 ) -> Iterator[tuple[Path, Given, Callable[[str], str]]]:
-    """What to open, what is given of it, and what puts a server's names into a line.
+    """What to open, how to read it, and a function that puts a server's names into a line.
 
-    A log on a server is in the cache meanwhile; results for one are uploaded at the end. A file
-    or folder that the system refuses inside is a SonarrecError: it costs this log only.
+    A log on a server is held in the cache; results for a server are uploaded at the end. A file
+    that cannot be opened inside raises SonarrecError, so that it costs this log only.
     """
-    far = task.elsewhere
+    remote = task.remote
     path, given = Path(task.path), task.given
-    told: Callable[[str], str] = str
+    renamed: Callable[[str], str] = str
     with ExitStack() as held:
-        if far is not None and far.log is not None:
-            found = held.enter_context(fetched(far.log, far.cache, fetching))
+        if remote is not None and remote.log is not None:
+            found = held.enter_context(fetched(remote.log, remote.cache, fetching))
             path, given = found.path, replace(given, up_to=found.up_to, origin=found.origin)
-        if far is not None and far.out is not None:
+        if remote is not None and remote.out is not None:
             from sonarrec.remote.upload import Outbox  # with fsspec, only where needed
 
-            box = Outbox(far.out, far.cache)
-            told = box.origin.told
+            box = Outbox(remote.out, remote.cache)
+            renamed = box.origin.told
             held.enter_context(box.results(task.name, upload=upload))
         try:
-            yield path, given, told
+            yield path, given, renamed
         except OSError as error:
-            if error.filename is None:  # no fault of the input
+            if error.filename is None:  # not a fault of the input
                 raise
             raise SonarrecError(f"{shown(error.filename)}: {error.strerror}") from None

@@ -1,6 +1,6 @@
-"""The process that runs logs: Tasks on stdin; on stdout how far each is, and its Outcome.
+"""The process that runs logs: it reads Tasks from stdin and writes progress and Outcomes to stdout.
 
-All are pickled, for both ends are the same program. See processes.py for the other end.
+All are pickled, since both ends are the same program. processes.py is the other end.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ from typing import IO
 from sonarrec.batch.task import GRACE_S, Outcome, Task, do
 from sonarrec.records import FrameResult, SonarrecError
 
-TELL_EVERY_S = 0.2
+REPORT_EVERY_S = 0.2
 
 
 def main() -> None:
-    """Run tasks as they come. SIGTERM keeps the frames so far; so does the death of who asked."""
-    told = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # whatever a library prints must not get between
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's Ctrl-C; who asked sends SIGTERM
+    """Run tasks as they come. After SIGTERM, or if the parent dies, the frames so far are kept."""
+    pipe = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what a library prints must not mix with the pickles
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C on the terminal; the parent sends SIGTERM
     signal.signal(signal.SIGTERM, _stop)
     Thread(target=_watch_parent, args=(os.getppid(),), daemon=True).start()
     try:
         while (task := _next()) is not None:
-            pickle.dump(_done(task, told), told)
-            told.flush()
+            pickle.dump(_done(task, pipe), pipe)
+            pipe.flush()
     except KeyboardInterrupt:
         os._exit(128 + signal.SIGTERM)
     except BrokenPipeError:
@@ -44,17 +44,17 @@ def _next() -> Task | None:
     return task
 
 
-def _done(task: Task, told: IO[bytes]) -> Outcome:
-    """Run a task, and tell from time to time how far it is."""
+def _done(task: Task, pipe: IO[bytes]) -> Outcome:
+    """Run a task and report its progress now and then."""
     frames, last = 0, 0.0
 
     def observe(_: FrameResult, total: int | None) -> None:
         nonlocal frames, last
         frames += 1
-        if monotonic() > last + TELL_EVERY_S:
+        if monotonic() > last + REPORT_EVERY_S:
             last = monotonic()
-            pickle.dump((frames, total), told)
-            told.flush()
+            pickle.dump((frames, total), pipe)
+            pipe.flush()
 
     try:
         return do(task, observe)
@@ -63,14 +63,14 @@ def _done(task: Task, told: IO[bytes]) -> Outcome:
 
 
 def _watch_parent(parent: int) -> None:
-    """End where who asked was killed: another may be asked for the same log."""
+    """End when the parent is gone: another process may be asked to run the same log."""
     while os.getppid() == parent:
-        sleep(TELL_EVERY_S)
+        sleep(REPORT_EVERY_S)
     os.kill(os.getpid(), signal.SIGTERM)
     sleep(GRACE_S)
     os.kill(os.getpid(), signal.SIGKILL)
 
 
 def _stop(*_: object) -> None:
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # once is enough: let the part be written
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # once is enough: let the results be written
     raise KeyboardInterrupt

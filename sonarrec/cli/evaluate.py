@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from sonarrec.evaluation.compare.compare import Comparison
     from sonarrec.evaluation.matching.options import ScoringOptions
     from sonarrec.evaluation.matching.pairs import Pair
-    from sonarrec.remote.run import Here
+    from sonarrec.remote.run import RemoteFiles
 
     Truth = Path | list[Pair] | None  # one table, pairs, or that beside each log
 
@@ -128,17 +128,17 @@ def evaluate(
     if band is not None and compare is None:
         raise UsageError("--fail-on-regression goes with --compare")
     from sonarrec.evaluation.matching.pairs import read_pairs
-    from sonarrec.remote.run import Here
+    from sonarrec.remote.run import RemoteFiles
 
     with ExitStack() as held:  # what was written is uploaded as it closes, so nothing leaves inside
-        here = Here(held, cache.cache)
-        truth = here.file(ground_truth) if pairs is None else read_pairs(pairs)
+        remote = RemoteFiles(held, cache.cache)
+        truth = remote.file(ground_truth) if pairs is None else read_pairs(pairs)
         shown = _Shown(details, as_json, quiet)
         if compare is not None:
-            code = _compare(compare, truth, out, band, unit, jobs, shown, scoring, here)
+            code = _compare(compare, truth, out, band, unit, jobs, shown, scoring, remote)
         else:
             results = results or Path("sonarrec_out")
-            code = _score(results, truth, pairs, out, unit, jobs, det, shown, scoring, here)
+            code = _score(results, truth, pairs, out, unit, jobs, det, shown, scoring, remote)
     if code:
         leave(code)
 
@@ -166,7 +166,7 @@ def _score(
     det: bool,
     shown: _Shown,
     scoring: ScoringOptions,
-    here: Here,
+    remote: RemoteFiles,
 ) -> int:
     """The exit code."""
     from sonarrec.evaluation import tabulate, write
@@ -177,15 +177,17 @@ def _score(
     if isinstance(truth, list):  # they name the results too
         found = evaluate_many(truth, None, scoring, jobs=jobs)
     else:
-        given = here.results(results)
-        found = evaluate_many(given, truth, scoring, jobs=jobs, elsewhere=here.beside)
-    folder = here.output(out or inside(results if pairs is None else pairs.parent, "evaluation"))
+        given = remote.results(results)
+        found = evaluate_many(given, truth, scoring, jobs=jobs, find_beside=remote.beside)
+    folder = remote.output(out or inside(results if pairs is None else pairs.parent, "evaluation"))
     found = replace(
-        found, notes=tuple(map(here.told, found.notes)), unused=tuple(map(here.told, found.unused))
+        found,
+        notes=tuple(map(remote.told, found.notes)),
+        unused=tuple(map(remote.told, found.unused)),
     )
     summary = summarise(found, unit)
     written = write.write_evaluation(folder, found, summary, det)
-    unused, notes = [*here.unused, *found.unused], [*found.notes, *summary.notes]
+    unused, notes = [*remote.unused, *found.unused], [*found.notes, *summary.notes]
     tell(unused, shown.on_stderr(notes))
     if shown.as_json:
         click.echo(write.json_text(write.as_json(found, summary)), nl=False)
@@ -194,7 +196,7 @@ def _score(
         click.echo(tabulate.summary_screen(found, summary, shown.details))
         for note in notes:
             click.echo(f"note: {note}")
-        click.echo(f"{here.told(str(folder))}: {', '.join(written)}")
+        click.echo(f"{remote.told(str(folder))}: {', '.join(written)}")
     return PARTLY if unused else 0
 
 
@@ -207,17 +209,17 @@ def _compare(
     jobs: int | None,
     shown: _Shown,
     scoring: ScoringOptions,
-    here: Here,
+    remote: RemoteFiles,
 ) -> int:
     """The exit code."""
     from sonarrec.evaluation.compare.screen import screen
     from sonarrec.evaluation.compare.write import comparison_json, write_comparison
     from sonarrec.remote.run import inside
 
-    found = compared(sides, truth, scoring, here, unit, jobs)
-    folder = here.output(out or inside(sides[1], "evaluation"))
+    found = compared(sides, truth, scoring, remote, unit, jobs)
+    folder = remote.output(out or inside(sides[1], "evaluation"))
     written = write_comparison(folder, found)
-    unused = [*here.unused, *found.unused]
+    unused = [*remote.unused, *found.unused]
     tell(unused, shown.on_stderr(found.notes))
     if shown.as_json:
         for piece in comparison_json(found):
@@ -226,7 +228,7 @@ def _compare(
         click.echo(screen(found))
         for note in found.notes:
             click.echo(f"note: {note}")
-        click.echo(f"{here.told(str(folder))}: {', '.join(written)}")
+        click.echo(f"{remote.told(str(folder))}: {', '.join(written)}")
     regressions = [] if band is None else found.regressions(band)
     tell(f"worse: {line}" for line in regressions)
     return 1 if regressions else PARTLY if unused else 0
@@ -236,19 +238,19 @@ def compared(
     sides: tuple[Path | str, Path | str],
     truth: Truth,
     scoring: ScoringOptions,
-    here: Here,
+    remote: RemoteFiles,
     unit: Any = None,
     jobs: int | None = None,
 ) -> Comparison:
     """Two results, wherever they lie, as `evaluation.compare.compare.compare`."""
     from sonarrec.evaluation.compare.compare import compare
 
-    old, new = map(here.results, sides)
-    found = compare(old, new, truth, scoring, unit=unit, jobs=jobs, elsewhere=here.beside)
+    old, new = map(remote.results, sides)
+    found = compare(old, new, truth, scoring, unit=unit, jobs=jobs, find_beside=remote.beside)
     return replace(
         found,
-        old=here.told(found.old),
-        new=here.told(found.new),
-        notes=tuple(map(here.told, found.notes)),
-        unused=tuple(map(here.told, found.unused)),
+        old=remote.told(found.old),
+        new=remote.told(found.new),
+        notes=tuple(map(remote.told, found.notes)),
+        unused=tuple(map(remote.told, found.unused)),
     )

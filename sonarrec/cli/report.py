@@ -24,7 +24,7 @@ from sonarrec.records import UsageError, number_of
 
 if TYPE_CHECKING:
     from sonarrec.evaluation.matching.options import ScoringOptions
-    from sonarrec.remote.run import Here
+    from sonarrec.remote.run import RemoteFiles
 
 
 @command(short_help="Write results as one HTML page.")
@@ -103,20 +103,20 @@ def report(
     if pairs is not None and ground_truth is not None:
         raise UsageError("--pairs names the truth of each log; give no --ground-truth beside it")
 
-    from sonarrec.remote.run import Here
+    from sonarrec.remote.run import RemoteFiles
 
     with ExitStack() as held:  # the page is uploaded as it closes
-        here = Here(held, cache.cache)
-        truth = here.file(ground_truth)
+        remote = RemoteFiles(held, cache.cache)
+        truth = remote.file(ground_truth)
         if compare is not None:
-            unused, told = _compare(compare, truth, pairs, out, scoring, here)
+            unused, told = _compare(compare, truth, pairs, out, scoring, remote)
         else:
             given = {"topic": topic, "method": method, "options": scoring}
-            unused, told = _report(results, truth, pairs, recordings, out, given, here)
-        unused = [*here.unused, *map(here.told, unused)]
+            unused, told = _report(results, truth, pairs, recordings, out, given, remote)
+        unused = [*remote.unused, *map(remote.told, unused)]
         tell(unused)
         if not quiet:
-            click.echo(here.told(told))
+            click.echo(remote.told(told))
     end(unused)
 
 
@@ -127,7 +127,7 @@ def _report(
     recordings: tuple[Path | str, ...],
     out: Path | str | None,
     given: dict[str, Any],
-    here: Here,
+    remote: RemoteFiles,
 ) -> tuple[Sequence[str], str]:
     """Write the page; what could not be used, and what to print."""
     from sonarrec.remote.run import inside
@@ -137,11 +137,11 @@ def _report(
     beside = pairs.parent if pairs else results
     assert beside is not None
     written = write_report(
-        here.output(out or inside(beside, "report.html"), "report.html"),
-        None if results is None else here.results(results),
+        remote.output(out or inside(beside, "report.html"), "report.html"),
+        None if results is None else remote.results(results),
         ground_truth=ground_truth,
         pairs=pairs,
-        recordings=[here.log(recording) for recording in recordings],
+        recordings=[remote.log(recording) for recording in recordings],
         **given,
     )
     size = written.path.stat().st_size / 1e6
@@ -156,7 +156,7 @@ def _compare(
     pairs: Path | None,
     out: Path | str | None,
     scoring: ScoringOptions,
-    here: Here,
+    remote: RemoteFiles,
 ) -> tuple[Sequence[str], str]:
     """Write the page; what could not be used, and what to print."""
     from sonarrec.cli.evaluate import compared
@@ -165,9 +165,9 @@ def _compare(
     from sonarrec.remote.run import inside
     from sonarrec.report.compare import write_comparison_page
 
-    page = here.output(out or inside(sides[1], "compare.html"), "compare.html")
+    page = remote.output(out or inside(sides[1], "compare.html"), "compare.html")
     check_output(page, "comparison", [ground_truth, pairs])
     truth = ground_truth if pairs is None else read_pairs(pairs)
-    found = compared(sides, truth, scoring, here)
+    found = compared(sides, truth, scoring, remote)
     write_comparison_page(page, found)
     return found.unused, f"{page}: {page.stat().st_size / 1e6:.2f} MB"

@@ -257,10 +257,10 @@ def _check_odometry_out(path: Path, tasks: Sequence[Task], odometry: Path | None
 def _write_odometry(path: Path, out: Path | str, name: str, cache: CacheChoice) -> None:
     """The path of the sonar by the results of a log, which are on a server where OUT is."""
     from sonarrec.mapping.measured import write_path
-    from sonarrec.remote.run import Here, inside
+    from sonarrec.remote.run import RemoteFiles, inside
 
     with ExitStack() as held:
-        write_path(Here(held, cache.cache).results(inside(out, name)), path)
+        write_path(RemoteFiles(held, cache.cache).results(inside(out, name)), path)
 
 
 def _run(
@@ -305,18 +305,18 @@ def _tasks(
     from sonarrec.batch.task import Task
     from sonarrec.pipeline.run import result_names
     from sonarrec.remote.find import RemoteLog
-    from sonarrec.remote.run import Elsewhere
+    from sonarrec.remote.run import RemotePlaces
 
     tasks = []
     names = result_names([one if isinstance(one, RemoteLog) else one.path for one in logs])
     for one, name in zip(logs, names, strict=True):
         remote = one if isinstance(one, RemoteLog) else None
-        far = None
+        places = None
         if remote or box:
-            far = Elsewhere(cache.cache(), remote, box.url if box else None)
+            places = RemotePlaces(cache.cache(), remote, box.url if box else None)
         path, up_to = (one.shown, None) if isinstance(one, RemoteLog) else (one.path, one.up_to)
         known = replace(given, up_to=up_to)
-        tasks.append(Task(path, name, str(out), known, used, overwrite, far))
+        tasks.append(Task(path, name, str(out), known, used, overwrite, places))
     return tasks
 
 

@@ -102,8 +102,8 @@ class RunWatch(Watch):
         if self._at is None:
             self._bars.close()
             self._step = self._came = None
-            far = self._tasks[i].elsewhere
-            if far is None or far.log is None:
+            remote = self._tasks[i].remote
+            if remote is None or remote.log is None:
                 self._open_bar(i)
 
     def _open_bar(self, i: int) -> None:

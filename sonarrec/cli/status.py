@@ -36,10 +36,10 @@ def status(out: Path | str, as_json: bool, cache: CacheChoice) -> None:
       sonarrec status
       sonarrec status results --json
     """
-    from sonarrec.remote.run import Here, inside
+    from sonarrec.remote.run import RemoteFiles, inside
 
     with ExitStack() as held:
-        path = Here(held, cache.cache).file(inside(out, "logs.csv"))
+        path = RemoteFiles(held, cache.cache).file(inside(out, "logs.csv"))
         assert path is not None
         _tell(path, out, as_json)
 

@@ -16,7 +16,7 @@ from sonarrec.evaluation.matching.fit import Checked, fit, left_out, of_other_lo
 from sonarrec.evaluation.matching.joined import Joined, join
 from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import (
-    Elsewhere,
+    FindBeside,
     Pair,
     found_beside,
     found_where,
@@ -79,7 +79,7 @@ def evaluate(
     Protocol "strict": a claim belongs to the truth of its ID that is nearest in that frame, if
     its centre is within half a disc diameter of it in the fan plane. The first claim of a
     positive (the one of highest score) is TP; every further one, and every claim that belongs to
-    no truth, is FP. A positive without a claim is FN, also where its ID is claimed elsewhere
+    no truth, is FP. A positive without a claim is FN, also where its ID is claimed find_beside
     (FN and FP). Claims of a partly visible landmark are not counted. TN: a frame and ID of which
     nothing shows and which is not claimed. So an FP replaces a TN the first time an absent ID is
     claimed in a frame, and is an entry of its own otherwise: FPR = FP / (FP + TN) stays within
@@ -134,15 +134,15 @@ def evaluate_many(
     options: ScoringOptions = DEFAULT,
     *,
     jobs: int | None = None,
-    elsewhere: Elsewhere | None = None,
+    find_beside: FindBeside | None = None,
 ) -> Pooled:
     """As `evaluate_whole`, but each log is read, counted and let go: memory does not grow with the
     logs.
 
     jobs: processes side by side, as `survey.each`; the result is the same however many.
-    elsewhere: finds truth beside logs on servers, as for `pairs.found_beside`.
+    find_beside: finds truth beside logs on servers, as for `pairs.found_beside`.
     """
-    given = _given(results, ground_truth, options, elsewhere)
+    given = _given(results, ground_truth, options, find_beside)
     parts = Parts()
     numbers: dict[int, int] = {}
 
@@ -193,7 +193,7 @@ def _given(
     results: str | Path | Sequence[Pair],
     ground_truth: str | Path | None,
     options: ScoringOptions,
-    elsewhere: Elsewhere | None = None,
+    find_beside: FindBeside | None = None,
 ) -> _Given:
     """Which logs to read, each with which truth; the arguments are those of `evaluate_many`."""
     options.check()
@@ -203,7 +203,7 @@ def _given(
         return _Given(readings, [], unused)
     folders = find_logs(Path(results))
     if ground_truth is None:  # each log with the truth that lies beside it
-        pairs, without = found_beside(folders, elsewhere)
+        pairs, without = found_beside(folders, find_beside)
         readings = [Reading(p.results, p.ground_truth, options) for p in pairs]
         return _Given(readings, list(map(found_where, pairs)), without)
     path = Path(ground_truth)

@@ -1,8 +1,7 @@
-"""What was fetched, kept in a folder that does not outgrow its bound.
+"""The cache of fetched files, a folder of bounded size.
 
-An entry is a folder: `files/` as they were fetched, `entry.json` about them, `lock`. Whoever uses
-one holds its lock, so that no other run, process or thread takes it away. The least recently used
-goes first.
+An entry is a folder with `files/`, `entry.json` about them, and `lock`. Its user holds the lock, so
+that no other run, process or thread deletes it. The least recently used entry is deleted first.
 """
 
 from __future__ import annotations
@@ -29,11 +28,11 @@ _POLL_S = 0.2
 
 
 class NoRoomError(SonarrecError):
-    """What is in use fills the cache: there is room once it is not."""
+    """Logs in use fill the cache; there is room when one is no longer used."""
 
 
 def size_bytes(text: str) -> int:
-    """Bytes of "500MB", "1.5 TB" or "20g". Raises UsageError."""
+    """The bytes of a size such as "500MB", "1.5 TB" or "20g". Raises UsageError."""
     match = re.fullmatch(r"\s*([0-9]+(?:\.[0-9]+)?)\s*([kmgt]?)b?\s*", text.lower())
     if match is None:
         raise UsageError(f"--cache-size {text}: expected a size such as 500MB or 20GB")
@@ -41,12 +40,12 @@ def size_bytes(text: str) -> int:
 
 
 def default_folder() -> Path:
-    """sonarrec in the user's cache folder. Raises SonarrecError where nothing can tell it."""
+    """`sonarrec` in the user's cache folder. Raises SonarrecError if platformdirs is missing."""
     try:
         import platformdirs
     except ImportError:
         raise SonarrecError(
-            "platformdirs, which knows where caches belong, is not installed; "
+            "platformdirs, which finds the cache folder, is not installed; "
             "pip install 'sonarrec[remote]'"
         ) from None
 
@@ -54,7 +53,7 @@ def default_folder() -> Path:
 
 
 def key_of(text: str) -> str:
-    """A folder's name for a URL; S3 buckets of other servers get others."""
+    """A folder's name for a URL; it depends on the S3 server too."""
     server = os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL") or ""
     return hashlib.sha256(f"{server} {text}".encode()).hexdigest()[:24]
 
@@ -70,7 +69,7 @@ class Entry:
         return self.folder / "files"
 
     def about(self) -> dict[str, Any]:
-        """entry.json: url, bytes, files {name: [size, tag]}; empty where nothing such is there."""
+        """entry.json: url, bytes, files {name: [size, tag]}; empty if there is none."""
         found: dict[str, Any] = {}
         with suppress(OSError, ValueError):
             found = json.loads((self.folder / "entry.json").read_text(encoding="utf-8"))
@@ -83,7 +82,7 @@ class Entry:
         write_text(self.folder / "entry.json", json.dumps(about))
 
     def used(self) -> None:
-        """It is used now: others go first."""
+        """Mark it as used now, so that others are deleted first."""
         with suppress(OSError):
             os.utime(self.folder / "entry.json")
 
@@ -99,16 +98,16 @@ class Cache:
     def hold(
         self, key: str, *, alone: bool, stop: threading.Event | None = None
     ) -> Iterator[Entry]:
-        """The entry of a key, which stays until the end. alone: nobody else uses it meanwhile.
+        """The entry of a key, which is not deleted inside. alone: nobody else uses it inside.
 
-        Raises SonarrecError where the folder cannot be written, or `stop` is set while it waits.
+        Raises SonarrecError if the folder cannot be written, or `stop` is set while it waits.
         """
         entry = Entry(self.folder / "logs" / key)
         while True:
             try:
                 entry.files.mkdir(parents=True, exist_ok=True)
                 file = (entry.folder / "lock").open("ab")
-            except FileNotFoundError:  # taken away this very moment
+            except FileNotFoundError:  # deleted at this moment
                 continue
             except OSError as error:
                 raise SonarrecError(
@@ -127,15 +126,15 @@ class Cache:
             file.close()
 
     def make_room(self, entry: Entry, about: dict[str, Any]) -> None:
-        """Promise room for about["bytes"], and write it down; others go, none that is in use.
+        """Reserve room for about["bytes"] in entry.json; deletes entries that are not in use.
 
-        Raises NoRoomError where those in use leave too little, SonarrecError where it never fits.
+        Raises NoRoomError if the others are in use, SonarrecError if it can never fit.
         """
         wanted: int = about["bytes"]
         if wanted > self.limit:
             raise SonarrecError(
-                f"{about['url']}: {_size(wanted)}, more than the cache may hold "
-                f"({_size(self.limit)}); give --cache-size"
+                f"{about['url']}: {_size(wanted)} is more than the cache may hold "
+                f"({_size(self.limit)}); give a larger --cache-size"
             )
         with (self.folder / ".lock").open("ab") as file:
             while not locked(file, alone=True):
@@ -145,24 +144,25 @@ class Cache:
             for one in others:
                 if sum(sizes.values()) + wanted <= self.limit:
                     break
-                if _taken_away(one):
+                if _deleted(one):
                     del sizes[one.folder]
             if sum(sizes.values()) + wanted > self.limit:
                 raise NoRoomError(
                     f"{about['url']}: {_size(wanted)} do not fit beside the logs in use in "
-                    f"{shown(self.folder)} (at most {_size(self.limit)}); give --cache-size"
+                    f"{shown(self.folder)} (at most {_size(self.limit)}); give a larger "
+                    "--cache-size"
                 )
             entry.write(about)
 
     def entries(self) -> list[Entry]:
-        """All of them, the least recently used first."""
+        """All entries, the least recently used first."""
         found = [Entry(folder) for folder in (self.folder / "logs").glob("*")]
         return sorted(found, key=_last_use)
 
 
 @contextmanager
 def only_one(lock: Path, what: str) -> Iterator[None]:
-    """Inside, no other run does this. Raises SonarrecError where one does it now."""
+    """Hold a lock. Raises SonarrecError, which names `what`, if another run holds it."""
     try:
         lock.parent.mkdir(parents=True, exist_ok=True)
         file = lock.open("ab")
@@ -185,8 +185,8 @@ def _last_use(entry: Entry) -> float:
         return 0.0
 
 
-def _taken_away(entry: Entry) -> bool:
-    """Delete an entry that nobody uses."""
+def _deleted(entry: Entry) -> bool:
+    """Delete an entry unless it is in use; whether it is gone."""
     try:
         with (entry.folder / "lock").open("ab") as file:
             if not locked(file, alone=True):

@@ -1,7 +1,7 @@
-"""Logs, tables and results fetched into the cache: one by itself, or the next while one is used.
+"""Fetches logs, tables and results into the cache, if wanted in the background.
 
-In the cache the files lie as they lie on the server, so that what belongs to a log is found beside
-it there too, and a line that names a file is told with the server's name of it.
+Files have the same relative paths in the cache as on the server, so that a log's companions are
+found beside it. In messages the paths of the cache are replaced by those of the server.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ if TYPE_CHECKING:
     from sonarrec.remote.store import Item, Store
 
 RESULTS = frozenset({"run.toml", *TABLES, *ESTIMATES})
-"""What is read of results. run.toml is uploaded last: without it they are not finished."""
-_LARGE = 2**20  # bytes of a file that is written down at once, lest it be fetched anew after a kill
-Told = Callable[[int, int | None], None]
-"""Told, as they come, how many bytes came and how many there are to come, None where unknown."""
+"""The files of results that are fetched. Without run.toml, uploaded last, they are unfinished."""
+_LARGE = 2**20  # bytes; larger files are recorded as soon as they are there, in case of a kill
+Progress = Callable[[int, int | None], None]
+"""Called as bytes arrive with how many came and how many there are, None if not known."""
 
 
-def untold(_came: int, _all: int | None) -> None:
+def no_progress(_came: int, _all: int | None) -> None:
     pass
 
 
 @dataclass(frozen=True, slots=True)
 class Fetched:
-    """A log or results in the cache, which stay there until they are given back.
+    """A log or results in the cache.
 
-    path: the file, folder or glob to open. origin: where it is from, for run.toml and every line.
-    up_to: the folder up to which what belongs to it is looked for. unused: a line for each part
-    that was left out.
+    path: the file, folder or glob to open. origin: the server's URL, for run.toml and messages.
+    up_to: the highest folder in which companions of the log are searched. unused: a line for each
+    part that was left out.
     """
 
     path: Path
@@ -51,50 +51,53 @@ class Fetched:
 
 @contextmanager
 def fetched(
-    log: RemoteLog | str, cache: Cache, told: Told = untold, stop: threading.Event | None = None
+    log: RemoteLog | str,
+    cache: Cache,
+    progress: Progress = no_progress,
+    stop: threading.Event | None = None,
 ) -> Iterator[Fetched]:
-    """A log in the cache, fetched where it is not there or has changed, kept while it is used.
+    """A log in the cache: fetched if it is missing or has changed, and kept while it is used.
 
-    Any process or thread may call it, also for the same log at once: it is fetched once.
-    told: called as bytes come. stop: set, it ends what is under way.
-    Raises SonarrecError where it cannot be fetched. A SonarrecError raised inside is told with
-    the server's names in place of those in the cache.
+    Several processes or threads may call it at once for one log; it is fetched once.
+    progress: called as bytes arrive. stop: ends the transfer when it is set.
+    Raises SonarrecError if it cannot be fetched. In a SonarrecError raised inside, paths of the
+    cache are replaced by those of the server.
     """
     log = log if isinstance(log, RemoteLog) else RemoteLog(meant(parse_url(log)))
-    with hold(log, cache, told, stop or threading.Event()) as found, found.origin.translated():
+    with hold(log, cache, progress, stop or threading.Event()) as found, found.origin.translated():
         yield found
 
 
 @contextmanager
 def hold(
-    log: RemoteLog, cache: Cache, told: Told, stop: threading.Event, *, wait: bool = True
+    log: RemoteLog, cache: Cache, progress: Progress, stop: threading.Event, *, wait: bool = True
 ) -> Iterator[Fetched]:
-    """wait: for room that other logs in use take, instead of NoRoomError."""
+    """As `fetched`. wait: until other logs make room, instead of raising NoRoomError."""
     from sonarrec.remote.store import Store
 
     root, name, items = wanted(log, Store(log.url, stop))
-    with _kept(log.url.shown, root, items, cache, told, stop, wait) as entry:
+    with _kept(log.url.shown, root, items, cache, progress, stop, wait) as entry:
         origin = Origin(log.url.shown, str(entry.files), root.place.rstrip("/"))
         yield Fetched(entry.files / name, origin, entry.files if log.up_to else None)
 
 
 def fetch_ahead(log: RemoteLog, cache: Cache) -> None:
-    """Fetch a log meanwhile, where there is room beside those in use, for `fetched` to find.
+    """Fetch a log in the background, if there is room beside the logs in use.
 
-    What fails is told by `fetched`.
+    `fetched` then finds it, or reports the error.
     """
 
     def fetch() -> None:
-        with suppress(Exception), hold(log, cache, untold, threading.Event(), wait=False):
+        with suppress(Exception), hold(log, cache, no_progress, threading.Event(), wait=False):
             pass
 
-    # A daemon: a run that is stopped does not wait for a block that is on its way.
+    # A daemon, so that a run that is stopped does not wait for the transfer.
     threading.Thread(target=fetch, daemon=True).start()
 
 
 @contextmanager
 def fetched_file(text: str, cache: Cache) -> Iterator[Fetched]:
-    """One file, such as a table of truth, as `fetched`."""
+    """One file, such as a ground-truth table; otherwise as `fetched`."""
     from sonarrec.remote.store import Store
 
     url = parse_url(text)
@@ -107,8 +110,8 @@ def fetched_file(text: str, cache: Cache) -> Iterator[Fetched]:
 def _found(
     url: Url, root: Url, items: Sequence[Item], cache: Cache, unused: Sequence[str] = ()
 ) -> Iterator[Fetched]:
-    """These files, which lie below `root`, as `fetched`."""
-    with _kept(url.shown, root, items, cache, untold, threading.Event(), True) as entry:
+    """These files, which lie below `root`; otherwise as `fetched`."""
+    with _kept(url.shown, root, items, cache, no_progress, threading.Event(), True) as entry:
         origin = Origin(url.shown, str(entry.files), root.place.rstrip("/"))
         with origin.translated():
             yield Fetched(entry.files / relative(url, root), origin, None, tuple(unused))
@@ -116,9 +119,10 @@ def _found(
 
 @contextmanager
 def fetched_results(text: str, cache: Cache) -> Iterator[Fetched]:
-    """The finished results at a URL, of one log or of several, as `fetched`.
+    """The finished results at a URL, of one log or of several; otherwise as `fetched`.
 
-    Raises SonarrecError where there is none: run.toml, which is uploaded last, is missing.
+    Raises SonarrecError if there are none. Results without run.toml, which is uploaded last, are
+    not finished.
     """
     from sonarrec.remote.store import Store
 
@@ -131,7 +135,7 @@ def fetched_results(text: str, cache: Cache) -> Iterator[Fetched]:
     found = [(folder, *_finished(store, folder)) for folder in folders]
     items = [item for _, finished, _ in found for item in finished]
     unused = [
-        f"{folder.shown}: left out, for its upload is not finished (run.toml comes last)"
+        f"{folder.shown}: left out because its upload is not finished (it has no run.toml)"
         for folder, _, unfinished in found
         if unfinished
     ]
@@ -143,7 +147,7 @@ def fetched_results(text: str, cache: Cache) -> Iterator[Fetched]:
 
 
 def _finished(store: Store, folder: Url) -> tuple[list[Item], bool]:
-    """(the tables of finished results in a folder, whether there are some that are not)."""
+    """(the files of the results in a folder if they are finished, whether they are unfinished)."""
     files, _ = store.listing(folder)
     names = {item.url.name for item in files}
     there = [item for item in files if item.url.name in RESULTS]
@@ -158,13 +162,13 @@ def _kept(
     root: Url,
     items: Sequence[Item],
     cache: Cache,
-    told: Told,
+    progress: Progress,
     stop: threading.Event,
     wait: bool,
 ) -> Iterator[Entry]:
-    """The entry with just these files, held: as it is where they are there, else fetched."""
+    """The entry with exactly these files, held; it is fetched if it is missing or has changed."""
     key = key_of(f"{url.rstrip('/')} {root.shown}")
-    # Of a name that comes twice, by a glob or an index page, the one file.
+    # A dict, since a glob or an index page may name a file twice.
     names = {relative(item.url, root): item for item in items}
     renewed = False
     while True:
@@ -172,26 +176,27 @@ def _kept(
             if _is_whole(entry, names, renewed):
                 yield entry
                 return
-        with cache.hold(key, alone=True, stop=stop) as entry:
-            if not _is_whole(entry, names, renewed):
-                try:
-                    _fill(entry, url, names, cache, told, stop)
-                except NoRoomError:
-                    if not wait:
-                        raise
-                    stop.wait(1.0)
-                    continue
-                except OSError as error:  # a full disk
-                    raise SonarrecError(
-                        f"{shown(entry.folder)}: cannot be written ({error.strerror}); choose "
-                        "another --cache"
-                    ) from None
-            renewed = True
+        try:
+            with cache.hold(key, alone=True, stop=stop) as entry:
+                if not _is_whole(entry, names, renewed):
+                    _fill(entry, url, names, cache, progress, stop)
+                renewed = True
+        except NoRoomError:
+            if not wait:
+                raise
+            stop.wait(1.0)
+        except OSError as error:  # the disk is full
+            raise SonarrecError(
+                f"{shown(cache.folder)}: cannot be written ({error.strerror}); choose another "
+                "--cache"
+            ) from None
 
 
 def _is_whole(entry: Entry, names: dict[str, Item], renewed: bool) -> bool:
-    """Whether an entry holds these very files. renewed: those of which the server tells too little
-    to know were fetched just now."""
+    """Whether an entry holds exactly these files.
+
+    renewed: it was fetched just now, so files whose version the server does not state are current.
+    """
     have = entry.about().get("files", {})
     if have.keys() != names.keys():
         return False
@@ -214,10 +219,10 @@ def _fill(
     url: str,
     names: dict[str, Item],
     cache: Cache,
-    told: Told,
+    progress: Progress,
     stop: threading.Event,
 ) -> None:
-    """Fetch what is not there, and delete what is there no more. Raises SonarrecError."""
+    """Fetch the missing files and delete others. Raises SonarrecError."""
     from sonarrec.remote.store import AT_ONCE, StoppedError, Store
 
     have = entry.about().get("files", {})
@@ -227,7 +232,7 @@ def _fill(
     sizes = [item.size for item in names.values()]
     about = {"url": url, "bytes": sum(size or 0 for size in sizes), "files": have}
     cache.make_room(entry, about)
-    parts = {f"{name}.{item.identity}.part" for name, item in names.items()}  # to go on with
+    parts = {f"{name}.{item.identity}.part" for name, item in names.items()}  # unfinished transfers
     for path in sorted(entry.files.rglob("*")):
         if path.is_file() and path.relative_to(entry.files).as_posix() not in {*have, *parts}:
             path.unlink()
@@ -240,7 +245,7 @@ def _fill(
             raise StoppedError(f"{url}: given up")
         with lock:
             came[0] += more
-            told(came[0], total)
+            progress(came[0], total)
 
     def one(name: str) -> None:
         item = names[name]
@@ -262,9 +267,9 @@ def _fill(
 
 
 def _at_once(one: Callable[[str], None], names: Sequence[str], most: int) -> None:
-    """Call it for each name, `most` at a time, until one of them raises, which is raised.
+    """Call `one` for each name, `most` at a time; raises the first error.
 
-    By daemons, not by an executor: a run that is stopped does not wait for what is on its way.
+    In daemon threads, so that a run that is stopped does not wait for transfers.
     """
     left, errors = deque(names), list[BaseException]()
 

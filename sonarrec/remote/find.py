@@ -1,4 +1,4 @@
-"""Which logs a URL names, and what lies on the server that belongs to a log."""
+"""Finds the logs that a URL names, and the companions of a log on the server."""
 
 from __future__ import annotations
 
@@ -25,41 +25,43 @@ WINDOWS = os.name == "nt"
 _ALL_REFUSE = re.compile(r"\0")
 _WINDOWS_REFUSES = re.compile(r'[<>:"|?*\x00-\x1f]|[ .](?=/|$)')  # x.mcap:y is a stream of x.mcap
 COMPANIONS = ("sonar.toml", "poses.csv", "gt.csv")
-"""What belongs to a log: these, and each as NAME.sonar.toml and so on."""
+"""Companions of a log: files of these names, and NAME.sonar.toml and so on."""
 
 
 @dataclass(frozen=True, slots=True)
 class RemoteLog:
-    """A log on a server: a file, a folder, or a glob of images. up_to: the folder that was given
-    and holds it, up to which what belongs to it is looked for."""
+    """A log on a server: a file, a folder, or a glob of images.
+
+    up_to: the folder that was given and holds the log, the highest one searched for companions.
+    """
 
     url: Url
     up_to: Url | None = None
 
     @property
     def path(self) -> Path:
-        """As if the server were a disk: what results are named by. Of a glob its folder."""
+        """Its path as if the server were a disk, to name results by; for a glob its folder."""
         url = _fixed(self.url)
         host = url.front.partition("://")[2].rpartition("@")[2]
         return Path("/", host, url.path.strip("/"))
 
     @property
     def shown(self) -> str:
-        """The URL for lines and files, without its secrets."""
+        """The URL for messages and files, without its secrets."""
         return self.url.shown
 
     @property
     def name(self) -> str:
-        """Of its results."""
+        """Name of its results."""
         return log_name(self.path) if _is_file(self.url) else self.path.name
 
 
 def find(text: str, *, recursive: bool = False) -> list[RemoteLog]:
-    """The logs that a URL names, in natural order: one, those of a folder, those that match a glob.
+    """The logs that a URL names, in natural order: a log, the logs of a folder, or those of a glob.
 
-    A folder of images or a bag is one log, and so are the images that match. Of a server that does
-    not answer the URL itself is the log, which is told when its turn comes.
-    Raises UsageError where the URL cannot be meant, or a folder holds images and other logs.
+    A folder of images, a bag, or the images of a glob are one log. If the server does not answer,
+    the URL is returned as one log, so that the error is reported when its turn comes.
+    Raises UsageError if the URL is invalid, or if a folder holds images and other logs.
     """
     url = parse_url(text)
     try:
@@ -88,7 +90,7 @@ def _found(url: Url, recursive: bool) -> list[RemoteLog]:
 
 
 def _bags_as_one(store: Store, pattern: Url) -> list[Url]:
-    """The logs that match, parts of a bag as the bag."""
+    """The logs that match; parts of a bag are returned as the bag."""
     matching = [item.url for item in store.glob(pattern) if names_a_log(item.url.name)]
     names = defaultdict[Url, list[str]](list)
     for url in matching:
@@ -112,7 +114,7 @@ def _below(store: Store, folder: Url, recursive: bool) -> Iterator[Url]:
         return
     if any(map(names_an_image, names)):
         if any(map(names_a_log, names)):
-            raise UsageError(f"{folder.shown}: holds images and other logs; choose by a glob")
+            raise UsageError(f"{folder.shown}: holds images and other logs; choose with a glob")
         yield folder
         return
     yield from (item.url for item in files if names_a_log(item.url.name))
@@ -123,13 +125,13 @@ def _below(store: Store, folder: Url, recursive: bool) -> Iterator[Url]:
 
 
 def meant(url: Url) -> Url:
-    """The URL; * ? [ are literal where a file or folder of this very name is there, as on a disk.
+    """The URL, with * ? [ taken as literal if a file or folder of that name exists.
 
-    Raises SonarrecError where the server cannot be read.
+    Raises SonarrecError if the server cannot be read.
     """
     from sonarrec.remote.store import Store
 
-    if url.is_web or not _is_glob(url):  # a web URL can quote them
+    if url.is_web or not _is_glob(url):  # they can be quoted in a web URL
         return url
     store, literal = Store(url), replace(url, literal=True)
     try:
@@ -157,7 +159,7 @@ def _fixed(url: Url) -> Url:
 
 
 def wanted(log: RemoteLog, store: Store) -> tuple[Url, str, list[Item]]:
-    """(the folder that all of it lies in, the log's name there, its files and companions)."""
+    """(the folder that holds everything, the log's name in it, its files and companions)."""
     url, root = log.url, _around(log)[1]
     if _is_file(url):
         items = [store.file(url)]
@@ -181,15 +183,15 @@ def wanted(log: RemoteLog, store: Store) -> tuple[Url, str, list[Item]]:
 
 
 def beside(text: str, name: str) -> tuple[Item | None, int | None]:
-    """The file that belongs to the log of a URL, such as its gt.csv, None without one; and how
-    many bytes the log has there, counted as for run.toml, None where that is not known.
+    """(the companion `name` of the log at a URL, None if there is none; the log's size).
 
-    Raises SonarrecError where the log is not there, or the server cannot be read.
+    The size is counted as in run.toml, and None if not known.
+    Raises SonarrecError if the log is missing or the server cannot be read.
     """
     from sonarrec.remote.store import Store
 
     if HIDDEN in text:
-        raise SonarrecError(f"{text}: what gives access there is not written down in run.toml")
+        raise SonarrecError(f"{text}: run.toml does not keep the secret that gives access there")
     log = RemoteLog(meant(parse_url(text)))
     store = Store(log.url)
     size = _bytes(log.url, store)
@@ -203,10 +205,10 @@ def _bytes(log: Url, store: Store) -> int | None:
     files = store.glob(log) if _is_glob(log) else store.listing(log)[0]
     images = [item for item in files if names_an_image(item.url.name)]
     if not images or any(names_a_log(item.url.name) for item in files):
-        return None  # a bag, whose metadata tell which of the files are its own
+        return None  # a bag: only its metadata say which files belong to it
     total = 0
     for item in images:
-        if item.size is None:  # an index page tells none
+        if item.size is None:  # read from an index page
             return None
         total += item.size if item.size <= MAX_FILE_BYTES else 0
     return total
@@ -217,7 +219,7 @@ def _belongs(name: str, kept: tuple[str, ...]) -> bool:
 
 
 def _around(log: RemoteLog) -> tuple[Url, Url]:
-    """(the folder that the log is or lies in, the last one up to which is looked)."""
+    """(the folder that the log is or lies in, the highest folder searched for companions)."""
     if _is_file(log.url):
         return log.url.parent, log.up_to or log.url.parent
     folder = _fixed(log.url)
@@ -225,9 +227,9 @@ def _around(log: RemoteLog) -> tuple[Url, Url]:
 
 
 def _companions(log: RemoteLog, names: tuple[str, ...]) -> list[Url]:
-    """Where files of these names that belong to the log may be: in its folder and above it.
+    """Where companions of these names may be: in the log's folder and in those above.
 
-    Above a folder that was given itself only that which bears its name.
+    Above a folder that is the log given, only NAME.sonar.toml and so on.
     """
     folder, root = _around(log)
     own = [f"{log.name}.{name}" for name in names]
@@ -239,10 +241,10 @@ def _companions(log: RemoteLog, names: tuple[str, ...]) -> list[Url]:
 
 
 def relative(url: Url, root: Url) -> str:
-    """A place below `root`. Raises SonarrecError where it is no name for a local file."""
+    """The path below `root`. Raises SonarrecError if it cannot be a local file name."""
     relative = url.path.removeprefix(root.path).strip("/")
     parts = PurePosixPath(relative).parts
     leads_away = not parts or {".", ".."} & set(relative.split("/")) or "\\" in relative
     if leads_away or (_WINDOWS_REFUSES if WINDOWS else _ALL_REFUSE).search(relative):
-        raise SonarrecError(f"{url.shown}: a name that cannot be kept in a local folder")
+        raise SonarrecError(f"{url.shown}: this name cannot be used for a local file")
     return relative

@@ -1,4 +1,4 @@
-"""What commands read and write, wherever each of it lies."""
+"""Inputs and outputs of commands, local or on servers."""
 
 from __future__ import annotations
 
@@ -17,11 +17,10 @@ from sonarrec.remote.urls import Url, is_url
 
 
 @dataclass(frozen=True, slots=True)
-class Elsewhere:
-    """What of one log's run lies on servers; it can be pickled.
+class RemotePlaces:
+    """The log and the results folder of one run, if they lie on servers; can be pickled.
 
-    log: to be fetched, None for a local one. out: the folder that results are uploaded to, None for
-    a local one.
+    log: to be fetched; None if it is local. out: the folder to upload to; None if it is local.
     """
 
     cache: Cache
@@ -32,9 +31,9 @@ class Elsewhere:
 def all_logs(
     names: Iterable[str], listed: Iterable[str] = (), *, recursive: bool = False
 ) -> list[NamedLog | RemoteLog]:
-    """As `readers.many.find_logs`, of names and of a list, those on servers found there.
+    """The logs that names and a list of names stand for, local or on servers.
 
-    Raises UsageError.
+    Raises UsageError as `readers.many.find_logs` and `find`.
     """
     logs: list[NamedLog | RemoteLog] = []
     for name in named(names, listed):
@@ -43,12 +42,11 @@ def all_logs(
     return logs
 
 
-class Here:
-    """What one command reads and writes, fetched into the cache or uploaded where it is a URL.
+class RemoteFiles:
+    """The inputs and outputs of one command: URLs are fetched or uploaded, local paths returned.
 
-    All of it is held until the stack is closed, which is when what was written is uploaded; every
-    method raises SonarrecError, and gives a local path back as it is. unused: a line for each part
-    that could not be fetched.
+    Everything is held until the stack is closed, and outputs are uploaded then. Every method
+    raises SonarrecError. unused: a line for each part that could not be fetched.
     """
 
     def __init__(self, held: ExitStack, cache: Callable[[], Cache]) -> None:
@@ -58,23 +56,23 @@ class Here:
         self.unused: list[str] = []
 
     def results(self, place: Path | str) -> Path:
-        """The folder of results, of one log or of several."""
+        """A results folder, of one log or of several."""
         if not is_url(place):
             return Path(place)
         return self._enter(fetched_results(str(place), self._cache()))
 
     def file(self, place: Path | str | None) -> Path | None:
-        """A file that may be given, such as a table of truth."""
+        """An optional file, such as a ground-truth table."""
         if place is None or not is_url(place):
             return None if place is None else Path(place)
         return self._enter(fetched_file(str(place), self._cache()))
 
     def log(self, place: Path | str) -> Path:
-        """What to open of a log."""
+        """The path to open for a log."""
         return self._enter(fetched(str(place), self._cache())) if is_url(place) else Path(place)
 
     def beside(self, log: str, name: str) -> tuple[Path | None, int | None]:
-        """Of a log on a server `find.beside`, a small file that is fetched without the cache."""
+        """As `find.beside`, with the file fetched to a temporary folder."""
         from sonarrec.remote.store import Store  # with fsspec, only where needed
 
         item, size = beside(log, name)
@@ -90,7 +88,7 @@ class Here:
         return self._beside[item.url], size
 
     def output(self, place: Path | str, name: str = "") -> Path:
-        """Where to write a folder, or the file of this name."""
+        """A local place for an output folder, or for an output file of this name."""
         if not is_url(place):
             return Path(place)
         from sonarrec.remote.upload import uploaded  # with fsspec, only where needed
@@ -106,12 +104,12 @@ class Here:
         return found.path
 
     def told(self, text: str) -> str:
-        """A line with the server's names in place of the local ones."""
+        """A message with the paths of the server in place of local ones."""
         for origin in self._origins:
             text = origin.told(text)
         return text
 
 
 def inside(place: Path | str, name: str) -> Path | str:
-    """A name in a folder, local or not."""
+    """The path or URL of a name in a folder."""
     return f"{str(place).rstrip('/')}/{name}" if is_url(place) else Path(place) / name

@@ -1,6 +1,6 @@
-"""What servers hold, through fsspec: the one module of this room that speaks to a network.
+"""Files on servers, through fsspec; the only module here that uses the network.
 
-Whatever the libraries below raise becomes one line without secrets. What breaks off is tried again.
+Errors of the libraries become one line without secrets. Broken transfers are tried again.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ try:
 except ImportError:
     fsspec = None
 
-AGAIN = 3  # times that a broken transfer is tried again
-PAUSE_S = 1.0  # before the first of them; twice as long before each further one
-LONGEST_PAUSE_S = 60.0  # whatever a busy server asks for
-AT_ONCE = 8  # files of a folder
-BLOCK_BYTES = 2**24  # asked for at once: what is lost when a transfer breaks off
+RETRIES = 3  # of a broken transfer
+PAUSE_S = 1.0  # before the first retry; it doubles with each retry
+LONGEST_PAUSE_S = 60.0  # even if a busy server asks for more
+AT_ONCE = 8  # files fetched in parallel
+BLOCK_BYTES = 2**24  # requested at once, and lost if the transfer breaks
 _INSTALL = "pip install 'sonarrec[remote]'"
 T = TypeVar("T")
 
 
 class RefusedError(SonarrecError):
-    """The server does not let us."""
+    """The server denies access."""
 
 
 class BrokenError(SonarrecError):
-    """A transfer that broke off: to be tried again, not sooner than after so many seconds."""
+    """A transfer that broke off; it can be tried again after `after_s` seconds."""
 
     def __init__(self, text: str, after_s: float = 0.0) -> None:
         super().__init__(text)
@@ -50,15 +50,15 @@ class BrokenError(SonarrecError):
 
 
 class StoppedError(SonarrecError):
-    """The run ends; nobody waits for this transfer any more."""
+    """The run ends, so the transfer was stopped."""
 
 
 @dataclass(frozen=True, slots=True)
 class Item:
     """A file on a server.
 
-    size: bytes. tag: what changes when the file does (ETag, time of change). md5: in hex. Each is
-    None where the server does not tell it.
+    size: bytes. tag: changes when the file does (ETag or modification time). md5: in hex. Each is
+    None if the server does not state it.
     """
 
     url: Url
@@ -68,29 +68,29 @@ class Item:
 
     @property
     def known(self) -> bool:
-        """Whether a copy can be told to be this very file."""
+        """Whether size and tag can show that a copy is current."""
         return self.tag is not None and self.size is not None
 
     @property
     def identity(self) -> str:
-        """12 hex digits that differ where size or tag do."""
+        """12 hex digits that change with size or tag."""
         return hashlib.sha256(f"{self.size} {self.tag}".encode()).hexdigest()[:12]
 
 
 class Store:
-    """The files of one server, seen from one thread."""
+    """The files of one server, for use in one thread."""
 
     def __init__(self, url: Url, stop: threading.Event | None = None) -> None:
-        """stop: once it is set, what is under way ends with StoppedError.
+        """stop: ends transfers with StoppedError when it is set.
 
-        Raises SonarrecError where the packages for it are not installed.
+        Raises SonarrecError if a package for this kind of server is not installed.
         """
         self._stop = stop or threading.Event()
         self._url = url
         if fsspec is None:
             raise SonarrecError(f"{url.shown}: fsspec is not installed; {_INSTALL}")
         self._streams = False
-        with self._told(url):
+        with self._translated(url):
             try:
                 self._fs: Any = self._filesystem(url)
             except ImportError as error:
@@ -118,10 +118,10 @@ class Store:
     def _path(self, url: Url) -> str:
         return str(url) if url.is_web else url.path
 
-    # What is there
+    # Listing
 
     def item(self, url: Url) -> Item | None:
-        """The file at a URL; None where there is none, or none for us."""
+        """The file at a URL; None if there is none, or no access to it."""
         try:
             return self.file(url)
         except (MissingError, RefusedError):
@@ -131,30 +131,30 @@ class Store:
         """The file at a URL. Raises MissingError, RefusedError, SonarrecError."""
 
         def ask() -> Item:
-            with self._told(url):
+            with self._translated(url):
                 given = {"refresh": True} if url.scheme == "s3" else {}
                 found = self._fs.info(self._path(url), **given)
             if found.get("type") == "directory":
-                raise MissingError(f"{url.shown}: a folder, no file")
+                raise MissingError(f"{url.shown}: is a folder, not a file")
             return _item(url, found)
 
         return self._retried(ask, url)
 
     def companion(self, url: Url) -> Item | None:
-        """As `item`; a page that a web server gives for any name is none."""
+        """As `item`, but None for an HTML page, which some web servers return for any name."""
 
         def is_page() -> bool:
-            with self._told(url):
+            with self._translated(url):
                 return bool(self._fs.info(self._path(url)).get("mimetype") == "text/html")
 
         found = self.item(url)
         return None if found is not None and url.is_web and self._retried(is_page, url) else found
 
     def listing(self, folder: Url) -> tuple[list[Item], list[str]]:
-        """(files, names of folders) in a folder. Raises SonarrecError where it cannot be read."""
+        """(files, names of folders) in a folder. Raises SonarrecError if it cannot be read."""
 
         def ask() -> list[dict[str, Any]]:
-            with self._told(folder):
+            with self._translated(folder):
                 path = self._path(folder)
                 if folder.is_web:
                     path = path.partition("?")[0].rstrip("/") + "/"
@@ -173,10 +173,10 @@ class Store:
         return files, folders
 
     def glob(self, pattern: Url) -> list[Item]:
-        """The files that match. Raises SonarrecError where the folder cannot be read."""
+        """The files that match. Raises SonarrecError if the folder cannot be read."""
 
         def ask() -> Mapping[str, dict[str, Any]]:
-            with self._told(pattern):
+            with self._translated(pattern):
                 path = self._path(pattern).partition("?")[0] if pattern.is_web else pattern.path
                 found: Mapping[str, dict[str, Any]] = self._fs.glob(path, detail=True)
                 return found
@@ -189,20 +189,20 @@ class Store:
         return items
 
     def described(self, items: list[Item]) -> list[Item]:
-        """The same with size and tag, which the index pages of web servers do not tell."""
+        """The same with size and tag, which index pages of web servers do not state."""
         if not items or not items[0].url.is_web:
             return items
         with ThreadPoolExecutor(AT_ONCE) as threads:
             return list(threads.map(self.file, [item.url for item in items]))
 
-    # Fetched
+    # Fetching
 
-    def fetch(self, item: Item, to: Path, told: Callable[[int], None] = lambda _: None) -> Item:
-        """Write a file to `to`, whole and checked or not at all; the item as it was fetched.
+    def fetch(self, item: Item, to: Path, progress: Callable[[int], None] = lambda _: None) -> Item:
+        """Write a file to `to`, complete and checked, or not at all; returns the item.
 
-        told: how many bytes came, as they come; below zero where they have to come again.
-        A transfer that breaks off goes on where it was, or anew where the server cannot do that.
-        Raises SonarrecError after AGAIN more tries, and where the disk takes no more.
+        progress: called with the number of bytes that arrived; negative if they must be fetched
+        again. A broken transfer is resumed if the server can do that, else repeated.
+        Raises SonarrecError after RETRIES retries, or if the disk is full.
         """
         to.parent.mkdir(parents=True, exist_ok=True)
         part = to.with_name(f"{to.name}.{item.identity}.part")
@@ -210,8 +210,8 @@ class Store:
             part.unlink(missing_ok=True)
 
         def ask() -> Item:
-            self._transfer(item, part, told)
-            self._check(item, part, told)
+            self._transfer(item, part, progress)
+            self._check(item, part, progress)
             return item
 
         try:
@@ -223,26 +223,26 @@ class Store:
             ) from None
         return item
 
-    def _transfer(self, item: Item, part: Path, told: Callable[[int], None]) -> None:
+    def _transfer(self, item: Item, part: Path, progress: Callable[[int], None]) -> None:
         at = part.stat().st_size if part.exists() else 0
         if at and (self._streams or item.size is None):
-            told(-at)
+            progress(-at)
             at = 0
         if item.size is not None and at > item.size:
-            told(-at)
+            progress(-at)
             at = 0
         with part.open("r+b" if at else "wb") as out, self._opened(item) as file:
             out.seek(at)
             while item.size is None or at < item.size:
                 self._stopped()
                 wanted = BLOCK_BYTES if item.size is None else min(BLOCK_BYTES, item.size - at)
-                with self._told(item.url):
+                with self._translated(item.url):
                     block = self._read(file, at, wanted)
                 if not block:
                     break
                 out.write(block)
                 at += len(block)
-                told(len(block))
+                progress(len(block))
 
     def _read(self, file: Any, at: int, wanted: int) -> bytes:
         if not self._streams and file.seekable():
@@ -261,15 +261,15 @@ class Store:
         given: dict[str, Any] = {} if item.url.scheme == "sftp" else {"block_size": block}
         if item.url.is_web or item.url.scheme in ("s3", "gs"):
             given["cache_type"] = "none"
-        with self._told(item.url):
+        with self._translated(item.url):
             file = self._fs.open(self._path(item.url), "rb", **given)
         try:
             yield file
         finally:
             file.close()
 
-    def _check(self, item: Item, part: Path, told: Callable[[int], None]) -> None:
-        """Raises BrokenError where the file is not what the server holds."""
+    def _check(self, item: Item, part: Path, progress: Callable[[int], None]) -> None:
+        """Raises BrokenError if the file differs from that on the server."""
         size = part.stat().st_size
         if item.size is not None and size != item.size:
             raise BrokenError(f"{size} of {item.size} bytes came")
@@ -279,118 +279,121 @@ class Store:
         changed = now is None or (now.size, now.tag) != (item.size, item.tag)
         if changed or (item.md5 is not None and not self._encrypted(item)):
             part.unlink()
-            told(-size)
+            progress(-size)
             if changed:
-                raise SonarrecError(f"{item.url.shown}: changed while it was fetched; run again")
-            raise BrokenError("its checksum is not the server's")
+                raise SonarrecError(
+                    f"{item.url.shown}: changed while it was fetched; run the command again"
+                )
+            raise BrokenError("its checksum differs from the server's")
 
     def _encrypted(self, item: Item) -> bool:
-        """Whether S3 encrypted it, so that the ETag is no MD5."""
+        """Whether S3 encrypted the file; then its ETag is not the MD5."""
         if item.url.scheme != "s3":
             return False
         bucket, _, key = item.url.path.partition("/")
-        with self._told(item.url):
+        with self._translated(item.url):
             head = self._fs.call_s3("head_object", Bucket=bucket, Key=key)
         return head.get("ServerSideEncryption") not in (None, "AES256")
 
-    # Written
+    # Writing
 
     def put(self, file: Path, url: Url) -> None:
-        """Upload a file, which nobody sees before it is whole. Raises SonarrecError."""
+        """Upload a file, which appears only when it is complete. Raises SonarrecError."""
 
         def ask() -> None:
-            # SFTP shows a file while it grows.
+            # SFTP shows files while they grow.
             to = url.parent.child(f"{url.name}.part") if url.scheme == "sftp" else url
-            with self._told(url):
+            with self._translated(url):
                 self._fs.put_file(str(file), self._path(to))
                 if to != url:
                     self.remove(url)
                     self._fs.mv(self._path(to), self._path(url))
             there = self.item(url)
             if there is None or there.size != file.stat().st_size:
-                raise BrokenError("the server does not hold all of it")
+                raise BrokenError("the server does not have the whole file")
 
         self._stopped()
         self._retried(ask, url)
 
     def remove(self, url: Url) -> None:
-        """Delete a file or a folder with all in it, where there is one. Raises SonarrecError."""
+        """Delete a file, or a folder and its contents, if it exists. Raises SonarrecError."""
 
-        # s3fs and gcsfs take it for a glob, which would delete what lies elsewhere.
+        # s3fs and gcsfs treat the path as a glob, which could delete other files.
         path = self._path(url) if url.scheme == "sftp" else glob.escape(self._path(url))
 
         def ask() -> None:
             try:
-                with self._told(url):
+                with self._translated(url):
                     self._fs.rm(path, recursive=True)
             except MissingError:
                 pass
 
         self._retried(ask, url)
 
-    # Faults
+    # Errors
 
     def _stopped(self) -> None:
         if self._stop.is_set():
             raise StoppedError("stopped")
 
     def _retried(self, ask: Callable[[], T], url: Url | None = None) -> T:
-        """What `ask` gives, asked up to AGAIN more times where it breaks off.
+        """The result of `ask`, with up to RETRIES retries after a BrokenError.
 
-        Raises SonarrecError, told of the URL, where all of them do.
+        Raises SonarrecError, which names the URL, if all fail.
         """
-        for tried in range(AGAIN + 1):
+        for tried in range(RETRIES + 1):
             try:
                 return ask()
             except BrokenError as error:
-                if tried == AGAIN:
+                if tried == RETRIES:
                     url = url or self._url
                     raise SonarrecError(
-                        f"{url.shown}: broke off, and {AGAIN} times again ({error})"
+                        f"{url.shown}: failed, also in {RETRIES} retries ({error})"
                     ) from None
                 self._stop.wait(max(PAUSE_S * 2**tried, min(error.after_s, LONGEST_PAUSE_S)))
                 self._stopped()
         raise AssertionError("not reached")
 
     @contextmanager
-    def _told(self, url: Url) -> Iterator[None]:
-        """A fault of the libraries as one of ours: which kind, and its text without secrets."""
+    def _translated(self, url: Url) -> Iterator[None]:
+        """Turn an error of the libraries into one of ours, with its text but without secrets."""
         try:
             yield
         except (SonarrecError, ImportError):
             raise
-        except Exception as error:  # s3fs, gcsfs, aiohttp and asyncssh share no class
+        except Exception as error:  # s3fs, gcsfs, aiohttp and asyncssh have no common class
             cause = error.__cause__
-            # fsspec calls whatever a web server does a missing file.
+            # fsspec reports every error of a web server as a missing file.
             if cause is not None and type(cause).__module__.startswith(("aiohttp", "asyncio")):
                 error = cause if isinstance(cause, Exception) else error
             status = getattr(error, "status", None)
             if isinstance(error, FileNotFoundError | NotADirectoryError) or status in (404, 410):
-                raise MissingError(f"{url.shown}: nothing is there") from None
+                raise MissingError(f"{url.shown}: does not exist") from None
             text = getattr(error, "message", None) or str(error) or type(error).__name__
-            if status == 0:  # of redirects without an end aiohttp tells nothing else
+            if status == 0:  # endless redirects; aiohttp states nothing else
                 status, text = None, type(error).__name__
             text = f"{status} {text}" if isinstance(status, int) else str(text)
             text = " ".join(url.hide(text).split())[:300]
             if isinstance(error, PermissionError) or status in (401, 403, 407) or _no_key(error):
                 raise RefusedError(
                     f"{url.shown}: no access ({text}); `sonarrec help remote` says where "
-                    "credentials are looked for"
+                    "credentials are searched"
                 ) from None
             raise BrokenError(text, _retry_after_s(error)) from None
 
 
 def writable(url: Url) -> Url:
-    """The URL itself. Raises UsageError where results cannot be written there."""
+    """The URL itself. Raises UsageError if results cannot be written there."""
     if url.is_web:
         raise UsageError(
-            f"{url.shown}: a web server takes no results; give --out, local or s3, gs, sftp"
+            f"{url.shown}: results cannot be written to a web server; give a local --out, "
+            "or s3://, gs://, sftp://"
         )
     return url
 
 
 def _no_key(error: Exception) -> bool:
-    """Credentials or a host key are missing: no use to try again."""
+    """Whether credentials or a host key are missing, so that retries are useless."""
     names = {c.__name__ for c in type(error).__mro__}
     return bool(
         names & {"NoCredentialsError", "PartialCredentialsError", "HostKeyNotVerifiable"}
@@ -399,7 +402,7 @@ def _no_key(error: Exception) -> bool:
 
 
 def _retry_after_s(error: Exception) -> float:
-    """How long a web server that is busy asks to wait: seconds, or until a date; 0 without."""
+    """How long a busy web server asks to wait, stated in seconds or as a date; 0 if not stated."""
     headers = getattr(error, "headers", None)  # of aiohttp
     stated = str(headers.get("Retry-After", "")) if isinstance(headers, Mapping) else ""
     try:
@@ -407,12 +410,12 @@ def _retry_after_s(error: Exception) -> float:
             return float(stated)
         until = parsedate_to_datetime(stated)
         return (until - datetime.now(until.tzinfo)).total_seconds()
-    except (ValueError, OverflowError):  # no date, or one beyond every calendar
+    except (ValueError, OverflowError):  # not a date, or one out of range
         return 0.0
 
 
 def _same_folder(folder: Url, path: str) -> bool:
-    """Whether a listed path lies in the folder: an index page has other links too."""
+    """Whether a listed path lies in the folder; index pages have other links too."""
     inside = path.rpartition("/")[0]
     return not folder.is_web or inside.endswith(folder.path.rstrip("/"))
 

@@ -1,8 +1,8 @@
-"""Results written to a server: made in a local folder first, uploaded when they are finished.
+"""Writes results to a server: they are made in a local folder and uploaded when finished.
 
-run.toml goes first where results are replaced and comes last: without it a folder on a server
-holds no finished results. What was made from those of before goes as well. What could not be
-uploaded stays, and is uploaded by the next run.
+When results are replaced, run.toml is deleted first and uploaded last, since results on a server
+count as finished only with run.toml. Evaluations, maps and pages made from the old results are
+deleted too. If the upload fails, the results stay in the local folder for the next run to upload.
 """
 
 from __future__ import annotations
@@ -22,30 +22,29 @@ from sonarrec.results.folders import ESTIMATES, MADE, OURS, PAGES, TABLES, estim
 
 _MARK = "run.toml"
 _LARGE = ESTIMATES
-"""Not fetched of results that are there only to be held against new ones: empty, it stands for the
-one on the server."""
+"""Not fetched when old results are only compared with a new run; an empty file stands for it."""
 
 
 class Outbox:
     """The folder of a server that `--out` names.
 
-    url: of that folder. folder: the local one that stands for it, in the cache but never taken
-    away. origin: says the server's names in place of the local ones.
+    url: of that folder. folder: the local folder in its place, in the cache but never deleted.
+    origin: puts the paths of the server into messages.
     """
 
     def __init__(self, out: Url, cache: Cache) -> None:
-        """Raises UsageError where nothing can be written there."""
+        """Raises UsageError if nothing can be written there."""
         self.url = writable(out)
         self.folder = cache.folder / "out" / key_of(self.url.shown)
         self.origin = Origin(self.url.shown, str(self.folder), self.url.shown.rstrip("/"))
 
     @contextmanager
     def results(self, name: str, *, upload: bool = True) -> Iterator[None]:
-        """Inside, a run makes the results of a log in `folder`/<name>; after it they are uploaded.
+        """Inside, a run makes the results of a log in `folder`/<name>; then they are uploaded.
 
-        Those of before on the server are there to be held against, as far as that needs. upload:
-        False where only that is done. Raises SonarrecError where the server cannot be read or
-        written; what was made stays.
+        The small files of old results are fetched first, to see if they are up to date. upload:
+        False to do no more than that. Raises SonarrecError if the server cannot be read or written;
+        new results stay in `folder`.
         """
         made, there = self.folder / name, self.url.child(name)
         with only_one(self.folder / f".{name}.upload", there.shown):
@@ -62,14 +61,14 @@ class Outbox:
                     _upload(store, made, there)
                 except SonarrecError as error:
                     raise SonarrecError(
-                        f"{error}; the results wait in {made}, and the same command uploads them"
+                        f"{error}; the results are in {made}; the same command uploads them"
                     ) from None
             shutil.rmtree(made, ignore_errors=True)
 
     def fetch(self, name: str, to: str | None = None) -> None:
-        """Fetch a file, such as logs.csv, into `folder`, where there is one there.
+        """Fetch a file, such as logs.csv, into `folder`, if the server has it.
 
-        to: its name here. Raises SonarrecError.
+        to: its local name. Raises SonarrecError.
         """
         store = Store(self.url)
         item = store.item(self.url.child(name))
@@ -77,13 +76,13 @@ class Outbox:
             store.fetch(item, self.folder / (to or name))
 
     def put(self, name: str) -> None:
-        """Upload a file of `folder`, where it is there. Raises SonarrecError."""
+        """Upload a file of `folder` if it exists. Raises SonarrecError."""
         if (self.folder / name).is_file():
             Store(self.url).put(self.folder / name, self.url.child(name))
 
 
 def _is_whole(made: Path) -> bool:
-    """Whether a run made results there, which were not uploaded yet."""
+    """Whether the folder holds new results that are not uploaded yet."""
     large = estimates_of(made)
     return large.is_file() and large.stat().st_size > 0
 
@@ -104,7 +103,7 @@ def _upload(store: Store, made: Path, there: Url) -> None:
 
 
 def _made_inside(store: Store, there: Url, folders: Sequence[str]) -> Iterator[Url]:
-    """What was made from the results of before, in folders: whole ones where nothing else is."""
+    """Files of evaluations and maps of the old results; the folder itself if it holds no others."""
     for name in MADE.keys() & set(folders):
         files, below = store.listing(there.child(name))
         ours = [item.url for item in files if item.url.name in MADE[name]]
@@ -112,7 +111,7 @@ def _made_inside(store: Store, there: Url, folders: Sequence[str]) -> Iterator[U
 
 
 def _pages(store: Store, files: Mapping[str, Item]) -> Iterator[Url]:
-    """The pages made from the results of before: by their mark, for others are the user's."""
+    """The pages made from the old results, known by their mark; others belong to the user."""
     with tempfile.TemporaryDirectory(prefix="sonarrec-") as temporary:
         for name in PAGES.keys() & files.keys():
             store.fetch(files[name], page := Path(temporary) / name)
@@ -121,7 +120,7 @@ def _pages(store: Store, files: Mapping[str, Item]) -> Iterator[Url]:
 
 
 def _fetch_held(store: Store, there: Url, made: Path) -> None:
-    """run.toml and tables of finished results on the server, where there are any."""
+    """Fetch run.toml and the small tables of finished results, if the server has any."""
     names = (_MARK, *(name for name in TABLES if name not in _LARGE))
     items = [item for name in names if (item := store.item(there.child(name))) is not None]
     large = next((n for n in _LARGE if store.item(there.child(n)) is not None), None)
@@ -133,10 +132,9 @@ def _fetch_held(store: Store, there: Url, made: Path) -> None:
 
 @contextmanager
 def uploaded(out: str, name: str = "") -> Iterator[tuple[Path, Origin]]:
-    """A local place for what is to be at `out`, uploaded at the end.
+    """A local place for an output that is uploaded to `out` at the end.
 
-    name: of the one file that it is, "" of a folder. Raises SonarrecError where it cannot be
-    uploaded.
+    name: of the file, "" for a folder. Raises SonarrecError if it cannot be uploaded.
     """
     url = writable(parse_url(out))
     with tempfile.TemporaryDirectory(prefix="sonarrec-") as temporary:

@@ -1,4 +1,4 @@
-"""URLs of logs and results: taken apart, put together, and shown without their secrets."""
+"""URLs of logs and results: parsed, built, and shown without their secrets."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from sonarrec.records import UsageError, shown
 Place = TypeVar("Place")
 SCHEMES = ("s3", "gs", "https", "http", "sftp")
 HIDDEN = "***"
-_URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/{1,2}(?=[^/])")  # a Path has but one slash left
+_URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/{1,2}(?=[^/])")  # a Path keeps one slash only
 _SECRET = re.compile(r"(?i)sig|token|secret|key|pass|pwd|cred|auth|jwt|policy|code")
-# A slash or plus that a web URL quotes: unquoted, the one parts folders, the other is a space to
-# some servers. %252F is %2F as text, and so on.
+# Quoted slashes and pluses stay quoted: a slash would separate folders, and a plus means a space to
+# some servers. %252F is the text %2F, and so on.
 _KEPT = re.compile(r"(?i)(%(?:25)*2[BF])")
-_LEAST = 4  # characters of a secret from which on it is looked for in the text of errors
+_LEAST = 4  # characters; shorter secrets are not searched for in error texts
 
 
 @dataclass(frozen=True, slots=True)
 class Url:
     """A place on a server.
 
-    front: "s3://", "https://user:password@host". path: "bucket/dives/a.mcap", "/dives/a.mcap", as
-    text, nothing quoted but %2F and %2B of a web URL. query: of https, with its question mark.
-    literal: * ? [ in the path are part of names, as a server told them or a web URL quotes them.
+    front: "s3://" or "https://user:password@host". path: "bucket/dives/a.mcap" or "/dives/a.mcap",
+    unquoted except for %2F and %2B of a web URL. query: of https, with its question mark.
+    literal: * ? [ in the path are part of names, not wildcards.
     """
 
     scheme: str
@@ -38,7 +38,7 @@ class Url:
     literal: bool = field(default=False, compare=False)
 
     def __str__(self) -> str:
-        """The whole URL, secrets and all: for servers only, never for a line or a file."""
+        """The URL with its secrets: for servers only, never for messages or files."""
         path = _changed(self.path, _quoted) if self.is_web else self.path
         return f"{self.front}{path}{self.query}"
 
@@ -48,7 +48,7 @@ class Url:
 
     @property
     def name(self) -> str:
-        """The last part of the path; of a server's root the server."""
+        """The last part of the path; for the root the host name."""
         return PurePosixPath(self.path).name or urlsplit(self.front).hostname or "log"
 
     @property
@@ -56,23 +56,23 @@ class Url:
         return replace(self, path=self.path.rstrip("/").rpartition("/")[0])
 
     def child(self, relative: str) -> Url:
-        """What lies below: with the same query, which may be what gives access."""
+        """The URL of a path below, with the same query, which may hold a key."""
         return replace(self, path=f"{self.path.rstrip('/')}/{relative}".lstrip(_no_root(self)))
 
     @property
     def shown(self) -> str:
-        """For lines and files: the password and what in the query gives access are hidden."""
+        """The URL for messages and files: the password and keys in the query are hidden."""
         scheme, _, rest = self.front.partition("://")
         user, at, host = rest.rpartition("@")
         if at:
             name, colon, _ = user.partition(":")
-            # Without a password a web user is a token.
+            # A web user without a password is a token.
             user = f"{name}:{HIDDEN}" if colon else HIDDEN if self.is_web else name
         query = "&".join(_shown_pair(pair) for pair in self.query.removeprefix("?").split("&"))
         return shown(f"{scheme}://{user}{at}{host}{self._readable()}{'?' * bool(query)}{query}")
 
     def _readable(self) -> str:
-        """The path, of a web server with what would be taken for something else quoted."""
+        """The path; for a web URL, with characters of special meaning quoted."""
         if not self.is_web:
             return self.path
         marks = "%#?*[" if self.literal else "%#?"
@@ -86,7 +86,7 @@ class Url:
         return replace(self, query="").shown
 
     def hide(self, text: str) -> str:
-        """A text of others, such as an error, without this URL's secrets."""
+        """A text such as an error message without this URL's secrets."""
         text = text.replace(str(self), self.shown)
         for secret in sorted(self._secrets(), key=len, reverse=True):
             text = text.replace(secret, HIDDEN)
@@ -109,7 +109,7 @@ def _quoted(text: str) -> str:
 
 
 def _changed(path: str, change: Callable[[str], str]) -> str:
-    """A path of a web URL with all but its quoted slashes and pluses changed."""
+    """A path of a web URL, changed except for its quoted slashes and pluses."""
     parts = _KEPT.split(path)
     return "".join(part if n % 2 else change(part) for n, part in enumerate(parts))
 
@@ -129,27 +129,27 @@ def _shown_pair(pair: str) -> str:
 
 
 def is_url(text: object) -> bool:
-    """Whether a name is that of a place on a server, also where it went through a Path."""
+    """Whether a text is a URL, also after it was turned into a Path and back."""
     return _URL.match(str(text)) is not None
 
 
 def local(place: Place) -> Place:
-    """The place itself. Raises UsageError where it is on a server."""
+    """The place itself. Raises UsageError if it is on a server."""
     if is_url(place):
         raise UsageError(
-            f"{parse_url(place).shown}: a local place is needed here; what reads servers and "
-            "writes there: `sonarrec help remote`"
+            f"{parse_url(place).shown}: a local path is needed here; `sonarrec help remote` says "
+            "which commands take URLs"
         )
     return place
 
 
 def parse_url(text: object) -> Url:
-    """The URL of a text. Raises UsageError where nothing here can read it."""
+    """The URL in a text. Raises UsageError if its scheme is not supported."""
     match = _URL.match(str(text))
     scheme = match[1].lower() if match else ""
     if match is None or scheme not in SCHEMES:
         known = ", ".join(f"{s}://" for s in SCHEMES)
-        raise UsageError(f"{scheme}://: logs and results are read from {known} and local files")
+        raise UsageError(f"{scheme}://: only {known} and local files can be read")
     rest = str(text)[match.end() :]
     if scheme in ("s3", "gs"):
         return Url(scheme, f"{scheme}://", rest)

@@ -107,8 +107,8 @@ def test_a_scheduler_that_dies_is_told_for_each_log_that_waits(
         said = running.communicate(timeout=60)[1].decode().splitlines()
     assert running.returncode == 3
     *lost, count = [line for line in said if ": note: " not in line]
-    assert f"sonarrec: {logs[1]}: the scheduler gave it up (cancelled)" in lost
-    assert all(line.endswith(": the scheduler gave it up (cancelled)") for line in lost)
+    assert f"sonarrec: {logs[1]}: the scheduler gave up on it (cancelled)" in lost
+    assert all(line.endswith(": the scheduler gave up on it (cancelled)") for line in lost)
     assert count.startswith(f"{4 - len(lost)} done, {len(lost)} failed: {logs[1]}")
 
 
@@ -131,7 +131,7 @@ def test_a_cluster_without_a_worker_is_told(tmp_path: Path) -> None:
     with distributed.LocalCluster(n_workers=0, dashboard_address=None) as empty:
         watch = Awaited(empty)
         run_on_cluster([task], empty.scheduler_address, watch)
-    told = f"{empty.scheduler_address}: no worker is there; the logs wait for one"
+    told = f"{empty.scheduler_address}: there is no worker yet; the logs wait for one"
     assert (watch.notes, [end.status for end in watch.ends]) == ([told], ["failed"])
 
 

@@ -48,7 +48,7 @@ def test_a_log_that_dies_hangs_or_raises_costs_itself_only(tmp_path: Path) -> No
     }
     assert "SIGKILL" in told["dies"]["message"]
     assert "5 s (--timeout)" in told["hangs"]["message"]
-    assert "fault of sonarrec" in told["raises"]["message"]
+    assert "bug in sonarrec" in told["raises"]["message"]
     assert "ZeroDivisionError: a fault of ours" in done.stderr
     assert "4 done, 4 failed" in done.stderr
     alone = tmp_path / "alone"

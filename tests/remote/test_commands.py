@@ -36,7 +36,7 @@ def sonarrec(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Sonarrec:
         if result.exception is not None and not isinstance(result.exception, SystemExit):
             raise result.exception
         assert "Traceback" not in result.stderr
-        said = [line for line in result.output.splitlines() if "; the results wait in " not in line]
+        said = [line for line in result.output.splitlines() if "; the results are in " not in line]
         assert str(tmp_path / "cache") not in "".join(said)
         return result
 
@@ -119,7 +119,7 @@ def test_one_that_fails_costs_itself_only(sonarrec: Sonarrec) -> None:
     result = sonarrec("run", *names, "-q")
     assert result.exit_code == 3
     assert [line for line in result.stderr.splitlines() if "note: " not in line] == [
-        "sonarrec: s3://dives/day/none.mcap: nothing is there",
+        "sonarrec: s3://dives/day/none.mcap: does not exist",
         "2 done, 1 failed: s3://dives/day/none.mcap",
     ]
     assert sonarrec("run", "s3://dives/day/none.mcap").exit_code == 2  # as of a local one
@@ -187,7 +187,7 @@ def test_a_partial_upload_is_no_result_and_is_finished_by_the_next_run(
 
     def breaks(self: store.Store, file: Path, url: Any) -> None:
         if url.name == "frames.csv":
-            raise store.SonarrecError(f"{url.shown}: broke off, and 3 times again")
+            raise store.SonarrecError(f"{url.shown}: failed, also in 3 retries")
         put(self, file, url)
 
     with monkeypatch.context() as patched:
@@ -195,13 +195,13 @@ def test_a_partial_upload_is_no_result_and_is_finished_by_the_next_run(
         result = sonarrec(*run, "--seed", "1")
     assert result.exit_code == 1
     (waits,) = (tmp_path / "cache" / "out").glob("*/a")
-    assert f"the results wait in {waits}, and the same command uploads them" in result.stderr
+    assert f"the results are in {waits}; the same command uploads them" in result.stderr
     assert "out/a/run.toml" not in keys(s3)  # the old results are not taken for the new ones
     (day / "gt.csv").write_text("frame,landmark,range_m,bearing_deg\n0,1,2.0,0.0\n")
     truth = ["--ground-truth", str(day / "gt.csv")]
     told = sonarrec("evaluate", "s3://dives/out/a", *truth)
     assert told.exit_code == 1
-    assert "s3://dives/out/a: left out, for its upload is not finished" in told.stderr
+    assert "s3://dives/out/a: left out because its upload is not finished" in told.stderr
     again = sonarrec(*run, "--seed", "1")
     assert again.stdout == "s3://dives/out/a: up to date, 6 frames\n"
     assert [k for k in keys(s3) if k.startswith("out/a/")] == [f"out/a/{t}" for t in TABLES]
@@ -295,9 +295,7 @@ def test_of_a_log_on_a_server_without_truth_or_that_changed_a_line_says_so(
     assert changed.exit_code == 2
     assert "s3://dives/day/a.mcap is not the log it was (it had " in changed.stderr
     s3.delete_object(Bucket="dives", Key="day/a.mcap")
-    assert (
-        "s3://dives/day/a.mcap: nothing is there" in sonarrec("evaluate", "sonarrec_out/a").stderr
-    )
+    assert "s3://dives/day/a.mcap: does not exist" in sonarrec("evaluate", "sonarrec_out/a").stderr
 
 
 @pytest.mark.usefixtures("day")
@@ -378,7 +376,7 @@ def test_info_tells_of_a_log_there(sonarrec: Sonarrec) -> None:
     assert told.exit_code == 3
     assert told.stdout.startswith("s3://dives/day/a.mcap: MCAP")
     assert "s3://dives/day/sonar.toml" in told.stdout
-    assert told.stderr == "sonarrec: s3://dives/day/none.mcap: nothing is there\n"
+    assert told.stderr == "sonarrec: s3://dives/day/none.mcap: does not exist\n"
 
 
 @pytest.mark.usefixtures("s3")
@@ -418,7 +416,7 @@ def test_a_web_server_takes_no_results(sonarrec: Sonarrec, tmp_path: Path) -> No
     image_folder(tmp_path / "pings", frames(3))
     result = sonarrec("run", str(tmp_path / "pings"), "-o", "https://host/out")
     assert result.exit_code == 2
-    assert "https://host/out: a web server takes no results" in result.stderr
+    assert "https://host/out: results cannot be written to a web server" in result.stderr
 
 
 def test_a_folder_of_images_of_a_web_server(sonarrec: Sonarrec, tmp_path: Path) -> None:

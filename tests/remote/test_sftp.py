@@ -55,7 +55,7 @@ def test_truth_is_found_beside_a_log(url: str, disk: Path, monkeypatch: pytest.M
         item, _ = beside(f"{url}/dives/{log}", "gt.csv")
         assert item is not None
         assert item.url.name == truth
-    with pytest.raises(SonarrecError, match="nothing is there"):
+    with pytest.raises(SonarrecError, match="does not exist"):
         beside(f"{url}/dives/none.mcap", "gt.csv")
     # As run.toml has it, without the password: this is told, and not tried.
     with pytest.raises(SonarrecError, match="gives access there is not written down"):

@@ -45,7 +45,7 @@ def test_a_url_that_went_through_a_path_is_one() -> None:
 
 
 def test_other_schemes_are_refused_with_those_that_are_read() -> None:
-    with pytest.raises(UsageError, match=r"ftp://: logs and results are read from s3://, gs://"):
+    with pytest.raises(UsageError, match=r"ftp://: only s3://, gs://"):
         parse_url("ftp://host/a.mcap")
 
 

@@ -30,7 +30,7 @@ from sonarrec.evaluation.counting.uncertainty import (
 from sonarrec.evaluation.evaluate import DEFAULT, other_ids, told_apart
 from sonarrec.evaluation.matching.fit import fit
 from sonarrec.evaluation.matching.options import ScoringOptions
-from sonarrec.evaluation.matching.pairs import Elsewhere, Pair
+from sonarrec.evaluation.matching.pairs import FindBeside, Pair
 from sonarrec.evaluation.metrics import BY_NAME, MAIN
 from sonarrec.evaluation.summary import units_text
 from sonarrec.evaluation.survey import Unread, each
@@ -167,7 +167,7 @@ def compare(
     *,
     unit: UnitKind | None = None,
     jobs: int | None = None,
-    elsewhere: Elsewhere | None = None,
+    find_beside: FindBeside | None = None,
 ) -> Comparison:
     """Compare two results folders, each of one log or of several, on their common frames.
 
@@ -176,13 +176,13 @@ def compare(
 
     old, new: their logs are paired by name or SHA-256; if each holds one log, these are paired.
     ground_truth: one table for all logs, or pairs that name a truth per log; None: the truth
-    beside each log. unit: as in `summary.summarise`. jobs, elsewhere: as in
+    beside each log. unit: as in `summary.summarise`. jobs, find_beside: as in
     `evaluate.evaluate_many`.
     Raises SonarrecError if no log can be compared, or if one truth is for all logs and cannot be
     read.
     """
     options.check()
-    pairing = pair_logs(old, new, ground_truth, options, elsewhere)
+    pairing = pair_logs(old, new, ground_truth, options, find_beside)
     counted = _counted(pairing.pairs, jobs, options.min_visible)
     notes = [*dict.fromkeys(pairing.notes), *counted.notes]
     unused = [*dict.fromkeys([*pairing.unused, *counted.cut]), *counted.unused]

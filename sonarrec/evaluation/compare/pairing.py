@@ -12,7 +12,7 @@ import numpy as np
 from sonarrec.evaluation.compare.log_pair import LogPair
 from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import (
-    Elsewhere,
+    FindBeside,
     Pair,
     found_beside,
     found_where,
@@ -45,7 +45,7 @@ def pair_logs(
     new: Path,
     ground_truth: Path | Sequence[Pair] | None,
     options: ScoringOptions,
-    elsewhere: Elsewhere | None,
+    find_beside: FindBeside | None,
 ) -> Pairing:
     """The logs to compare; the arguments are those of `compare.compare`.
 
@@ -77,7 +77,7 @@ def pair_logs(
 
     once = counted_once([after for _, after in pairs], recordings, frames, "compared")
     kept = [pairs[i] for i in once.kept]
-    truths, where, without = _truths(kept, len(faults), ground_truth, elsewhere)
+    truths, where, without = _truths(kept, len(faults), ground_truth, find_beside)
     logs = [
         LogPair(*folders, truth.ground_truth, truth.log or _name(folders[1]), options)
         for folders, truth in zip(kept, truths, strict=True)
@@ -170,7 +170,7 @@ def _truths(
     pairs: Sequence[Folders],
     left_out: int,
     ground_truth: Path | Sequence[Pair] | None,
-    elsewhere: Elsewhere | None,
+    find_beside: FindBeside | None,
 ) -> tuple[list[Pair | None], list[str], list[str]]:
     """The truth of each pair, None if it has none; a line for each truth that was searched for
     and found; a line for each pair without a truth.
@@ -189,7 +189,7 @@ def _truths(
     where: list[str] = []
     truths: list[Pair | None]
     if ground_truth is None:
-        found, without = found_beside(folders, elsewhere)
+        found, without = found_beside(folders, find_beside)
         where = [found_where(pair) for pair in found]
         of_folder = {pair.results: pair for pair in found}
         truths = [of_folder.get(folder) for folder in folders]

@@ -18,7 +18,7 @@ from sonarrec.results.run_file import Input, read_run
 from sonarrec.truth.table import HEADER
 
 TRUTH_FILE = "gt.csv"
-Elsewhere = Callable[[str, str], tuple[Path | None, int | None]]
+FindBeside = Callable[[str, str], tuple[Path | None, int | None]]
 """Of a log's URL and a name the file that lies beside it, None without one, and the log's bytes."""
 
 
@@ -86,11 +86,11 @@ def of_one_log(pairs: Iterable[Pair]) -> tuple[list[Pair], list[str]]:
 
 
 def found_beside(
-    folders: Iterable[Path], elsewhere: Elsewhere | None = None
+    folders: Iterable[Path], find_beside: FindBeside | None = None
 ) -> tuple[list[Pair], list[str]]:
     """Each results folder with the truth beside its log, and a line for each that has none.
 
-    The log is where run.toml says; elsewhere: looks where that is a URL. Raises UsageError where
+    The log is where run.toml says; find_beside: looks where that is a URL. Raises UsageError where
     no folder has any, SonarrecError where no run.toml can be read, or several logs share one truth
     that does not tell them apart.
     """
@@ -103,7 +103,7 @@ def found_beside(
             unread.append(error)
             continue
         try:
-            truth = _truth_beside(folder, run.input, elsewhere)
+            truth = _truth_beside(folder, run.input, find_beside)
         except SonarrecError as error:
             without.append(str(error))
             continue
@@ -129,7 +129,7 @@ def found_where(pair: Pair) -> str:
     return f"{pair.results}: ground truth {pair.ground_truth}, beside its log"
 
 
-def _truth_beside(folder: Path, source: Input, elsewhere: Elsewhere | None) -> Path:
+def _truth_beside(folder: Path, source: Input, find_beside: FindBeside | None) -> Path:
     """NAME.gt.csv, else gt.csv, beside the log that results were made from; of images in the folder
     the gt.csv among them.
 
@@ -139,10 +139,10 @@ def _truth_beside(folder: Path, source: Input, elsewhere: Elsewhere | None) -> P
         raise SonarrecError(f"{folder}: no ground truth: run.toml does not say where the log is")
     try:
         if is_url(source.path):
-            if elsewhere is None:
+            if find_beside is None:
                 raise SonarrecError(f"its log is on a server, {source.path}")
             log, own = source.path, f"{log_name(Path(source.path))}.{TRUTH_FILE}, nor "
-            truth, size = elsewhere(log, TRUTH_FILE)
+            truth, size = find_beside(log, TRUTH_FILE)
         else:
             found = _log_at(source.path, folder, source.place)
             log = str(found.path)
