@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from sonarrec.pipeline.frames import Recogniser
     from sonarrec.pipeline.run import run
     from sonarrec.readers import open_log
-    from sonarrec.results.frames import read_results
+    from sonarrec.results.data_frames import read_results
     from sonarrec.simulation.simulate import simulate
 
 # OpenCV reads it when it is loaded: an image file whose header states more than 4096 x 4096 pixels
@@ -34,7 +34,7 @@ _HOMES = {
     "load_landmarks": "landmarks",
     "open_log": "readers",
     "preset": "config",
-    "read_results": "results.frames",
+    "read_results": "results.data_frames",
     "run": "pipeline.run",
     "simulate": "simulation.simulate",
 }

@@ -42,7 +42,7 @@ MAY_IMPORT = {
     "distributed": ("batch.cluster",),
     "msgspec": ("files.toml",),
     "tomllib": ("files.toml",),
-    "pandas": ("files.tables", "files.parquet", "results.frames", "report.mistakes"),
+    "pandas": ("files.tables", "files.parquet", "results.data_frames", "report.mistakes"),
     "pyarrow": ("files.parquet",),
     "matplotlib": ("evaluation.plots", "mapping.picture", "report.svg", "truth.contact_sheet"),
     "fsspec": ("remote.store",),

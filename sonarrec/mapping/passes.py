@@ -19,7 +19,7 @@ from sonarrec.mapping.path import SonarPath
 from sonarrec.records import Fan, FloatArray, IntArray, SonarrecError
 from sonarrec.results.read import estimate_tables
 from sonarrec.results.sightings import PASS_GAP
-from sonarrec.results.stream import places
+from sonarrec.results.stream import positions
 
 ROWS = 20_000
 """Of estimates.csv, read at a time."""
@@ -105,7 +105,7 @@ def read_seen(path: Path, method: str, landmarks: LandmarkSet, fan: Fan, frame: 
         def column(name: str, table: Table = table, blank: FloatArray = blank) -> FloatArray:
             return np.asarray(table.get(name, blank), dtype=float)
 
-        _, _, range_m, bearing_deg = places(table, fan)
+        _, _, range_m, bearing_deg = positions(table, fan)
         track = np.asarray(table.get("object", np.full(len(blank), -1)), dtype=float)
         rows = np.column_stack(
             [
@@ -129,7 +129,7 @@ def read_seen(path: Path, method: str, landmarks: LandmarkSet, fan: Fan, frame: 
         if lost.any():
             line = line_number(path, first + int(chosen[np.argmax(lost)]))
             raise SonarrecError(
-                f"{path} line {line}: no place: neither x_px,y_px nor range_m,bearing_deg"
+                f"{path} line {line}: no position: neither x_px,y_px nor range_m,bearing_deg"
             )
         parts.append(rows)
     rows = np.concatenate(parts)

@@ -1,4 +1,4 @@
-"""The columns of the three tables, each once: its name, how it is written and read."""
+"""The columns of the three tables: each name once, with how it is written and read."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from sonarrec.records import Estimate, FrameResult, Stamps
 from sonarrec.results.sightings import Sighting
 
 if TYPE_CHECKING:
-    from sonarrec.files.tables import Kind  # with pandas, which a run does not need
+    from sonarrec.files.tables import Kind  # imports pandas, which a run does not need
 
 Part = TypeVar("Part")
 
@@ -20,9 +20,9 @@ Part = TypeVar("Part")
 class Column(Generic[Part]):
     """One column.
 
-    written: the cell, of a frame's result and of the part of it that has a row of its own.
-    kind: what a cell must be when it is read back; None: it is left alone. needed: another
-    program's table must have it too.
+    written: makes the cell from a frame's result and the part of it that the row is about.
+    kind: what a cell must be when it is read back; None: the column is not read. needed: tables of
+    other programs must have the column too.
     """
 
     name: str
@@ -48,11 +48,11 @@ FRAME_COLUMNS: tuple[Column[Stamps], ...] = (
 )
 FRAMES_HEADER = "frame,timestamp_ns"
 ESTIMATES_HEADER = "frame,method,range_m,bearing_deg,landmark,score,declared"
-"""The headers shown to who has others: the least that can be scored."""
+"""Headers for error messages: the fewest columns that can be scored."""
 
 
 def estimate_columns(ids: Sequence[int]) -> tuple[Column[Estimate], ...]:
-    """The columns of estimates.csv for a landmark set's IDs, in order."""
+    """The columns of estimates.csv for a landmark set with these IDs."""
     return (
         Column("frame", lambda r, _: r.index, "whole", needed=True),
         Column("timestamp_ns", lambda r, _: r.timestamp_ns),
@@ -79,18 +79,18 @@ def estimate_columns(ids: Sequence[int]) -> tuple[Column[Estimate], ...]:
 
 
 def _moved(result: FrameResult, name: str, digits: int) -> str:
-    """A part of the motion since the frame before; empty where there is none."""
+    """A component of the motion since the previous frame; empty if there is none."""
     return "" if result.motion is None else f"{getattr(result.motion, name):.{digits}f}"
 
 
 def _unsure(result: FrameResult, name: str, digits: int) -> str:
-    """A standard error of the motion; empty where it was told, not measured."""
+    """A standard error of the motion; empty if poses give the motion."""
     motion = result.motion
     return "" if motion is None or not motion.pan_sigma_deg else _moved(result, name, digits)
 
 
 def belief_names(ids: Sequence[int]) -> list[str]:
-    """The columns of Estimate.probabilities, in its order."""
+    """The names of the columns of Estimate.probabilities, in its order."""
     return [f"p_{i}" for i in ids] + ["p_none"]
 
 
@@ -100,10 +100,10 @@ def _belief(name: str, k: int) -> Column[Estimate]:
 
 @dataclass(frozen=True, slots=True)
 class SightingColumn:
-    """One column of sightings.csv, named as the Sighting's own field.
+    """One column of sightings.csv, with the name of a field of Sighting.
 
-    digits: behind the point of a number; None: a whole number or a name, as it is. blank: an
-    empty cell stands for a track or a number that is not known.
+    digits: after the decimal point; None: a whole number or a name. blank: whether the cell may be
+    empty, for a value that is not known.
     """
 
     name: str
@@ -118,7 +118,7 @@ class SightingColumn:
         return "" if math.isnan(value) else f"{value:.{self.digits}f}"
 
     def read(self, cell: str) -> object:
-        """The value of a cell. Raises ValueError where it cannot be meant."""
+        """The value of a cell. Raises ValueError if the cell is invalid."""
         if self.name == "method":
             return cell
         if self.blank and not cell:
@@ -149,7 +149,7 @@ SIGHTING_COLUMNS = (
 
 
 def kinds(columns: Iterable[Column[Part]]) -> dict[str, Kind]:
-    """The columns that are read back, with what their cells must be."""
+    """The columns that are read back, with the kind of their cells."""
     return {c.name: c.kind for c in columns if c.kind is not None}
 
 

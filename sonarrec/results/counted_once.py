@@ -1,4 +1,4 @@
-"""Results of one recording count once, however often they are named."""
+"""Results of one recording count once, even if they are given several times."""
 
 from __future__ import annotations
 
@@ -15,24 +15,25 @@ from sonarrec.results.folders import estimates_of
 from sonarrec.results.run_file import RunFile
 
 Recording = tuple[str | None, Hashable]
-"""A SHA-256, None where it is not known, and what else it takes."""
+"""What identifies a recording: its SHA-256, None if not known, and a further key."""
 
 
 @dataclass(frozen=True, slots=True)
 class TruthOf:
-    """What a truth says of a log."""
+    """A log's rows of a ground-truth table."""
 
     file: Path
     name: str
-    """Of the log."""
+    """Name of the log."""
     rows: int
+    """How many there are."""
     digest: str
-    """Of these."""
+    """Hash over the rows."""
 
 
 @dataclass(frozen=True, slots=True)
-class Once:
-    """Which of several results count, by index, and what is said of the others."""
+class CountedOnce:
+    """Which of several results count, by index, and the messages about the others."""
 
     kept: list[int]
     notes: list[str]
@@ -45,15 +46,16 @@ def counted_once(
     frames: Callable[[int], IntArray],
     done: str,
     truths: Sequence[TruthOf] | None = None,
-) -> Once:
-    """The first results of every recording; together, others would count as independent logs.
+) -> CountedOnce:
+    """Keep the first results of each recording; copies would count as independent logs.
 
-    recordings: of `recording`; frames: gives the frame numbers of the i-th, asked where two are of
-    one recording. Results of different frames of one recording all count. done: what a command does
-    with those that count, such as "scored". truths: of each, where there are any; of copies only
-    that of the first is used.
+    Results of different frames of one recording all count.
+
+    recordings: from `recording`. frames: gives the frame numbers of the i-th results; it is called
+    only if two have one recording. done: what a command does with the results, such as "scored".
+    truths: the truth of each, if there is any; that of copies is not used.
     """
-    found = Once([], [], [])
+    found = CountedOnce([], [], [])
     first: dict[Recording, list[int]] = defaultdict(list)
     for i, folder in enumerate(folders):
         others = first[recordings[i]]
@@ -63,8 +65,8 @@ def counted_once(
             others.append(i)
             continue
         digest = recordings[i][0]
-        told = f"SHA-256 {digest[:12]}..." if digest else "by its tables"
-        line = f"{folder}: the same log as {folders[twin]} ({told}), which counts once"
+        by = f"SHA-256 {digest[:12]}..." if digest else "by its tables"
+        line = f"{folder}: the same log as {folders[twin]} ({by}), which counts once"
         if _tables(folder) != _tables(folders[twin]):
             found.unused.append(f"{line}; these other results of it are not {done}")
         elif truths is not None and (lost := _not_used(truths[i], truths[twin])):
@@ -75,14 +77,13 @@ def counted_once(
 
 
 def recording(folder: Path, run: RunFile, estimates: int) -> Recording:
-    """What tells one recording from another: SHA-256 and topic; where run.toml does not tell them,
-    what the tables hold, for a link, or a copy, has the same.
+    """What identifies a recording: SHA-256 and topic; if run.toml lacks them, the tables' contents.
 
-    estimates: how many were read.
+    estimates: how many there are.
     """
     if run.input.recording:
         return run.input.recording
-    # Two logs in which nothing was found may be alike; run.toml tells one from the other.
+    # Tables without estimates may be equal by chance; then run.toml or the folder tells them apart.
     place = None if estimates or run.table else folder.resolve()
     return None, (_tables(folder), str(run.table), place)
 
@@ -92,7 +93,7 @@ def _tables(folder: Path) -> str:
 
 
 def _not_used(truth: TruthOf, first: TruthOf) -> str | None:
-    """What a truth says beside the one that is used; None where that is nothing."""
+    """A message on a truth that is not used; None if it equals the one that is used."""
     if truth.digest == first.digest:
         return None
     if truth.file != first.file:

@@ -1,7 +1,7 @@
-"""Where a log's results go: a folder of its own, which only a finished run replaces.
+"""A log's results folder, which only a finished run replaces.
 
-A run writes into `<log>.part` beside `<log>` and takes its place at the end. One that is stopped
-or killed leaves its part; what was there before stays whole.
+A run writes into `<log>.part`, which replaces `<log>` at the end. A run that is stopped or killed
+leaves its part, and older results stay complete.
 """
 
 from __future__ import annotations
@@ -15,19 +15,18 @@ from typing import IO
 
 from sonarrec.files.locks import is_there, locked
 from sonarrec.files.outputs import Kind, is_output
-from sonarrec.records import PART, SonarrecError, UsageError, shown
+from sonarrec.records import PART, SonarrecError, UsageError, number_of, shown
 
 LONGEST_NAME = 255
-"""Bytes of a file's name, on all common file systems."""
+"""Bytes of a file name, on common file systems."""
 
 TABLES = ("frames.csv", "estimates.csv", "sightings.csv")
 ESTIMATES = ("estimates.csv", "estimates.parquet")
-"""What the estimates may be in; see `estimates_of`."""
+"""Possible files of the estimates; see `estimates_of`."""
 OURS = (*TABLES, "estimates.parquet", "run.toml")
-"""What a run replaces. What was made from it goes as well, and all else in a results folder is the
-user's."""
+"""Files that a run replaces. Files made from them are deleted; all others belong to the user."""
 PAGES: dict[str, Kind] = {"report.html": "report", "compare.html": "comparison"}
-"""Pages made from results, of which each bears a mark."""
+"""Pages made from results; they contain a mark."""
 MADE = {
     "evaluation": (
         *("confusion.csv", "per_log.csv", "roc.csv", "figures.csv", "tests.csv", "passes.csv"),
@@ -36,14 +35,14 @@ MADE = {
     ),
     "map": ("passes.csv", "factors.csv", "graph.g2o", "map.png", "map.geojson", "map.csv"),
 }
-"""Folders made from results, and what is made in them."""
+"""Folders made from results, and the files in them."""
 
 
 def folder_names(logs: Sequence[tuple[str, Path]]) -> list[str]:
     """A name for the results of each log of one call.
 
-    logs: (name, resolved place) of each. The name itself where no other log has it, else with as
-    many of the place's folders in front as tell them apart. Raises UsageError where nothing does.
+    It is the log's name, with as many parent folders in front as are needed to tell logs apart.
+    logs: (name, resolved path) of each. Raises UsageError if they cannot be told apart.
     """
     depth = [0] * len(logs)
     while True:
@@ -61,13 +60,13 @@ def folder_names(logs: Sequence[tuple[str, Path]]) -> list[str]:
                 if len(set(places)) == 1:
                     raise UsageError(f"{places[0]}: given {len(places)} times; name it once")
                 raise UsageError(
-                    f"{', '.join(places)}: their results would all go to {logs[i][0]}; run them "
-                    "apart, each with an --out of its own"
+                    f"{', '.join(places)}: their results would all go to {logs[i][0]}; run each "
+                    "with its own --out"
                 )
 
 
 def possible_names(name: str, place: Path) -> list[str]:
-    """Every name that `folder_names` may give to a log, by which others it is run with."""
+    """Every name that `folder_names` may give to a log, depending on the other logs."""
     return [_named(name, place, depth) for depth in range(len(place.parents))]
 
 
@@ -81,7 +80,7 @@ class LockedError(SonarrecError):
 
 
 def estimates_of(folder: Path) -> Path:
-    """The table of estimates in a folder: that which is there; CSV where both or none are."""
+    """The table of estimates in a folder; the CSV if there are both or none."""
     places = [folder / name for name in ESTIMATES]
     return next((place for place in places if place.is_file()), places[0])
 
@@ -97,18 +96,19 @@ def _place(folder: Path) -> Path:
 
 
 def check_name(folder: Path) -> None:
-    """Raises SonarrecError where the name is too long for what lies beside the folder in a run."""
+    """Raises SonarrecError if the name is too long for the files that a run makes beside it."""
     over = len(os.fsencode(_lock_file(folder).name)) - LONGEST_NAME
     if over > 0:
         raise SonarrecError(
-            f"{shown(folder)}: a name too long for results by {over} bytes; shorten the log's"
+            f"{shown(folder)}: its name is {number_of(over, 'byte')} too long for results; shorten "
+            "the log's name"
         )
 
 
 def lock(folder: Path) -> IO[bytes]:
-    """Hold `folder` for this run until the file is closed: see `release`.
+    """Lock `folder` for this run; see `release`.
 
-    Raises LockedError where another run writes there now.
+    Raises LockedError if another run has locked it.
     """
     path = _lock_file(folder)
     while True:
@@ -120,11 +120,11 @@ def lock(folder: Path) -> IO[bytes]:
             )
         if is_there(file, path):
             return file
-        file.close()  # whoever held it ended, and took it away, this very moment
+        file.close()  # its holder ended and deleted it at this moment
 
 
 def release(folder: Path, held: IO[bytes]) -> None:
-    """Let others write to `folder` again."""
+    """Unlock `folder`."""
     _lock_file(folder).unlink(missing_ok=True)
     held.close()
 
@@ -140,10 +140,10 @@ def _aside(folder: Path) -> Path:
 
 
 def restore(folder: Path) -> None:
-    """Put right what a run left that was killed in `exchange`, or could not end it.
+    """Clean up after a run that was killed in `exchange` or could not finish it.
 
-    That is an old result whose place was not taken yet, or what was still to be moved from it.
-    Raises OSError where that cannot be done, SonarrecError where a file is in both.
+    Then old results lie aside whose place is free, or from which files were not moved yet.
+    Raises OSError if that fails, SonarrecError if a file is in both places.
     """
     place, old = _place(folder), _aside(folder)
     if old.is_dir():
@@ -159,9 +159,9 @@ def restore(folder: Path) -> None:
 
 
 def exchange(folder: Path) -> list[str]:
-    """Let the finished part take the place of `folder`, whose other files it keeps.
+    """Replace `folder` by the finished part; the user's files in it are kept.
 
-    Returns a note where they could not be moved. Raises OSError where the part is still there.
+    Returns a note if these could not be moved. Raises OSError if the part could not be moved.
     """
     place, old = _place(folder), _aside(folder)
     if place.exists():
@@ -176,15 +176,15 @@ def exchange(folder: Path) -> list[str]:
                 os.close(handle)
         if old.is_dir():
             _clear(old, place)
-    except OSError as error:  # the new results are where they belong
-        return [f"{folder}: what was beside the results before is left in {old} ({error.strerror})"]
+    except OSError as error:  # the new results are in place
+        return [f"{folder}: other files of the old folder are left in {old} ({error.strerror})"]
     return []
 
 
 def _clear(old: Path, place: Path) -> None:
-    """Delete in `old` what a run made and what was made from it, and move the rest.
+    """Delete results, and files made from them, in `old`, and move the rest to `place`.
 
-    Raises OSError where some must stay.
+    Raises OSError if that fails.
     """
     for name, made in MADE.items():
         folder = old / name

@@ -1,4 +1,4 @@
-"""Results folders, read back for scoring: ours, or another program's in the same tables."""
+"""Reads results folders for scoring: ours, or those of other programs with the same tables."""
 
 from __future__ import annotations
 
@@ -36,28 +36,28 @@ from sonarrec.results.run_file import RunFile, cut_short, read_run
 from sonarrec.sonar import Sonar
 
 METHODS = ("smi", "framework")
-"""The methods that a run of one preset holds, also where one of them saw nothing."""
+"""The methods of a run of one preset, even if one of them has no estimate."""
 
 
 def in_order(methods: set[str]) -> tuple[str, ...]:
-    """Those of METHODS, then the others by name."""
+    """The methods in order: those of METHODS, then the others by name."""
     return (*(m for m in METHODS if m in methods), *sorted(methods - set(METHODS)))
 
 
 @dataclass(frozen=True, slots=True)
 class LogResults:
-    """What all methods said of one log.
+    """The results of all methods on one log: F frames, N estimates, K IDs.
 
     frame: (F,) numbers of the frames processed, rising. timestamp_ns: (F,) or None.
-    methods: names; the arrays below have one element per estimate. method: index into methods.
+    methods: names. The arrays below have one element per estimate. method: index into methods.
     frame_index: into frame. landmark_index: into landmarks.ids. score: 0 to 1. declared: bool.
-    position: (N, 2) metres in the fan plane, or None where it is not known.
-    orientation: (N,) deg, NaN where unknown. object: (N,) a number per candidate or track, -1
-    where not told. probability: (N, K + 1), one per ID in the set's order, then none of these;
-    None where the columns are missing.
-    fan: turns fan pixels into metres; None where nothing states it.
-    strays: estimates left out, for they lie on frames that frames.csv does not list.
-    finished: False where run.toml says that the run was cut short. run: that run.toml.
+    position: (N, 2) metres in the fan plane, or None if not known.
+    orientation: (N,) deg, NaN if not known. object: (N,) a number per candidate or track, -1 if
+    not known. probability: (N, K + 1), one per ID in the set's order, then none of these; None if
+    the columns are missing.
+    fan: converts fan pixels to metres; None if the geometry is not known.
+    strays: estimates left out because they lie on frames that frames.csv does not list.
+    finished: False if run.toml says that the run was cut short. run: run.toml.
     """
 
     name: str
@@ -81,21 +81,24 @@ class LogResults:
 
 
 def find_logs(results: Path) -> list[Path]:
-    """The folders of single logs: `results` itself, or those in it; SonarrecError if none."""
+    """The results folders of single logs: `results` itself, or those in it.
+
+    Raises SonarrecError if there are none.
+    """
     if (results / "frames.csv").is_file():
         return [results]
     if not results.is_dir():
         part = part_of(results)
         left = (part / "frames.csv").is_file()
-        told = f"; a run that did not finish left {part}" if left else ""
+        hint = f"; a run that did not finish left {part}" if left else ""
         raise MissingError(
-            f"{results}: no such results folder; `sonarrec run LOG` writes one{told}"
+            f"{results}: no such results folder; `sonarrec run LOG` writes one{hint}"
         )
     logs = {p.parent for p in results.glob("*/frames.csv")}
-    # A stopped run leaves its part beside what a link points to.
+    # If a results folder is a link, the part of a stopped run lies beside its target.
     linked = {part_of(p) for p in results.iterdir() if p.is_symlink() and p not in logs}
     logs |= {part for part in linked if (part / "frames.csv").is_file()}
-    finished = {part_of(log) for log in logs}  # beside these a stopped run's part tells nothing new
+    finished = {part_of(log) for log in logs}  # parts beside finished results are not needed
     found = sorted(logs - finished)
     if not found:
         raise SonarrecError(
@@ -106,24 +109,23 @@ def find_logs(results: Path) -> list[Path]:
 
 
 def not_whole(log: LogResults, done: str) -> list[str]:
-    """One line per part of the results that cannot be used.
+    """A line for each part of the results that cannot be used.
 
     done: what a command does with the rest, such as "scored".
     """
-    said = [] if log.finished else [cut_short(log.name, len(log.frame), done)]
+    lines = [] if log.finished else [cut_short(log.name, len(log.frame), done)]
     if log.strays:
-        said.append(
+        lines.append(
             f"{log.name}: {log.strays} estimates lie on frames that frames.csv does not list; "
             f"they are not {done}"
         )
-    return said
+    return lines
 
 
 def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = None) -> LogResults:
-    """Read one log's frames.csv, estimates.csv and, where there is one, run.toml.
+    """Read one log's frames.csv, estimates.csv and, if there is one, run.toml.
 
-    `landmarks` and the keys stated in `sonar` go before what run.toml says.
-    Raises SonarrecError on any fault.
+    landmarks, sonar: take precedence over run.toml. Raises SonarrecError on any fault.
     """
     run = read_run(folder / "run.toml")
     landmark_set = run.landmark_set(landmarks)
@@ -171,16 +173,16 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
 
 
 def _methods(run: RunFile, there: list[str]) -> list[str]:
-    """The methods of a run: those with estimates (there), and those that found nothing at all."""
+    """The methods of a run: those with estimates (`there`), and those without any."""
     expected = run.methods or ()
-    if run.methods is None and run.table:  # an earlier version did not list them
+    if run.methods is None and run.table:  # written by an earlier version
         several = len(run.configs) > 1 or any(":" in name for name in there)
         expected = () if several else METHODS
     return list(dict.fromkeys((*expected, *there)))
 
 
 def read_frames(folder: Path) -> Table:
-    """The columns of frames.csv that are read back, in the file's order."""
+    """The columns of frames.csv that are needed, in the order of the file."""
     path = folder / "frames.csv"
     return read_table(path, kinds(FRAME_COLUMNS), needed(FRAME_COLUMNS), FRAMES_HEADER)
 
@@ -190,10 +192,9 @@ def estimate_tables(
     landmarks: LandmarkSet,
     rows: int | None = None,
 ) -> Iterator[tuple[int, Table]]:
-    """estimates.csv, whole or at most `rows` rows at a time: (the first row, 0-based; columns).
+    """estimates.csv in parts of at most `rows` rows, or whole: (index of the first row, columns).
 
-    Raises SonarrecError, with the line, on a cell that cannot be meant; the rows before it are
-    given first.
+    Raises SonarrecError, with the line, for an invalid cell; the rows before it are given first.
     """
     columns = estimate_columns(landmarks.ids)
     ids = np.asarray(landmarks.ids)
@@ -214,7 +215,7 @@ def estimate_tables(
 def _probability(
     table: Table, columns: list[str], listed: BoolArray
 ) -> npt.NDArray[np.float32] | None:
-    """(N, K + 1) of the rows listed, taken out of the table; None where a column is missing."""
+    """(N, K + 1) of the listed rows, removed from the table; None if a column is missing."""
     if any(name not in table for name in columns):
         return None
     probability = np.empty((int(listed.sum()), len(columns)), dtype=np.float32)

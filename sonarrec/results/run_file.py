@@ -1,4 +1,4 @@
-"""run.toml: what a run was made of, as it is written and as it is read."""
+"""run.toml: the inputs and settings of a run, written and read."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from sonarrec.results.folders import ESTIMATES, TABLES, estimates_of
 from sonarrec.sonar import Sonar, sonar_from_table
 
 PROGRAM = {"name": "sonarrec", "version": __version__}
-"""What made a file, as run.toml and JSON documents say."""
+"""The program that made a file, for run.toml and JSON documents."""
 
 
 def run_table(
@@ -38,10 +38,9 @@ def run_table(
 ) -> dict[str, Any]:
     """The tables of run.toml: all that is needed to get the same results again.
 
-    methods: names in estimates.csv. sonar: as stated, which serves a run again. source: the
-    input's name, size in bytes and SHA-256. reading: how it was read (`Log.reading`). The fan is
-    a table of its own, with all that the geometry leaves to defaults or to the log's messages, so
-    that fan pixels can be read later.
+    methods: names in estimates.csv. sonar: the geometry as stated. fan: the complete geometry, with
+    values from defaults and messages, so that fan pixels can be converted later. source: the
+    input's name, size in bytes and SHA-256. reading: how it was read (`Log.reading`).
     """
     name, size, digest = source
     tables = [config.as_table(c) for c in settings]
@@ -69,7 +68,7 @@ def run_table(
 
 
 def _ran_on() -> dict[str, str]:
-    """What the last digits depend on: the libraries and the processor's instructions.
+    """The libraries and processor instructions, on which the last digits of results depend.
 
     numpy's exp and log round differently with and without AVX-512.
     """
@@ -83,46 +82,46 @@ def _ran_on() -> dict[str, str]:
 
 @dataclass(frozen=True, slots=True)
 class Held:
-    """What a results folder holds, beside what is to be written there."""
+    """The finished results in a folder, compared with a run to come."""
 
-    up_to_date: bool = False  # the same results, finished
+    up_to_date: bool = False  # the run would give the same
     frames: int = 0
     unusable: int = 0  # frames
     candidates: int = 0
     problems: list[str] = field(default_factory=list)
-    why: str = ""  # other results of this log are there: in what they differ
+    why: str = ""  # how the run differs from them; empty if there are none
 
 
 _OF_THE_END: dict[str, Any] = {
     **dict.fromkeys(("frames_processed", "frames_unusable", "candidates"), Count),
     "problems": tuple[str, ...],
 }
-"""Keys of [input] that only a finished run has, and what each may hold."""
+"""Keys of [input] that only a finished run has, with their types."""
 
 
 def held_results(folder: Path, table: dict[str, Any]) -> Held:
-    """Hold the finished results in a folder against the run.toml of a run to come.
+    """Compare the finished results in a folder with the run.toml of a run to come.
 
-    Raises SonarrecError where they are of another log, of another path and another SHA-256, or
-    not of this program, or where what their run.toml counts cannot be meant.
+    Raises SonarrecError if they belong to another log (by path and SHA-256) or another program, or
+    if a count in their run.toml is invalid.
     """
     path = folder / "run.toml"
     tables = [estimates_of(folder).name if name in ESTIMATES else name for name in TABLES]
-    there_are = [name for name in ("run.toml", *tables) if (folder / name).is_file()]
-    if there_are and not path.is_file():
+    present = [name for name in ("run.toml", *tables) if (folder / name).is_file()]
+    if present and not path.is_file():
         raise SonarrecError(
-            f"{folder}: holds {there_are[0]}, and no run.toml says that sonarrec wrote it; choose "
+            f"{folder}: holds {present[0]} but no run.toml, so it may not be of sonarrec; choose "
             "another --out, or give --overwrite"
         )
-    if len(there_are) <= len(TABLES):
+    if len(present) <= len(TABLES):
         return Held()
     there = read_toml(path)
     source = there.get("input")
     if not there.get("finished") or not isinstance(source, dict):
         return Held()
-    coming = json.loads(json.dumps(table))  # as a file gives it back: lists, no tuples
+    coming = json.loads(json.dumps(table))  # tuples become lists, as in a file that is read
     mine = coming["input"]
-    # Earlier versions kept no place; the path alone may be of one log today, of another tomorrow.
+    # Earlier versions kept no place, only the path, which may be relative.
     where = "place" if "place" in source else "path"
     if source.get("sha256") != mine["sha256"] and source.get(where, mine[where]) != mine[where]:
         raise SonarrecError(
@@ -136,15 +135,15 @@ def held_results(folder: Path, table: dict[str, Any]) -> Held:
     }
     if alike == coming:
 
-        def told(key: str, unless: Any = 0) -> Any:
-            return checked(source.get(key, unless), _OF_THE_END[key], f"{path}: input.{key}")
+        def stated(key: str, default: Any = 0) -> Any:
+            return checked(source.get(key, default), _OF_THE_END[key], f"{path}: input.{key}")
 
         return Held(
             True,
-            told("frames_processed"),
-            told("frames_unusable"),
-            told("candidates"),
-            list(told("problems", ())),
+            stated("frames_processed"),
+            stated("frames_unusable"),
+            stated("candidates"),
+            list(stated("problems", ())),
         )
     if source.get("sha256") != mine["sha256"]:
         return Held(why="the log has changed")
@@ -155,9 +154,9 @@ def held_results(folder: Path, table: dict[str, Any]) -> Held:
 
 
 def flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """(dotted key, value) of everything in a run.toml that is no table.
+    """(dotted key, value) of everything in a run.toml except the tables themselves.
 
-    Settings are named as --set names them; of several presets with the preset in front.
+    Settings are named as for --set; if there are several presets, with the preset in front.
     """
     for key, value in table.items():
         name = f"{prefix}{key}"
@@ -173,9 +172,9 @@ def flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]
 
 
 def frame_span(text: str) -> tuple[int, int | None]:
-    """(first, one past the last or None) of "A:B", either of which may be left out.
+    """(first, one past the last or None) of "A:B", where A or B may be left out.
 
-    Raises UsageError where the text is something else, or no frame can lie there.
+    Raises UsageError if the text has another form or the span is empty.
     """
     match = re.fullmatch(r"([0-9]{0,18}):([0-9]{0,18})", text)
     if match is None:
@@ -189,14 +188,14 @@ def frame_span(text: str) -> tuple[int, int | None]:
 
 
 def span_text(span: tuple[int, int | None]) -> str:
-    """What `frame_span` reads."""
+    """The text that `frame_span` reads."""
     return f"{span[0]}:{'' if span[1] is None else span[1]}"
 
 
 def cut_short(name: str, frames: int, done: str) -> str:
-    """What is told of results whose run.toml says that they are not finished.
+    """A message on results whose run.toml says that they are not finished.
 
-    frames: that they hold. done: what a command does with these.
+    frames: how many they hold. done: what a command does with these.
     """
     return (
         f"{name}: the run was cut short (run.toml says finished = false); "
@@ -206,17 +205,17 @@ def cut_short(name: str, frames: int, done: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Given:
-    """What is given of a log beside the log itself; None: nothing is said."""
+    """How to read a log, as given by the user; None: not given."""
 
-    sonar: Sonar = field(default_factory=Sonar)  # keys that win over every file
+    sonar: Sonar = field(default_factory=Sonar)  # keys that take precedence over every file
     sonar_file: Path | None = None  # in place of the sonar.toml beside the log
     topic: str | None = None  # the image channel of an MCAP
-    time: Clock | None = None  # which of the log's times names a frame; default, its log time
+    time: Clock | None = None  # which of a message's times is that of its frame; default: log time
     odometry: Path | None = None  # a table of the sonar's poses, see readers/poses_csv.py
-    odometry_topic: str | None = None  # the topic of the log that has them, in place of a table
-    frames: tuple[int, int | None] | None = None  # only those from the first up to the second
-    up_to: Path | None = None  # the folder up to which what lies beside the log is looked for
-    origin: Origin | None = None  # where a log that was fetched is from; run.toml says that
+    odometry_topic: str | None = None  # the topic with the poses, in place of a table
+    frames: tuple[int, int | None] | None = None  # from the first up to, not including, the second
+    up_to: Path | None = None  # the highest folder searched for files that belong to the log
+    origin: Origin | None = None  # the server that a fetched log is from, for run.toml
 
     def reading(self) -> dict[str, Any]:
         """Keyword arguments of `open_log`."""
@@ -226,11 +225,11 @@ class Given:
 
 @dataclass(frozen=True, slots=True)
 class Input:
-    """[input] of run.toml: the log, and how it was read; None where it does not say."""
+    """[input] of run.toml: the log and how it was read; None: not stated."""
 
     name: str | None = None
     path: str | None = None  # as it was given
-    place: str | None = None  # where it lies, from the results' folder on; or its URL
+    place: str | None = None  # relative to the results folder; or its URL
     bytes: Count | None = None
     sha256: str | None = None
     topic: str | None = None
@@ -240,22 +239,22 @@ class Input:
 
     @property
     def recording(self) -> tuple[str, str | None] | None:
-        """SHA-256 of the recording and its topic; None where it is not told."""
+        """SHA-256 and topic; None if the SHA-256 is not stated."""
         return (self.sha256, self.topic) if self.sha256 else None
 
 
 @dataclass(frozen=True, slots=True)
 class RunFile:
-    """run.toml as it was read; a missing or empty file tells nothing."""
+    """run.toml as it was read; a missing file counts as empty."""
 
     path: Path
-    table: Mapping[str, Any]  # all of it, of which the fields below are parts
-    finished: bool  # False: the run was cut short
+    table: Mapping[str, Any]  # the whole file
+    finished: bool  # False if the run was cut short
     methods: tuple[str, ...] | None  # of estimates.csv
     input: Input
     configs: tuple[Mapping[str, Any], ...]  # the settings, of each preset
     odometry: Mapping[str, Any]  # empty: none was used
-    model: Mapping[str, Any] | None  # of appearance; None: the built-in one
+    model: Mapping[str, Any] | None  # the appearance model; None: built in
 
     def landmark_set(self, given: str | Path | None = None) -> LandmarkSet:
         """The set given by name or file, else the run's, else `basin`."""
@@ -264,13 +263,13 @@ class RunFile:
         return load_landmarks(given or "basin")
 
     def sonar(self) -> Sonar:
-        """The geometry as it was stated for the run, which serves a run again."""
+        """The geometry as it was stated for the run."""
         return sonar_from_table(self.table.get("sonar", {}), str(self.path))
 
     def lay_under(self, given: Given, *, same_log: bool) -> Given:
-        """What is given, and where it says nothing the run's geometry.
+        """What is given, completed with the run's geometry.
 
-        same_log: the run's topic, time and frames serve as well.
+        same_log: complete it with the run's topic, time and frames as well.
         """
         return replace(
             given,
@@ -281,20 +280,20 @@ class RunFile:
         )
 
     def span(self) -> tuple[int, int | None] | None:
-        """The frames that were asked for; None where it does not say."""
+        """The span of frames that the run was limited to; None if not stated."""
         return None if self.input.frames is None else frame_span(self.input.frames)
 
     def fan(self, given: Sonar | None = None) -> Fan | None:
-        """The fan that pixel positions refer to; None where its scale and apex are not stated."""
+        """The fan that pixel positions refer to; None if its scale or apex is not stated."""
         known = {f.name for f in fields(Sonar)}
-        # [fan] describes the images that pixels refer to, also where the recording was polar.
+        # [fan] describes the images that pixels refer to, even if the recording was polar.
         table = {**self.table.get("sonar", {}), **self.table.get("fan", {})}
         table = {key: value for key, value in table.items() if key in known}
         sonar = sonar_from_table(table, str(self.path)).updated(given or Sonar())
         if sonar.metres_per_pixel is None or sonar.apex_px is None:
             return None
         geometry = sonar.complete(str(self.path) if self.table else "command line")
-        # Where nothing tells the image's size it has room for the whole fan.
+        # If the image size is not stated, it is large enough for the whole fan.
         room = math.ceil(geometry.range_max_m / sonar.metres_per_pixel)
         size = self.table.get("fan", {})
         rows = size.get("rows", math.ceil(sonar.apex_px[1]) + room)
@@ -303,7 +302,7 @@ class RunFile:
         edges = {key: size[key] for key in _EDGES if key in size}
         if given is not None and (given.field_of_view_deg or given.bearings_deg):
             edges = {}
-        return replace(fan, **edges)  # which a field of view puts evenly to both sides
+        return replace(fan, **edges)  # a field of view alone is symmetric
 
 
 _EDGES = ("bearing_min_deg", "bearing_max_deg")
@@ -315,10 +314,10 @@ _SHAPES: dict[str, Any] = {
 
 
 def read_run(path: Path | None) -> RunFile:
-    """A run.toml; None, a missing and an empty file tell nothing.
+    """A run.toml; None and a missing file count as empty.
 
-    Raises SonarrecError where it cannot be read, or what sonarrec uses of it cannot be meant; of
-    a later version's keys nothing is said.
+    Raises SonarrecError if it cannot be read or a key in use is invalid. Unknown keys are allowed:
+    a later version may have written them.
     """
     table = read_toml(path) if path is not None and path.is_file() else {}
     path = path or Path("run.toml")

@@ -1,4 +1,4 @@
-"""Whether a log is the one that results were made from."""
+"""Checks that results belong to a log."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from sonarrec.results.run_file import RunFile
 
 
 class RecordedLog(Protocol):
-    """What tells one log from another; a `readers.log.Log` is one."""
+    """What identifies a log; `readers.log.Log` has it."""
 
     @property
     def path(self) -> Path: ...
@@ -21,9 +21,9 @@ class RecordedLog(Protocol):
 
 
 def check_same_log(log: RecordedLog, folder: Path, run: RunFile) -> None:
-    """Raise SonarrecError where the results in `folder` are of another log.
+    """Raise SonarrecError if the results in `folder` are of another log.
 
-    By size and SHA-256; where run.toml does not tell them, by the number of frames.
+    Compared by size and SHA-256 or, if run.toml lacks them, by the number of frames.
     """
     made_from = run.input
     if made_from.sha256 is not None:
@@ -45,20 +45,19 @@ def check_same_log(log: RecordedLog, folder: Path, run: RunFile) -> None:
 
 
 def last_frame(folder: Path) -> int:
-    """The number of the last frame that was processed, -1 without any."""
+    """The number of the last frame that was processed; -1 if there is none."""
     return int(read_frames(folder)["frame"].max(initial=-1))
 
 
 def check_one_log(old: Path, before: RunFile, new: Path, after: RunFile) -> str | None:
-    """Raise SonarrecError where two results folders are of different logs, or of two topics.
+    """Raise SonarrecError if two results folders are of different logs or topics.
 
-    Returns a note where a run.toml does not tell the log's SHA-256, so that only frame numbers say
-    which frame is which; else None.
+    Returns a note if a run.toml lacks the SHA-256, so that frames are matched by number; else None.
     """
     a, b = before.input, after.input
     if not a.sha256 or not b.sha256:
         without = " and ".join(str(f) for f, i in ((old, a), (new, b)) if not i.sha256)
-        return f"{without}: no SHA-256 of the log in run.toml; frames go together by number"
+        return f"{without}: no SHA-256 of the log in run.toml; frames are matched by number"
     if (a.sha256, a.topic) != (b.sha256, b.topic):
         names = (
             f"{i.name} (SHA-256 {i.sha256[:12]}...{f', topic {i.topic}' if i.topic else ''})"

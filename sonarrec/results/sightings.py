@@ -1,4 +1,4 @@
-"""Which track declared what, and when: one sighting per pass, gathered from frame to frame."""
+"""Sightings: one for each pass of a landmark, collected frame by frame."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from sonarrec.poses import PoseTable
 from sonarrec.records import Estimate, Fan, UsageError, follows
 
 PASS_GAP = 10
-"""Frames without a declaration after which a pass has ended."""
+"""A pass ends after so many frames without a declaration."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sighting:
-    """One pass: a landmark as one track of one method declared it; a row of sightings.csv.
+    """One pass: the declarations of a landmark by one track; a row of sightings.csv.
 
-    method: its name. landmark: ID. track: None of a method that follows no objects. first_frame,
-    last_frame: numbers in the log, of the first and the last declaration, and start_ns, end_ns
-    their times. frames_declared: how many frames have a declaration. mean_score, best_score: over
-    the declarations, 0 to 1. range_m: mean slant range. bearing_deg: mean, positive to the right.
-    orientation_deg: mean direction, 0 to 360; of a symbol that looks the same turned one of them.
+    method: name. landmark: ID. track: None for a method that does not track objects. first_frame,
+    last_frame: numbers in the log of the first and the last declaration; start_ns, end_ns: their
+    times. frames_declared: how many frames have a declaration. mean_score, best_score: over the
+    declarations, 0 to 1. range_m: mean slant range. bearing_deg: mean, positive to the right.
+    orientation_deg: mean direction, 0 to 360; one of several for a symmetric symbol.
     range_sigma_m, bearing_sigma_deg, orientation_sigma_deg: standard error of one frame's estimate,
-    root mean square over the declarations. x_m, y_m: mean place on the floor in the poses' frame.
-    NaN where not known.
+    root mean square over the declarations. x_m, y_m: mean position on the floor in the frame of the
+    poses. NaN if not known.
     """
 
     method: str
@@ -51,14 +51,14 @@ class Sighting:
 
 
 def check_follows(method: str) -> None:
-    """Raise UsageError where tracks are needed and the method has none."""
+    """Raise UsageError if the method has no tracks."""
     if not follows(method):
-        raise UsageError(f"--method {method}: candidates of single frames are no tracks")
+        raise UsageError(f"--method {method}: it has no tracks, only candidates of single frames")
 
 
 @dataclass(slots=True)
 class _Mean:
-    """Of the values that are known."""
+    """The mean of the known values."""
 
     total: float = 0.0
     count: int = 0
@@ -74,10 +74,10 @@ class _Mean:
 
 @dataclass(slots=True)
 class _Pass:
-    """A pass that has not ended, as `Sighting`.
+    """A pass that has not ended; fields as in `Sighting`.
 
-    period_deg: the turn after which the symbol looks the same. first_turn_deg: the first known
-    orientation. means: one per name that is a mean there.
+    period_deg: the rotation after which the symbol looks the same. first_turn_deg: the first known
+    orientation. means: the means by name.
     """
 
     method: str
@@ -96,13 +96,13 @@ class _Pass:
     def add(
         self, frame: int, timestamp_ns: int, estimate: Estimate, place: tuple[float, float]
     ) -> None:
-        """Take in a declaration. place: x and y on the floor, m, NaN where not known."""
+        """Add a declaration. place: (x, y) on the floor, m, NaN if not known."""
         self.frames_declared += frame != self.last_frame
         self.last_frame, self.end_ns = frame, timestamp_ns
         self.best_score = max(self.best_score, estimate.score)
         if math.isnan(self.first_turn_deg):
             self.first_turn_deg = estimate.orientation_deg
-        # All turns after which the symbol looks the same are one, as a whole turn is.
+        # Scaled so that rotations after which the symbol looks the same are equal.
         turn = math.radians(estimate.orientation_deg * 360 / self.period_deg)
         for name, value in (
             ("score", estimate.score),
@@ -143,7 +143,7 @@ class _Pass:
         )
 
     def _turn_deg(self, cos: float, sin: float) -> float:
-        """The mean direction, of those that look the same the one nearest to the first seen."""
+        """The mean direction; of equivalent ones that nearest to the first orientation."""
         turn = math.degrees(math.atan2(sin, cos)) * self.period_deg / 360
         return (
             self.first_turn_deg + math.remainder(turn - self.first_turn_deg, self.period_deg)
@@ -151,18 +151,18 @@ class _Pass:
 
 
 class Sightings:
-    """Gathers the passes of all methods, in memory that holds those that have not ended."""
+    """Collects the passes of all methods; only open passes are kept in memory."""
 
     def __init__(
         self, landmarks: LandmarkSet, fan: Fan | None = None, poses: PoseTable | None = None
     ) -> None:
-        """fan and poses: where the sonar looked from; without both no place on the floor."""
+        """fan, poses: needed for positions on the floor."""
         self._fan, self._poses = fan, poses
         self._period_deg = dict(zip(landmarks.ids, landmarks.periods_deg().tolist(), strict=True))
         self._open: dict[tuple[str, int, int | None], _Pass] = {}
 
     def add(self, frame: int, timestamp_ns: int, estimates: Iterable[Estimate]) -> list[Sighting]:
-        """Take in the next frame; the passes that had ended before it, in order of their ends."""
+        """Add the next frame; returns the passes that ended before it, in order of their ends."""
         ended = [p for p in self._open.values() if frame - p.last_frame > PASS_GAP]
         for one in ended:
             del self._open[one.method, one.landmark, one.track]
@@ -177,13 +177,13 @@ class Sightings:
         return _in_order(ended)
 
     def rest(self) -> list[Sighting]:
-        """The passes that last to the end, which they end."""
+        """End and return the open passes."""
         ended = [*self._open.values()]
         self._open.clear()
         return _in_order(ended)
 
     def _place(self, timestamp_ns: int, estimate: Estimate) -> tuple[float, float]:
-        """x and y (m) on the floor in the poses' frame, NaN where not known."""
+        """(x, y) on the floor in the frame of the poses, m; NaN if not known."""
         found = None
         if self._fan is not None and self._poses is not None:
             away = float(ground_range(self._fan, estimate.range_m))

@@ -1,4 +1,4 @@
-"""The sightings of a log's results: as sightings.csv has them, else worked out from the tables."""
+"""Reads the sightings of a log's results from sightings.csv, or computes them from the tables."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from sonarrec.results.sightings import Sighting, Sightings
 from sonarrec.sonar import Sonar
 
 ROWS = 20_000
-"""Of estimates.csv, read at a time."""
+"""Rows of estimates.csv that are read at a time."""
 
 
 def read_sightings(
@@ -27,18 +27,18 @@ def read_sightings(
 ) -> Iterator[Sighting]:
     """The passes in one log's results, in order of their ends.
 
-    Of finished results as sightings.csv has them. Where there is none, and of a run that was cut
-    short, they are worked out from frames.csv and estimates.csv, without places on the floor.
-    landmarks, sonar: as `read.read_log`. Raises SonarrecError where a file cannot be used.
+    They are read from sightings.csv if the results are finished, else computed from frames.csv and
+    estimates.csv, without positions on the floor.
+    landmarks, sonar: as in `read.read_log`. Raises SonarrecError if a file cannot be used.
     """
     run, path = read_run(folder / "run.toml"), folder / "sightings.csv"
     if run.finished and path.is_file():
         return sightings_in(path)
-    return _worked_out(folder, run, landmarks, sonar)
+    return _computed(folder, run, landmarks, sonar)
 
 
 def sightings_in(path: Path) -> Iterator[Sighting]:
-    """The rows of a sightings.csv. Raises SonarrecError, with the line, where one is none."""
+    """The rows of a sightings.csv. Raises SonarrecError, with the line, for an invalid row."""
     line = 1
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
@@ -54,10 +54,10 @@ def sightings_in(path: Path) -> Iterator[Sighting]:
         raise SonarrecError(f"{path} line {line}: no sighting ({error})") from None
 
 
-def _worked_out(
+def _computed(
     folder: Path, run: RunFile, landmarks: str | None, sonar: Sonar | None
 ) -> Iterator[Sighting]:
-    from sonarrec.results.read import read_frames  # with pandas, which a run does not need
+    from sonarrec.results.read import read_frames  # imports pandas, which a run does not need
 
     frames = read_frames(folder)
     times = frames.get("timestamp_ns", np.zeros(len(frames["frame"]), dtype=np.int64))
@@ -68,7 +68,7 @@ def _worked_out(
         return (e for e in _declared(folder, run, landmarks, sonar) if e[0] in time_of)
 
     found = _passes(Sightings(own), declared(), time_of)
-    if found is None:  # another program's table: all of it is held, to be put in order
+    if found is None:  # a table of another program, which must be sorted in memory
         found = _passes(Sightings(own), sorted(declared(), key=itemgetter(0)), time_of)
     return iter(found or ())
 
@@ -76,7 +76,7 @@ def _worked_out(
 def _passes(
     gathered: Sightings, declared: Iterable[tuple[int, Estimate]], time_of: Mapping[int, int]
 ) -> list[Sighting] | None:
-    """Of (frame, estimate) the passes; None where the frames do not rise."""
+    """The passes of (frame, estimate) pairs; None if the frames are not in order."""
     found, last = list[Sighting](), -1
     for frame, group in groupby(declared, key=itemgetter(0)):
         if frame < last:
@@ -90,7 +90,7 @@ def _declared(
     folder: Path, run: RunFile, landmarks: str | None, sonar: Sonar | None
 ) -> Iterator[tuple[int, Estimate]]:
     """(frame, estimate) of every declared row of estimates.csv."""
-    from sonarrec.results.read import estimate_tables  # with pandas, as above
+    from sonarrec.results.read import estimate_tables  # imports pandas, as above
     from sonarrec.results.stream import estimates_in
 
     own, fan = run.landmark_set(landmarks), run.fan(sonar)

@@ -22,10 +22,10 @@ SIGMAS = ("range_sigma_m", "bearing_sigma_deg", "orientation_sigma_deg")
 
 
 def choose_method(path: Path, wanted: str | None) -> str:
-    """The method to show: the one wanted, else the framework's, else the only one there is.
+    """The method to show: the one wanted, else the framework, else the only one there is.
 
-    Raises UsageError where that leaves a choice open or the method is not there, SonarrecError
-    where the table cannot be read. A table without rows has every method.
+    A table without rows counts as having every method. Raises UsageError if the method is missing
+    or the choice is not unique, SonarrecError if the table cannot be read.
     """
     tables = read_tables(
         path, {"method": "text"}, needed(estimate_columns(())), ESTIMATES_HEADER, ROWS
@@ -35,7 +35,7 @@ def choose_method(path: Path, wanted: str | None) -> str:
     for _, table in tables:
         found |= {str(name) for name in table["method"].unique()}
         if usual in found:
-            return usual  # most often after the first rows of a long table
+            return usual  # usually in the first rows
     if not found:
         return usual
     there = sorted(found)
@@ -50,16 +50,16 @@ def choose_method(path: Path, wanted: str | None) -> str:
 def read_estimates(
     path: Path, method: str, landmarks: LandmarkSet, fan: Fan
 ) -> Iterator[tuple[int, tuple[Estimate, ...]]]:
-    """(frame, its estimates by the method) for every frame that has any, in the table's order.
+    """(frame, its estimates by the method) for every frame that has any, in order.
 
-    What other programs leave out is filled in: a missing place from range and bearing (or the
-    other way round), missing probabilities from the score, a missing object by -1.
-    Raises SonarrecError, with the line, on a cell that cannot be meant and on frames that fall.
+    Values that other programs leave out are filled in: pixels from range and bearing or the other
+    way round, probabilities from the score, the object by -1.
+    Raises SonarrecError, with the line, for an invalid cell and for frames out of order.
     """
     rows = (
         item
         for first, table in estimate_tables(path, landmarks, ROWS)
-        for item in _placed(path, first, table, method, landmarks, fan)
+        for item in _with_positions(path, first, table, method, landmarks, fan)
     )
     last = -1
     for frame, group in groupby(rows, key=lambda item: item[1]):
@@ -73,18 +73,19 @@ def read_estimates(
         yield frame, tuple(estimate for _, _, estimate in found)
 
 
-def _placed(
+def _with_positions(
     path: Path, first: int, table: Table, method: str, landmarks: LandmarkSet, fan: Fan
 ) -> Iterator[tuple[int, int, Estimate]]:
-    """(row of the file, frame, estimate) of each row of the method; `first`: of the table's first.
+    """(row of the file, frame, estimate) of each row of the method. first: that of the
+    table's first row.
 
-    Raises SonarrecError at a row without a place.
+    Raises SonarrecError for a row without a position.
     """
     mine = np.flatnonzero(np.asarray(table["method"] == method))
     for row, frame, estimate in estimates_in(table, mine, landmarks, fan):
         if math.isnan(estimate.x_px):
             raise SonarrecError(
-                f"{path} line {line_number(path, first + row)}: no place: neither x_px,y_px nor "
+                f"{path} line {line_number(path, first + row)}: no position: neither x_px,y_px nor "
                 "range_m,bearing_deg"
             )
         yield first + row, frame, estimate
@@ -93,8 +94,8 @@ def _placed(
 def estimates_in(
     table: Table, rows: IntArray, landmarks: LandmarkSet, fan: Fan | None
 ) -> Iterator[tuple[int, int, Estimate]]:
-    """(row, frame, estimate) of some rows of a table; what is not told is NaN, or as it follows."""
-    x_px, y_px, range_m, bearing_deg = places(table, fan)
+    """(row, frame, estimate) of some rows of a table; missing values are computed or NaN."""
+    x_px, y_px, range_m, bearing_deg = positions(table, fan)
     names, count = table["method"].categories, len(table["frame"])
     methods = np.array([str(name) for name in names], dtype=object)[table["method"].codes]
     blank = np.full(count, np.nan)
@@ -123,10 +124,12 @@ def estimates_in(
         yield n, int(table["frame"][n]), estimate
 
 
-def places(table: Table, fan: Fan | None) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """x_px, y_px, range_m and bearing_deg, (rows,) each, NaN where neither pair is told.
+def positions(
+    table: Table, fan: Fan | None
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """x_px, y_px, range_m and bearing_deg, (rows,) each; NaN if not known.
 
-    Either pair as the table has it; one that is not told from the other, where the fan is known.
+    If the table has only one of the two pairs, the fan gives the other.
     """
     blank = np.full(len(table["frame"]), np.nan)
     x_px, y_px, range_m, bearing_deg = (table.get(name, blank) for name in POSITION_KINDS)
@@ -145,13 +148,13 @@ def places(table: Table, fan: Fan | None) -> tuple[FloatArray, FloatArray, Float
 
 
 def _beliefs(table: Table, landmarks: LandmarkSet) -> FloatArray:
-    """(rows, K + 1) probabilities as told, else what is certain from the score."""
+    """(rows, K + 1) probabilities; if they are missing, the score and its complement."""
     score, names = table["score"], belief_names(landmarks.ids)
     found = np.zeros((len(score), len(names)))
     found[np.arange(len(score)), landmarks.indices(table["landmark"])] = score
     found[:, -1] = 1 - score
     if all(name in table for name in names):
-        told = np.column_stack([table[name] for name in names])
-        whole = np.isfinite(told).all(axis=1)
-        found[whole] = told[whole]
+        stated = np.column_stack([table[name] for name in names])
+        whole = np.isfinite(stated).all(axis=1)
+        found[whole] = stated[whole]
     return found

@@ -1,4 +1,4 @@
-"""Results onto disk as they come: frames.csv, estimates.csv, sightings.csv and run.toml."""
+"""Writes results as they come: frames.csv, estimates.csv, sightings.csv and run.toml."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ from sonarrec.results.sightings import Sighting, Sightings
 
 
 class _Table:
-    """A CSV file that holds whole frames at any moment, also where the process is killed."""
+    """A CSV file that always holds complete frames, even if the process is killed."""
 
     def __init__(self, path: Path, header: Sequence[str]) -> None:
         new = path.with_name(f".{path.name}.new")
         self._file = new.open("wb", buffering=0)
         self._size = 0
         self.append([header])
-        new.rename(path)  # where it stands it has a header
+        new.rename(path)  # so the file always has a header
 
     def append(self, rows: Iterable[Sequence[object]]) -> None:
-        """Add the rows of a frame, all or none. Raises OSError where the disk takes no more."""
+        """Add the rows of a frame, all or none. Raises OSError if the disk is full."""
         text = io.StringIO()
-        # Line endings and encoding are fixed, so that equal results are equal bytes anywhere.
+        # Line endings and encoding are fixed, so that equal results have equal bytes everywhere.
         csv.writer(text, lineterminator="\n").writerows(rows)
         data = memoryview(text.getvalue().encode())
         try:
@@ -47,7 +47,7 @@ class _Table:
         self._size = self._file.tell()
 
     def cut(self, size: int) -> None:
-        """Take back what was appended since the file had this size."""
+        """Cut the file back to this size."""
         self._file.seek(self._file.truncate(size))
         self._size = size
 
@@ -63,11 +63,11 @@ class _Table:
 
 
 class ResultsWriter:
-    """Appends one log's results as they come, into `<folder>.part` until all are there.
+    """Writes one log's results as they come, into `<folder>.part`.
 
-    `finish` puts them in the place of `folder`. Without it, the part stays: its run.toml says
-    `finished = false`, its tables hold whole frames, and `folder` is as it was. sightings.csv has
-    the passes that ended; of a run that was killed not those that were under way.
+    `finish` replaces `folder` by it. Without `finish` the part stays: its run.toml says
+    `finished = false`, its tables hold complete frames, and `folder` is unchanged. If the run is
+    killed, sightings.csv lacks the passes that had not ended.
     """
 
     def __init__(
@@ -79,13 +79,13 @@ class ResultsWriter:
         *,
         parquet: bool = False,
     ) -> None:
-        """run: the tables of run.toml. sightings: what gathers them, new. parquet: whether the
-        estimates are to be in estimates.parquet when all are there.
+        """run: the tables of run.toml. sightings: an empty collector. parquet: whether to convert
+        estimates.csv to estimates.parquet at the end.
 
-        Raises SonarrecError where the folder cannot be written, or another run writes there.
+        Raises SonarrecError if the folder cannot be written or another run writes there.
         """
         self.frames = self.candidates = 0
-        self.full = False  # the disk took no more: nothing can be written any longer
+        self.full = False  # whether the disk is full
         self._gathered = sightings or Sightings(landmarks)
         self._folder = folder
         self._part = part_of(folder)
@@ -100,8 +100,8 @@ class ResultsWriter:
         try:
             restore(folder)
             if self._part.exists():
-                # Of a run that was stopped. The table made last goes first: a part that has it is
-                # whole, also where this run is stopped right here.
+                # A stopped run left it. The file created last is deleted first: a part that has
+                # it is complete, even if this run is stopped right here.
                 (self._part / "sightings.csv").unlink(missing_ok=True)
                 shutil.rmtree(self._part)
             self._part.mkdir()
@@ -126,13 +126,10 @@ class ResultsWriter:
         )
 
     def write(self, result: FrameResult, stamps: Stamps = NO_STAMPS) -> None:
-        """Append one frame and the times that its log keeps of it.
-
-        Raises SonarrecError where the disk takes no more.
-        """
+        """Append a frame. stamps: its times in the log. Raises SonarrecError: the disk is full."""
         before = self.frames, self._estimates.size, self._frames.size
         try:
-            # A frame that frames.csv lists has all its estimates.
+            # Written first, so that a frame in frames.csv has all its estimates.
             self._estimates.append(
                 [c.written(result, e) for c in self._columns] for e in result.estimates
             )
@@ -141,7 +138,7 @@ class ResultsWriter:
             self.candidates += result.candidates
             self._seen(self._gathered.add(result.index, result.timestamp_ns, result.estimates))
         except BaseException as error:
-            if self.frames == before[0]:  # not all of the frame is there
+            if self.frames == before[0]:  # the frame is incomplete
                 self._estimates.cut(before[1])
                 self._frames.cut(before[2])
             if isinstance(error, OSError):
@@ -153,11 +150,10 @@ class ResultsWriter:
             self._sightings.append([c.written(s) for c in SIGHTING_COLUMNS] for s in ended)
 
     def finish(self, problems: Sequence[str], unusable: int = 0) -> list[str]:
-        """Every frame of the log was processed or told of: take the place of what was there.
+        """End a complete run: replace older results. Returns the notes of `exchange`.
 
-        unusable: how many frames could not be used. Returns what `exchange` notes.
-
-        Raises SonarrecError where the disk takes no more.
+        problems: a line for each part of the log that could not be used. unusable: how many frames.
+        Raises SonarrecError if the disk is full.
         """
         self._run["input"]["frames_processed"] = self.frames
         self._run["input"]["frames_unusable"] = unusable
@@ -183,7 +179,7 @@ class ResultsWriter:
         )
 
     def _write_run(self, finished: bool) -> None:
-        """Replace run.toml in one step: readers see the old one or the new one."""
+        """Replace run.toml in one step, so that readers see the old or the new one."""
         text = tomli_w.dumps({"finished": finished, **self._run}, multiline_strings=True)
         path = self._part / "run.toml"
         with replaced(path) as new, new.open("w", encoding="utf-8", newline="") as file:
@@ -195,10 +191,10 @@ class ResultsWriter:
         return self
 
     def __exit__(self, *_: object) -> None:
-        with suppress(OSError, ValueError):  # the disk is full; all is written and closed
+        with suppress(OSError, ValueError):  # the disk is full, or the files are closed already
             self._seen(self._gathered.rest())
         for table in (self._estimates, self._frames, self._sightings):
             table.close()
         if not self.frames and self._part.is_dir():
-            shutil.rmtree(self._part, ignore_errors=True)  # it holds nothing
+            shutil.rmtree(self._part, ignore_errors=True)  # it is empty
         release(self._folder, self._lock)

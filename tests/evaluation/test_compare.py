@@ -275,7 +275,7 @@ def test_without_a_sha256_frames_go_together_by_number_and_it_is_said(
     said = command(*arguments, code=1).stderr  # the built-in set has four IDs
     assert "run with the landmark IDs 1, 2, 3, 4 and 1, 2; only results with the same" in said
     output = command(*arguments, "--landmarks", "basin").stdout
-    assert f"note: {old}: no SHA-256 of the log in run.toml; frames go together by number" in output
+    assert f"note: {old}: no SHA-256 of the log in run.toml; frames are matched by number" in output
     assert f"note: {old}: no run.toml, so its settings are not known" in output
     assert "the same" not in output
 

@@ -790,7 +790,8 @@ def test_a_method_without_tracks_makes_no_map(tmp_path: Path) -> None:
     estimates.write_text(estimates.read_text().replace("framework", "smi:paper"))
     told = sonarrec("map", folder, code=2)
     assert (
-        told.stderr == "sonarrec: --method smi:paper: candidates of single frames are no tracks\n"
+        told.stderr
+        == "sonarrec: --method smi:paper: it has no tracks, only candidates of single frames\n"
     )
     assert not (folder / "map").exists()
 

@@ -437,7 +437,7 @@ def test_files_of_the_user_that_cannot_be_moved_are_kept_and_told(tmp_path: Path
         (place / "notes" / place.name).touch()
         (place / "frames.csv").write_text(place.name)
     [note] = exchange(folder)
-    assert f"{folder}: what was beside the results before is left in " in note
+    assert f"{folder}: other files of the old folder are left in " in note
     assert (folder / "frames.csv").read_text() == "dive.part"
     with pytest.raises(SonarrecError, match=r"also in .*\.dive\.old.*; move one of the two"):
         restore(folder)  # told before the next run begins

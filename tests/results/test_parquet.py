@@ -18,8 +18,8 @@ from sonarrec.cli import main
 from sonarrec.files import parquet
 from sonarrec.landmarks import load_landmarks
 from sonarrec.records import FrameResult, SonarrecError
+from sonarrec.results.data_frames import read_results
 from sonarrec.results.folders import estimates_of, part_of
-from sonarrec.results.frames import read_results
 from sonarrec.results.read import estimate_tables, read_log
 from sonarrec.results.write import ResultsWriter
 from tests.support.command import SAMPLE, sonarrec

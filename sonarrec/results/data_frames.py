@@ -15,10 +15,10 @@ from sonarrec.results.folders import estimates_of
 
 @dataclass(frozen=True, slots=True)
 class Tables:
-    """What `read_results` read, a row and a column as in the files.
+    """The tables of one log's results, with the rows and columns of the files.
 
     frames: frames.csv, a row per frame. estimates: estimates.csv, a row per frame, method and
-    object; positions in pixels, m and deg. sightings: sightings.csv, None where there is none.
+    object; positions in pixels, m and deg. sightings: sightings.csv, None if there is none.
     """
 
     frames: pd.DataFrame
@@ -27,9 +27,9 @@ class Tables:
 
 
 def read_results(folder: str | Path) -> Tables:
-    """The tables of one log's results; folder: that `sonarrec run` wrote for the log.
+    """The tables of one log's results. folder: written by `sonarrec run` for that log.
 
-    Raises SonarrecError where frames.csv or estimates.csv cannot be read.
+    Raises SonarrecError if frames.csv or estimates.csv cannot be read.
     """
     folder = Path(folder)
     sightings = folder / "sightings.csv"
@@ -41,7 +41,7 @@ def read_results(folder: str | Path) -> Tables:
 
 
 def _table(path: Path, expected: str) -> pd.DataFrame:
-    """One table, CSV or Parquet. expected: a header to name in the error."""
+    """One table, CSV or Parquet. expected: a header for the error message."""
     if path.suffix == PARQUET:
         _, parts = read_parts(path, None)
         return next(parts)
