@@ -1,6 +1,6 @@
-"""How often landmarks are recognised, and how many claims are false: in all and over the range.
+"""TPR in total and by range, and the rate of false claims, all under protocol strict.
 
-Rates are those of protocol strict. Intervals take passes of landmarks for independent, not frames.
+Intervals treat passes of landmarks as independent, not frames.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ SEED = 0
 class Rate:
     """A share or a number per frame, and its interval.
 
-    cases: frames with a landmark whole in view, or frames. units: passes of landmarks, or the
-    units of `passes.find_units`. count: recognised, or false. low, high: NaN where fewer than
-    MIN_UNITS units have a case, and where all are alike.
+    cases: frames with a whole landmark in view, or all frames. units: passes of landmarks, or
+    units of `passes.find_units`. count: recognised, or false. low, high: NaN if fewer than
+    MIN_UNITS units have a case, or if all are alike.
     """
 
     cases: int
@@ -50,7 +50,7 @@ class RangeRate:
 
 @dataclass(frozen=True, slots=True)
 class Recognised:
-    """What one method does: TPR in all, over the range, and false claims per 100 frames."""
+    """One method: TPR in total and by range, and false claims per 100 frames."""
 
     tpr: Rate
     by_range: tuple[RangeRate, ...]
@@ -58,7 +58,7 @@ class Recognised:
 
 
 def recognised(evaluation: Evaluation, method: str, edges_m: Sequence[float]) -> Recognised:
-    """Of one method under protocol strict. edges_m: (n + 1,) rising, of n steps of slant range."""
+    """The rates of one method. edges_m: (n + 1,) rising, edges of n steps of slant range."""
     joined = evaluation.joined
     scored = next(s for s in evaluation.scored if (s.protocol, s.method) == ("strict", method))
     passes = find_passes(joined)
@@ -83,7 +83,7 @@ def _false(evaluation: Evaluation, scored: Scored) -> Rate:
 
 
 def _rate(value: FloatArray, unit: IntArray, units: int, count: int | None = None) -> Rate:
-    """The mean of (n,) values, resampled by whole units."""
+    """The mean of (n,) values, with an interval by resampling units."""
     sums = np.stack([np.bincount(unit, w, units) for w in (value, np.ones(len(value)))], axis=1)
     sums = sums[sums[:, 1] > 0]
     total = int(value.sum()) if count is None else count

@@ -1,4 +1,4 @@
-"""The evaluation's numbers as the cells of tables."""
+"""The evaluation's numbers as table cells."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from sonarrec.evaluation.metrics import BY_NAME, METRICS
 from sonarrec.evaluation.summary import Summary
 
 HEADLINE = ("tpr", "fpr")
-"""Told by themselves, before the other figures."""
+"""Shown in a table of their own before the other figures."""
 TESTED = tuple(metric for metric in METRICS if metric.tested)
 
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """A value and, where known, its interval and what a test says of it."""
+    """A value and, if known, its interval and the result of a test."""
 
     value: str
     low: str = ""
@@ -43,7 +43,7 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class OperatingPoint:
-    """Rates and mistakes of one method at its operating point, under one protocol."""
+    """Rates and mistakes of one method at its operating point under one protocol."""
 
     tpr: Cell
     fpr: Cell
@@ -59,14 +59,14 @@ def of(evaluation: Pooled, method: str, protocol: str) -> PooledScored:
 
 
 def protocols(evaluation: Pooled) -> list[str]:
-    """Those that were scored, the stricter one first."""
+    """The protocols that were scored, the stricter one first."""
     return [p for p in ("strict", "paper") if any(s.protocol == p for s in evaluation.scored)]
 
 
 def paper_table(scored: PooledScored, thousands: str = "") -> Table:
-    """TPR to Total per ID and in all, as published; "0.0000*" for 0/0.
+    """TPR to Total per ID and in total, in the layout of the paper; "0.0000*" for 0/0.
 
-    thousands: what parts them in counts.
+    thousands: the separator in counts.
     """
     counts = [scored.count(k) for k in range(len(scored.ids))] + [scored.count()]
     return Table(
@@ -85,7 +85,7 @@ def paper_table(scored: PooledScored, thousands: str = "") -> Table:
 
 
 def rates(evaluation: Pooled, summary: Summary) -> list[tuple[str, list[OperatingPoint]]]:
-    """Per method its operating point over all IDs under every protocol."""
+    """For each method its operating points over all IDs, under every protocol."""
     return [
         (
             method,
@@ -102,7 +102,7 @@ def rates(evaluation: Pooled, summary: Summary) -> list[tuple[str, list[Operatin
 
 
 def rates_per_log(evaluation: Pooled) -> list[tuple[str, list[OperatingPoint]]]:
-    """Per log the operating point of every method over all IDs under the stricter protocol."""
+    """For each log the operating points of methods over all IDs, under the stricter protocol."""
     protocol = protocols(evaluation)[0]
     counts = [of(evaluation, m, protocol).counts_per_log() for m in evaluation.methods]
     return [
@@ -112,7 +112,7 @@ def rates_per_log(evaluation: Pooled) -> list[tuple[str, list[OperatingPoint]]]:
 
 
 def _operating_point(count: Count, tpr: Cell = NONE, fpr: Cell = NONE) -> OperatingPoint:
-    """The rates of a count to four digits, a dash for 0/0; tpr, fpr: cells with their intervals."""
+    """The rates to four digits, a dash for 0/0. tpr, fpr: cells with their intervals."""
     positives, negatives = count.tp + count.fn, count.fp + count.tn
     return OperatingPoint(
         replace(tpr, value=rate(count.tp, positives) if positives else NONE.value),
@@ -125,9 +125,9 @@ def _operating_point(count: Count, tpr: Cell = NONE, fpr: Cell = NONE) -> Operat
 def figures(
     summary: Summary, protocol: str, methods: Sequence[str], beside: Sequence[str] = ()
 ) -> list[tuple[str, list[Cell]]]:
-    """The figures over all IDs that any method has: a label, a cell per method.
+    """The figures over all IDs that any method has: a label and a cell per method.
 
-    beside: metrics that are told elsewhere.
+    beside: metrics to leave out.
     """
     rows = []
     for metric in METRICS:
@@ -138,10 +138,10 @@ def figures(
 
 
 def differences(summary: Summary, protocol: str) -> list[tuple[str, list[Cell]]]:
-    """Per two methods their differences in the metrics of TESTED, or why there are none."""
+    """For each two methods their differences in the metrics of TESTED."""
     rows: dict[str, list[Cell]] = {}
     for d in tested(summary, protocol):
-        rows.setdefault(f"{d.b} less {d.a}", []).append(difference(d))
+        rows.setdefault(f"{d.b} minus {d.a}", []).append(difference(d))
     return list(rows.items())
 
 
@@ -152,20 +152,20 @@ def tested(summary: Summary, protocol: str) -> list[Difference]:
 
 
 def figure(found: Figure | None, name: str) -> Cell:
-    """A figure of the metric of this name; a dash where there is none."""
+    """A figure of the metric of this name; a dash if there is none."""
     if found is None:
         return NONE
     return cell(found.value, found.low, found.high, BY_NAME[name].digits)
 
 
 def difference(d: Difference) -> Cell:
-    """A difference, signed, with its p or why there is none."""
+    """A difference with its sign, and p or the reason why there is none."""
     test = d.note if math.isnan(d.p) else f"p = {d.p:.2g}"
     return replace(cell(d.value, d.low, d.high, BY_NAME[d.name].digits, "+"), test=test)
 
 
 def cell(value: float, low: float, high: float, digits: int, sign: str = "") -> Cell:
-    """A value with its interval, where that is known; a dash for none."""
+    """A value with its interval if that is known; a dash if there is no value."""
     span = ("", "") if math.isnan(low) else (number(v, digits, sign) for v in (low, high))
     return Cell(number(value, digits, sign), *span)
 
@@ -174,13 +174,13 @@ def rate(part: int, whole: int) -> str:
     """A rate to four digits, halves upward as in the paper; "0.0000*" for 0/0."""
     if whole == 0:
         return "0.0000*"
-    # In whole numbers: 52/640 is .08125 and printed .0813, which binary rounding makes .0812.
+    # In whole numbers: 52/640 = .08125 is printed as .0813; floating point would give .0812.
     digits = (2 * 10_000 * part + whole) // (2 * whole)
     return f"{digits // 10_000}.{digits % 10_000:04d}"
 
 
 def number(value: float, digits: int, sign: str = "") -> str:
-    """A number; a dash for none, "never" for an infinite one."""
+    """A number; a dash for NaN, "never" for infinity."""
     if math.isnan(value):
         return NONE.value
     return "never" if math.isinf(value) else f"{value:{sign}.{digits}f}"

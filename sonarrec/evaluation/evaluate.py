@@ -1,4 +1,4 @@
-"""Results and truth to an Evaluation, of one folder, of several or of a table of pairs."""
+"""Scores results against truth: one folder, several, or a table of pairs."""
 
 from __future__ import annotations
 
@@ -34,21 +34,20 @@ DEFAULT = ScoringOptions()
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """What `evaluate` found."""
+    """The result of `evaluate`, with all frames and claims."""
 
     joined: Joined
     folders: tuple[Path, ...]
-    """Of each log of `joined`, as given."""
+    """The results folder of each log of `joined`, as given."""
     scored: tuple[Scored, ...]
     """Every method under every protocol."""
     min_visible: float
     notes: tuple[str, ...]
-    """Worth knowing."""
     unused: tuple[str, ...]
     """Input that could not be used, one line each."""
 
     def pooled(self) -> Pooled:
-        """The same without its frames and claims: what is told of an evaluation."""
+        """The same as counts, without frames and claims."""
         parts = Parts()
         number = parts.put(part_of(self.joined, self.scored))
         found = pooled(parts, [number], self.joined.logs, self.min_visible)
@@ -98,9 +97,9 @@ def evaluate_whole(
     *,
     some: bool = False,
 ) -> Evaluation:
-    """As `evaluate`. results: a folder, or pairs of a log's results and its truth, to be pooled.
+    """As `evaluate`. results: a folder, or pairs of a log's results and its truth.
 
-    Logs of equal name are told apart by their folders as given. some: these are a few of the logs
+    Logs of equal name get the names of their folders as given. some: these are a few of the logs
     that `evaluate_many` scored, so it is no fault if none of them has a row in its truth, or a
     method.
     """
@@ -136,11 +135,10 @@ def evaluate_many(
     jobs: int | None = None,
     find_beside: FindBeside | None = None,
 ) -> Pooled:
-    """As `evaluate_whole`, but each log is read, counted and let go: memory does not grow with the
-    logs.
+    """As `evaluate_whole`, but logs are read one at a time, so memory does not grow with them.
 
-    jobs: processes side by side, as `survey.each`; the result is the same however many.
-    find_beside: finds truth beside logs on servers, as for `pairs.found_beside`.
+    jobs: number of processes, as in `survey.each`; it does not change the result.
+    find_beside: finds truth beside logs on servers, as in `pairs.found_beside`.
     """
     given = _given(results, ground_truth, options, find_beside)
     parts = Parts()
@@ -152,7 +150,7 @@ def evaluate_many(
         for reading, one in zip(given.readings, each(survey, given.readings, jobs), strict=True):
             if isinstance(one, Surveyed):
                 ids = ids or one.ids
-                if one.ids != ids and set(one.ids) == set(ids):  # in the order of the first
+                if one.ids != ids and set(one.ids) == set(ids):  # count in the first log's order
                     one = survey(replace(reading, ids=ids))
             if isinstance(one, Unread):
                 yield one
@@ -178,15 +176,15 @@ def evaluate_many(
 
 @dataclass(frozen=True, slots=True)
 class _Given:
-    """What is to be read."""
+    """The logs to read."""
 
     readings: list[Reading]
     notes: list[str]
     unused: list[str]
     table: TruthTable | None = None
-    """The truth of all logs; None where each has its own."""
+    """The truth of all logs; None if each has its own."""
     folder: Path | None = None
-    """With `table`: the results folder as given."""
+    """If there is a `table`: the results folder as given."""
 
 
 def _given(
@@ -195,14 +193,14 @@ def _given(
     options: ScoringOptions,
     find_beside: FindBeside | None = None,
 ) -> _Given:
-    """Which logs to read, each with which truth; the arguments are those of `evaluate_many`."""
+    """The logs to read and their truth; the arguments are those of `evaluate_many`."""
     options.check()
     if not isinstance(results, str | Path):
         pairs, unused = of_one_log(results)
         readings = [Reading(p.results, p.ground_truth, options, p.log) for p in pairs]
         return _Given(readings, [], unused)
     folders = find_logs(Path(results))
-    if ground_truth is None:  # each log with the truth that lies beside it
+    if ground_truth is None:  # each log with the truth beside it
         pairs, without = found_beside(folders, find_beside)
         readings = [Reading(p.results, p.ground_truth, options) for p in pairs]
         return _Given(readings, list(map(found_where, pairs)), without)
@@ -213,14 +211,14 @@ def _given(
 
 @dataclass(frozen=True, slots=True)
 class _Gathered:
-    """The logs that were read, and what is said of them."""
+    """The logs that were read, and the messages about them."""
 
     logs: list[Surveyed]
     """Those that could be read."""
     used: list[int]
-    """Those of them that are scored, by index."""
+    """Indices of those that are scored."""
     names: list[str]
-    """Of those that are scored, no two alike."""
+    """Names of those that are scored, all different."""
     notes: list[str]
     unused: list[str]
 
@@ -228,10 +226,9 @@ class _Gathered:
 def _gathered(
     given: _Given, surveyed: Iterable[Surveyed | Unread], some: bool = False
 ) -> _Gathered:
-    """Which of the logs count. Raises SonarrecError where none can be read, or they cannot be
-    scored together.
+    """Decide which logs are scored. some: as in `evaluate_whole`.
 
-    some: as of `evaluate_whole`.
+    Raises SonarrecError if none can be read, or if they cannot be scored together.
     """
     logs: list[Surveyed] = []
     unread: list[Unread] = []
@@ -279,7 +276,7 @@ def _gathered(
 
 
 def _check_names(given: _Given, logs: Sequence[str]) -> None:
-    """Raise SonarrecError where one truth is for several logs (their names) and names none."""
+    """Raise SonarrecError if one truth without a log column is for several logs (their names)."""
     table = given.table
     if table is not None and table.log is None and len(logs) > 1:
         raise SonarrecError(
@@ -291,26 +288,29 @@ def _check_names(given: _Given, logs: Sequence[str]) -> None:
 def _left_out(
     given: _Given, logs: Sequence[Surveyed], unread: Sequence[str], usable: Sequence[Checked]
 ) -> list[str]:
-    """A line on each part of truth and results that is not scored.
+    """A line for each part of truth and results that is not scored.
 
-    logs: that could be read; unread: names of the others. usable: what is scored.
+    logs: those that could be read. unread: names of the others. usable: the scored ones.
     """
     if given.table is None:
         return [line for case in usable for line in left_out([case])]
     lines = left_out(usable)
-    if [log.folder for log in logs] != [given.folder]:  # of all logs, not of one
+    if [log.folder for log in logs] != [given.folder]:  # several logs were given, not one
         lines += of_other_logs(given.table, [*(log.name for log in logs), *unread])
     return lines
 
 
 def told_apart(logs: Sequence[tuple[str, Path]]) -> list[str]:
-    """The names of logs, but the folders of those that share one. logs: (name, folder) of each."""
+    """A different name for each log: its name or, if others share it, its folder.
+
+    logs: (name, folder) of each.
+    """
     many = Counter(name for name, _ in logs)
     return [name if many[name] == 1 else str(folder) for name, folder in logs]
 
 
 def other_ids(first: str, other: str) -> SonarrecError:
-    """The error for two logs, by name, whose landmark IDs differ."""
+    """The error for two logs (their names) whose landmark IDs differ."""
     return SonarrecError(
         f"logs {first} and {other} were run with different landmark IDs and "
         "cannot be pooled; evaluate them one by one, or give --landmarks"
@@ -318,7 +318,7 @@ def other_ids(first: str, other: str) -> SonarrecError:
 
 
 def _check_methods(logs: Sequence[Surveyed], names: Sequence[str]) -> None:
-    """Raise SonarrecError where none of the logs has a method. names: of the logs, told apart."""
+    """Raise SonarrecError if none of the logs has a method. names: of the logs."""
     if not any(log.methods for log in logs):
         raise SonarrecError(f"{', '.join(names)}: estimates.csv names no method to score")
 
@@ -332,28 +332,29 @@ def _notes(
     ids: Sequence[int],
     positives: IntArray,
 ) -> list[str]:
-    """What is worth knowing of what was scored, a line each.
+    """Notes on what was scored, a line each.
 
-    estimates: (M,) how many each method has. positives: (K,) how many truths each ID has whole in
-    view.
+    estimates: (M,) how many each method has. positives: (K,) how many positives each ID has.
     """
     notes = []
     if not placed:
         notes.append(
-            "the strict protocol is not scored: truth or estimates lack positions, or give them "
-            "in pixels while neither run.toml nor an option states the geometry (give --sonar FILE)"
+            "the strict protocol is not scored: truth or estimates have no positions, or they are "
+            "in pixels and the geometry is not known (give --sonar FILE)"
         )
     for name, log in zip(names, logs, strict=True):
         if log.checked is not None and not log.checked.rows:
-            notes.append(f"{name}: no row in the ground truth, so taken to hold no landmark")
+            notes.append(f"{name}: no row in the ground truth, so it is taken to hold no landmark")
         if log.between:
             notes.append(
-                f"{name}: {log.between} ground-truth rows lie between frames and are passed "
-                "over for others nearer in time"
+                f"{name}: {log.between} ground-truth rows lie between frames and are ignored "
+                "because others are nearer in time"
             )
         missing = [m for m in methods if m not in log.methods]
         if missing:
-            notes.append(f"{name}: holds nothing of {', '.join(missing)}, which counts as no claim")
+            notes.append(
+                f"{name}: has no estimates of {', '.join(missing)}; this counts as no claim"
+            )
     notes += [f"{m}: no estimate at all" for m, n in zip(methods, estimates, strict=True) if not n]
     for i, n in zip(ids, positives, strict=True):
         if not n:

@@ -1,8 +1,8 @@
 """The metrics: a metric is one function and one row of METRICS.
 
-All that is told of an evaluation, on screen, in files, in the report and in comparisons, is told
-from this table. A metric is a function of a record, (R, ...) in, (R,) out, and serves the figure
-and its resampling alike. What a new record needs to be counted is a function of `Case`, below.
+All output (screen, files, report, comparisons) uses this table. A metric is a function of a record,
+(R, ...) in, (R,) out, and gives both the figure and its resampled values. A new kind of record needs
+a function of `Case`, below, that counts it.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from sonarrec.records import FloatArray, IntArray
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """An evaluation, and the units that it is counted by."""
+    """An evaluation and its independent units."""
 
     pooled: Pooled
     units: PooledUnits
@@ -43,17 +43,17 @@ class Case:
         return self.units.of_pass_unit[self.pooled.passes.unit]
 
 
-# What is counted, of every method: per ID, then in total. Without positions only the first two are.
+# The kinds of records, per ID and in total. Without positions only the first two are counted.
 
 
 def rates(case: Case) -> Iterable[Counted]:
-    """Of Rates, under every protocol."""
+    """Rates of every method under every protocol."""
     for scored in case.pooled.scored:
         yield from rates_of(case, scored)
 
 
 def rates_of(case: Case, s: PooledScored) -> Iterable[Counted]:
-    """Of Rates, of one method under one protocol."""
+    """Rates of one method under one protocol."""
     pooled, units = case.pooled, case.units
     base = pooled.sums(("base", s.protocol), units)
     declared = base + pooled.sums(("made", s.protocol, s.method), units)
@@ -65,7 +65,7 @@ def rates_of(case: Case, s: PooledScored) -> Iterable[Counted]:
 
 
 def waits(case: Case) -> Iterable[Counted]:
-    """Of a Spread of frames to a lasting right ID, under every protocol."""
+    """Spread of the frames to a lasting ID, under every protocol."""
     return wait_counts(case.pooled.outcomes, *_passes(case))
 
 
@@ -75,7 +75,7 @@ def _passes(case: Case) -> tuple[tuple[int, ...], IntArray, IntArray, int]:
 
 
 def false_claims(case: Case) -> Iterable[Counted]:
-    """Of FalseClaims."""
+    """FalseClaims of every method."""
     pooled, units = case.pooled, case.units
     minutes = pooled.sums_of_kind(("minutes",), units)
     if pooled.placed and minutes is not None:
@@ -85,17 +85,17 @@ def false_claims(case: Case) -> Iterable[Counted]:
 
 
 def switched(case: Case) -> Iterable[Counted]:
-    """Of Switched."""
+    """Switched of every method."""
     return switch_counts(case.pooled.switches, *_passes(case))
 
 
 def positions(case: Case) -> Iterable[Counted]:
-    """Of a Spread of position errors, m."""
+    """Spread of position errors, m."""
     return _errors(case, "position")
 
 
 def orientations(case: Case) -> Iterable[Counted]:
-    """Of a Spread of orientation errors, deg."""
+    """Spread of orientation errors, deg."""
     return _errors(case, "orientation")
 
 
@@ -108,7 +108,7 @@ def _errors(case: Case, name: str) -> Iterable[Counted]:
 
 
 def calibration(case: Case) -> Iterable[Counted]:
-    """Of Calibration."""
+    """Calibration of every method that states probabilities."""
     pooled = case.pooled
     for method in pooled.methods if pooled.placed else ():
         rows = pooled.sums_of_kind(("calibration", method), case.units)
@@ -140,17 +140,17 @@ def partial_auc(r: Rates) -> FloatArray:
 
 
 def tpr_at_fpr(most: float) -> Callable[[Rates], FloatArray]:
-    """As `curves.tpr_at`; `most` is one of FPR_POINTS, about which resampled curves are close."""
+    """As `curves.tpr_at`. most: one of FPR_POINTS, where resampled curves are dense."""
     return lambda r: tpr_at(r.fpr, r.tpr, most)
 
 
 def quantile(share: float) -> Callable[[Spread], FloatArray]:
-    """The least value that this share of them, one of QUANTILES, does not exceed."""
+    """The smallest value that this share of values, one of QUANTILES, does not exceed."""
     return lambda s: s.quantile(share)
 
 
 def false_per_minute(f: FalseClaims) -> FloatArray:
-    """Declared claims on no landmark at all: on a distractor, or the bare floor."""
+    """Declared claims on no landmark: on a distractor or the bare floor."""
     return ratio(f.nowhere, f.minutes)
 
 
@@ -165,43 +165,43 @@ def id_switches(s: Switched) -> FloatArray:
 
 
 def track_switches(s: Switched) -> FloatArray | None:
-    """Changes of the track on a landmark, per pass; None of a method without tracks."""
+    """Changes of the track on a landmark, per pass; None for a method without tracks."""
     return None if s.tracks is None else ratio(s.tracks, s.passes)
 
 
 def brier(c: Calibration) -> FloatArray:
-    """Mean of (p - y)^2 over estimates; in total its sum over the IDs and none of these."""
+    """Mean of (p - y)^2 over estimates; in total, of its sum over all IDs and "none"."""
     return ratio(c.squares, c.count.sum(axis=1))
 
 
 def ece(c: Calibration) -> FloatArray:
-    """Expected calibration error: mean distance of what is said from what is so."""
+    """Expected calibration error: mean distance between stated and true probability."""
     return ratio(np.abs(c.said - c.right).sum(axis=1), c.count.sum(axis=1))
 
 
 @dataclass(frozen=True, slots=True)
 class Metric:
-    """One row: what a figure is called and what it is."""
+    """One metric."""
 
     name: str
-    """In files."""
+    """Name in files."""
     label: str
-    """On screen and in the report."""
+    """Name on screen and in the report."""
     digits: int
-    """Behind the point."""
+    """After the decimal point."""
     counted: Callable[[Case], Iterable[Counted]]
-    """Which record it is a function of."""
+    """Counts the records that it is a function of."""
     figure: Callable[[Any], FloatArray | None]
-    """(R,) of a record of R rows; None of methods that have no such figure."""
+    """(R,) of a record of R rows; None if the method has no such figure."""
     tested: bool = False
-    """Whether the differences of methods in it are told with their tests."""
+    """Whether the screen and the report show differences of methods with their tests."""
     needs: tuple[Callable[[Any], FloatArray], ...] = ()
-    """Figures that count a metric's cases, by default itself: a unit has a case where such a figure
-    is not NaN. Of several the one with the fewest cases counts: a curve's positives and negatives
-    may come from different units."""
+    """A unit has a case of the metric if these figures, by default the metric itself, are not NaN.
+    The one with the fewest cases counts: a curve's positives and negatives may come from different
+    units."""
 
     def value(self, counted: Counted) -> float:
-        """The figure itself, of everything counted; NaN where there is none."""
+        """The figure over all units; NaN if there is none."""
         found = self.figure(counted.exact)
         return np.nan if found is None else float(found[0])
 
@@ -241,31 +241,32 @@ METRICS = (
     Metric("ece", "calibration error (ECE)", 3, calibration, ece),
 )
 MAIN = ("tpr", "fpr", "auc")
-"""Told per ID, and compared from one set of results to the next."""
+"""Shown per ID, and compared between old and new results."""
 BY_NAME = {metric.name: metric for metric in METRICS}
 KINDS = tuple(dict.fromkeys((rates, waits, switched, *(m.counted for m in METRICS))))
-"""What is counted, in the order of figures.csv."""
+"""The kinds of records, in the order of figures.csv."""
 
 
 def tally(kind: Callable[[Case], Iterable[Counted]], counted: Counted) -> Tally:
-    """The figures of one kind, of what was counted."""
+    """The figures of one kind of record."""
     exact = [(m, m.figure(counted.exact)) for m in METRICS if m.counted is kind]
-    told = [(m, value) for m, value in exact if value is not None]
+    available = [(m, value) for m, value in exact if value is not None]
 
     def figures(rows: FloatArray) -> FloatArray:
         record = counted.record(rows)
-        return np.column_stack([np.asarray(m.figure(record)) for m, _ in told])
+        return np.column_stack([np.asarray(m.figure(record)) for m, _ in available])
 
     by_unit = counted.record(counted.sums)
     known = [
-        [~np.isnan(np.asarray(need(by_unit))) for need in m.needs or (m.figure,)] for m, _ in told
+        [~np.isnan(np.asarray(need(by_unit))) for need in m.needs or (m.figure,)]
+        for m, _ in available
     ]
     return Tally(
         protocol=counted.protocol,
         method=counted.method,
         landmark_text=counted.landmark_text,
-        names=tuple(m.name for m, _ in told),
-        values=tuple(float(value[0]) for _, value in told),
+        names=tuple(m.name for m, _ in available),
+        values=tuple(float(value[0]) for _, value in available),
         cases=tuple(min(int(np.count_nonzero(has)) for has in needed) for needed in known),
         sums=counted.sums,
         figures=figures,

@@ -20,7 +20,7 @@ from sonarrec.evaluation.roc import Point, fpr_end, roc
 from sonarrec.files.outputs import plain, write_figure
 from sonarrec.records import FloatArray
 
-# Okabe and Ito's colours, told apart with any colour vision; line styles tell them apart in grey.
+# Okabe and Ito's colours, for any colour vision; line styles distinguish methods in grey print.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 STYLES = ("-", "--", "-.", ":")
 MARKERS = ("s", "D")
@@ -35,7 +35,7 @@ def _figure(
 
 
 def _laid_out(width: float, height: float, *, left: float, bottom: float, hspace: float) -> Figure:
-    """With margins in inches, which are known: to have them found takes longer than to draw."""
+    """A figure with fixed margins in inches: computing them takes longer than drawing."""
     figure = _figure(width, height, layout=None)
     figure.subplots_adjust(
         left=left / width,
@@ -74,8 +74,7 @@ def _legend_below(axes: Any, title: str) -> None:
 def draw_roc(path: Path, scored: Sequence[PooledScored]) -> None:
     """Draw the micro-averaged ROC of every method, one panel per protocol, as a PNG.
 
-    The FPR axis ends a little beyond the worst operating point (at 0.1 or more). roc.csv holds
-    the rest.
+    The FPR axis ends a little beyond the worst operating point; roc.csv has the whole curve.
     """
     looks = _looks(scored)
     shown = {p: roc([s for s in scored if s.protocol == p]) for p in _protocols(scored)}
@@ -142,7 +141,7 @@ def draw_roc_by_id(path: Path, scored: Sequence[PooledScored]) -> None:
 
 
 def draw_det(path: Path, scored: Sequence[PooledScored]) -> None:
-    """Draw the detection error trade-off: misses against false positives, on normal deviates."""
+    """Draw the detection error trade-off: misses against false positives, on a probit scale."""
     protocols, looks = _protocols(scored), _looks(scored)
     ticks = (0.001, 0.01, 0.05, 0.2, 0.5, 0.8, 0.95)
     figure = _figure(5.2 * len(protocols), 5.6)
@@ -178,13 +177,13 @@ def _det(point: Point) -> tuple[FloatArray, FloatArray]:
 
 
 def _deviates(rates: FloatArray) -> FloatArray:
-    """Normal deviates; rates nearer to 0 or 1 than 0.0007 are drawn there."""
+    """Probits; rates nearer to 0 or 1 than 0.0007 are drawn at 0.0007 from them."""
     probit = NormalDist().inv_cdf
     return np.array([probit(r) for r in np.clip(rates, 7e-4, 1 - 7e-4).tolist()])
 
 
 def draw_reliability(path: Path, curves: Sequence[Reliability]) -> None:
-    """Draw, per method, how often the most probable was right, and how many estimates say so."""
+    """Draw, per method, how often the most probable class is right, and how many estimates are."""
     tops = [c for c in curves if c.landmark_text == "top"]
     width, height = max(3.6 * len(tops), 4.2), 4.6
     figure = _laid_out(width, height, left=0.65, bottom=0.5, hspace=0.12)
@@ -197,7 +196,7 @@ def draw_reliability(path: Path, curves: Sequence[Reliability]) -> None:
         few = top.count < FEW
         label = f"most probable; hollow: fewer than {FEW}"
         held = np.where(few, np.nan, top.right)
-        # Points at 0 and 1 are whole, and over the legend.
+        # Points at 0 and 1 are not clipped, and lie above the legend.
         above = {"clip_on": False, "zorder": 6}
         axes.plot(top.mean, held, "o-", color=COLOURS[0], lw=1, label=label, **above)
         axes.plot(top.mean[few], top.right[few], "o", color="white", mec=COLOURS[0], **above)
@@ -205,7 +204,7 @@ def draw_reliability(path: Path, curves: Sequence[Reliability]) -> None:
         axes.grid(color="0.9")
         bars.bar(middles, np.maximum(top.count, 0.5), width=0.09, color=COLOURS[0])
         bars.set(xlabel="probability stated", yscale="log", ylim=(0.5, None))
-    panels[0, 0].set_ylabel("share that was so")
+    panels[0, 0].set_ylabel("share that is right")
     panels[1, 0].set_ylabel("estimates")
     panels[0, 0].legend(fontsize=7, loc="upper left")
     write_figure(path, figure)

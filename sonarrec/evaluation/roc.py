@@ -1,4 +1,4 @@
-"""What a picture of ROC curves shows, whoever draws it: lines, points, names and the axis."""
+"""The content of a ROC chart, for the pictures and the report: lines, points, labels, axis."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from sonarrec.records import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """One (FPR, TPR); NaN where a rate is 0/0."""
+    """One (FPR, TPR); NaN if a rate is 0/0."""
 
     name: str
-    """Of the method, or of the one published."""
+    """Of the method, or of the published one."""
     fpr: float
     tpr: float
     label: str
@@ -30,25 +30,25 @@ class Line:
     method: str
     fpr: FloatArray
     tpr: FloatArray
-    """(n,) the corners of the curve."""
+    """(n,) corners of the curve."""
     at: Point
 
 
 @dataclass(frozen=True, slots=True)
 class Roc:
-    """One pair of axes."""
+    """One chart."""
 
     lines: tuple[Line, ...]
     published: tuple[Point, ...]
-    """The paper's own, where they are of the same kind."""
+    """The paper's points, if they are comparable."""
     fpr_end: float
-    """Of the FPR axis."""
+    """End of the FPR axis."""
 
 
 def roc(scored: Sequence[PooledScored], k: int | None = None, corners: int = 2000) -> Roc:
     """The ROC of each method under one protocol: of the k-th ID, or over all IDs.
 
-    corners: of a line, at most. The paper's points belong to its own protocol, over all IDs.
+    corners: at most so many per line. The paper's points are for protocol paper and all IDs.
     """
     lines = []
     for s in scored:
@@ -69,6 +69,6 @@ def _point(name: str, label: str, fpr: float, tpr: float) -> Point:
 
 
 def fpr_end(fprs: Iterable[float]) -> float:
-    """A little beyond the worst of these, 0.1 or more: right of it is no place to work."""
+    """End of the axis: a little beyond the worst of these FPRs, at least 0.1."""
     worst = max(np.nan_to_num(list(fprs)), default=0.0)
     return float(min(1.0, max(0.1, np.ceil(13 * worst) / 10)))

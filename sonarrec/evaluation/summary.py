@@ -1,4 +1,4 @@
-"""Everything that is told of an evaluation beyond its counts."""
+"""Figures of an evaluation with intervals, and tests of differences between methods."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from sonarrec.records import FloatArray, number_of, printable
 
 _UNITS = {"pass": "passes", "log": "logs"}
 SEED = 0
-"""Of the draws: the same input gives the same intervals."""
+"""Of the random draws, so that the same input gives the same intervals."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,20 +45,19 @@ class Summary:
     figures: tuple[Figure, ...]
     """Per protocol, method and landmark_text, by metric."""
     differences: tuple[Difference, ...]
-    """Of every two methods, in total."""
+    """Of each two methods, in total."""
     outcomes: tuple[PassOutcomes, ...]
     """Per protocol and method."""
     switches: tuple[Switches, ...]
-    """Per method; empty where positions are not known."""
+    """Per method; empty if positions are not known."""
     reliability: tuple[Reliability, ...]
-    """Per method and landmark_text; empty where positions or probabilities are not known."""
+    """Per method and landmark_text; empty if positions or probabilities are not known."""
     notes: tuple[str, ...]
-    """What the units cannot say."""
 
     def figure(
         self, protocol: str, method: str, name: str, landmark_text: str = "total"
     ) -> Figure | None:
-        """One figure; None where it was not measured."""
+        """One figure; None if it was not measured."""
         wanted = (protocol, method, landmark_text, name)
         named = ((f, (f.protocol, f.method, f.landmark_text, f.name)) for f in self.figures)
         return next((f for f, name in named if name == wanted), None)
@@ -67,7 +66,7 @@ class Summary:
 def summarise(evaluation: Evaluation | Pooled, unit: UnitKind | None = None) -> Summary:
     """Figures, intervals and tests of an evaluation.
 
-    unit: what counts as independent; by default passes, with ten logs or more logs.
+    unit: what counts as independent; by default passes, or logs if there are ten or more.
     """
     found = evaluation if isinstance(evaluation, Pooled) else evaluation.pooled()
     units = found.units(unit)
@@ -77,7 +76,7 @@ def summarise(evaluation: Evaluation | Pooled, unit: UnitKind | None = None) -> 
     tosses = coin_tosses(units.count, rng)
     figures: list[Figure] = []
     curves: list[Reliability] = []
-    # Those of one kind and protocol can be held against each other.
+    # Tallies of one kind and protocol, which can be compared.
     alike: dict[tuple[str, object], list[Tally]] = defaultdict(list)
     for kind in metrics.KINDS:
         per_id: list[tuple[Tally, FloatArray]] = []
@@ -112,36 +111,36 @@ def summarise(evaluation: Evaluation | Pooled, unit: UnitKind | None = None) -> 
 
 
 def units_text(units: PooledUnits, count: int | None = None) -> str:
-    """How many units there are, or `count` of them, and of what kind."""
+    """The number of units, or `count`, with their kind, such as "12 passes"."""
     return f"{units.count if count is None else count} {_UNITS[units.kind]}"
 
 
 def over_units(summary: Summary) -> str:
-    """What the caption of a table says of its intervals, of which there may be none."""
+    """The part of a table's caption about its intervals; empty if there are none."""
     if summary.units.count < MIN_UNITS:
         return ""
     return f"; {LEVEL:.0%} intervals over {units_text(summary.units)}"
 
 
 def _notes(found: Pooled, units: PooledUnits, figures: list[Figure]) -> tuple[str, ...]:
-    """What the figures cannot say, a line each."""
+    """Notes on missing intervals and figures, a line each."""
     if units.count < MIN_UNITS:
         kind = {"pass": "pass of a landmark", "log": "log"}[units.kind]
         return (
             f"no intervals and no tests: only {number_of(units.count, 'independent unit')} "
             f"(each a {kind}), and "
-            f"with fewer than {MIN_UNITS} no difference can be told from chance",
+            f"with fewer than {MIN_UNITS} no difference can be distinguished from chance",
         )
     notes = []
     protocol = "strict" if found.placed else "paper"
     for figure in figures:
-        told = (figure.protocol, figure.landmark_text, figure.name, figure.value)
-        if told == (protocol, "total", "fpr", 0):
+        facts = (figure.protocol, figure.landmark_text, figure.name, figure.value)
+        if facts == (protocol, "total", "fpr", 0):
             most = f"{100 * unseen_share(figure.units):.2g}%"
             notes.append(
                 f"{figure.method}: no false claim in {units_text(units, figure.units)}, so with "
                 f"{LEVEL:.0%} confidence fewer than {most} of them have one"
             )
     if found.placed and not found.timed:
-        notes.append("claims a minute are not told: frames.csv has no timestamp_ns")
+        notes.append("claims per minute are not given: frames.csv has no timestamp_ns")
     return tuple(map(printable, notes))

@@ -1,4 +1,4 @@
-"""Logs read, matched with their truth and counted, one at a time or several side by side."""
+"""Reads logs, matches them with their truth and counts them, in parallel if wanted."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from sonarrec.results.read import read_log
 from sonarrec.truth.table import TruthTable, read_truth
 
 WORTH_BYTES = 4_000_000
-"""Of tables, for each process: it takes half a second to start, in which so much is read."""
+"""Bytes of tables per process; a process takes as long to start as to read so many."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,9 +36,9 @@ class Reading:
     ground_truth: Path
     options: ScoringOptions
     log: str | None = None
-    """Its name, where the folder's own is not wanted."""
+    """Its name; None: the name of the folder."""
     ids: tuple[int, ...] | None = None
-    """The order that its IDs are wanted in; default, that of its landmark set."""
+    """Its IDs in the wanted order; None: the order of its landmark set."""
 
     @property
     def folders(self) -> tuple[Path, ...]:
@@ -47,18 +47,19 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class Unread:
-    """A log whose results or truth cannot be read, and why."""
+    """A log whose results or truth cannot be read."""
 
     name: str
     error: SonarrecError
 
     def told(self, done: str = "scored") -> str:
+        """A message. done: what is done with other logs."""
         return f"{self.error}; {self.name} is not {done}"
 
 
 @dataclass(frozen=True, slots=True)
 class Surveyed:
-    """What was found of one log."""
+    """One log as it was read."""
 
     folder: Path
     ground_truth: TruthOf
@@ -67,18 +68,18 @@ class Surveyed:
     methods: tuple[str, ...]
     recording: Recording
     between: int
-    """Rows of its truth that lie between frames."""
+    """Rows of its truth between frames."""
     checked: Checked | None
-    """None where truth and log could not be matched: see `error`."""
+    """None if truth and log could not be matched; then `error` says why."""
     error: SonarrecError | None
     case: Matched | None
-    """All that was read, where the whole was asked for and log and truth match."""
+    """All that was read, if `whole` was set and log and truth match."""
     part: Part | None
-    """The counts, where the whole was not asked for and the log can be scored."""
+    """The counts, if `whole` was not set and the log can be scored."""
 
 
 def survey(reading: Reading, *, whole: bool = False) -> Surveyed | Unread:
-    """Read one log. whole: keep all that was read, and count nothing."""
+    """Read one log. whole: keep everything and count nothing."""
     options = reading.options
     try:
         table = truth_table(reading.ground_truth)
@@ -92,7 +93,7 @@ def survey(reading: Reading, *, whole: bool = False) -> Surveyed | Unread:
     try:
         case = matched(reading.folder, table, log, options.tolerance_s)
         found = checked(case)
-    except SonarrecError as fault:  # of a log that counts already it does not matter
+    except SonarrecError as fault:  # raised later, unless the log is a copy of another
         error = fault
     part = None
     if case is not None and found is not None and found.fault is None and not whole:
@@ -115,12 +116,12 @@ def survey(reading: Reading, *, whole: bool = False) -> Surveyed | Unread:
 
 @lru_cache(maxsize=1)
 def truth_table(path: Path) -> TruthTable:
-    """The table; that of the log before as well, where one file covers several."""
+    """The table; cached, since one file may cover several logs."""
     return read_truth(path)
 
 
 class Readable(Protocol):
-    """What is read of one log."""
+    """One log to be read; `folders`: of its results."""
 
     @property
     def folders(self) -> tuple[Path, ...]: ...
@@ -133,10 +134,10 @@ Found = TypeVar("Found")
 def each(
     work: Callable[[Asked], Found], readings: Sequence[Asked], jobs: int | None
 ) -> Iterator[Found]:
-    """`work`, such as `survey`, of each, in their order; jobs: that many processes side by side.
+    """The results of `work`, such as `survey`, for each log, in order.
 
-    By default as many as there are cores, and fewer of logs so small that it would not pay.
-    Raises what `work` raises, of the first log that raises anything.
+    jobs: number of processes; default: the number of cores, or fewer if the logs are small.
+    Raises the first error that `work` raises.
     """
     truth_table.cache_clear()  # the files may have changed since the last call
     if jobs is None:
@@ -150,15 +151,15 @@ def each(
             yield from _in_order((partial(workers.submit, work, r) for r in readings), jobs)
         except BrokenProcessPool:
             raise SonarrecError(
-                "a process that read results was ended from outside, as when memory runs out; "
-                "nothing was written; with --jobs 1 the logs are read one after the other"
+                "a process that read results was killed, perhaps for lack of memory; nothing was "
+                "written; --jobs 1 reads one log at a time"
             ) from None
         finally:
             workers.shutdown(wait=False, cancel_futures=True)
 
 
 def _in_order(starts: Iterable[Callable[[], Future[Found]]], jobs: int) -> Iterator[Found]:
-    """Results as they were asked for; only some ahead, for each is held until its turn."""
+    """Results in order; only some tasks run ahead, since their results are kept in memory."""
     ahead: deque[Future[Found]] = deque()
     for start in starts:
         ahead.append(start())
@@ -171,6 +172,6 @@ def _in_order(starts: Iterable[Callable[[], Future[Found]]], jobs: int) -> Itera
 def _bytes(reading: Readable) -> int:
     total = 0
     for folder in reading.folders:
-        with suppress(OSError):  # told where it is read
+        with suppress(OSError):  # reported when it is read
             total += estimates_of(folder).stat().st_size
     return total

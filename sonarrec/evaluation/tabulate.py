@@ -1,4 +1,4 @@
-"""An evaluation on screen: the paper's table layout, then figures with intervals and tests."""
+"""An evaluation as text: the paper's tables, then figures with intervals and tests."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LABEL, COLUMN = 30, 23
 
 
 def paper_table(scored: PooledScored) -> list[str]:
-    """The lines of one of the paper's tables: a heading, then TPR to Total, per ID and in all."""
+    """The lines of one of the paper's tables: a heading, then TPR to Total, per ID and in total."""
     table = cells.paper_table(scored)
     # A star stands behind the digits.
     return [
@@ -27,7 +27,7 @@ def paper_table(scored: PooledScored) -> list[str]:
 
 
 def screen(evaluation: Pooled) -> str:
-    """All tables: per method, the protocols side by side where they fit 100 columns."""
+    """The tables of all methods, with both protocols side by side if they fit into WIDTH."""
     lines: list[str] = []
     undefined = False
     for method in evaluation.methods:
@@ -45,7 +45,7 @@ def screen(evaluation: Pooled) -> str:
             lines += [line.rstrip() for block in blocks for line in [*block, ""]][:-1]
         lines.append("")
     if undefined:
-        lines += ["* 0/0, printed as the paper prints it: nothing to measure here", ""]
+        lines += ["* 0/0, printed as in the paper: there is nothing to measure", ""]
     return "\n".join(map(printable, lines))
 
 
@@ -59,7 +59,7 @@ def _title(scored: PooledScored, evaluation: Pooled) -> str:
 
 
 def summary_screen(evaluation: Pooled, summary: Summary, details: bool = False) -> str:
-    """The figures in total with their intervals, and the tests; with details per ID and log too."""
+    """The figures in total with intervals and tests; details: also per ID and per log."""
     main = "strict" if evaluation.placed else "paper"
     over = over_units(summary)
     lines = []
@@ -68,13 +68,13 @@ def summary_screen(evaluation: Pooled, summary: Summary, details: bool = False) 
             lines.append(f"protocol {protocol}, all IDs{over}")
             lines += _figure_table(summary, protocol, evaluation.methods)
             lines.append("")
-    told = cells.tested(summary, main)
-    if any(not math.isnan(d.p) for d in told):
+    tested = cells.tested(summary, main)
+    if any(not math.isnan(d.p) for d in tested):
         units = units_text(summary.units)
         lines.append(f"protocol {main}, differences; paired sign-flip test over {units}")
-        for d in told:
+        for d in tested:
             text = _text(cells.difference(d), " to ")
-            lines.append(f"{d.b} less {d.a}, {BY_NAME[d.name].label}: {text}")
+            lines.append(f"{d.b} minus {d.a}, {BY_NAME[d.name].label}: {text}")
         lines.append("")
     if details:
         lines += _per_id(summary, main, evaluation.methods)
@@ -93,7 +93,7 @@ def _row(label: str, columns: Sequence[str]) -> str:
 
 
 def _figure_table(summary: Summary, protocol: str, methods: Sequence[str]) -> list[str]:
-    """Rows are figures, columns methods, as many beside each other as fit."""
+    """Rows are figures, columns are methods, as many side by side as fit."""
     lines = []
     beside = (WIDTH - LABEL) // COLUMN
     for first in range(0, len(methods), beside):

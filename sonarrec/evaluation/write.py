@@ -1,4 +1,4 @@
-"""The files of `evaluation/`."""
+"""The files of `evaluation/` that a scoring writes."""
 
 from __future__ import annotations
 
@@ -42,10 +42,10 @@ RELIABILITY = ("method", "landmark", "bin_low", "bin_high", "count", "mean_proba
 def write_evaluation(
     folder: Path, evaluation: Pooled, summary: Summary, det: bool = False
 ) -> tuple[str, ...]:
-    """Write all tables and pictures into `folder`, made if need be; returns the files' names.
+    """Write all tables and pictures into `folder`, created if needed; returns the file names.
 
-    evaluation.json goes last, so where it stands the others are whole. Raises SonarrecError where
-    they cannot be written, UsageError, before anything is, where a file of another kind is there.
+    evaluation.json is written last, so if it exists the others are complete. Raises SonarrecError
+    if they cannot be written; UsageError, before the first one, if a file of another kind exists.
     """
     text = json_text(as_json(evaluation, summary))
     tables = {
@@ -62,7 +62,9 @@ def write_evaluation(
     pictures += ["reliability.png"] if summary.reliability else []
     check_tables(folder, {name: header for name, (header, _) in tables.items()})
     check_output(folder / "evaluation.json", "JSON", header='{\n  "logs": [')
-    if not is_filled(folder / "evaluation.json"):  # beside it pictures are ours, marked or not
+    if not is_filled(
+        folder / "evaluation.json"
+    ):  # if it exists, the pictures are ours, even without a mark
         for name in pictures:
             check_output(folder / name, "picture")
     check_no_recording(folder, tables)
@@ -114,7 +116,7 @@ def _per_log(evaluation: Pooled) -> Iterable[tuple[Any, ...]]:
 
 
 def _roc(evaluation: Pooled) -> Iterable[tuple[Any, ...]]:
-    """The corners of every curve, thresholds falling from inf; macro ones have no threshold."""
+    """The corners of every curve, thresholds falling from inf; macro curves have no threshold."""
     for s in evaluation.scored:
         which: list[tuple[str, int | None]] = [(str(i), k) for k, i in enumerate(s.ids)]
         for name, k in [*which, ("total", None)]:
@@ -173,12 +175,12 @@ def _reliability(summary: Summary) -> Iterable[tuple[Any, ...]]:
 
 
 def json_text(document: dict[str, Any]) -> str:
-    """A JSON document as it is written and printed."""
+    """A JSON document as text."""
     return json.dumps(document, indent=2, allow_nan=False) + "\n"
 
 
 def as_json(evaluation: Pooled, summary: Summary) -> dict[str, Any]:
-    """evaluation.json: what was scored, how, every count and figure; 0/0 and infinite are null."""
+    """evaluation.json: what was scored and how, counts and figures; 0/0 and infinity are null."""
     methods: dict[str, Any] = {}
     per_log: dict[str, Any] = {log: {} for log in evaluation.logs}
     names = [*map(str, evaluation.ids), "total"]

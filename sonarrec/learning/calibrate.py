@@ -143,7 +143,9 @@ def learn(
         rows += truth.rows
         frames += len(tracks.frame)
         if not truth.rows:
-            notes.append(f"{log.name}: no row in the ground truth, so taken to hold no landmark")
+            notes.append(
+                f"{log.name}: no row in the ground truth, so it is taken to hold no landmark"
+            )
         if truth.unprocessed:
             problems.append(
                 f"{ground_truth}: {truth.unprocessed} of {truth.rows} rows lie on no frame that "

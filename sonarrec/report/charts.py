@@ -167,7 +167,7 @@ def reliability(found: Reliability, method: int) -> Chart:
         UNIT.ticks(5),
         dots,
         "probability stated",
-        "share that was so",
+        "share that is right",
     )
 
 

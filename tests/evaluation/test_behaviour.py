@@ -265,7 +265,7 @@ def test_files_tell_what_the_summary_holds(tmp_path: Path) -> None:
     )
     assert done.exit_code == 0, done.output
     assert "95% intervals over 8 passes" in done.output
-    assert "b less a, TPR: +0.100, p = 0.0078" in done.output
+    assert "b minus a, TPR: +0.100, p = 0.0078" in done.output
     assert (
         "no false claim in 8 passes, so with 95% confidence fewer than 31% of them" in done.output
     )

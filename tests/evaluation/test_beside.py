@@ -119,7 +119,7 @@ def test_the_truth_of_another_log_in_its_place_is_not_taken(logs: Path) -> None:
     truth(logs / "logs" / "a.gt.csv", range(4))
     (logs / "logs" / "a.mp4").write_bytes(b"another recording")
     said = command(logs / "out" / "a", code=2).stderr
-    assert "is not the log it was (it had 5 bytes and has 17)" in said
+    assert "has changed since the run (it had 5 bytes and has 17)" in said
 
 
 def test_one_truth_beside_several_logs_must_tell_them_apart(logs: Path) -> None:
@@ -283,7 +283,7 @@ def test_one_log_whose_truth_cannot_be_its_own_does_not_stop_the_others(logs: Pa
     done = command(logs / "out", code=3)
     assert "b.gt.csv: none of its 4 rows (frame 500 to 503) lies on a processed" in done.stderr
     assert "b is not scored" in done.stderr
-    assert "pings: no row in the ground truth, so taken to hold no landmark" in done.stdout
+    assert "pings: no row in the ground truth, so it is taken to hold no landmark" in done.stdout
     assert evaluate(logs / "out").joined.logs == ("a", "pings")
 
 

@@ -479,7 +479,7 @@ def test_a_pair_is_one_log(tmp_path: Path) -> None:
     root.mkdir()
     for name in ("a", "b"):
         (tmp_path / f"root_{name}").rename(root / name)
-    with pytest.raises(SonarrecError, match="holds 2 logs; give each a row of its own"):
+    with pytest.raises(SonarrecError, match="holds 2 logs; give each log its own row"):
         evaluate_whole([Pair(root, tmp_path / "a" / "gt.csv")])
     with pytest.raises(SonarrecError, match="no pair"):
         evaluate_whole([])
@@ -503,7 +503,7 @@ def test_a_row_that_names_no_results_or_truth_is_left_out(tmp_path: Path, also: 
     assert told == [
         f"sonarrec: {pairs} line 2: {tmp_path / 'c' / 'out'}: no such results folder; "
         "`sonarrec run LOG` writes one; not scored",
-        f"sonarrec: {pairs} line 4: {tmp_path / 'both'}: holds 2 logs; give each a row of its own; "
+        f"sonarrec: {pairs} line 4: {tmp_path / 'both'}: holds 2 logs; give each log its own row; "
         "not scored",
         f"sonarrec: {pairs} line 5: {tmp_path / 'no.csv'}: no such file; not scored",
     ]
@@ -518,4 +518,4 @@ def test_a_method_missing_from_one_log_is_said(tmp_path: Path) -> None:
     one, gt = write_case(tmp_path / "a", FRAMES, claims({5}) + claims({6}, method="n"), TRUTH)
     two, _ = write_case(tmp_path / "b", FRAMES, claims({5}), TRUTH)
     found = evaluate_whole([Pair(one, gt, "a"), Pair(two, gt, "b")])
-    assert "b: holds nothing of n, which counts as no claim" in found.notes
+    assert "b: has no estimates of n; this counts as no claim" in found.notes

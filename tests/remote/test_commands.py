@@ -293,7 +293,7 @@ def test_of_a_log_on_a_server_without_truth_or_that_changed_a_line_says_so(
     upload(s3, small_mcap(tmp_path / "longer.mcap", 9), "day/a.mcap")
     changed = sonarrec("evaluate", "sonarrec_out/a")
     assert changed.exit_code == 2
-    assert "s3://dives/day/a.mcap is not the log it was (it had " in changed.stderr
+    assert "s3://dives/day/a.mcap has changed since the run (it had " in changed.stderr
     s3.delete_object(Bucket="dives", Key="day/a.mcap")
     assert "s3://dives/day/a.mcap: does not exist" in sonarrec("evaluate", "sonarrec_out/a").stderr
 

@@ -209,7 +209,7 @@ def test_what_is_not_there_and_who_does_not_answer_is_told(cache: Cache, site: P
             pass
         port = web.port
     with (
-        pytest.raises(SonarrecError, match=r"^http://u:\*\*\*@.*3 times again") as told,
+        pytest.raises(SonarrecError, match=r"^http://u:\*\*\*@.*3 retries") as told,
         fetched(f"http://u:hidden-word@127.0.0.1:{port}/a.mcap", cache),
     ):
         pass

@@ -58,7 +58,7 @@ def test_truth_is_found_beside_a_log(url: str, disk: Path, monkeypatch: pytest.M
     with pytest.raises(SonarrecError, match="does not exist"):
         beside(f"{url}/dives/none.mcap", "gt.csv")
     # As run.toml has it, without the password: this is told, and not tried.
-    with pytest.raises(SonarrecError, match="gives access there is not written down"):
+    with pytest.raises(SonarrecError, match="toml does not keep the secret"):
         beside(parse_url(f"{url}/dives/a.mcap").shown, "gt.csv")
     monkeypatch.setitem(fsspec.config.conf, "sftp", {"password": PASSWORD})
     item, _ = beside(f"{url.replace(f':{PASSWORD}', '')}/dives/a.mcap", "gt.csv")

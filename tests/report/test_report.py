@@ -339,7 +339,7 @@ def test_several_presets(tmp_path: Path) -> None:
     sonarrec("report", tmp_path / "pan", *scored, "--method", "framework:default")
     text = Page(tmp_path / "pan" / "report.html").text
     assert "Declared by framework:default" in text
-    assert re.search("framework:(default|paper) less framework:(default|paper)", text)
+    assert re.search("framework:(default|paper) minus framework:(default|paper)", text)
     assert "framework:paper: " in text
     fault = sonarrec("report", tmp_path / "pan", "--method", "best", code=2).stderr
     there = "smi:paper, framework:paper, smi:default, framework:default"

@@ -282,7 +282,7 @@ def test_scoring_counts_the_rows_that_nobody_has_checked(tmp_path: Path) -> None
     proposed(folder)
     call = ["evaluate", str(folder), "--ground-truth", str(gt)]
     told = CliRunner().invoke(main, call).stdout
-    assert "20 of 20 rows for log are as `truth propose` wrote them" in told
+    assert "20 of 20 rows for log are unchecked proposals of `truth propose`" in told
     lines = gt.read_text().splitlines()
     lines[1:16] = [line.replace(",tracked", ",") for line in lines[1:16]]
     gt.write_text("\n".join(lines) + "\n")

@@ -340,7 +340,7 @@ def test_several_logs_need_a_log_column(case: Path) -> None:
     (case / "gt.csv").write_text("log,frame,landmark\na,0,1\nc,0,1\n")
     done = CliRunner().invoke(main, arguments)
     assert done.exit_code == 3
-    told = "1 of 2 rows name logs that are not there (c); they are not scored"
+    told = "1 of 2 rows name logs that were not given (c); they are not scored"
     assert done.stderr == f"sonarrec: {case / 'gt.csv'}: {told}\n"
     assert "b: no row in the ground truth" in done.stdout
     assert (case / "out" / "root" / "evaluation" / "confusion.csv").is_file()

@@ -1,6 +1,6 @@
-"""Frames and IDs that a method no longer counts as before: found log by log, and put by.
+"""Frames and IDs whose counts have changed: found log by log and kept in a store on disk.
 
-So that memory does not grow with the logs, however much changed.
+So memory does not grow with the logs, even if everything changed.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from sonarrec.records import IntArray
 CHANGE = np.dtype([("frame", "i8"), ("landmark", "i8"), ("old", "i4", 3), ("new", "i4", 3)])
 VERDICTS = ("better", "worse", "other")
 GAP = 2
-"""Frames from one change to an equal one of the same run at the most."""
+"""Largest step in frames between equal changes of one run."""
 
 ByMethod = Mapping[tuple[str, str], npt.NDArray[Any]]
-"""Of each protocol and method CHANGEs, by frame, then in the order of the IDs."""
+"""The CHANGEs of each protocol and method, by frame, then in the order of the IDs."""
 
 
 @dataclass(frozen=True, slots=True)
 class FrameChange:
-    """A frame and ID that one method no longer counts as before."""
+    """A frame and ID whose counts have changed for one method."""
 
     protocol: str
     method: str
@@ -43,31 +43,31 @@ class FrameChange:
 
     @property
     def verdict(self) -> str:
-        """better, worse or other, by the number of errors."""
+        """ "better", "worse" or "other", by the number of errors."""
         more = sum(self.new[1:]) - sum(self.old[1:])
         return "worse" if more > 0 else "better" if more < 0 else "other"
 
 
 @dataclass(frozen=True, slots=True)
 class FrameRun:
-    """Equal changes in neighbouring frames, put together."""
+    """Equal changes in neighbouring frames."""
 
     first: FrameChange
     last_frame: int
     count: int
-    """Frames that changed."""
+    """How many frames changed."""
 
 
 @dataclass(frozen=True, slots=True)
 class FrameChanges:
-    """All changes, read from a store each time they are asked for."""
+    """All changes; they are read from a store on each use."""
 
     store: Store
-    """By protocol, method and number of a log."""
+    """Its keys: protocol, method and number of the log."""
     logs: tuple[tuple[int, str], ...]
     """Number and name of each log that counts, in order."""
     methods: tuple[tuple[str, str], ...]
-    """Protocol and method of what is compared, in order."""
+    """Protocol and method, in order."""
 
     def __iter__(self) -> Iterator[FrameChange]:
         for protocol, method in self.methods:
@@ -76,7 +76,7 @@ class FrameChanges:
                     yield _change(protocol, method, log, row)
 
     def verdicts(self) -> dict[str, int]:
-        """How many got better, worse and otherwise changed."""
+        """How many changes are better, worse and other."""
         found: Counter[str] = Counter()
         for of in self.methods:
             for number, _ in self.logs:
@@ -88,9 +88,9 @@ class FrameChanges:
     def runs(
         self, most: int, protocol: str | None = None, verdict: str | None = None
     ) -> tuple[list[FrameRun], int]:
-        """The longest runs, and how many there are; of one protocol and verdict, where given.
+        """The `most` longest runs, and how many runs there are; of one protocol and verdict if given.
 
-        Runs as long as each other stand by protocol, method, log, ID, and what changed.
+        Runs of equal length are ordered by protocol, method, log, ID and change.
         """
         numbers: dict[str, list[int]] = {}
         for number, log in self.logs:
@@ -108,7 +108,7 @@ class FrameChanges:
                     first, last = rows[start[i]], rows[start[i] + length[i] - 1]
                     run = FrameRun(_change(*of, log, first), int(last["frame"]), int(length[i]))
                     longest.append(run)
-                # Stable, so that of those as long as each other the first ones stay.
+                # nsmallest is stable, so of runs of equal length the first ones are kept.
                 longest = heapq.nsmallest(most, longest, key=lambda run: -run.count)
         return longest, count
 
@@ -122,7 +122,7 @@ _SIGN = {"worse": 1, "better": -1, "other": 0}
 
 
 def put(store: Store, number: int, found: ByMethod) -> None:
-    """Put the changes of one log by, for `FrameChanges`."""
+    """Store the changes of one log for `FrameChanges`."""
     for of, rows in found.items():
         store.put((*of, number), number, rows)
 
@@ -130,9 +130,9 @@ def put(store: Store, number: int, found: ByMethod) -> None:
 def changed_frames(
     before: tuple[Joined, Sequence[Scored]], after: tuple[Joined, Sequence[Scored]]
 ) -> ByMethod:
-    """What changed in one log, of the same frames and truth on both sides.
+    """The changes in one log, whose frames and truth are the same before and after.
 
-    A method that one side does not hold claims nothing there.
+    A method that is missing on one side counts as making no claims there.
     """
     methods = tuple(dict.fromkeys((*before[0].methods, *after[0].methods)))
     placed = before[0].placed and after[0].placed
@@ -147,7 +147,7 @@ def changed_frames(
 
 
 def _scored(joined: Joined, scored: Sequence[Scored], protocol: str, method: str) -> Scored:
-    """One method under one protocol; of a method that the side lacks, without any claim."""
+    """One method under one protocol; without claims if the method is missing."""
     for one in scored:
         if (one.protocol, one.method) == (protocol, method):
             return one
@@ -156,7 +156,7 @@ def _scored(joined: Joined, scored: Sequence[Scored], protocol: str, method: str
 
 
 def _between(a: Scored, b: Scored, joined: Joined) -> npt.NDArray[Any]:
-    """The CHANGEs of one method, from the old side (a) to the new one (b)."""
+    """The CHANGEs of one method from a (old) to b (new)."""
     frames = len(joined.frame)
     cells = [s.declared_by(np.arange(frames), joined.truth_frame_index, frames) for s in (a, b)]
     old, new = (c[:, :, [0, 2, 3]] for c in cells)
@@ -168,13 +168,13 @@ def _between(a: Scored, b: Scored, joined: Joined) -> npt.NDArray[Any]:
 
 
 def _more_errors(rows: npt.NDArray[Any]) -> IntArray:
-    """(n,) by how many errors there are more than before."""
+    """(n,) how many more errors there are than before."""
     more = rows["new"][:, 1:].sum(axis=1) - rows["old"][:, 1:].sum(axis=1)
     return np.asarray(more, dtype=np.int64)
 
 
 def _runs(rows: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], IntArray, IntArray]:
-    """(rows by ID, change and frame; (R,) where each run begins; (R,) how long it is)."""
+    """(rows sorted by ID, change and frame; (R,) start of each run; (R,) its length)."""
     keys = [rows["landmark"], *rows["old"].T, *rows["new"].T, rows["frame"]]
     rows = rows[np.lexsort(keys[::-1])]
     new = np.ones(len(rows), dtype=bool)

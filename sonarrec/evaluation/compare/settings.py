@@ -1,4 +1,4 @@
-"""What two runs were made with differently: settings, version, geometry, landmark set."""
+"""Differences in the run.toml of two runs: settings, version, geometry, landmark set."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sonarrec.results.run_file import RunFile, flat
 
 NOT_STATED = "not stated"
 _LONGEST = 60
-# What may differ between runs of one log with the same settings, or is told elsewhere.
+# Keys that differ between equal runs, or that are reported elsewhere.
 _PASSED_OVER = {
     *("finished", "program.name", "program.methods", "input.name", "input.path", "input.bytes"),
     *("input.sha256", "input.frames_processed", "input.frames_unusable", "input.candidates"),
@@ -22,37 +22,37 @@ _PASSED_OVER = {
 
 @dataclass(frozen=True, slots=True)
 class SettingChange:
-    """One key of run.toml that differs, as texts, and the logs in which it does."""
+    """A key of run.toml that differs, its values as text, and the logs in which it differs."""
 
     key: str
-    """As `--set` names it; of several presets with the preset in front."""
+    """Named as for `--set`; if there are several presets, with the preset in front."""
     old: str
     new: str
     logs: tuple[str, ...]
 
 
 def changed_settings(runs: Iterable[tuple[str, RunFile, RunFile]]) -> list[SettingChange]:
-    """What differs between the old and the new run.toml of each log (name, old, new).
+    """The differences between the old and the new run.toml of each log (name, old, new).
 
-    Of a log of which one run.toml is not there, nothing is said.
+    Logs without a run.toml on one side are left out.
     """
     found: dict[tuple[str, str, str], list[str]] = defaultdict(list)
     for name, before, after in runs:
         if not before.table or not after.table:
             continue
-        old, new = (_told(run) for run in (before, after))
+        old, new = (_compared_keys(run) for run in (before, after))
         for key in dict.fromkeys((*old, *new)):
             if old.get(key) != new.get(key) and not _is_echo(key, old, new):
                 found[key, *_texts(old, new, key)].append(name)
     return [SettingChange(*change, tuple(logs)) for change, logs in found.items()]
 
 
-def _told(run: RunFile) -> dict[str, Any]:
+def _compared_keys(run: RunFile) -> dict[str, Any]:
     return {key: value for key, value in flat(run.table) if key not in _PASSED_OVER}
 
 
 def _is_echo(key: str, old: Mapping[str, Any], new: Mapping[str, Any]) -> bool:
-    """Whether a key of [fan] tells once more what [sonar] tells."""
+    """Whether a key of [fan] changed only because the key of [sonar] did."""
     stated = key.replace("fan.", "sonar.", 1)
     return key.startswith("fan.") and old.get(stated) != new.get(stated)
 

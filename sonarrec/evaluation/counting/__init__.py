@@ -1,1 +1,1 @@
-"""What is counted of each log, added up over logs, and how sure it is."""
+"""Counts per log, their sums over logs, and intervals and tests on them."""

@@ -1,5 +1,5 @@
-"""Beyond rates: frames to a lasting right ID, false claims by what they lie on, switches of ID and
-track, errors of position and orientation."""
+"""Figures besides rates: frames to a lasting ID, kinds of false claims, switches of ID and track,
+errors of position and orientation."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ class PassOutcomes:
     protocol: str
     method: str
     frames: IntArray
-    """(P,) frames with the landmark whole in view."""
+    """(P,) frames with the whole landmark in view."""
     right: IntArray
-    """(P,) those of them in which it was claimed."""
+    """(P,) frames of these in which it was claimed."""
     wait: FloatArray
-    """(P,) how many frames after the first of them the landmark is claimed in every one that is
-    left; infinite where it is not claimed in the last."""
+    """(P,) frames from the first of these to the first one from which on it is claimed in all;
+    infinite if it is not claimed in the last."""
 
 
 @dataclass(frozen=True, slots=True)
 class FalseClaims:
-    """Declared claims of an ID that are not on a landmark of it, (R,) each."""
+    """Declared claims that are not on a landmark of the claimed ID, (R,) each."""
 
     nowhere: FloatArray
     """On no landmark at all."""
@@ -51,15 +51,15 @@ class FalseClaims:
 
 @dataclass(frozen=True, slots=True)
 class Switches:
-    """Of one method, changes from one frame of a pass to the next one that has it."""
+    """Changes between neighbouring frames of a pass that have an estimate, of one method."""
 
     method: str
     ids: IntArray
-    """(P,) of the declared ID."""
+    """(P,) changes of the declared ID."""
     tracks: IntArray | None
-    """(P,) of the track on the landmark; None where the method has none."""
+    """(P,) changes of the track on the landmark; None if the method has no tracks."""
     objects: bool
-    """Whether any estimate on a landmark tells its candidate or track."""
+    """Whether any estimate on a landmark has the number of its candidate or track."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +72,7 @@ class Switched:
 
 
 def pass_outcomes(scored: Scored, joined: Joined, passes: Passes) -> PassOutcomes:
-    """Each pass of a landmark under one method."""
+    """How one method did in each pass."""
     truth, right = scored.positive, positive_is_claimed(scored, joined)
     number, frame = passes.of_truth[truth], joined.truth_frame_index[truth]
     count = len(passes.first_frame_index)
@@ -97,10 +97,10 @@ def wait_counts(
     unit: IntArray,
     units: int,
 ) -> Iterator[Counted]:
-    """Frames to a lasting right ID over passes, per ID and in all.
+    """Frames to a lasting ID, over the passes of each ID and of all.
 
-    landmark_index, unit: (P,) of the passes; there are so many units. A pass in which it never
-    comes counts as infinite.
+    landmark_index, unit: (P,) of the passes. units: how many there are. A pass without a lasting
+    ID counts as infinite.
     """
     edges = np.unique(np.concatenate([[np.inf], *(f.wait for f in outcomes)]))
     for one in outcomes:
@@ -111,15 +111,15 @@ def wait_counts(
 
 
 def on_truth(joined: Joined) -> IntArray:
-    """(N,) per claim the nearest truth of whatever ID in its frame, -1 with none in its gate."""
+    """(N,) for each claim the nearest truth of any ID in its frame, -1 if none is in its gate."""
     everything = np.arange(len(joined.claim_frame_index))
     return nearest_truth(joined, everything, joined.claim_frame_index, joined.truth_frame_index)
 
 
 def false_claims(joined: Joined, nearest: IntArray, units: Units, method: int) -> IntArray:
-    """(U, K, 2) declared claims of a method on no landmark at all, and on one of another ID.
+    """(U, K, 2) declared claims of a method on no landmark, and on a landmark of another ID.
 
-    By the ID claimed. nearest: of `on_truth`.
+    K: the claimed ID. nearest: from `on_truth`.
     """
     k = len(joined.ids)
     declared = np.flatnonzero(joined.declared & (joined.method_index == method))
@@ -135,32 +135,32 @@ def false_claims(joined: Joined, nearest: IntArray, units: Units, method: int) -
 
 
 def minutes(joined: Joined, units: Units) -> FloatArray:
-    """(U,) that the units' frames stand for, NaN where the log tells no time."""
+    """(U,) duration of the units' frames, NaN if the log has no times."""
     return np.bincount(units.of_frame, joined.seconds, minlength=units.count) / 60
 
 
 def false_claim_counts(
     method: str, ids: Sequence[int], made: IntArray, minutes: FloatArray
 ) -> Iterator[Counted]:
-    """Of what `false_claims` and `minutes` give, per claimed ID and in all."""
+    """FalseClaims per claimed ID and in all. made: from `false_claims`. minutes: from `minutes`."""
     named = [(str(i), made[:, k]) for k, i in enumerate(ids)]
     for name, mine in [*named, ("total", made.sum(axis=1))]:
         yield sum_count(("strict", method, name), FalseClaims, [*mine.T, minutes])
 
 
 def switches(joined: Joined, nearest: IntArray, passes: Passes) -> list[Switches]:
-    """What changed from one frame of a pass to the next one that has it, per method.
+    """The Switches of each method.
 
-    The track is that of the estimate nearest to a landmark whole in view, the ID that of the
-    nearest declared one. Frames with two landmarks of one ID are passed over: which is which is not
-    known. Candidates of the single-frame method (smi) are no tracks.
+    The track is that of the estimate nearest to the landmark, the ID that of the nearest declared
+    estimate. Frames with two landmarks of one ID are ignored, since they cannot be told apart.
+    Candidates of the single-frame method (smi) are not tracks.
     """
     k = len(joined.ids)
     cell = joined.truth_frame_index * k + joined.truth_landmark_index
     alone = joined.truth_positive & (np.bincount(cell, minlength=1)[cell] == 1)
     claims = np.flatnonzero(nearest >= 0)
     claims = claims[alone[nearest[claims]]]
-    # By method, pass and frame, the nearest first.
+    # In order of pass and frame, the nearest claim first.
     truth = nearest[claims]
     away = distance(joined, claims, truth)
     order = np.lexsort((away, truth, joined.truth_frame_index[truth], passes.of_truth[truth]))
@@ -184,7 +184,7 @@ def switches(joined: Joined, nearest: IntArray, passes: Passes) -> list[Switches
 
 
 def _changes(what: IntArray, truth: IntArray, passes: Passes) -> IntArray:
-    """(P,) changes of `what` along each pass, the first element of each truth standing for it."""
+    """(P,) changes of `what` along each pass; the first element counts for each truth."""
     first = np.ones(len(truth), dtype=bool)
     first[1:] = np.diff(truth) != 0
     what, number = what[first], passes.of_truth[truth[first]]
@@ -199,9 +199,9 @@ def switch_counts(
     unit: IntArray,
     units: int,
 ) -> Iterator[Counted]:
-    """Switches over passes, per ID and in all; the arguments are those of `wait_counts`."""
+    """Switched per ID and in all; the arguments are those of `wait_counts`."""
     for one in found:
-        # Of all methods the same columns, so that they can be swapped.
+        # All methods have the same columns, so that tests can swap them.
         record = Switched if one.tracks is not None else _without_tracks
         kinds = one.ids, np.zeros_like(one.ids) if one.tracks is None else one.tracks
         for name, mine in by_landmark(ids, landmark_index):
@@ -215,17 +215,17 @@ def _without_tracks(passes: FloatArray, ids: FloatArray, _: FloatArray) -> Switc
 
 
 def position_errors(strict: Scored, joined: Joined, right: IntArray) -> FloatArray:
-    """(n,) m, of right claims (of `right_claims`), NaN where unknown.
+    """(n,) m, of the claims `right` (from `right_claims`), NaN if not known.
 
-    Claims beyond the gate are not right, so this says how exact the right ones are.
+    At most the gate, since claims beyond it are not right.
     """
     return distance(joined, strict.claim[right], strict.truth[right])
 
 
 def orientation_errors(strict: Scored, joined: Joined, right: IntArray) -> FloatArray:
-    """(n,) deg, of right claims (of `right_claims`), NaN where truth or estimate does not tell it.
+    """(n,) deg, of the claims `right` (from `right_claims`), NaN if not known.
 
-    An ID that looks the same after a turn is not wrong by that turn.
+    A rotation after which the ID looks the same is no error.
     """
     period = joined.turn_deg[strict.landmark_index[right]]
     off = (
@@ -236,7 +236,7 @@ def orientation_errors(strict: Scored, joined: Joined, right: IntArray) -> Float
 
 
 def right_claims(scored: Scored) -> IntArray:
-    """Which of its claims are declared and right."""
+    """Indices of the claims that are declared and right."""
     return scored.made[scored.made_effect[:, 0] > 0]
 
 
@@ -252,7 +252,7 @@ def error_counts(
 ) -> Iterator[Counted]:
     """Errors of right claims, per ID and in all.
 
-    errors: of a method and the k-th ID, with their units; none is NaN.
+    errors: gives the errors of a method and the k-th ID, without NaN, and their units.
     """
     k = range(len(ids))
 
@@ -264,8 +264,8 @@ def error_counts(
     count = sum(len(error) for error, _ in several(every))
     if not count:
         return
-    # Steps as fine as the errors are dense, the same for every method. Their ranks are those of
-    # numpy's quantile, method "inverted_cdf".
+    # The edges are quantiles of all errors, the same for every method; their ranks are those of
+    # numpy's quantile with the method "inverted_cdf".
     ranks = np.ceil(count * np.linspace(0, 1, 513) - 1).clip(0).astype(np.int64)
     edges = np.unique(ranked(lambda: (error for error, _ in several(every)), ranks))
     for method in methods:

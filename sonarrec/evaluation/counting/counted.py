@@ -1,6 +1,6 @@
-"""What each unit adds to the figures of a method, and the records that metrics are functions of.
+"""The contribution of each unit to the figures of a method, and the records that metrics use.
 
-Records have one row per set of units: one of everything, or one per draw of the bootstrap.
+A record has one row per set of units: a single row for all units, or one per bootstrap draw.
 """
 
 from __future__ import annotations
@@ -23,30 +23,30 @@ FPR_GRID = np.unique(
         *FPR_POINTS,
     ]
 )
-"""FPRs at which resampled curves are held, dense about FPR_POINTS. Reported curves are exact."""
+"""The FPRs of resampled curves, dense about FPR_POINTS. Reported curves are exact."""
 QUANTILES = (0.5, 0.9, 0.95)
-"""Shares of values that metrics may ask for: `exact_spread` holds no others."""
+"""The quantiles that metrics may use; `exact_spread` has no others."""
 
 Claims = Iterable[tuple[FloatArray, IntArray, IntArray]]
-"""(n,) scores, (n, 4) effects and (n,) units of claims, any number of them at a time."""
+"""Blocks of claims: (n,) scores, (n, 4) effects and (n,) units."""
 Values = Callable[[], Iterable[tuple[FloatArray, IntArray]]]
-"""Gives (n,) values and (n,) units, any number at a time, the same each time it is called."""
+"""Gives blocks of (n,) values and (n,) units, the same ones on each call."""
 
 
 @dataclass(frozen=True, slots=True)
 class Counted:
-    """What the units add to one kind of record, of one method under one protocol."""
+    """The contributions of the units to a record, for one method under one protocol."""
 
     protocol: str
     method: str
     landmark_text: str
     """An ID, "none" or "total"."""
     sums: FloatArray
-    """(U, C) what each unit adds."""
+    """(U, C) contribution of each unit."""
     record: Callable[[FloatArray], Any]
-    """The record of (R, C) summed rows."""
+    """Turns (R, C) summed rows into a record."""
     exact: Any
-    """The record of everything, of one row; `sums` may hold it in steps."""
+    """The record of all units, with one row; `sums` may be coarser."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,20 +57,20 @@ class Rates:
     """(R, 4) TP, TN, FP, FN at the operating point."""
     tpr: FloatArray
     fpr: FloatArray
-    """(R, points) of the ROC, from the highest threshold down."""
+    """(R, points) the ROC, from the highest threshold down."""
 
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """Values, counted in steps."""
+    """A cumulative histogram."""
 
     edges: FloatArray
-    """(E,) values, rising."""
+    """(E,) rising."""
     reached: FloatArray
-    """(R, E) how many do not exceed each of them."""
+    """(R, E) how many values do not exceed each edge."""
 
     def quantile(self, share: float) -> FloatArray:
-        """(R,) the least value that as large a share does not exceed; NaN where there is none."""
+        """(R,) the smallest edge that this share of values does not exceed; NaN if none."""
         total = self.reached[:, -1:]
         found = self.edges[np.argmax(self.reached >= share * total - 1e-3, axis=1)]  # counts: whole
         return np.where(total[:, 0] > 0, found, np.nan)
@@ -79,26 +79,26 @@ class Spread:
 def rate_count(
     labels: tuple[str, str, str], base: IntArray, declared: IntArray, curve: Curve, claims: Claims
 ) -> Counted:
-    """What the units add to Rates.
+    """The contributions of the units to Rates.
 
-    labels: protocol, method, landmark_text. base, declared: (U, 4) TP, TN, FP, FN with nothing
-    claimed, and at the operating point. curve: of all claims.
+    labels: protocol, method, landmark_text. base: (U, 4) TP, TN, FP, FN without any claim.
+    declared: the same at the operating point. curve: the exact ROC.
     """
     units, bins = len(base), len(FPR_GRID)
-    # A bin per step of the FPR, so that methods with other scores can be swapped bin by bin.
+    # Bins of FPR, not of score, so that methods with different scores can be swapped bin by bin.
     at = np.maximum(np.searchsorted(curve.fpr, FPR_GRID, side="right") - 1, 0)
     steps = np.zeros((units, 4, bins))
     steps[:, :, 0] = base
     for score, effect, unit in claims:
         if len(score):
             bin_ = np.searchsorted(-curve.threshold[at], -score, side="left")
-            first = int(unit.min())  # those of one log lie side by side
+            first = int(unit.min())  # the units of a log are neighbours
             cell = (unit - first) * bins + np.minimum(bin_, bins - 1)
             size = (int(unit.max()) - first + 1) * bins
             for c in range(4):
                 added = np.bincount(cell, effect[:, c], minlength=size).reshape(-1, bins)
                 steps[first : first + len(added), c] += added
-    # A curve of sums is the sum of curves: added up here, once, and not in each draw.
+    # The curve of a sum is the sum of curves, so this is done once and not in each draw.
     np.cumsum(steps, axis=2, out=steps)
     return Counted(
         *labels,
@@ -109,7 +109,7 @@ def rate_count(
 
 
 def _rates(rows: FloatArray) -> Rates:
-    """From (R, 4 + 4 * bins): the operating point, then the counts at each step of the curve."""
+    """The record of (R, 4 + 4 * bins) rows: operating point, then the counts along the curve."""
     tp, tn, fp, fn = np.moveaxis(rows[:, 4:].reshape(len(rows), 4, -1), 1, 0)
     tpr, fpr = np.zeros((2, len(rows), tp.shape[1] + 1), dtype=rows.dtype)
     tpr[:, 1:], fpr[:, 1:] = ratio(tp, tp + fn), ratio(fp, fp + tn)
@@ -119,10 +119,10 @@ def _rates(rows: FloatArray) -> Rates:
 def spread_count(
     labels: tuple[str, str, str], values: Values, units: int, edges: FloatArray
 ) -> Counted:
-    """What the units add to a Spread.
+    """The contributions of the units to a Spread.
 
-    labels: protocol, method, landmark_text. edges: rising, the last one no less than any value;
-    resampled values count as the next edge, so equal edges make methods comparable.
+    labels: protocol, method, landmark_text. edges: rising; the last is no less than any value.
+    Resampled values are rounded up to an edge, so methods need equal edges to be compared.
     """
     sums = np.zeros((units, len(edges)), dtype=np.float32)
     for some, unit in values():
@@ -138,7 +138,7 @@ def spread_count(
 
 
 def exact_spread(values: Blocks) -> Spread:
-    """All values in steps at their QUANTILES and their largest, so that these are exact."""
+    """A Spread of all values whose edges are their QUANTILES and maximum, which are thus exact."""
     total = sum(map(len, values()))
     if not total:
         return Spread(np.zeros(1), np.zeros((1, 1)))
@@ -152,12 +152,12 @@ def sum_count(
     record: Callable[..., Any],
     columns: Sequence[FloatArray | IntArray],
 ) -> Counted:
-    """Plain sums. columns: (U,) each, what the units add to the record's fields, in order."""
+    """Plain sums. columns: (U,) each, contributions to the fields of `record` in order."""
     sums = np.stack(columns, axis=1).astype(float)
     return Counted(*labels, sums, lambda rows: record(*rows.T), record(*sums.sum(axis=0)[:, None]))
 
 
 def by_landmark(ids: Sequence[int], landmark_index: IntArray) -> list[tuple[str, BoolArray]]:
-    """Per ID, then in all: its name and which elements are its own."""
+    """(name, which elements belong to it) of each ID, then of all."""
     named = [(str(i), landmark_index == k) for k, i in enumerate(ids)]
     return [*named, ("total", np.ones(len(landmark_index), dtype=bool))]

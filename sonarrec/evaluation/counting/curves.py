@@ -1,4 +1,4 @@
-"""Confusion counts and ROC curves, and what is read off them."""
+"""Confusion counts, ROC curves, and figures of these."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import numpy as np
 from sonarrec.records import FloatArray, IntArray
 
 FPR_POINTS = (0.01, 0.0276, 0.05)
-"""Where the TPR is read off a curve; .0276 is the FPR of the paper's framework (Table 5)."""
+"""FPRs for which the TPR is reported; .0276 is that of the paper's framework (Table 5)."""
 PARTIAL_FPR = 0.05
-"""Where the partial area under a curve ends."""
+"""End of the partial area under a curve."""
 MOST_CORNERS = 500
 PUBLISHED = (("SMI", 0.0381, 0.8226), ("framework", 0.0276, 0.8648))
 """(method, FPR, TPR) of Tables 4 and 5, Total: the paper's only two points."""
@@ -21,7 +21,7 @@ PUBLISHED = (("SMI", 0.0381, 0.8226), ("framework", 0.0276, 0.8648))
 
 @dataclass(frozen=True, slots=True)
 class Count:
-    """A confusion count. Rates are NaN where they are 0/0."""
+    """A confusion count. Rates are NaN if they are 0/0."""
 
     tp: int
     tn: int
@@ -46,10 +46,10 @@ class Count:
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """A ROC: the count at every threshold, from infinity down. Arrays are (points,).
+    """A ROC: the counts at every threshold, from infinity down. Arrays are (points,).
 
-    Equal scores are one point. Rates are NaN throughout where they are 0/0. The curve ends where
-    every estimate is a claim, which need not be at (1, 1): what was never seen cannot be claimed.
+    Equal scores are one point. Rates of 0/0 are NaN. At the last point every estimate is a claim;
+    this need not be (1, 1), since a landmark without an estimate cannot be claimed.
     """
 
     threshold: FloatArray
@@ -69,22 +69,22 @@ class Curve:
         return ratio(self.fp, self.fp + self.tn)
 
     def area(self, end: float = 1.0) -> float:
-        """Area under the curve over FPR 0 to `end`, as `area` says; NaN where a rate is 0/0."""
+        """As the function `area`; NaN if a rate is 0/0."""
         return float(area(self.fpr, self.tpr, end))
 
     def tpr_at(self, fpr: float) -> float:
-        """The highest TPR of a threshold whose FPR is at most `fpr`; NaN where a rate is 0/0."""
+        """As the function `tpr_at`; NaN if a rate is 0/0."""
         return float(tpr_at(self.fpr, self.tpr, fpr))
 
     def turns(self, most: int = 2000) -> IntArray:
-        """Indices of the points that draw the curve: its corners, both ends among them.
+        """Indices of the points needed to draw the curve: its corners and both ends.
 
-        Where those are more than `most`, points that move neither rate past the next of
-        `most` / 2 equal steps are left out.
+        If these are more than `most`, points are left out that stay within the same of `most` / 2
+        equal steps of both rates.
         """
         step = np.stack([np.diff(self.tp - self.fn), np.diff(self.fp - self.tn)])
         keep = np.ones(len(self.tp), dtype=bool)
-        # Three points on one horizontal or vertical line need no middle one.
+        # Of three points on a horizontal or vertical line the middle one is not needed.
         keep[1:-1] = ((step[:, 1:] != 0) != (step[:, :-1] != 0)).any(axis=0) | (
             step[:, 1:] != 0
         ).all(axis=0)
@@ -98,7 +98,7 @@ class Curve:
 
 
 def ratio(part: FloatArray | IntArray, whole: FloatArray | IntArray) -> FloatArray:
-    """part / whole, NaN where that is 0/0."""
+    """part / whole, NaN for 0/0."""
     with np.errstate(invalid="ignore"):
         return np.asarray(part / whole)
 
@@ -106,10 +106,10 @@ def ratio(part: FloatArray | IntArray, whole: FloatArray | IntArray) -> FloatArr
 def area(fpr: FloatArray, tpr: FloatArray, end: float = 1.0) -> FloatArray:
     """(...,) area under curves (..., points) over FPR 0 to `end`, divided by `end`.
 
-    So it is the mean TPR over that span: 1 is perfect, end / 2 is chance. Points are joined by
-    straight lines, the last one with (1, 1): where a frame and ID was never claimed, every claim
-    of it would be a guess. This is what scikit-learn gives where such cells share the lowest
-    score; its partial area is rescaled after McClish, which this one is not.
+    This is the mean TPR over that span: 1 is perfect, end / 2 is chance. Points are joined by
+    straight lines, and the last point with (1, 1): beyond it every claim would be a guess.
+    scikit-learn gives the same if frames and IDs without an estimate share the lowest score, but
+    rescales its partial area after McClish.
     """
     one = np.ones((*fpr.shape[:-1], 1), dtype=fpr.dtype)
     x = np.concatenate([fpr, one], axis=-1)
@@ -126,18 +126,18 @@ def area(fpr: FloatArray, tpr: FloatArray, end: float = 1.0) -> FloatArray:
 def tpr_at(fpr: FloatArray, tpr: FloatArray, most: float) -> FloatArray:
     """(...,) highest TPR among the points of curves (..., points) with an FPR of at most `most`.
 
-    It is not read off between points: no threshold works there. NaN where a rate is NaN.
+    Without interpolation, since no threshold gives a point in between. NaN if a rate is NaN.
     """
     reached = np.where(fpr <= most, tpr, -np.inf).max(axis=-1)
     return np.asarray(np.where(np.isnan(tpr[..., 0]) | np.isnan(fpr[..., 0]), np.nan, reached))
 
 
 def macro_curve(curves: Iterable[Curve]) -> tuple[FloatArray, FloatArray]:
-    """(FPR, TPR), the mean TPR of several IDs at equal FPR, each ID at a threshold of its own.
+    """(FPR, TPR): the mean TPR of several IDs at equal FPR, each ID with its own threshold.
 
-    IDs of which a rate is 0/0 are left out; without any left both arrays are empty. Each curve
-    is joined with (1, 1) as in `area`, so the area under this one is the mean of theirs.
-    Of curves with more corners than MOST_CORNERS, near ones are left out, as in `Curve.turns`.
+    IDs with a rate of 0/0 are left out; if none is left, both arrays are empty. Curves are joined
+    with (1, 1) as in `area`, so the area under this curve is the mean of theirs.
+    Curves are thinned to MOST_CORNERS points, as in `Curve.turns`.
     """
     corners = []
     for curve in curves:
@@ -148,7 +148,7 @@ def macro_curve(curves: Iterable[Curve]) -> tuple[FloatArray, FloatArray]:
     if not corners:
         return np.empty(0), np.empty(0)
     grid = np.unique(np.concatenate([x for x, _ in corners]))
-    # Curves step upward: at each FPR the lowest TPR and the highest.
+    # Curves have vertical steps, so each FPR has a lowest and a highest TPR.
     low, high = np.zeros(len(grid)), np.zeros(len(grid))
     for x, y in corners:
         at, first = np.unique(x, return_index=True)

@@ -1,4 +1,4 @@
-"""What one log adds to an evaluation: sums by unit, and the claims and errors behind them."""
+"""The contribution of one log to an evaluation: sums per unit, claims and errors."""
 
 from __future__ import annotations
 
@@ -46,9 +46,9 @@ class PassTable:
     landmark_index: IntArray
     first_frame: IntArray
     last_frame: IntArray
-    """(P,) numbers in the log."""
+    """(P,) frame numbers in the log."""
     unit: IntArray
-    """(P,) its unit of the kind "pass"."""
+    """(P,) unit of the kind "pass"."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ class ScoredPart:
     protocol: str
     method: str
     base: IntArray
-    """(L, K, 4) TP, TN, FP, FN with nothing claimed."""
+    """(L, K, 4) TP, TN, FP, FN without any claim."""
     declared: IntArray
     """(L, K, 4) TP, TN, FP, FN at the operating point."""
     outcomes: PassOutcomes
@@ -66,7 +66,7 @@ class ScoredPart:
 
 @dataclass(frozen=True, slots=True)
 class Totals:
-    """What there is to score: L logs, K IDs, M methods, U pass units, P passes."""
+    """Facts about the logs scored: L logs, K IDs, M methods, U pass units, P passes."""
 
     logs: tuple[str, ...]
     ids: tuple[int, ...]
@@ -74,47 +74,46 @@ class Totals:
     placed: bool
     """Whether positions are known wherever the strict protocol needs them."""
     timed: bool
-    """Whether every frame stands for a known time."""
+    """Whether the duration of every frame is known."""
     frames: int
     positives: IntArray
-    """(K,) truths whole in view."""
+    """(K,) how many truths count as positives."""
     ignored: int
-    """Truths partly in view."""
+    """How many truths are only partly in view."""
     gates: tuple[float, ...]
-    """m, the distances within which a claim is right, rising."""
+    """m, rising: the distances within which a claim is right."""
     estimates: IntArray
-    """(M,) of each method."""
+    """(M,) how many each method has."""
     unit_log: IntArray
-    """(U,) into logs, of each unit of the kind "pass"."""
+    """(U,) into logs, for each unit of the kind "pass"."""
     passes: PassTable
     switches: tuple[Switches, ...]
-    """Per method; empty where positions are not known."""
+    """Per method; empty if positions are not known."""
 
 
 @dataclass(frozen=True, slots=True)
 class Part(Totals):
-    """What one log, or some, add to an evaluation.
+    """The contribution of one log, or of several joined ones.
 
-    Small enough to keep for every log, but for `blocks`: these are as long as the log, and go to
-    the disk (`store.py`).
+    Small enough to keep in memory for every log, except `blocks`, which go to disk (`store.py`).
     """
 
     scored: tuple[ScoredPart, ...]
     blocks: dict[Hashable, npt.NDArray[Any]]
-    """By what they hold: see `_blocks`."""
+    """See `_blocks`."""
 
 
 def part_of(
     joined: Joined, scored: Sequence[Scored] | None = None, *, rates_only: bool = False
 ) -> Part:
-    """What the logs of `joined` add.
+    """The contribution of the logs of `joined`.
 
-    scored: every method under every protocol; default: they are scored here. rates_only: nothing of
-    errors, false claims a minute, switches and calibration.
+    scored: every method under every protocol; None: score them here. rates_only: leave out errors,
+    false claims per minute, switches and calibration.
     """
     if scored is None:
         scored = score_all(joined)
-    if not scored:  # of a log without any method others still need what there was to claim
+    if not scored:  # a log without any method still has positives and negatives
         scored = score_all(replace(joined, methods=("",)))
     passes, logs = find_passes(joined), len(joined.logs)
     units = pass_units(joined, passes)
@@ -159,7 +158,7 @@ def part_of(
 
 
 def score_all(joined: Joined) -> tuple[Scored, ...]:
-    """Every method under every protocol that positions allow."""
+    """Score every method under both protocols, or only "paper" if there are no positions."""
     return tuple(
         score(joined, m, protocol)
         for m in range(len(joined.methods))
@@ -177,20 +176,20 @@ def _blocks(
 ) -> dict[Hashable, npt.NDArray[Any]]:
     """Arrays by key.
 
-    ("base", protocol): (U, K, 4) by pass units; ("made", protocol, method): what the declared
-    claims add to it. ("claims", protocol, method, k): CLAIM by pass units, of the k-th ID.
-    ("position" or "orientation", method, k): ERROR by pass units. ("false", method): (U, K, 2) by
-    pass units. ("minutes", kind): (U,) and ("calibration", method, kind): (U, K + 2, C), by units
-    of this kind: sums of fractions depend in the last bit on how they are put together.
+    By pass units: ("base", protocol): (U, K, 4). ("made", protocol, method): (U, K, 4), added by
+    the declared claims. ("claims", protocol, method, k): CLAIM of the k-th ID.
+    ("position" or "orientation", method, k): ERROR. ("false", method): (U, K, 2).
+    By units of each kind, since sums of fractions depend in the last bit on their order:
+    ("minutes", kind): (U,). ("calibration", method, kind): (U, K + 2, C).
 
-    nearest: of `on_truth`; None where rates alone are wanted, or positions are not known. units: of
+    nearest: from `on_truth`; None if only rates are wanted or positions are not known. units: from
     `pass_units`.
     """
     groups = units.of_frame, units.of_truth
     found: dict[Hashable, npt.NDArray[Any]] = {}
     for s in scored:
         base = s.base_by(*groups, units.count)
-        found["base", s.protocol] = base  # the same of every method
+        found["base", s.protocol] = base  # the same for every method
         found["made", s.protocol, s.method] = s.declared_by(*groups, units.count) - base
         group = s.claims_by(*groups)
         for k in range(len(joined.ids)):

@@ -1,7 +1,7 @@
 """Passes of landmarks through the view, and the units that count as independent.
 
-Neighbouring frames show the same disc on the same floor through the same noise: counting them
-one by one makes every difference look certain. What varies from case to case is a pass.
+Neighbouring frames show the same disc on the same floor through the same noise. If each counted as
+independent, every difference would look significant. So the independent unit is a pass.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from sonarrec.evaluation.matching.joined import Joined
 from sonarrec.records import IntArray
 
 PASS_GAP = 10
-"""Frames that a landmark may be out of view within one pass: a shake of the sonar ends none."""
+"""A pass may have gaps of so many frames, so that a shake of the sonar does not end it."""
 LOGS_ENOUGH = 10
-"""With so many logs the unit is a log: then what its passes share is averaged over as well."""
+"""With so many logs the unit is a log, since the passes of one log have much in common."""
 MOST_UNITS = 400
-"""Where there are more, neighbours in time are put together; intervals become no wider by that."""
+"""If there are more, neighbours in time are merged; this makes intervals no wider."""
 
 UnitKind = Literal["pass", "log"]
 
@@ -36,23 +36,23 @@ class Passes:
     last_frame_index: IntArray
     """(P,) into Joined.frame: the first and the last frame with the landmark whole in view."""
     of_truth: IntArray
-    """(T,) the pass that a truth is part of, -1 where it is no positive."""
+    """(T,) the pass that a truth is part of, -1 if it is not a positive."""
 
 
 @dataclass(frozen=True, slots=True)
 class Units:
-    """The clusters that are drawn and swapped whole."""
+    """The clusters that the bootstrap draws and tests swap as a whole."""
 
     kind: UnitKind
     count: int
     of_frame: IntArray
-    """(F,) the unit that has a frame's negatives and false claims."""
+    """(F,) the unit of a frame's negatives and false claims."""
     of_truth: IntArray
-    """(T,) the unit that has a landmark in view and the right claims of it."""
+    """(T,) the unit of a truth and its right claims."""
 
 
 def find_passes(joined: Joined) -> Passes:
-    """Runs of frames with a landmark whole in view, with breaks of at most PASS_GAP frames.
+    """Runs of frames with the whole landmark in view and gaps of at most PASS_GAP frames.
 
     Landmarks of one ID that are in view together are one pass.
     """
@@ -75,13 +75,13 @@ def find_passes(joined: Joined) -> Passes:
 
 
 def find_units(joined: Joined, passes: Passes, kind: UnitKind | None = None) -> Units:
-    """The units of an evaluation; by default passes, or logs where there are LOGS_ENOUGH.
+    """The units of an evaluation: by default passes, or logs if there are LOGS_ENOUGH.
 
-    Passes that share more than half of the shorter one's frames are one unit: landmarks seen
-    together are well or badly seen together. A landmark in view, and a right claim of it, belong
-    to its pass. Everything else in a frame (the IDs not in view, and the false claims of any ID)
-    belongs to the unit nearest in time, with the border half-way between neighbours: a fake lasts
-    over many frames, whatever it is taken for. A log without any landmark is one unit.
+    Passes that overlap by more than half of the shorter one are one unit, since landmarks seen
+    together are seen equally well. A truth and its right claims belong to its pass. Everything
+    else in a frame (IDs not in view, false claims of any ID) belongs to the unit nearest in time,
+    with the border half-way between neighbours, since a distractor also lasts over many frames.
+    A log without any landmark is one unit.
     """
     kind = kind or ("log" if len(joined.logs) >= LOGS_ENOUGH else "pass")
     if kind == "log":
@@ -98,12 +98,12 @@ def find_units(joined: Joined, passes: Passes, kind: UnitKind | None = None) -> 
 
 
 def fewer(unit: IntArray, count: int) -> IntArray:
-    """Numbers of `count` units as those of MOST_UNITS, neighbours together."""
+    """Numbers of `count` units, merged to at most MOST_UNITS."""
     return unit * MOST_UNITS // count if count > MOST_UNITS else unit
 
 
 def pass_units(joined: Joined, passes: Passes) -> Units:
-    """The passes as units, as `find_units` says, however many."""
+    """The passes as units, as in `find_units`, but never merged for their number."""
     of_pass = np.empty(len(passes.first_frame_index), dtype=np.int64)
     of_frame = np.empty(len(joined.frame), dtype=np.int64)
     count = 0

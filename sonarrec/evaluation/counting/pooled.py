@@ -1,7 +1,7 @@
-"""An evaluation of many logs, of which each was read once and let go.
+"""An evaluation of many logs, each read once.
 
-Counts, units and passes are kept; claims and errors lie in a store, so that curves, quantiles and
-intervals are exact and memory does not grow with the logs.
+Counts, units and passes are kept in memory. Claims and errors are in a store on disk, so that
+curves, quantiles and intervals are exact and memory does not grow with the logs.
 """
 
 from __future__ import annotations
@@ -34,23 +34,23 @@ class PooledScored:
     method: str
     ids: tuple[int, ...]
     base: IntArray
-    """(L, K, 4) TP, TN, FP, FN with nothing claimed."""
+    """(L, K, 4) TP, TN, FP, FN without any claim."""
     declared: IntArray
     """(L, K, 4) TP, TN, FP, FN at the method's operating point."""
     parts: Parts
 
     def count(self, k: int | None = None) -> Count:
-        """At the operating point: of the k-th ID, or the micro sum over all of them."""
+        """The counts at the operating point: of the k-th ID, or the sum over all."""
         row = self.declared.sum(axis=0)
         return Count(*map(int, row.sum(axis=0) if k is None else row[k]))
 
     def counts_per_log(self) -> list[list[Count]]:
-        """Per log the count at the operating point of each ID, then of all."""
+        """For each log the counts at the operating point: of each ID, then of all."""
         split = np.concatenate([self.declared, self.declared.sum(axis=1, keepdims=True)], axis=1)
         return [[Count(*cell) for cell in log] for log in split.tolist()]
 
     def curve(self, k: int | None = None) -> Curve:
-        """The ROC of the k-th ID, or the micro-averaged one over all of them."""
+        """The ROC of the k-th ID, or the micro average over all."""
         base = self.base.sum(axis=0)
         base = base.sum(axis=0) if k is None else base[k]
         score, effect = self.parts.scores(self.protocol, self.method, len(self.ids), k)
@@ -61,25 +61,25 @@ class PooledScored:
 
 @dataclass(frozen=True, slots=True)
 class PooledUnits:
-    """The clusters that are drawn and swapped whole."""
+    """As `passes.Units`, in terms of pass units."""
 
     kind: UnitKind
     count: int
     of_pass_unit: IntArray
-    """(all pass units,) the unit of each."""
+    """(all pass units,) the unit of each pass unit."""
 
 
 class Parts:
-    """Parts of an evaluation in the order of its logs, their blocks in a store."""
+    """The parts of an evaluation in the order of its logs, with their blocks in a store."""
 
     def __init__(self, store: Store | None = None, side: str = "") -> None:
-        """store: where others lie as well, told apart by their side."""
+        """store: may be shared with other Parts of another `side`."""
         self._store, self._side = store or Store(), side
         self._given: list[Part] = []
         self._used: dict[int, tuple[int, int]] = {}
 
     def put(self, part: Part) -> int:
-        """Put a part by; its number."""
+        """Keep a part; returns its number."""
         number = len(self._given)
         for key, array in part.blocks.items():
             self._store.put((self._side, key), number, array)
@@ -87,7 +87,7 @@ class Parts:
         return number
 
     def use(self, numbers: Sequence[int]) -> list[Part]:
-        """Those that count; the others are passed over from now on."""
+        """Select the parts that count; the others are ignored from now on."""
         used = [self._given[n] for n in numbers]
         logs = np.cumsum([0, *(len(part.logs) for part in used)]).tolist()
         units = np.cumsum([0, *(len(part.unit_log) for part in used)]).tolist()
@@ -95,7 +95,7 @@ class Parts:
         return used
 
     def blocks(self, key: Hashable) -> Iterator[tuple[int, int, npt.NDArray[Any]]]:
-        """(the first log, the first pass unit, array) of each part that counts and has it."""
+        """(index of the first log, of the first pass unit, array) of each part that has the key."""
         for number, array in self._store.get((self._side, key)):
             if number in self._used:
                 yield *self._used[number], array
@@ -103,7 +103,7 @@ class Parts:
     def scores(
         self, protocol: str, method: str, ids: int, k: int | None
     ) -> tuple[FloatArray, IntArray]:
-        """(n,) distinct scores, rising, and (n, 4) what the claims of each add."""
+        """(n,) distinct scores, rising, and (n, 4) the summed effects of their claims."""
         key = ("scores", protocol, method, k)
         for _, found in self._store.get((self._side, key)):
             return found["score"], found["effect"]
@@ -121,17 +121,16 @@ class Parts:
 
 @dataclass(frozen=True, slots=True)
 class Pooled(Totals):
-    """What was found over all logs."""
+    """The evaluation of all logs."""
 
     scored: tuple[PooledScored, ...]
     outcomes: tuple[PassOutcomes, ...]
-    """As `scored`."""
+    """In the order of `scored`."""
     parts: Parts
     min_visible: float
     folders: tuple[Path, ...] = ()
-    """Of each log's results, as given."""
+    """Results folder of each log, as given."""
     notes: tuple[str, ...] = ()
-    """Worth knowing."""
     unused: tuple[str, ...] = ()
     """Input that could not be used, one line each."""
 
@@ -144,7 +143,7 @@ class Pooled(Totals):
         return PooledUnits(kind, min(count, MOST_UNITS), fewer(np.arange(count), count))
 
     def sums(self, key: tuple[str, ...], units: PooledUnits) -> IntArray:
-        """(U, ...) blocks that are by pass units, summed over each; (U, K, 4) where none is."""
+        """(U, ...) sums of blocks that are by pass units; zeros (U, K, 4) if there are none."""
         found: IntArray | None = None
         for _, first, rows in self.parts.blocks(key):
             if found is None:
@@ -153,7 +152,7 @@ class Pooled(Totals):
         return np.zeros((units.count, len(self.ids), 4), np.int64) if found is None else found
 
     def sums_of_kind(self, key: tuple[str, ...], units: PooledUnits) -> npt.NDArray[Any] | None:
-        """(U, ...) blocks that are by units of each kind; None where there are none."""
+        """(U, ...) sums of blocks that are by units of each kind; None if there are none."""
         if units.kind == "pass":
             found = list(self.parts.blocks((*key, "pass")))
             return None if not found else self.sums((*key, "pass"), units)
@@ -165,14 +164,14 @@ class Pooled(Totals):
         return summed_up
 
     def claims(self, scored: PooledScored, k: int | None, units: PooledUnits) -> Claims:
-        """Those of the k-th ID, or all, a log at a time."""
+        """The claims of the k-th ID, or of all, one log at a time."""
         for i in range(len(self.ids)) if k is None else [k]:
             key = ("claims", scored.protocol, scored.method, i)
             for _, first, c in self.parts.blocks(key):
                 yield c["score"], c["effect"], units.of_pass_unit[first + c["unit"]]
 
     def errors(self, name: str, units: PooledUnits, method: str, k: int) -> Values:
-        """ "position" or "orientation" errors of right claims of the k-th ID."""
+        """Errors of right claims of the k-th ID. name: "position" or "orientation"."""
         return partial(self._errors, (name, method, k), units)
 
     def _errors(self, key: Hashable, units: PooledUnits) -> Iterator[tuple[Any, IntArray]]:
@@ -183,7 +182,7 @@ class Pooled(Totals):
 def pooled(
     parts: Parts, numbers: Sequence[int], names: Sequence[str], min_visible: float
 ) -> Pooled:
-    """Parts that were put by, by their numbers, as one; names: of their logs. All of equal IDs."""
+    """The evaluation of these parts, which have the same IDs. names: of their logs."""
     used = parts.use(numbers)
     methods = in_order({method for part in used for method in part.methods})
     placed = all(part.placed for part in used)
@@ -233,7 +232,7 @@ _PASSES = tuple(PassTable.__slots__)
 
 
 def _scored(part: Part, protocol: str, method: str) -> ScoredPart:
-    """Of a log that holds nothing of the method: nothing is claimed there."""
+    """One method under one protocol; without claims if the part lacks the method."""
     of = [s for s in part.scored if s.protocol == protocol]
     mine = next((s for s in of if s.method == method), None)
     if mine is not None:
@@ -245,7 +244,7 @@ def _scored(part: Part, protocol: str, method: str) -> ScoredPart:
 
 
 def _switches(used: Sequence[Part], method: str) -> Switches:
-    """Of one method over all logs; 0 in the passes of logs that hold nothing of it."""
+    """The Switches of one method over all logs; 0 in logs that lack it."""
     found = [next((s for s in part.switches if s.method == method), None) for part in used]
     nothing = [np.zeros(len(part.passes.unit), dtype=np.int64) for part in used]
     objects = any(one.objects for one in found if one is not None)

@@ -1,4 +1,4 @@
-"""Calibration: whether what is said to be 90 % sure is right nine times in ten."""
+"""Calibration: whether estimates of probability 0.9 are right in nine of ten cases."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from sonarrec.records import BoolArray, FloatArray, IntArray
 
 BINS = 10
 FEW = 10
-"""Estimates in a step from which its share is worth a line: one of fewer wanders too far."""
+"""Bins with fewer estimates are not joined by the curve: their share is too uncertain."""
 
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """Estimates by the probability they state, in BINS equal steps from 0 to 1."""
+    """Estimates in BINS equal bins of the probability that they state."""
 
     squares: FloatArray
     """(R,) sum of (p - y)^2."""
@@ -29,32 +29,32 @@ class Calibration:
     said: FloatArray
     """(R, BINS) sum of their probabilities."""
     right: FloatArray
-    """(R, BINS) how many were so."""
+    """(R, BINS) how many are right."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reliability:
-    """One method's probabilities against what was there, in the steps of Calibration."""
+    """A reliability curve of one method, in the bins of Calibration."""
 
     method: str
     landmark_text: str
-    """An ID, "none", or "top": the most probable of all, none of these among them."""
+    """An ID, "none", or "top": the most probable of the IDs and "none"."""
     count: IntArray
     """(BINS,) estimates."""
     mean: FloatArray
     """(BINS,) their mean probability, NaN in empty bins."""
     right: FloatArray
-    """(BINS,) the share that was so, NaN in empty bins."""
+    """(BINS,) the share that is right, NaN in empty bins."""
 
 
 def calibration(joined: Joined, nearest: IntArray, units: Units, method: int) -> FloatArray | None:
-    """(U, K + 2, 1 + 3 * BINS) what Brier score and expected calibration error are taken from.
+    """(U, K + 2, 1 + 3 * BINS) sums for the Brier score and the expected calibration error.
 
-    Of one method: per ID, of none of these, and in total; None where it states no probability.
-    nearest: (N,) of behaviour.on_truth; an estimate is of the landmark it lies on, else of none.
-    Estimates on a landmark partly in view are left out, as in the rates, and so are those
-    without probabilities. Per ID and for "none" the squares are (p - y)^2; under "total" they are
-    their sum (Brier's own form, 0 to 2), and the steps those of the most probable.
+    For one method: per ID, for "none" and in total; None if it states no probabilities.
+    nearest: (N,) from behaviour.on_truth; an estimate's true class is the landmark that it lies on,
+    else "none". Estimates on a landmark partly in view, and those without probabilities, are left
+    out. Per ID and for "none" the squares are (p - y)^2; in total they are the sum of these
+    (Brier's own form, 0 to 2), and the bins are those of the most probable class.
     """
     k = len(joined.ids)
     used = np.asarray(~np.isnan(joined.probability).any(axis=1)) & (joined.method_index == method)
@@ -80,7 +80,7 @@ def calibration(joined: Joined, nearest: IntArray, units: Units, method: int) ->
 
 
 def calibration_counts(method: str, ids: Sequence[int], rows: FloatArray) -> Iterator[Counted]:
-    """Of what `calibration` gives, (U, K + 2, 1 + 3 * BINS)."""
+    """Calibration per ID, for "none" and in total. rows: from `calibration`."""
     for c, name in enumerate([*map(str, ids), "none", "total"]):
         sums = np.ascontiguousarray(rows[:, c])
         exact = _calibration(sums.sum(axis=0)[None])
@@ -88,7 +88,7 @@ def calibration_counts(method: str, ids: Sequence[int], rows: FloatArray) -> Ite
 
 
 def reliability(counted: Iterable[Counted]) -> Iterator[Reliability]:
-    """The curves of what `calibration_counts` counted."""
+    """The curves of records from `calibration_counts`."""
     for one in counted:
         count, said, right = (a[0] for a in (one.exact.count, one.exact.said, one.exact.right))
         name = "top" if one.landmark_text == "total" else one.landmark_text
@@ -99,7 +99,7 @@ def reliability(counted: Iterable[Counted]) -> Iterator[Reliability]:
 def _sums(
     p: FloatArray, was: BoolArray, unit: IntArray, units: int
 ) -> tuple[FloatArray, FloatArray]:
-    """(U, 3, BINS) count, sum of p and times it was so; (U,) sum of (p - was)^2."""
+    """(U, 3, BINS) count, sum of p and how many are right; (U,) sum of (p - was)^2."""
     cell = unit * BINS + np.minimum((p * BINS).astype(np.int64), BINS - 1)
     size = units * BINS
     table = [
@@ -116,5 +116,5 @@ def _row(square: FloatArray, steps: FloatArray) -> FloatArray:
 
 
 def _calibration(rows: FloatArray) -> Calibration:
-    """From (R, 1 + 3 * BINS)."""
+    """The record of (R, 1 + 3 * BINS) rows."""
     return Calibration(rows[:, 0], *np.moveaxis(rows[:, 1:].reshape(len(rows), 3, BINS), 1, 0))

@@ -1,8 +1,8 @@
-"""Scoring against ground truth: the paper's tables, and the curves behind them.
+"""Scoring against ground truth: the counts of the paper's tables and of ROC curves.
 
-Everything is counted from one list per method: the claims by falling score, each with what it
-adds to TP, TN, FP and FN once it is made (`_effects`). Summed over the declared claims it gives
-the operating point, summed cumulatively over all claims it gives the ROC.
+Everything is counted from one list per method: the claims by falling score, each with its effect on
+TP, TN, FP and FN (`_effects`). The sum over declared claims is the operating point, the cumulative
+sum over all claims is the ROC.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ class Scored:
     method: str
     ids: tuple[int, ...]
     base: IntArray
-    """(K, 4) TP, TN, FP, FN with nothing claimed."""
+    """(K, 4) TP, TN, FP, FN without any claim."""
     declared: IntArray
     """(K, 4) TP, TN, FP, FN at the method's operating point."""
     negative: BoolArray
     """(F, K) the frames and IDs that count as TN in base."""
     positive: IntArray
-    """(P,) the truths of Joined that count as FN in base; of the paper's protocol one per frame
-    and ID."""
+    """(P,) the truths of Joined that count as FN in base; in the paper's protocol one per frame and
+    ID."""
     positive_landmark_index: IntArray
     """(P,) into ids."""
     claim: IntArray
-    """(n,) which of Joined's it is."""
+    """(n,) index into the claims of Joined."""
     score: FloatArray
     """(n,) 0 to 1, falling."""
     landmark_index: IntArray
@@ -50,21 +50,21 @@ class Scored:
     frame_index: IntArray
     """(n,) into Joined.frame."""
     truth: IntArray
-    """(n,) the positive that it is a right claim of, as in `positive`, else -1."""
+    """(n,) the truth of which it is a right claim, else -1."""
     effect: npt.NDArray[np.int8]
-    """(n, 4) what it adds to TP, TN, FP, FN once those before it are made."""
+    """(n, 4) what it adds to TP, TN, FP, FN after the claims before it."""
     made: IntArray
-    """(m,) which of the n are declared."""
+    """(m,) indices of the declared claims."""
     made_effect: npt.NDArray[np.int8]
-    """(m, 4) what these add where no others are made."""
+    """(m, 4) what these add if no others are made."""
 
     def count(self, k: int | None = None) -> Count:
-        """At the operating point: of the k-th ID, or the micro sum over all of them."""
+        """The counts at the operating point: of the k-th ID, or the sum over all."""
         row = self.declared.sum(axis=0) if k is None else self.declared[k]
         return Count(*map(int, row))
 
     def curve(self, k: int | None = None) -> Curve:
-        """The ROC of the k-th ID, or the micro-averaged one over all of them."""
+        """The ROC of the k-th ID, or the micro average over all."""
         mine = slice(None) if k is None else self.landmark_index == k
         score, effect = self.score[mine], self.effect[mine]
         base = self.base.sum(axis=0) if k is None else self.base[k]
@@ -73,7 +73,10 @@ class Scored:
         return Curve(np.concatenate([[np.inf], score[last]]), *counts.T)
 
     def base_by(self, of_frame: IntArray, of_truth: IntArray, groups: int) -> IntArray:
-        """(groups, K, 4) `base`, split: (F,) says whose a frame's negatives are, (T,) a truth's."""
+        """(groups, K, 4) `base`, split into groups.
+
+        of_frame: (F,) the group of a frame's negatives. of_truth: (T,) the group of a truth.
+        """
         k = len(self.ids)
         frame, landmark = np.nonzero(self.negative)
         cells = np.zeros((groups * k, 4), dtype=np.int64)
@@ -84,16 +87,16 @@ class Scored:
         return cells.reshape(groups, k, 4)
 
     def claims_by(self, of_frame: IntArray, of_truth: IntArray) -> IntArray:
-        """(n,) whose the claims are: a right one goes with its truth, a false one with its frame.
+        """(n,) the group of each claim: that of its truth if it is right, else that of its frame.
 
-        So whatever a claim takes from `base_by` is taken from the group that has it.
+        So a claim changes the counts of the group that has its positive or negative in `base_by`.
         """
         if not len(of_truth):
             return of_frame[self.frame_index]
         return np.where(self.truth >= 0, of_truth[self.truth], of_frame[self.frame_index])
 
     def declared_by(self, of_frame: IntArray, of_truth: IntArray, groups: int) -> IntArray:
-        """(groups, K, 4) the count at the operating point, split as in `base_by`."""
+        """(groups, K, 4) `declared`, split as in `base_by`."""
         counts = self.base_by(of_frame, of_truth, groups)
         group = self.claims_by(of_frame, of_truth)[self.made]
         np.add.at(counts, (group, self.landmark_index[self.made]), self.made_effect)
@@ -101,12 +104,14 @@ class Scored:
 
 
 def score(joined: Joined, method: int, protocol: str) -> Scored:
-    """Score one method (index) under one protocol, as `evaluate` says."""
+    """Score one method (index) under one protocol, as described in `evaluate.evaluate`."""
     k = len(joined.ids)
     state = np.zeros(len(joined.frame) * k, dtype=np.int8)
     truth_cell = joined.truth_frame_index * k + joined.truth_landmark_index
     state[truth_cell[~joined.truth_positive]] = IGNORED
-    state[truth_cell[joined.truth_positive]] = POSITIVE  # a whole one goes before a part of another
+    state[truth_cell[joined.truth_positive]] = (
+        POSITIVE  # even if another one of this ID is partly in view
+    )
 
     mine = np.flatnonzero(joined.method_index == method)
     mine = mine[np.argsort(-joined.score[mine], kind="stable")]
@@ -160,10 +165,10 @@ def score(joined: Joined, method: int, protocol: str) -> Scored:
 def _effects(
     protocol: str, right: BoolArray, absent: BoolArray, spot: IntArray
 ) -> npt.NDArray[np.int8]:
-    """(n, 4) what each claim adds to TP, TN, FP, FN when made after those before it.
+    """(n, 4) what each claim adds to TP, TN, FP, FN after the claims before it.
 
-    right: of a positive. absent: its ID shows nowhere in its frame. spot: what it is a claim of
-    (a frame's ID, or one truth); the second claim of one spot counts differently.
+    right: it is on a positive. absent: its ID is not in view in its frame. spot: what it claims (an
+    ID in a frame, or one truth); further claims of a spot count differently from the first.
     """
     first = np.zeros(len(spot), dtype=bool)
     first[np.unique(spot, return_index=True)[1]] = True

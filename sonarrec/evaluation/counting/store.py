@@ -1,6 +1,6 @@
-"""Arrays of many logs, put by for a second look: in memory while they are few, else on disk.
+"""A store of arrays: in memory while they are small, else in a temporary file.
 
-So that memory does not grow with the number of logs, while every figure stays exact.
+So memory does not grow with the number of logs, and every figure stays exact.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ import numpy.typing as npt
 from sonarrec.records import FloatArray, IntArray
 
 IN_MEMORY = 32_000_000
-"""Bytes from which on the arrays lie in a temporary file, which is gone with the store."""
+"""Bytes; more go to a temporary file, which is deleted with the store."""
 AT_ONCE = 250_000
-"""Rows that are sorted together."""
+"""Rows that are sorted at a time."""
 STEPS = 1 << 16
-"""In which values are counted to find those of wanted ranks."""
+"""Bins of the histogram that `ranked` uses."""
 
 Blocks = Callable[[], Iterable[FloatArray]]
-"""Gives the same (n,) arrays each time it is called."""
+"""Gives (n,) arrays, the same ones on each call."""
 
 
 class Store:
-    """Arrays by key and by part (a log's number), each kept whole."""
+    """Arrays by key and part (the number of a log)."""
 
     def __init__(self) -> None:
         self._file: SpooledTemporaryFile[bytes] = SpooledTemporaryFile(IN_MEMORY)  # noqa: SIM115
@@ -37,14 +37,14 @@ class Store:
         )
 
     def put(self, key: Hashable, part: int, array: npt.NDArray[Any]) -> None:
-        """Put an array by."""
+        """Keep an array."""
         self._file.seek(self._end)
         self._file.write(np.ascontiguousarray(array).tobytes())
         self._blocks[key].append((part, self._end, array.dtype, array.shape))
         self._end += array.nbytes
 
     def get(self, key: Hashable) -> Iterator[tuple[int, npt.NDArray[Any]]]:
-        """(part, array) of a key, in the order they came, one in memory at a time."""
+        """(part, array) of a key, in the order of `put`, one in memory at a time."""
         for part, at, dtype, shape in self._blocks.get(key, ()):
             self._file.seek(at)
             data = self._file.read(int(np.prod(shape)) * dtype.itemsize)
@@ -52,9 +52,9 @@ class Store:
 
 
 def summed(chunks: Iterable[tuple[FloatArray, IntArray]]) -> tuple[FloatArray, IntArray]:
-    """Equal values put together: (n,) rising values and (n, C) the sums of what belongs to each.
+    """(n,) distinct values, rising, and (n, C) the sums of the numbers of each.
 
-    chunks: (m,) values and (m, C) whole numbers; together of any length.
+    chunks: (m,) values and (m, C) whole numbers, of any total length.
     """
     held: list[tuple[FloatArray, IntArray]] = []
     rows = least = 0
@@ -78,9 +78,9 @@ def _together(held: list[tuple[FloatArray, IntArray]]) -> tuple[FloatArray, IntA
 
 
 def ranked(blocks: Blocks, ranks: IntArray) -> FloatArray:
-    """(r,) the values that stand at these places (from 0, rising) among all, as sorting gives.
+    """(r,) the values of these ranks, counted from 0, as sorting all values would give.
 
-    In three passes: the span, how many lie in each of STEPS, then those in the steps of the ranks.
+    Three passes: the range of values, a histogram, then the values in the bins of the ranks.
     """
     low, high = np.inf, -np.inf
     for block in blocks():
@@ -90,7 +90,7 @@ def ranked(blocks: Blocks, ranks: IntArray) -> FloatArray:
     width = high - low if high > low else 1.0
 
     def step(values: FloatArray) -> IntArray:
-        # Rising with the values, so what is in a lower step is no larger. The last has infinity.
+        # Rises with the value; the last bin is for infinity.
         steps = np.full(len(values), STEPS - 1)
         known = np.isfinite(values)
         steps[known] = (values[known] - low) / width * (STEPS - 2)
@@ -108,6 +108,6 @@ def ranked(blocks: Blocks, ranks: IntArray) -> FloatArray:
         return inside, np.ones((len(inside), 1), dtype=np.int32)
 
     values, many = summed(map(those, blocks()))
-    before = np.cumsum(np.where(wanted, 0, count))  # left out, below each step
+    before = np.cumsum(np.where(wanted, 0, count))  # values left out below each bin
     place = ranks - before[np.searchsorted(end, ranks, side="right")]
     return np.asarray(values[np.searchsorted(np.cumsum(many[:, 0]), place, side="right")])

@@ -1,9 +1,9 @@
-"""Intervals and tests that take whole units, never frames, for independent.
+"""Intervals and tests that treat units, never frames, as independent.
 
-A figure is a function of sums over units (`Tally`). Drawing units with replacement (the cluster
-bootstrap) gives its interval; swapping two methods in units by the toss of a coin (the paired
-sign-flip test) gives the p-value of their difference. Both are one matrix product: the weights of
-the units times the units' sums. By hand: no library resamples whole units of such figures.
+A figure is a function of sums over units (`Tally`). Its interval comes from the cluster bootstrap,
+which draws units with replacement. The p-value of a difference comes from the paired sign-flip
+test, which swaps two methods in random units. Both are a matrix product: weights of the units times
+their sums. No library does this for such figures.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ LEVEL = 0.95
 DRAWS = 1000
 FLIPS = 4095
 MIN_UNITS = 6
-"""With fewer no test can reach p = .05, for it has 2 ** n outcomes: nothing can be said."""
+"""With fewer units no test can reach p = .05, since it has only 2 ** n outcomes."""
 SAME = 1e-6
-"""Figures that differ by less than this share of them are equal: sums are held in 32 bits."""
+"""Figures with a smaller relative difference count as equal, since sums have 32 bits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,9 +37,9 @@ class Tally:
     """An ID, "none", "total" or "macro"."""
     names: tuple[str, ...]
     values: tuple[float, ...]
-    """One per figure, as computed from everything."""
+    """One per figure, computed from all units."""
     cases: tuple[int, ...]
-    """Per figure the number of units that have any case of it."""
+    """Per figure the number of units with a case of it."""
     sums: FloatArray
     """(U, C) what each unit adds."""
     figures: Callable[[FloatArray], FloatArray]
@@ -48,7 +48,7 @@ class Tally:
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """One figure of one method, with its interval over the units that have a case of it."""
+    """One figure of one method, with its interval."""
 
     protocol: str
     method: str
@@ -57,18 +57,19 @@ class Figure:
     name: str
     """Of the metric."""
     value: float
-    """NaN where it is 0/0."""
+    """NaN if it is 0/0."""
     low: float
     high: float
-    """NaN where the units say nothing."""
+    """NaN if there is no interval."""
     units: int
+    """How many have a case of it."""
     note: str
-    """Why there is no interval; "" where there is one."""
+    """Why there is no interval; "" if there is one."""
 
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """A figure of method b less that of method a, with interval and p-value over units."""
+    """A figure of method b minus that of method a, with interval and p-value."""
 
     protocol: str
     a: str
@@ -81,27 +82,27 @@ class Difference:
     value_b: float
     low: float
     high: float
-    """Of the difference; NaN where the units say nothing."""
+    """Of the difference; NaN if there is no interval."""
     p: float
-    """Two-sided, of the paired sign-flip test; NaN where the units say nothing."""
+    """Two-sided, of the paired sign-flip test; NaN if there is no test."""
     units: int
     note: str
-    """Why there is no interval or no test; "" where there are both."""
+    """Why there is no interval or no test; "" if there are both."""
 
     @property
     def value(self) -> float:
-        """The difference, b less a."""
+        """The difference, b - a."""
         return self.value_b - self.value_a
 
 
 def bootstrap_weights(units: int, rng: np.random.Generator, draws: int = DRAWS) -> FloatArray:
-    """(draws, units) how often each unit is drawn, with replacement, in each of the draws."""
+    """(draws, units) how often each unit is drawn, with replacement, in each draw."""
     return rng.multinomial(units, np.full(units, 1 / units), size=draws).astype(np.float32)
 
 
 def coin_tosses(units: int, rng: np.random.Generator, flips: int = FLIPS) -> FloatArray:
-    """(n, units) 0 or 1: every outcome where these are no more than flips + 1, else `flips`
-    random ones and the one without a swap."""
+    """(n, units) 0 or 1: all outcomes if these are at most flips + 1, else `flips` random ones and
+    the outcome without a swap."""
     if 2**units <= flips + 1:
         outcomes = np.arange(2**units)[:, None] >> np.arange(units) & 1
     else:
@@ -111,17 +112,18 @@ def coin_tosses(units: int, rng: np.random.Generator, flips: int = FLIPS) -> Flo
 
 
 def interval(drawn: FloatArray, units: int) -> tuple[float, float]:
-    """(low, high) at LEVEL of a figure from its (draws,) replicates over as many units.
+    """(low, high) at LEVEL of a figure, from its (draws,) replicates. units: how many there are.
 
-    Percentiles, moved outward for few units as Student's t is wider than the normal (Hesterberg
-    2015, "expanded percentile interval"): plain ones are too narrow, with 8 units by a fifth.
+    These are percentiles, moved outward as Student's t is wider than the normal distribution
+    (Hesterberg 2015, "expanded percentile interval"). Without that they are too narrow, with 8
+    units by a fifth.
     """
     z = NormalDist().inv_cdf((1 + LEVEL) / 2)
     tail = NormalDist().cdf(-math.sqrt(units / (units - 1)) * _student(z, units - 1))
     known = drawn[~np.isnan(drawn)]
     if not len(known):
         return math.nan, math.nan
-    # Among ordered values, not between them: a figure may be infinite.
+    # Without interpolation, since a figure may be infinite.
     low, high = np.quantile(known, [tail, 1 - tail], method="closest_observation")
     return float(low), float(high)
 
@@ -145,19 +147,18 @@ def _student(z: float, freedom: int) -> float:
 
 
 def _alike(drawn: FloatArray, figure: FloatArray) -> bool:
-    """Whether the (draws,) replicates are all the same; figure: those they are differences of, or
-    they themselves."""
+    """Whether the (draws,) replicates are all the same. figure: values that give their scale."""
     known = drawn[~np.isnan(drawn)]
     return not len(known) or float(known.max()) <= float(known.min()) + _same(figure)
 
 
 def _same(figure: FloatArray) -> float:
-    """How far apart such figures, (n,), are equal."""
+    """The largest difference at which such figures, (n,), count as equal."""
     return SAME * float(np.abs(figure[np.isfinite(figure)]).max(initial=0))
 
 
 def _less(b: FloatArray, a: FloatArray) -> FloatArray:
-    """b - a; 0 where both are infinite."""
+    """b - a; 0 if both are infinite."""
     return np.asarray(np.subtract(b, a, out=np.zeros_like(b), where=b != a))
 
 
@@ -177,7 +178,7 @@ def intervals(tally: Tally, drawn: FloatArray) -> list[Figure]:
         elif units < MIN_UNITS:
             note = f"cases in {units} of the {MIN_UNITS} units needed: no interval"
         elif _alike(drawn[:, i], drawn[:, i]):
-            # Resampling equal units gives no width, which is not certainty.
+            # Resampling equal units gives zero width, which would look like certainty.
             note = f"alike in all {units} units: no interval"
         else:
             low, high = interval(drawn[:, i], units)
@@ -188,12 +189,11 @@ def intervals(tally: Tally, drawn: FloatArray) -> list[Figure]:
 
 
 def differences(a: Tally, b: Tally, weights: FloatArray, tosses: FloatArray) -> list[Difference]:
-    """What tells two methods apart in each figure that both have; their tallies are over the same
-    units.
+    """The differences of two methods in each figure that both have. Their units are the same.
 
-    weights: `bootstrap_weights`. tosses: `coin_tosses`. If the methods are equal, what they did
-    in a unit could as well be the other way round; p is the share of all such swaps that give a
-    difference at least as large. Frames within a unit may depend on each other in any way.
+    If the methods are equal, their results in any unit could be swapped. p is the share of all
+    swaps that give a difference at least as large. Frames within a unit may be dependent.
+    weights: from `bootstrap_weights`. tosses: from `coin_tosses`.
     """
     if a.names != b.names:
         names = [name for name in a.names if name in b.names]
@@ -225,7 +225,7 @@ def differences(a: Tally, b: Tally, weights: FloatArray, tosses: FloatArray) -> 
 
 
 def _only(tally: Tally, names: Sequence[str]) -> Tally:
-    """These of its figures."""
+    """The tally with these figures only."""
     at = [tally.names.index(name) for name in names]
     return replace(
         tally,
@@ -237,9 +237,9 @@ def _only(tally: Tally, names: Sequence[str]) -> Tally:
 
 
 def macro(per_id: Sequence[Tally], drawn: Sequence[FloatArray]) -> list[Figure]:
-    """The mean of each figure over the IDs that have it; drawn: the replicates of each ID's.
+    """The mean of each figure over the IDs that have it. drawn: the replicates of each ID.
 
-    A replicate that lacks one of these IDs is none: the mean of the others is another figure.
+    Replicates that lack one of these IDs are not used: they would be means over other IDs.
     """
     values = np.array([t.values for t in per_id])
     known = ~np.isnan(values)

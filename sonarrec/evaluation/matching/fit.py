@@ -1,4 +1,4 @@
-"""Whether a truth can be that of a log, and what of either could not be used."""
+"""Checks that a truth fits a log, and lists the parts of both that cannot be used."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from sonarrec.truth.table import TruthTable
 
 @dataclass(frozen=True, slots=True)
 class Matched:
-    """One log's results and what a truth says of it."""
+    """One log's results and its truth."""
 
     folder: Path
-    """Of the results."""
+    """The results folder."""
     log: LogResults
     table: TruthTable
     truth: Truth
@@ -28,28 +28,29 @@ class Matched:
 
 @dataclass(frozen=True, slots=True)
 class Checked:
-    """What is said of a log and its truth, without their rows."""
+    """How a truth fits a log, without the rows of either."""
 
     name: str
-    """Of the log."""
+    """Name of the log."""
     table: Path
-    """Of the truth."""
+    """File of the truth."""
     table_rows: int
+    """Rows in the file."""
     rows: int
-    """Those that speak of the log."""
+    """Rows about this log."""
     unprocessed: int
-    """Those of them on frames that were not processed."""
+    """Rows about it on frames that were not processed."""
     frames: int
     fault: str | None
-    """Why the truth cannot be that of the log; None where it can."""
+    """Why the truth does not fit the log; None if it does."""
     notes: list[str]
     not_whole: list[str]
-    """As `not_whole` of the results."""
+    """As `results.read.not_whole`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """Which of several can be scored, by index, and what is said of the others and of these."""
+    """The logs that can be scored, by index, notes on them, and a line for each other log."""
 
     usable: list[int]
     notes: list[str]
@@ -62,7 +63,7 @@ def matched(folder: Path, table: TruthTable, log: LogResults, tolerance_s: float
 
 
 def checked(case: Matched) -> Checked:
-    """Whether a truth can be that of a log."""
+    """Check that the truth fits the log."""
     return Checked(
         name=case.log.name,
         table=case.table.path,
@@ -77,17 +78,19 @@ def checked(case: Matched) -> Checked:
 
 
 def fit(cases: Sequence[Checked], some: bool = False) -> Fit:
-    """Leave out the logs whose truth cannot be theirs. Raises SonarrecError where none is left, or
-    where no truth has a row, unless these are some of more logs."""
+    """The logs whose truth fits.
+
+    Raises SonarrecError if there is none, or if no truth has a row. some: as in `evaluate_whole`.
+    """
     if not some and not any(case.rows for case in cases):
         of = next((case for case in cases if case.table_rows), cases[0])
         names = [case.name for case in cases]
         raise SonarrecError(without_rows(of.table, of.table_rows, names, "nothing is scored"))
     found = Fit([i for i, case in enumerate(cases) if case.fault is None], [], [])
-    told = [case.fault for case in cases if case.fault is not None]
-    # A log without a row counts as empty beside others; by itself it says nothing.
-    if told and not any(cases[i].rows for i in found.usable):
-        raise SonarrecError(told[0])
+    faults = [case.fault for case in cases if case.fault is not None]
+    # A log without a row counts as empty, but only if others have rows.
+    if faults and not any(cases[i].rows for i in found.usable):
+        raise SonarrecError(faults[0])
     found.unused.extend(f"{case.fault}; {case.name} is not scored" for case in cases if case.fault)
     for i in found.usable:
         found.notes.extend(cases[i].notes)
@@ -95,7 +98,7 @@ def fit(cases: Sequence[Checked], some: bool = False) -> Fit:
 
 
 def _notes(case: Matched) -> list[str]:
-    """What is worth knowing of a truth before its log is scored by it, a line each."""
+    """Notes on a truth, a line each."""
     table, log = case.table, case.log
     notes = []
     if table.not_read:
@@ -104,9 +107,9 @@ def _notes(case: Matched) -> list[str]:
     proposed = np.count_nonzero(table.proposed[rows])
     if proposed:
         notes.append(
-            f"{table.path}: by `source`, {proposed} of {len(rows)} rows for {log.name} are as "
-            "`truth propose` wrote them; they say nothing about the results they came from. Empty "
-            "`source` in the rows that a person has checked"
+            f"{table.path}: by `source`, {proposed} of {len(rows)} rows for {log.name} are "
+            "unchecked proposals of `truth propose`; they say nothing about the results that they "
+            "came from. Clear `source` in the rows that a person has checked"
         )
     outside = int(np.count_nonzero(outside_image(case.log, case.truth)))
     if outside:
@@ -118,35 +121,32 @@ def _notes(case: Matched) -> list[str]:
 
 
 def left_out(cases: Sequence[Checked]) -> list[str]:
-    """One line per part of the input that was left out of what can be scored.
-
-    cases: all of one truth.
-    """
+    """A line for each part of the input that is not scored. cases: logs of one truth."""
     if not cases:
         return []
-    said = []
+    lines = []
     lost = sum(case.unprocessed for case in cases)
     if lost:
         frames = sum(case.frames for case in cases)
-        said.append(
+        lines.append(
             f"{cases[0].table}: {lost} of {cases[0].table_rows} rows lie on frames that were not "
             f"processed; they are not scored (the {frames} frames processed are)"
         )
     for case in cases:
-        said += case.not_whole
-    return said
+        lines += case.not_whole
+    return lines
 
 
 def of_other_logs(table: TruthTable, logs: Sequence[str]) -> list[str]:
-    """A line on the rows of logs that are not there, where there are any. logs: those there are."""
+    """A line on rows of the truth about other logs than `logs`, if there are any."""
     if table.log is None:
         return []
     others = np.asarray(table.log)[~np.isin(table.log, logs)]
     if not len(others):
         return []
     names = sorted(set(map(str, others)))
-    told = ", ".join(names[:5]) + f" and {len(names) - 5} more" * (len(names) > 5)
+    listed = ", ".join(names[:5]) + f" and {len(names) - 5} more" * (len(names) > 5)
     return [
-        f"{table.path}: {len(others)} of {len(table.at)} rows name logs that are not there "
-        f"({told}); they are not scored"
+        f"{table.path}: {len(others)} of {len(table.at)} rows name logs that were not given "
+        f"({listed}); they are not scored"
     ]

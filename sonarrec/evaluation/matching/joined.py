@@ -1,4 +1,4 @@
-"""Results and truth of all logs on one axis of frames, and which claim lies on which landmark."""
+"""Results and truth of all logs joined frame by frame, and the landmark nearest to a claim."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from sonarrec.results.read import LogResults, in_order
 from sonarrec.truth.match import Truth
 
 ROUNDING_M = 1e-9
-"""A claim exactly on the gate is inside it, whatever the last bit says."""
+"""A claim exactly on the gate counts as inside, despite rounding."""
 
 
 @dataclass(frozen=True, slots=True)
 class Joined:
     """Results and truth of all logs: F frames, T truths, N claims, K IDs.
 
-    A truth is a landmark of which something shows in a frame, a claim an estimate.
+    A truth is a landmark that is at least partly in view in a frame. A claim is an estimate.
     """
 
     logs: tuple[str, ...]
@@ -29,19 +29,19 @@ class Joined:
     log_index: IntArray
     """(F,) into logs."""
     frame: IntArray
-    """(F,) number in its log."""
+    """(F,) frame number in its log."""
     seconds: FloatArray
-    """(F,) that a frame stands for, NaN where the log tells no time."""
+    """(F,) duration of a frame, NaN if the log has no times."""
     truth_frame_index: IntArray
     """(T,) into frame."""
     truth_landmark_index: IntArray
     """(T,) into ids."""
     truth_position: FloatArray
-    """(T, 2) m in the fan plane, NaN where unknown."""
+    """(T, 2) m in the fan plane, NaN if unknown."""
     truth_orientation: FloatArray
-    """(T,) deg, NaN where unknown."""
+    """(T,) deg, NaN if unknown."""
     truth_positive: BoolArray
-    """(T,) whole enough in view to be missed."""
+    """(T,) whether enough of it is in view to count as a positive."""
     gate: FloatArray
     """(T,) m, the distance within which a claim is right."""
     method_index: IntArray
@@ -51,19 +51,19 @@ class Joined:
     claim_landmark_index: IntArray
     """(N,) into ids."""
     claim_position: FloatArray
-    """(N, 2) m in the fan plane, NaN where unknown."""
+    """(N, 2) m in the fan plane, NaN if unknown."""
     claim_orientation: FloatArray
-    """(N,) deg, NaN where unknown."""
+    """(N,) deg, NaN if unknown."""
     claim_object: IntArray
-    """(N,) number of the candidate or track, -1 where unknown."""
+    """(N,) number of the candidate or track, -1 if unknown."""
     score: FloatArray
     """(N,) 0 to 1."""
     declared: BoolArray
-    """(N,) claimed at the method's operating point."""
+    """(N,) whether it is declared, which is the method's operating point."""
     probability: FloatArray
-    """(N, K + 1) one per ID, then none of these; NaN where not stated."""
+    """(N, K + 1) one per ID, then none of these; NaN if not stated."""
     turn_deg: FloatArray
-    """(K,) the least turn that an ID looks the same after."""
+    """(K,) the smallest rotation after which an ID looks the same."""
     placed: bool
     """Whether positions are known wherever the strict protocol needs them."""
 
@@ -74,8 +74,10 @@ def join(
     min_visible: float,
     ids: tuple[int, ...] | None = None,
 ) -> Joined:
-    """Put the logs end to end. All have the same landmark IDs; ids: in this order, by default that
-    of the first."""
+    """Join the logs, which have the same landmark IDs, one after the other.
+
+    ids: the IDs in the wanted order; default: the order of the first log.
+    """
     landmarks = logs[0].landmarks
     ids = ids or landmarks.ids
     methods = in_order({name for log in logs for name in log.methods})
@@ -100,7 +102,7 @@ def join(
 def _frames_and_claims(
     log: LogResults, ids: tuple[int, ...], methods: tuple[str, ...]
 ) -> dict[str, Any]:
-    """The fields of Joined that one log's results give, with its own frames' indices."""
+    """The fields of Joined from one log's results; frame indices count within the log."""
     of_id = np.array([ids.index(i) for i in log.landmarks.ids])
     of_method = np.array([methods.index(m) for m in log.methods], dtype=int)
     n, k = len(log.frame_index), len(ids)
@@ -125,7 +127,7 @@ def _frames_and_claims(
 def _truths(
     truth: Truth, log: LogResults, ids: tuple[int, ...], min_visible: float
 ) -> dict[str, Any]:
-    """The fields of Joined that one log's truth gives, with its own frames' indices."""
+    """The fields of Joined from one log's truth; frame indices count within the log."""
     of_id = np.array([ids.index(i) for i in log.landmarks.ids])
     n = len(truth.frame_index)
     return {
@@ -143,14 +145,14 @@ def _known(values: FloatArray | None, shape: tuple[int, ...]) -> FloatArray:
 
 
 def _is_placed(log: LogResults, truth: Truth) -> bool:
-    """Whether positions are known wherever both sides have something."""
+    """Whether truth and estimates have positions, if there are any of both."""
     if not len(truth.frame_index):
         return True
     return truth.position is not None and (log.position is not None or not len(log.frame_index))
 
 
 def _seconds_per_frame(log: LogResults) -> float:
-    """The median time between frames, so that a pause in the recording does not count."""
+    """The median time between frames; a median, so that pauses do not count."""
     if log.timestamp_ns is None or len(log.frame) < 2:
         return np.nan
     seconds = float(np.median(np.diff(np.sort(log.timestamp_ns)))) / 1e9
@@ -160,10 +162,9 @@ def _seconds_per_frame(log: LogResults) -> float:
 def nearest_truth(
     joined: Joined, claims: IntArray, claim_key: IntArray, truth_key: IntArray
 ) -> IntArray:
-    """(n,) per claim the nearest truth of equal key, -1 where none of these is within its gate.
+    """(n,) the nearest truth of equal key for each claim, -1 if none is within its gate.
 
-    claims: (n,) indices; claim_key: (n,) and truth_key: (T,) say which truths are asked: those
-    of the same frame, or of the same frame and ID.
+    claims: (n,) indices. claim_key: (n,), truth_key: (T,): for example the frame, or frame and ID.
     """
     order = np.argsort(truth_key, kind="stable")
     ordered = truth_key[order]
@@ -182,6 +183,6 @@ def nearest_truth(
 
 
 def distance(joined: Joined, claims: IntArray, truths: IntArray) -> FloatArray:
-    """(n,) metres in the fan plane between claims and truths, given by index, pair by pair."""
+    """(n,) m in the fan plane between the n-th claim and the n-th truth, given by index."""
     apart = joined.claim_position[claims] - joined.truth_position[truths]
     return np.hypot(apart[:, 0], apart[:, 1])

@@ -1,4 +1,4 @@
-"""What may be asked of every scoring."""
+"""Options of scoring."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from sonarrec.sonar import Sonar
 
 @dataclass(frozen=True, slots=True)
 class ScoringOptions:
-    """How results are read and held against their truth."""
+    """How results are read and compared with truth."""
 
     min_visible: float = 0.9
-    """Share of the disc in view from which a landmark counts."""
+    """A landmark counts if at least this share of its disc is in view."""
     tolerance_s: float | None = None
-    """For truth matched by time; default, half the time between frames."""
+    """For truth matched by time; None: half the time between frames."""
     landmarks: str | None = None
-    """A set in place of the one in run.toml."""
+    """Landmark set, in place of that of run.toml."""
     sonar: Sonar | None = None
-    """Geometry that goes before what run.toml says."""
+    """Geometry that takes precedence over run.toml."""
 
     def check(self) -> None:
-        """Raises UsageError where one of them cannot be meant."""
+        """Raises UsageError if an option is invalid."""
         if not 0 <= self.min_visible <= 1:
             raise UsageError(
                 f"--min-visible is a share of the disc, 0 to 1, not {self.min_visible:g}"

@@ -1,4 +1,4 @@
-"""Which truth goes with which results: as a table says, or as it lies beside the log."""
+"""Finds the truth of results: from a table of pairs, or beside the log."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from sonarrec.truth.table import HEADER
 
 TRUTH_FILE = "gt.csv"
 FindBeside = Callable[[str, str], tuple[Path | None, int | None]]
-"""Of a log's URL and a name the file that lies beside it, None without one, and the log's bytes."""
+"""Takes a log's URL and a file name; gives that file beside it, or None, and the log's size."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,16 +29,15 @@ class Pair:
     results: Path
     ground_truth: Path
     log: str | None = None
-    """The log's name, where the folder's own is not wanted; the log column of the truth is matched
-    with it."""
+    """Name of the log, also for the log column of the truth; None: the name of the folder."""
     row: str | None = None
-    """Where it was read: a table and the line in it."""
+    """The table and the line that it was read from."""
 
 
 def read_pairs(path: Path) -> list[Pair]:
-    """Read a table of pairs: columns results, ground_truth and, if wanted, log.
+    """Read a table of pairs with the columns results, ground_truth and, optionally, log.
 
-    Paths are taken from the folder of the table. Raises SonarrecError where it cannot be used.
+    Paths are relative to the folder of the table. Raises SonarrecError if it cannot be used.
     """
     columns = ("results", "ground_truth")
     table = read_table(path, dict.fromkeys((*columns, "log"), "text"), columns, ",".join(columns))
@@ -50,11 +49,11 @@ def read_pairs(path: Path) -> list[Pair]:
         for name in map(str, names):
             try:
                 (path.parent / name).stat()
-            except (FileNotFoundError, NotADirectoryError):  # told where it is read, if it is
+            except (FileNotFoundError, NotADirectoryError):  # reported when it is read
                 continue
             except (OSError, ValueError) as error:  # or too long, or with a NUL byte
-                told = f"no path, {name[:40]!r} ({error})"[:200]
-                raise SonarrecError(f"{row}: {told}") from None
+                fault = f"not a valid path, {name[:40]!r} ({error})"[:200]
+                raise SonarrecError(f"{row}: {fault}") from None
     return [
         Pair(path.parent / str(results), path.parent / str(truth), log, row)
         for results, truth, log, row in zip(*(table[c] for c in columns), logs, rows, strict=True)
@@ -62,9 +61,9 @@ def read_pairs(path: Path) -> list[Pair]:
 
 
 def of_one_log(pairs: Iterable[Pair]) -> tuple[list[Pair], list[str]]:
-    """The pairs that are there, with results of one log, and a line for each other.
+    """The pairs that exist and have results of one log, and a line for each other pair.
 
-    Raises SonarrecError where there is none.
+    Raises SonarrecError if there is no such pair.
     """
     found, faults = [], []
     for pair in pairs:
@@ -72,7 +71,7 @@ def of_one_log(pairs: Iterable[Pair]) -> tuple[list[Pair], list[str]]:
             folders = find_logs(pair.results)
             if folders != [pair.results]:
                 raise SonarrecError(
-                    f"{pair.results}: holds {len(folders)} logs; give each a row of its own"
+                    f"{pair.results}: holds {len(folders)} logs; give each log its own row"
                 )
             if not pair.ground_truth.exists():
                 raise SonarrecError(f"{pair.ground_truth}: no such file")
@@ -88,11 +87,11 @@ def of_one_log(pairs: Iterable[Pair]) -> tuple[list[Pair], list[str]]:
 def found_beside(
     folders: Iterable[Path], find_beside: FindBeside | None = None
 ) -> tuple[list[Pair], list[str]]:
-    """Each results folder with the truth beside its log, and a line for each that has none.
+    """Each results folder with the truth beside its log, and a line for each without truth.
 
-    The log is where run.toml says; find_beside: looks where that is a URL. Raises UsageError where
-    no folder has any, SonarrecError where no run.toml can be read, or several logs share one truth
-    that does not tell them apart.
+    run.toml says where the log is; find_beside: searches if that is a URL.
+    Raises UsageError if there is no truth at all, SonarrecError if no run.toml can be read or if
+    several logs share a truth without a log column.
     """
     pairs, without, unread = [], [], []
     sharing: dict[Path, dict[Hashable, Path]] = defaultdict(dict)
@@ -114,7 +113,7 @@ def found_beside(
             names = ", ".join(folder.name for folder in logs.values())
             raise SonarrecError(
                 f"{truth}: lies beside {len(logs)} logs ({names}), so it needs a log column that "
-                "names their results folders; or name each log's own NAME.gt.csv"
+                "names their results folders; or give each log its own NAME.gt.csv"
             )
     if unread and not (pairs or without):
         raise unread[0]
@@ -125,15 +124,15 @@ def found_beside(
 
 
 def found_where(pair: Pair) -> str:
-    """A line on a truth of `found_beside`."""
+    """A message on a truth from `found_beside`."""
     return f"{pair.results}: ground truth {pair.ground_truth}, beside its log"
 
 
 def _truth_beside(folder: Path, source: Input, find_beside: FindBeside | None) -> Path:
-    """NAME.gt.csv, else gt.csv, beside the log that results were made from; of images in the folder
-    the gt.csv among them.
+    """NAME.gt.csv, else gt.csv, beside the log that results were made from.
 
-    Raises SonarrecError where there is none, or where another log has taken the log's place.
+    For a folder of images, the gt.csv in it. Raises SonarrecError if there is none, or if the log
+    was replaced by another one.
     """
     if source.path is None:
         raise SonarrecError(f"{folder}: no ground truth: run.toml does not say where the log is")
@@ -156,19 +155,19 @@ def _truth_beside(folder: Path, source: Input, find_beside: FindBeside | None) -
         raise SonarrecError(f"{folder}: no ground truth: no {own}{TRUTH_FILE} beside {log}")
     if size is not None and source.bytes not in (None, size):
         raise SonarrecError(
-            f"{folder}: no ground truth: {log} is not the log it was (it had "
+            f"{folder}: no ground truth: {log} has changed since the run (it had "
             f"{source.bytes} bytes and has {size}), so {truth} may not be its truth"
         )
     return truth
 
 
 def _log_at(path: str, folder: Path, place: str | None) -> Source:
-    """The log at a path of run.toml, else where it lies from the results' folder on.
+    """The log at the path in run.toml, else at the place relative to the results folder.
 
-    Both have escapes for bytes that are no UTF-8. Raises MissingError where there is none.
+    In both, bytes that are not UTF-8 are escaped. Raises MissingError if there is no log.
     """
     places = [path, unshown(path)]
-    if place is not None:  # the path is of the folder that `run` was called in
+    if place is not None:  # the path is relative to the folder that `run` was called in
         places.append(str((folder.resolve() / unshown(place)).resolve()))
     for each in places:
         with suppress(MissingError):
@@ -177,13 +176,13 @@ def _log_at(path: str, folder: Path, place: str | None) -> Source:
 
 
 def _size(log: Source) -> int:
-    """Bytes, counted as for run.toml (`readers.log.Log.digest_source`)."""
+    """Bytes, counted as in run.toml (`readers.log.Log.digest_source`)."""
     several = log.files != [log.path]
     total = 0
     for file in log.files:
         try:
             size = file.stat().st_size
-        except OSError:  # of several, one that cannot be read was told by the run
+        except OSError:  # the run reported it
             continue
         if not (several and is_image(file) and size > MAX_FILE_BYTES):
             total += size
@@ -191,9 +190,9 @@ def _size(log: Source) -> int:
 
 
 def truth_by_folder(pairs: Sequence[Pair]) -> Callable[..., Pair | None]:
-    """Gives the pair whose results are one of some folders, else one of the same name: the first.
+    """A function that gives the first pair for some folders: by path, else by name.
 
-    Looked up, not searched: there may be a thousand pairs for a thousand logs.
+    It uses an index, since there may be a thousand pairs for a thousand logs.
     """
     places: dict[Path, int] = {}
     names: dict[str, int] = {}
@@ -203,9 +202,9 @@ def truth_by_folder(pairs: Sequence[Pair]) -> Callable[..., Pair | None]:
         names.setdefault(pair.log or place.name, i)
 
     def of(*folders: Path) -> Pair | None:
-        there = [folder.resolve() for folder in folders]
-        found = [places[place] for place in there if place in places]
-        found = found or [names[place.name] for place in there if place.name in names]
+        resolved = [folder.resolve() for folder in folders]
+        found = [places[place] for place in resolved if place in places]
+        found = found or [names[place.name] for place in resolved if place.name in names]
         return pairs[min(found)] if found else None
 
     return of
