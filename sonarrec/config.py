@@ -16,12 +16,12 @@ from sonarrec.files.toml import (
     NotNegative,
     Share,
     bounds,
+    brief,
     checked,
     choices,
     from_table,
     parse_toml,
     read_toml,
-    shown,
     types_of,
 )
 from sonarrec.records import SonarrecError, UsageError
@@ -300,7 +300,7 @@ PRESETS: dict[str, dict[str, dict[str, Any]]] = {
 def preset(name: str) -> Config:
     """The configuration of a preset. Raises UsageError for an unknown name."""
     if name not in PRESETS:
-        raise UsageError(f"unknown preset {shown(name)}; there are: {', '.join(PRESETS)}")
+        raise UsageError(f"unknown preset {brief(name)}; there are: {', '.join(PRESETS)}")
     return with_table(Config(preset=name), PRESETS[name], f"preset {name}")
 
 
@@ -353,7 +353,7 @@ def with_assignments(config: Config, assignments: Sequence[str]) -> Config:
         path, equals, value = text.partition("=")
         section, dot, key = path.strip().partition(".")
         if not equals or not dot:
-            raise UsageError(f"--set {shown(text)}: expected stage.key=value")
+            raise UsageError(f"--set {brief(text)}: expected stage.key=value")
         try:
             parsed = parse_toml(f"value = {value}", "--set")["value"]
         except SonarrecError:

@@ -12,11 +12,11 @@ from sonarrec.files.toml import (
     Positive,
     Share,
     Whole,
+    brief,
     from_table,
     length,
     named_file,
     read_toml,
-    shown,
 )
 from sonarrec.records import FloatArray, IntArray, SonarrecError, UsageError
 
@@ -115,7 +115,7 @@ def load_landmarks(source: str | Path) -> LandmarkSet:
     if path is None:
         built_in = ", ".join(sorted(p.stem for p in BUILT_IN.glob("*.toml")))
         raise UsageError(
-            f"no landmark set {shown(str(source))}: neither a file nor built in ({built_in})"
+            f"no landmark set {brief(str(source))}: neither a file nor built in ({built_in})"
         )
     return landmarks_from_table(read_toml(path, UsageError), str(path), UsageError)
 

@@ -1,8 +1,8 @@
 """The metrics: a metric is one function and one row of METRICS.
 
 All output (screen, files, report, comparisons) uses this table. A metric is a function of a record,
-(R, ...) in, (R,) out, and gives both the figure and its resampled values. A new kind of record needs
-a function of `Case`, below, that counts it.
+(R, ...) in, (R,) out, and gives both the figure and its resampled values. A new kind of record
+needs a function of `Case`, below, that counts it.
 """
 
 from __future__ import annotations

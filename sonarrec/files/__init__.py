@@ -1,1 +1,1 @@
-"""Files of our kinds: TOML, tables and Parquet read, and what may be written over."""
+"""Reads TOML, CSV and Parquet, and writes files safely."""

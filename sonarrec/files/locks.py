@@ -1,4 +1,4 @@
-"""Locks between processes: on files, until they are closed."""
+"""Locks between processes, on open files."""
 
 from __future__ import annotations
 
@@ -13,10 +13,9 @@ except ImportError:  # no such locks on this system
 
 
 def locked(file: IO[bytes], *, alone: bool) -> bool:
-    """Lock an open file, without waiting; False where another has it.
+    """Lock an open file without waiting; False if another process has locked it.
 
-    alone: nobody else may hold it meanwhile. Where whoever holds it may take the file away,
-    `is_there` must follow.
+    alone: exclusively. If holders of the lock may delete the file, check `is_there` next.
     """
     if fcntl is None:
         return True
@@ -28,7 +27,7 @@ def locked(file: IO[bytes], *, alone: bool) -> bool:
 
 
 def is_there(file: IO[bytes], path: Path) -> bool:
-    """Whether an open file is still that at `path`, and not one that was taken away."""
+    """Whether an open file is still the one at `path`, not a deleted one."""
     try:
         return os.path.samestat(os.fstat(file.fileno()), path.stat())
     except OSError:

@@ -1,6 +1,7 @@
-"""What a command may write over: nothing that it reads, and no file but one of its own kind.
+"""Writes outputs safely.
 
-What it writes takes the place of an older output only when all of it is there.
+A command never overwrites its inputs, nor files of another kind than its own. A new output replaces
+an older one only when it is complete.
 """
 
 from __future__ import annotations
@@ -25,14 +26,14 @@ Kind = Literal[
     "report", "comparison", "picture", "overlay", "video", "model", "table", "JSON", "graph"
 ]
 OVERLAY_LIBRARY = "sonarrec overlay"
-"""In the header of an overlay's MCAP, which recordings do not have."""
+"""Library name in the header of an overlay's MCAP."""
 PICTURE_MARK = {"Software": "sonarrec"}
-"""In the PNGs that are written, as matplotlib takes it."""
+"""Metadata of our PNGs, in the form that matplotlib expects."""
 MODEL_MARK = "Made by `sonarrec calibrate`"
 VIDEO_MARK = struct.pack(">I4s", 24, b"free") + b"sonarrec overlay"
-"""The last box of a video; players pass over it."""
+"""The last box of a video; players ignore it."""
 _STREAMS = ("/dev/std", "/dev/fd/", "/proc/")
-"""How names begin that may stand for files that this process was given open."""
+"""Prefixes of names that may refer to open files of this process."""
 _numbers = itertools.count()
 _PNG_HEADER = 33
 _HEAD = 4096
@@ -45,19 +46,19 @@ def check_output(
     *,
     header: str = "",
 ) -> None:
-    """Raise UsageError where writing `path` would destroy something else than an older output.
+    """Raise UsageError if writing `path` would overwrite anything but an older output.
 
-    kind: what will be written; a file that is there must be of it. reads: files and folders that
-    the command reads; None counts for nothing. header: how a table or JSON of ours begins.
+    kind: of the output; an existing file must be of this kind. reads: files and folders that the
+    command reads; None is ignored. header: the beginning of our tables or JSON of this kind.
     """
     for place in (Path(read) for read in reads if read is not None):
-        images = glob.has_magic(str(place)) and not place.exists()  # a pattern of their names
+        images = glob.has_magic(str(place)) and not place.exists()  # a glob of images
         log = place.parent if images else place
         if _same(path, place) or _same(path, log):
             raise UsageError(f"{shown(path)}: this command reads it; write somewhere else")
         if kind == "picture" and log.is_dir() and _same(path.parent, log):
             raise UsageError(
-                f"{shown(path)}: would be a part of the recording itself; write somewhere else"
+                f"{shown(path)}: it would become part of the recording; write somewhere else"
             )
     if not path.exists():
         _check_folder(path)
@@ -68,38 +69,38 @@ def check_output(
         ours = is_output(path, kind, header)
     if not ours:
         raise UsageError(
-            f"{shown(path)}: exists and is no {kind} of sonarrec, so it is not written over; "
+            f"{shown(path)}: exists and is no {kind} of sonarrec, so it is not overwritten; "
             "choose another name, or remove it first"
         )
 
 
 def _check_folder(path: Path) -> None:
-    """Raise UsageError where the folder of a new file can neither be written to nor be made."""
+    """Raise UsageError if the folder of a new file can neither be written nor created."""
     above = next(place for place in path.parents if place.exists())
     if not above.is_dir():
-        raise UsageError(f"{shown(path)}: {shown(above)} is no folder")
+        raise UsageError(f"{shown(path)}: {shown(above)} is not a folder")
     if not os.access(above, os.W_OK | os.X_OK):
-        raise UsageError(f"{shown(path)}: nothing may be written in {shown(above)}")
+        raise UsageError(f"{shown(path)}: no permission to write in {shown(above)}")
 
 
 def _same(one: Path, other: Path) -> bool:
-    """Whether both are one file, also by a link."""
+    """Whether both are the same file, possibly through a link."""
     try:
         return one.resolve() == other.resolve() or one.samefile(other)
-    except OSError:  # one of them is not there
+    except OSError:  # one of them does not exist
         return False
 
 
 def check_tables(folder: Path, headers: Mapping[str, Sequence[str]]) -> None:
-    """`check_output` of tables in a folder. headers: by their names, their columns."""
+    """`check_output` for tables in a folder. headers: file names and their columns."""
     for name, header in headers.items():
         check_output(folder / name, "table", header=",".join(header[:3]))
 
 
 def check_no_recording(folder: Path, ours: Iterable[str]) -> None:
-    """Raise UsageError where a folder holds images, to which our pictures would be added.
+    """Raise UsageError if a folder holds images of others, among which our pictures would be mixed.
 
-    ours: names of files, of which one that is there says that the folder is of our making.
+    ours: file names; if one of them exists, the folder is ours.
     """
     if folder.is_dir() and not any((folder / name).exists() for name in ours):
         with writing(folder):
@@ -113,10 +114,7 @@ def check_no_recording(folder: Path, ours: Iterable[str]) -> None:
 
 
 def is_output(path: Path, kind: Kind, header: str = "") -> bool:
-    """Whether a file is there that is of this kind, or empty; see `check_output`.
-
-    Raises OSError.
-    """
+    """Whether a file exists that is empty or of this kind; see `check_output`. Raises OSError."""
     if not path.is_file():
         return False
     with path.open("rb") as file:
@@ -133,19 +131,19 @@ def is_output(path: Path, kind: Kind, header: str = "") -> bool:
         "model": lambda: MODEL_MARK.encode() in head,
         "table": lambda: head.startswith(header.encode()),
         "JSON": lambda: head.startswith(header.encode()),
-        "graph": lambda: False,  # g2o has no room for a mark
+        "graph": lambda: False,  # g2o cannot hold a mark
     }
     return not head or tests[kind]()  # an empty file holds nothing to lose
 
 
 def is_filled(path: Path) -> bool:
-    """Whether there is a file that holds anything."""
+    """Whether a file exists and is not empty."""
     return path.is_file() and path.stat().st_size > 0
 
 
 @contextmanager
 def writing(place: object) -> Iterator[None]:
-    """What the disk refuses inside is a SonarrecError that names the file, else the place."""
+    """Turn an OSError raised inside into a SonarrecError that names the file, else `place`."""
     try:
         yield
     except OSError as error:
@@ -155,10 +153,10 @@ def writing(place: object) -> Iterator[None]:
 
 @contextmanager
 def replaced(path: Path) -> Iterator[Path]:
-    """A place beside `path` to write to, which takes its place at the end: all of it or nothing.
+    """A temporary path beside `path` that replaces it at the end, or is deleted after an error.
 
-    Folders that are not there are made. A link stays, and its file is replaced. What is no regular
-    file (a device, a pipe) is written itself. An OSError names `path`.
+    Missing folders are created. For a link its target is replaced. Devices and pipes are written
+    directly. An OSError names `path`.
     """
     if str(path).startswith(_STREAMS) or (path.exists() and not path.is_file()):
         yield path
@@ -168,9 +166,9 @@ def replaced(path: Path) -> Iterator[Path]:
     made = [folder for folder in target.parents if not folder.exists()][::-1]
     try:
         if target.exists():
-            target.open("r+b").close()  # what must not be written must not be replaced either
+            target.open("r+b").close()  # a file that is read-only must not be replaced either
             if not os.access(target.parent, os.W_OK):
-                yield path  # in place, for nothing can stand beside it
+                yield path  # in place, since no file can be created beside it
                 return
             new.touch()
             shutil.copymode(target, new)
@@ -182,7 +180,7 @@ def replaced(path: Path) -> Iterator[Path]:
         except OSError as error:
             if error.errno != errno.EBUSY:
                 raise
-            shutil.copyfile(new, target)  # a file that is mounted by itself
+            shutil.copyfile(new, target)  # the file itself is a mount point
             new.unlink()
     except BaseException as error:
         with suppress(OSError):
@@ -195,25 +193,25 @@ def replaced(path: Path) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """A text in UTF-8, its line ends as they are. Raises OSError."""
+    """Write a text in UTF-8 with its line ends unchanged. Raises OSError."""
     with replaced(path) as new:
         new.write_text(text, encoding="utf-8", newline="")
 
 
 def write_figure(path: Path, figure: Any, **look: Any) -> None:
-    """A figure of matplotlib as a marked PNG; look: as savefig takes it. Raises OSError."""
+    """Write a matplotlib figure as a marked PNG. look: options of savefig. Raises OSError."""
     with replaced(path) as new, warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph", UserWarning)  # its box says as much
+        warnings.filterwarnings("ignore", "Glyph", UserWarning)  # a box is drawn in its place
         figure.savefig(new, format="png", metadata=PICTURE_MARK, **look)
 
 
 def plain(name: str) -> str:
-    """A name as matplotlib draws it as it is: no formula, and not left out of a legend."""
+    """A name so that matplotlib shows it in the legend and does not read it as a formula."""
     return " " * name.startswith("_") + name.replace("$", r"\$")
 
 
 def write_csv(path: Path, header: Iterable[str], rows: Iterable[Iterable[object]]) -> None:
-    """A CSV table with the line ends of all our tables. Raises OSError."""
+    """Write a CSV table with our line ends. Raises OSError."""
     with replaced(path) as new, new.open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file, lineterminator="\n")
         table.writerow(header)
@@ -221,13 +219,13 @@ def write_csv(path: Path, header: Iterable[str], rows: Iterable[Iterable[object]
 
 
 def write_page(path: Path, page: str) -> None:
-    """A page. Raises SonarrecError."""
+    """Write an HTML page. Raises SonarrecError."""
     with writing(path):
         write_text(path, page)
 
 
 def marked(png: bytes) -> bytes:
-    """A PNG with PICTURE_MARK behind its header."""
+    """A PNG with PICTURE_MARK after its header."""
     [(key, value)] = PICTURE_MARK.items()
     body = b"tEXt" + key.encode() + b"\0" + value.encode()
     chunk = struct.pack(">I", len(body) - 4) + body + struct.pack(">I", zlib.crc32(body))

@@ -1,7 +1,6 @@
 """estimates.parquet in place of estimates.csv: the same columns, smaller and faster to read.
 
-With pyarrow, which is imported only here and where tables are read: pip install
-'sonarrec[parquet]'.
+It needs pyarrow (pip install 'sonarrec[parquet]'), which is imported only when it is used.
 """
 
 from __future__ import annotations
@@ -17,12 +16,12 @@ from sonarrec.records import SonarrecError, shown
 
 PARQUET = ".parquet"
 ROWS = 50_000
-"""Of a row group: some MB in memory, whatever the log's length."""
+"""Rows of a row group: some MB in memory, independent of the log's length."""
 _WHOLE = ("frame", "timestamp_ns", "object", "landmark", "declared")
 
 
 def check_parquet() -> None:
-    """Raises SonarrecError where pyarrow is missing."""
+    """Raises SonarrecError if pyarrow is missing."""
     try:
         import pyarrow.parquet  # noqa: F401
     except ImportError:
@@ -32,10 +31,10 @@ def check_parquet() -> None:
 
 
 def convert(table: Path, parquet: Path) -> None:
-    """Write a finished estimates.csv as Parquet, some rows at a time, and take it away.
+    """Convert a finished estimates.csv to Parquet, and delete it.
 
-    Parquet can be read only once its end is written, so a run writes CSV until all is there.
-    Numbers are those that reading the CSV gives. Raises OSError where the disk takes no more.
+    A run writes CSV first because an unfinished Parquet file cannot be read. The numbers are those
+    read from the CSV. Raises OSError if the disk is full.
     """
     import pandas as pd
     import pyarrow as pa
@@ -49,15 +48,15 @@ def convert(table: Path, parquet: Path) -> None:
         with pq.ParquetWriter(new, schema) as writer:
             for part in chain([first], parts):
                 writer.write_table(pa.Table.from_pandas(part, schema, preserve_index=False))
-        with new.open("r+b") as file:  # Windows syncs no file that is open to be read
+        with new.open("r+b") as file:  # Windows cannot sync a file that is opened read-only
             os.fsync(file.fileno())
     table.unlink()
 
 
 def read_parts(path: Path, rows: int | None) -> tuple[list[str], Iterator[Any]]:
-    """The names of the columns, and data frames: all rows, or at most so many at a time.
+    """The names of the columns, and data frames of at most `rows` rows; None: one of all rows.
 
-    Raises SonarrecError where it is not readable as Parquet.
+    Raises SonarrecError if it cannot be read as Parquet.
     """
     check_parquet()
     import pyarrow as pa
@@ -88,5 +87,5 @@ def read_parts(path: Path, rows: int | None) -> tuple[list[str], Iterator[Any]]:
 
 
 def _unreadable(path: Path, error: Exception) -> SonarrecError:
-    told = " ".join(str(error).split())[:200]
-    return SonarrecError(f"{shown(path)}: not a readable Parquet table ({told})")
+    why = " ".join(str(error).split())[:200]
+    return SonarrecError(f"{shown(path)}: not a readable Parquet table ({why})")

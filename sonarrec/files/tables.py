@@ -1,4 +1,4 @@
-"""CSV tables, read whole or in parts and checked; a fault names file, line and column."""
+"""Reads and checks tables, as a whole or in parts; an error names file, line and column."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ POSITION_KINDS: dict[str, Kind] = {
     "bearing_deg": "blank or place",
 }
 LARGEST = 10**9
-"""Places in pixels, m or deg beyond it are no image's and no sonar's, and their squares no use."""
+"""Larger positions (pixels, m, deg) are invalid; their squares could not be used."""
 MOST_COLUMNS = 1_000
 LONGEST_LINE = 64_000
 _OPTIONS: dict[str, Any] = {
@@ -68,17 +68,17 @@ _WORDS = {
 def read_table(
     path: Path, kinds: Mapping[str, Kind], required: tuple[str, ...], expected: str
 ) -> Table:
-    """Read the columns named in `kinds`; others are left alone, absent ones left out.
+    """Read the columns named in `kinds`, if they exist; others are ignored.
 
-    `expected` is the header shown where one of the `required` columns is missing.
-    Raises SonarrecError where the file, its header or a cell cannot be used.
+    required: columns that must exist. expected: a header for error messages.
+    Raises SonarrecError if the file, its header or a cell cannot be used.
     """
     [(_, table)] = read_tables(path, kinds, required, expected)
     return table
 
 
 def read_header(path: Path, expected: str) -> list[str]:
-    """The names of all columns. Raises SonarrecError where the file is no table."""
+    """The names of all columns. Raises SonarrecError if the file is not a table."""
     _check_shape(path, expected)
     table = _parsed(path, expected, lambda: pd.read_csv(path, nrows=0, **_OPTIONS))
     return [str(column).strip() for column in table.columns]
@@ -91,9 +91,9 @@ def read_tables(
     expected: str,
     rows: int | None = None,
 ) -> Iterator[tuple[int, Table]]:
-    """As `read_table`, at most `rows` rows at a time: (the first one's number from 0, the table).
+    """As `read_table` in parts of at most `rows` rows: (index of the first row, table).
 
-    Rows before a cell that cannot be used are given before SonarrecError is raised.
+    The rows before an invalid cell are given before SonarrecError is raised.
     """
     if path.suffix != PARQUET:
         _check_shape(path, expected)
@@ -122,8 +122,8 @@ def read_tables(
     if in_parquet:
         parts = parquet
     else:
-        # Not as "category", which takes the name 007 for a number. Not with `usecols`, which passes
-        # over rows that are longer than the header.
+        # Not as "category", which turns the name 007 into a number. Not with `usecols`, which
+        # accepts rows that are longer than the header.
         as_text = dict.fromkeys(text, object)
         parts = iter([read(dtype=as_text)]) if rows is None else read(dtype=as_text, chunksize=rows)
     labels: dict[Any, int] = {}
@@ -139,7 +139,7 @@ def read_tables(
 
 
 def _parsed(path: Path, expected: str, read: Callable[[], Any]) -> Any:
-    """What `read` gives. Raises SonarrecError where the file is no table."""
+    """The result of `read`. Raises SonarrecError if the file is not a table."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", pd.errors.ParserWarning)
@@ -157,7 +157,7 @@ def _parsed(path: Path, expected: str, read: Callable[[], Any]) -> Any:
 
 
 def _longer_row(path: Path) -> str | None:
-    """What is wrong with the first row that is longer than the header; None without one."""
+    """A message on the first row that is longer than the header; None if there is none."""
     with (
         suppress(csv.Error, UnicodeDecodeError),
         path.open(encoding="utf-8-sig", newline="") as file,
@@ -165,7 +165,7 @@ def _longer_row(path: Path) -> str | None:
         rows = csv.reader(file, skipinitialspace=True)
         columns = 0
         for cells in rows:
-            columns = columns or len(cells)  # of the header, which blank lines may precede
+            columns = columns or len(cells)  # of the header; blank lines may come before it
             if len(cells) > columns:
                 return f"line {rows.line_num}: {len(cells)} cells, the header has {columns}"
     return None
@@ -178,9 +178,9 @@ def _table(
     kinds: Mapping[str, Kind],
     labels: dict[Any, int],
 ) -> tuple[Table, SonarrecError | None]:
-    """The rows up to the first cell that is not of its column's kind, and what is wrong with it.
+    """The rows before the first invalid cell, and the error for that cell.
 
-    first: the file's row that is the first here. labels: those met so far, added to.
+    first: index of the first row in the file. labels: those found so far; new ones are added.
     """
     values = {name: _values(column, kinds[name], labels) for name, column in columns.items()}
     end, fault = None, None
@@ -215,8 +215,10 @@ def cut(table: Table, rows: int) -> Table:
 
 
 def _check_shape(path: Path, expected: str) -> None:
-    """Refuses what is no table before it is taken for one: a device has no end, and of very many
-    columns each costs time. expected: as in `read_table`."""
+    """Raise SonarrecError for files that cannot be tables, such as devices or very wide ones.
+
+    expected: as in `read_table`.
+    """
     try:
         if path.exists() and not path.is_file():
             raise SonarrecError(f"{path}: not a file that can be read as a table")
@@ -228,17 +230,17 @@ def _check_shape(path: Path, expected: str) -> None:
                 for x in itertools.chain([header], blocks)
             )
     except FileNotFoundError:
-        return  # told by who reads it
+        return  # reported when it is read
     except OSError as error:
         raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
     if long or header.count(b",") >= MOST_COLUMNS:
         raise SonarrecError(
             f"{path}: more than {MOST_COLUMNS} columns, or a line of more than {LONGEST_LINE} "
-            "bytes; no table of this program is like that"
+            "bytes; sonarrec has no such tables"
         )
     if b";" in header and b"," not in header:
         raise SonarrecError(
-            f"{path}: columns are parted by ;, expected , and a header such as {expected}"
+            f"{path}: columns are separated by ; and not by , as expected; a header is {expected}"
         )
 
 
@@ -247,9 +249,9 @@ def _ends_line(block: bytes) -> bool:
 
 
 def line_number(path: Path, row: int) -> int:
-    """1-based line in the file at which a table's 0-based row begins.
+    """1-based line of a CSV file at which a table's 0-based row begins.
 
-    Of Parquet, which has no lines, that of the same table as CSV.
+    For Parquet, which has no lines, the line that the row would have as CSV.
     """
     if path.suffix == PARQUET:
         return row + 2
@@ -257,25 +259,27 @@ def line_number(path: Path, row: int) -> int:
 
 
 def line_numbers(path: Path) -> Iterator[int]:
-    """The 1-based lines of a CSV file at which its rows begin; behind the last one it counts on.
+    """The 1-based lines of a CSV file at which its rows begin; after the last row it counts on.
 
-    Blank lines hold no row, and a cell in quotes may go over several.
+    Blank lines are not rows, and a quoted cell may span several lines.
     """
     with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
         rows = csv.reader(file, skipinitialspace=True)
-        header, before = True, 0
-        with suppress(csv.Error):  # a cell that is longer than it reads
+        before = 0
+        header = True
+        with suppress(csv.Error):  # a cell that is too long for the reader
             for cells in rows:
-                if len(cells) > 1 or any(cell.strip() for cell in cells):
-                    if not header:
-                        yield before + 1
-                    header = False
-                before = rows.line_num
+                line, before = before + 1, rows.line_num
+                if len(cells) < 2 and not "".join(cells).strip():  # a blank line
+                    continue
+                if not header:
+                    yield line
+                header = False
     yield from itertools.count(before + 1)
 
 
 def _values(column: Any, kind: Kind, labels: dict[Any, int]) -> tuple[Any, BoolArray]:
-    """(the column's values, which of its cells are not of its kind)."""
+    """(the values of a column, which of its cells are invalid)."""
     blank = column.isna().to_numpy()
     if kind == "text":
         return column.array, blank
@@ -290,7 +294,7 @@ def _values(column: Any, kind: Kind, labels: dict[Any, int]) -> tuple[Any, BoolA
     else:
         try:
             values = pd.to_numeric(column, errors="coerce").to_numpy(dtype=float)
-        except OverflowError:  # of hundreds of digits
+        except OverflowError:  # a number of hundreds of digits
             values = pd.to_numeric(column.astype(str), errors="coerce").to_numpy(dtype=float)
     bad = ~np.isfinite(values)
     if kind in ("blank or number", "blank or place", "share"):
@@ -300,7 +304,7 @@ def _values(column: Any, kind: Kind, labels: dict[Any, int]) -> tuple[Any, BoolA
         if kind == "share":
             bad |= (values < 0) | (values > 1)
     elif kind == "whole" and values.dtype.kind == "f":
-        # Beyond 2**63 a float would wrap round in silence.
+        # Larger floats would overflow without an error.
         bad |= (values != np.floor(values)) | (np.abs(values) >= 2.0**63)
     elif kind == "flag":
         bad |= (values != 0) & (values != 1)
@@ -308,7 +312,7 @@ def _values(column: Any, kind: Kind, labels: dict[Any, int]) -> tuple[Any, BoolA
 
 
 def _numbered(column: Any, blank: BoolArray, labels: dict[Any, int]) -> IntArray:
-    """Labels as numbers: see Table."""
+    """Labels as numbers; see Table."""
     if column.dtype.kind == "i":
         return np.asarray(column.to_numpy(dtype=np.int64))
     if column.dtype.kind == "f":
@@ -321,10 +325,10 @@ def _numbered(column: Any, blank: BoolArray, labels: dict[Any, int]) -> IntArray
 
 
 def position_pair(path: Path, table: Table) -> tuple[str, FloatArray, FloatArray] | None:
-    """("polar", range m, bearing deg) or ("pixel", column, row), each (rows,); None without either.
+    """("polar", range m, bearing deg) or ("pixel", column, row), each (rows,); None if neither.
 
-    Range and bearing go first: they need no geometry. Columns left blank throughout count as
-    absent; a blank among filled ones raises SonarrecError.
+    Range and bearing are preferred, since they need no geometry. Empty columns count as missing.
+    Raises SonarrecError if only some cells of a pair are empty.
     """
     for kind, pair in (("polar", ("range_m", "bearing_deg")), ("pixel", ("x_px", "y_px"))):
         if any(name not in table for name in pair):

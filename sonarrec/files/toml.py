@@ -1,7 +1,7 @@
-"""TOML read, and its tables held against dataclasses: the one place that does either.
+"""Reads TOML, and turns its tables into dataclasses.
 
-A dataclass says what its table may hold: each field's type carries the bounds (msgspec.Meta).
-A fault is one line that names the file, the key, the bound and the value.
+A dataclass defines what its table may hold; the types of its fields carry bounds (msgspec.Meta).
+An error is one line that names the file, the key, the bound and the value.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ import msgspec
 from sonarrec.records import SonarrecError
 
 MAX_LENGTH = 2**24
-"""In characters: a longer file is no file of settings."""
+"""Characters; a longer file cannot hold settings."""
 MAX_DEPTH = 32
-"""Of tables and lists in each other."""
+"""Levels of nested tables and lists."""
 
 _MOST = sys.float_info.max
 
 
 def bounds(least: float, most: float = _MOST) -> msgspec.Meta:
-    """Both are allowed, NaN and infinity never."""
+    """Bounds of a number, inclusive; NaN and infinity are never allowed."""
     return msgspec.Meta(ge=least, le=most)
 
 
 def length(least: int, most: int) -> msgspec.Meta:
-    """Of a list; both are allowed."""
+    """Bounds of the length of a list, inclusive."""
     return msgspec.Meta(min_length=least, max_length=most)
 
 
@@ -43,18 +43,18 @@ Finite = Annotated[float, bounds(-_MOST)]
 Positive = Annotated[float, msgspec.Meta(gt=0, le=_MOST)]
 NotNegative = Annotated[float, bounds(0)]
 Share = Annotated[float, bounds(0, 1)]
-Whole = Annotated[int, bounds(-(2**63), 2**63 - 1)]  # as wide as TOML asks for
+Whole = Annotated[int, bounds(-(2**63), 2**63 - 1)]  # the range that TOML requires
 Count = Annotated[int, bounds(0, 2**63 - 1)]
 AtLeastOne = Annotated[int, bounds(1, 2**63 - 1)]
 
 
 def read_toml(path: Path, error: type[SonarrecError] = SonarrecError) -> dict[str, Any]:
-    """The tables of a file. Raises `error` where it cannot be read or is no TOML."""
+    """The tables of a file. Raises `error` if it cannot be read or is not TOML."""
     return parse_toml(read_text(path, error), str(path), error)
 
 
 def read_text(path: Path, error: type[SonarrecError] = SonarrecError) -> str:
-    """The text of a TOML file. Raises `error` where it cannot be read."""
+    """The text of a TOML file. Raises `error` if it cannot be read."""
     try:
         with path.open(encoding="utf-8-sig") as file:
             text = file.read(MAX_LENGTH + 1)
@@ -66,7 +66,7 @@ def read_text(path: Path, error: type[SonarrecError] = SonarrecError) -> str:
 
 
 def parse_toml(text: str, where: str, error: type[SonarrecError] = SonarrecError) -> dict[str, Any]:
-    """The tables of a TOML text; `where` names it in errors. Raises `error` where it is none."""
+    """The tables of a TOML text. where: its name in errors. Raises `error` if it is not TOML."""
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as fault:
@@ -85,9 +85,9 @@ def parse_toml(text: str, where: str, error: type[SonarrecError] = SonarrecError
 
 
 def _beyond_toml(value: Any, depth: int = 0) -> list[str]:
-    """The keys that lead to what no reader of TOML need take, and what it is; [] without such.
+    """The keys that lead to a value beyond the limits of TOML, and a description; [] if none.
 
-    What is left is safe to print, to turn into a float and to walk through.
+    Without such values a table is safe to print, to convert to floats and to traverse.
     """
     if isinstance(value, int) and not -(2**63) <= value < 2**63:
         return ["a whole number of more than 64 bits"]
@@ -102,7 +102,8 @@ def _beyond_toml(value: Any, depth: int = 0) -> list[str]:
 
 
 def named_file(source: str | Path, built_in: Path) -> Path | None:
-    """The file `source`, or the TOML file of that name in the folder `built_in`; else None."""
+    """The TOML file of the name `source` in the folder `built_in`, else the file `source`, else
+    None."""
     for path in (built_in / f"{source}.toml", Path(source)):
         try:
             if path.is_file():
@@ -124,15 +125,15 @@ def from_table(
     over: T | None = None,
     error: type[SonarrecError] = SonarrecError,
 ) -> T:
-    """The dataclass `kind` as a TOML table states it, fields that are dataclasses from [theirs].
+    """The dataclass `kind` from a TOML table; fields that are dataclasses from its sub-tables.
 
-    where, section: name the table in errors. over: has the values of keys that are not stated, in
-    place of the defaults. A field's metadata may have the "key" that it goes by in the file.
-    Raises `error` for a key that is unknown or missing and for a value out of its type or bounds.
+    where, section: name the table in errors. over: gives the values of missing keys, in place of
+    the defaults. A field's metadata may have a "key", its name in the file.
+    Raises `error` for unknown and missing keys and for values of a wrong type or out of bounds.
     """
     place = f"{where}: [{section}]" if section else where
     if not isinstance(table, Mapping):
-        raise error(f"{place} must be a table of keys, not {shown(table)}")
+        raise error(f"{place} must be a table of keys, not {brief(table)}")
     types = types_of(kind)  # type: ignore[arg-type]
     names = {f.metadata.get("key", f.name): f for f in dataclasses.fields(kind)}  # type: ignore[arg-type]
     inside = f" in [{section}]" if section else ""
@@ -170,17 +171,17 @@ def from_table(
 def checked(
     value: object, wanted: Any, label: str, error: type[SonarrecError] = SonarrecError
 ) -> Any:
-    """`value` as the type `wanted`. Raises `error`, which begins with `label`, where it is none."""
+    """`value` as the type `wanted`. Raises `error`, which begins with `label`, if it is invalid."""
     whole = _bare(wanted) is int and isinstance(value, float) and value.is_integer()
     try:  # 1e3 is a whole number too
         return msgspec.convert(int(value) if whole else value, wanted)  # type: ignore[call-overload]
     except msgspec.ValidationError:
-        raise error(f"{label} must be {described(wanted)}, not {shown(value)}") from None
+        raise error(f"{label} must be {described(wanted)}, not {brief(value)}") from None
 
 
 @functools.cache
 def types_of(kind: Any) -> dict[str, Any]:
-    """The fields' types with their bounds, by name; of `X | None` X, for TOML has no None."""
+    """The fields' types with their bounds, by name; X for `X | None`, since TOML has no None."""
     hints = get_type_hints(kind, include_extras=True)
     return {name: _stated(hint) for name, hint in hints.items()}
 
@@ -196,7 +197,7 @@ def _has_keys(wanted: Any) -> bool:
 
 
 def metas(wanted: Any) -> list[msgspec.Meta]:
-    """What a type is annotated with."""
+    """The annotations of a type."""
     return list(get_args(wanted)[1:]) if get_origin(wanted) is Annotated else []
 
 
@@ -205,13 +206,13 @@ def _bare(wanted: Any) -> Any:
 
 
 def choices(wanted: Any) -> tuple[Any, ...]:
-    """The words of a type that is one of a few, else ()."""
+    """The values of a Literal type, else ()."""
     bare = _bare(wanted)
     return get_args(bare) if get_origin(bare) is Literal else ()
 
 
 def described(wanted: Any) -> str:
-    """What a value of the type is, in words: "a number from 0 to 1"."""
+    """A type in words, such as "a number from 0 to 1"."""
     bare = _bare(wanted)
     if few := [f'"{c}"' if isinstance(c, str) else str(c) for c in choices(wanted)]:
         return " or ".join(filter(None, (", ".join(few[:-1]), few[-1])))
@@ -251,14 +252,14 @@ _short = reprlib.Repr()
 _short.maxlevel, _short.maxdict, _short.maxstring, _short.maxother = 2, 3, 60, 60
 
 
-def shown(value: object) -> str:
-    """A value as it stands in a message: on one line, of some 60 characters."""
+def brief(value: object) -> str:
+    """A value for a message: on one line, at most about 60 characters."""
     return _short.repr(value)
 
 
 def _key(key: str) -> str:
-    """A key as it stands in a message: quoted where it must be in TOML."""
-    return key if re.fullmatch(r"[A-Za-z0-9_-]{1,60}", key) else shown(key)
+    """A key for a message, quoted if TOML requires it."""
+    return key if re.fullmatch(r"[A-Za-z0-9_-]{1,60}", key) else brief(key)
 
 
 def _needed(field: dataclasses.Field[Any]) -> bool:

@@ -22,10 +22,10 @@ from sonarrec.files.toml import (
     Share,
     Whole,
     bounds,
+    brief,
     from_table,
     named_file,
     read_toml,
-    shown,
 )
 from sonarrec.geometry import fan_for_image, fan_for_polar
 from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
@@ -334,7 +334,7 @@ def _check_as_a_whole(scene: Scene, where: str) -> None:
     for thing in scene.objects:
         if thing.kind not in KINDS:
             raise SonarrecError(
-                f"{where}: unknown kind of object {shown(thing.kind)}; known: {', '.join(KINDS)}"
+                f"{where}: unknown kind of object {brief(thing.kind)}; known: {', '.join(KINDS)}"
             )
 
 
@@ -360,7 +360,7 @@ def load_scene(source: str | Path) -> Scene:
     path = named_file(source, BUILT_IN)
     if path is None:
         built_in = ", ".join(sorted(p.stem for p in BUILT_IN.glob("*.toml")))
-        raise UsageError(f"no scene {shown(str(source))}: neither a file nor built in ({built_in})")
+        raise UsageError(f"no scene {brief(str(source))}: neither a file nor built in ({built_in})")
     return scene_from_table(read_toml(path), str(path))
 
 

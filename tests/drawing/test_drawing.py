@@ -219,11 +219,11 @@ def test_a_preview_that_cannot_be_drawn_does_not_cost_the_account(tmp_path: Path
 def test_a_preview_has_a_place_of_its_own(tmp_path: Path) -> None:
     log = image_folder(tmp_path / "log", frames(2))
     for arguments, told in (
-        ((log, "--preview", log / "p.png"), "a part of the recording itself"),
+        ((log, "--preview", log / "p.png"), "become part of the recording"),
         ((log / "frame0.png", "--preview", log / "frame0.png"), "this command reads it"),
         ((log, log, "--preview", tmp_path / "p.png"), "draws one log; 2 are given"),
         ((log, "--preview", tmp_path / "p.jpg"), "written as NAME.png"),
-        ((log, "--preview", log / "sonar.toml" / "p.png"), "sonar.toml is no folder"),
+        ((log, "--preview", log / "sonar.toml" / "p.png"), "sonar.toml is not a folder"),
     ):
         result = info(*arguments)
         assert result.exit_code == 2

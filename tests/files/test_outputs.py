@@ -120,7 +120,7 @@ def test_nothing_else_is_written_over(work: Path, line: str) -> None:
         for word in (
             "exist",
             "reads it",
-            "recording itself",
+            "part of the recording",
             "holds frames.csv",
             "log itself",
             "may be a",
@@ -246,7 +246,7 @@ def test_what_a_command_wrote_it_writes_again(line: str) -> None:
     for _ in range(2):
         done = sonarrec(line)
         assert done.exit_code in (0, 3), done.output
-        assert "not written over" not in done.stderr
+        assert "not overwritten" not in done.stderr
 
 
 @pytest.mark.parametrize(

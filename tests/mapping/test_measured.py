@@ -116,7 +116,7 @@ def test_several_logs_or_another_file_are_refused(dive: Path) -> None:
     (dive / "mine.csv").write_text("something else\n")
     words = ["-o", dive / "x", "--odometry-out", dive / "mine.csv"]
     told = sonarrec("run", dive / "dive", *words, code=2)
-    assert "not written over" in told.stderr
+    assert "not overwritten" in told.stderr
     assert (dive / "mine.csv").read_text() == "something else\n"
     sonarrec("run", dive / "dive", "-o", dive / "p", "--preset", "paper", "-q")
     words = ["-o", dive / "p", "--preset", "paper", "-q", "--odometry-out", dive / "none.csv"]

@@ -349,7 +349,7 @@ def test_passes_are_parted_and_limited(tmp_path: Path) -> None:
     [
         (("--max-pan", "0"), "--max-pan", 2),
         (("--landmarks", "nowhere"), "no landmark set 'nowhere'", 2),
-        (("--sheet", "/dev/null/folder.png"), "/dev/null is no folder", 2),
+        (("--sheet", "/dev/null/folder.png"), "/dev/null is not a folder", 2),
     ],
 )
 def test_bad_usage(

@@ -186,8 +186,8 @@ def test_frame_numbers_go_before_times(case: Path) -> None:
         ("image,id\n0,1\n", "expected a header such as frame,landmark,x_px,y_px,visible"),
         ("landmark,x_px,y_px\n1,2,3\n", "neither frame nor timestamp_ns"),
         ("", "empty; expected a header"),
-        ("frame;landmark\n0;1\n", "parted by ;, expected , and a header such as frame,"),
-        ("frame;landmark;x_px;y_px\n0;1;2,5;3,5\n", "columns are parted by ;, expected ,"),
+        ("frame;landmark\n0;1\n", "separated by ; and not by , as expected; a header is frame,"),
+        ("frame;landmark;x_px;y_px\n0;1;2,5;3,5\n", "columns are separated by ; and not by ,"),
         (
             "frame,landmark\n0,1\n\none,1\n",
             "gt.csv line 4: frame must be a whole number, not 'one'",

@@ -88,7 +88,7 @@ class FrameChanges:
     def runs(
         self, most: int, protocol: str | None = None, verdict: str | None = None
     ) -> tuple[list[FrameRun], int]:
-        """The `most` longest runs, and how many runs there are; of one protocol and verdict if given.
+        """The `most` longest runs, and how many there are; of one protocol and verdict if given.
 
         Runs of equal length are ordered by protocol, method, log, ID and change.
         """

@@ -17,7 +17,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from sonarrec.files.toml import Finite, checked, from_table, length, parse_toml, read_text, shown
+from sonarrec.files.toml import Finite, brief, checked, from_table, length, parse_toml, read_text
 from sonarrec.recogniser.stage3_features.description import FEATURES
 from sonarrec.records import FloatArray, UsageError
 
@@ -152,7 +152,7 @@ def parse_model(text: str, where: str) -> AppearanceModel:
     if wrong := [key for key in (*known, *table) if key not in known or key not in table]:
         raise UsageError(
             f"{where}: not an appearance model of this version (missing or unknown: "
-            f"{shown(wrong[0])}); `sonarrec calibrate` writes one"
+            f"{brief(wrong[0])}); `sonarrec calibrate` writes one"
         )
     bias = np.array([checked(table[key], Finite, f"{where}: {key}", UsageError) for key in _BIASES])
     curves = [
