@@ -116,7 +116,7 @@ def test_an_empty_word_is_refused(words: list[str], after: str) -> None:
     """Such as that of a variable that is not set: as a path it would be the folder of now."""
     refused = run_line(*words)
     assert refused.exit_code == 2
-    assert refused.stderr == f"sonarrec: nothing is given after {after}; is a variable unset?\n"
+    assert refused.stderr == f"sonarrec: empty argument after {after}; is a variable unset?\n"
 
 
 def test_images_of_an_unquoted_glob_are_noted() -> None:
@@ -255,7 +255,7 @@ def test_a_list_that_is_a_log_or_no_utf_8_is_one_line(data: bytes, tmp_path: Pat
     path.write_bytes(data)
     done = run_line("run", "--from-file", str(path))
     assert done.exit_code == 2
-    assert re.fullmatch(r"sonarrec: --from-file \S+list.txt: no list of logs, .*\n", done.stderr)
+    assert re.fullmatch(r"sonarrec: --from-file \S+list.txt: not a list of logs, .*\n", done.stderr)
 
 
 def test_a_rate_that_is_assumed_is_said(tmp_path: Path) -> None:

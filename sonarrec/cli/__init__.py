@@ -1,4 +1,4 @@
-"""The command line: parse, call one function, print. One command, one file, one screen."""
+"""The command line: each command is one file that parses, calls a function and prints."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class _Program(click.Group):
         return super().main(*arguments, **told)
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Faults of the input and Ctrl-C become one line; our own bugs keep their traceback."""
+        """Faults of the input and Ctrl-C become one line; bugs keep their traceback."""
         try:
             return super().invoke(ctx)
         except SonarrecError as error:
@@ -46,23 +46,23 @@ class _Program(click.Group):
             tell(["; ".join(["stopped", *getattr(error, "__notes__", [])])])
             ctx.exit(INTERRUPTED)
         except OSError as error:
-            if error.filename is not None:  # above all a folder without permission
+            if error.filename is not None:  # usually a folder without permission
                 tell([f"{printable(shown(error.filename))}: {error.strerror}"])
                 ctx.exit(1)
             if error.errno not in UNWRITTEN:
                 raise
-            # Every file is written under its name, so this is stdout. What waits in it goes where
-            # it cannot fail again.
+            # Errors of files have a file name, so this is stdout. Its buffer goes to the null
+            # device, where writing cannot fail again.
             tell([f"stdout: cannot be written ({error.strerror})"])
             os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
             ctx.exit(1)
 
 
 def _open_streams() -> None:
-    """stdout and stderr that take every character, and an stdin, also where they are closed.
+    """Make stdout and stderr accept every character, and open closed streams on the null device.
 
-    A closed one is opened on nothing: else the next file that is opened, such as a table of
-    results, would stand in its place and take what libraries print.
+    Else the next file that is opened, such as a table of results, would get the number of the
+    closed stream and with it the output of libraries.
     """
     while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
         pass

@@ -1,4 +1,4 @@
-"""Progress bars on stderr, silent where that is no terminal."""
+"""Progress bars on stderr; silent if stderr is not a terminal."""
 
 from __future__ import annotations
 
@@ -10,27 +10,27 @@ from typing import Any
 
 
 def _silent(quiet: bool) -> bool:
-    return quiet or not sys.stderr.isatty()  # asked here: tqdm itself is slow to load
+    return quiet or not sys.stderr.isatty()  # checked here, since tqdm is slow to load
 
 
 def _nothing(*_: object, **__: object) -> None:
-    """The step of a silent bar."""
+    """Does nothing: the step of a silent bar."""
 
 
 @contextmanager
 def progress(
     quiet: bool, total: int | None = None, title: str | None = None
 ) -> Iterator[Callable[..., None]]:
-    """A progress bar over frames on stderr; silent when quiet and where stderr is no terminal.
+    """A progress bar over frames. title: text before it.
 
-    title: what stands before it. Yields what to call after each frame: step(total=None, note="").
+    Yields a function to call after each frame: step(total=None, note="").
     """
     if _silent(quiet):
         yield _nothing
         return
     from tqdm import tqdm
 
-    # By a descriptor of its own: readers send the one of stderr elsewhere while they decode.
+    # It has its own file descriptor, because readers redirect that of stderr while they decode.
     with (
         os.fdopen(os.dup(sys.stderr.fileno()), "w", encoding=sys.stderr.encoding) as terminal,
         tqdm(total=total, desc=title, unit="frame", leave=False, file=terminal) as bar,
@@ -48,9 +48,9 @@ def progress(
 
 @contextmanager
 def progress_of_logs(quiet: bool, logs: int) -> Iterator[Callable[[float, str], None]]:
-    """A progress bar over logs that run side by side, as `progress`.
+    """A progress bar over logs that run in parallel.
 
-    Yields what to call from time to time: at(logs done, with the shares of those that run; note).
+    Yields a function to call now and then: at(logs done including fractions of running ones, note).
     """
     if _silent(quiet):
         yield _nothing
@@ -69,9 +69,9 @@ def progress_of_logs(quiet: bool, logs: int) -> Iterator[Callable[[float, str], 
 
 @contextmanager
 def fetching(quiet: bool, name: str) -> Iterator[Callable[[int, int | None], None]]:
-    """A progress bar over the bytes of a log that is waited for, as `progress`.
+    """A progress bar over the bytes of a log that is being fetched.
 
-    Yields what to call as they come: step(came, of how many or None). Without a call, no bar.
+    Yields a function to call as they arrive: step(came, total or None). The first call shows it.
     """
     if _silent(quiet):
         yield _nothing
@@ -84,8 +84,8 @@ def fetching(quiet: bool, name: str) -> Iterator[Callable[[int, int | None], Non
         def step(came: int, of: int | None) -> None:
             nonlocal bar
             if bar is None:
-                told = {"desc": f"fetch {name}", "unit": "B", "unit_scale": True}
-                bar = held.enter_context(tqdm(**told, leave=False))
+                look = {"desc": f"fetch {name}", "unit": "B", "unit_scale": True}
+                bar = held.enter_context(tqdm(**look, leave=False))
             bar.total = of
             bar.update(came - bar.n)
 

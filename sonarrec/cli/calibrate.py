@@ -29,8 +29,8 @@ from sonarrec.cli.options_log import LogChoice, log_options
     LEARNING,
     "--from-scratch",
     is_flag=True,
-    help="Do not start from the built-in model. It takes thousands of labelled frames of all that "
-    "may be met.",
+    help="Do not start from the built-in model. This needs thousands of labelled frames that show "
+    "everything that may occur.",
 )
 @settings_options
 @out_option(NEW_FILE, "The model, for `sonarrec run --model`.", required=True)
@@ -47,10 +47,10 @@ def calibrate(
 ) -> None:
     """Learn from LOG, whose landmarks are labelled, how landmarks look to this sonar.
 
-    The model tells each landmark from the others and from "none of these". It starts from the
-    built-in one: a few hundred labelled frames adapt it. For several LOGs the ground truth needs a
-    log column. Frames without a row count as frames without a landmark, except where a track was
-    on one before or after.
+    The model distinguishes each landmark from the others and from "none of these". It starts from
+    the built-in model; a few hundred labelled frames adapt it. For several LOGs the ground truth
+    needs a log column. Frames without a row count as frames without a landmark, except where a
+    track lies on a landmark before or after.
 
     \b
     Examples:
@@ -64,7 +64,7 @@ def calibrate(
 
     check_output(out, "model", [*log, ground_truth])
     config = settings.config()
-    # Of a run.toml the landmark set and the geometry serve as well, as of `run`.
+    # As in `run`, a run.toml also gives the landmark set and the geometry.
     earlier = read_run(settings.file)
     given = earlier.lay_under(Given(**log_choice.arguments()), same_log=False)
     with progress(quiet) as step:

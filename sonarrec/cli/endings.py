@@ -1,4 +1,4 @@
-"""How a command ends: what it tells on stderr, and its exit code."""
+"""How a command ends: its messages on stderr, and its exit code."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ import click
 from sonarrec.records import shown
 
 FAILED = 1  # nothing could be used
-MISUSED = 2  # an option cannot be meant, or an input is not there
+MISUSED = 2  # an option is invalid, or an input does not exist
 PARTLY = 3  # finished, but part of the input could not be used
 INTERRUPTED = 130  # stopped by Ctrl-C
 TERMINATED = 143  # stopped by SIGTERM
 
 
 def tell(problems: Iterable[str], notes: Iterable[str] = ()) -> None:
-    """Notes and problems, a line each, on stderr; where nobody can read it, nothing is lost."""
+    """Print notes and problems on stderr, a line each; errors of stderr are ignored."""
     with suppress(OSError):
         for note in notes:
             click.echo(f"sonarrec: note: {note}", err=True)
@@ -28,19 +28,19 @@ def tell(problems: Iterable[str], notes: Iterable[str] = ()) -> None:
 
 
 def end(problems: Collection[object]) -> None:
-    """End a command that is done: with PARTLY where part of the input could not be used."""
+    """End a command, with PARTLY if part of the input could not be used."""
     if problems:
         leave(PARTLY)
 
 
 @contextmanager
 def begun(*places: Path) -> Iterator[None]:
-    """Where Ctrl-C stops what is made inside, say what is left of it: the same call refuses it."""
+    """If Ctrl-C stops the inside, name the places that it left, which a new call would refuse."""
     try:
         yield
     except KeyboardInterrupt as error:
         if left := ", ".join(shown(place) for place in places if place.exists()):
-            error.add_note(f"what was made so far is in {left}; remove that to begin anew")
+            error.add_note(f"the output so far is in {left}; remove it to start again")
         raise
 
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from sonarrec.evaluation.matching.pairs import Pair
     from sonarrec.remote.run import RemoteFiles
 
-    Truth = Path | list[Pair] | None  # one table, pairs, or that beside each log
+    Truth = Path | list[Pair] | None  # one table, pairs, or None: that beside each log
 
 
 @command(short_help="Score results against ground truth, or compare two.")
@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     INPUT,
     "--pairs",
     type=FILE,
-    help="In place of RESULTS and truth: a CSV of results,ground_truth[,log], a row per log. "
-    "With --compare: the truth of each log.",
+    help="In place of RESULTS and truth: a CSV with the columns results,ground_truth[,log], a row "
+    "per log. With --compare: the truth of each log.",
 )
 @option(
     INPUT,
@@ -51,13 +51,15 @@ if TYPE_CHECKING:
     "band",
     type=click.FloatRange(0, 1),
     metavar="BAND",
-    help="With --compare: exit 1 where a rate is worse by more than BAND (and two frames).",
+    help="With --compare: exit with 1 if a rate is worse by more than BAND and more than two "
+    "frames.",
 )
 @option(
     SCORING,
     "--unit",
     type=click.Choice(["pass", "log"]),
-    help="What is independent: passes of landmarks, or logs.  [default: log from ten logs on]",
+    help="Independent unit: a pass of a landmark, or a log.  "
+    "[default: log if there are ten or more]",
 )
 @scoring_options
 @option(
@@ -65,17 +67,17 @@ if TYPE_CHECKING:
     "-j",
     "--jobs",
     type=click.IntRange(min=1),
-    help="How many logs are read at once, each in its own process; the figures are the same.  "
-    "[default: as many as there are cores; for a few small logs 1]",
+    help="How many logs are read at once, each in its own process; this does not change the "
+    "figures.  [default: the number of cores; 1 for a few small logs]",
 )
 @option(
     OUTPUT,
     "-v",
     "--details",
     is_flag=True,
-    help="Print both protocols' figures, per ID and per log.",
+    help="Print the figures of both protocols, per ID and per log.",
 )
-@option(OUTPUT, "--det", is_flag=True, help="Draw det.png, the detection error trade-off, too.")
+@option(OUTPUT, "--det", is_flag=True, help="Also draw det.png, the detection error trade-off.")
 @option(
     OUTPUT,
     "--json",
@@ -108,7 +110,7 @@ def evaluate(
 
     RESULTS is the folder of one log, or one that holds several (default: sonarrec_out). Truth is
     found beside each log, or given; both may be on a server (`sonarrec help remote`). The geometry
-    matters only where positions are in pixels and run.toml does not tell it. Files go to
+    is needed only if positions are in pixels and run.toml does not state it. Files go to
     RESULTS/evaluation. Intervals and tests treat whole passes of a landmark through the view, or
     whole logs, as independent; never frames.
 
@@ -120,17 +122,17 @@ def evaluate(
       sonarrec evaluate --ground-truth gt.csv --compare before after --fail-on-regression 0.02
     """
     if pairs is not None and (ground_truth or results):
-        raise UsageError("--pairs names results and truth itself; give neither beside it")
+        raise UsageError("--pairs names results and truth; leave out RESULTS and --ground-truth")
     if compare is not None and results is not None:
-        raise UsageError("--compare takes OLD and NEW; give no RESULTS beside it")
+        raise UsageError("--compare takes OLD and NEW; leave out RESULTS")
     if compare is not None and (details or det):
-        raise UsageError("--details and --det are of one set of results; --compare has neither")
+        raise UsageError("--details and --det are not available with --compare")
     if band is not None and compare is None:
-        raise UsageError("--fail-on-regression goes with --compare")
+        raise UsageError("--fail-on-regression needs --compare")
     from sonarrec.evaluation.matching.pairs import read_pairs
     from sonarrec.remote.run import RemoteFiles
 
-    with ExitStack() as held:  # what was written is uploaded as it closes, so nothing leaves inside
+    with ExitStack() as held:  # outputs are uploaded as it closes, so leave() comes after it
         remote = RemoteFiles(held, cache.cache)
         truth = remote.file(ground_truth) if pairs is None else read_pairs(pairs)
         shown = _Shown(details, as_json, quiet)
@@ -145,14 +147,14 @@ def evaluate(
 
 @dataclass(frozen=True, slots=True)
 class _Shown:
-    """What goes to stdout."""
+    """What is printed on stdout."""
 
     details: bool
     as_json: bool
     quiet: bool
 
     def on_stderr(self, notes: Sequence[str]) -> Sequence[str]:
-        """Those of the notes, all or none, that stdout does not show, as JSON or below tables."""
+        """The notes, if stdout does not show them."""
         return notes if self.quiet and not self.as_json else ()
 
 
@@ -168,13 +170,13 @@ def _score(
     scoring: ScoringOptions,
     remote: RemoteFiles,
 ) -> int:
-    """The exit code."""
+    """Score and print; returns the exit code."""
     from sonarrec.evaluation import tabulate, write
     from sonarrec.evaluation.evaluate import evaluate_many
     from sonarrec.evaluation.summary import summarise
     from sonarrec.remote.run import inside
 
-    if isinstance(truth, list):  # they name the results too
+    if isinstance(truth, list):  # pairs name the results too
         found = evaluate_many(truth, None, scoring, jobs=jobs)
     else:
         given = remote.results(results)
@@ -211,7 +213,7 @@ def _compare(
     scoring: ScoringOptions,
     remote: RemoteFiles,
 ) -> int:
-    """The exit code."""
+    """Compare and print; returns the exit code."""
     from sonarrec.evaluation.compare.screen import screen
     from sonarrec.evaluation.compare.write import comparison_json, write_comparison
     from sonarrec.remote.run import inside
@@ -242,7 +244,7 @@ def compared(
     unit: Any = None,
     jobs: int | None = None,
 ) -> Comparison:
-    """Two results, wherever they lie, as `evaluation.compare.compare.compare`."""
+    """Compare two results, local or on servers, as `evaluation.compare.compare.compare`."""
     from sonarrec.evaluation.compare.compare import compare
 
     old, new = map(remote.results, sides)

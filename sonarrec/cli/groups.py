@@ -1,4 +1,4 @@
-"""What commands are made of: options in groups of --help, several as one argument, paths."""
+"""Building blocks of commands: groups of options in --help, combined options, path types."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 
 
 class _Local(click.Path):
-    """A path of this machine: a URL would become a folder `s3:`, and be taken for uploaded."""
+    """A local path; URLs are refused, as they would create a local folder `s3:`."""
 
     def convert(self, value: Any, *told: Any) -> Any:
         from sonarrec.remote.urls import local
@@ -50,11 +50,11 @@ class GroupedCommand(click.Command):
     """A command whose --help shows its options in groups and names its help page."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Refuse an empty word: as a path it would be the folder of now. Raises UsageError."""
+        """Raise UsageError for an empty argument, which as a path would mean the current folder."""
         for before, word in pairwise([ctx.info_name, *args]):
             option, is_set, value = str(word).partition("=")
             if not word or (option.startswith("--") and is_set and not value):
-                raise UsageError(f"nothing is given after {option or before}; is a variable unset?")
+                raise UsageError(f"empty argument after {option or before}; is a variable unset?")
         return super().parse_args(ctx, args)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -73,7 +73,7 @@ class GroupedCommand(click.Command):
 
 
 def file_names(_: click.Context, __: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """`shell_complete` of a text that may be a path."""
+    """`shell_complete` for a text that may be a path."""
     return [CompletionItem(incomplete, type="file")]
 
 
@@ -88,7 +88,7 @@ def option(group: str, *names: str, **told: Any) -> Decorator:
 def as_one(
     argument: str, options: Mapping[str, Decorator], make: Callable[[dict[str, Any]], Any]
 ) -> Decorator:
-    """Add options, and hand their values to the command as the one argument `argument`."""
+    """Add options whose values `make` turns into the one argument `argument` of the command."""
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(function)

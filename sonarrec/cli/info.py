@@ -1,4 +1,4 @@
-"""`sonarrec info`: what is in a log, and how it would be read."""
+"""`sonarrec info`: the contents of a log, and how it would be read."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from sonarrec.remote.find import RemoteLog
 
 
-@command(short_help="Show what is in a log, and whether it is whole.")
+@command(short_help="Show what is in a log, and whether it is complete.")
 @click.argument("log", shell_complete=file_names, nargs=-1)
 @many_logs_options
 @option(
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     "--preview",
     type=NEW_FILE,
     metavar="FILE.png",
-    help="Draw the stated geometry, and discs of the set to scale, onto the first usable frame.",
+    help="Draw the stated geometry, and landmarks to scale, onto the first usable frame.",
 )
 @option(OUTPUT, "--json", "as_json", is_flag=True, help="Print JSON. Keys: sonarrec help info.")
 @cache_options
@@ -60,16 +60,16 @@ def info(
     cache: CacheChoice,
     quiet: bool,
 ) -> None:
-    """Show what is in LOG, whether it is whole, and how `run` would read it.
+    """Show what is in LOG, whether it is complete, and how `run` would read it.
 
     LOG is an MCAP file, a bag of ROS 1 or 2, a folder of images, a video, a sonar's own file (ARIS,
-    DIDSON, Oculus), a folder of logs, or a quoted glob of these. Every frame is read, and every
-    checksum compared, to tell how many frames can be used; --quick leaves that out. A geometry that
-    is incomplete is reported, but is no fault. Exit code 3: part of the log cannot be used; 1: none
-    of it can. LOG may be on a server (`sonarrec help remote`).
+    DIDSON, Oculus), a folder of logs, or a quoted glob of these. Every frame is read and every
+    checksum compared to see how many frames can be used; --quick leaves that out. An incomplete
+    geometry is reported but is not a fault. Exit code 3: part of the log cannot be used; 1: none of
+    it can. LOG may be on a server (`sonarrec help remote`).
 
     --preview draws range rings, bearings, the near edge of the stated floor and three discs of the
-    landmark set onto the first usable frame: what is wrong with a geometry shows at a glance.
+    landmark set onto the first usable frame, so that a wrong geometry is easy to see.
 
     \b
     Examples:
@@ -110,7 +110,7 @@ def info(
             if preview is not None:
                 try:
                     _draw_preview(path, preview, landmarks, reading)
-                except SonarrecError as error:  # told after the account, which says more
+                except SonarrecError as error:  # raised at the end
                     undrawn = error
     if as_json:
         head = {"program": PROGRAM, "version": PROGRAM["version"]}
@@ -132,7 +132,7 @@ def _name(log: NamedLog | RemoteLog) -> str:
 def _at_hand(
     log: NamedLog | RemoteLog, cache: CacheChoice, quiet: bool, held: ExitStack
 ) -> tuple[str, Path | None, Origin | None]:
-    """(what to open, up to where what belongs to it lies, where it was fetched from)."""
+    """(path to open, highest folder with companions of the log, server that it is from)."""
     from sonarrec.readers.many import NamedLog
     from sonarrec.remote.fetch import fetched
 
@@ -154,18 +154,18 @@ def _described(
 
 
 def _check_preview(preview: Path, logs: Sequence[str]) -> None:
-    """Raises UsageError where the picture has no place of its own."""
+    """Raises UsageError if the preview cannot be written there."""
     if len(logs) > 1:
-        raise UsageError(f"--preview {preview}: draws one log; {len(logs)} are given")
+        raise UsageError(f"--preview {preview}: draws one log, but {len(logs)} are given")
     if preview.suffix.lower() != ".png":
-        raise UsageError(f"--preview {preview}: a picture is written as NAME.png")
+        raise UsageError(f"--preview {preview}: the name must end in .png")
     from sonarrec.files.outputs import check_output
 
     check_output(preview, "picture", logs)
 
 
 def _draw_preview(path: str, preview: Path, landmarks: str | None, reading: dict[str, Any]) -> None:
-    """Write the first usable frame under its geometry. Raises SonarrecError where there is none."""
+    """Draw the geometry onto the first usable frame. Raises SonarrecError if there is none."""
     from sonarrec.drawing.geometry import draw_preview
     from sonarrec.drawing.pen import write_png
     from sonarrec.landmarks import load_landmarks

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def lines(info: LogInfo) -> list[str]:
-    """The account of a log as text, for the screen."""
+    """A log described in lines of text."""
     size = f"{info.size_bytes / 1e6:.1f} MB" if info.size_bytes >= 1e5 else f"{info.size_bytes} B"
     kind = f"{info.files} images" if info.kind == "images" else info.kind
     out = [f"{info.path}: {kind}, {size}"]
@@ -131,7 +131,7 @@ def _geometry_lines(images: Images) -> list[str]:
 
 
 def _header_lines(images: Images) -> list[str]:
-    """What the headers of a sonar's own file tell, but for what it did not measure."""
+    """The values in the headers of a sonar's own file, except those not measured."""
     known = {key: value for key, value in images.header.items() if value is not None}
     sonar = [str(known.pop("sonar"))] if "sonar" in known else []
     parts = [f"{k} = {v}" if isinstance(v, str) else f"{k} = {v:.6g}" for k, v in known.items()]
@@ -139,7 +139,7 @@ def _header_lines(images: Images) -> list[str]:
 
 
 def _origin_lines(images: Images) -> list[str]:
-    """Which values are from where, a line for each origin."""
+    """The keys of the geometry by origin, a line each."""
     names = {"flag": "by flag", "message": "from the messages", "default": "by default"}
     names |= {"header": "from the headers", "found": "found from the pings", "assumed": "assumed"}
     lines: dict[str, list[str]] = {}
@@ -156,7 +156,7 @@ def _origin_lines(images: Images) -> list[str]:
 
 
 def _moment(time_ns: int) -> str:
-    """A time as a date where it can be one, else in seconds."""
+    """A time as a date if it is after 2000, else in seconds."""
     if time_ns < YEAR_2000_NS:
         return f"clock at {time_ns / 1e9:.3f} s"
     return f"{datetime.fromtimestamp(time_ns // 10**9, UTC):%Y-%m-%d %H:%M:%S} UTC"

@@ -1,4 +1,4 @@
-"""`sonarrec map`: where the landmarks lie."""
+"""`sonarrec map`: the positions of the landmarks."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from sonarrec.cli.options_log import geometry_options
 from sonarrec.records import UsageError, number_of
 
 
-@command("map", short_help="Say where the landmarks lie.")
+@command("map", short_help="Map the positions of the landmarks.")
 @click.argument("results", type=ANY, nargs=-1)
 @option(
     INPUT,
     "--odometry",
     type=FILE,
     multiple=True,
-    help="Table of the poses that a log was run with, where it is no longer beside the log; "
+    help="Table of the poses that a log was run with, if it is no longer beside the log; "
     "repeatable.",
 )
 @option(
     INPUT,
     "--drift",
     metavar="M,DEG",
-    help="Standard error that the poses gather in a minute, in place and heading; it grows with "
-    "the root of the time.  [default: 0,0]",
+    help="Standard error of the poses after one minute, in position and heading; it grows with "
+    "the square root of time.  [default: 0,0]",
 )
 @landmarks_option
 @option(INPUT, "--method", help="Method of estimates.csv.  [default: framework]")
@@ -40,14 +40,14 @@ from sonarrec.records import UsageError, number_of
     type=click.IntRange(min=1),
     default=3,
     show_default=True,
-    help="A landmark declared in fewer frames is left out.",
+    help="Leave out landmarks declared in fewer frames.",
 )
 @geometry_options
 @option(
     OUTPUT,
     "--origin",
     metavar="LAT,LON,HEADING",
-    help="Where the poses' origin lies on Earth, deg, and the compass heading of yaw 0: writes "
+    help="Position of the poses' origin on Earth, deg, and the compass heading of yaw 0; writes "
     "map.geojson.",
 )
 @out_option(FOLDER, "Folder of the files.  [default: RESULTS/map]")
@@ -64,11 +64,11 @@ def map_(
     out: Path | None,
     quiet: bool,
 ) -> None:
-    """Say where the landmarks lie: each one once, however often it was passed.
+    """Map the positions of the landmarks, each one once, even if it was passed several times.
 
     RESULTS are folders that `sonarrec run` wrote, of one log or of several (default:
-    sonarrec_out); logs of one site, with poses in one frame, make one map. Without poses a log's
-    map is relative to the sonar at its first frame, as far as the measured motion carries.
+    sonarrec_out). Logs of one site, with poses in one coordinate frame, make one map. Without poses
+    the map of a log is relative to the sonar at its first frame, and uses the measured motion.
 
     \b
     Writes map.csv, passes.csv, factors.csv (measurements for a SLAM back end),
@@ -87,7 +87,7 @@ def map_(
     folders = tuple(dict.fromkeys(results)) or (Path("sonarrec_out"),)
     if out is None:
         if len(folders) > 1:
-            raise UsageError("several RESULTS: give the folder of their map with --out")
+            raise UsageError("several RESULTS need --out, the folder of their map")
         out = folders[0] / "map"
     on_earth = None if origin is None else _origin(origin)
     drifts = None if drift is None else _drift(drift)
@@ -110,31 +110,31 @@ def map_(
 
 
 def _origin(text: str) -> Any:
-    """The Origin of LAT,LON,HEADING. Raises UsageError where it cannot be meant."""
+    """The Origin of LAT,LON,HEADING. Raises UsageError if it is invalid."""
     from sonarrec.mapping.tables import Origin
 
     origin = Origin(*_numbers("--origin", text, 3))
     if not (abs(origin.latitude_deg) < 90 and abs(origin.longitude_deg) <= 180):
-        raise UsageError(f"--origin {text}: latitude between the poles, longitude -180 to 180")
+        raise UsageError(f"--origin {text}: LAT must be between -90 and 90, LON from -180 to 180")
     return origin
 
 
 def _drift(text: str) -> Any:
-    """The Drift of M,DEG. Raises UsageError where it cannot be meant."""
+    """The Drift of M,DEG. Raises UsageError if it is invalid."""
     from sonarrec.mapping.path import Drift
 
     drift = Drift(*_numbers("--drift", text, 2))
     if min(drift.place_m, drift.yaw_deg) < 0:
-        raise UsageError(f"--drift {text}: standard errors are not negative")
+        raise UsageError(f"--drift {text}: standard errors must not be negative")
     return drift
 
 
 def _numbers(flag: str, text: str, count: int) -> list[float]:
-    """The numbers of M,DEG or the like. Raises UsageError where they cannot be meant."""
+    """The numbers of M,DEG or the like. Raises UsageError if they are invalid."""
     try:
         found = [float(number) for number in text.split(",")]
     except ValueError:
         found = []
     if len(found) != count or not all(map(math.isfinite, found)):
-        raise UsageError(f"{flag} {text}: expected {count} numbers with commas between")
+        raise UsageError(f"{flag} {text}: expected {count} numbers separated by commas")
     return found

@@ -1,4 +1,4 @@
-"""Options that several commands share, and what they mean: truth, scoring, settings, output."""
+"""Options that several commands share: truth, scoring, settings, output."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ landmarks_option = option(
     "--landmarks",
     shell_complete=file_names,
     help="Landmark set: a built-in name or a TOML file.  "
-    "[default: that of run.toml where one is read, else basin]",
+    "[default: that of run.toml if one is read, else basin]",
 )
 
 
 def frames_option(text: str, default: str | None = None) -> Decorator:
-    """--frames; text: what becomes of these frames. default: all of them where it is None."""
-    text = f"{text} Either may be left out." + (f"  [default: {default}]" if default else "")
+    """--frames. text: what is done with these frames. default: in words; None: all frames."""
+    text = f"{text} A or B may be left out." + (f"  [default: {default}]" if default else "")
     return option(INPUT, "--frames", metavar="A:B", help=text)
 
 
 def ground_truth_option(text: str, required: bool = False, kind: click.Path = FILE) -> Decorator:
-    """--ground-truth; text: what it is for. kind: FILE_OR_URL where it may be on a server."""
+    """--ground-truth. text: what it is for. kind: FILE_OR_URL if it may be on a server."""
     text = f"{text} Columns: sonarrec help truth."
     return option(INPUT, "--ground-truth", type=kind, required=required, help=text)
 
@@ -53,7 +53,7 @@ _SCORING = {
         type=float,
         default=0.9,
         show_default=True,
-        help="Share of the disc that must be in view for a landmark to count; with less, it is "
+        help="Share of the disc that must be in view for a landmark to count; with less it is "
         "ignored.",
     ),
     "tolerance_s": option(
@@ -88,7 +88,7 @@ _SETTINGS = {
         "--preset",
         metavar="NAME[,NAME]",
         help="default (frame by frame), offline (results are revised by what the log shows later) "
-        "or paper (every rule as published). `sonarrec run` takes several, side by side.",
+        "or paper (every rule as published). `sonarrec run` takes several.",
     ),
     "config_file": option(
         SETTINGS,
@@ -109,14 +109,14 @@ _SETTINGS = {
         SETTINGS,
         "--seed",
         type=click.IntRange(min=0),
-        help="Seed of all that is random.  [default: 0]",
+        help="Seed of the random numbers.  [default: 0]",
     ),
 }
 
 
 @dataclass(frozen=True, slots=True)
 class SettingsChoice:
-    """What the command line says of the settings."""
+    """The settings as given on the command line."""
 
     values: Mapping[str, Any]
 
@@ -127,7 +127,7 @@ class SettingsChoice:
         return file
 
     def configs(self) -> Any:
-        """A Config per preset. Preset, then file, then --set, then --seed: the later wins."""
+        """A Config per preset, changed by the file, then by --set, then by --seed."""
         from dataclasses import replace
 
         from sonarrec import config
@@ -138,10 +138,12 @@ class SettingsChoice:
         return chosen if seed is None else [replace(c, seed=seed) for c in chosen]
 
     def config(self) -> Any:
-        """The one Config. Raises UsageError where several presets are asked for."""
+        """The only Config. Raises UsageError if several presets are given."""
         chosen, *more = self.configs()
         if more:
-            raise UsageError("several presets: this command takes one; choose it with --preset")
+            raise UsageError(
+                "several presets are given, but this command takes one; choose it with --preset"
+            )
         return chosen
 
 
@@ -156,14 +158,14 @@ model_option = option(
 )
 
 
-# What goes out
+# Output
 
 quiet_option = option(
     OUTPUT,
     "-q",
     "--quiet",
     is_flag=True,
-    help="No progress bar and no summary; notes and faults are still printed.",
+    help="Print no progress bar and no summary; notes and errors are still printed.",
 )
 
 
@@ -173,5 +175,5 @@ verbose_option = option(
 
 
 def out_option(kind: click.Path, text: str, **told: Any) -> Decorator:
-    """-o, --out; text: what it names."""
+    """-o, --out. text: what it names."""
     return option(OUTPUT, "-o", "--out", type=kind, help=text, **told)

@@ -1,4 +1,4 @@
-"""Laying landmarks into a recording: options of `sonarrec simulate` and `sonarrec site`."""
+"""Options of `sonarrec simulate` and `sonarrec site` for laying landmarks into a recording."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _LAYING = {
         "--plate",
         type=click.FloatRange(-MOST_DB, MOST_DB),
         metavar="DB",
-        help="The same of the plate between ring and sectors; negative where it is darker than the "
+        help="The same for the plate between ring and sectors; negative if it is darker than the "
         "floor.  [default: -6]",
     ),
     "landmarks": option(
@@ -40,16 +40,15 @@ _LAYING = {
         BACKGROUND,
         "--count",
         type=click.IntRange(min=1),
-        help="Landmarks to lay; for each round of the IDs a blank and a filled disc are laid as "
-        "well.  [default: six discs in view at most]",
+        help="Number of landmarks; a blank and a filled disc are added for each round of the IDs.  "
+        "[default: at most six discs in view]",
     ),
     "beam_width": option(
         BACKGROUND,
         "--beam-width",
         type=click.FloatRange(0, 5),
         metavar="DEG",
-        help="Width of the beams, by which the discs are smeared.  "
-        "[default: as `sonarrec run` takes it]",
+        help="Width of the beams that smear the discs.  [default: as in `sonarrec run`]",
     ),
     **odometry_options(BACKGROUND),
 }
@@ -57,7 +56,7 @@ _LAYING = {
 
 @dataclass(frozen=True, slots=True)
 class Laying:
-    """What the command line says of the landmarks to lay."""
+    """The landmarks to lay, as given on the command line."""
 
     values: Mapping[str, Any]
     default_contrast: str
@@ -67,7 +66,7 @@ class Laying:
         return flags_of(self.values)
 
     def contrasts(self) -> list[float]:
-        """dB, rising. Raises UsageError for what is no list of numbers."""
+        """dB, rising. Raises UsageError if they are invalid."""
         text = self.values["contrast"] or self.default_contrast
         try:
             found = sorted(float(number) for number in text.split(","))
@@ -75,11 +74,11 @@ class Laying:
             found = [math.nan]
         if not all(abs(db) <= MOST_DB for db in found):
             raise UsageError(
-                f"--contrast {text}: expected numbers from -{MOST_DB:g} to {MOST_DB:g} dB with "
-                "commas between, such as 0,3,6,10"
+                f"--contrast {text}: expected numbers from -{MOST_DB:g} to {MOST_DB:g} dB, "
+                "separated by commas, such as 0,3,6,10"
             )
         if len({f"{db:g}" for db in found}) < len(found):  # as folders are named
-            raise UsageError(f"--contrast {text}: one of them is there twice")
+            raise UsageError(f"--contrast {text}: a value is given twice")
         return found
 
     @property
@@ -89,16 +88,16 @@ class Laying:
 
     @property
     def count(self) -> int | None:
-        """Landmarks to lay, where asked for."""
+        """Number of landmarks, if given."""
         return None if self.values["count"] is None else int(self.values["count"])
 
     def beam_width_deg(self, background: Background) -> float:
-        """As stated, else that of the recording's beams."""
+        """The width given, else that of the recording's beams."""
         stated = self.values["beam_width"]
         return background.beam_width_deg if stated is None else float(stated)
 
     def landmark_set(self) -> LandmarkSet:
-        """The set that is laid."""
+        """The set of the landmarks to lay."""
         from sonarrec.landmarks import load_landmarks
 
         return load_landmarks(self.values["landmarks"] or "basin")
@@ -115,7 +114,7 @@ class Laying:
         config: Config,
         step: Callable[..., None],
     ) -> Background:
-        """The recording, read once for its path."""
+        """Read the recording once, for its path."""
         from sonarrec.readers import open_log
         from sonarrec.simulation.background import poses_of, survey
 
@@ -132,10 +131,10 @@ class Laying:
 
 
 def laying_options(contrast: str) -> Decorator:
-    """All of them, as one `laying`; contrast: what the command takes where none is given."""
+    """These options, as one argument `laying`. contrast: the default."""
     text = (
-        "How far ring and sectors stand out from the floor, dB of power; several, with commas "
-        f"between, make a series.  [default: {contrast}]"
+        "How much brighter ring and sectors are than the floor, dB of power; several values, "
+        f"separated by commas, make a series.  [default: {contrast}]"
     )
     series = option(BACKGROUND, "--contrast", metavar="DB[,DB]", help=text)
     return as_one("laying", {"contrast": series} | _LAYING, lambda values: Laying(values, contrast))

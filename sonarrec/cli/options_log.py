@@ -1,4 +1,4 @@
-"""How a log is read, and which logs: the options of commands that open recordings."""
+"""Options of commands that open recordings: which logs, and how they are read."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _NUMBERS = {
     "field_of_view_deg": "Horizontal field of view, deg.",
     "tilt_deg": "Downward tilt of the sonar, deg.",
     "height_m": "Height of the sonar above the floor, m.",
-    "frame_rate_hz": "Frames per second, where frames carry no time.",
+    "frame_rate_hz": "Frames per second, if frames carry no time.",
     "metres_per_pixel": "Scale of a fan image, m.",
 }
 GEOMETRY_OPTIONS = {
@@ -72,7 +72,7 @@ _PIXELS = {
         PIXELS,
         "--flip/--no-flip",
         default=None,
-        help="Exchange left and right, where a driver did.",
+        help="Exchange left and right, if a driver did.",
     ),
     "pixel_scale": option(
         PIXELS,
@@ -106,7 +106,7 @@ _TIME = {
         "--time",
         type=click.Choice(["log", "publish", "header"]),
         help="Which time of a message of an MCAP or bag becomes the timestamp_ns of its frame. "
-        "Frames come in the order of log time all the same.  [default: log]",
+        "The order of frames is always that of log time.  [default: log]",
     )
 }
 
@@ -119,8 +119,8 @@ _FROM_FILE = option(
     "--from-file",
     type=click.File(encoding="utf-8-sig", errors="surrogateescape"),
     metavar="LIST",
-    help="File with one LOG a line; - for standard input. Empty lines and those that begin with # "
-    "are skipped.",
+    help="File with one LOG per line; - for standard input. Empty lines and lines that begin with "
+    "# are skipped.",
 )
 
 
@@ -130,43 +130,43 @@ def many_logs_options(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def named_logs(logs: tuple[str, ...], from_file: IO[str] | None, recursive: bool) -> Any:
-    """The logs of a command that takes many, NamedLogs and, of servers, RemoteLogs.
+    """The logs of a command that takes many: NamedLogs, and RemoteLogs for those on servers.
 
-    Raises click's UsageError without any, ours for a list that is no text.
+    Raises click's UsageError if there are none, ours if the list is not text.
     """
     from sonarrec.remote.run import all_logs
 
     if not logs and from_file is None:
         raise click.UsageError(
-            "Missing argument 'LOG...'; or give a list of them: --from-file LIST",
+            "Missing argument 'LOG...' (or --from-file LIST)",
             click.get_current_context(),
         )
     return all_logs(logs, () if from_file is None else _lines(from_file), recursive=recursive)
 
 
 def _lines(listed: IO[str]) -> Iterator[str]:
-    """The lines of a list. Raises UsageError where one holds what no path does."""
+    """The lines of a list. Raises UsageError if it is not text."""
     for line in listed:
         if "\0" in line:
             raise UsageError(
-                f"--from-file {shown(listed.name)}: no list of logs, that is UTF-8 text with "
-                "one LOG a line; to run a single log leave out --from-file"
+                f"--from-file {shown(listed.name)}: not a list of logs, which is UTF-8 text with "
+                "one LOG per line; to run a single log leave out --from-file"
             )
         yield line
 
 
 @dataclass(frozen=True, slots=True)
 class LogChoice:
-    """How the command line says that a log is to be read."""
+    """How a log is to be read, as given on the command line."""
 
-    values: Mapping[str, Any]  # of the options by name, None where not given
+    values: Mapping[str, Any]  # of the options by name, None if not given
 
     def flags(self) -> list[str]:
         """The flags that were given."""
         return flags_of(self.values)
 
     def sonar(self) -> Any:
-        """The Sonar that the flags alone state. Raises UsageError for what cannot be meant."""
+        """The Sonar of the flags alone. Raises UsageError if they are invalid."""
         from sonarrec.sonar import sonar_from_table
 
         keys = [key for key in (*GEOMETRY_OPTIONS, *_PIXELS) if key != "sonar_file"]
@@ -176,27 +176,27 @@ class LogChoice:
                 stated[key] = [float(number) for number in stated[key].split(",")]
             except ValueError:
                 flag = f"--{key.replace('_', '-')}"
-                raise UsageError(f"{flag}: expected numbers with commas between") from None
+                raise UsageError(f"{flag}: expected numbers separated by commas") from None
         sonar = sonar_from_table(stated, "command line")
         sonar.check_flags(sonar)
         return sonar
 
     def sonar_without_log(self) -> Any:
-        """The Sonar of --sonar and the flags, which win, where no log is opened."""
+        """The Sonar of --sonar, changed by the flags, for commands that open no log."""
         from sonarrec.sonar import Sonar, load_sonar
 
         file = self.values["sonar_file"]
         return (load_sonar(file) if file else Sonar()).updated(self.sonar())
 
     def arguments(self) -> dict[str, Any]:
-        """Keyword arguments of what opens a log: sonar, sonar_file, topic; time where stated.
+        """Keyword arguments of `open_log`: sonar, sonar_file, topic, and time if given.
 
-        Raises SonarrecError for a sonar_file that cannot be used: once, however many the logs.
+        Raises SonarrecError if sonar_file cannot be used: once, not for each log.
         """
         from sonarrec.sonar import load_sonar
 
         file: Path | None = self.values["sonar_file"]
-        if file is not None and file.is_file():  # a pipe is read but once
+        if file is not None and file.is_file():  # a pipe can be read only once
             load_sonar(file)
         time: Clock | None = self.values.get("time")
         return {
@@ -249,7 +249,7 @@ def odometry_options(group: str) -> dict[str, Decorator]:
 
 
 def log_options(*, pixels: bool = True, time: bool = False) -> Decorator:
-    """--topic, the geometry and, where wanted, pixels and --time, as one `log_choice`."""
+    """--topic, the geometry and optionally pixels and --time, as one `log_choice`."""
     options = (
         {"topic": topic_option}
         | (_TIME if time else {})

@@ -1,4 +1,4 @@
-"""Options of what may lie on a server: URLs in place of paths, and the cache of what is fetched."""
+"""Options for servers: URLs in place of paths, and the cache."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sonarrec.cli.groups import FOLDER, INPUT, as_one, option
 
 
 class _OrUrl(click.Path):
-    """A local path as of click.Path, or a URL as text."""
+    """A local path as in click.Path, or a URL as text."""
 
     def convert(self, value: Any, *told: Any) -> Any:
         from sonarrec.remote.urls import is_url
@@ -28,7 +28,7 @@ ANY_OR_URL = _OrUrl(path_type=Path)
 
 
 def _bytes(_: click.Context, __: click.Parameter, size: str) -> int:
-    """The bytes of a size. Raises UsageError for one that is none, needed or not."""
+    """The bytes of a size. Raises UsageError if it is invalid."""
     from sonarrec.remote.cache import size_bytes
 
     return size_bytes(size)
@@ -40,8 +40,8 @@ _CACHE = {
         "--cache",
         "cache_folder",
         type=FOLDER,
-        help="Where logs and results of s3://, gs://, https:// and sftp:// are kept once they are "
-        "fetched.  [default: sonarrec in the user's cache folder]",
+        help="Folder for logs and results fetched from s3://, gs://, https:// and sftp://.  "
+        "[default: sonarrec in the user's cache folder]",
     ),
     "cache_size": option(
         INPUT,
@@ -50,19 +50,19 @@ _CACHE = {
         metavar="SIZE",
         default="20GB",
         show_default=True,
-        help="What the cache may hold; the least recently used goes first.",
+        help="Maximum size of the cache; the least recently used logs are deleted first.",
     ),
 }
 
 
 @dataclass(frozen=True, slots=True)
 class CacheChoice:
-    """The cache by the flags; made where it is needed."""
+    """The cache as given on the command line."""
 
     values: Mapping[str, Any]
 
     def cache(self) -> Any:
-        """The Cache. Raises SonarrecError where nothing tells its folder."""
+        """The Cache. Raises SonarrecError if its default folder cannot be found."""
         from sonarrec.remote.cache import Cache, default_folder
 
         folder = self.values["cache_folder"] or default_folder()

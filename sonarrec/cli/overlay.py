@@ -32,7 +32,7 @@ from sonarrec.records import UsageError
     "--foxglove-layout",
     type=NEW_FILE,
     metavar="OUT.json",
-    help="Foxglove layout that shows what --mcap writes.",
+    help="Write a Foxglove layout that shows the file of --mcap.",
 )
 @option(
     OUTPUT,
@@ -43,9 +43,7 @@ from sonarrec.records import UsageError
 )
 @option(OUTPUT, "--images", type=ANY, metavar="DIR", help="Draw the frames as DIR/000000.png, ...")
 @option(INPUT, "--method", help="Method of estimates.csv.  [default: framework]")
-@frames_option(
-    "Draw only these frames, from A up to, not including, B.", default="those of the run"
-)
+@frames_option("Draw only the frames from A up to, not including, B.", default="those of the run")
 @option(OUTPUT, "--grid", is_flag=True, help="Draw range rings and bearings in videos and images.")
 @quiet_option
 # Long by its options and its help.
@@ -67,14 +65,14 @@ def overlay(
     """Draw RESULTS onto the frames of LOG: outlines, IDs, probabilities, trails.
 
     RESULTS is the folder that `sonarrec run LOG` wrote, or one that holds it (default:
-    sonarrec_out). An object is outlined in its ID's colour where the ID is declared, else thin
-    and grey. Below the frames of videos and images are the probabilities of each ID.
+    sonarrec_out). An object is outlined in the colour of its ID if the ID is declared, else in thin
+    grey. Videos and images show the probabilities of each ID below the frame.
 
     \b
-    --mcap    Open it in Foxglove together with LOG, show /sonarrec/annotations in the
-              Image panel, or import the layout. /sonarrec/detections has what is declared,
-              as vision_msgs/Detection3DArray for ROS 2. Of polar or flipped logs, and of
-              folders and videos, it also holds the fan images, /sonarrec/fan.
+    --mcap    Open it in Foxglove together with LOG, and show /sonarrec/annotations in the
+              Image panel or import the layout. /sonarrec/detections has the declared
+              landmarks as vision_msgs/Detection3DArray for ROS 2. For polar or flipped logs,
+              folders and videos it also has the fan images, /sonarrec/fan.
     --video   MPEG-4 Part 2, for VLC, mpv and most desktop players. For browsers:
               ffmpeg -i OUT.mp4 -c:v libx264 -pix_fmt yuv420p WEB.mp4
 
@@ -88,7 +86,7 @@ def overlay(
     from sonarrec.results.run_file import frame_span
 
     if foxglove_layout is not None and mcap is None:
-        raise UsageError("--foxglove-layout is for the file of --mcap; give both")
+        raise UsageError("--foxglove-layout needs --mcap")
     targets = {"--mcap": mcap, "--video": video, "--images": images}
     if not any(targets.values()):
         raise UsageError("nothing to write: give --mcap OUT, --video OUT.mp4 or --images DIR")

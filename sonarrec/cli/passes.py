@@ -1,4 +1,4 @@
-"""What a run ends with: its sightings as a table for a terminal, or as JSON."""
+"""The sightings of a run as a table for the terminal, or as JSON."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ if TYPE_CHECKING:
     from sonarrec.results.sightings import Sighting
 
 YEAR_2000_NS = 946_684_800 * 10**9
-"""A time from here on is taken for one of the calendar."""
+"""Later times are shown as dates."""
 
 
 def table(summary: Summary, folder: str) -> list[str]:
-    """Lines to print: the passes by method, and how many more there are in sightings.csv.
+    """Lines to print: the longest passes of each method, and how many more sightings.csv has.
 
-    folder: where that is.
+    folder: of that file.
     """
     lines: list[str] = []
     for method, count in summary.passes.items():
@@ -42,7 +42,7 @@ def table(summary: Summary, folder: str) -> list[str]:
 
 
 def _row(s: Sighting, end_width: int | None) -> str:
-    """end_width: of the column of dated ends; None where times are none of the calendar."""
+    """A row. end_width: of the column of end dates; None if times are not dates."""
     track = "-" if s.track is None else s.track
     times = f"{s.start_ns / 1e9:>9.2f} {s.end_ns / 1e9:>9.2f}"
     if end_width is not None:
@@ -59,19 +59,19 @@ def _number(value: float, digits: int) -> str:
 
 
 def _utc(time_ns: int) -> str:
-    """A time to the hundredth of a second."""
+    """A date and time to a hundredth of a second."""
     seconds, rest = divmod(time_ns, 10**9)
     return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%d %H:%M:%S}.{rest // 10**7:02d}"
 
 
 def _end(s: Sighting) -> str:
-    """When a pass ended, with its date where that is not the start's."""
+    """The end of a pass, with the date if it differs from that of the start."""
     start, end = _utc(s.start_ns), _utc(s.end_ns)
     return end[11:] if end[:10] == start[:10] else end
 
 
 def as_json(summary: Summary, folder: str, sightings: Path) -> dict[str, Any]:
-    """What --json tells of a log that was run; `sightings` holds all of every method.
+    """The JSON object of a log, with all sightings of all methods.
 
     folder: where its results are. sightings: their sightings.csv.
     """
@@ -89,7 +89,7 @@ def as_json(summary: Summary, folder: str, sightings: Path) -> dict[str, Any]:
 
 
 def _plain(sighting: Sighting) -> dict[str, Any]:
-    """With null where a value is not known."""
+    """The fields, null for values that are not known."""
     return {
         name: None if isinstance(value, float) and math.isnan(value) else value
         for name, value in asdict(sighting).items()

@@ -1,4 +1,4 @@
-"""`sonarrec report`: one page that shows what was recognised, and how well."""
+"""`sonarrec report`: one HTML page about the results."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ if TYPE_CHECKING:
     INPUT,
     "--pairs",
     type=FILE,
-    help="In place of RESULTS and truth: a CSV of results,ground_truth[,log], a row per log. With "
-    "--compare: the truth of each log.",
+    help="In place of RESULTS and truth: a CSV with the columns results,ground_truth[,log], a row "
+    "per log. With --compare: the truth of each log.",
 )
 @option(
     INPUT,
@@ -52,7 +52,8 @@ if TYPE_CHECKING:
     "recordings",
     type=ANY_OR_URL,
     multiple=True,
-    help="The log that RESULTS came from, for frames on the page, or a folder of logs; repeatable.",
+    help="The log that RESULTS came from, or a folder of logs, to show frames on the page; "
+    "repeatable.",
 )
 @topic_option
 @scoring_options
@@ -80,13 +81,14 @@ def report(
     cache: CacheChoice,
     quiet: bool,
 ) -> None:
-    """Write RESULTS as one HTML page that needs nothing else: no network, no other file.
+    """Write RESULTS as one HTML page that needs no network and no other file.
 
     RESULTS is the folder of one log, or one that holds several (default: sonarrec_out). The page
-    shows what was seen, when and how surely, and the probabilities along each track; with ground
-    truth also the paper's tables, the ROC and the worst mistakes; with the log also its frames: a
-    click on a bar, a track or a mistake shows the frame. The geometry matters only where run.toml
-    does not tell it. All inputs, and the page, may be on a server (`sonarrec help remote`).
+    shows which landmarks were seen, when and with what score, and the probabilities along each
+    track. With ground truth it also shows the paper's tables, the ROC and the worst mistakes; with
+    the log also its frames, on a click on a bar, a track or a mistake. The geometry is needed only
+    if run.toml does not state it. All inputs, and the page, may be on a server (`sonarrec help
+    remote`).
 
     \b
     Examples:
@@ -97,26 +99,28 @@ def report(
       sonarrec report --compare before after --ground-truth gt.csv
     """
     if compare is not None and (results or recordings or topic or method):
-        raise UsageError("--compare takes OLD and NEW and truth; no RESULTS, --log, --method")
+        raise UsageError(
+            "--compare takes OLD, NEW and truth; leave out RESULTS, --log, --topic and --method"
+        )
     if pairs is not None and (ground_truth or results) and compare is None:
-        raise UsageError("--pairs names results and truth itself; give neither beside it")
+        raise UsageError("--pairs names results and truth; leave out RESULTS and --ground-truth")
     if pairs is not None and ground_truth is not None:
-        raise UsageError("--pairs names the truth of each log; give no --ground-truth beside it")
+        raise UsageError("--pairs names the truth of each log; leave out --ground-truth")
 
     from sonarrec.remote.run import RemoteFiles
 
-    with ExitStack() as held:  # the page is uploaded as it closes
+    with ExitStack() as held:  # the page is uploaded as this closes
         remote = RemoteFiles(held, cache.cache)
         truth = remote.file(ground_truth)
         if compare is not None:
-            unused, told = _compare(compare, truth, pairs, out, scoring, remote)
+            unused, line = _compare(compare, truth, pairs, out, scoring, remote)
         else:
             given = {"topic": topic, "method": method, "options": scoring}
-            unused, told = _report(results, truth, pairs, recordings, out, given, remote)
+            unused, line = _report(results, truth, pairs, recordings, out, given, remote)
         unused = [*remote.unused, *map(remote.told, unused)]
         tell(unused)
         if not quiet:
-            click.echo(remote.told(told))
+            click.echo(remote.told(line))
     end(unused)
 
 
@@ -129,7 +133,7 @@ def _report(
     given: dict[str, Any],
     remote: RemoteFiles,
 ) -> tuple[Sequence[str], str]:
-    """Write the page; what could not be used, and what to print."""
+    """Write the page; returns what could not be used, and a line to print."""
     from sonarrec.remote.run import inside
     from sonarrec.report.build import write_report
 
@@ -158,7 +162,7 @@ def _compare(
     scoring: ScoringOptions,
     remote: RemoteFiles,
 ) -> tuple[Sequence[str], str]:
-    """Write the page; what could not be used, and what to print."""
+    """Write the page; returns what could not be used, and a line to print."""
     from sonarrec.cli.evaluate import compared
     from sonarrec.evaluation.matching.pairs import read_pairs
     from sonarrec.files.outputs import check_output

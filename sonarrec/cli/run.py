@@ -41,7 +41,7 @@ from sonarrec.cli.options_log import (
     odometry_options,
 )
 from sonarrec.cli.options_remote import FOLDER_OR_URL, CacheChoice, cache_options
-from sonarrec.records import SonarrecError, UsageError, shown
+from sonarrec.records import SonarrecError, UsageError, number_of, shown
 
 if TYPE_CHECKING:
     from sonarrec.batch.processes import Watch
@@ -63,7 +63,7 @@ _ODOMETRY = odometry_options(INPUT)
 @landmarks_option
 @_ODOMETRY["odometry"]
 @_ODOMETRY["odometry_topic"]
-@frames_option("Recognise only these frames, from A up to, not including, B.")
+@frames_option("Process only the frames from A up to, not including, B.")
 @model_option
 @settings_options
 @out_option(
@@ -83,13 +83,13 @@ _ODOMETRY = odometry_options(INPUT)
     type=NEW_FILE,
     metavar="FILE",
     help="Also write the sonar's path, from the poses or measured between the images, as a CSV "
-    "that --odometry reads; of one log only.",
+    "that --odometry reads; for one log only.",
 )
 @option(
     OUTPUT,
     "--overwrite",
     is_flag=True,
-    help="Run again what is up to date, and replace results of another log of that name.",
+    help="Run logs again that are up to date, and replace results of another log of the same name.",
 )
 @option(
     BATCH,
@@ -97,19 +97,19 @@ _ODOMETRY = odometry_options(INPUT)
     "--jobs",
     type=click.IntRange(min=1),
     help="How many logs run at once, each in its own process; 1: one after the other, in this "
-    "process.  [default: as many as there are cores]",
+    "process.  [default: the number of cores]",
 )
 @option(
     BATCH,
     "--retry-failed",
     is_flag=True,
-    help="Run only the logs that are failed or partial in OUT/logs.csv, anew.",
+    help="Run only the logs that are failed or partial in OUT/logs.csv, from the start.",
 )
 @option(
     BATCH,
     "--dry-run",
     is_flag=True,
-    help="Print what would be done with each log, and why; write nothing.",
+    help="Print what would be done with each log and why; write nothing.",
 )
 @option(
     BATCH,
@@ -119,13 +119,17 @@ _ODOMETRY = odometry_options(INPUT)
     help="Stop a log that takes longer.",
 )
 @option(
-    BATCH, "--shard", metavar="I/N", help="Only every N-th log, from the I-th: see help cluster."
+    BATCH,
+    "--shard",
+    metavar="I/N",
+    help="Run only every N-th log, from the I-th: see help cluster.",
 )
 @option(
     BATCH,
     "--scheduler",
     metavar="ADDRESS",
-    help="Run the logs on a Dask cluster, such as tcp://host:8786: see help cluster.",
+    help="Run the logs on the Dask cluster at this address, such as tcp://host:8786: see help "
+    "cluster.",
 )
 @option(OUTPUT, "--json", "as_json", is_flag=True, help="Print one JSON document on stdout.")
 @cache_options
@@ -164,11 +168,11 @@ def run(
     (.aris, .ddf, .oculus, .raw), a folder of logs, or a quoted glob of these. The sonar's geometry
     comes from sonar.toml beside LOG (NAME.sonar.toml for one file), from --sonar, or from the
     flags below; polar messages and sonars' own files state theirs, mostly without tilt and height.
-    Several logs are processed side by side; one that cannot be used does not stop the others. LOG
+    Several logs are processed in parallel; one that cannot be used does not stop the others. LOG
     and OUT may be on a server (`sonarrec help remote`).
 
-    Results that are up to date are not made again; others are replaced once the new ones are
-    finished. A run that is stopped leaves what it has done in OUT/<log name>.part.
+    Logs whose results are up to date are skipped; other results are replaced when the new ones are
+    finished. A run that is stopped leaves its results so far in OUT/<log name>.part.
 
     \b
     Examples:
@@ -194,22 +198,22 @@ def run(
         check_parquet()
     used = Used(settings.configs(), landmarks, model, settings.file, tables == "parquet")
     used.check()
-    if timeout is not None and not timeout <= TIMEOUT_MAX:  # nan is not, either
+    if timeout is not None and not timeout <= TIMEOUT_MAX:  # true for nan as well
         raise UsageError(f"--timeout {timeout:g}: expected at most {TIMEOUT_MAX:.0f} seconds")
     logs = named_logs(log, from_file, recursive)
     tell([], _unquoted(logs))
     if odometry is not None and len(logs) > 1:
         from sonarrec.readers.poses_csv import read_poses
 
-        read_poses(odometry)  # a fault of it is told once, not once for each log
+        read_poses(odometry)  # so that a fault is reported once, not for each log
     box = _outbox(out, cache)
     made = Path(out) if box is None else box.folder
-    tasks = _share(_tasks(logs, made, given, used, overwrite, box, cache), shard)
+    tasks = _shard(_tasks(logs, made, given, used, overwrite, box, cache), shard)
     unended = 0
     if retry_failed:
         tasks, unended = _again(tasks, made, box)
     if not tasks:
-        others = f"; logs that have not ended: {unended} (leave --retry-failed out)"
+        others = f"; {number_of(unended, 'log')} not finished: run without --retry-failed"
         click.echo(f"nothing to do{others if unended else ''}", err=True)
         return
     if odometry_out is not None:
@@ -232,7 +236,7 @@ def run(
 
 
 def _unquoted(logs: Sequence[NamedLog | RemoteLog]) -> Iterator[str]:
-    """A note for each folder of which several images are each a log of its own."""
+    """A note for each folder of which several images are given as logs of their own."""
     from sonarrec.readers.images import names_an_image
 
     # Path.is_file raises where a folder without permission is in the way.
@@ -241,21 +245,23 @@ def _unquoted(logs: Sequence[NamedLog | RemoteLog]) -> Iterator[str]:
         if count > 1:
             yield (
                 f"{shown(folder)}: {count} of its images are each run as a log of one frame; "
-                "to run them as one log give the folder, or quote the glob"
+                "give the folder, or quote the glob, to run them as one log"
             )
 
 
 def _check_odometry_out(path: Path, tasks: Sequence[Task], odometry: Path | None) -> None:
-    """Raise UsageError where the path of the sonar cannot be written to a file."""
+    """Raise UsageError if the path of the sonar cannot be written to this file."""
     from sonarrec.files.outputs import check_output
 
     if len(tasks) > 1:
-        raise UsageError(f"--odometry-out takes one log, not {len(tasks)}; run that log alone")
+        raise UsageError(
+            f"--odometry-out is for one log, but {len(tasks)} are given; run that log alone"
+        )
     check_output(path, "table", [tasks[0].path, odometry], header="timestamp_ns,yaw,x,y")
 
 
 def _write_odometry(path: Path, out: Path | str, name: str, cache: CacheChoice) -> None:
-    """The path of the sonar by the results of a log, which are on a server where OUT is."""
+    """Write the path of the sonar from the results of a log, which may be on a server."""
     from sonarrec.mapping.measured import write_path
     from sonarrec.remote.run import RemoteFiles, inside
 
@@ -274,7 +280,7 @@ def _run(
 
         run_on_cluster(tasks, scheduler, watch, timeout)
         return
-    # A log takes two cores where they are free: one reads and selects candidates ahead.
+    # If cores are free, each log uses a second one, which reads and selects candidates ahead.
     tasks = [replace(task, ahead=cores() >= 2 * jobs) for task in tasks]
     if jobs > 1 or timeout is not None:
         run_apart(tasks, jobs, watch, timeout)
@@ -283,7 +289,7 @@ def _run(
 
 
 def _outbox(out: Path | str, cache: CacheChoice) -> Outbox | None:
-    """What uploads results, where OUT is on a server."""
+    """The Outbox, if OUT is on a server."""
     from sonarrec.remote.urls import is_url, parse_url
 
     if not is_url(out):
@@ -321,7 +327,7 @@ def _tasks(
 
 
 def _again(tasks: list[Task], out: Path, box: Outbox | None) -> tuple[list[Task], int]:
-    """Of tasks those that logs.csv has as failed or partial, and how many have not ended."""
+    """The tasks that are failed or partial in logs.csv, and how many have not ended."""
     from sonarrec.batch.logs_table import NAME, again
 
     if box is not None:
@@ -344,8 +350,8 @@ def _plan(tasks: list[Task]) -> None:
         leave(FAILED if faults == len(tasks) else PARTLY)
 
 
-def _share(tasks: list[Task], shard: str | None) -> list[Task]:
-    """Those of the share I/N; all without one. Raises UsageError."""
+def _shard(tasks: list[Task], shard: str | None) -> list[Task]:
+    """The tasks of the shard I/N, or all if it is None. Raises UsageError."""
     if shard is None:
         return tasks
     i, _, n = shard.partition("/")
@@ -355,12 +361,12 @@ def _share(tasks: list[Task], shard: str | None) -> list[Task]:
 
 
 class _Terminated(KeyboardInterrupt):
-    """SIGTERM, as batch systems and containers send it."""
+    """Raised at SIGTERM, which batch systems and containers send."""
 
 
 @contextmanager
 def _stoppable(folders: Sequence[Path]) -> Iterator[None]:
-    """SIGTERM stops as Ctrl-C does: what is written stays whole, and a line says where it is."""
+    """Let SIGTERM stop the run as Ctrl-C does; a line says where the results so far are."""
 
     def stop(*_: object) -> None:
         raise _Terminated
@@ -372,7 +378,7 @@ def _stoppable(folders: Sequence[Path]) -> Iterator[None]:
         from sonarrec.results.folders import part_of
 
         parts = ", ".join(shown(part_of(f)) for f in folders if part_of(f).is_dir())
-        kept = f"; the frames before are in {parts}" if parts else ""
+        kept = f"; the frames so far are in {parts}" if parts else ""
         click.echo(f"sonarrec: stopped{kept}", err=True)
         leave(TERMINATED if isinstance(error, _Terminated) else INTERRUPTED)
     finally:

@@ -1,4 +1,4 @@
-"""What `sonarrec run` tells of its logs: the bar, their tables or one JSON document, logs.csv."""
+"""The output of `sonarrec run`: progress bar, tables or JSON, and logs.csv."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ if TYPE_CHECKING:
     from sonarrec.remote.upload import Outbox
 
 MOST_SHOWN = 10
-"""Logs of a call whose passes are printed; of more `sonarrec status` and the tables tell."""
+"""If a call has more logs, their passes are not printed."""
 
 
 class RunWatch(Watch):
-    """Prints what becomes of the logs of a call, and keeps logs.csv. A context manager."""
+    """Prints the progress and outcomes of a call, and writes logs.csv. A context manager."""
 
     def __init__(
         self,
@@ -44,22 +44,26 @@ class RunWatch(Watch):
         verbose: bool,
         json: bool,
     ) -> None:
-        """table: of the tasks. out: where results are made. box: what uploads them. jobs: how many
-        run side by side."""
+        """table: logs.csv of the tasks. out: folder of the results. box: uploads them to a server.
+        jobs: how many tasks run in parallel."""
         self._box = box
         self._tasks = tasks
         self._table = table
         self._out, self._jobs = out, jobs
         self._quiet, self._verbose, self._json = quiet, verbose, json
         self._outcomes: dict[int, Outcome] = {}
-        self._printed = 0  # of the tasks in order, how many were told on stdout
+        self._printed = 0  # how many of the tasks, in order, were printed on stdout
         self._running: dict[int, tuple[int, int | None]] = {}  # frames done, of how many
-        self._frames = 0  # of logs that have ended
+        self._frames = 0  # frames of logs that have ended
         self._begun = monotonic()
         self._bars = ExitStack()
-        self._step: Callable[..., None] | None = None  # of the bar of the one log that runs
-        self._came: Callable[[int, int | None], None] | None = None  # of the bytes of that log
-        self._at: Callable[[float, str], None] | None = None  # of the bar over logs
+        self._step: Callable[..., None] | None = (
+            None  # of the bar over frames, if one log runs at a time
+        )
+        self._came: Callable[[int, int | None], None] | None = (
+            None  # of the bar over bytes, while it is fetched
+        )
+        self._at: Callable[[float, str], None] | None = None  # of the bar over logs, if several run
 
     def __enter__(self) -> RunWatch:
         self._table.write()
@@ -72,18 +76,18 @@ class RunWatch(Watch):
         self._bars.close()
         if kind is not None:
             self._table.stopped()
-        if self._box is None or kind is not None:  # a run that is stopped waits for no server
+        if self._box is None or kind is not None:  # a stopped run does not wait for a server
             self._table.write()
         else:
             self._upload_table(self._box)
         if self._table.fault and all(o.status != "failed" for o in self._outcomes.values()):
-            tell([self._table.fault])  # else it is told already: the disk is full
+            tell([self._table.fault])  # else the disk is full, which was reported
         if self._json:
             logs = [self._document(i) for i in range(len(self._tasks))]
             click.echo(json.dumps({"program": PROGRAM, "logs": logs}, indent=2))
 
     def _upload_table(self, box: Outbox) -> None:
-        """logs.csv beside the results, with the rows of calls from elsewhere."""
+        """Upload logs.csv, merged with the rows of other calls."""
         try:
             box.fetch(NAME)
             self._table.write()
@@ -119,7 +123,7 @@ class RunWatch(Watch):
         self._running[i] = done, total
         self._table.frames(i, done)
         if self._at is None and self._step is None:
-            self._bars.close()  # of the bytes
+            self._bars.close()  # the bar over bytes
             self._open_bar(i)
         if self._step is not None:
             self._step(total)
@@ -131,7 +135,7 @@ class RunWatch(Watch):
         self._table.ended(i, outcome)
         task, summary = self._tasks[i], outcome.summary
         if self._at is None:
-            self._bars.close()  # before anything is printed
+            self._bars.close()  # before printing
         self._move()
         with self._over_the_bar():
             if outcome.fault:
@@ -142,18 +146,18 @@ class RunWatch(Watch):
             elif len(self._tasks) > 1:
                 tell([outcome.message])
             if self._verbose:
-                told = _counts(summary) if summary else outcome.message
-                how = f"{_how(outcome)}, {told}, {outcome.seconds:.1f} s"
+                text = _counts(summary) if summary else outcome.message
+                how = f"{_how(outcome)}, {text}, {outcome.seconds:.1f} s"
                 click.echo(f"sonarrec: {task.path}{self._of(i)}: {how}", err=True)
             self._print()
 
     @property
     def error(self) -> SonarrecError | None:
-        """What the first log failed by."""
+        """The error of the first log, if it failed."""
         return self._outcomes[0].error if 0 in self._outcomes else None
 
     def exit_code(self) -> int:
-        """Of the call, once all have ended."""
+        """The exit code of the call, after all have ended."""
         states = [outcome.status for outcome in self._outcomes.values()]
         if states and all(state == "failed" for state in states):
             errors = [outcome.error for outcome in self._outcomes.values()]
@@ -161,7 +165,7 @@ class RunWatch(Watch):
         return 0 if all(state == "done" for state in states) else PARTLY
 
     def count(self) -> None:
-        """Print how many logs ended in which way, where there are several."""
+        """Print how many logs are done, up to date, partial and failed, if there are several."""
         counts: dict[str, list[str]] = {"done": [], "up to date": [], "in part": [], "failed": []}
         for i, outcome in sorted(self._outcomes.items()):
             counts[_how(outcome)].append(self._tasks[i].path)
@@ -180,14 +184,14 @@ class RunWatch(Watch):
         return f" ({i + 1} of {len(self._tasks)})" if len(self._tasks) > 1 else ""
 
     def _named(self, i: int, lines: Sequence[str]) -> list[str]:
-        """Lines that say which of several logs they are about."""
+        """The lines, with the name of the log in front if there are several logs."""
         task = self._tasks[i]
         if len(self._tasks) == 1:
             return list(lines)
         return [x if task.path in x else f"{task.name}: {x}" for x in lines]
 
     def _move(self) -> None:
-        """The bar over logs to where they are."""
+        """Move the bar over logs."""
         if self._at is None:
             return
         shares = [done / total for done, total in self._running.values() if total]
@@ -199,7 +203,7 @@ class RunWatch(Watch):
 
     @contextmanager
     def _over_the_bar(self) -> Iterator[None]:
-        """What is printed inside stands above the bar, not in it."""
+        """Print above the bar, not into it."""
         if "tqdm" not in sys.modules:  # no bar is shown
             yield
             return
@@ -209,7 +213,7 @@ class RunWatch(Watch):
             yield
 
     def _print(self) -> None:
-        """The logs that have ended, on stdout, in the call's order."""
+        """Print the logs that have ended on stdout, in the order of the call."""
         while (outcome := self._outcomes.get(self._printed)) is not None:
             self._printed += 1
             summary = outcome.summary
@@ -231,7 +235,7 @@ class RunWatch(Watch):
         sightings = outcome.summary.folder / "sightings.csv"
         if self._box is None:
             return told | as_json(outcome.summary, outcome.folder, sightings)
-        held = f".{task.name}.sightings.csv"  # what was made is gone once it is uploaded
+        held = f".{task.name}.sightings.csv"  # local results are deleted after the upload
         self._box.fetch(f"{task.name}/sightings.csv", held)
         try:
             return told | as_json(outcome.summary, outcome.folder, self._box.folder / held)

@@ -1,4 +1,4 @@
-"""`sonarrec simulate`: render a recording with known truth."""
+"""`sonarrec simulate`: render a recording with ground truth."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from sonarrec.cli.options_log import LogChoice, log_options
 from sonarrec.records import UsageError, number_of, shown
 
 
-@command(short_help="Render a recording with known truth.")
+@command(short_help="Render a recording with ground truth.")
 @option(
     INPUT,
     "--scene",
@@ -29,21 +29,21 @@ from sonarrec.records import UsageError, number_of, shown
     "--background",
     shell_complete=file_names,
     metavar="LOG",
-    help="In place of a scene: a recording without landmarks, read as by `sonarrec run`, to lay "
-    "landmarks into.",
+    help="In place of a scene: a recording without landmarks, into which landmarks are laid; it is "
+    "read as in `sonarrec run`.",
 )
 @option(
     INPUT,
     "--seed",
     type=click.IntRange(min=0),
-    help="Seed, in place of the scene's own; with --background, it places the discs.",
+    help="Seed, in place of that of the scene; with --background, of the positions of the discs.",
 )
 @option(
     INPUT,
     "--frames",
     metavar="N",
-    help="Number of frames, in place of the scene's own; with --background A:B, only these frames "
-    "of it.",
+    help="Number of frames, in place of that of the scene; with --background A:B: use only these "
+    "frames.",
 )
 @laying_options("6")
 @log_options(time=True)
@@ -58,8 +58,8 @@ from sonarrec.records import UsageError, number_of, shown
     OUTPUT,
     "--schema",
     metavar="NAME",
-    help="Message type of an MCAP, such as sensor_msgs/msg/Image, with +ros1 or +json for another "
-    "encoding than CDR (ROS) or protobuf (Foxglove); a wrong name lists them all.  "
+    help="Message type of an MCAP, such as sensor_msgs/msg/Image; add +ros1 or +json for another "
+    "encoding than CDR (ROS) or protobuf (Foxglove). The message for a wrong name lists all.  "
     "[default: sensor_msgs/msg/Image]",
 )
 @option(
@@ -70,7 +70,7 @@ from sonarrec.records import UsageError, number_of, shown
 )
 @out_option(
     ANY,
-    "Folder for the recording; NAME.mcap for one file with its companions beside it.",
+    "Folder for the recording, or NAME.mcap for one file with its companions beside it.",
     required=True,
 )
 @quiet_option
@@ -88,11 +88,11 @@ def simulate(
     out: Path,
     quiet: bool,
 ) -> None:
-    """Render a recording with known truth: frames, sonar.toml, gt.csv and the scene itself.
+    """Render a recording with ground truth: frames, sonar.toml, gt.csv and the scene itself.
 
     With --background landmarks are laid into a recording of your own that holds none. They lie at
-    random places on the floor and stay there as the sonar moves; speckle, light and motion are the
-    recording's.
+    random positions on the floor and stay there as the sonar moves; speckle, light and motion are
+    those of the recording.
 
     \b
     Examples:
@@ -111,12 +111,12 @@ def simulate(
             ("--compression", compression),
         ):
             if value is not None:
-                raise UsageError(f"{flag} is of scenes, not of --background")
+                raise UsageError(f"{flag} is for scenes; leave it out with --background")
         _lay(background, seed or 0, frames, laying, log_choice, out, quiet)
         return
     stray = [*laying.flags(), *log_choice.flags()]
     if stray:
-        raise UsageError(f"{stray[0]} is for --background LOG; a scene states its own")
+        raise UsageError(f"{stray[0]} is for --background LOG; a scene has its own")
     if image_format != "mcap" and (schema or compression):
         raise UsageError("--schema and --compression are for --format mcap")
     from dataclasses import replace
@@ -147,7 +147,7 @@ def simulate(
 def _number(frames: str) -> int:
     """The --frames of a scene. Raises UsageError."""
     if not frames.isdecimal() or not 1 <= int(frames) < 10**9:
-        raise UsageError(f"--frames {frames}: of a scene it is a number of frames, 1 or more")
+        raise UsageError(f"--frames {frames}: for a scene, expected a number of frames, 1 or more")
     return int(frames)
 
 
@@ -165,7 +165,7 @@ def _lay(
     from sonarrec.simulation.background import check_free, draw_layout, write_backgrounds
 
     if out.suffix == ".mcap":
-        raise UsageError(f"{out}: --background writes a folder of images")
+        raise UsageError(f"{out}: --background writes a folder of images; give a folder")
     contrasts = laying.contrasts()
     landmarks, config = laying.landmark_set(), preset("default")
     folders = {db: out / f"contrast_{db:g}" for db in contrasts}
@@ -188,7 +188,7 @@ def _lay(
         )
     notes = list(background.notes)
     if laying.count is not None and layout.landmarks < laying.count:
-        notes.append(f"there was room for {layout.landmarks} of {laying.count} landmarks")
+        notes.append(f"there was room for only {layout.landmarks} of {laying.count} landmarks")
     tell(background.problems, notes)
     if not quiet:
         fakes = len(layout.discs) - layout.landmarks

@@ -27,10 +27,10 @@ if TYPE_CHECKING:
     from sonarrec.report.site_results import Site
 
 
-@command(short_help="Estimate at which contrast, and how far, landmarks would be recognised.")
+@command(short_help="Estimate at which contrast and range landmarks would be recognised.")
 @click.argument("log", shell_complete=file_names)
 @log_options(time=True)
-@frames_option("Use only these frames, from A up to, not including, B.")
+@frames_option("Use only the frames from A up to, not including, B.")
 @laying_options("0,3,6,10")
 @option(
     BACKGROUND,
@@ -38,12 +38,13 @@ if TYPE_CHECKING:
     type=click.IntRange(min=1),
     default=4,
     show_default=True,
-    help="How many times discs are laid at other places; more make intervals narrower.",
+    help="How many times discs are laid, each time at other positions; more give narrower "
+    "intervals.",
 )
 @model_option
 @settings_options
-@out_option(FOLDER, "Folder of all that is written.  [default: sonarrec_site/<log name>]")
-@option(OUTPUT, "--keep", is_flag=True, help="Keep the images that were made, in OUT/recordings.")
+@out_option(FOLDER, "Folder for the output.  [default: sonarrec_site/<log name>]")
+@option(OUTPUT, "--keep", is_flag=True, help="Keep the images in OUT/recordings.")
 @quiet_option
 # Long by its options and its help.
 def site(
@@ -58,11 +59,11 @@ def site(
     keep: bool,
     quiet: bool,
 ) -> None:
-    """Say whether landmarks would be recognised at the site of LOG, a recording without any.
+    """Estimate whether landmarks would be recognised at the site of LOG, a recording without any.
 
-    Landmarks are laid into it at several contrasts, with blank and filled discs among them, as
-    `sonarrec simulate --background` does; each recording made so is run and scored. Writes
-    site.html (open it in a browser), site.csv and site.json.
+    Landmarks and blank and filled discs are laid into LOG at several contrasts, as by `sonarrec
+    simulate --background`. Each recording made like this is run and scored. Writes site.html (open
+    it in a browser), site.csv and site.json.
 
     \b
     Examples:
@@ -81,7 +82,7 @@ def site(
 
     config = settings.config()
     contrasts, values = laying.contrasts(), laying.values
-    # Of a run.toml all but the frames serves as well, as of `run`.
+    # As in `run`, a run.toml also gives everything except the frames.
     earlier, source = read_run(settings.file), find_log(log)
     landmarks = earlier.landmark_set(values["landmarks"])
     stated = laying.given(log_choice, frames)
@@ -91,7 +92,7 @@ def site(
     check_free([out])
     with progress(quiet, title="motion") as step:
         background = laying.survey(log, given, landmarks, config, step)
-    # Of each layout the discs, then a run for each contrast; once the recording as it is.
+    # One pass to run the recording as it is; per layout one for the discs and one per contrast.
     passes = 1 + layouts * (1 + len(contrasts))
     with begun(out), progress(quiet, passes * len(background.path)) as step:
         found = assess(
@@ -115,12 +116,12 @@ def site(
     write_site(out, found, render(found))
     tell(background.problems, found.notes)
     if not quiet:
-        click.echo("\n".join(_told(found, out / "site.html", layouts)))
+        click.echo("\n".join(_lines(found, out / "site.html", layouts)))
     end(background.problems)
 
 
-def _told(found: Site, page: Path, layouts: int) -> Iterator[str]:
-    """What was found, a line for each contrast."""
+def _lines(found: Site, page: Path, layouts: int) -> Iterator[str]:
+    """The lines to print: one for each contrast, then the answer."""
     yield f"{shown(page)}: {found.frames} frames, {number_of(layouts, 'layout')}"
     for one in found.contrasts:
         rate = one.found.tpr

@@ -1,4 +1,4 @@
-"""`sonarrec status`: how far a call over many logs is."""
+"""`sonarrec status`: the progress of a run over many logs."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ if TYPE_CHECKING:
 @option(OUTPUT, "--json", "as_json", is_flag=True, help="Print one JSON document on stdout.")
 @cache_options
 def status(out: Path | str, as_json: bool, cache: CacheChoice) -> None:
-    """Print how many logs of OUT (default sonarrec_out) are done, and which failed and why.
+    """Print how many logs of OUT (default: sonarrec_out) are done, and which failed and why.
 
-    It reads OUT/logs.csv, which `sonarrec run` keeps while it runs: so it also serves from another
-    terminal, and from another machine that sees the folder. A run whose OUT is on a server uploads
-    it at its end.
+    It reads OUT/logs.csv, which `sonarrec run` updates while it runs. So it can be called from
+    another terminal, or from another machine that has access to the folder. A run whose OUT is on a
+    server uploads the file at its end.
 
     \b
     Examples:
@@ -63,7 +63,7 @@ def _tell(path: Path, out: Path | str, as_json: bool) -> None:
         f"declared" + (f"; {rate:.0f} frames/s a process" if rate else "")
     )
     for row in rows:
-        if row.message:  # failed, done in part, or stopped
+        if row.message:  # failed, partial or stopped
             click.echo(f"{row.status}: {row.log}: {row.message}")
     if figures["counts"].get("running"):
         click.echo(f"as of {figures['age_s']:.0f} s ago")
@@ -83,6 +83,6 @@ def _figures(path: Path, rows: list[Row]) -> dict[str, Any]:
         "unusable": sum(row.unusable for row in rows),
         "declared": sum(row.declared for row in rows),
         "frames_per_second": sum(row.frames for row in ended) / seconds if seconds else None,
-        # Another machine's clock, whose file it is, may be ahead.
+        # Not negative: the file may be of another machine, whose clock is ahead.
         "age_s": max(time() - path.stat().st_mtime, 0.0),
     }

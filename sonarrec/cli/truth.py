@@ -1,4 +1,4 @@
-"""`sonarrec truth`: ground truth from elsewhere, checked, and proposed."""
+"""`sonarrec truth`: convert, check and propose ground truth."""
 
 from __future__ import annotations
 

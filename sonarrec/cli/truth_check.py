@@ -1,4 +1,4 @@
-"""`sonarrec truth check`: what cannot be true in a gt.csv."""
+"""`sonarrec truth check`: find errors in a gt.csv."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from sonarrec.cli.groups import FILE, NEW_FILE, OUTPUT, SCORING, command, file_n
 from sonarrec.cli.options import landmarks_option, quiet_option
 from sonarrec.cli.options_log import LogChoice, log_options
 
-_MOST_LINES = 20  # told of one kind of fault
+_MOST_LINES = 20  # printed for one kind of fault
 
 
-@command(short_help="Find what cannot be true in a gt.csv.")
+@command(short_help="Find errors in a gt.csv.")
 @click.argument("ground_truth", type=FILE, metavar="GT.CSV")
 @click.argument("log", shell_complete=file_names)
 @log_options(time=True)
@@ -28,7 +28,7 @@ _MOST_LINES = 20  # told of one kind of fault
     default=5.0,
     show_default=True,
     metavar="DEG",
-    help="Largest turn of the sonar from one frame to the next that is accepted.",
+    help="Largest turn of the sonar from one frame to the next that counts as possible.",
 )
 @option(
     OUTPUT,
@@ -37,7 +37,7 @@ _MOST_LINES = 20  # told of one kind of fault
     type=NEW_FILE,
     default=Path("truth_check.png"),
     show_default=True,
-    help="Where the contact sheet goes.",
+    help="File for the contact sheet.",
 )
 @quiet_option
 def check(
@@ -49,13 +49,13 @@ def check(
     sheet: Path,
     quiet: bool,
 ) -> None:
-    """Find what cannot be true in GT.CSV, and draw it on LOG.
+    """Find errors in GT.CSV, and draw its landmarks on frames of LOG.
 
-    Reported, line by line: IDs not in the set, frames not in the log, discs wholly outside the
-    fan, `visible` outside 0 to 1 or above the share of the disc in the fan image,
-    repeated rows, landmarks that lie on each other or change their ID, pixels that contradict
-    range and bearing, and jumps that no pan explains. The contact sheet shows every pass of a
-    landmark at a few frames, outlined. Exit code 3: something was found.
+    It reports, with the line: IDs not in the set, frames not in the log, discs wholly outside the
+    fan, `visible` outside 0 to 1 or above the share of the disc in the fan image, repeated rows,
+    landmarks that overlap or change their ID, pixels that contradict range and bearing, and jumps
+    that no turn of the sonar explains. The contact sheet shows every pass of a landmark at a few
+    frames, outlined. Exit code 3: something was found.
 
     \b
     Examples:
@@ -75,19 +75,19 @@ def check(
         checked = check_truth(ground_truth, opened, landmark_set, max_pan_deg=max_pan_deg)
     with reopen() as opened:
         strips = draw_contact_sheet(checked, opened, sheet)
-    told: dict[str, int] = {}
+    counts: dict[str, int] = {}
     for fault in checked.faults:
-        told[fault.kind] = told.get(fault.kind, 0) + 1
-        if told[fault.kind] <= _MOST_LINES:
+        counts[fault.kind] = counts.get(fault.kind, 0) + 1
+        if counts[fault.kind] <= _MOST_LINES:
             click.echo(f"{ground_truth} line {fault.line}: {fault.text}")
-    for kind, count in told.items():
+    for kind, count in counts.items():
         if count > _MOST_LINES:
-            click.echo(f"... and {count - _MOST_LINES} more of the kind: {kind}")
+            click.echo(f"... and {count - _MOST_LINES} more of this kind: {kind}")
     tell(checked.problems)
     if not quiet:
         click.echo(f"{ground_truth}: {checked.told()}")
     if checked.others:
-        click.echo(f"note: {checked.others} rows of other logs were not looked at")
+        click.echo(f"note: {checked.others} rows of other logs were not checked")
     if strips and not quiet:
         click.echo(f"{sheet}: contact sheet")
     elif not strips:

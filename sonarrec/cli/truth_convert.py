@@ -42,20 +42,20 @@ def _label_map(_: click.Context, __: click.Parameter, given: tuple[str, ...]) ->
     "--first-frame",
     type=int,
     metavar="N",
-    help="What the annotations call the log's first frame.  [default: 0; mot 1]",
+    help="Number of the log's first frame in the annotations.  [default: 0; mot 1]",
 )
 @option(
     INPUT,
     "--format",
     "format_name",
     type=click.Choice(["cvat", "coco", "mot", "labelme"]),
-    help="Format of ANNOTATIONS.  [default: found from the content]",
+    help="Format of ANNOTATIONS.  [default: detected from the content]",
 )
 @log_options()
 @landmarks_option
 @out_option(
     NEW_FILE,
-    "A new file; one that exists is not touched.",
+    "A new file; an existing one is not overwritten.",
     default=Path("gt.csv"),
     show_default=True,
 )
@@ -74,8 +74,8 @@ def convert(
     """Write ANNOTATIONS as a gt.csv.
 
     ANNOTATIONS is a CVAT XML 1.1 (video or images), a COCO JSON, a MOTChallenge gt.txt, or a
-    LabelMe JSON or folder of them. With --log, frames are found by image name, shapes drawn on
-    polar images are moved to the fan, and `visible` is at most the share of the disc inside the
+    LabelMe JSON or a folder of them. With --log, frames are found by image name, shapes drawn on
+    polar images are converted to the fan, and `visible` is at most the share of the disc inside the
     fan. Exit code 3: labels or images that could not be used were left out.
 
     \b

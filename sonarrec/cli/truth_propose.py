@@ -1,4 +1,4 @@
-"""`sonarrec truth propose`: a gt.csv to correct, from results."""
+"""`sonarrec truth propose`: make a gt.csv from results, to be corrected by a person."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from sonarrec.truth.propose import ProposedTrack
 
 MOST_TRACKS = 40
-"""Printed, a line each; the file names the track of every row."""
+"""At most so many are printed; the file has all."""
 
 
 @command(short_help="Propose a gt.csv from confident tracks.")
@@ -44,7 +44,7 @@ MOST_TRACKS = 40
 )
 @out_option(
     NEW_FILE,
-    "A new file; one that exists is not touched.",
+    "A new file; an existing one is not overwritten.",
     default=Path("gt_proposed.csv"),
     show_default=True,
 )
@@ -54,9 +54,9 @@ def propose(
 ) -> None:
     """Propose a gt.csv from the confident tracks of RESULTS.
 
-    RESULTS is the folder of one log, or one that holds several (default: sonarrec_out). It is for
-    a person to correct: look at it with `sonarrec truth check`, add what is missing, remove what
-    is wrong. Scoring the same results against an uncorrected proposal says nothing about them.
+    RESULTS is the folder of one log, or one that holds several (default: sonarrec_out). A person
+    must correct the proposal: look at it with `sonarrec truth check`, add what is missing and
+    remove what is wrong. Scoring the same results against an uncorrected proposal is meaningless.
 
     \b
     Examples:
@@ -78,9 +78,9 @@ def _print(tracks: Sequence[ProposedTrack], out: Path) -> None:
     shown = nlargest(MOST_TRACKS, tracks, key=lambda t: t.rows)
     for t in sorted(shown, key=lambda t: (t.log, t.frames)):
         span = f"frames {t.frames[0]}-{t.frames[1]}"
-        told = t.left_out and f"left out: {t.left_out}"
-        told = told or f"{t.rows} rows, {t.interpolated} of them filled in"
+        rest = t.left_out and f"left out: {t.left_out}"
+        rest = rest or f"{t.rows} rows, {t.interpolated} of them filled in"
         score = f"best score {t.best_score:.3f}"
-        click.echo(f"  {t.log}  ID.{t.landmark}  track {t.track:<4} {span:<15} {score}  {told}")
+        click.echo(f"  {t.log}  ID.{t.landmark}  track {t.track:<4} {span:<15} {score}  {rest}")
     if more := len(tracks) - len(shown):
         click.echo(f"  these have the most rows; {number_of(more, 'more track')}")

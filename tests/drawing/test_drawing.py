@@ -221,8 +221,8 @@ def test_a_preview_has_a_place_of_its_own(tmp_path: Path) -> None:
     for arguments, told in (
         ((log, "--preview", log / "p.png"), "become part of the recording"),
         ((log / "frame0.png", "--preview", log / "frame0.png"), "this command reads it"),
-        ((log, log, "--preview", tmp_path / "p.png"), "draws one log; 2 are given"),
-        ((log, "--preview", tmp_path / "p.jpg"), "written as NAME.png"),
+        ((log, log, "--preview", tmp_path / "p.png"), "draws one log, but 2 are given"),
+        ((log, "--preview", tmp_path / "p.jpg"), "the name must end in .png"),
         ((log, "--preview", log / "sonar.toml" / "p.png"), "sonar.toml is not a folder"),
     ):
         result = info(*arguments)

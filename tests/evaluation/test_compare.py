@@ -398,9 +398,9 @@ def test_pairs_that_name_no_truth_at_all(tmp_path: Path) -> None:
     [
         (["--pairs", "p.csv", "--ground-truth", "p.csv"], "--pairs"),
         (["--ground-truth", "p.csv", "--fail-on-regression", "0.1"], "--compare"),
-        (["--ground-truth", "p.csv", "out", "--compare", "a", "b"], "no RESULTS"),
-        (["--compare", "a", "b", "--det"], "--compare has neither"),
-        (["--compare", "a", "b", "--details"], "--compare has neither"),
+        (["--ground-truth", "p.csv", "out", "--compare", "a", "b"], "leave out RESULTS"),
+        (["--compare", "a", "b", "--det"], "not available with --compare"),
+        (["--compare", "a", "b", "--details"], "not available with --compare"),
     ],
 )
 def test_options_that_do_not_go_together(

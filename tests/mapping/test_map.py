@@ -236,7 +236,7 @@ def test_two_logs_make_one_map(tmp_path: Path) -> None:
         ("4", "1"),
     ]
     told = sonarrec("map", one, other, code=2)
-    assert "give the folder of their map with --out" in told.stderr
+    assert "several RESULTS need --out" in told.stderr
 
 
 def of_recording(folder: Path, digest: str) -> None:
@@ -765,11 +765,11 @@ def odometry_log(log: Path, path: FloatArray) -> None:
 @pytest.mark.parametrize(
     ("options", "code", "told"),
     [
-        ("--origin 54,10", 2, "--origin 54,10: expected 3 numbers with commas between"),
-        ("--origin 95,10,0", 2, "latitude between the poles"),
-        ("--origin 90,10,0", 2, "latitude between the poles"),
+        ("--origin 54,10", 2, "--origin 54,10: expected 3 numbers separated by commas"),
+        ("--origin 95,10,0", 2, "LAT must be between -90 and 90"),
+        ("--origin 90,10,0", 2, "LAT must be between -90 and 90"),
         ("--drift 0.1", 2, "--drift 0.1: expected 2 numbers"),
-        ("--drift -1,2", 2, "standard errors are not negative"),
+        ("--drift -1,2", 2, "standard errors must not be negative"),
         ("--method nobody", 2, "no method 'nobody'"),
     ],
 )

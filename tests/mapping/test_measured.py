@@ -112,7 +112,7 @@ def test_a_map_without_poses_is_relative_to_the_first_frame(dive: Path) -> None:
 def test_several_logs_or_another_file_are_refused(dive: Path) -> None:
     two = [dive / "dive", SAMPLE]
     told = sonarrec("run", *two, "-o", dive / "x", "--odometry-out", dive / "p.csv", code=2)
-    assert "--odometry-out takes one log" in told.stderr
+    assert "--odometry-out is for one log" in told.stderr
     (dive / "mine.csv").write_text("something else\n")
     words = ["-o", dive / "x", "--odometry-out", dive / "mine.csv"]
     told = sonarrec("run", dive / "dive", *words, code=2)

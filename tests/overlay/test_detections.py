@@ -192,7 +192,7 @@ def test_the_layout_of_images_shows_the_fan_of_the_overlay(tmp_path: Path) -> No
     layout = ["--foxglove-layout", str(tmp_path / "l.json")]
     done = runner.invoke(main, ["overlay", *common, *layout])
     assert done.exit_code == 2
-    assert "--foxglove-layout is for the file of --mcap" in done.stderr
+    assert "--foxglove-layout needs --mcap" in done.stderr
     done = runner.invoke(main, ["overlay", *common, "--mcap", str(tmp_path / "o.mcap"), *layout])
     assert done.exit_code == 0, done.output
     panels = json.loads((tmp_path / "l.json").read_text())["configById"]

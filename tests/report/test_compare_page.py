@@ -104,8 +104,8 @@ def test_at_most_ten_runs_of_frames_are_listed_each_way(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--compare", "a", "b", "out"], "--compare takes OLD and NEW"),
-        (["--compare", "a", "b", "--method", "m"], "--compare takes OLD and NEW"),
+        (["--compare", "a", "b", "out"], "--compare takes OLD, NEW"),
+        (["--compare", "a", "b", "--method", "m"], "--compare takes OLD, NEW"),
         (["--compare", "a", "b", "--pairs", "p.csv", "--ground-truth", "p.csv"], "--pairs"),
     ],
 )

@@ -226,7 +226,7 @@ def test_a_stopped_run_leaves_its_part_and_the_old_results(
     assert not finished(part)
     assert 4 < len(frames(part)) < FRAMES
     if code > 0:
-        assert f"stopped; the frames before are in {part}" in told
+        assert f"stopped; the frames so far are in {part}" in told
     sonarrec("run", "-q", log, "-o", out, "--overwrite")  # no lock is left, and no part
     assert frames(out / "dive") == list(range(FRAMES))
     assert not part.exists()

@@ -251,10 +251,10 @@ def test_a_series_is_recognised_and_scored_as_it_is(recording: Path, tmp_path: P
     ("words", "told"),
     [
         (["--contrast", "loud"], "--contrast loud: expected numbers"),
-        (["--contrast", "3,3"], "one of them is there twice"),
-        (["--contrast", "10.12345,10.12346"], "one of them is there twice"),
+        (["--contrast", "3,3"], "a value is given twice"),
+        (["--contrast", "10.12345,10.12346"], "a value is given twice"),
         (["--contrast", "200"], "from -60 to 60"),
-        (["--scene", "paper"], "--scene is of scenes"),
+        (["--scene", "paper"], "--scene is for scenes"),
         (["--frames", "90:99"], "no frame lies in --frames"),
         (["--frames", "12"], "expected A:B"),
         (["--height-m", "3.6", "--range-max-m", "3.7"], "nothing of the floor is in view"),

@@ -572,7 +572,7 @@ def test_ctrl_c_says_what_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(cv2, "imencode", stop)
     stopped = CliRunner().invoke(main, ["simulate", "-q", "--frames", "2", "-o", str(out)])
     assert stopped.exit_code == 130
-    left = f"what was made so far is in {out}; remove that to begin anew"
+    left = f"the output so far is in {out}; remove it to start again"
     assert stopped.stderr == f"sonarrec: stopped; {left}\n"
 
 

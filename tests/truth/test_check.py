@@ -282,7 +282,7 @@ def test_many_faults_of_a_kind_are_counted(tmp_path: Path, log: Path) -> None:
     path = truth(tmp_path, [f"{k % 12},{k + 5},2.0,0" for k in range(50)], "frame,landmark,a,b")
     done = run(path, log, "--sheet", tmp_path / "s.png")
     assert done.stdout.count("is not in the set") == 20
-    assert "... and 30 more of the kind: landmark" in done.stdout
+    assert "... and 30 more of this kind: landmark" in done.stdout
 
 
 def test_tiles_are_centred_on_what_the_truth_says(tmp_path: Path) -> None:
