@@ -16,7 +16,7 @@ from sonarrec.evaluation.matching.pairs import Pair, read_pairs
 from sonarrec.files.outputs import check_output, write_page
 from sonarrec.report import frames
 from sonarrec.report.logs import MOST_LOGS, ReportedLog, Seen, read_logs, seen, told_false
-from sonarrec.report.mistakes import Episode, episodes, told
+from sonarrec.report.mistakes import Episode, episodes, in_words
 from sonarrec.report.outliers import Outlier, outliers, outliers_first
 from sonarrec.report.page import MOST_MISTAKES, Drawn, Many, render
 from sonarrec.report.pictures import Picture, Wanted
@@ -274,7 +274,7 @@ def _mistaken(
 ) -> list[Wanted]:
     """The worst frame of the worst mistakes, per method."""
     return [
-        Wanted(e.log, method, e.worst, "mistake", "", f"{told(e, evaluation.joined)}.")
+        Wanted(e.log, method, e.worst, "mistake", "", f"{in_words(e, evaluation.joined)}.")
         for method, found in mistakes.items()
         for e in [e for e in found if e.log in sources][:MOST_MISTAKEN]
         if evaluation is not None

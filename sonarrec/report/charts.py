@@ -31,14 +31,14 @@ UNSEEN = 0.01
 
 
 def time_axis(log: ReportedLog) -> tuple[Axis, float]:
-    """The whole log's axis, and the usual time between two frames."""
+    """The time axis of the whole log, and the median time between two frames."""
     period = float(np.median(np.diff(log.time))) if len(log.time) > 1 else 1.0
     return Axis(float(log.time[0]), float(log.time[-1]) + period), period
 
 
 @dataclass(frozen=True, slots=True)
 class Lane:
-    """One row of a timeline: what truth or a method says of one ID, or of one track."""
+    """One row of a timeline: truth or a method, for one ID or one track."""
 
     name: str
     chart: Chart
@@ -46,11 +46,11 @@ class Lane:
 
 
 def timeline(log: ReportedLog) -> list[tuple[int, list[Lane]]]:
-    """Per ID (index) that is in view or declared anywhere: truth, the tracker, other methods.
+    """For each ID (index) that is in view or declared: rows of truth, the tracker, other methods.
 
-    A bar stands where the method declares the ID; its height is the score. In a long log, where it
-    tells of several frames, the best score is drawn faintly, and the mean over all of them on it:
-    a bar of the best alone would look the same for one frame of hundreds as for all.
+    Bars mark frames in which the method declares the ID; their height is the score. In a long log a
+    bar represents several frames: the best score is drawn faintly, and the mean over it, since the
+    best alone would look the same for one frame of hundreds as for all.
     """
     axis, period = time_axis(log)
     found = log.results
@@ -62,35 +62,35 @@ def timeline(log: ReportedLog) -> list[tuple[int, list[Lane]]]:
         if log.in_view is not None:
             there = log.in_view[:, k].astype(float)
             anything |= bool(there.any())
-            told = f"ID.{landmark} is in view in {int(there.sum())} of {len(there)} frames"
+            text = f"ID.{landmark} is in view in {int(there.sum())} of {len(there)} frames"
             path = bars(axis, log.time, period, there)
-            lanes.append(Lane("truth", Chart(told, [Shape(path, None, "bar")]), True))
+            lanes.append(Lane("truth", Chart(text, [Shape(path, None, "bar")]), True))
         for method in order:
             mine = log.of_method(method) & found.declared & (found.landmark_index == k)
             surest = np.zeros(len(found.frame))
             np.maximum.at(surest, found.frame_index[mine], found.score[mine])
             claims = int(np.count_nonzero(np.bincount(found.frame_index[mine])))
             anything |= claims > 0
-            told = f"{method} declares ID.{landmark} in {claims} of {len(surest)} frames"
+            text = f"{method} declares ID.{landmark} in {claims} of {len(surest)} frames"
             shapes = [Shape(bars(axis, log.time, period, surest), k, "bar")]
             if frames_a_bar(len(log.time)) > 1:
                 mean = bars(axis, log.time, period, surest, mean=True)
                 shapes = [replace(shapes[0], kind="bar faint"), Shape(mean, k, "bar")]
-            lanes.append(Lane(method, Chart(told, shapes), False))
+            lanes.append(Lane(method, Chart(text, shapes), False))
         if anything:
             rows.append((k, lanes))
     return rows
 
 
 FOLLOWED = 0.15
-"""Height of what tells only that a track was followed."""
+"""Height of bars that show only that a track was followed."""
 SILENT_POINTS = 100
-"""Of one track's row among those never declared."""
+"""Bars in the row of a track that was never declared."""
 
 
 def silent_lanes(log: ReportedLog, silent: Sequence[Track]) -> list[Lane]:
-    """A row per track that was never declared: a low grey bar where it was followed, and bars as
-    high as the score of its best guess, in the colour of that ID."""
+    """A row per track that was never declared: low grey bars for the frames in which it was
+    followed, and bars for the score of its most probable ID, in the colour of that ID."""
     axis, period = time_axis(log)
     found = log.results
     lanes = []
@@ -104,9 +104,9 @@ def silent_lanes(log: ReportedLog, silent: Sequence[Track]) -> list[Lane]:
             shapes.append(Shape(path, k, "bar", f"ID.{found.landmarks.ids[k]}"))
         truth = true_landmark(log, track)
         best = float(found.score[track.at].max())
-        told = f"track {track.number}, {len(track.at)} frames, best score {best:.2f}"
+        text = f"track {track.number}, {len(track.at)} frames, best score {best:.2f}"
         name = f"{track.number}" + ("" if truth is None else f" (on ID.{truth})")
-        lanes.append(Lane(name, Chart(told, shapes), truth is not None))
+        lanes.append(Lane(name, Chart(text, shapes), truth is not None))
     return lanes
 
 
@@ -125,23 +125,24 @@ def roc(scored: Sequence[PooledScored], k: int | None = None) -> Chart:
         for point, colour, kind in marks
         if np.isfinite([point.fpr, point.tpr]).all()
     ]
-    told = "; ".join(point.label for point, _, _ in marks)
-    return Chart(told, shapes, axis.ticks(5), UNIT.ticks(5), dots, "FPR", "TPR")
+    text = "; ".join(point.label for point, _, _ in marks)
+    return Chart(text, shapes, axis.ticks(5), UNIT.ticks(5), dots, "FPR", "TPR")
 
 
 def reliability(found: Reliability, method: int) -> Chart:
-    """How often what a method says is so, against how sure it says it is, over its estimates.
+    """The reliability curve of a method: share that is right over the stated probability.
 
-    method: index, for the colour. Bars: how many estimates there are in each step, against the
-    fullest one. The line breaks at steps of fewer than FEW estimates: a share of so few says
-    next to nothing; their dots are hollow.
+    method: index, for the colour. Bars: number of estimates per step, relative to the fullest one.
+    Steps with fewer than FEW estimates have hollow dots and are not joined by the line, since their
+    share is too uncertain.
     """
     step = 1 / len(found.count)
     share = found.count / max(1, int(found.count.max()))
     some = found.count > 0
     enough = found.count >= FEW
-    told = [
-        f"said {said:.2f}, so in {right:.2f} of {count}" + ("" if many else ", too few to tell")
+    text = [
+        f"stated {said:.2f}, right in {right:.2f} of {count}"
+        + ("" if many else ", too few to judge")
         for said, right, count, many in zip(
             found.mean[some], found.right[some], found.count[some], enough[some], strict=True
         )
@@ -157,11 +158,11 @@ def reliability(found: Reliability, method: int) -> Chart:
     dots = [
         Dot(100 * float(x), 100 * float(y), label, method, "dot" if many else "few")
         for x, y, label, many in zip(
-            found.mean[some], found.right[some], told, enough[some], strict=True
+            found.mean[some], found.right[some], text, enough[some], strict=True
         )
     ]
     return Chart(
-        f"{found.method}: {'; '.join(told)}",
+        f"{found.method}: {'; '.join(text)}",
         shapes,
         UNIT.ticks(5),
         UNIT.ticks(5),
@@ -173,7 +174,7 @@ def reliability(found: Reliability, method: int) -> Chart:
 
 @dataclass(frozen=True, slots=True)
 class TrackPanel:
-    """The probabilities that one method gives one track's object, and what it declares."""
+    """The probabilities of one method for one track, and its declarations."""
 
     method: str
     chart: Chart
@@ -181,14 +182,14 @@ class TrackPanel:
 
 
 def track_axis(log: ReportedLog, track: Track) -> Axis:
-    """From the track's first frame to its last, half a frame more at both ends."""
+    """The time axis of a track, half a frame longer at both ends."""
     _, period = time_axis(log)
     time = log.time[track.frame_index]
     return Axis(float(time[0]) - period / 2, float(time[-1]) + period / 2)
 
 
 def track_panels(log: ReportedLog, track: Track) -> list[TrackPanel]:
-    """Probability over time (the paper's Figure 14), per method, the single-frame one first."""
+    """Probability over time for each method (the paper's Figure 14), the single-frame one first."""
     panels = []
     for method in log.results.methods:
         at = track.at if method == log.tracker else alongside(log, track, method)
@@ -198,18 +199,18 @@ def track_panels(log: ReportedLog, track: Track) -> list[TrackPanel]:
 
 
 def _panel(log: ReportedLog, track: Track, method: str, at: IntArray) -> TrackPanel:
-    """at: (n,) the method's estimate in each of the track's frames, -1 for none."""
+    """The panel of a method. at: (n,) its estimate in each frame of the track, -1 for none."""
     found = log.results
     assert found.probability is not None
     axis = track_axis(log, track)
     _, period = time_axis(log)
-    # One place per frame of the log, so that a line breaks where the object was not seen.
+    # One element per frame of the log, so that lines break where the object was not seen.
     rows = np.arange(track.frame_index[0], track.frame_index[-1] + 1)
     seen = at >= 0
     belief = np.full((len(rows), found.probability.shape[1]), np.nan)
     belief[track.frame_index[seen] - rows[0]] = found.probability[at[seen]]
     x = axis.share(log.time[rows])
-    shapes, told = [], []
+    shapes, text = [], []
     for k in [belief.shape[1] - 1, *range(belief.shape[1] - 1)]:
         name = "none" if k == len(found.landmarks.ids) else f"ID.{found.landmarks.ids[k]}"
         if np.nanmax(belief[:, k]) < UNSEEN:
@@ -218,7 +219,7 @@ def _panel(log: ReportedLog, track: Track, method: str, at: IntArray) -> TrackPa
         colour = None if name == "none" else k
         kind = "line thin" if colour is None else "line"
         shapes.append(Shape(polyline(x[keep], belief[keep, k]), colour, kind, name))
-        told.append(f"{name} {np.nanmean(belief[:, k]):.2f}")
+        text.append(f"{name} {np.nanmean(belief[:, k]):.2f}")
     strip = []
     for k in range(len(found.landmarks.ids)):
         claims = np.zeros(len(rows))
@@ -231,7 +232,7 @@ def _panel(log: ReportedLog, track: Track, method: str, at: IntArray) -> TrackPa
     return TrackPanel(
         method=method,
         chart=Chart(
-            f"{method}, mean probability over {count} frames: {', '.join(told)}",
+            f"{method}, mean probability over {count} frames: {', '.join(text)}",
             shapes,
             y_ticks=UNIT.ticks(2),
         ),
@@ -240,7 +241,7 @@ def _panel(log: ReportedLog, track: Track, method: str, at: IntArray) -> TrackPa
 
 
 def truth_strip(log: ReportedLog, track: Track) -> Chart | None:
-    """Which landmark truly lies beneath the track, frame by frame; None where that is not known."""
+    """The true landmark beneath the track, frame by frame; None if not known."""
     if log.truth_near is None:
         return None
     axis = track_axis(log, track)

@@ -1,4 +1,4 @@
-"""`sonarrec report --compare OLD NEW`: what changed between two results, as one HTML page."""
+"""`sonarrec report --compare OLD NEW`: the changes between two results as one HTML page."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from sonarrec.records import shown
 from sonarrec.report.templates import filled
 
 MOST = 10
-"""Passes, and runs of frames, that got better, and as many that got worse."""
+"""So many passes and runs of frames that got better are shown, and as many that got worse."""
 SIGNIFICANT = 0.05
-"""A difference with a p below it is called better or worse."""
+"""Differences with a lower p are marked better or worse."""
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One figure before and after. verdict: better or worse; "" where it may well be chance."""
+    """One figure before and after. verdict: "better", "worse", or "" if it is not significant."""
 
     label: str
     old: str
@@ -38,7 +38,7 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Rates:
-    """A table of figures: of one method under one protocol, of all IDs or of each."""
+    """A table of figures of one method under one protocol, over all IDs or per ID."""
 
     method: str
     protocol: str
@@ -60,7 +60,7 @@ class Run:
 
 @dataclass(frozen=True, slots=True)
 class Ranked:
-    """What got better, or worse: the most changed, and how many more there are."""
+    """The passes and runs that got better, or worse, most, and how many more there are."""
 
     verdict: str
     passes: list[PassChange]
@@ -76,7 +76,7 @@ def write_comparison_page(path: Path, found: Comparison) -> None:
 
 def render(found: Comparison) -> str:
     """The whole page as HTML."""
-    # Mistakes are told as the stricter protocol counts them, as in the report.
+    # Changes are counted by the stricter protocol, as in the report.
     strict = any(r.protocol == "strict" for r in found.rates)
     protocol = "strict" if strict else "paper"
     return filled(
@@ -97,7 +97,7 @@ def render(found: Comparison) -> str:
 
 
 def _in_total(found: Comparison) -> list[Rates]:
-    """Per method and protocol every figure over all IDs."""
+    """Per method and protocol, every figure over all IDs."""
     groups: dict[tuple[str, str], list[Row]] = {}
     for d in found.differences:
         if d.landmark_text == "total":

@@ -1,6 +1,6 @@
-"""Frames that the page holds to be shown on a click: which, how large, and what is drawn on them.
+"""Frames that a click on the page shows: their choice, their images and outlines.
 
-All in one pass over each log, with the page's pictures.
+They are read in one pass over each log, together with the page's pictures.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from sonarrec.results.stream import read_estimates
 
 MOST_FRAMES = 200
 MOST_BYTES = 3_000_000
-"""Of all frames' images together, as text of the page."""
+"""Of the images of all frames together, as text."""
 MOST_MARKED = 20
-"""Estimates drawn of each method in a frame: the declared, then the surest."""
+"""Estimates drawn per method and frame: declared ones first, then the best."""
 LARGEST = 400  # pixels of the longer side
 QUALITIES = (60, 40, 20)
 
 
 @dataclass(frozen=True, slots=True)
 class Outline:
-    """A disc on a shown frame, about an ellipse: centre, half axes (pixels), turn (deg)."""
+    """The outline of a disc on a frame. ellipse: centre, half axes (pixels), rotation (deg)."""
 
     ellipse: tuple[float, ...]
     label: str
@@ -42,8 +42,8 @@ class Outline:
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """One frame. at: on the log's time axis. image: a data URI, of size (width, height). said: per
-    method of the log."""
+    """One frame. at: its place on the log's time axis. image: a data URI of size (width, height).
+    said: the outlines of each method of the log."""
 
     frame: int
     at: float
@@ -55,7 +55,7 @@ class Shown:
 
 @dataclass(frozen=True, slots=True)
 class ShownLog:
-    """The frames of one log that the page holds. unit: of `at`, "s" or none. in_all: frames."""
+    """The frames of one log. unit: of `at`, "s" or none. in_all: number of frames of the log."""
 
     name: str
     unit: str
@@ -67,10 +67,10 @@ class ShownLog:
 def choose(
     logs: Sequence[ReportedLog], wanted: Iterable[tuple[str, int]], most: int = MOST_FRAMES
 ) -> dict[str, list[int]]:
-    """The numbers of the frames to be held, per log: the wanted ones, then some of all others.
+    """The numbers of the frames to hold, per log.
 
-    wanted: (log, frame), the most wanted first; of each log at least one is held. What is left of
-    `most` goes to frames at equal steps through every log.
+    wanted: (log, frame), the most important first; each log gets at least one. The rest of `most`
+    is filled with frames at equal steps through every log.
     """
     first = {log.results.name: int(log.results.frame[0]) for log in logs}
     chosen: dict[str, set[int]] = {name: set() for name in first}
@@ -79,7 +79,7 @@ def choose(
     for name, frame in list(dict.fromkeys([*first.items(), *asked]))[:most]:
         chosen[name].add(frame)
     left = most - sum(map(len, chosen.values()))
-    # Short logs first: what they do not need goes to the longer ones.
+    # Short logs first, so that longer ones get what they do not need.
     for n, log in enumerate(sorted(logs, key=lambda log: len(log.results.frame))):
         mine, every = chosen[log.results.name], log.results.frame
         share = left // (len(logs) - n)
@@ -95,10 +95,10 @@ def choose(
 def take(
     log: Log, reported: ReportedLog, wanted: Sequence[Wanted], held: Sequence[int], most_bytes: int
 ) -> tuple[dict[Wanted, Picture], ShownLog]:
-    """The pictures wanted and the frames held, of one pass over the log.
+    """The pictures wanted and the frames to hold, from one pass over the log.
 
-    most_bytes: of each frame held. Raises SonarrecError where this is not the log that the
-    results came from, or where it lacks a frame.
+    most_bytes: of each frame. Raises SonarrecError if the results are of another log, or if the log
+    lacks a frame.
     """
     check_same_log(log, reported.folder, reported.run)
     pictures: dict[Wanted, Picture] = {}
@@ -113,7 +113,7 @@ def take(
     numbers = {w.frame for w in wanted} | hold
     said: dict[str, dict[int, tuple[Estimate, ...]]] = {}
     for frame in log:
-        if not said:  # the first frame brings the fan, which places the estimates
+        if not said:  # the fan of the first frame gives the positions of the estimates
             asked = dict.fromkeys([*methods, *(w.method for w in wanted)])
             said = {m: _estimates(reported, m, numbers, frame.fan) for m in asked}
         if frame.index in numbers:
@@ -143,7 +143,7 @@ def _estimates(
 
 
 def _marks(reported: ReportedLog, frame: Frame) -> list[Mark]:
-    """The landmarks of which anything shows in the frame, where truth says where."""
+    """The landmarks that are at least partly in view in the frame, if truth has positions."""
     truth, found = reported.truth, reported.results
     place = None if truth is None else truth.pixels(frame.fan)
     if truth is None or place is None:
@@ -177,8 +177,8 @@ def _shown(
     said = []
     for method in found.methods:
         mine = sorted(here[method], key=lambda e: (e.declared, e.score))[-MOST_MARKED:]
-        told = [(e, caption(e, found.landmarks, score=True), e.declared) for e in mine]
-        said.append(outlines(told, 1))
+        labelled = [(e, caption(e, found.landmarks, score=True), e.declared) for e in mine]
+        said.append(outlines(labelled, 1))
     return Shown(
         frame=frame.index,
         at=round(float(reported.time[row]), 3),
@@ -190,7 +190,7 @@ def _shown(
 
 
 def _within(image: ByteImage, most_bytes: int) -> str:
-    """The image as text of at most so many bytes: coarser, and if need be smaller."""
+    """The image as text of at most so many bytes: of lower quality, then smaller."""
     while True:
         for quality in QUALITIES:
             source = as_webp(image, quality)

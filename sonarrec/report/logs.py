@@ -1,4 +1,4 @@
-"""What one log's results say, gathered for the page: sightings, tracks, and what truth is near."""
+"""One log's results for the page: sightings, tracks, and the truth near estimates."""
 
 from __future__ import annotations
 
@@ -35,19 +35,19 @@ class ReportedLog:
     """One log's results and, where it is known, its truth. N estimates over F frames."""
 
     folder: Path
-    """Of the results."""
+    """The results folder."""
     results: LogResults
     tracker: str
-    """The method that the page follows."""
+    """The method whose tracks are shown."""
     truth: Truth | None
     run: RunFile
     time: FloatArray
-    """(F,) seconds since the first frame, or frame numbers where no times are given."""
+    """(F,) seconds since the first frame, or frame numbers if there are no times."""
     clock: str
-    """Which of them: "s" or "frame"."""
+    """Unit of `time`: "s" or "frame"."""
     truth_near: IntArray | None
-    """(N,) into the IDs: of the truth nearest to each estimate, -1 where none lies within half a
-    disc diameter; None without truth or positions."""
+    """(N,) index of the ID of the truth nearest to each estimate, -1 if none is within half a disc
+    diameter; None without truth or positions."""
     in_view: BoolArray | None
     """(F, K) which landmarks count as in view; None without truth."""
     sightings: list[Sighting]
@@ -63,7 +63,7 @@ class ReportedLog:
         return int(self.results.frame[self.results.frame_index[estimate]])
 
     def seconds(self, timestamp_ns: int) -> float:
-        """Since the first frame, of a log that tells times."""
+        """Seconds since the first frame, for a log with times."""
         assert self.results.timestamp_ns is not None
         return (timestamp_ns - int(self.results.timestamp_ns[0])) / 1e9
 
@@ -79,7 +79,7 @@ class Track:
     """One object followed by the tracker."""
 
     number: int
-    """Its name in estimates.csv."""
+    """Its number in estimates.csv."""
     at: IntArray
     """(n,) its estimates, in frame order."""
     frame_index: IntArray
@@ -93,14 +93,13 @@ def read_logs(
     options: ScoringOptions,
     method: str | None,
 ) -> tuple[list[ReportedLog], list[str]]:
-    """The results of the first MOST_LOGS that can be read, with the truth that goes with each.
+    """The first MOST_LOGS logs that can be read, and a line for each that cannot.
 
-    Returns also a line for each log before the last of these that cannot be read.
-    names: of the logs, None for the folder's own; the log column of a truth is matched with it.
-    method: the one to follow; None for the framework, or the first that follows
-    objects.
-    Raises SonarrecError where no log can be read or a truth is not its log's, UsageError where no
-    log has the method.
+    truths: of each log. names: of each log, also for the log column of its truth; None: the name of
+    the folder. method: whose tracks are shown; None: the framework, or the first method with
+    tracks.
+    Raises SonarrecError if no log can be read or a truth does not fit its log, UsageError if no log
+    has the method.
     """
     logs: list[ReportedLog] = []
     unread: list[tuple[str, SonarrecError]] = []
@@ -133,7 +132,7 @@ def read_logs(
 
 
 def follows_by_default(methods: Sequence[str]) -> str:
-    """The framework, else the first method that follows objects."""
+    """The framework, else the first method with tracks."""
     followers = [name for name in methods if follows(name)]
     if "framework" in followers or not methods:
         return "framework"
@@ -184,18 +183,18 @@ def _truth_near(log: LogResults, truth: Truth, min_visible: float) -> IntArray |
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """A sighting, and what truth says of it. n declarations, indices into the estimates."""
+    """A sighting and whether it is true. n declarations, indices into the estimates."""
 
     sighting: Sighting
     at: IntArray
     """(n,) in frame order."""
     surest: int
-    """The declaration of the best score; of scores that print alike a true one, then that nearest
-    to the middle of the fan (of the pass, where positions are not known)."""
+    """The declaration of the best score. Of equal printed scores a true claim, then that nearest to
+    the middle of the fan (or of the pass, if positions are not known)."""
     right: int | None
-    """Declarations that are no false claims; None: truth is not known."""
+    """How many declarations are true; None if truth is not known."""
     is_false: bool
-    """Whether the surest is a false claim, where that is known."""
+    """Whether `surest` is known to be a false claim."""
 
 
 def seen(log: ReportedLog) -> list[Seen]:
@@ -220,7 +219,7 @@ def seen(log: ReportedLog) -> list[Seen]:
 
 
 def _seen(log: ReportedLog, sighting: Sighting, at: IntArray, wrong: BoolArray | None) -> Seen:
-    """at: (n,) its declarations. wrong: (n,) which are false claims, None where not known."""
+    """at: (n,) its declarations. wrong: (n,) which are false claims, None if not known."""
     rows = log.results.frame_index[at]
     place = log.results.position
     aside = rows - (rows[0] + rows[-1]) / 2 if place is None else np.arctan2(*place[at].T)
@@ -231,9 +230,9 @@ def _seen(log: ReportedLog, sighting: Sighting, at: IntArray, wrong: BoolArray |
 
 
 def _false(log: ReportedLog) -> BoolArray | None:
-    """(N,) whether each estimate, if declared, is a false claim; None where truth is not known.
+    """(N,) whether each estimate, if declared, is a false claim; None if truth is not known.
 
-    What is only partly in view counts as there.
+    Landmarks partly in view count as present.
     """
     found, truth = log.results, log.truth
     if truth is None:
@@ -246,7 +245,7 @@ def _false(log: ReportedLog) -> BoolArray | None:
 
 
 def told_false(log: ReportedLog, estimate: int) -> str:
-    """What is wrong with a declaration that is a false claim, in words."""
+    """A false claim in words."""
     if log.truth_near is None:
         return "the landmark is not in view"
     beneath = int(log.truth_near[estimate])
@@ -255,19 +254,19 @@ def told_false(log: ReportedLog, estimate: int) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Tracks:
-    """The tracks worth showing, each in order of first sight, and how many there are in all."""
+    """The tracks to show, in order of first sight, and how many there are."""
 
     declared: list[Track]
-    """Those of which the tracker declared anything."""
+    """Tracks with a declaration."""
     declared_in_all: int
     silent: list[Track]
-    """Those that it never declared."""
+    """Tracks without any."""
     silent_in_all: int
 
 
 def tracks(log: ReportedLog, most: int, most_silent: int) -> Tracks:
-    """Of each kind at most so many: those that are declared, or truly lie on a landmark, in the
-    most frames; then the longest."""
+    """At most so many of each kind: those with the most frames that are declared or on a landmark,
+    then the longest."""
     found = log.results
     if found.probability is None or not follows(log.tracker):
         return Tracks([], 0, [], 0)
@@ -280,7 +279,7 @@ def tracks(log: ReportedLog, most: int, most_silent: int) -> Tracks:
     worth = np.bincount(which, weights=telling, minlength=len(numbers))
     length = np.bincount(which, minlength=len(numbers))
     order = np.lexsort((-length, -worth))
-    told, silent = order[claims[order] > 0], order[claims[order] == 0]
+    declared, silent = order[claims[order] > 0], order[claims[order] == 0]
 
     def chosen(of: IntArray) -> list[Track]:
         shown = []
@@ -290,13 +289,12 @@ def tracks(log: ReportedLog, most: int, most_silent: int) -> Tracks:
             shown.append(Track(int(numbers[n]), at, found.frame_index[at]))
         return sorted(shown, key=lambda track: (int(track.frame_index[0]), track.number))
 
-    return Tracks(chosen(told[:most]), len(told), chosen(silent[:most_silent]), len(silent))
+    return Tracks(chosen(declared[:most]), len(declared), chosen(silent[:most_silent]), len(silent))
 
 
 def alongside(log: ReportedLog, track: Track, method: str) -> IntArray:
-    """(n,) the method's estimate nearest to the track in each of its frames, -1 where none is.
-
-    Nearest within half a disc diameter. Without positions nothing can be matched.
+    """(n,) the method's estimate nearest to the track in each of its frames, -1 if none is within
+    half a disc diameter. All -1 without positions.
     """
     found = log.results
     matched = np.full(len(track.at), -1, dtype=np.int64)
@@ -312,7 +310,7 @@ def alongside(log: ReportedLog, track: Track, method: str) -> IntArray:
 
 
 def true_landmark(log: ReportedLog, track: Track) -> int | None:
-    """The ID that truly lies beneath the track most of the time; None where none does."""
+    """The true ID beneath the track in most of its frames; None if there is none."""
     if log.truth_near is None:
         return None
     beneath = log.truth_near[track.at]

@@ -1,4 +1,4 @@
-"""The columns of what was measured in each sighting."""
+"""Columns of measurements in the table of sightings."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from sonarrec.results.sightings import Sighting
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """A column of what was measured in each sighting."""
+    """One column: a measurement of each sighting."""
 
     head: str
     name: str
     """A field of Sighting."""
     digits: int
     error: str = ""
-    """The field of its standard error, "" without."""
+    """The field of its standard error; "" if there is none."""
 
     def value(self, of: Sighting) -> str:
-        """As told, "" where not known."""
-        return self._told(of, self.name)
+        """The value as text, "" if not known."""
+        return self._text(of, self.name)
 
     def sigma(self, of: Sighting) -> str:
-        """Its standard error as told, "" where not known."""
-        return self._told(of, self.error) if self.error else ""
+        """Its standard error as text, "" if not known."""
+        return self._text(of, self.error) if self.error else ""
 
-    def _told(self, of: Sighting, name: str) -> str:
+    def _text(self, of: Sighting, name: str) -> str:
         value = float(getattr(of, name))
         return "" if np.isnan(value) else f"{value:.{self.digits}f}"
 

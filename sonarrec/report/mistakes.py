@@ -1,4 +1,4 @@
-"""The mistakes behind an evaluation's counts, gathered into episodes, the worst first."""
+"""The mistakes of an evaluation, grouped into episodes, the worst first."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sonarrec.evaluation.matching.joined import Joined, nearest_truth
 from sonarrec.records import IntArray
 
 GAP = 4
-"""Frames without the mistake that do not yet end an episode: neighbouring frames are alike."""
+"""An episode may have gaps of so many frames, since neighbouring frames are alike."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +23,7 @@ class Episode:
     protocol: str
     method: str
     kind: str
-    """Either "claim" (declared where it is not) or "miss" (in view and not declared)."""
+    """"claim" (a false claim) or "miss" (in view and not declared)."""
     landmark: int
     """The ID claimed or missed."""
     log: str
@@ -52,13 +52,13 @@ def episodes(evaluation: Evaluation, method: str, protocol: str) -> list[Episode
     wrong["log"] = joined.log_index[wrong["at"]]
     wrong = wrong.sort_values(["kind", "landmark", "log", "at"], kind="stable")
     gap = wrong.groupby(["kind", "landmark", "log"], sort=False)["at"].diff()
-    wrong["episode"] = (~(gap <= GAP + 1)).cumsum()  # the first of a group has no gap before it
-    told = wrong.groupby("episode").agg(
+    wrong["episode"] = (~(gap <= GAP + 1)).cumsum()  # the first one of a group has no gap
+    grouped = wrong.groupby("episode").agg(
         first=("at", "min"), last=("at", "max"), times=("at", "size"), sum=("wrongness", "sum")
     )
     worst = wrong.sort_values("wrongness", ascending=False, kind="stable")
     worst = worst.drop_duplicates("episode").set_index("episode")
-    told = told.join(worst[["kind", "landmark", "log", "at", "wrongness", "which"]])
+    grouped = grouped.join(worst[["kind", "landmark", "log", "at", "wrongness", "which"]])
     return [
         Episode(
             protocol=protocol,
@@ -73,7 +73,7 @@ def episodes(evaluation: Evaluation, method: str, protocol: str) -> list[Episode
             wrongness=float(row.wrongness),
             which=int(row.which),
         )
-        for row in told.sort_values("sum", ascending=False, kind="stable").itertuples()
+        for row in grouped.sort_values("sum", ascending=False, kind="stable").itertuples()
     ]
 
 
@@ -112,8 +112,8 @@ def _misses(joined: Joined, scored: Scored) -> pd.DataFrame:
     )
 
 
-def told(episode: Episode, joined: Joined) -> str:
-    """One sentence on the worst frame of an episode: what was wrong, and what lay beneath."""
+def in_words(episode: Episode, joined: Joined) -> str:
+    """A sentence on the worst frame of an episode."""
     if episode.kind == "claim":
         sentence = f"ID.{episode.landmark} declared ({episode.wrongness:.2f})"
         if episode.protocol == "paper":

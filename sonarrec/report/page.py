@@ -1,4 +1,4 @@
-"""The page put together: what each section shows, handed to the template."""
+"""Collects the content of each section of the page and fills the template."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from sonarrec.report import charts
 from sonarrec.report.frames import ShownLog
 from sonarrec.report.logs import ReportedLog, Seen, Track, seen, tracks, true_landmark
 from sonarrec.report.measured import MEASURED, Measured
-from sonarrec.report.mistakes import Episode, told
+from sonarrec.report.mistakes import Episode, in_words
 from sonarrec.report.outliers import Outlier
 from sonarrec.report.pictures import Picture
 from sonarrec.report.settings import settings_tables
@@ -43,7 +43,7 @@ MOST_LINES = 20  # notes, and lines on what could not be used
 
 @dataclass(frozen=True, slots=True)
 class TrackView:
-    """One track's block: what it is, the strip of truth and a panel per method."""
+    """One track: its facts, the strip of truth and a panel per method."""
 
     track: Track
     claims: str
@@ -65,12 +65,12 @@ class LogView:
     timeline: list[tuple[int, list[charts.Lane]]]
     frames_a_bar: int
     axis: Axis
-    """Of time, over the whole log."""
+    """The time axis of the whole log."""
     unseen: list[int]
     sightings: list[Seen]
     sightings_left: int
     measured: list[Measured]
-    """Columns that any sighting fills."""
+    """Columns with a value in any sighting."""
     in_utc: bool
     """Whether the log's times count from 1970."""
     tracks: list[TrackView]
@@ -83,7 +83,7 @@ class LogView:
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """What the recordings add to the page: pictures in the order to be shown, frames to click."""
+    """Content from the recordings: pictures in order, and frames to show on a click."""
 
     pictures: list[Picture] = field(default_factory=list)
     shown: list[ShownLog] = field(default_factory=list)
@@ -91,7 +91,7 @@ class Drawn:
 
 @dataclass(frozen=True, slots=True)
 class MistakeView:
-    """One episode as told."""
+    """One episode with its text."""
 
     episode: Episode
     sentence: str
@@ -110,12 +110,12 @@ class Mistakes:
 
 @dataclass(frozen=True, slots=True)
 class Scores:
-    """What ground truth adds to the page.
+    """Content from ground truth.
 
-    rates, rates_per_log, others (figures), differences: as `cells` gives them. units: how many,
-    and of what, the intervals rest on. over: what a caption says of these. tested: the figures
-    compared. starred: whether a table prints a 0/0. curves: per protocol its name, the ROC over
-    all IDs and that of each ID. reliability: per method.
+    rates, rates_per_log, others (figures), differences: from `cells`. units: such as "12 passes".
+    over: the part of captions on intervals. tested: labels of the figures in differences. starred:
+    whether a table has a 0/0. curves: per protocol its name, the ROC over all IDs and that of each
+    ID. reliability: per method.
     """
 
     protocols: list[str]
@@ -154,10 +154,10 @@ def render(
 ) -> str:
     """The whole page as HTML.
 
-    logs, evaluation: of those that have panels. pooled: of all. evaluation, pooled, truth: None
-    where there is no ground truth. wrong: of each method its mistakes.
-    unused: one line for each part of the input that could not be used.
-    """  # long, for it lists all that the template is given
+    logs, evaluation: those with panels. pooled: all logs. evaluation, pooled, truth: None without
+    ground truth. wrong: the mistakes of each method. unused: one line for each part of the input
+    that could not be used.
+    """
     script = (files("sonarrec.report") / "report.js").read_text(encoding="utf-8")
     landmarks = logs[0].results.landmarks
     most_tracks = MOST_TRACKS if len(logs) == 1 else max(1, 2 * MOST_TRACKS // len(logs))
@@ -217,9 +217,9 @@ def _title(logs: Sequence[ReportedLog], many: Many) -> str:
 
 
 def _map_picture(logs: Sequence[ReportedLog]) -> str | None:
-    """The picture that `sonarrec map` left beside the results, as a data URI; None without one.
+    """The picture from `sonarrec map` as a data URI; None if there is none.
 
-    Of one log that of its folder; of several that of the folder that holds them.
+    It lies in the results folder of one log, or in the folder that holds several.
     """
     folders = {
         log.run.path.parent if len(logs) == 1 else log.run.path.parent.parent for log in logs
@@ -234,11 +234,11 @@ def _contents(
     scored: bool, figures: bool, several: bool, outliers: bool, mapped: bool
 ) -> dict[str, str]:
     """The sections by name, in the page's order, and their headings."""
-    seen = {"seen": "What was seen, when and how surely"}
+    seen = {"seen": "What was seen, when and with what score"}
     rates = {"rates": "Rates at the operating point"} if scored else {}
     return {
         **({"standing": "What differs from the rest"} if outliers else {}),
-        # Of one log the page begins with what was seen, of several with how well it went.
+        # The page of one log begins with what was seen, that of several with the rates.
         **(rates | seen if several else seen | rates),
         "sightings": "Sightings",
         **({"tables": "The paper's tables"} if scored else {}),
@@ -251,13 +251,13 @@ def _contents(
 
 
 def _first(lines: Sequence[str]) -> list[str]:
-    """As many as are read, and how many more there are."""
+    """The first MOST_LINES lines, and how many more there are."""
     more = [f"{len(lines) - MOST_LINES} more such lines"] * (len(lines) > MOST_LINES)
     return [*lines[:MOST_LINES], *more]
 
 
 def _json(shown: Sequence[ShownLog]) -> str:
-    """As text that stays text within a script element."""
+    """As JSON that is safe inside a script element."""
     text = json.dumps([asdict(log) for log in shown], separators=(",", ":"), allow_nan=False)
     return text.replace("<", "\\u003c")
 
@@ -294,7 +294,7 @@ def _scores(
 
 
 def _mistakes_of(row: tuple[str, list[cells.OperatingPoint]]) -> int:
-    """The worst log first."""
+    """Sort key: the log with the most mistakes first."""
     return -sum(rates.missed + rates.false for rates in row[1])
 
 
@@ -328,7 +328,7 @@ def _log_view(log: ReportedLog, most_tracks: int) -> LogView:
 
 
 def _facts(log: ReportedLog) -> Iterator[tuple[str, str]]:
-    """The recording in a line: what was looked at, and through which window."""
+    """(name, value) of facts about the recording."""
     found, run = log.results, log.run
     yield "frames", f"{len(found.frame):,}"
     if log.clock == "s" and len(log.time) > 1:
@@ -393,16 +393,16 @@ def _mistakes(
     for method in sorted(pooled.methods, key=lambda m: m != tracker):
         count = cells.of(pooled, method, cells.protocols(pooled)[0]).count()
         shown = []
-        mine = wrong.get(method, [])  # a method may be in other logs alone
+        mine = wrong.get(method, [])  # the method may be in other logs only
         for episode in mine[:MOST_MISTAKES]:
             frames = _span(episode.first, episode.last)
-            shown.append(MistakeView(episode, told(episode, evaluation.joined), frames))
+            shown.append(MistakeView(episode, in_words(episode, evaluation.joined), frames))
         found.append(Mistakes(method, count, shown, len(mine) - len(shown)))
     return found
 
 
 def _is_utc(timestamp_ns: int) -> bool:
-    """Whether a time counts from 1970: it is years after."""
+    """Whether a time counts from 1970, since it is years after that."""
     return timestamp_ns > 10**17
 
 

@@ -1,4 +1,4 @@
-"""Frames of the log with what a method says drawn on them, as pictures that the page contains."""
+"""Pictures on the page: frames of the log with the estimates of a method."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ QUALITY = 80
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """A frame to be shown with what one method says of it.
+    """A frame to draw with the estimates of one method.
 
-    log: name. frame: its number in the log. group: "surest", "rarest" or "mistake". wrong: what is
-    wrong in it, in words; the truth is marked then.
+    log: name. frame: its number in the log. group: "surest", "rarest" or "mistake". wrong: its
+    mistake in words; then the truth is drawn too.
     """
 
     log: str
@@ -35,7 +35,7 @@ class Wanted:
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A drawn frame. source: a data URI. alt: what it shows, in words."""
+    """A drawn frame. source: a data URI. alt: a description."""
 
     wanted: Wanted
     source: str
@@ -51,14 +51,14 @@ def draw(
     said: Mapping[str, Sequence[Estimate]],
     marks: Sequence[Mark],
 ) -> dict[Wanted, Picture]:
-    """The frame as it is wanted. said: its estimates by method. marks: its truth."""
+    """The frame drawn for each `wanted`. said: its estimates by method. marks: its truth."""
     return {
         w: _picture(frame, reported, said[w.method], marks if w.wrong else (), w) for w in wanted
     }
 
 
 def as_webp(image: ByteImage, quality: int) -> str:
-    """A data URI. WebP: speckle takes a third less than as JPEG."""
+    """A data URI. WebP takes a third less than JPEG for speckle."""
     coded, data = cv2.imencode(".webp", image, [cv2.IMWRITE_WEBP_QUALITY, quality])
     assert coded
     return "data:image/webp;base64," + base64.b64encode(data.tobytes()).decode()
@@ -74,7 +74,7 @@ def shrunk(image: ByteImage, largest: int) -> ByteImage:
 
 
 def ellipse(outline: FloatArray) -> tuple[float, ...] | None:
-    """Centre, half axes and turn (deg) of the ellipse through about (n, 2) points; None if none."""
+    """Centre, half axes and rotation (deg) of an ellipse fitted to (n, 2) points; None if none."""
     if not np.isfinite(outline).all():
         return None
     (x, y), (a, b), turn = cv2.fitEllipse(outline.astype(np.float32))
@@ -92,12 +92,14 @@ def _picture(
     landmarks = reported.results.landmarks
     image = draw_frame(frame.image, frame.fan, landmarks, estimates, truth=marks, score=True)
     image = shrunk(image, LARGEST)
-    told = [f"{e.method} declares ID.{e.landmark} ({e.score:.2f})" for e in estimates if e.declared]
-    told += [f"truth holds ID.{mark.landmark}" for mark in marks]
+    parts = [
+        f"{e.method} declares ID.{e.landmark} ({e.score:.2f})" for e in estimates if e.declared
+    ]
+    parts += [f"truth holds ID.{mark.landmark}" for mark in marks]
     return Picture(
         wanted=wanted,
         source=as_webp(image, QUALITY),
         width=image.shape[1],
         height=image.shape[0],
-        alt=f"Sonar image, frame {frame.index}: {'; '.join(told) or 'nothing declared'}",
+        alt=f"Sonar image, frame {frame.index}: {'; '.join(parts) or 'nothing declared'}",
     )

@@ -1,4 +1,4 @@
-"""Which of the recordings given is whose: by name, and in a folder of logs by SHA-256 as well."""
+"""Matches the recordings given with the logs: by name, and in folders also by SHA-256."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def open_recording(path: Path, log: ReportedLog, sonar: Sonar, topic: str | None
     """The recording, read as the run read it."""
     source = find_log(path)
     given = log.run.lay_under(Given(sonar, topic=topic), same_log=True)
-    if not source.reader.has_topics:  # a topic in run.toml is another log's
+    if not source.reader.has_topics:  # then the topic in run.toml is of another log
         given = replace(given, topic=topic, time=None)
     return open_log(source, **given.reading())
 
@@ -32,11 +32,11 @@ def match_recordings(
 ) -> tuple[dict[str, Path], list[str]]:
     """The recording of each log, by the log's name, and a line for each that was not found.
 
-    given: recordings, or folders with recordings in them. A recording is its log's if it bears the
-    name, or if there is only one of both. Raises UsageError where it is no log's.
+    given: recordings, or folders with recordings. A recording belongs to the log of its name; if
+    there is one of each, they belong together. Raises UsageError if it belongs to no log.
     """
     found: dict[str, Path] = {}
-    missing: dict[str, str] = {}  # the line of each log that was in none so far
+    missing: dict[str, str] = {}  # a line for each log that was not found so far
     for path in given:
         inside, before = _inside(path), set(found)
         if len(logs) == 1 and not inside:
@@ -45,7 +45,7 @@ def match_recordings(
         alike = _called(path)
         named = [log for log in logs if log.results.name in alike]
         named = named or [log for log in logs if _names(log) & alike]
-        if len(named) > 1:  # logs of one name, told apart by their folders
+        if len(named) > 1:  # logs of one name, distinguished by their folders
             named = [log for log in named if _same(log, [path], sonar, topic)[0]]
         if named and not any(_names(log) & inside.keys() for log in logs):
             found |= {log.results.name: path for log in named}
@@ -66,19 +66,19 @@ def match_recordings(
 
 
 def _names(log: ReportedLog) -> set[str]:
-    """What the log's recording may be called: as it was given to the run, or as its folder is."""
-    told = log.run.table.get("input", {})
-    path = Path(str(told.get("path", log.folder.resolve().name)))
-    return {path.name, str(told.get("name", log_name(path))), log.results.name} - {""}
+    """Possible names of the log's recording: as it was given to the run, or as its folder."""
+    source = log.run.table.get("input", {})
+    path = Path(str(source.get("path", log.folder.resolve().name)))
+    return {path.name, str(source.get("name", log_name(path))), log.results.name} - {""}
 
 
 def _called(path: Path) -> set[str]:
-    """What run.toml may call a recording: by its file, what that is a link to, or its results."""
+    """Possible names of a recording in run.toml: its file, the target of a link, or its results."""
     return {shown(path.name), shown(path.resolve().name), results_name(log_name(path))}
 
 
 def _inside(folder: Path) -> dict[str, list[Path]]:
-    """Folders and log files below a folder, by what each may be called."""
+    """Folders and log files below a folder, by their possible names."""
     found: dict[str, list[Path]] = defaultdict(list)
     for place in _below(folder):
         for name in _called(place):
@@ -96,7 +96,7 @@ def _below(folder: Path) -> Iterator[Path]:
 def _same(
     log: ReportedLog, candidates: Sequence[Path], sonar: Sonar, topic: str | None
 ) -> tuple[Path | None, str]:
-    """That of the candidates which is the log's recording, else why none is."""
+    """The candidate that is the log's recording, and ""; or None, and the reason."""
     problem = f"no log of the name {log.results.name} in it"
     for path in candidates:
         try:

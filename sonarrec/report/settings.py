@@ -1,4 +1,4 @@
-"""run.toml as the tables of the page."""
+"""The tables of settings on the page."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 def settings_tables(
     table: Mapping[str, Any], name: str = "run"
 ) -> Iterator[tuple[str, list[tuple[str, str]]]]:
-    """run.toml as (table name, its plain keys and values), tables within tables after it."""
+    """run.toml as (table name, its keys and values); nested tables follow."""
     plain = {key: value for key, value in table.items() if not _is_nested(value)}
     if plain:
         yield name, [(key, _plain(value)) for key, value in plain.items()]

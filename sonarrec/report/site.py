@@ -1,7 +1,7 @@
-"""`sonarrec site`: would landmarks be recognised at the site of a recording, and how far away?
+"""`sonarrec site`: would landmarks be recognised at the site of a recording, and at which range?
 
-Landmarks are laid into the recording at several contrasts, each time at the same places; each
-recording made so is run and scored. What comes of it is site.html, site.csv and site.json.
+Landmarks are laid into the recording at several contrasts, each time at the same positions. Each
+recording made like this is run and scored.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ from sonarrec.simulation.background import (
 
 RANGE_STEPS = 5
 MIN_VISIBLE = 0.9
-LOOKED_AT = 100  # frames among which the one to be shown is chosen
+LOOKED_AT = 100  # frames; one of them is shown
 Step = Callable[[str], None]
 """Called after each frame with what is being done."""
 
 
 @dataclass(frozen=True, slots=True)
 class Laid:
-    """What is the same of every recording that is made, and of its run.
+    """What all recordings and their runs have in common.
 
     beam_width_deg: by which the discs are smeared. used: its one Config. keep: keep the images.
     """
@@ -69,12 +69,12 @@ def assess(
     seed: int,
     step: Step,
 ) -> Site:
-    """Lay, run and score; everything goes into the folder `out`.
+    """Lay, run and score; everything is written into the folder `out`.
 
-    log, given: the recording, which is also run as it is, for the claims on nothing. contrasts:
-    dB, rising. layouts: how many times other places are drawn, from `seed` on. count: of the
-    landmarks, as in `draw_layout`. Raises SonarrecError where input cannot be used or files cannot
-    be written.
+    log, given: the recording; it is also run unchanged, to count claims without landmarks.
+    contrasts: dB, rising. layouts: number of layouts, with seeds from `seed` on. count: of the
+    landmarks, as in `draw_layout`. Raises SonarrecError if input cannot be used or files cannot be
+    written.
     """
     background, landmarks, used = laid.background, laid.landmarks, laid.used
     drawn = [draw_layout(background, landmarks, seed + n, count) for n in range(layouts)]
@@ -124,7 +124,7 @@ def _run_layout(
     doing: str,
     step: Step,
 ) -> Iterator[tuple[float, Pair, Shown]]:
-    """Lay one layout at every contrast and run each: contrast, results with truth, a picture."""
+    """Lay one layout at every contrast and run each: (contrast, results with truth, picture)."""
     background, landmarks = laid.background, laid.landmarks
     under = out / "recordings" / f"layout_{number}"
     folders = {db: under / f"contrast_{db:g}" for db in contrasts}
@@ -137,27 +137,27 @@ def _run_layout(
         laid.beam_width_deg,
         lambda: step(f"{doing}, discs"),
     )
-    # Judged by the beams that a run of the recording itself takes.
+    # The beam width is that of a run of the recording itself.
     configs = [
         replace(c, features=replace(c.features, beam_width_deg=background.beam_width_deg))
         for c in laid.used.configs
     ]
     used = replace(laid.used, configs=configs)
-    told = _most_telling(background, layout, landmarks)
+    shown_frame = _most_landmarks(background, layout, landmarks)
     for db, folder in folders.items():
         seen: list[Estimate] = []
 
         def observe(
             result: FrameResult, _: int | None, db: float = db, seen: list[Estimate] = seen
         ) -> None:
-            if result.index == told:
+            if result.index == shown_frame:
                 seen.extend(_declared(result))
             step(f"{doing}, {db:g} dB")
 
         name = f"layout_{number}_contrast_{db:g}"
         own = Given(sonar_file=folder / "sonar.toml")  # not the geometry of an earlier run
         process(folder, out / "results", own, used, observe, name=name, overwrite=True)
-        picture = _picture(background, layout, landmarks, folder, told, db, seen)
+        picture = _picture(background, layout, landmarks, folder, shown_frame, db, seen)
         if not laid.keep:
             for image in folder.glob("*.png"):
                 image.unlink()
@@ -185,8 +185,8 @@ def _scored(background: Background, pairs: dict[float, list[Pair]]) -> list[AtCo
     return found
 
 
-def _most_telling(background: Background, layout: Layout, landmarks: LandmarkSet) -> int:
-    """The frame, of LOOKED_AT, that shows the most landmarks whole; the last of several."""
+def _most_landmarks(background: Background, layout: Layout, landmarks: LandmarkSet) -> int:
+    """The frame, of LOOKED_AT, that shows the most whole landmarks; of several the last."""
     frames = len(background.path)
     # Late in the recording: the recogniser needs some frames first.
     tried = np.unique(np.linspace(min(10, frames - 1), frames - 1, LOOKED_AT).astype(int)).tolist()

@@ -16,7 +16,7 @@ from sonarrec.records import ByteImage, number_of
 from sonarrec.simulation.background import Layout
 
 ENOUGH = 0.9
-"""Landmarks are recognised at a contrast where they are in this share of the frames with them."""
+"""Landmarks count as recognised at a contrast if they are in this share of their frames."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,10 +32,10 @@ class Shown:
 
 @dataclass(frozen=True, slots=True)
 class AtContrast:
-    """What came of one contrast.
+    """The results at one contrast.
 
-    near_m, far_m: slant ranges between which landmarks are recognised in ENOUGH of the frames, from
-    the nearest step that holds a landmark on; NaN where they are not in that step.
+    near_m, far_m: slant ranges between which landmarks are recognised in ENOUGH of the frames,
+    starting at the nearest step with a landmark; NaN if they are not in that step.
     """
 
     contrast_db: float
@@ -56,10 +56,10 @@ class AtContrast:
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """What `sonarrec site` found out.
+    """The results of `sonarrec site`.
 
-    contrasts: rising. empty: claims per 100 frames on the recording as it is, none of which is
-    right if it holds no landmarks. sentences: the answer in words.
+    contrasts: rising. empty: claims per 100 frames on the recording itself; they are false if it
+    holds no landmarks. sentences: the answer in words.
     """
 
     log: str
@@ -80,8 +80,8 @@ class Site:
 
 
 def sentences(found: Sequence[AtContrast], claims: int, frames: int) -> list[str]:
-    """The answer: from which contrast on, how far, how sure, and what is claimed falsely."""
-    told = []
+    """The answer: from which contrast on, at which range, how certain, and false claims."""
+    lines = []
     good = len(found)
     while good and found[good - 1].found.tpr.value >= ENOUGH:
         good -= 1
@@ -89,56 +89,56 @@ def sentences(found: Sequence[AtContrast], claims: int, frames: int) -> list[str
         one = found[good]
         rate = one.found.tpr
         more = " or more" if good + 1 < len(found) else ""
-        told.append(
-            f"At {one.contrast_db:g} dB{more} over the floor landmarks would be recognised in at "
+        lines.append(
+            f"At {one.contrast_db:g} dB{more} over the floor, landmarks would be recognised in at "
             f"least {ENOUGH:.0%} of the frames that show them whole"
             + (f", {one.span} away." if one.reaches else ", all ranges taken together.")
         )
         if math.isnan(rate.low) and rate.units >= MIN_UNITS:
             one_in = max(round(1 / unseen_share(rate.units)), 2)
-            told.append(
-                f"That rests on {_passes(rate.units)}, which went alike: if one in {one_in} went "
-                "wrong, so few might not show it."
+            lines.append(
+                f"This is based on {_passes(rate.units)}, all with the same result: so few might "
+                f"not show it if one in {one_in} went wrong."
             )
         elif math.isnan(rate.low):
-            told.append(
-                f"That rests on {_passes(rate.units)}, too few for an interval: more --layouts "
-                "would tell."
+            lines.append(
+                f"This is based on {_passes(rate.units)}, too few for an interval; give more "
+                "--layouts."
             )
         elif rate.low < ENOUGH:
-            told.append(
-                f"That rests on {_passes(rate.units)} and is not certain: the 95% interval of "
+            lines.append(
+                f"This is based on {_passes(rate.units)} and is not certain: the 95% interval of "
                 f"{rate.value:.3f} begins at {rate.low:.3f}."
             )
         else:
-            told.append(
-                f"That rests on {_passes(rate.units)}; the 95% interval of {rate.value:.3f} is "
+            lines.append(
+                f"This is based on {_passes(rate.units)}; the 95% interval of {rate.value:.3f} is "
                 f"{rate.low:.3f} to {rate.high:.3f}."
             )
     else:
         best = max(found, key=lambda one: one.found.tpr.value)
-        told.append(
+        lines.append(
             f"At none of these contrasts would landmarks be recognised in {ENOUGH:.0%} of the "
             f"frames that show them whole; at best in {best.found.tpr.value:.1%}, at "
             f"{best.contrast_db:g} dB."
         )
         near = [one for one in found if one.reaches]
         if near:
-            told.append(f"From {near[0].span} they would be, at {near[0].contrast_db:g} dB.")
+            lines.append(f"From {near[0].span} they would be, at {near[0].contrast_db:g} dB.")
     worst = max(found, key=lambda one: one.found.false_per_100.value)
     false = worst.found.false_per_100
-    told.append(
+    lines.append(
         f"False claims: at most {false.value:.1f} in 100 frames, at {worst.contrast_db:g} dB."
         if false.count
         else "No false claim was made."
     )
     if claims:
-        told.append(
-            f"On the recording as it is {100 * claims / frames:.1f} landmarks are claimed in 100 "
-            "frames: if it holds none, these are false as well; if it holds some, the figures "
-            "here mean little."
+        lines.append(
+            f"In the recording itself {100 * claims / frames:.1f} landmarks are claimed in 100 "
+            "frames. If it holds none, these are false too; if it holds some, the figures here "
+            "mean little."
         )
-    return told
+    return lines
 
 
 def _passes(count: int) -> str:
@@ -191,7 +191,7 @@ def _rounded(value: float | None) -> float | None:
 
 
 def as_document(site: Site) -> dict[str, Any]:
-    """All figures and what they rest on, as plain values."""
+    """All figures and their basis, for JSON."""
     stated = (
         *("log", "frames", "landmarks", "radius_m", "plate_db", "beam_width_deg"),
         *("dynamic_range_db", "preset", "seed"),
@@ -215,7 +215,7 @@ def as_document(site: Site) -> dict[str, Any]:
 
 
 def write_site(out: Path, site: Site, page: str) -> None:
-    """site.html, site.csv and site.json. Raises SonarrecError where they cannot be written."""
+    """Write site.html, site.csv and site.json. Raises SonarrecError if that fails."""
     with writing(out):
         write_csv(out / "site.csv", COLUMNS, (row.values() for row in table(site)))
         text = json.dumps(as_document(site), indent=2, ensure_ascii=False)

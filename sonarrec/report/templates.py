@@ -1,4 +1,4 @@
-"""The templates of the pages: every name and number that fills them is escaped."""
+"""Fills the templates of the pages; all values are escaped."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 
 def filled(template: str, **values: Any) -> str:
-    """A template of this folder as HTML."""
+    """A template of this folder filled with values, as HTML."""
     return _environment().get_template(template).render(values)
 
 
-@cache  # it keeps the templates compiled: some processes fill many pages
+@cache  # keeps the compiled templates
 def _environment() -> Environment:
     return Environment(
         loader=PackageLoader("sonarrec.report", "."),

@@ -183,14 +183,14 @@ RECORDED = {
     4: {
         "changes.csv": "c1d11868d335fb2a",
         "compare.csv": "7adf97591fa1498e",
-        "compare.html": "a7d0746f9e71acfe",
+        "compare.html": "1c43bdb18a9bcc23",
         "compare.json": "f2a39fad572676f2",
         "printed": "ad266a0bdfb63ef3",
     },
     12: {
         "changes.csv": "c62e8bb554426a0a",
         "compare.csv": "259edaa2f50df435",
-        "compare.html": "a7647af5c28209e4",
+        "compare.html": "d908b057c87e7f6c",
         "compare.json": "2ab41c928b0abb1f",
         "printed": "5bacae719fa97373",
     },

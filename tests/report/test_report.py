@@ -35,7 +35,7 @@ from sonarrec.evaluation.summary import summarise
 from sonarrec.landmarks import load_landmarks
 from sonarrec.report import charts, frames, svg
 from sonarrec.report.logs import ReportedLog, Track, alongside, read_logs, seen, tracks
-from sonarrec.report.mistakes import episodes, told
+from sonarrec.report.mistakes import episodes, in_words
 from sonarrec.report.settings import settings_tables
 from sonarrec.sonar import Sonar
 from sonarrec.truth.table import read_truth
@@ -542,7 +542,7 @@ def test_a_table_of_pairs(results: Path, tmp_path: Path) -> None:
     assert [row[0] for row in page.tables["Per log, protocol strict"][2:]] == ["one", "two"]
     assert [log["name"] for log in held_frames(tmp_path / "report.html")] == ["one", "two"]
     both = sonarrec("report", results, "--pairs", tmp_path / "pairs.csv", code=2)
-    assert "give neither beside it" in both.stderr
+    assert "leave out RESULTS" in both.stderr
 
 
 def test_a_folder_of_logs(results: Path, tmp_path: Path) -> None:
@@ -608,7 +608,7 @@ def test_a_long_log_stays_a_small_page(tmp_path: Path) -> None:
     sonarrec("report", tmp_path, "--ground-truth", tmp_path / "gt.csv")
     assert (tmp_path / "report.html").stat().st_size < 1e6
     text = Page(tmp_path / "report.html").text
-    assert "12 of 300 tracks that were declared" in text
+    assert "12 of 300 declared tracks are shown" in text
     assert "more sightings left out" in text
     assert "lesser groups of mistakes left out" in text
 
@@ -735,7 +735,7 @@ def test_episodes_and_their_order(tmp_path: Path) -> None:
         ("claim", 3, 20, 20, 20, 1),
         ("claim", 2, 14, 14, 14, 1),
     ]
-    assert [told(e, scored.joined) for e in found] == [
+    assert [in_words(e, scored.joined) for e in found] == [
         "ID.2 declared (0.58) where no landmark lies",
         "ID.1 in view and not declared: called ID.3 (0.80)",
         "ID.4 in view and not declared: nothing found there",

@@ -190,7 +190,7 @@ def test_the_sentence_admits_what_so_few_passes_cannot_show() -> None:
     assert "if one in 3 went wrong" in alike
     unsure = " ".join(sentences([at(6, [0.91, 0.91])], 3, 30))
     assert "not certain: the 95% interval of 0.910 begins at 0.890" in unsure
-    assert "as it is 10.0 landmarks are claimed in 100 frames" in unsure
+    assert "the recording itself 10.0 landmarks are claimed in 100 frames" in unsure
 
 
 def test_the_sentence_says_where_nothing_reaches() -> None:

@@ -240,7 +240,7 @@ def test_faults(tmp_path: Path) -> None:
     assert "no method other" in done.stderr
     assert done.stderr.endswith("--method: framework\n")  # not smi, which is refused
     assert run(folder, "--out", out, "--min-score", "2").exit_code == 2
-    assert "are no tracks" in run(folder, "--out", out, "--method", "smi").stderr
+    assert "it has no tracks" in run(folder, "--out", out, "--method", "smi").stderr
     assert "no such results folder" in run(tmp_path / "gone", "--out", out).stderr
     (folder / "run.toml").unlink()
     assert "does not tell the sonar's geometry" in run(folder, "--out", out).stderr
