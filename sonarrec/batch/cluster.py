@@ -33,29 +33,7 @@ def run_on_cluster(
     except ImportError:
         raise UsageError("--scheduler needs pip install 'sonarrec[cluster]'") from None
     dask: Any = distributed  # only part of it has types
-    try:
-        # Checked first because a client that cannot connect prints a traceback.
-        dask.comm.get_address_host_port(address)
-    except ValueError:
-        raise UsageError(
-            f"--scheduler {address}: expected an address such as tcp://host:8786"
-        ) from None
-    try:
-        secure = dask.Security().get_connection_args("client")
-    except OSError as error:
-        raise UsageError(
-            f"--scheduler {address}: the certificates that {_TLS}... names cannot be read "
-            f"({error.strerror or error})"
-        ) from None
-    if address.startswith("tls://") and secure["ssl_context"] is None:
-        raise UsageError(
-            f"--scheduler {address}: needs certificates; {_TLS}CA_FILE, {_TLS}CLIENT__CERT and "
-            f"{_TLS}CLIENT__KEY name their files"
-        )
-    if secure["require_encryption"] and not address.startswith(("tls://", "wss://")):
-        raise UsageError(
-            f"--scheduler {address}: dask's configuration requires encryption; give tls://host:8786"
-        )
+    _check_address(dask, address)
     for name in ("distributed", "distributed.client"):
         logging.getLogger(name).setLevel(logging.CRITICAL)  # a lost scheduler is reported below
     try:
@@ -80,6 +58,35 @@ def run_on_cluster(
             else:
                 watch.ended(i, Outcome("failed", error=_lost(tasks[i], future)))
             future.release()
+
+
+def _check_address(dask: Any, address: str) -> None:
+    """Raise UsageError if the address is invalid or its certificates are missing.
+
+    A client that cannot connect would print a traceback.
+    """
+    try:
+        dask.comm.get_address_host_port(address)
+    except ValueError:
+        raise UsageError(
+            f"--scheduler {address}: expected an address such as tcp://host:8786"
+        ) from None
+    try:
+        secure = dask.Security().get_connection_args("client")
+    except OSError as error:
+        raise UsageError(
+            f"--scheduler {address}: the certificates that {_TLS}... names cannot be read "
+            f"({error.strerror or error})"
+        ) from None
+    if address.startswith("tls://") and secure["ssl_context"] is None:
+        raise UsageError(
+            f"--scheduler {address}: needs certificates; {_TLS}CA_FILE, {_TLS}CLIENT__CERT and "
+            f"{_TLS}CLIENT__KEY name their files"
+        )
+    if secure["require_encryption"] and not address.startswith(("tls://", "wss://")):
+        raise UsageError(
+            f"--scheduler {address}: dask's configuration requires encryption; give tls://host:8786"
+        )
 
 
 def _run_on_worker(task: Task, timeout_s: float | None) -> Outcome:

@@ -94,27 +94,7 @@ def sentences(found: Sequence[AtContrast], claims: int, frames: int) -> list[str
             f"least {ENOUGH:.0%} of the frames that show them whole"
             + (f", {one.span} away." if one.reaches else ", all ranges taken together.")
         )
-        if math.isnan(rate.low) and rate.units >= MIN_UNITS:
-            one_in = max(round(1 / unseen_share(rate.units)), 2)
-            lines.append(
-                f"This is based on {_passes(rate.units)}, all with the same result: so few might "
-                f"not show it if one in {one_in} went wrong."
-            )
-        elif math.isnan(rate.low):
-            lines.append(
-                f"This is based on {_passes(rate.units)}, too few for an interval; give more "
-                "--layouts."
-            )
-        elif rate.low < ENOUGH:
-            lines.append(
-                f"This is based on {_passes(rate.units)} and is not certain: the 95% interval of "
-                f"{rate.value:.3f} begins at {rate.low:.3f}."
-            )
-        else:
-            lines.append(
-                f"This is based on {_passes(rate.units)}; the 95% interval of {rate.value:.3f} is "
-                f"{rate.low:.3f} to {rate.high:.3f}."
-            )
+        lines.append(_certainty(rate))
     else:
         best = max(found, key=lambda one: one.found.tpr.value)
         lines.append(
@@ -139,6 +119,23 @@ def sentences(found: Sequence[AtContrast], claims: int, frames: int) -> list[str
             "mean little."
         )
     return lines
+
+
+def _certainty(rate: Rate) -> str:
+    """A sentence on how certain a TPR of ENOUGH or more is."""
+    basis = f"This is based on {_passes(rate.units)}"
+    if math.isnan(rate.low) and rate.units >= MIN_UNITS:
+        one_in = max(round(1 / unseen_share(rate.units)), 2)
+        return (
+            f"{basis}, all with the same result: so few might not show it if one in {one_in} went "
+            "wrong."
+        )
+    if math.isnan(rate.low):
+        return f"{basis}, too few for an interval; give more --layouts."
+    interval = f"the 95% interval of {rate.value:.3f}"
+    if rate.low < ENOUGH:
+        return f"{basis} and is not certain: {interval} begins at {rate.low:.3f}."
+    return f"{basis}; {interval} is {rate.low:.3f} to {rate.high:.3f}."
 
 
 def _passes(count: int) -> str:

@@ -106,12 +106,10 @@ class Scored:
 def score(joined: Joined, method: int, protocol: str) -> Scored:
     """Score one method (index) under one protocol, as described in `evaluate.evaluate`."""
     k = len(joined.ids)
-    state = np.zeros(len(joined.frame) * k, dtype=np.int8)
     truth_cell = joined.truth_frame_index * k + joined.truth_landmark_index
+    state = np.zeros(len(joined.frame) * k, dtype=np.int8)
     state[truth_cell[~joined.truth_positive]] = IGNORED
-    state[truth_cell[joined.truth_positive]] = (
-        POSITIVE  # even if another one of this ID is partly in view
-    )
+    state[truth_cell[joined.truth_positive]] = POSITIVE  # even if another one is partly in view
 
     mine = np.flatnonzero(joined.method_index == method)
     mine = mine[np.argsort(-joined.score[mine], kind="stable")]
@@ -119,17 +117,11 @@ def score(joined: Joined, method: int, protocol: str) -> Scored:
     positive = np.flatnonzero(joined.truth_positive)
     if protocol == "paper":
         positive = positive[np.unique(truth_cell[positive], return_index=True)[1]]
-        of_cell = np.full(len(state), -1)
-        of_cell[truth_cell[positive]] = positive
-        truth = of_cell[cell]
-        counted = state[cell] != IGNORED
-        spot = cell
+        positive_of_cell = np.full(len(state), -1)
+        positive_of_cell[truth_cell[positive]] = positive
+        truth, counted, spot = positive_of_cell[cell], state[cell] != IGNORED, cell
     else:
-        truth = nearest_truth(joined, mine, cell, truth_cell)
-        counted = np.ones(len(mine), dtype=bool)
-        on_one = truth >= 0
-        counted[on_one] = joined.truth_positive[truth[on_one]]
-        spot = np.where(on_one, len(state) + truth, cell)
+        truth, counted, spot = _strict_matches(joined, mine, cell, truth_cell, len(state))
     mine, cell, truth, spot = mine[counted], cell[counted], truth[counted], spot[counted]
 
     negative = state.reshape(-1, k) == NEGATIVE
@@ -160,6 +152,21 @@ def score(joined: Joined, method: int, protocol: str) -> Scored:
         made=made,
         made_effect=made_effect,
     )
+
+
+def _strict_matches(
+    joined: Joined, claims: IntArray, cell: IntArray, truth_cell: IntArray, cells: int
+) -> tuple[IntArray, BoolArray, IntArray]:
+    """(n,) the truth of each claim or -1; (n,) whether the claim counts; (n,) its spot.
+
+    claims: (n,) indices. cell, truth_cell: the frame and ID of claims and truths, of so many cells.
+    The spot is as in `_effects`.
+    """
+    truth = nearest_truth(joined, claims, cell, truth_cell)
+    on_truth = truth >= 0
+    counted = np.ones(len(claims), dtype=bool)
+    counted[on_truth] = joined.truth_positive[truth[on_truth]]
+    return truth, counted, np.where(on_truth, cells + truth, cell)
 
 
 def _effects(
