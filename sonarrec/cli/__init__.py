@@ -31,9 +31,9 @@ UNWRITTEN = {errno.ENOSPC, errno.EFBIG, errno.EDQUOT, errno.EIO, errno.EBADF}
 
 
 class _Program(click.Group):
-    def main(self, *arguments: Any, **told: Any) -> Any:
+    def main(self, *arguments: Any, **options: Any) -> Any:
         _open_streams()
-        return super().main(*arguments, **told)
+        return super().main(*arguments, **options)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Faults of the input and Ctrl-C become one line; bugs keep their traceback."""

@@ -19,10 +19,10 @@ FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 class _Local(click.Path):
     """A local path; URLs are refused, as they would create a local folder `s3:`."""
 
-    def convert(self, value: Any, *told: Any) -> Any:
+    def convert(self, value: Any, *context: Any) -> Any:
         from sonarrec.remote.urls import local
 
-        return super().convert(local(value), *told)
+        return super().convert(local(value), *context)
 
 
 NEW_FILE = _Local(dir_okay=False, path_type=Path)
@@ -41,8 +41,8 @@ Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 class GroupedOption(click.Option):
     """An option that belongs to a group of --help."""
 
-    def __init__(self, *names: Any, group: str, **told: Any) -> None:
-        super().__init__(*names, **told)
+    def __init__(self, *names: Any, group: str, **options: Any) -> None:
+        super().__init__(*names, **options)
         self.group = group
 
 
@@ -80,9 +80,9 @@ def file_names(_: click.Context, __: click.Parameter, incomplete: str) -> list[C
 command = partial(click.command, cls=GroupedCommand)
 
 
-def option(group: str, *names: str, **told: Any) -> Decorator:
+def option(group: str, *names: str, **options: Any) -> Decorator:
     """`click.option` in a group of --help."""
-    return click.option(*names, cls=GroupedOption, group=group, **told)
+    return click.option(*names, cls=GroupedOption, group=group, **options)
 
 
 def as_one(

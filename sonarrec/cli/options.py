@@ -174,6 +174,6 @@ verbose_option = option(
 )
 
 
-def out_option(kind: click.Path, text: str, **told: Any) -> Decorator:
+def out_option(kind: click.Path, text: str, **options: Any) -> Decorator:
     """-o, --out. text: what it names."""
-    return option(OUTPUT, "-o", "--out", type=kind, help=text, **told)
+    return option(OUTPUT, "-o", "--out", type=kind, help=text, **options)

@@ -15,10 +15,10 @@ from sonarrec.cli.groups import FOLDER, INPUT, as_one, option
 class _OrUrl(click.Path):
     """A local path as in click.Path, or a URL as text."""
 
-    def convert(self, value: Any, *told: Any) -> Any:
+    def convert(self, value: Any, *context: Any) -> Any:
         from sonarrec.remote.urls import is_url
 
-        return str(value) if is_url(value) else super().convert(value, *told)
+        return str(value) if is_url(value) else super().convert(value, *context)
 
 
 FILE_OR_URL = _OrUrl(exists=True, dir_okay=False, path_type=Path)

@@ -57,12 +57,8 @@ class RunWatch(Watch):
         self._frames = 0  # frames of logs that have ended
         self._begun = monotonic()
         self._bars = ExitStack()
-        self._step: Callable[..., None] | None = (
-            None  # of the bar over frames, if one log runs at a time
-        )
-        self._came: Callable[[int, int | None], None] | None = (
-            None  # of the bar over bytes, while it is fetched
-        )
+        self._step: Callable[..., None] | None = None  # of the bar over frames
+        self._came: Callable[[int, int | None], None] | None = None  # of the bar over bytes
         self._at: Callable[[float, str], None] | None = None  # of the bar over logs, if several run
 
     def __enter__(self) -> RunWatch:
@@ -226,19 +222,19 @@ class RunWatch(Watch):
 
     def _document(self, i: int) -> dict[str, Any]:
         task, outcome = self._tasks[i], self._outcomes.get(i)
-        told: dict[str, Any] = {"name": task.name, "log": task.path}
+        document: dict[str, Any] = {"name": task.name, "log": task.path}
         if outcome is None:
-            return told | {"status": "stopped" if i in self._running else "waiting"}
-        told["status"] = outcome.status
+            return document | {"status": "stopped" if i in self._running else "waiting"}
+        document["status"] = outcome.status
         if outcome.summary is None:
-            return told | {"message": outcome.message}
+            return document | {"message": outcome.message}
         sightings = outcome.summary.folder / "sightings.csv"
         if self._box is None:
-            return told | as_json(outcome.summary, outcome.folder, sightings)
+            return document | as_json(outcome.summary, outcome.folder, sightings)
         held = f".{task.name}.sightings.csv"  # local results are deleted after the upload
         self._box.fetch(f"{task.name}/sightings.csv", held)
         try:
-            return told | as_json(outcome.summary, outcome.folder, self._box.folder / held)
+            return document | as_json(outcome.summary, outcome.folder, self._box.folder / held)
         finally:
             (self._box.folder / held).unlink(missing_ok=True)
 

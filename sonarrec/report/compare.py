@@ -138,7 +138,7 @@ def _ranked(found: Comparison, protocol: str, verdict: str) -> Ranked:
             passes = _most_changed(passes)
     passes = _most_changed(passes)
     runs, count = found.frames.runs(MOST, protocol, verdict)
-    told = [
+    shown_runs = [
         Run(
             log=run.first.log,
             frames=f"{run.first.frame}"
@@ -152,7 +152,7 @@ def _ranked(found: Comparison, protocol: str, verdict: str) -> Ranked:
         )
         for run in runs
     ]
-    return Ranked(verdict, passes, more - len(passes), told, count - len(told))
+    return Ranked(verdict, passes, more - len(passes), shown_runs, count - len(shown_runs))
 
 
 def _most_changed(passes: Sequence[PassChange]) -> list[PassChange]:

@@ -13,6 +13,7 @@ from sonarrec.evaluation.by_range import Rate
 from sonarrec.evaluation.cells import Cell
 from sonarrec.evaluation.counting.uncertainty import LEVEL, MIN_UNITS
 from sonarrec.evaluation.plots import COLOURS
+from sonarrec.records import FloatArray
 from sonarrec.report.pictures import LARGEST, QUALITY, as_webp, shrunk
 from sonarrec.report.site_results import ENOUGH, AtContrast, Shown, Site
 from sonarrec.report.svg import STYLES, UNIT, Axis, Chart, Dot, Shape, polyline
@@ -89,30 +90,50 @@ def _contrast_axis(found: Sequence[AtContrast]) -> Axis:
 
 
 def _over_contrast(found: Sequence[AtContrast]) -> Chart:
-    """TPR, with its interval as thin lines."""
-    axis = _contrast_axis(found)
-    x = axis.share(np.array([one.contrast_db for one in found]))
+    """TPR over contrast, with its interval as thin lines."""
     rates = [one.found.tpr for one in found]
-    value, low, high = (
-        np.array([getattr(rate, name) for rate in rates]) for name in ("value", "low", "high")
-    )
+    x = _contrast_axis(found).share(np.array([one.contrast_db for one in found]))
     goal = polyline(np.array([0.0, 1.0]), np.array([ENOUGH, ENOUGH]))
-    shapes = [
+    edges = (np.array([getattr(rate, name) for rate in rates]) for name in ("low", "high"))
+    return _contrast_chart(
+        found,
+        np.array([rate.value for rate in rates]),
+        [f"TPR {rate.value:.3f}" for rate in rates],
+        UNIT,
+        "TPR",
         Shape(goal, None, "line thin", f"{ENOUGH:.0%}"),
-        *(Shape(polyline(x, edge), 0, "faint", "interval") for edge in (low, high)),
-        Shape(polyline(x, value), 0, "line", "TPR"),
-    ]
-    told = [
-        f"{one.contrast_db:g} dB: TPR {rate.value:.3f}"
-        for one, rate in zip(found, rates, strict=True)
-    ]
+        *(Shape(polyline(x, edge), 0, "faint", "interval") for edge in edges),
+    )
+
+
+def _false(found: Sequence[AtContrast]) -> Chart:
+    """False claims over contrast."""
+    value = np.array([one.found.false_per_100.value for one in found])
+    up = Axis(0.0, max(1.0, 1.1 * float(np.nanmax(value))))
+    texts = [f"{v:.2f} in 100 frames" for v in value]
+    return _contrast_chart(found, value, texts, up, "false claims per 100 frames")
+
+
+def _contrast_chart(
+    found: Sequence[AtContrast],
+    value: FloatArray,
+    texts: Sequence[str],
+    up: Axis,
+    name: str,
+    *shapes: Shape,
+) -> Chart:
+    """A line over contrast. texts: of the dots. up: the vertical axis. shapes: drawn below it."""
+    axis = _contrast_axis(found)
+    x, y = axis.share(np.array([one.contrast_db for one in found])), up.share(value)
+    texts = [f"{one.contrast_db:g} dB: {text}" for one, text in zip(found, texts, strict=True)]
     dots = [
-        Dot(100 * float(at), 100 * float(y), text, 0)
-        for at, y, text in zip(x, value, told, strict=True)
-        if np.isfinite(y)
+        Dot(100 * float(a), 100 * float(b), text, 0)
+        for a, b, text in zip(x, y, texts, strict=True)
+        if np.isfinite(b)
     ]
-    labels = "contrast over the floor, dB", "TPR"
-    return Chart("; ".join(told), shapes, axis.ticks(), UNIT.ticks(5), dots, *labels)
+    drawn = [*shapes, Shape(polyline(x, y), 0, "line", name)]
+    labels = "contrast over the floor, dB", name
+    return Chart("; ".join(texts), drawn, axis.ticks(), up.ticks(5), dots, *labels)
 
 
 def _over_range(found: Sequence[AtContrast]) -> Chart:
@@ -120,7 +141,7 @@ def _over_range(found: Sequence[AtContrast]) -> Chart:
     steps = found[0].found.by_range
     axis = Axis(steps[0].near_m, steps[-1].far_m)
     x = axis.share(np.array([(r.near_m + r.far_m) / 2 for r in steps]))
-    shapes, dots, told = [], [], []
+    shapes, dots, texts = [], [], []
     goal = polyline(np.array([0.0, 1.0]), np.array([ENOUGH, ENOUGH]))
     shapes.append(Shape(goal, None, "line thin", f"{ENOUGH:.0%}"))
     for n, one in enumerate(found):
@@ -130,29 +151,11 @@ def _over_range(found: Sequence[AtContrast]) -> Chart:
         for at, rate in zip(x, one.found.by_range, strict=True):
             if rate.tpr.cases:
                 text = f"{label}, {rate.near_m:.1f} to {rate.far_m:.1f} m: {rate.tpr.value:.2f}"
-                told.append(text)
+                texts.append(text)
                 dots.append(Dot(100 * float(at), 100 * rate.tpr.value, text, n))
     return Chart(
-        "; ".join(told), shapes, axis.ticks(), UNIT.ticks(5), dots, "slant range, m", "TPR"
+        "; ".join(texts), shapes, axis.ticks(), UNIT.ticks(5), dots, "slant range, m", "TPR"
     )
-
-
-def _false(found: Sequence[AtContrast]) -> Chart:
-    axis = _contrast_axis(found)
-    x = axis.share(np.array([one.contrast_db for one in found]))
-    value = np.array([one.found.false_per_100.value for one in found])
-    up = Axis(0.0, max(1.0, 1.1 * float(np.nanmax(value))))
-    y = up.share(value)
-    told = [
-        f"{one.contrast_db:g} dB: {v:.2f} in 100 frames"
-        for one, v in zip(found, value, strict=True)
-    ]
-    dots = [
-        Dot(100 * float(a), 100 * float(b), text, 0) for a, b, text in zip(x, y, told, strict=True)
-    ]
-    shapes = [Shape(polyline(x, y), 0, "line", "false claims per 100 frames")]
-    labels = "contrast over the floor, dB", "false claims per 100 frames"
-    return Chart("; ".join(told), shapes, axis.ticks(), up.ticks(5), dots, *labels)
 
 
 def _picture(one: Shown) -> Picture:
