@@ -12,6 +12,7 @@ from sonarrec.geometry import plane_from_polar
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.stage3_features.description import FEATURES
 from sonarrec.recogniser.three_stages import ThreeStages
+from sonarrec.recogniser.unchanging import Unchanging
 from sonarrec.records import Fan, FloatArray, Frame, IntArray
 
 # In disc diameters: a track up to ON from a true centre shows the landmark, one farther than OFF
@@ -81,7 +82,7 @@ def describe(
     features: list[FloatArray] = [np.empty((0, len(landmarks.ids), len(FEATURES)), np.float32)]
     smear: list[FloatArray] = [np.empty(0)]
     rows: list[int] = []
-    for row, frame in enumerate(frames):
+    for row, frame in enumerate(Unchanging().filled(frames)):
         fan = fan or frame.fan
         recogniser = recogniser or ThreeStages(config, fan, landmarks, recorder, smi=None)
         tracks = recogniser.step(frame).estimates

@@ -13,6 +13,7 @@ from sonarrec.poses import PoseTable
 from sonarrec.recogniser.hindsight import Hindsight
 from sonarrec.recogniser.stage3_features.appearance import Judge
 from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, ThreeStages, together
+from sonarrec.recogniser.unchanging import Unchanging
 from sonarrec.records import Fan, Frame, FrameResult
 
 
@@ -60,6 +61,7 @@ class SideBySide:
         ]
         self._lag = max(config.features.lag_frames for config in configs)
         self._pending: deque[list[FrameResult]] = deque()
+        self._unchanging = Unchanging()
 
     def recognise(self, frames: Iterable[Frame], *, ahead: bool = False) -> Iterator[FrameResult]:
         """The results in the log's order, each when it is final.
@@ -67,7 +69,8 @@ class SideBySide:
         An exception on the way is raised after the results of all frames before it, but for those
         that wait to be revised: call `waiting` for these. ahead: as in `together`.
         """
-        for found in together([*self._recognisers.values()], frames, ahead=ahead):
+        whole = self._unchanging.filled(frames)
+        for found in together([*self._recognisers.values()], whole, ahead=ahead):
             results = self._of_each(dict(zip(self._recognisers, found, strict=True)))
             for hindsight, result in zip(self._hindsight, results, strict=True):
                 if hindsight is not None:
@@ -111,6 +114,11 @@ class SideBySide:
         """Where the frames contradict the poses, so far."""
         each = (r.odometry.notes() for r in self._recognisers.values())
         return list(dict.fromkeys(chain.from_iterable(each)))
+
+    @property
+    def filled(self) -> float:
+        """The share of the picture that was filled, 0 to 1: see `Unchanging`."""
+        return self._unchanging.share
 
     def _final(self) -> FrameResult:
         """The oldest frame that waits, its results put together."""

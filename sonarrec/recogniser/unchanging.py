@@ -1,0 +1,163 @@
+"""Pixels that never change while the picture does: lines or text drawn into it, dead beams.
+
+They show nothing of the floor, and stage 1 would take them for edges and rings. So they are filled
+from beside them before it.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from sonarrec.geometry import fan_mask
+from sonarrec.records import BoolArray, ByteImage, FloatImage, Frame, IndexArray
+
+# A look is a frame that shows another picture than the last look: at the median its pixels changed
+# by more than this share of what they differ by from their neighbours. A standing sonar has one
+# look, for all of its picture may stay as it is.
+CHANGED = 0.7
+SAMPLED = 40  # rows, and columns, by which a look is told
+JUDGED_AFTER = (8, 16, 32, 64)  # looks
+# Before the first frame is given so many are read, fewer where they are large.
+AHEAD, MOST_BYTES_AHEAD = 40, 2**24
+# A pixel is still whose levels lie within this share of what its surroundings change by, if these
+# change at all: compression lets a drawn line change a little. Where a line has smooth edges the
+# floor shines through: its pixels always lie farther than MIXED from the middle of the others.
+STILL, MIXED = 0.2, 0.2
+LEAST_USUAL = 8.0  # grey levels
+SURROUNDINGS = (33, 33)  # pixels
+LEAST_SPOT = 30  # pixels that touch: fewer are still by chance
+# What stays black is a dead beam where it runs through half of the image, and is narrower than so
+# many pixels; else it is a shadow, or lies out of sight.
+BLACK, WIDEST = 8, 13
+
+
+class Unchanging:
+    """Finds such pixels in the frames of one log, and fills them.
+
+    share: of the pixels that show the fan, how many are filled now, 0 to 1.
+    """
+
+    def __init__(self) -> None:
+        self.share = 0.0
+        self._looks = 0
+        self._last: npt.NDArray[np.int16] | None = None  # the sampled pixels of the last look
+        self._least: ByteImage = np.empty((0, 0), np.uint8)  # of each pixel, over all looks
+        self._most: ByteImage = self._least
+        self._holes: IndexArray = np.empty(0, np.intp)
+        self._beside: IndexArray = self._holes  # what each is filled from
+
+    def filled(self, frames: Iterable[Frame]) -> Iterator[Frame]:
+        """The frames of a log, what never changes in their `pixels` filled.
+
+        An exception on the way is raised after all frames before it.
+        """
+        frames, waiting = iter(frames), deque[Frame]()
+        broken: BaseException | None = None
+        try:
+            for frame in frames:
+                self._look(frame)
+                waiting.append(frame)
+                ahead = min(AHEAD, MOST_BYTES_AHEAD // frame.pixels.size)
+                if len(waiting) >= ahead or self._looks >= JUDGED_AFTER[0]:
+                    break
+        except BaseException as error:
+            broken = error
+        while waiting:
+            yield self._fill(waiting.popleft())
+        if broken is not None:
+            raise broken
+        for frame in frames:
+            self._look(frame)
+            yield self._fill(frame)
+
+    def _fill(self, frame: Frame) -> Frame:
+        if not self.share or frame.pixels.shape != self._least.shape:
+            return frame
+        pixels = frame.pixels.copy()
+        flat = pixels.reshape(-1)
+        flat[self._holes] = flat[self._beside]
+        return replace(frame, pixels=pixels)
+
+    def _look(self, frame: Frame) -> None:
+        """Take a frame in if it is a look; images of another size than the first are none."""
+        pixels = frame.pixels
+        if self._looks == JUDGED_AFTER[-1] or (self._looks and pixels.shape != self._least.shape):
+            return
+        down, across = (max(1, side // SAMPLED) for side in pixels.shape)
+        sampled = pixels[::down, ::across].astype(np.int16)
+        if self._last is None:
+            self._least, self._most = pixels.copy(), pixels.copy()
+        elif not _changed(self._last, sampled):
+            return
+        self._last = sampled
+        self._looks += 1
+        cv2.min(self._least, pixels, dst=self._least)
+        cv2.max(self._most, pixels, dst=self._most)
+        if self._looks in JUDGED_AFTER:
+            polar = frame.polar is not None
+            self._judge(np.ones(pixels.shape, bool) if polar else fan_mask(frame.fan) > 0)
+
+    def _judge(self, inside: BoolArray) -> None:
+        """Settle what is filled, and from where. inside: the pixels that show the fan."""
+        drawn, away = self._found(inside)
+        # A line's outermost pixels are mixed with the floor.
+        holes = (cv2.dilate(drawn.astype(np.uint8), np.ones((3, 3))) > 0) & ~away
+        unseen = (holes | away).astype(np.uint8)
+        _, nearest = cv2.distanceTransformWithLabels(
+            unseen, cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
+        )
+        seen = np.flatnonzero(unseen == 0)
+        place = np.zeros(int(nearest.max()) + 1, np.intp)
+        place[nearest.ravel()[seen]] = seen
+        self._holes = np.flatnonzero(holes)
+        self._beside = place[nearest.ravel()[self._holes]]
+        self.share = len(self._holes) / max(int(np.count_nonzero(~away)), 1)
+
+    def _found(self, inside: BoolArray) -> tuple[BoolArray, BoolArray]:
+        """(rows, columns) what is drawn or dead; and what shows nothing anyway."""
+        change, black = cv2.subtract(self._most, self._least), self._most <= BLACK
+        usual = _local_mean(change, inside & ~black)
+        others = inside & (change > usual / 2)
+        usual = _local_mean(change, others)
+        judged = inside & (usual > LEAST_USUAL)
+        still = judged & (change <= STILL * usual)
+        wide = np.ones((WIDEST, WIDEST), np.uint8)
+        unlit = (~inside | (still & black)).astype(np.uint8)
+        away = ~inside | (cv2.morphologyEx(unlit, cv2.MORPH_OPEN, wide) > 0)
+        still &= ~away
+        middle = _local_mean(cv2.addWeighted(self._least, 0.5, self._most, 0.5, 0), others)
+        margin = np.float32(MIXED) * usual
+        mixed = (self._least > middle + margin) | (self._most < middle - margin)
+        either = still | (mixed & judged & ~away)
+        count, spot, stats, _ = cv2.connectedComponentsWithStats(either.astype(np.uint8))
+        size, dark = (np.bincount(spot[p], minlength=count) for p in (still, still & black))
+        length = stats[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1)
+        found = (size >= LEAST_SPOT) & ((dark < size / 2) | (length >= len(inside) / 2))
+        found[0] = False  # all that is in no spot
+        return found[spot], away
+
+
+def _local_mean(values: npt.NDArray[Any], counts: BoolArray) -> FloatImage:
+    """(rows, columns) mean over each pixel's surroundings of those values that count."""
+    total, number = (
+        cv2.blur(np.where(counts, v, 0).astype(np.float32), SURROUNDINGS) for v in (values, 1)
+    )
+    return np.asarray(total / np.maximum(number, np.float32(1e-3)), np.float32)
+
+
+def _changed(before: npt.NDArray[np.int16], now: npt.NDArray[np.int16]) -> bool:
+    """Whether two pictures, of every so many rows and columns, are of different floor."""
+    seen = (before > 0) & (now > 0)
+    beside = seen[:, 1:] & seen[:, :-1]
+    if not beside.any():
+        return False
+    change = np.median(np.abs(now - before)[seen])
+    texture = np.median(np.abs(now[:, 1:] - now[:, :-1])[beside])
+    return bool(change > CHANGED * max(texture, 1.0))

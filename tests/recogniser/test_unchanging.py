@@ -1,0 +1,195 @@
+"""Pixels that never change: found where they were drawn, filled, and nothing else touched."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from sonarrec.readers import open_log
+from sonarrec.recogniser.unchanging import AHEAD, MOST_BYTES_AHEAD, Unchanging
+from sonarrec.records import Fan, Frame
+from tests.support.command import sonarrec
+
+SAMPLE = Path(__file__).parents[2] / "sample_data" / "pan"
+FAN = Fan(
+    rows=200,
+    columns=240,
+    metres_per_pixel=0.01,
+    apex_column=119.5,
+    apex_row=300.0,
+    range_min_m=1.0,
+    range_max_m=3.0,
+    bearing_min_deg=-20.0,
+    bearing_max_deg=20.0,
+    tilt_deg=20.0,
+    height_m=0.7,
+)
+
+
+def inside() -> np.ndarray:
+    row, column = np.mgrid[: FAN.rows, : FAN.columns]
+    across, along = column - FAN.apex_column, FAN.apex_row - row
+    away = np.hypot(across, along) * FAN.metres_per_pixel
+    bearing = np.degrees(np.arctan2(across, along))
+    return (np.abs(bearing) <= 20) & (away >= 1.0) & (away <= 3.0)
+
+
+def floor(step: int, count: int = 40) -> Iterator[np.ndarray]:
+    """Speckle, in grains of 3 x 3 pixels, that moves by some pixels a frame under a fixed fan."""
+    rng = np.random.default_rng(4)
+    size = (FAN.rows, FAN.columns + step * count)
+    grains = cv2.GaussianBlur(rng.normal(0, 1, size), (0, 0), 1.5)
+    grains = np.clip(90 + 28 * grains / grains.std(), 1, 255)
+    for at in range(count):
+        moved = grains[:, step * at : step * at + FAN.columns]
+        yield np.where(inside(), moved, 0).astype(np.uint8)
+
+
+def frames(images: Iterator[np.ndarray]) -> Iterator[Frame]:
+    for index, image in enumerate(images):
+        yield Frame(index, index * 250_000_000, image, FAN)
+
+
+def lines(level: int) -> tuple[np.ndarray, np.ndarray]:
+    """A drawn circle, a slanted line and a word, with smooth edges: (its opacity, its picture)."""
+    opacity = np.zeros((FAN.rows, FAN.columns), np.uint8)
+    cv2.circle(opacity, (119, 300), 200, 255, 1, cv2.LINE_AA)
+    cv2.line(opacity, (119, 300), (150, 0), 255, 1, cv2.LINE_AA)
+    cv2.putText(opacity, "ping", (90, 60), cv2.FONT_HERSHEY_SIMPLEX, 0.8, 255, 2, cv2.LINE_AA)
+    return opacity, np.full_like(opacity, level)
+
+
+@pytest.mark.parametrize("level", [255, 180])
+def test_what_is_drawn_is_filled_and_the_rest_left_alone(level: int) -> None:
+    opacity, picture = lines(level)
+    share = opacity / 255.0
+    drawn = [(i * (1 - share) + picture * share).astype(np.uint8) for i in floor(4)]
+    unchanging = Unchanging()
+    filled = [f.pixels for f in unchanging.filled(frames(iter(drawn)))]
+    whole = list(floor(4))
+    solid = (opacity > 200) & inside()
+    beside = cv2.dilate(opacity, np.ones((7, 7))) == 0
+    for before, after in zip(drawn, filled, strict=True):
+        np.testing.assert_array_equal(after[beside], before[beside])
+    # What is filled is speckle as about it: it has the floor's mean to a fifth of its spread (28),
+    # and that spread to a quarter. Pixels under the lines' smooth edges keep a part of them.
+    after, floor_levels = (np.stack([i[solid] for i in images]) for images in (filled, whole))
+    assert abs(after.mean() - floor_levels.mean()) < 5
+    assert abs(after.std() - floor_levels.std()) < 7
+    assert abs(np.stack([i[solid] for i in drawn]).mean() - floor_levels.mean()) > 60
+    assert 0.5 < unchanging.share / (solid.sum() / inside().sum()) < 4
+
+
+def test_dead_beams_of_polar_images_are_filled_from_their_neighbours() -> None:
+    with open_log(SAMPLE.parent / "polar") as log:
+        whole = list(log)
+    dead = np.zeros(whole[0].pixels.shape[1], bool)
+    dead[[5, 30, 31, 32, 70]] = True
+    cut = [replace(f, pixels=np.where(dead, 0, f.pixels).astype(np.uint8)) for f in whole]
+    for before, frame in zip(whole, Unchanging().filled(iter(cut)), strict=True):
+        np.testing.assert_array_equal(frame.pixels[:, ~dead][:, :3], before.pixels[:, :3])
+        # The lit floor: far out all is black.
+        assert (frame.pixels[:, 31] > 0).sum() > 0.9 * (before.pixels[:, 31] > 0).sum()
+
+
+def test_a_standing_sonar_and_a_moving_one_without_lines_are_left_alone() -> None:
+    rng = np.random.default_rng(5)
+    opacity, picture = lines(255)
+    (image,) = floor(4, 1)
+    still = np.where(opacity > 0, picture, image)
+    noise = (np.where(inside(), rng.normal(0, 5, image.shape), 0) for _ in range(40))
+    standing = [np.clip(still + n, 0, 255).astype(np.uint8) for n in noise]
+    for images in (standing, list(floor(1, 80)), list(floor(4))):
+        found = Unchanging()
+        left = list(found.filled(frames(iter(images))))
+        assert all(f.pixels is i for f, i in zip(left, images, strict=True))
+        assert found.share == 0
+
+
+def test_dim_floor_and_bright_walls_are_left_alone() -> None:
+    """Levels of 1 to 3 far out, as amplitudes in 8 bits; a wall at one range, in speckle."""
+    row = np.arange(FAN.rows)[:, None]
+    gain = np.where(row < 80, 0.02, 1.0) + 1.2 * (np.abs(row - 150) < 4)
+    images = [np.clip(i * gain, 0, 255).astype(np.uint8) for i in floor(4)]
+    left = list(Unchanging().filled(frames(iter(images))))
+    assert all(f.pixels is i for f, i in zip(left, images, strict=True))
+
+
+def test_what_comes_later_frees_what_was_filled() -> None:
+    """Half of the picture stands until the sonar turns on."""
+    opacity, _ = lines(255)
+    images = list(floor(4, 80))
+    kept = images[0].copy()
+    drawn = [np.where(opacity > 0, kept, i) if n < 30 else i for n, i in enumerate(images)]
+    found = Unchanging()
+    last = [*found.filled(frames(iter(drawn)))][-1]
+    assert found.share == 0
+    assert last.pixels is drawn[-1]
+
+
+@pytest.mark.parametrize("at", [0, 5, AHEAD + 3])
+def test_an_error_comes_after_the_frames_before_it(at: int) -> None:
+    def breaking() -> Iterator[Frame]:
+        yield from frames(floor(0, at))
+        raise OSError("gone")
+
+    seen = []
+    with pytest.raises(OSError, match="gone"):
+        seen.extend(f.index for f in Unchanging().filled(breaking()))
+    assert seen == [*range(at)]
+
+
+@pytest.mark.parametrize(
+    ("shape", "ahead"), [((200, 240), AHEAD), ((2048, 2048), 4), ((4096, 4096), 1)]
+)
+def test_large_images_are_not_hoarded(shape: tuple[int, int], ahead: int) -> None:
+    """A standing sonar, of which the most frames are read ahead."""
+    assert ahead * shape[0] * shape[1] <= MOST_BYTES_AHEAD
+    read = 0
+
+    def counted() -> Iterator[Frame]:
+        nonlocal read
+        for index in range(AHEAD + 5):
+            read += 1
+            yield Frame(index, index, image, replace(FAN, rows=shape[0], columns=shape[1]))
+
+    image = np.ones(shape, np.uint8)
+    for number, _ in enumerate(Unchanging().filled(counted())):
+        assert read <= max(ahead, number + 1)
+    assert read == AHEAD + 5
+
+
+def claims(results: Path) -> set[tuple[int, int]]:
+    """(frame, landmark) of what the framework declares in estimates.csv."""
+    with (results / "estimates.csv").open(encoding="utf-8") as file:
+        rows = [*csv.DictReader(file)]
+    named = (r for r in rows if r["method"] == "framework" and r["declared"] == "1")
+    return {(int(r["frame"]), int(r["landmark"])) for r in named}
+
+
+def test_landmarks_are_recognised_under_a_grid_and_the_note_tells(tmp_path: Path) -> None:
+    """A white grid over the sample log: the same landmarks as on record, in all but few frames."""
+    log = tmp_path / "pan"
+    log.mkdir()
+    (log / "sonar.toml").write_bytes((SAMPLE / "sonar.toml").read_bytes())
+    with open_log(SAMPLE) as recording:
+        for frame in recording:
+            image, fan = frame.image.copy(), frame.fan
+            apex = (round(fan.apex_column), round(fan.apex_row))
+            for range_m in np.arange(1.5, 3.75, 0.5):
+                cv2.circle(image, apex, round(range_m / fan.metres_per_pixel), 255, 1, cv2.LINE_AA)
+            for column in range(0, fan.columns, 40):
+                cv2.line(image, apex, (column, 0), 255, 1, cv2.LINE_AA)
+            cv2.imwrite(str(log / f"{frame.index:06d}.png"), image)
+    told = sonarrec("run", log, "-o", tmp_path / "out").stderr
+    assert f"{log}: " in told
+    assert "% of the picture never changes" in told
+    clean, gridded = claims(SAMPLE.parent / "regression" / "pan"), claims(tmp_path / "out" / "pan")
+    assert len(clean & gridded) > 0.95 * len(clean)
+    assert len(gridded - clean) < 0.02 * len(clean)
