@@ -25,6 +25,18 @@ frame_rate_hz = 4.0         # where frames carry no time; optional
 """
 
 BeamOrder = Literal["range-major", "beam-major"]
+ColourMap = Literal[
+    "luminance",
+    "hot",
+    "inferno",
+    "jet",
+    "magma",
+    "ocean",
+    "parula",
+    "plasma",
+    "turbo",
+    "viridis",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +73,7 @@ class Sonar:
     ranges_m: tuple[Finite, ...] | None = None  # one per range bin, at its middle, likewise
     beam_order: BeamOrder | None = None  # of a polar image: a row per range bin, or per beam
     flip: bool | None = None  # left and right are exchanged
+    colour_map: ColourMap | None = None  # of pictures in false colour
     pixel_scale: Literal["linear", "log", "db"] | None = None  # this and the next two:
     full_scale: Finite | None = None  # how pixels become 8-bit grey,
     dynamic_range_db: Finite | None = None  # see readers.grey

@@ -56,6 +56,7 @@ MAY_IMPORT = {
         "drawing",
         "recogniser",
         "readers.beam_order",
+        "readers.colour_maps",
         "readers.grey",
         "readers.pixels",
         "readers.video",

@@ -60,6 +60,19 @@ GEOMETRY_OPTIONS = {
         help="One slant range per row of a polar image, m.",
     ),
 }
+# As in sonarrec/sonar.py, which is not imported before a command is run.
+COLOUR_MAPS = (
+    "luminance",
+    "hot",
+    "inferno",
+    "jet",
+    "magma",
+    "ocean",
+    "parula",
+    "plasma",
+    "turbo",
+    "viridis",
+)
 _PIXELS = {
     "beam_order": option(
         PIXELS,
@@ -73,6 +86,14 @@ _PIXELS = {
         "--flip/--no-flip",
         default=None,
         help="Exchange left and right, if a driver did.",
+    ),
+    "colour_map": option(
+        PIXELS,
+        "--colour-map",
+        type=click.Choice(COLOUR_MAPS),
+        metavar="NAME",
+        help="Colour map of pictures in false colour, as jet or viridis; luminance where they are "
+        "in none.  [default: found from the first frames; sonarrec help geometry]",
     ),
     "pixel_scale": option(
         PIXELS,

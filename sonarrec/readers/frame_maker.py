@@ -11,6 +11,7 @@ import numpy as np
 
 from sonarrec.geometry import MAX_FAN_PIXELS, PolarToFan, fan_for_image, fan_for_polar
 from sonarrec.readers.beam_order import looks_beam_major
+from sonarrec.readers.colour_maps import LUMINANCE, find_map, is_coloured
 from sonarrec.readers.grey import (
     GreyScale,
     dim_level,
@@ -53,6 +54,7 @@ class FrameMaker:
         self._resampled: tuple[PingGeometry, tuple[int, int]] | None = None  # what, and its shape
         self._to_fan: PolarToFan | None = None
         self._order: BeamOrder | None = None  # of polar samples; None before it is found
+        self.colour_map: str = stated.colour_map or LUMINANCE
         self._amplitudes = set[np.dtype[Any]]()  # types of integers that hold them
         self._noted_against = self._noted_cut = False
 
@@ -64,7 +66,7 @@ class FrameMaker:
         """
         if raw.pixels is None:
             raise UnusableError(str(raw.problem))
-        pixels = single_channel(raw.pixels)
+        pixels = single_channel(raw.pixels, self.colour_map)
         scale = self._scales.get(pixels.dtype)
         if scale is None:
             of_ping = raw.sonar is not None and pixels.dtype.kind == "f"
@@ -83,6 +85,8 @@ class FrameMaker:
         That need not be the first: a driver may send one before it has its settings. first: the
         log's first frames.
         """
+        if self._stated.colour_map is None:
+            self._find_colours(first)
         if self._stated.pixel_scale is None:
             self._find_amplitudes(first)
         pings = [(raw, raw.sonar) for raw in first if raw.pixels is not None and raw.sonar]
@@ -91,11 +95,24 @@ class FrameMaker:
             with contextlib.suppress(UnusableError):
                 self(pings[best][0])
 
+    def _find_colours(self, first: Sequence[RawFrame]) -> None:
+        """Find the colour map of pictures in false colour, and note it."""
+        images = [raw.pixels for raw in first if raw.pixels is not None and _in_colour(raw.pixels)]
+        if not images:
+            return
+        found = find_map(images)
+        if found is not None:
+            self.colour_map = found
+            how = f"read as levels of the colour map {found}"
+        else:
+            how = "of no known colour map, and read by their luminance"
+        self.notes.append(f"{self._where}: colours {how}; --colour-map states another")
+
     def _find_amplitudes(self, first: Sequence[RawFrame]) -> None:
         """Find the types of integers that hold amplitudes, and note them and what is dim."""
         images: dict[np.dtype[Any], list[np.ndarray]] = {}
         for raw in first:
-            if (grey := _grey_of_integers(raw)) is not None:
+            if (grey := _grey_of_integers(raw, self.colour_map)) is not None:
                 images.setdefault(grey.dtype, []).append(grey)
         for dtype, alike in images.items():
             bits = 8 * dtype.itemsize
@@ -240,12 +257,18 @@ class FrameMaker:
             raise SonarrecError(f"{self._where}: {error}") from None
 
 
-def _grey_of_integers(raw: RawFrame) -> np.ndarray | None:
+def _in_colour(pixels: np.ndarray) -> bool:
+    """Whether these are 8-bit pixels of several channels, and not all grey."""
+    channels = pixels.shape[2] if pixels.ndim == 3 else 1
+    return pixels.dtype == np.uint8 and channels in (3, 4) and is_coloured(pixels)
+
+
+def _grey_of_integers(raw: RawFrame, colour_map: str) -> np.ndarray | None:
     """The pixels where their speckle is to tell what they hold; None of others."""
     if raw.pixels is None or raw.pixels.dtype.kind not in "ui" or raw.pixels.itemsize > 2:
         return None
     with contextlib.suppress(UnusableError):
-        grey = single_channel(raw.pixels)
+        grey = single_channel(raw.pixels, colour_map)
         if grey.dtype == np.uint8 or (
             grey.itemsize == 2 and grey.any() and not next_to_black(grey)
         ):

@@ -26,6 +26,7 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 
+from sonarrec.readers.colour_maps import LUMINANCE, undone
 from sonarrec.readers.raw import UnusableError
 from sonarrec.records import ByteImage, SonarrecError
 from sonarrec.sonar import Sonar
@@ -64,10 +65,11 @@ class GreyScale:
         return table if linear else table | {"dynamic_range_db": self.dynamic_range_db}
 
 
-def single_channel(pixels: np.ndarray) -> np.ndarray:
+def single_channel(pixels: np.ndarray, colour_map: str = LUMINANCE) -> np.ndarray:
     """(rows, columns) in this machine's byte order, of pixels as a Ping holds them.
 
-    Colour becomes grey by OpenCV's weights (.299 R + .587 G + .114 B; alpha is left out).
+    8-bit colours become the levels of the colour map; all others, and by LUMINANCE these too, grey
+    by OpenCV's weights (.299 R + .587 G + .114 B; alpha is left out).
     Raises UnusableError for other pixels.
     """
     if pixels.dtype.kind not in "uif" or pixels.dtype == np.float16:
@@ -81,6 +83,8 @@ def single_channel(pixels: np.ndarray) -> np.ndarray:
     if pixels.ndim == 3 and pixels.shape[2] in (3, 4):
         if pixels.dtype not in (np.uint8, np.uint16, np.float32):
             raise UnusableError(f"{pixels.dtype} colour pixels are not supported")
+        if colour_map != LUMINANCE and pixels.dtype == np.uint8:
+            return undone(pixels, colour_map)
         code = cv2.COLOR_BGR2GRAY if pixels.shape[2] == 3 else cv2.COLOR_BGRA2GRAY
         pixels = cv2.cvtColor(np.ascontiguousarray(pixels), code)
     if pixels.ndim != 2 or not pixels.size:

@@ -10,6 +10,7 @@ from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
+from sonarrec.readers.colour_maps import LUMINANCE
 from sonarrec.readers.frame_maker import FrameMaker
 from sonarrec.readers.images import MAX_FILE_BYTES, is_image
 from sonarrec.readers.raw import RawFrame, RawLog, UnusableError
@@ -72,6 +73,8 @@ class Log:
             settled["topic"] = self._raw.topic
         if self._raw.polar and self.sonar.beam_order is not None:
             settled["beam_order"] = self.sonar.beam_order
+        if self._make.colour_map != LUMINANCE:
+            settled["colour_map"] = self._make.colour_map
         scale = self._make.scale
         return settled if scale is None else settled | scale.as_table()
 

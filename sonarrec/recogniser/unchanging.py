@@ -33,9 +33,10 @@ STILL, MIXED = 0.2, 0.2
 LEAST_USUAL = 8.0  # grey levels
 SURROUNDINGS = (33, 33)  # pixels
 LEAST_SPOT = 30  # pixels that touch: fewer are still by chance
-# What stays black is a dead beam where it runs through half of the image, and is narrower than so
-# many pixels; else it is a shadow, or lies out of sight.
-BLACK, WIDEST = 8, 13
+# What stays dark is a dead beam where it runs through this share of the rows, and is narrower than
+# so many pixels; else it is a shadow, or lies out of sight.
+LEAST_BEAM, WIDEST = 0.35, 13
+BLACK = 8  # no echo
 
 
 class Unchanging:
@@ -122,24 +123,24 @@ class Unchanging:
 
     def _found(self, inside: BoolArray) -> tuple[BoolArray, BoolArray]:
         """(rows, columns) what is drawn or dead; and what shows nothing anyway."""
-        change, black = cv2.subtract(self._most, self._least), self._most <= BLACK
-        usual = _local_mean(change, inside & ~black)
+        change = cv2.subtract(self._most, self._least)
+        usual = _local_mean(change, inside & (self._most > BLACK))
         others = inside & (change > usual / 2)
         usual = _local_mean(change, others)
+        middle = _local_mean(cv2.addWeighted(self._least, 0.5, self._most, 0.5, 0), others)
+        margin = np.float32(MIXED) * usual
+        darker, brighter = self._most < middle - margin, self._least > middle + margin
         judged = inside & (usual > LEAST_USUAL)
         still = judged & (change <= STILL * usual)
         wide = np.ones((WIDEST, WIDEST), np.uint8)
-        unlit = (~inside | (still & black)).astype(np.uint8)
+        unlit = (~inside | darker).astype(np.uint8)
         away = ~inside | (cv2.morphologyEx(unlit, cv2.MORPH_OPEN, wide) > 0)
         still &= ~away
-        middle = _local_mean(cv2.addWeighted(self._least, 0.5, self._most, 0.5, 0), others)
-        margin = np.float32(MIXED) * usual
-        mixed = (self._least > middle + margin) | (self._most < middle - margin)
-        either = still | (mixed & judged & ~away)
+        either = still | ((darker | brighter) & judged & ~away)
         count, spot, stats, _ = cv2.connectedComponentsWithStats(either.astype(np.uint8))
-        size, dark = (np.bincount(spot[p], minlength=count) for p in (still, still & black))
-        length = stats[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1)
-        found = (size >= LEAST_SPOT) & ((dark < size / 2) | (length >= len(inside) / 2))
+        size, dark = (np.bincount(spot[p], minlength=count) for p in (still, still & darker))
+        whole_beam = stats[:, cv2.CC_STAT_HEIGHT] >= LEAST_BEAM * len(inside)
+        found = (size >= LEAST_SPOT) & ((dark < size / 2) | whole_beam)
         found[0] = False  # all that is in no spot
         return found[spot], away
 

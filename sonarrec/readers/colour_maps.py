@@ -1,0 +1,98 @@
+"""Pictures in false colour: which colour map a viewer or driver drew them in, and grey again.
+
+The luminance of these maps does not rise with the level, or not in proportion: in `jet` the
+strongest echoes are as dark as the weakest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+
+import cv2
+import numpy as np
+
+from sonarrec.records import ByteImage, FloatArray
+
+# Of OpenCV, most of them matplotlib's too. The luminance of ramps of one hue is good enough.
+MAPS = {
+    "hot": cv2.COLORMAP_HOT,
+    "inferno": cv2.COLORMAP_INFERNO,
+    "jet": cv2.COLORMAP_JET,
+    "magma": cv2.COLORMAP_MAGMA,
+    "ocean": cv2.COLORMAP_OCEAN,
+    "parula": cv2.COLORMAP_PARULA,
+    "plasma": cv2.COLORMAP_PLASMA,
+    "turbo": cv2.COLORMAP_TURBO,
+    "viridis": cv2.COLORMAP_VIRIDIS,
+}
+LUMINANCE = "luminance"
+"""As a colour map: grey by OpenCV's weights of red, green and blue."""
+
+# Of colours (0 to 255 in each channel): from what difference between channels on a pixel is not
+# grey; below what largest channel it is black, as what lies outside a fan is in any map; how far at
+# the mean from a map's nearest colour the pixels of pictures in it lie, as JPEG and video mix
+# neighbours.
+_COLOURED, _BLACK, _NEAR = 16, 24, 25.0
+_LEAST_COLOURED = 0.1  # share of the pixels
+_SAMPLED = 2000  # pixels
+_BITS = 6  # of each channel, in the table of colours
+
+
+def is_coloured(pixels: np.ndarray) -> bool:
+    """Whether (rows, columns, 3 or more) uint8 BGR pixels are not those of a grey picture."""
+    some = _some(pixels)
+    return bool(len(some) and np.mean(np.ptp(some, axis=1) > _COLOURED) > _LEAST_COLOURED)
+
+
+def find_map(images: Sequence[np.ndarray]) -> str | None:
+    """The colour map of a log's first images; None where it is none of MAPS.
+
+    images: (rows, columns, 3 or more) uint8, BGR.
+    """
+    colours = np.concatenate([_some(image) for image in images])
+    if not len(colours):
+        return None
+    off = {name: _distances(_colours(name), colours).min(axis=1).mean() for name in MAPS}
+    nearest = min(off, key=lambda name: off[name])
+    return nearest if off[nearest] <= _NEAR else None
+
+
+def undone(pixels: np.ndarray, name: str) -> ByteImage:
+    """(rows, columns) uint8: the level of each BGR pixel's nearest colour in a map; 0 of black."""
+    down = 8 - _BITS
+    blue, green, red = (pixels[:, :, k].astype(np.int32) >> down for k in range(3))
+    return np.asarray(_levels(name)[(blue << 2 * _BITS) | (green << _BITS) | red])
+
+
+def _some(image: np.ndarray) -> np.ndarray:
+    """(n, 3) pixels of an image, every so many, without black ones."""
+    colours = image[:, :, :3].reshape(-1, 3)
+    colours = colours[:: max(1, len(colours) // _SAMPLED)].astype(np.int16)
+    return np.asarray(colours[colours.max(axis=1) >= _BLACK])
+
+
+def _colours(name: str) -> FloatArray:
+    """(256, 3) BGR of a map's levels."""
+    levels = np.arange(256, dtype=np.uint8)[:, None]
+    return np.asarray(cv2.applyColorMap(levels, MAPS[name])[:, 0], float)
+
+
+def _distances(table: FloatArray, colours: np.ndarray) -> FloatArray:
+    """(n, 256) of colours (n, 3) from those of a map, (256, 3)."""
+    squared = (colours.astype(float) ** 2).sum(axis=1)[:, None] - 2 * colours @ table.T
+    return np.asarray(np.sqrt(np.maximum(squared + (table**2).sum(axis=1), 0)))
+
+
+@cache
+def _levels(name: str) -> ByteImage:
+    """(2**18,) uint8: the level of every colour, by the upper bits of blue, green and red."""
+    table, step = _colours(name), 2 ** (8 - _BITS)
+    middles = np.arange(2**_BITS) * step + (step - 1) / 2
+    green, red = (a.ravel() for a in np.meshgrid(middles, middles, indexing="ij"))
+    planes = []
+    for blue in middles:  # one at a time, or distances would take half a gigabyte
+        colours = np.stack([np.full_like(green, blue), green, red], axis=1)
+        level = _distances(table, colours).argmin(axis=1)
+        planes.append(np.where(colours.max(axis=1) < _BLACK, 0, level))
+    return np.concatenate(planes).astype(np.uint8)

@@ -1,0 +1,134 @@
+"""Pictures in false colour: the map is found, and grey comes back."""
+
+from __future__ import annotations
+
+import shutil
+import tomllib
+from pathlib import Path
+from typing import get_args
+
+import cv2
+import matplotlib as mpl
+import numpy as np
+import pytest
+
+from sonarrec.cli.options_log import COLOUR_MAPS
+from sonarrec.readers import open_log
+from sonarrec.readers.colour_maps import LUMINANCE, MAPS, find_map, is_coloured, undone
+from sonarrec.sonar import ColourMap
+from tests.support.command import sonarrec
+
+SAMPLE = Path(__file__).parents[2] / "sample_data" / "pan"
+FRAMES = "0:8"
+
+
+def picture() -> np.ndarray:
+    return np.asarray(cv2.imread(str(SAMPLE / "000010.png"), cv2.IMREAD_GRAYSCALE))
+
+
+def test_the_maps_that_may_be_stated_are_those_there_are() -> None:
+    assert get_args(ColourMap) == COLOUR_MAPS == (LUMINANCE, *MAPS)
+
+
+@pytest.mark.parametrize("name", MAPS)
+def test_levels_come_back(name: str) -> None:
+    """The table of colours has steps of 4, of which viridis takes one for a level or two."""
+    levels = np.tile(np.arange(24, 256, dtype=np.uint8), (2, 1))  # black is black in any map
+    back = undone(cv2.applyColorMap(levels, MAPS[name]), name).astype(int)
+    assert np.abs(back - levels).max() <= 4
+
+
+@pytest.mark.parametrize("quality", [None, 80])
+@pytest.mark.parametrize("name", MAPS)
+def test_the_map_is_found(name: str, quality: int | None) -> None:
+    """Also in a JPEG, which shares colours between pixels."""
+    grey = picture()
+    drawn = cv2.applyColorMap(grey, MAPS[name])
+    drawn[grey == 0] = 0  # outside of the fan
+    if quality is not None:
+        data = cv2.imencode(".jpg", drawn, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+        drawn = cv2.imdecode(data, cv2.IMREAD_COLOR)
+    assert is_coloured(drawn)
+    assert find_map([drawn]) == name
+    off = np.abs(undone(drawn, name).astype(int) - grey)[grey >= 24]
+    assert np.median(off) <= (2 if quality is None else 6)
+
+
+@pytest.mark.parametrize("name", ["jet", "viridis", "inferno", "magma", "plasma", "turbo"])
+def test_the_maps_are_those_of_matplotlib(name: str) -> None:
+    colours = mpl.colormaps[name](picture())[:, :, 2::-1]
+    drawn = np.round(255 * colours).astype(np.uint8)
+    assert find_map([drawn]) == name
+    assert np.median(np.abs(undone(drawn, name).astype(int) - picture())) <= 2
+
+
+def test_grey_pictures_and_strange_colours_have_no_map() -> None:
+    grey = cv2.cvtColor(picture(), cv2.COLOR_GRAY2BGR)
+    assert not is_coloured(grey)
+    palette = np.random.default_rng(1).integers(0, 256, (256, 1, 3), dtype=np.uint8)
+    strange = cv2.applyColorMap(picture(), palette)
+    assert is_coloured(strange)
+    assert find_map([strange]) is None
+
+
+@pytest.mark.parametrize("top", [(128, 199, 255), (25, 255, 25), (255, 153, 51)])
+def test_ramps_of_one_hue_are_read_by_their_luminance(top: tuple[int, int, int]) -> None:
+    """Copper, green, blue: it rises with the level."""
+    ramp = (np.arange(256)[:, None, None] * np.array(top) / 255).astype(np.uint8)
+    assert find_map([cv2.applyColorMap(picture(), ramp)]) is None
+
+
+def in_colour(folder: Path, table: int | np.ndarray) -> Path:
+    log = folder / "drawn" / "pan"
+    log.mkdir(parents=True)
+    shutil.copy(SAMPLE / "sonar.toml", log)
+    for path in sorted(SAMPLE.glob("*.png"))[:24]:
+        grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        cv2.imwrite(str(log / path.name), cv2.applyColorMap(grey, table))
+    return log
+
+
+def test_a_log_in_jet_is_recognised_as_its_grey_one(tmp_path: Path) -> None:
+    """By luminance its rings are darker than its floor."""
+    log = in_colour(tmp_path, cv2.COLORMAP_JET)
+    with open_log(log) as drawn, open_log(SAMPLE) as grey:
+        for one, other in zip(drawn, grey, strict=False):
+            assert np.abs(one.image.astype(int) - other.image)[other.image >= 24].max() <= 4
+        (note,) = drawn.notes
+    assert note == (
+        f"{log}: colours read as levels of the colour map jet; --colour-map states another"
+    )
+    sonarrec("run", SAMPLE, "--frames", "0:24", "-o", tmp_path / "grey")
+    shown = sonarrec("run", log, "-o", tmp_path / "jet").stdout
+    assert shown.count("\n") > 2
+    named = [
+        {
+            (row.split(",")[0], row.split(",")[15])
+            for row in (tmp_path / name / "pan" / "estimates.csv").read_text().splitlines()
+            if ",framework," in row and row.split(",")[17] == "1"
+        }
+        for name in ("grey", "jet")
+    ]
+    assert len(named[0]) > 10
+    assert len(named[0] ^ named[1]) <= 1
+    run = tomllib.loads((tmp_path / "jet" / "pan" / "run.toml").read_text())
+    assert run["input"]["colour_map"] == "jet"
+
+
+def test_what_is_stated_wins(tmp_path: Path) -> None:
+    log = in_colour(tmp_path, cv2.COLORMAP_JET)
+    told = sonarrec("run", log, "--colour-map", "luminance", "--frames", "0:4", "-o", tmp_path)
+    assert "colour" not in told.stderr
+    with (log / "sonar.toml").open("a") as file:
+        file.write('\ncolour_map = "viridis"\n')
+    sonarrec("run", log, "--frames", "0:4", "-o", tmp_path / "again")
+    run = tomllib.loads((tmp_path / "again" / "pan" / "run.toml").read_text())
+    assert run["input"]["colour_map"] == run["sonar"]["colour_map"] == "viridis"
+
+
+def test_an_unknown_map_is_told(tmp_path: Path) -> None:
+    palette = np.random.default_rng(1).integers(0, 256, (256, 1, 3), dtype=np.uint8)
+    with open_log(in_colour(tmp_path, palette)) as log:
+        next(iter(log))
+        (note,) = log.notes
+    assert "colours of no known colour map, and read by their luminance" in note
