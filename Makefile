@@ -4,7 +4,7 @@ BIN := .venv/bin
 SAMPLE := sample_data/pan
 
 .PHONY: test lint demo bench memory fuzz paper paper-world paper-choices \
-	paper-prediction scenes returns worlds ablation taught study speeds pans maps model regression kills scale \
+	paper-prediction scenes pictures returns worlds ablation taught study speeds pans maps model regression kills scale \
 	scoring clean
 
 .venv/program: pyproject.toml  # what a user needs
@@ -61,6 +61,9 @@ paper-prediction: .venv/installed  # Tables 4 and 5 on fresh recordings, ours be
 
 scenes: .venv/installed  # every kind of random scene, all methods, beside the goals
 	$(BIN)/python -m tests.studies.scenes
+
+pictures: .venv/installed  # what viewers, codecs and worn sonars do to pictures, and what is recognised
+	$(BIN)/python -m tests.studies.pictures
 
 returns: .venv/installed  # what is claimed of landmarks out of view, and when they come back
 	$(BIN)/python -m tests.studies.returns

@@ -9,7 +9,7 @@ from __future__ import annotations
 import multiprocessing
 import shutil
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
@@ -20,8 +20,10 @@ import numpy as np
 from tqdm import tqdm
 
 from sonarrec.config import Config
-from sonarrec.evaluation.evaluate import Evaluation, pool
+from sonarrec.evaluation.counting.parts import score_all
+from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.evaluation.matching.fit import matched
+from sonarrec.evaluation.matching.joined import join
 from sonarrec.geometry import polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.side_by_side import SideBySide
@@ -31,12 +33,13 @@ from sonarrec.results.read import read_log
 from sonarrec.results.run_file import run_table
 from sonarrec.results.write import ResultsWriter
 from sonarrec.simulation.scene import Scene, scene_fan, scene_sonar
-from sonarrec.simulation.simulate import LandmarkTruth, render
+from sonarrec.simulation.simulate import LandmarkTruth, SimulatedFrame, render
 from sonarrec.truth.table import read_truth, write_truth
 from tests.studies.baseline import METHOD, HoughSmi, MajorityTracks
 
 Item = TypeVar("Item")
 PROCESSES = 2
+WHOLE = 0.9  # share of a disc in view from which its frame counts
 PRESETS = ("default", "paper", "offline")
 METHODS = {
     "smi:paper": f"{SMI}:paper",
@@ -70,8 +73,11 @@ class Job:
     rivals: Sequence[type[Rival]] = ()
 
 
-def recognise(job: Job) -> None:
-    """Write frames.csv, estimates.csv, run.toml and gt.csv of one fan scene."""
+def recognise(job: Job, frames: Iterable[SimulatedFrame] | None = None) -> None:
+    """Write frames.csv, estimates.csv, run.toml and gt.csv of one fan scene.
+
+    frames: of the scene, where they are not to be rendered anew.
+    """
     scene, landmarks, fan = job.scene, job.scene.landmark_set, scene_fan(job.scene)
     assert scene.sonar.layout == "fan"
     shutil.rmtree(job.folder, ignore_errors=True)
@@ -85,7 +91,7 @@ def recognise(job: Job) -> None:
     with ResultsWriter(job.folder, landmarks, run) as writer:
 
         def seen() -> Iterator[Frame]:
-            for frame in render(scene):
+            for frame in frames or render(scene):
                 truth.extend([frame.index, *asdict(row).values()] for row in frame.truth)
                 waiting.append([e for rival in rivals for e in rival.step(frame.image)])
                 yield Frame(frame.index, frame.timestamp_ns, frame.image, fan)
@@ -114,7 +120,9 @@ def score(folders: Sequence[Path]) -> Evaluation:
     cases = [
         matched(folder, read_truth(folder / "gt.csv"), read_log(folder), None) for folder in folders
     ]
-    return pool(cases, min_visible=0.9)
+    joined = join([case.log for case in cases], [case.truth for case in cases], WHOLE)
+    scored = score_all(joined)
+    return Evaluation(joined, tuple(folders), scored, min_visible=WHOLE, notes=(), unused=())
 
 
 class HoughRival:
