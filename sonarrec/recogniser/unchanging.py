@@ -27,11 +27,12 @@ JUDGED_AFTER = (8, 16, 32, 64)  # looks
 # Before the first frame is given so many are read, fewer where they are large.
 AHEAD, MOST_BYTES_AHEAD = 40, 2**24
 # A pixel is still whose levels lie within this share of what its surroundings change by, if these
-# change at all: compression lets a drawn line change a little. Where a line has smooth edges the
-# floor shines through: its pixels always lie farther than MIXED from the middle of the others.
-STILL, MIXED = 0.2, 0.2
+# change at all: compression lets a drawn line change a little. From the second judgement on, FAINT
+# is enough of one that is always brighter than the others, by MIXED: the floor shines through.
+# What touches a still pixel and is always brighter or darker is a line's smooth edge.
+STILL, FAINT, MIXED = 0.2, 0.4, 0.2
 LEAST_USUAL = 8.0  # grey levels
-SURROUNDINGS = (33, 33)  # pixels
+COARSE, SURROUNDINGS = 8, (5, 5)  # pixels in a block, blocks
 LEAST_SPOT = 30  # pixels that touch: fewer are still by chance
 # What stays dark is a dead beam where it runs through this share of the rows, and is narrower than
 # so many pixels; else it is a shadow, or lies out of sight.
@@ -51,6 +52,7 @@ class Unchanging:
         self._last: npt.NDArray[np.int16] | None = None  # the sampled pixels of the last look
         self._least: ByteImage = np.empty((0, 0), np.uint8)  # of each pixel, over all looks
         self._most: ByteImage = self._least
+        self._inside: BoolArray = np.empty((0, 0), bool)  # what shows the fan
         self._holes: IndexArray = np.empty(0, np.intp)
         self._beside: IndexArray = self._holes  # what each is filled from
 
@@ -66,7 +68,7 @@ class Unchanging:
                 self._look(frame)
                 waiting.append(frame)
                 ahead = min(AHEAD, MOST_BYTES_AHEAD // frame.pixels.size)
-                if len(waiting) >= ahead or self._looks >= JUDGED_AFTER[0]:
+                if len(waiting) >= ahead or self._looks >= JUDGED_AFTER[1]:
                     break
         except BaseException as error:
             broken = error
@@ -102,12 +104,17 @@ class Unchanging:
         cv2.min(self._least, pixels, dst=self._least)
         cv2.max(self._most, pixels, dst=self._most)
         if self._looks in JUDGED_AFTER:
-            polar = frame.polar is not None
-            self._judge(np.ones(pixels.shape, bool) if polar else fan_mask(frame.fan) > 0)
+            if self._inside.shape != pixels.shape:
+                polar = frame.polar is not None
+                self._inside = np.ones(pixels.shape, bool) if polar else fan_mask(frame.fan) > 0
+            self._judge()
 
-    def _judge(self, inside: BoolArray) -> None:
-        """Settle what is filled, and from where. inside: the pixels that show the fan."""
-        drawn, away = self._found(inside)
+    def _judge(self) -> None:
+        """Settle what is filled, and from where."""
+        drawn, away = self._found()
+        if not drawn.any():
+            self.share = 0.0
+            return
         # A line's outermost pixels are mixed with the floor.
         holes = (cv2.dilate(drawn.astype(np.uint8), np.ones((3, 3))) > 0) & ~away
         unseen = (holes | away).astype(np.uint8)
@@ -121,9 +128,9 @@ class Unchanging:
         self._beside = place[nearest.ravel()[self._holes]]
         self.share = len(self._holes) / max(int(np.count_nonzero(~away)), 1)
 
-    def _found(self, inside: BoolArray) -> tuple[BoolArray, BoolArray]:
+    def _found(self) -> tuple[BoolArray, BoolArray]:
         """(rows, columns) what is drawn or dead; and what shows nothing anyway."""
-        change = cv2.subtract(self._most, self._least)
+        inside, change = self._inside, cv2.subtract(self._most, self._least)
         usual = _local_mean(change, inside & (self._most > BLACK))
         others = inside & (change > usual / 2)
         usual = _local_mean(change, others)
@@ -131,13 +138,17 @@ class Unchanging:
         margin = np.float32(MIXED) * usual
         darker, brighter = self._most < middle - margin, self._least > middle + margin
         judged = inside & (usual > LEAST_USUAL)
-        still = judged & (change <= STILL * usual)
+        still = judged & (change <= np.float32(STILL) * usual)
+        if self._looks >= JUDGED_AFTER[1]:
+            still |= judged & brighter & (change <= np.float32(FAINT) * usual)
         wide = np.ones((WIDEST, WIDEST), np.uint8)
-        unlit = (~inside | darker).astype(np.uint8)
+        unlit = (~inside | darker).view(np.uint8)
         away = ~inside | (cv2.morphologyEx(unlit, cv2.MORPH_OPEN, wide) > 0)
         still &= ~away
+        if np.count_nonzero(still) < LEAST_SPOT:
+            return np.zeros_like(still), away
         either = still | ((darker | brighter) & judged & ~away)
-        count, spot, stats, _ = cv2.connectedComponentsWithStats(either.astype(np.uint8))
+        count, spot, stats, _ = cv2.connectedComponentsWithStats(either.view(np.uint8))
         size, dark = (np.bincount(spot[p], minlength=count) for p in (still, still & darker))
         whole_beam = stats[:, cv2.CC_STAT_HEIGHT] >= LEAST_BEAM * len(inside)
         found = (size >= LEAST_SPOT) & ((dark < size / 2) | whole_beam)
@@ -146,11 +157,19 @@ class Unchanging:
 
 
 def _local_mean(values: npt.NDArray[Any], counts: BoolArray) -> FloatImage:
-    """(rows, columns) mean over each pixel's surroundings of those values that count."""
+    """(rows, columns) mean over each pixel's surroundings of those values, uint8, that count.
+
+    Made on a coarse grid: it changes little from pixel to pixel.
+    """
+    rows, columns = values.shape
+    mask = counts.view(np.uint8) * np.uint8(255)
+    size = (-(-columns // COARSE), -(-rows // COARSE))
     total, number = (
-        cv2.blur(np.where(counts, v, 0).astype(np.float32), SURROUNDINGS) for v in (values, 1)
+        cv2.blur(cv2.resize(v, size, interpolation=cv2.INTER_AREA).astype(np.float32), SURROUNDINGS)
+        for v in (cv2.bitwise_and(values, mask), mask)
     )
-    return np.asarray(total / np.maximum(number, np.float32(1e-3)), np.float32)
+    mean = total * 255 / np.maximum(number, np.float32(1))
+    return np.asarray(cv2.resize(mean, (columns, rows)), np.float32)
 
 
 def _changed(before: npt.NDArray[np.int16], now: npt.NDArray[np.int16]) -> bool:

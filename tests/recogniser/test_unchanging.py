@@ -65,10 +65,10 @@ def lines(level: int) -> tuple[np.ndarray, np.ndarray]:
     return opacity, np.full_like(opacity, level)
 
 
-@pytest.mark.parametrize("level", [255, 180])
-def test_what_is_drawn_is_filled_and_the_rest_left_alone(level: int) -> None:
+@pytest.mark.parametrize(("level", "most", "off"), [(255, 1.0, 5), (180, 1.0, 5), (255, 0.7, 10)])
+def test_what_is_drawn_is_filled_and_the_rest_left_alone(level: int, most: float, off: int) -> None:
     opacity, picture = lines(level)
-    share = opacity / 255.0
+    share = most * opacity / 255.0
     drawn = [(i * (1 - share) + picture * share).astype(np.uint8) for i in floor(4)]
     unchanging = Unchanging()
     filled = [f.pixels for f in unchanging.filled(frames(iter(drawn)))]
@@ -78,10 +78,11 @@ def test_what_is_drawn_is_filled_and_the_rest_left_alone(level: int) -> None:
     for before, after in zip(drawn, filled, strict=True):
         np.testing.assert_array_equal(after[beside], before[beside])
     # What is filled is speckle as about it: it has the floor's mean to a fifth of its spread (28),
-    # and that spread to a quarter. Pixels under the lines' smooth edges keep a part of them.
+    # and that spread to a quarter. Pixels under smooth edges keep a part of the line; where the
+    # floor shines through it, more do: twice these bounds.
     after, floor_levels = (np.stack([i[solid] for i in images]) for images in (filled, whole))
-    assert abs(after.mean() - floor_levels.mean()) < 5
-    assert abs(after.std() - floor_levels.std()) < 7
+    assert abs(after.mean() - floor_levels.mean()) < off
+    assert abs(after.std() - floor_levels.std()) < 1.5 * off
     assert abs(np.stack([i[solid] for i in drawn]).mean() - floor_levels.mean()) > 60
     assert 0.5 < unchanging.share / (solid.sum() / inside().sum()) < 4
 
