@@ -50,6 +50,7 @@ class Log:
         self.beam_width_deg: float | None = None
         self.untimed = False
         self._timed = 0, 0  # number and time of the last frame that carried one
+        self._unset = False  # whether header times were asked for and nobody set them
 
     @property
     def sonar(self) -> Sonar:
@@ -92,8 +93,10 @@ class Log:
     def notes(self) -> list[str]:
         """Where the stated geometry contradicts the log, and what was taken or is not certain;
         complete after the pass."""
-        own = [f"{shown(self.path)}: {note}" for note in self._raw.header_info.notes]
-        return own + self._make.notes
+        notes = list(self._raw.header_info.notes)
+        if self._unset:
+            notes.append("the header stamps of its first frames are 0; --time log is used instead")
+        return [f"{shown(self.path)}: {note}" for note in notes] + self._make.notes
 
     def __enter__(self) -> Log:
         return self
@@ -122,6 +125,8 @@ class Log:
         frames = _settled(self._raw)
         first = list(islice(frames, SETTLING_FRAMES))
         self._make.settle(first)
+        stamped = [raw.stamps.header for raw in first if raw.pixels is not None]
+        self._unset = self._time == "header" and bool(stamped) and set(stamped) == {0}
         frames = chain(first, frames)
         del first  # or it would keep its images to the end
         for index, raw in enumerate(frames):
@@ -155,7 +160,7 @@ class Log:
         """The time that names a frame, ns. Raises UnusableError where the log has no such time."""
         stamps = raw.stamps
         named = {"log": raw.timestamp_ns, "publish": stamps.publish, "header": stamps.header}
-        stamp = named[self._time]
+        stamp = named["log" if self._unset else self._time]
         if stamp is None and self._time != "log":
             raise UnusableError(f"without a {self._time} time; --time log needs none")
         if stamp is not None and not -(2**63) <= stamp < 2**63:

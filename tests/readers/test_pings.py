@@ -465,6 +465,24 @@ def test_a_message_without_a_stamp(tmp_path: Path) -> None:
         open_log(image_folder(tmp_path / "images", frames(1)), time="header")
 
 
+def test_header_stamps_that_nobody_set(tmp_path: Path) -> None:
+    """Many drivers leave them 0: log times serve, and a note says so. One that a simulator's clock
+    began at 0 is a time."""
+    pings = [messages.projected_fields(k, image) for k, image in enumerate(polar_frames())]
+    unset = {"seq": 0, "stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
+    bare = log_of(tmp_path / "bare.mcap", [ping | {"header": unset} for ping in pings])
+    found, _, notes = read(bare, sonar=TILT, time="header")
+    assert [frame.timestamp_ns for frame in found] == [0, PERIOD_NS, 2 * PERIOD_NS]
+    [note] = notes
+    assert note.endswith(
+        "bare.mcap: the header stamps of its first frames are 0; --time log is used instead"
+    )
+    begun = log_of(tmp_path / "begun.mcap", [pings[0] | {"header": unset}, *pings[1:]])
+    found, _, notes = read(begun, sonar=TILT, time="header")
+    assert [frame.timestamp_ns for frame in found] == [0, stamp_ns(1), stamp_ns(2)]
+    assert not notes
+
+
 # What a user types
 
 

@@ -59,6 +59,8 @@ def read_topic(path: Path, topic: str, time: Clock) -> PoseTable:
     finally:
         log.close()
     if len(set(at)) < 2:
+        if len(at) > 1:
+            problems = [f"all have the {time} time {at[0]} ns"]
         raise SonarrecError(
             f"{shown(path)}: {topic} has fewer than two poses that can be read"
             + (f" ({problems[0]})" if problems else "")
