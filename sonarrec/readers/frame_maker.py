@@ -71,7 +71,7 @@ class FrameMaker:
         if scale is None:
             of_ping = raw.sonar is not None and pixels.dtype.kind == "f"
             amplitudes = of_ping or pixels.dtype in self._amplitudes
-            scale = grey_scale(self._stated, pixels, amplitudes)
+            scale = grey_scale(self._stated, pixels, amplitudes, raw.white)
         image = np.zeros(pixels.shape, np.uint8) if scale is None else to_grey8(pixels, scale)
         image = self._image(image) if raw.sonar is None else self._ping(image, raw.sonar)
         if scale is not None:
@@ -111,6 +111,7 @@ class FrameMaker:
     def _find_amplitudes(self, first: Sequence[RawFrame]) -> None:
         """Find the types of integers that hold amplitudes, and note them and what is dim."""
         images: dict[np.dtype[Any], list[np.ndarray]] = {}
+        white = next((raw.white for raw in first if raw.white), None)
         for raw in first:
             if (grey := _grey_of_integers(raw, self.colour_map)) is not None:
                 images.setdefault(grey.dtype, []).append(grey)
@@ -122,7 +123,11 @@ class FrameMaker:
                     f"{self._where}: {bits}-bit pixels read as amplitudes, by their level and its "
                     "spread; --pixel-scale linear if they are logarithms"
                 )
-            elif bits == 16 and self._stated.full_scale is None and (dim := dim_level(alike[0])):
+            elif (
+                bits == 16
+                and self._stated.full_scale is None
+                and (dim := dim_level(alike[0], white))
+            ):
                 self.notes.append(
                     f"{self._where}: {bits}-bit pixels read as grey levels, though dim ({dim}); "
                     "--pixel-scale log if they are amplitudes, --full-scale if white is lower"
@@ -270,7 +275,7 @@ def _grey_of_integers(raw: RawFrame, colour_map: str) -> np.ndarray | None:
     with contextlib.suppress(UnusableError):
         grey = single_channel(raw.pixels, colour_map)
         if grey.dtype == np.uint8 or (
-            grey.itemsize == 2 and grey.any() and not next_to_black(grey)
+            grey.itemsize == 2 and grey.any() and not next_to_black(grey, raw.white)
         ):
             return grey
     return None

@@ -12,9 +12,9 @@
 
 `linear` is 255 v / full_scale, `log` 255 (1 + 20 log10(v / full_scale) / dynamic_range_db), `db`
 255 (1 + (v - full_scale) / dynamic_range_db), each cut to 0 to 255. These are the defaults; keys of
-the geometry state others. The full scale of log and db is such that the median of the first frame's
-echoes, floor speckle whatever bright things lie on it, comes to a third of the range. Later frames
-never enter.
+the geometry state others. For a PGM its maxval takes the place of 255 and 65535. The full scale of
+log and db is such that the median of the first frame's echoes, floor speckle whatever bright things
+lie on it, comes to a third of the range. Later frames never enter.
 """
 
 from __future__ import annotations
@@ -92,11 +92,13 @@ def single_channel(pixels: np.ndarray, colour_map: str = LUMINANCE) -> np.ndarra
     return np.asarray(pixels)
 
 
-def grey_scale(sonar: Sonar, pixels: np.ndarray, amplitudes: bool) -> GreyScale | None:
+def grey_scale(
+    sonar: Sonar, pixels: np.ndarray, amplitudes: bool, white: int | None = None
+) -> GreyScale | None:
     """The scale of a log by its first frame, as far as `sonar` does not state it.
 
     pixels: of single_channel. amplitudes: they are echo amplitudes, of floating point whatever
-    their size. None where the frame is blank, and so black on any scale.
+    their size. white: as of a RawFrame. None where the frame is blank, and so black on any scale.
     Raises SonarrecError for a full scale that cannot be meant.
     """
     values = pixels[np.isfinite(pixels)]
@@ -106,7 +108,7 @@ def grey_scale(sonar: Sonar, pixels: np.ndarray, amplitudes: bool) -> GreyScale 
     unit = floating and not amplitudes and values.min() >= 0 and values.max() <= 1
     largest = 1.0 if unit else None
     if not floating and pixels.itemsize <= 2:
-        largest = float(np.iinfo(pixels.dtype).max)
+        largest = float(white or np.iinfo(pixels.dtype).max)
     scale = sonar.pixel_scale or _usual_scale(values, largest)
     if sonar.pixel_scale is None and amplitudes and not floating:
         scale = "log"
@@ -133,21 +135,21 @@ def _usual_scale(values: np.ndarray, largest: float | None) -> Scale:
     """The default for finite values of a type whose full scale is `largest`, None if unknown."""
     if largest is None:
         return "db" if values.dtype.kind == "f" and values.min() < 0 else "log"
-    return "log" if values.itemsize == 2 and next_to_black(values) else "linear"
+    return "log" if values.itemsize == 2 and next_to_black(values, largest) else "linear"
 
 
 def _middle(values: np.ndarray) -> float:
     return float(np.median(values[values != 0]))
 
 
-def next_to_black(pixels: np.ndarray) -> bool:
+def next_to_black(pixels: np.ndarray, white: float | None) -> bool:
     """Whether 16-bit integers, not all 0, are so dark that they are read as log for that."""
-    return _middle(pixels) < _NEXT_TO_BLACK * np.iinfo(pixels.dtype).max
+    return _middle(pixels) < _NEXT_TO_BLACK * (white or np.iinfo(pixels.dtype).max)
 
 
-def dim_level(pixels: np.ndarray) -> str | None:
+def dim_level(pixels: np.ndarray, white: int | None) -> str | None:
     """How dim 16-bit integers, not all 0, would be as linear grey; None where they are not."""
-    middle, full = _middle(pixels), np.iinfo(pixels.dtype).max
+    middle, full = _middle(pixels), white or np.iinfo(pixels.dtype).max
     return f"median {middle:.0f} of {full}" if middle < _DIM * full else None
 
 

@@ -11,7 +11,7 @@ from typing import overload
 
 import numpy as np
 
-from sonarrec.readers.pixels import decode_image
+from sonarrec.readers.pixels import decode_image, pgm_maxval
 from sonarrec.readers.raw import RawFrame, RawLog, UnusableError
 from sonarrec.records import IMAGE_SUFFIXES, shown
 
@@ -112,8 +112,8 @@ class ImageFiles(RawLog):
                 yield RawFrame(name, timestamp_ns, None)
                 continue
             try:
-                pixels = decode_image(_contents(file))
+                pixels = decode_image(data := _contents(file))
             except UnusableError as error:
                 yield RawFrame(name, timestamp_ns, None, str(error))
             else:
-                yield RawFrame(name, timestamp_ns, pixels)
+                yield RawFrame(name, timestamp_ns, pixels, white=pgm_maxval(data))

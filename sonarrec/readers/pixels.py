@@ -83,6 +83,16 @@ def _png_is_whole(data: memoryview) -> bool:
     return False
 
 
+_PGM = re.compile(rb"P[25](?:\s|#.*\n)+\d+(?:\s|#.*\n)+\d+(?:\s|#.*\n)+(\d{1,5})\s")
+
+
+def pgm_maxval(data: np.ndarray) -> int | None:
+    """The value that the bytes of a PGM call white; None where it is the largest of its type, and
+    of other files."""
+    header = _PGM.match(data[:1000].tobytes())
+    return int(header[1]) if header and int(header[1]) not in (0, 255, 65535) else None
+
+
 _TIFFS = {
     # first bytes: byte order, where the first directory's offset lies, the types of an offset and
     # of a directory's length, the bytes of an entry
@@ -92,6 +102,7 @@ _TIFFS = {
     b"MM\0+": (">", 8, "Q", "Q", 20),
 }
 _SUBFILE_TYPE, _PART_OF_ANOTHER = 254, 0b101  # bits: a smaller copy of another image, its mask
+_PHOTOMETRIC, _WHITE_IS_ZERO = 262, 0
 
 
 def _tiff_holds_several(data: memoryview) -> bool:
@@ -113,6 +124,21 @@ def _tiff_holds_several(data: memoryview) -> bool:
                 return True
             (at,) = struct.unpack_from(order + offset, data, at + entries * entry_bytes)
     return False
+
+
+def _tiff_white_is_zero(data: memoryview) -> bool:
+    """Whether the lowest values of this are the brightest; False of anything but a TIFF."""
+    if data[:4].tobytes() not in _TIFFS:
+        return False
+    order, at, offset, length, entry_bytes = _TIFFS[data[:4].tobytes()]
+    (at,) = struct.unpack_from(order + offset, data, at)
+    (entries,) = struct.unpack_from(order + length, data, at)
+    at += struct.calcsize(order + length)
+    found = (
+        struct.unpack_from(f"{order}HH{offset}H", data, at + k * entry_bytes)
+        for k in range(entries)
+    )
+    return any((tag, value) == (_PHOTOMETRIC, _WHITE_IS_ZERO) for tag, _, _, value in found)
 
 
 def decode_image(data: bytes | memoryview | np.ndarray) -> np.ndarray:
@@ -147,6 +173,9 @@ def decode_image(data: bytes | memoryview | np.ndarray) -> np.ndarray:
         raise UnusableError("unreadable image")
     if buffer[:2].tobytes() == _JPEG and _jpeg_is_damaged(buffer, warning):
         raise UnusableError("a JPEG that is damaged inside")
+    # OpenCV turns those of 8 bits over itself.
+    if image.dtype == np.uint16 and _tiff_white_is_zero(buffer.data):
+        image = np.bitwise_not(image)
     return np.asarray(image)
 
 

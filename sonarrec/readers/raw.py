@@ -40,7 +40,8 @@ class RawFrame:
     pixels, sonar: as of a Ping; pixels is None where it could not be read, and then `problem` says
     why; without a problem it is one of many lost together, which the log's `faults` tell once, or
     was passed over.
-    stamps: every time that the log keeps of it.
+    stamps: every time that the log keeps of it. white: the value that its file calls white, None
+    for the largest of its type.
     """
 
     name: str
@@ -49,6 +50,7 @@ class RawFrame:
     problem: str | None = None
     sonar: PingGeometry | None = None
     stamps: Stamps = NO_STAMPS
+    white: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

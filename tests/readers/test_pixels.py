@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import struct
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ import pytest
 from sonarrec.geometry import PolarToFan
 from sonarrec.readers import open_log
 from sonarrec.readers.grey import grey_scale, holds_amplitudes, single_channel, to_grey8
+from sonarrec.readers.pixels import decode_image
 from sonarrec.readers.raw import UnusableError
 from sonarrec.records import SonarrecError
 from sonarrec.simulation.random_scenes import random_scene
@@ -267,3 +269,36 @@ def test_the_scales_that_the_manual_lists_are_those_taken() -> None:
             assert round(255 / 3) == to_grey8(image, taken)[0, 0]
         else:
             assert taken.full_scale == float(full)
+
+
+@pytest.mark.parametrize(("maxval", "sample"), [(1023, ">u2"), (15, "u1")])
+def test_what_a_pgm_calls_white_is_white(tmp_path: Path, maxval: int, sample: str) -> None:
+    """As with a picture of all its type's values; a full scale that is stated goes before it."""
+    grey = simulated()
+    rows, columns = grey.shape
+    for k in range(2):
+        header = b"P5\n# a comment\n%d %d\n%d\n" % (columns, rows, maxval)
+        pixels = np.rint(grey * maxval).astype(sample)
+        (tmp_path / f"{k}.pgm").write_bytes(header + pixels.tobytes())
+    assert read(tmp_path, []) == ("linear", [])
+    stated = {"layout": "polar", "range_min_m": 1.0, "range_max_m": 3.0, "tilt_deg": 20.0}
+    for full in (None, 2.0 * maxval):
+        keys = {} if full is None else {"full_scale": full}
+        with open_log(tmp_path, sonar=stated | keys | {"field_of_view_deg": 28.8}) as log:
+            frame = next(iter(log))
+            assert log.reading()["full_scale"] == (full or maxval)
+            assert int(frame.pixels.max()) == pytest.approx(
+                grey.max() * (255 / (1 + bool(full))), 1
+            )
+
+
+@pytest.mark.parametrize("order", "<>")
+@pytest.mark.parametrize("depth", [1, 2])
+def test_a_tiff_whose_0_is_white_is_turned_over(order: str, depth: int) -> None:
+    image = np.arange(12, dtype=f"u{depth}").reshape(3, 4) * 20
+    data = image.astype(f"{order}u{depth}").tobytes()
+    tags = {256: 4, 257: 3, 258: 8 * depth, 259: 1, 262: 0, 273: 8, 277: 1, 278: 3, 279: len(data)}
+    entries = (struct.pack(f"{order}HHIHH", tag, 3, 1, value, 0) for tag, value in tags.items())
+    directory = struct.pack(f"{order}H", len(tags)) + b"".join(entries) + bytes(4)
+    head = {"<": b"II*\0", ">": b"MM\0*"}[order] + struct.pack(f"{order}I", 8 + len(data))
+    np.testing.assert_array_equal(decode_image(head + data + directory), ~image)
