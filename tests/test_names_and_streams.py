@@ -68,7 +68,7 @@ def work(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
     return tmp_path
 
 
-LATIN, UTF = b"d\xe9ve", "d\u00e9v\u00e9".encode()
+LATIN, UTF = b"d\xe9\x1b[31m\nve", "d\u00e9v\u00e9".encode()
 
 
 @pytest.mark.parametrize(
@@ -79,13 +79,15 @@ LATIN, UTF = b"d\xe9ve", "d\u00e9v\u00e9".encode()
 def test_names_of_any_bytes(
     work: Path, name: bytes, environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where it needs a locale of its own, in processes."""
+    """Where it needs a locale of its own, in processes; else nothing in them steers a terminal."""
     monkeypatch.chdir(work)
 
     def done(*words: str | bytes, codes: tuple[int, ...] = (0, 3)) -> str:
         if not environment:
             told = CliRunner().invoke(main, [os.fsdecode(word) for word in words])
             assert told.exit_code in codes, told.output
+            assert "\x1b" not in told.output
+            assert "\nve" not in told.stdout
             return told.stdout_bytes.decode()
         ended = sonarrec(work, *words, **environment)
         assert ended.returncode in codes, ended.stderr.decode(errors="replace")

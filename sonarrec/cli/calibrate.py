@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from sonarrec.cli.bars import progress
-from sonarrec.cli.endings import end, tell
+from sonarrec.cli.endings import end, say, tell
 from sonarrec.cli.groups import LEARNING, NEW_FILE, command, file_names, option
 from sonarrec.cli.options import (
     SettingsChoice,
@@ -84,7 +84,5 @@ def calibrate(
         write_text(out, lesson.as_toml())
     tell(lesson.problems, lesson.notes)
     if not quiet:
-        for line in lesson.told():
-            click.echo(line)
-        click.echo(f"{out}: model, for `sonarrec run --model`")
+        say(*lesson.told(), f"{out}: model, for `sonarrec run --model`")
     end(lesson.problems)

@@ -9,7 +9,7 @@ from typing import NoReturn
 
 import click
 
-from sonarrec.records import shown
+from sonarrec.records import printable, shown
 
 FAILED = 1  # nothing could be used
 MISUSED = 2  # an option is invalid, or an input does not exist
@@ -18,13 +18,20 @@ INTERRUPTED = 130  # stopped by Ctrl-C
 TERMINATED = 143  # stopped by SIGTERM
 
 
+def say(*lines: str) -> None:
+    """Lines on stdout; what a terminal would obey, in the names of files and topics, as escapes."""
+    click.echo("\n".join(map(printable, lines)))
+
+
 def tell(problems: Iterable[str], notes: Iterable[str] = ()) -> None:
     """Print notes and problems on stderr, a line each; errors of stderr are ignored."""
     with suppress(OSError):
         for note in notes:
-            click.echo(f"sonarrec: note: {note}", err=True)
+            click.echo(f"sonarrec: note: {printable(note)}", err=True)
         for problem in problems:
-            click.echo(f"sonarrec: {problem}", err=True)
+            # A fault may have an example behind it, of several lines.
+            told = "\n".join(map(printable, problem.split("\n")))
+            click.echo(f"sonarrec: {told}", err=True)
 
 
 def end(problems: Collection[object]) -> None:

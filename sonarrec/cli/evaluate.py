@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sonarrec.cli.endings import PARTLY, leave, tell
+from sonarrec.cli.endings import PARTLY, leave, say, tell
 from sonarrec.cli.groups import BATCH, FILE, INPUT, OUTPUT, SCORING, command, file_names, option
 from sonarrec.cli.options import ground_truth_option, out_option, quiet_option, scoring_options
 from sonarrec.cli.options_remote import ANY_OR_URL, FILE_OR_URL, CacheChoice, cache_options
@@ -197,8 +197,8 @@ def _score(
         click.echo(tabulate.screen(found))
         click.echo(tabulate.summary_screen(found, summary, shown.details))
         for note in notes:
-            click.echo(f"note: {note}")
-        click.echo(f"{remote.told(str(folder))}: {', '.join(written)}")
+            say(f"note: {note}")
+        say(f"{remote.told(str(folder))}: {', '.join(written)}")
     return PARTLY if unused else 0
 
 
@@ -229,8 +229,8 @@ def _compare(
     elif not shown.quiet:
         click.echo(screen(found))
         for note in found.notes:
-            click.echo(f"note: {note}")
-        click.echo(f"{remote.told(str(folder))}: {', '.join(written)}")
+            say(f"note: {note}")
+        say(f"{remote.told(str(folder))}: {', '.join(written)}")
     regressions = [] if band is None else found.regressions(band)
     tell(f"worse: {line}" for line in regressions)
     return 1 if regressions else PARTLY if unused else 0

@@ -11,7 +11,7 @@ from typing import IO, TYPE_CHECKING, Any
 import click
 
 from sonarrec.cli.bars import fetching, progress
-from sonarrec.cli.endings import PARTLY, leave, tell
+from sonarrec.cli.endings import PARTLY, leave, say, tell
 from sonarrec.cli.groups import INPUT, NEW_FILE, OUTPUT, command, file_names, option
 from sonarrec.cli.info_text import lines
 from sonarrec.cli.options import landmarks_option, quiet_option
@@ -106,7 +106,7 @@ def info(
             faulty += found.partly
             tables.append(found.as_table())
             if not as_json:
-                click.echo("\n".join(["", *lines(found)] if number else lines(found)))
+                say(*([""] if number else []), *lines(found))
             if preview is not None:
                 try:
                     _draw_preview(path, preview, landmarks, reading)

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from sonarrec.cli.endings import end, tell
+from sonarrec.cli.endings import end, say, tell
 from sonarrec.cli.groups import ANY, FILE, FOLDER, INPUT, OUTPUT, command, option
 from sonarrec.cli.options import landmarks_option, out_option, quiet_option
 from sonarrec.cli.options_log import geometry_options
@@ -103,9 +103,7 @@ def map_(
     write_all(out, site, on_earth)
     tell(site.problems, site.notes)
     if not quiet:
-        click.echo(f"{out}: {number_of(len(site.logs), 'log')}")
-        for line in lines(site):
-            click.echo(f"  {line}")
+        say(f"{out}: {number_of(len(site.logs), 'log')}", *(f"  {line}" for line in lines(site)))
     end(site.problems)
 
 

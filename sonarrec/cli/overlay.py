@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from sonarrec.cli.bars import progress
-from sonarrec.cli.endings import end, tell
+from sonarrec.cli.endings import end, say, tell
 from sonarrec.cli.groups import ANY, INPUT, NEW_FILE, OUTPUT, command, file_names, option
 from sonarrec.cli.options import frames_option, ground_truth_option, landmarks_option, quiet_option
 from sonarrec.cli.options_log import LogChoice, log_options
@@ -106,5 +106,5 @@ def overlay(
     tell(done.problems)
     if not quiet:
         for target in filter(None, targets.values()):
-            click.echo(f"{target}: {done.frames} frames, {done.method}")
+            say(f"{target}: {done.frames} frames, {done.method}")
     end(done.problems)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sonarrec.cli.endings import end, tell
+from sonarrec.cli.endings import end, say, tell
 from sonarrec.cli.groups import FILE, INPUT, OUTPUT, command, file_names, option
 from sonarrec.cli.options import ground_truth_option, out_option, quiet_option, scoring_options
 from sonarrec.cli.options_log import topic_option
@@ -120,7 +120,7 @@ def report(
         unused = [*remote.unused, *map(remote.told, unused)]
         tell(unused)
         if not quiet:
-            click.echo(remote.told(line))
+            say(remote.told(line))
     end(unused)
 
 

@@ -20,6 +20,7 @@ from sonarrec.cli.endings import (
     PARTLY,
     TERMINATED,
     leave,
+    say,
     tell,
 )
 from sonarrec.cli.groups import BATCH, INPUT, NEW_FILE, OUTPUT, command, file_names, option
@@ -345,7 +346,7 @@ def _plan(tasks: list[Task]) -> None:
         except SonarrecError as error:
             faults += 1
             what = f"fails ({error})"
-        click.echo(f"{task.path}: {what}")
+        say(f"{task.path}: {what}")
     if faults:
         leave(FAILED if faults == len(tasks) else PARTLY)
 
@@ -379,7 +380,7 @@ def _stoppable(folders: Sequence[Path]) -> Iterator[None]:
 
         parts = ", ".join(shown(part_of(f)) for f in folders if part_of(f).is_dir())
         kept = f"; the frames so far are in {parts}" if parts else ""
-        click.echo(f"sonarrec: stopped{kept}", err=True)
+        tell([f"stopped{kept}"])
         leave(TERMINATED if isinstance(error, _Terminated) else INTERRUPTED)
     finally:
         signal.signal(signal.SIGTERM, before)

@@ -16,10 +16,10 @@ from sonarrec.batch.logs_table import NAME, LogsTable
 from sonarrec.batch.processes import Watch
 from sonarrec.batch.task import Outcome, Task
 from sonarrec.cli.bars import fetching, progress, progress_of_logs
-from sonarrec.cli.endings import FAILED, MISUSED, PARTLY, tell
+from sonarrec.cli.endings import FAILED, MISUSED, PARTLY, say, tell
 from sonarrec.cli.passes import as_json, table
 from sonarrec.pipeline.run import Summary
-from sonarrec.records import MissingError, SonarrecError, number_of
+from sonarrec.records import MissingError, SonarrecError, number_of, printable
 from sonarrec.results.run_file import PROGRAM
 
 if TYPE_CHECKING:
@@ -144,7 +144,7 @@ class RunWatch(Watch):
             if self._verbose:
                 text = _counts(summary) if summary else outcome.message
                 how = f"{_how(outcome)}, {text}, {outcome.seconds:.1f} s"
-                click.echo(f"sonarrec: {task.path}{self._of(i)}: {how}", err=True)
+                tell([f"{task.path}{self._of(i)}: {how}"])
             self._print()
 
     @property
@@ -174,7 +174,7 @@ class RunWatch(Watch):
             line += f"; `sonarrec status {out}` lists them"
         elif failed:
             line += f": {', '.join(failed)}"
-        click.echo(line, err=bool(failed) or self._json)
+        click.echo(printable(line), err=bool(failed) or self._json)
 
     def _of(self, i: int) -> str:
         return f" ({i + 1} of {len(self._tasks)})" if len(self._tasks) > 1 else ""
@@ -216,9 +216,9 @@ class RunWatch(Watch):
             if summary is None or self._quiet or self._json or len(self._tasks) > MOST_SHOWN:
                 continue
             frames = number_of(summary.frames, "frame")
-            click.echo(f"{outcome.folder}: {'up to date, ' * summary.up_to_date}{frames}")
-            for line in [] if summary.up_to_date else table(summary, outcome.folder):
-                click.echo(f"  {line}")
+            lines = [] if summary.up_to_date else table(summary, outcome.folder)
+            head = f"{outcome.folder}: {'up to date, ' * summary.up_to_date}{frames}"
+            say(head, *(f"  {line}" for line in lines))
 
     def _document(self, i: int) -> dict[str, Any]:
         task, outcome = self._tasks[i], self._outcomes.get(i)

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from sonarrec.cli.bars import progress
-from sonarrec.cli.endings import begun, end, tell
+from sonarrec.cli.endings import begun, end, say, tell
 from sonarrec.cli.groups import ANY, INPUT, OUTPUT, command, file_names, option
 from sonarrec.cli.options import out_option, quiet_option
 from sonarrec.cli.options_background import Laying, laying_options
@@ -141,7 +141,7 @@ def simulate(
             compression=compression or "zstd",
         )
     if not quiet:
-        click.echo(f"{shown(out)}: {scene.frames} frames of scene {scene.name!r}")
+        say(f"{shown(out)}: {scene.frames} frames of scene {scene.name!r}")
 
 
 def _number(frames: str) -> int:
@@ -194,7 +194,7 @@ def _lay(
         fakes = len(layout.discs) - layout.landmarks
         count = number_of(layout.landmarks, "landmark")
         for db, folder in folders.items():
-            click.echo(
+            say(
                 f"{shown(folder)}: {len(background.path)} frames, {count} and {fakes} fakes "
                 f"at {db:g} dB"
             )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from sonarrec.cli.bars import progress
-from sonarrec.cli.endings import begun, end, tell
+from sonarrec.cli.endings import begun, end, say, tell
 from sonarrec.cli.groups import BACKGROUND, FOLDER, OUTPUT, command, file_names, option
 from sonarrec.cli.options import (
     SettingsChoice,
@@ -116,7 +116,7 @@ def site(
     write_site(out, found, render(found))
     tell(background.problems, found.notes)
     if not quiet:
-        click.echo("\n".join(_lines(found, out / "site.html", layouts)))
+        say(*_lines(found, out / "site.html", layouts))
     end(background.problems)
 
 

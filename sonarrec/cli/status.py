@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from sonarrec.cli.endings import say
 from sonarrec.cli.groups import OUTPUT, command, option
 from sonarrec.cli.options_remote import FOLDER_OR_URL, CacheChoice, cache_options
 from sonarrec.records import UsageError, number_of
@@ -56,17 +57,17 @@ def _tell(path: Path, out: Path | str, as_json: bool) -> None:
         return
     figures = _figures(path, rows)
     counts = ", ".join(f"{n} {status}" for status, n in figures["counts"].items())
-    click.echo(f"{number_of(len(rows), 'log')}: {counts}")
+    say(f"{number_of(len(rows), 'log')}: {counts}")
     rate = figures["frames_per_second"]
-    click.echo(
+    say(
         f"{figures['frames']} frames, {figures['unusable']} unusable, {figures['declared']} passes "
         f"declared" + (f"; {rate:.0f} frames/s a process" if rate else "")
     )
     for row in rows:
         if row.message:  # failed, partial or stopped
-            click.echo(f"{row.status}: {row.log}: {row.message}")
+            say(f"{row.status}: {row.log}: {row.message}")
     if figures["counts"].get("running"):
-        click.echo(f"as of {figures['age_s']:.0f} s ago")
+        say(f"as of {figures['age_s']:.0f} s ago")
 
 
 def _figures(path: Path, rows: list[Row]) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from sonarrec.cli.endings import end, tell
+from sonarrec.cli.endings import end, say, tell
 from sonarrec.cli.groups import FILE, NEW_FILE, OUTPUT, SCORING, command, file_names, option
 from sonarrec.cli.options import landmarks_option, quiet_option
 from sonarrec.cli.options_log import LogChoice, log_options
@@ -79,17 +79,17 @@ def check(
     for fault in checked.faults:
         counts[fault.kind] = counts.get(fault.kind, 0) + 1
         if counts[fault.kind] <= _MOST_LINES:
-            click.echo(f"{ground_truth} line {fault.line}: {fault.text}")
+            say(f"{ground_truth} line {fault.line}: {fault.text}")
     for kind, count in counts.items():
         if count > _MOST_LINES:
-            click.echo(f"... and {count - _MOST_LINES} more of this kind: {kind}")
+            say(f"... and {count - _MOST_LINES} more of this kind: {kind}")
     tell(checked.problems)
     if not quiet:
-        click.echo(f"{ground_truth}: {checked.told()}")
+        say(f"{ground_truth}: {checked.told()}")
     if checked.others:
-        click.echo(f"note: {checked.others} rows of other logs were not checked")
+        say(f"note: {checked.others} rows of other logs were not checked")
     if strips and not quiet:
-        click.echo(f"{sheet}: contact sheet")
+        say(f"{sheet}: contact sheet")
     elif not strips:
-        click.echo("note: no row has a position on a frame of the log, so there is no sheet")
+        say("note: no row has a position on a frame of the log, so there is no sheet")
     end(checked.faults or checked.problems)

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from sonarrec.cli.endings import end, tell
+from sonarrec.cli.endings import end, say, tell
 from sonarrec.cli.groups import ANY, INPUT, NEW_FILE, command, file_names, option
 from sonarrec.cli.options import landmarks_option, out_option, quiet_option
 from sonarrec.cli.options_log import LogChoice, log_options
@@ -105,7 +105,7 @@ def convert(
     counts = ", ".join(f"ID.{i} {count}" for i, count in done.counts.items()) or "no landmark"
     if not quiet:
         rows = sum(done.counts.values())
-        click.echo(f"{out}: {number_of(rows, 'row')} from {done.format} ({counts})")
+        say(f"{out}: {number_of(rows, 'row')} from {done.format} ({counts})")
     for line in done.notes:
-        click.echo(f"note: {line}")
+        say(f"note: {line}")
     end(done.unused)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from sonarrec.cli.endings import end, tell
+from sonarrec.cli.endings import end, say, tell
 from sonarrec.cli.groups import ANY, INPUT, NEW_FILE, SCORING, command, option
 from sonarrec.cli.options import out_option, quiet_option
 from sonarrec.records import number_of
@@ -74,13 +74,13 @@ def propose(
 
 def _print(tracks: Sequence[ProposedTrack], out: Path) -> None:
     rows, used = sum(track.rows for track in tracks), sum(bool(t.rows) for t in tracks)
-    click.echo(f"{out}: {number_of(rows, 'row')} from {number_of(used, 'track')}")
+    say(f"{out}: {number_of(rows, 'row')} from {number_of(used, 'track')}")
     shown = nlargest(MOST_TRACKS, tracks, key=lambda t: t.rows)
     for t in sorted(shown, key=lambda t: (t.log, t.frames)):
         span = f"frames {t.frames[0]}-{t.frames[1]}"
         rest = t.left_out and f"left out: {t.left_out}"
         rest = rest or f"{t.rows} rows, {t.interpolated} of them filled in"
         score = f"best score {t.best_score:.3f}"
-        click.echo(f"  {t.log}  ID.{t.landmark}  track {t.track:<4} {span:<15} {score}  {rest}")
+        say(f"  {t.log}  ID.{t.landmark}  track {t.track:<4} {span:<15} {score}  {rest}")
     if more := len(tracks) - len(shown):
-        click.echo(f"  these have the most rows; {number_of(more, 'more track')}")
+        say(f"  these have the most rows; {number_of(more, 'more track')}")
