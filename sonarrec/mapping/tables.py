@@ -6,6 +6,7 @@ import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -76,21 +77,55 @@ class Origin:
     def on_earth(self, place: FloatArray) -> FloatArray:
         """(n, 2) longitude and latitude of places on the floor, as GeoJSON has them.
 
-        place: (n, 2) m to the right and ahead. On the plane that touches the ellipsoid at the
-        origin: right to a millimetre within 100 m, a decimetre within a kilometre.
+        place: (n, 2) m to the right and ahead, on the plane that touches the ellipsoid at the
+        origin. By way of Earth-centred axes, for a pole may be near.
         """
         heading, latitude = math.radians(self.heading_deg), math.radians(self.latitude_deg)
         right, ahead = place.T
         east = right * math.cos(heading) + ahead * math.sin(heading)
         north = ahead * math.cos(heading) - right * math.sin(heading)
         a, e2 = 6378137.0, 0.00669437999014
-        w = math.sqrt(1 - e2 * math.sin(latitude) ** 2)
-        return np.column_stack(
-            [
-                self.longitude_deg + np.degrees(east / (a / w * math.cos(latitude))),
-                self.latitude_deg + np.degrees(north / (a * (1 - e2) / w**3)),
-            ]
+        n = a / math.sqrt(1 - e2 * math.sin(latitude) ** 2)
+        # From the Earth's axis, towards the origin's meridian; along the axis.
+        out = n * math.cos(latitude) - north * math.sin(latitude)
+        up = n * (1 - e2) * math.sin(latitude) + north * math.cos(latitude)
+        away, b = np.hypot(out, east), a * math.sqrt(1 - e2)
+        angle = np.arctan2(up * a, away * b)  # Bowring's latitude
+        latitudes = np.arctan2(
+            up + e2 / (1 - e2) * b * np.sin(angle) ** 3, away - e2 * a * np.cos(angle) ** 3
         )
+        longitudes = self.longitude_deg + np.degrees(np.arctan2(east, out))
+        return np.column_stack([(longitudes + 180) % 360 - 180, np.degrees(latitudes)])
+
+
+def cut_at_180(line: FloatArray) -> list[FloatArray]:
+    """The parts of a line that cross no 180th meridian.
+
+    line: (n, 2) longitude and latitude, deg; of two points the way is the shorter one.
+    """
+    longitude, latitude = np.unwrap(line[:, 0], period=360), line[:, 1]
+    turn = np.floor((longitude + 180) / 360)  # how often it went round
+    parts = [[(longitude[0] - 360 * turn[0], latitude[0])]]
+    for k in range(1, len(line)):
+        if turn[k] != turn[k - 1]:
+            edge = 360 * max(turn[k], turn[k - 1]) - 180
+            share = (edge - longitude[k - 1]) / (longitude[k] - longitude[k - 1])
+            there = latitude[k - 1] + share * (latitude[k] - latitude[k - 1])
+            parts[-1].append((edge - 360 * turn[k - 1], there))
+            parts.append([(edge - 360 * turn[k], there)])
+        parts[-1].append((longitude[k] - 360 * turn[k], latitude[k]))
+    return [np.array(part) for part in parts]
+
+
+def rings_at_180(ring: FloatArray) -> list[FloatArray]:
+    """The closed lines that a closed convex one becomes; none where it goes round a pole."""
+    first, *others = cut_at_180(ring)
+    if not others:
+        return [ring]
+    if len(others) == 1:
+        return []
+    parts = [np.concatenate([others.pop()[:-1], first]), *others]  # it began within a part
+    return [np.concatenate([part, part[:1]]) for part in parts]
 
 
 def _numbers(place: FloatArray, covariance: FloatArray) -> list[str]:
@@ -184,15 +219,22 @@ def ellipse(place: FloatArray, covariance: FloatArray, points: int = 48) -> Floa
 
 
 def write_geojson(path: Path, site: SiteMap, origin: Origin) -> None:
-    """The landmarks as points, their 95 % ellipses as polygons, the paths as lines (RFC 7946)."""
+    """The landmarks as points, their 95 % ellipses as polygons, the paths as lines (RFC 7946).
+
+    Ellipses and paths are cut in two at the 180th meridian; an ellipse round a pole is left out.
+    """
     features = []
 
-    def add(kind: str, where: object, told: dict[str, object]) -> None:
-        geometry = {"type": kind, "coordinates": where}
+    def add(kind: str, where: list[Any], told: dict[str, object]) -> None:
+        one = len(where) == 1
+        geometry = {
+            "type": kind if one else f"Multi{kind}",
+            "coordinates": where[0] if one else where,
+        }
         features.append({"type": "Feature", "geometry": geometry, "properties": told})
 
-    def degrees(place: FloatArray) -> list[list[float]]:
-        found: list[list[float]] = np.round(origin.on_earth(place), 9).tolist()
+    def rounded(part: FloatArray) -> list[Any]:
+        found: list[Any] = np.round(part, 9).tolist()
         return found
 
     for number, one in enumerate(site.landmarks, 1):
@@ -204,7 +246,7 @@ def write_geojson(path: Path, site: SiteMap, origin: Origin) -> None:
         frames = sum(int(site.logs[g].on_floor.passes.frames[k]) for g, k in one.members)
         add(
             "Point",
-            degrees(one.place[None])[0],
+            rounded(origin.on_earth(one.place[None])),
             {
                 "name": f"ID.{one.id}",
                 **told,
@@ -214,12 +256,15 @@ def write_geojson(path: Path, site: SiteMap, origin: Origin) -> None:
                 "frames": frames,
             },
         )
-        add("Polygon", [degrees(ellipse(one.place, one.covariance))], {**told, "within": 0.95})
+        rings = rings_at_180(origin.on_earth(ellipse(one.place, one.covariance)))
+        if rings:
+            add("Polygon", [[rounded(ring)] for ring in rings], {**told, "within": 0.95})
     for log in site.logs:
         places = log.path.pose[np.isfinite(log.path.pose).all(axis=1), 1:]
         if len(places) > 1:
             chosen = np.linspace(0, len(places) - 1, min(len(places), MOST_POINTS)).round()
-            add("LineString", degrees(places[chosen.astype(int)]), {"log": log.name})
+            path_deg = origin.on_earth(places[chosen.astype(int)])
+            add("LineString", list(map(rounded, cut_at_180(path_deg))), {"log": log.name})
     document = {"type": "FeatureCollection", "program": "sonarrec", "features": features}
     write_text(path, json.dumps(document, allow_nan=False) + "\n")
 

@@ -11,6 +11,7 @@ import shlex
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -30,7 +31,7 @@ from sonarrec.landmarks import load_landmarks
 from sonarrec.mapping.build import make_map
 from sonarrec.mapping.factors import Factors, Graph, write_g2o
 from sonarrec.mapping.path import COMMON_LENGTH, Drift, SonarPath, measured_path, told_path
-from sonarrec.mapping.tables import CHI2_95, Origin, ellipse
+from sonarrec.mapping.tables import CHI2_95, Origin, ellipse, rings_at_180
 from sonarrec.poses import pose_table
 from sonarrec.readers.poses_csv import read_poses
 from sonarrec.records import Estimate, FloatArray, FrameResult, SonarrecError, UsageError
@@ -654,6 +655,45 @@ def test_geojson_lies_where_the_map_says(mapped: Path) -> None:
     assert len(rings) == len(rows)
     assert all(ring[0] == ring[-1] for ring in rings)
     assert sum(f["geometry"]["type"] == "LineString" for f in features) == 1
+
+
+def lies(longitude: float, latitude: float) -> FloatArray:
+    """From the middle of the Earth, here a sphere, m."""
+    lon, lat = math.radians(longitude), math.radians(latitude)
+    flat = math.cos(lat)
+    return np.array([flat * math.cos(lon), flat * math.sin(lon), math.sin(lat)]) * 6371e3
+
+
+@pytest.mark.parametrize("latitude", [-17.0, 89.9])
+def test_geojson_keeps_to_its_side_of_the_180th_meridian(mapped: Path, latitude: float) -> None:
+    """No part crosses it; polygons are closed and go counter-clockwise; distances hold."""
+    rows = [(float(row["x_m"]), float(row["y_m"])) for row in table(mapped / "map.csv")]
+    parallel = 6378137 * math.cos(math.radians(latitude))
+    longitude = 180 - math.degrees(rows[1][0] / parallel)  # through the middle of a landmark
+    sonarrec("map", mapped.parent, f"--origin={latitude},{longitude},0", "-q")
+    features = json.loads((mapped / "map.geojson").read_text())["features"]
+    assert "MultiPolygon" in {f["geometry"]["type"] for f in features}
+    for feature in features:
+        kind, parts = feature["geometry"]["type"], feature["geometry"]["coordinates"]
+        if kind == "Point":
+            continue
+        for part in parts if kind.startswith("Multi") else [parts]:
+            (line,) = part if kind.endswith("Polygon") else (part,)
+            assert all(abs(lon) <= 180 and abs(lat) <= 90 for lon, lat in line)
+            assert np.abs(np.diff([lon for lon, _ in line])).max() < 180
+            if kind.endswith("Polygon"):
+                assert line[0] == line[-1]
+                x, y = np.array(line[:-1]).T - np.array([[line[0][0]], [line[0][1]]])
+                assert np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) > 0
+    points = [f["geometry"]["coordinates"] for f in features if f["geometry"]["type"] == "Point"]
+    for (a, here), (b, there) in pairwise(zip(points, rows, strict=True)):
+        apart = np.linalg.norm(lies(*a) - lies(*b))
+        assert apart == pytest.approx(math.dist(here, there), rel=0.01)
+
+
+def test_an_ellipse_round_a_pole_is_left_out() -> None:
+    round_it = Origin(89.9999999, 0.0, 0.0).on_earth(ellipse(np.zeros(2), np.eye(2)))
+    assert rings_at_180(round_it) == []
 
 
 def test_an_ellipse_holds_what_it_says() -> None:
