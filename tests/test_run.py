@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
+import re
 import subprocess
 import sys
 import tomllib
@@ -563,3 +564,17 @@ def test_nothing_is_declared_in_rivers(work: Path) -> None:
         }
     assert frames > 200
     assert len(declared) < 0.01 * frames
+
+
+def test_one_of_a_kind_is_told_in_the_singular(tmp_path: Path) -> None:
+    one, out = SAMPLE / "000000.png", tmp_path / "out"
+    stated = ("--sonar", SAMPLE / "sonar.toml")
+    said = [
+        sonarrec("run", one, "-o", out, "-v", *stated),
+        sonarrec("status", out),
+        sonarrec("info", f"{SAMPLE}/00000[0].png"),
+        sonarrec("overlay", one, out, "--images", tmp_path / "shots", *stated),
+        sonarrec("simulate", "--frames", "1", "-o", tmp_path / "made"),
+    ]
+    for done in said:
+        assert re.search(r"(?<![\d.])1 [a-z]+s\b", done.output) is None, done.output

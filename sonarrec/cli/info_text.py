@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sonarrec.cli.passes import YEAR_2000_NS
+from sonarrec.records import number_of
 
 if TYPE_CHECKING:
     from sonarrec.readers.info import Channel, Container, Images, LogInfo
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 def lines(info: LogInfo) -> list[str]:
     """A log described in lines of text."""
     size = f"{info.size_bytes / 1e6:.1f} MB" if info.size_bytes >= 1e5 else f"{info.size_bytes} B"
-    kind = f"{info.files} images" if info.kind == "images" else info.kind
+    kind = number_of(info.files, "image") if info.kind == "images" else info.kind
     out = [f"{info.path}: {kind}, {size}"]
     if info.container is not None:
         out += _container_lines(info.container)
@@ -70,7 +71,7 @@ def _channel_row(channel: Channel, container: Container) -> list[str]:
         channel.topic,
         channel.schema or "no schema",
         channel.message_encoding or "no encoding",
-        f"{channel.messages} messages",
+        number_of(channel.messages, "message"),
         rate,
         "images" if channel.images else "",
     ]

@@ -150,7 +150,7 @@ def _report(
     )
     size = written.path.stat().st_size / 1e6
     pictures = number_of(written.pictures, "picture")
-    held = f", {written.held} frames to click" if written.held else ""
+    held = f", {number_of(written.held, 'frame')} to click" if written.held else ""
     return written.unused, f"{written.path}: {size:.1f} MB, {pictures}{held}"
 
 

@@ -247,4 +247,5 @@ def _how(outcome: Outcome) -> str:
 
 def _counts(summary: Summary) -> str:
     passes = sum(summary.passes.values())
-    return f"{summary.frames} frames, {summary.candidates} candidates, {passes} passes"
+    found = number_of(summary.candidates, "candidate"), number_of(passes, "pass", "es")
+    return ", ".join([number_of(summary.frames, "frame"), *found])

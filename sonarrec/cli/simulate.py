@@ -141,7 +141,7 @@ def simulate(
             compression=compression or "zstd",
         )
     if not quiet:
-        say(f"{shown(out)}: {scene.frames} frames of scene {scene.name!r}")
+        say(f"{shown(out)}: {number_of(scene.frames, 'frame')} of scene {scene.name!r}")
 
 
 def _number(frames: str) -> int:
@@ -188,14 +188,13 @@ def _lay(
         )
     notes = list(background.notes)
     if laying.count is not None and layout.landmarks < laying.count:
-        notes.append(f"there was room for only {layout.landmarks} of {laying.count} landmarks")
+        wanted = number_of(laying.count, "landmark")
+        notes.append(f"there was room for only {layout.landmarks} of {wanted}")
     tell(background.problems, notes)
     if not quiet:
-        fakes = len(layout.discs) - layout.landmarks
+        frames = number_of(len(background.path), "frame")
         count = number_of(layout.landmarks, "landmark")
+        fakes = number_of(len(layout.discs) - layout.landmarks, "fake")
         for db, folder in folders.items():
-            say(
-                f"{shown(folder)}: {len(background.path)} frames, {count} and {fakes} fakes "
-                f"at {db:g} dB"
-            )
+            say(f"{shown(folder)}: {frames}, {count} and {fakes} at {db:g} dB")
     end(background.problems)

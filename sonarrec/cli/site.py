@@ -122,7 +122,7 @@ def site(
 
 def _lines(found: Site, page: Path, layouts: int) -> Iterator[str]:
     """The lines to print: one for each contrast, then the answer."""
-    yield f"{shown(page)}: {found.frames} frames, {number_of(layouts, 'layout')}"
+    yield f"{shown(page)}: {number_of(found.frames, 'frame')}, {number_of(layouts, 'layout')}"
     for one in found.contrasts:
         rate = one.found.tpr
         false = one.found.false_per_100.value

@@ -11,6 +11,7 @@ from sonarrec.cli.endings import end, say, tell
 from sonarrec.cli.groups import FILE, NEW_FILE, OUTPUT, SCORING, command, file_names, option
 from sonarrec.cli.options import landmarks_option, quiet_option
 from sonarrec.cli.options_log import LogChoice, log_options
+from sonarrec.records import number_of
 
 _MOST_LINES = 20  # printed for one kind of fault
 
@@ -87,7 +88,7 @@ def check(
     if not quiet:
         say(f"{ground_truth}: {checked.told()}")
     if checked.others:
-        say(f"note: {checked.others} rows of other logs were not checked")
+        say(f"note: {number_of(checked.others, 'row')} of other logs not checked")
     if strips and not quiet:
         say(f"{sheet}: contact sheet")
     elif not strips:

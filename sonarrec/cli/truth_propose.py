@@ -79,7 +79,7 @@ def _print(tracks: Sequence[ProposedTrack], out: Path) -> None:
     for t in sorted(shown, key=lambda t: (t.log, t.frames)):
         span = f"frames {t.frames[0]}-{t.frames[1]}"
         rest = t.left_out and f"left out: {t.left_out}"
-        rest = rest or f"{t.rows} rows, {t.interpolated} of them filled in"
+        rest = rest or f"{number_of(t.rows, 'row')}, {t.interpolated} of them filled in"
         score = f"best score {t.best_score:.3f}"
         say(f"  {t.log}  ID.{t.landmark}  track {t.track:<4} {span:<15} {score}  {rest}")
     if more := len(tracks) - len(shown):

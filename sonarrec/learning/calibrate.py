@@ -25,6 +25,7 @@ from sonarrec.records import (
     Frame,
     SonarrecError,
     UsageError,
+    number_of,
     printable,
 )
 from sonarrec.sonar import Sonar
@@ -63,9 +64,10 @@ class Lesson:
         names = [f"ID.{i}" for i in self.landmarks.ids] + ["none of these"]
         # They go into a comment too, where a line break in a name would end it.
         logs = ", ".join(map(printable, self.logs))
-        lines = [f"learned from {self.frames} frames of {logs}"]
+        lines = [f"learned from {number_of(self.frames, 'frame')} of {logs}"]
         lines += [
-            f"  {name:<13} {frames:>6} frames {tracks:>4} track{'s' * (tracks != 1)}"
+            f"  {name:<13} {frames:>6} {'frame' if frames == 1 else 'frames':<6} "
+            f"{tracks:>4} {'track' if tracks == 1 else 'tracks'}"
             for name, (frames, tracks) in zip(names, self.seen, strict=True)
         ]
         if self.before is None or self.after is None:

@@ -17,7 +17,7 @@ from sonarrec.geometry import floor_depth, ground_range
 from sonarrec.mapping.build import MappedLog, SiteMap
 from sonarrec.mapping.join import Landmark
 from sonarrec.mapping.tables import Axes, ellipse
-from sonarrec.records import FloatArray
+from sonarrec.records import FloatArray, number_of
 
 LINES = "#333333"
 """Of discs, which stand out from the floor so whatever their ID's colour."""
@@ -90,8 +90,7 @@ def _draw_landmark(axes: Any, site: SiteMap, one: Landmark, number: int, larger:
 
 
 def _title(site: SiteMap) -> str:
-    count = len(site.landmarks)
-    found = "1 landmark" if count == 1 else f"{count} landmarks"
+    found = number_of(len(site.landmarks), "landmark")
     logs = ", ".join(log.name for log in site.logs[:3]) + (" ..." if len(site.logs) > 3 else "")
     return f"{found} of {site.landmark_set.name}: {logs}"
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from sonarrec.files.outputs import write_csv, write_text
 from sonarrec.mapping.build import SiteMap
-from sonarrec.records import FloatArray
+from sonarrec.records import FloatArray, number_of
 
 _PLACE = ("x_m", "y_m", "xx_m2", "xy_m2", "yy_m2")  # of `_numbers`
 _TURN = ("orientation_deg", "orientation_sigma_deg")  # of `_turn`
@@ -271,7 +271,7 @@ def write_geojson(path: Path, site: SiteMap, origin: Origin) -> None:
 
 def lines(site: SiteMap) -> list[str]:
     """The map to print, a line per landmark."""
-    few = "1 landmark" if site.left_out == 1 else f"{site.left_out} landmarks"
+    few = number_of(site.left_out, "landmark")
     left_out = [f"{few} left out by --min-frames"] if site.left_out else []
     if not site.landmarks:
         return left_out or ["no landmark declared"]

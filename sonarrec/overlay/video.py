@@ -11,7 +11,7 @@ import cv2
 from sonarrec.drawing.pen import write_png
 from sonarrec.files.outputs import VIDEO_MARK, check_output
 from sonarrec.readers.video import opencv_name
-from sonarrec.records import ByteImage, SonarrecError, UsageError
+from sonarrec.records import ByteImage, SonarrecError, UsageError, number_of
 
 
 class VideoFile:
@@ -60,8 +60,8 @@ class VideoFile:
             written = cv2.VideoCapture(self._name).get(cv2.CAP_PROP_FRAME_COUNT)
             if written != self._frames:
                 raise SonarrecError(
-                    f"{self._path}: {self._frames} frames did not become a whole video "
-                    "(is the disk full?)"
+                    f"{self._path}: {number_of(self._frames, 'frame')} did not become a whole "
+                    "video (is the disk full?)"
                 )
 
 

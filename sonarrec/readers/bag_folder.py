@@ -19,7 +19,7 @@ from typing import Any
 from sonarrec.readers.images import natural_order
 from sonarrec.readers.packed import PACKINGS
 from sonarrec.readers.recording import Channel, Message, Recording
-from sonarrec.records import SonarrecError, shown
+from sonarrec.records import SonarrecError, number_of, shown
 
 METADATA = "metadata.yaml"
 _ENDINGS = tuple(suffix + end for suffix in (".mcap", ".db3") for end in ("", *PACKINGS))
@@ -238,8 +238,9 @@ class BagFolder(Recording):
             else:
                 where = "; in which part cannot be known" if damaged else ""
                 self.fault(
-                    f"{METADATA} counts {told} messages of {self.channels[number].topic}, the "
-                    f"parts hold {told - short}{where}, so numbers of frames may be too low"
+                    f"{METADATA} counts {number_of(told, 'message')} of "
+                    f"{self.channels[number].topic}, the parts hold {told - short}{where}, so "
+                    "numbers of frames may be too low"
                 )
                 continue
             self.counts[number] = told
@@ -299,8 +300,8 @@ class BagFolder(Recording):
             gone = part.found[number] + part.lost[number] - passed[number]
             if part.lost[number]:
                 self.faults.append(
-                    f"{shown(part.path.name)}: {gone} messages of "
-                    f"{self.channels[number].topic} are lost, by the counts in {METADATA}"
+                    f"{shown(part.path.name)}: {number_of(gone, 'message')} of "
+                    f"{self.channels[number].topic} lost, by the counts in {METADATA}"
                 )
             for _ in range(gone if gone <= _MAX_LOST else 0):
                 yield Message(number, last, None, None)

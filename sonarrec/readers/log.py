@@ -14,7 +14,7 @@ from sonarrec.readers.colour_maps import LUMINANCE
 from sonarrec.readers.frame_maker import FrameMaker
 from sonarrec.readers.images import MAX_FILE_BYTES, is_image
 from sonarrec.readers.raw import RawFrame, RawLog, UnusableError
-from sonarrec.records import Clock, Fan, Frame, SonarrecError, shown
+from sonarrec.records import Clock, Fan, Frame, SonarrecError, number_of, shown
 from sonarrec.sonar import Sonar
 
 MAX_PROBLEM_LINES = 20
@@ -150,7 +150,9 @@ class Log:
             else:
                 yield Frame(index, stamp, pixels, fan, raw.stamps, polar)
         if self.unusable > MAX_PROBLEM_LINES:
-            self.problems.append(f"{self.unusable - MAX_PROBLEM_LINES} more frames skipped")
+            self.problems.append(
+                f"{number_of(self.unusable - MAX_PROBLEM_LINES, 'more frame')} skipped"
+            )
         self.problems.extend(dict.fromkeys(self._raw.faults))  # some are told in each pass
         if not used:
             reason = f" ({self.problems[0]})" if self.problems else ""

@@ -26,7 +26,7 @@ from sonarrec.readers.raw import (
     UnusableError,
     ping_geometry,
 )
-from sonarrec.records import FloatArray, SonarrecError, Stamps, shown
+from sonarrec.records import FloatArray, SonarrecError, Stamps, number_of, shown
 from sonarrec.sonar import PingGeometry
 
 Header = dict[str, Any]
@@ -343,8 +343,8 @@ class OculusPings(RawLog):
             )
         if full:
             faults.append(
-                f"{self._name}: {full} pings in the full format, which is not public, cannot be "
-                "read; let the sonar send simple results"
+                f"{self._name}: {number_of(full, 'ping')} in the full format, which is not public, "
+                "cannot be read; let the sonar send simple results"
             )
 
     def _message(self, at: int, length: int) -> tuple[bytes, int | None]:

@@ -14,6 +14,7 @@ from sonarrec.evaluation.evaluate import DEFAULT, Evaluation, evaluate_many, eva
 from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import Pair, read_pairs
 from sonarrec.files.outputs import check_output, write_page
+from sonarrec.records import number_of
 from sonarrec.report import frames
 from sonarrec.report.logs import MOST_LOGS, ReportedLog, Seen, read_logs, seen, told_false
 from sonarrec.report.mistakes import Episode, episodes, in_words
@@ -235,7 +236,12 @@ def _seen(logs: Sequence[ReportedLog], seen: Sequence[tuple[ReportedLog, Seen]])
     return [
         *(_wanted(log, s, "surest", "") for log, s in best.values()),
         *(
-            _wanted(log, s, "rarest", f", declared in {s.sighting.frames_declared} frames")
+            _wanted(
+                log,
+                s,
+                "rarest",
+                f", declared in {number_of(s.sighting.frames_declared, 'frame')}",
+            )
             for log, s in rare[: max(0, MOST_SEEN - len(best))]
         ),
     ]
@@ -244,7 +250,6 @@ def _seen(logs: Sequence[ReportedLog], seen: Sequence[tuple[ReportedLog, Seen]])
 def _wanted(log: ReportedLog, seen: Seen, group: str, more: str) -> Wanted:
     score, frame = log.results.score[seen.surest], log.frame_of(seen.surest)
     wrong = f"False claim: {told_false(log, seen.surest)}." if seen.is_false else ""
-    more = more.replace(" 1 frames", " 1 frame")
     caption = f"ID.{seen.sighting.landmark} ({score:.2f}){more}."
     return Wanted(log.results.name, log.tracker, frame, group, caption, wrong)
 

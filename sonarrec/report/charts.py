@@ -10,7 +10,7 @@ import numpy as np
 from sonarrec.evaluation.counting.pooled import PooledScored
 from sonarrec.evaluation.counting.reliability import FEW, Reliability
 from sonarrec.evaluation.roc import roc as evaluation_roc
-from sonarrec.records import IntArray
+from sonarrec.records import IntArray, number_of
 from sonarrec.report.logs import ReportedLog, Track, alongside, true_landmark
 from sonarrec.report.svg import (
     MOST_POINTS,
@@ -104,7 +104,7 @@ def silent_lanes(log: ReportedLog, silent: Sequence[Track]) -> list[Lane]:
             shapes.append(Shape(path, k, "bar", f"ID.{found.landmarks.ids[k]}"))
         truth = true_landmark(log, track)
         best = float(found.score[track.at].max())
-        text = f"track {track.number}, {len(track.at)} frames, best score {best:.2f}"
+        text = f"track {track.number}, {number_of(len(track.at), 'frame')}, best score {best:.2f}"
         name = f"{track.number}" + ("" if truth is None else f" (on ID.{truth})")
         lanes.append(Lane(name, Chart(text, shapes), truth is not None))
     return lanes
@@ -232,7 +232,7 @@ def _panel(log: ReportedLog, track: Track, method: str, at: IntArray) -> TrackPa
     return TrackPanel(
         method=method,
         chart=Chart(
-            f"{method}, mean probability over {count} frames: {', '.join(text)}",
+            f"{method}, mean probability over {number_of(count, 'frame')}: {', '.join(text)}",
             shapes,
             y_ticks=UNIT.ticks(2),
         ),

@@ -21,6 +21,7 @@ from sonarrec.evaluation.counting.reliability import FEW
 from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.evaluation.plots import COLOURS
 from sonarrec.evaluation.summary import over_units, summarise, units_text
+from sonarrec.records import number_of
 from sonarrec.report import charts
 from sonarrec.report.frames import ShownLog
 from sonarrec.report.logs import ReportedLog, Seen, Track, seen, tracks, true_landmark
@@ -252,7 +253,7 @@ def _contents(
 
 def _first(lines: Sequence[str]) -> list[str]:
     """The first MOST_LINES lines, and how many more there are."""
-    more = [f"{len(lines) - MOST_LINES} more such lines"] * (len(lines) > MOST_LINES)
+    more = [number_of(len(lines) - MOST_LINES, "more such line")] * (len(lines) > MOST_LINES)
     return [*lines[:MOST_LINES], *more]
 
 

@@ -19,7 +19,7 @@ from sonarrec import __version__, config
 from sonarrec.files.toml import AtLeastOne, Count, Finite, checked, read_toml, types_of
 from sonarrec.geometry import fan_for_image
 from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
-from sonarrec.records import Clock, Fan, Origin, SonarrecError, UsageError
+from sonarrec.records import Clock, Fan, Origin, SonarrecError, UsageError, number_of
 from sonarrec.results.folders import ESTIMATES, TABLES, estimates_of
 from sonarrec.sonar import Sonar, sonar_from_table
 
@@ -199,7 +199,7 @@ def cut_short(name: str, frames: int, done: str) -> str:
     """
     return (
         f"{name}: the run was cut short (run.toml says finished = false); "
-        f"only its {frames} frames are {done}"
+        f"only {number_of(frames, 'frame')} could be {done}"
     )
 
 

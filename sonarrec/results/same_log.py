@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Protocol
 
-from sonarrec.records import SonarrecError
+from sonarrec.records import SonarrecError, number_of
 from sonarrec.results.read import read_frames
 from sonarrec.results.run_file import RunFile
 
@@ -40,7 +40,7 @@ def check_same_log(log: RecordedLog, folder: Path, run: RunFile) -> None:
     if log.frame_count is not None and last >= log.frame_count:
         raise SonarrecError(
             f"{folder / 'frames.csv'}: results of another log: frame {last} is listed, but "
-            f"{log.path} has only {log.frame_count} frames"
+            f"{log.path} has only {number_of(log.frame_count, 'frame')}"
         )
 
 

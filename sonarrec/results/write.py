@@ -16,7 +16,7 @@ import tomli_w
 from sonarrec.files.outputs import replaced
 from sonarrec.files.parquet import convert
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import NO_STAMPS, FrameResult, SonarrecError, Stamps, shown
+from sonarrec.records import NO_STAMPS, FrameResult, SonarrecError, Stamps, number_of, shown
 from sonarrec.results.columns import FRAME_COLUMNS, SIGHTING_COLUMNS, estimate_columns
 from sonarrec.results.folders import exchange, lock, part_of, release, restore
 from sonarrec.results.sightings import Sighting, Sightings
@@ -175,7 +175,7 @@ class ResultsWriter:
         self.full = True
         return SonarrecError(
             f"{shown(self._part)}: cannot write results ({error.strerror}); it holds the "
-            f"{self.frames} frames before"
+            f"{number_of(self.frames, 'frame')} before"
         )
 
     def _write_run(self, finished: bool) -> None:

@@ -12,7 +12,7 @@ from sonarrec.geometry import ground_range, pixel_from_polar, polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.readers.find import find_log
 from sonarrec.readers.log import Log
-from sonarrec.records import Fan, FloatArray, IntArray, SonarrecError
+from sonarrec.records import Fan, FloatArray, IntArray, SonarrecError, number_of
 from sonarrec.results.folders import possible_names
 from sonarrec.truth.in_view import share_in_image
 from sonarrec.truth.match import SLACK_PX, match_times, pixels_apart
@@ -60,8 +60,8 @@ class CheckedTruth:
 
     def told(self) -> str:
         """How much was looked at, and how much of it is wrong."""
-        faults = f"{len(self.faults) or 'no'} fault{'s' * (len(self.faults) > 1)}"
-        return f"{len(self.line)} rows, {faults}"
+        faults = number_of(len(self.faults), "fault") if self.faults else "no fault"
+        return f"{number_of(len(self.line), 'row')}, {faults}"
 
 
 @dataclass(frozen=True, slots=True)

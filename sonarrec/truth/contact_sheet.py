@@ -11,7 +11,7 @@ import numpy as np
 
 from sonarrec.drawing.pen import Colour, disc_outline, landmark_colours
 from sonarrec.files.outputs import plain, write_figure, writing
-from sonarrec.records import ByteImage, FloatArray, Frame, IntArray, shown
+from sonarrec.records import ByteImage, FloatArray, Frame, IntArray, number_of, shown
 from sonarrec.truth.check import CheckedTruth
 
 TILES = 8
@@ -76,7 +76,9 @@ def _strips(truth: CheckedTruth) -> list[_Strip]:
     for n in _spread(len(passes), MOST_STRIPS):
         rows = passes[n]
         first, last = truth.frame[rows[0]], truth.frame[rows[-1]]
-        title = f"ID.{truth.landmark[rows[0]]}\nframes {first} to {last}\n{len(rows)} rows"
+        title = (
+            f"ID.{truth.landmark[rows[0]]}\nframes {first} to {last}\n{number_of(len(rows), 'row')}"
+        )
         if len(passes) > MOST_STRIPS:
             title += f"\npass {n + 1} of {len(passes)}"
         strips.append(_Strip(title, rows[_spread(len(rows), TILES)]))

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.geometry import polar_from_plane
-from sonarrec.records import BoolArray
+from sonarrec.records import BoolArray, number_of
 from sonarrec.truth.in_view import share_in_image
 from sonarrec.truth.match import SLACK_PX, ReadLog, Truth, pixels_apart
 from sonarrec.truth.table import TruthTable
@@ -28,8 +28,8 @@ def misfit(table: TruthTable, log: ReadLog, truth: Truth) -> str | None:
             near, of_frames = f"within {truth.tolerance_ns / 1e9:.4g} s of", log.timestamp_ns
         return (
             f"{table.path}: none of its {rows} lies {near} a processed frame of {log.name} "
-            f"({len(log.frame)} frames, {of_frames.min()} to {of_frames.max()}); is this the truth "
-            "of another log?"
+            f"({number_of(len(log.frame), 'frame')}, {of_frames.min()} to {of_frames.max()}); is "
+            "this the truth of another log?"
         )
     outside = outside_image(log, truth)
     if len(outside) and outside.all():
@@ -59,10 +59,10 @@ def pixels_elsewhere(table: TruthTable, log: ReadLog, so: str) -> list[str]:
     """A line where rows of the log tell two places. so: what is done with range and bearing."""
     if log.fan is None or table.pixels is None:
         return []
-    apart = np.count_nonzero(pixels_apart(table, table.rows_of(log.name), log.fan) > SLACK_PX)
+    apart = int(np.sum(pixels_apart(table, table.rows_of(log.name), log.fan) > SLACK_PX))
     return [
-        f"{table.path}: {apart} rows for {log.name} have x_px,y_px elsewhere than "
-        f"range_m,bearing_deg, which {so}; `sonarrec truth check` names them"
+        f"{table.path}: {number_of(apart, 'row')} for {log.name} with x_px,y_px elsewhere than "
+        f"range_m,bearing_deg, which {so}; `sonarrec truth check` tells which"
     ] * bool(apart)
 
 

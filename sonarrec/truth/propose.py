@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.geometry import ground_range, pixel_from_polar, polar_from_plane
-from sonarrec.records import Fan, FloatArray, SonarrecError, UsageError, follows, shown
+from sonarrec.records import Fan, FloatArray, SonarrecError, UsageError, follows, number_of, shown
 from sonarrec.results.folders import estimates_of
 from sonarrec.results.read import LogResults, find_logs, not_whole, read_log
 from sonarrec.results.sightings import check_follows
@@ -154,7 +154,7 @@ def _tracks(folder: Path, log: LogResults, method: str, min_score: float) -> lis
         if counts.max() < LEAST_AGREEMENT * counts.sum():
             left_out = "it declared several IDs: " + ", ".join(f"ID.{i}" for i in sorted(ids))
         elif counts.max() < LEAST_DECLARED:
-            left_out = f"declared in {counts.max()} frames only"
+            left_out = f"declared in {number_of(int(counts.max()), 'frame')} only"
         elif best < min_score:
             left_out = f"best score below {min_score:g}"
         row, first = np.unique(log.frame_index[one], return_index=True)

@@ -81,7 +81,7 @@ def test_without_any_truth_one_line_says_where_it_was_looked_for(logs: Path) -> 
     done = command(logs / "out", code=2)
     (line,) = done.stderr.splitlines()
     assert "out/a: no ground truth: no a.gt.csv, nor gt.csv beside" in line
-    assert "(and 2 more logs have none); give --ground-truth, or --pairs" in line
+    assert "(and 2 more logs without one); give --ground-truth, or --pairs" in line
     assert done.stdout == ""
     (logs / "out" / "a" / "run.toml").unlink()
     assert "run.toml does not say where the log is" in command(logs / "out" / "a", code=2).stderr

@@ -170,7 +170,7 @@ def test_only_common_frames_are_compared(tmp_path: Path) -> None:
     old, truth = write_case(tmp_path / "old", FRAMES, claims(set(range(5, 15))), TRUTH)
     new, _ = write_case(tmp_path / "new", range(15), claims(set(range(5, 15))), TRUTH)
     done = command("--ground-truth", truth, "--compare", old, new, code=3)
-    assert "25 frames are in" in done.stderr
+    assert "25 frames in" in done.stderr
     assert "0 better, 0 worse" in done.stdout
 
 

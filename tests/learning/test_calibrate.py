@@ -350,7 +350,7 @@ def test_truth_whose_pixels_are_of_another_fan_is_told(tmp_path):
     truth = SAMPLES / "polar" / "gt.csv"
     words = ("--ground-truth", truth, "-o", tmp_path / "m.toml")
     told = sonarrec("calibrate", SAMPLES / "pan", *words).stderr
-    assert "204 rows for pan have x_px,y_px elsewhere than range_m,bearing_deg, which teach" in told
+    assert "204 rows for pan with x_px,y_px elsewhere than range_m,bearing_deg, which teach" in told
 
 
 def test_names_of_logs_do_not_break_the_model_file():

@@ -178,7 +178,7 @@ def test_what_a_run_left_that_was_stopped_is_told(tmp_path: Path) -> None:
     told = (folder / "run.toml").read_text()
     (folder / "run.toml").write_text(told.replace("finished = true", "finished = false"))
     said = sonarrec("map", folder, code=3).stderr
-    assert f"{folder}: the run was cut short (run.toml says finished = false); only its 20 " in said
+    assert f"{folder}: the run was cut short (run.toml says finished = false); only 20 " in said
 
 
 def test_estimates_on_frames_that_are_not_listed_are_told(tmp_path: Path) -> None:

@@ -123,7 +123,7 @@ def test_other_logs_rows_are_not_looked_at(tmp_path: Path, log: Path) -> None:
     rows = ["pings,0,1,2.0,0", "elsewhere,900,9,9.0,80"]
     path = truth(tmp_path, rows, "log,frame,landmark,range_m,bearing_deg")
     assert kinds(path, log) == []
-    assert "1 rows of other logs" in run(path, log, "--sheet", tmp_path / "s.png").stdout
+    assert "1 row of other logs" in run(path, log, "--sheet", tmp_path / "s.png").stdout
 
 
 def test_a_log_is_known_by_its_folders_and_its_name(tmp_path: Path, log: Path) -> None:

@@ -166,7 +166,7 @@ def test_what_a_run_left_that_was_stopped_is_told(tmp_path: Path) -> None:
     done = run(part, "--out", tmp_path / "gt.csv")
     assert done.exit_code == 3
     assert "dive.part: the run was cut short" in done.stderr
-    assert "only its 60 frames are used" in done.stderr
+    assert "only 60 frames could be used" in done.stderr
     done = run(tmp_path / "out" / "dive", "--out", tmp_path / "other.csv")
     assert done.exit_code == 2
     assert f"a run that did not finish left {part}" in done.stderr

@@ -303,7 +303,7 @@ def test_pixels_that_contradict_range_and_bearing_are_said(case: Path) -> None:
         return run(case).stdout
 
     assert "elsewhere" not in said(1.5)
-    assert "gt.csv: 1 rows for out have x_px,y_px elsewhere than range_m,bearing_deg" in said(2.5)
+    assert "gt.csv: 1 row for out with x_px,y_px elsewhere than range_m,bearing_deg" in said(2.5)
 
 
 def test_a_run_cut_short_is_not_passed_off_as_whole(case: Path) -> None:

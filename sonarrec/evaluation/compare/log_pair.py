@@ -14,7 +14,7 @@ from sonarrec.evaluation.matching.fit import Checked, checked, matched
 from sonarrec.evaluation.matching.joined import join
 from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.survey import Unread, truth_table
-from sonarrec.records import SonarrecError
+from sonarrec.records import SonarrecError, number_of
 from sonarrec.results.read import LogResults, not_whole, read_log
 
 
@@ -75,7 +75,9 @@ def _counted(pair: LogPair) -> CountedPair:
     unused = []
     for folder, log in ((pair.old, old), (pair.new, new)):
         alone = len(log.frame) - len(common)
-        unused += [f"{log.name}: {alone} frames are in {folder} only; not compared"] * bool(alone)
+        if alone:
+            frames = number_of(alone, "frame")
+            unused.append(f"{log.name}: {frames} in {folder} only; not compared")
         unused += not_whole(log, "scored")
     old, new = (_only(replace(log, name=pair.name), common) for log in (old, new))
     case = matched(pair.new, table, new, options.tolerance_s)

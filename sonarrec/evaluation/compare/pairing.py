@@ -19,7 +19,7 @@ from sonarrec.evaluation.matching.pairs import (
     truth_by_folder,
 )
 from sonarrec.files.tables import read_header
-from sonarrec.records import IntArray, SonarrecError, shown
+from sonarrec.records import IntArray, SonarrecError, number_of, shown
 from sonarrec.results.counted_once import Recording, counted_once, recording
 from sonarrec.results.folders import estimates_of
 from sonarrec.results.read import find_logs, read_frames, read_log
@@ -202,6 +202,6 @@ def _truths(
             if truth is None
         ]
     if not any(truths):
-        others = f" (nor for {len(without) - 1} more logs)" if without[1:] else ""
+        others = f" (nor for {number_of(len(without) - 1, 'more log')})" if without[1:] else ""
         raise SonarrecError(f"{without[0]}{others}")
     return truths, where, without

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 from sonarrec.evaluation.compare.compare import Comparison, rate_text
 from sonarrec.evaluation.metrics import BY_NAME
-from sonarrec.records import printable
+from sonarrec.records import number_of, printable
 
 
 def screen(found: Comparison, most: int = 12) -> str:
@@ -56,7 +56,7 @@ def _frame_lines(found: Comparison, most: int) -> Iterable[str]:
             f"ID.{first.landmark}: {outcome(first.old)} -> {outcome(first.new)}"
         )
     if count > most:
-        yield f"  and {count - most} more runs; changes.csv has all"
+        yield f"  and {number_of(count - most, 'more run')}; changes.csv has all"
 
 
 def settings_lines(found: Comparison, most: int = 12) -> Iterable[str]:
@@ -65,7 +65,7 @@ def settings_lines(found: Comparison, most: int = 12) -> Iterable[str]:
         logs = "" if len(change.logs) == len(found.logs) else f" ({', '.join(change.logs)})"
         yield f"{change.key}: {change.old} -> {change.new}{logs}"
     if len(found.settings) > most:
-        yield f"and {len(found.settings) - most} more settings; compare.json has all"
+        yield f"and {number_of(len(found.settings) - most, 'more setting')}; compare.json has all"
     if not found.settings and not any("settings are not known" in note for note in found.notes):
         yield "settings, version and landmark set: the same"
 

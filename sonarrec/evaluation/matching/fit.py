@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sonarrec.records import SonarrecError
+from sonarrec.records import SonarrecError, number_of
 from sonarrec.results.read import LogResults, not_whole
 from sonarrec.truth.fits import misfit, outside_image, pixels_elsewhere, without_rows
 from sonarrec.truth.match import Truth, match_truth
@@ -130,7 +130,7 @@ def left_out(cases: Sequence[Checked]) -> list[str]:
         frames = sum(case.frames for case in cases)
         lines.append(
             f"{cases[0].table}: {lost} of {cases[0].table_rows} rows lie on frames that were not "
-            f"processed; they are not scored (the {frames} frames processed are)"
+            f"processed; they are not scored ({number_of(frames, 'frame')} processed)"
         )
     for case in cases:
         lines += case.not_whole

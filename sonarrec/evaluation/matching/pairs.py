@@ -11,7 +11,7 @@ from pathlib import Path
 from sonarrec.files.tables import line_numbers, read_header, read_table
 from sonarrec.readers.find import Source, find_log, log_name
 from sonarrec.readers.images import MAX_FILE_BYTES, is_image
-from sonarrec.records import MissingError, SonarrecError, UsageError, unshown
+from sonarrec.records import MissingError, SonarrecError, UsageError, number_of, unshown
 from sonarrec.remote.urls import is_url
 from sonarrec.results.read import find_logs
 from sonarrec.results.run_file import Input, read_run
@@ -118,7 +118,9 @@ def found_beside(
     if unread and not (pairs or without):
         raise unread[0]
     if not pairs:
-        others = f" (and {len(without) - 1} more logs have none)" if without[1:] else ""
+        others = (
+            f" (and {number_of(len(without) - 1, 'more log')} without one)" if without[1:] else ""
+        )
         raise UsageError(f"{without[0]}{others}; give --ground-truth, or --pairs")
     return pairs, [f"{line}; not scored" for line in (*map(str, unread), *without)]
 

@@ -18,7 +18,7 @@ from sonarrec.readers.ddf.aris import Aris
 from sonarrec.readers.ddf.didson import Didson
 from sonarrec.readers.file_bytes import FileBytes
 from sonarrec.readers.raw import MAX_FRAME_BYTES, HeaderInfo, RawFrame, RawLog, UnusableError
-from sonarrec.records import SonarrecError, Stamps, shown
+from sonarrec.records import SonarrecError, Stamps, number_of, shown
 from sonarrec.sonar import PingGeometry
 
 _VERSION_AT = 12  # in a frame's header
@@ -106,7 +106,9 @@ class DdfFrames(RawLog):
         info = layout.header_info(self._header, headers) if headers else HeaderInfo()
         stated = int(self._header["FrameCount"])
         if stated > self.frame_count:  # a note: its maker advises against believing it
-            missing = f"its header counts {stated} frames, {self.frame_count} are there"
+            missing = (
+                f"its header counts {number_of(stated, 'frame')}, {self.frame_count} are there"
+            )
             info = replace(info, notes=(*info.notes, missing))
         self.header_info = info
 

@@ -26,7 +26,7 @@ from sonarrec.readers.mcap.in_chunk import (
 from sonarrec.readers.mcap.salvage import CHUNK, MESSAGE_HEAD, McapFile
 from sonarrec.readers.raw import MAX_FRAME_BYTES
 from sonarrec.readers.recording import Message
-from sonarrec.records import SonarrecError, shown
+from sonarrec.records import SonarrecError, number_of, shown
 
 
 def _rising(places: Iterable[Place]) -> Iterator[Place]:
@@ -134,7 +134,9 @@ class MessageReader:
             if found.count:
                 share = chunk.size / (found.end - contents.start)
                 if more := round(found.count * (share - 1)):
-                    log.fault(f"by its size, the chunk that is cut held {more} more frames")
+                    log.fault(
+                        f"by its size, the chunk that is cut held {number_of(more, 'more frame')}"
+                    )
         elif (mended := self._mended(chunk, contents, found)) is not None:
             self._add_run(mended, contents)
             return
@@ -177,7 +179,8 @@ class MessageReader:
             number = f"{gone} of its {count} frames are lost" if gone else "no frame is lost"
             log.fault(f"{where} is damaged; by its index {number}")
         if retimed:
-            log.fault(f"{where}: {retimed} messages have another log time in its index")
+            some = "1 message has" if retimed == 1 else f"{retimed} messages have"
+            log.fault(f"{where}: {some} another log time in its index")
         return mended
 
     def _tell_what_is_wrong(self) -> None:

@@ -16,7 +16,7 @@ from sonarrec.readers.mcap.fields import DefinitionError, Fields
 from sonarrec.readers.mcap.messages import message_type
 from sonarrec.readers.raw import UnusableError
 from sonarrec.readers.recording import Message, Recording
-from sonarrec.records import Clock, SonarrecError, UsageError, shown
+from sonarrec.records import Clock, SonarrecError, UsageError, number_of, shown
 
 # Where the pose is inside each message.
 POSES = {
@@ -67,7 +67,7 @@ def read_topic(path: Path, topic: str, time: Clock) -> PoseTable:
         )
     if len(problems) > MAX_PROBLEM_LINES:
         more = len(problems) - MAX_PROBLEM_LINES
-        problems[MAX_PROBLEM_LINES:] = [f"{more} more poses of {topic} skipped"]
+        problems[MAX_PROBLEM_LINES:] = [f"{number_of(more, 'more pose')} of {topic} skipped"]
     ahead, left, x, y, z, w = np.array(rows).T
     yaw = np.degrees(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y**2 + z**2)))
     table = pose_table(topic, {"topic": topic}, np.array(at, np.int64), -yaw, -left, ahead)
