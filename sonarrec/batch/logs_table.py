@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import errno
 import io
 import math
 import os
@@ -125,12 +126,26 @@ class LogsTable:
                 writer.writerow([*COLUMNS, *added])
                 for key, row in rows.items():
                     writer.writerow([*astuple(row), *(of.get(key, "") for of in added.values())])
-                with replaced(self._path) as new:
-                    new.write_bytes(text.getvalue().encode(errors="surrogateescape"))
+                _exchange(self._path, text.getvalue().encode(errors="surrogateescape"))
         except OSError as error:
             self.fault = f"{self._path}: cannot be written ({error.strerror})"
         except SonarrecError as error:  # the file there is another kind of table
             self.fault = str(error)
+
+
+def _exchange(path: Path, contents: bytes) -> None:
+    """Replace the file, on a full disk in the room that it has: else what failed by the disk would
+    stay as running."""
+    try:
+        with replaced(path) as new:
+            new.write_bytes(contents)
+    except OSError as error:
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT) and path.exists()
+        if not full or getattr(path.stat(), "st_blocks", 0) * 512 < len(contents):
+            raise
+        with path.open("r+b") as file:
+            file.write(contents)
+            file.truncate()
 
 
 def again(tasks: Sequence[Task], out: Path) -> tuple[list[Task], int]:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from sonarrec.batch import processes
+from sonarrec.batch import logs_table, processes
 from sonarrec.batch.logs_table import COLUMNS, LogsTable, read_logs
 from sonarrec.batch.task import Outcome, Task
 from sonarrec.pipeline.prepared import Used
@@ -286,6 +286,27 @@ def test_a_log_that_another_call_has_in_hand_keeps_that_call_s_row(tmp_path: Pat
     first.write()
     second.write()
     assert rows(tmp_path)["a"]["status"] == "done"
+
+
+def test_what_failed_by_a_full_disk_does_not_stay_as_running(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The row has room where the table is; a whole new table has not."""
+    table = LogsTable(tmp_path, [Task("a", "a", str(tmp_path), Given(), Used([]))])
+    table.begun(0)
+    table.write()
+
+    def full(_: Path) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(logs_table, "replaced", full)
+    table.ended(0, Outcome("failed", error=SonarrecError("no space")))
+    table.write()
+    assert table.fault is None
+    assert rows(tmp_path)["a"] | {"status": "failed", "message": "no space"} == rows(tmp_path)["a"]
+    table.ended(0, Outcome("failed", error=SonarrecError("no space " * 1000)))
+    table.write()
+    assert table.fault == f"{tmp_path / 'logs.csv'}: cannot be written (No space left on device)"
 
 
 def test_an_empty_logs_csv_holds_nothing_to_lose(tmp_path: Path) -> None:
