@@ -88,6 +88,8 @@ def site(
     stated = laying.given(log_choice, frames)
     same_log, _ = is_same_log(earlier, source, digest_asked(earlier, source))
     given = replace(earlier.lay_under(stated, same_log=same_log), frames=stated.frames)
+    if same_log:
+        earlier.check_poses(given)
     out = out or Path("sonarrec_site") / source.name
     check_free([out])
     with progress(quiet, title="motion") as step:

@@ -212,14 +212,8 @@ def _poses(path: Path, given: Given, earlier: RunFile) -> tuple[PoseTable | None
     earlier: the run of this log that is run again. Raises UsageError where it had a table of poses
     that is not given again.
     """
+    earlier.check_poses(given)
     topic = given.odometry_topic
-    if earlier.odometry and given.odometry is None and topic is None:
-        topic = earlier.odometry.get("topic")
-        if topic is None:
-            raise UsageError(
-                f"{earlier.path}: that run used the odometry {earlier.odometry.get('name')}; "
-                "give it again with --odometry"
-            )
     if topic is not None:
         from sonarrec.readers.mcap.poses import read_topic  # with its decompressors, where needed
 

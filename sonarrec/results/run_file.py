@@ -269,15 +269,26 @@ class RunFile:
     def lay_under(self, given: Given, *, same_log: bool) -> Given:
         """What is given, completed with the run's geometry.
 
-        same_log: complete it with the run's topic, time and frames as well.
+        same_log: complete it with the run's topic, time, frames and topic of poses as well.
         """
+        same_poses = same_log and given.odometry is None
+        poses = self.odometry.get("topic") if same_poses else None
         return replace(
             given,
             sonar=given.sonar if given.sonar_file else self.sonar().updated(given.sonar),
             topic=given.topic or (self.input.topic if same_log else None),
             time=given.time or (self.input.time if same_log else None),
+            odometry_topic=given.odometry_topic or poses,
             frames=given.frames or (self.span() if same_log else None),
         )
+
+    def check_poses(self, given: Given) -> None:
+        """Raise UsageError where the run had a table of poses that is not given again."""
+        if self.odometry and given.odometry is None and given.odometry_topic is None:
+            raise UsageError(
+                f"{self.path}: that run used the odometry {self.odometry.get('name')}; "
+                "give it again with --odometry"
+            )
 
     def span(self) -> tuple[int, int | None] | None:
         """The span of frames that the run was limited to; None if not stated."""

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sonarrec.geometry import in_image, pixel_from_polar
-from sonarrec.records import SonarrecError
+from sonarrec.records import SonarrecError, UsageError
 from sonarrec.results.run_file import Given, read_run
 from sonarrec.results.same_log import check_same_log
 from sonarrec.sonar import Sonar
@@ -121,3 +121,18 @@ def test_another_log_is_told_by_its_sha256_else_by_its_frames(tmp_path: Path) ->
         check_same_log(OtherLog(), tmp_path, nothing)
     (tmp_path / "frames.csv").write_text("frame\n0\n")
     check_same_log(OtherLog(), tmp_path, nothing)
+
+
+def test_of_the_same_log_the_topic_of_poses_serves_again(tmp_path: Path) -> None:
+    """`site` left it out, and measured in the images what the run had been told."""
+    (tmp_path / "run.toml").write_text('finished = true\n[odometry]\ntopic = "/odom"\n')
+    run = read_run(tmp_path / "run.toml")
+    assert run.lay_under(Given(), same_log=True).odometry_topic == "/odom"
+    assert run.lay_under(Given(), same_log=False).odometry_topic is None
+    table = Given(odometry=tmp_path / "poses.csv")
+    assert run.lay_under(table, same_log=True).odometry_topic is None
+    (tmp_path / "run.toml").write_text('finished = true\n[odometry]\nname = "poses.csv"\n')
+    run = read_run(tmp_path / "run.toml")
+    run.check_poses(table)
+    with pytest.raises(UsageError, match=r"used the odometry poses\.csv; give it again"):
+        run.check_poses(run.lay_under(Given(), same_log=True))
