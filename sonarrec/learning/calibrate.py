@@ -29,7 +29,7 @@ from sonarrec.records import (
     printable,
 )
 from sonarrec.sonar import Sonar
-from sonarrec.truth.fits import misfit, pixels_elsewhere, without_rows
+from sonarrec.truth.fits import as_proposed, misfit, pixels_elsewhere, without_rows
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import TruthTable, read_truth
 
@@ -141,6 +141,7 @@ def learn(
             problems.append(f"{fault}; nothing is learned from {log.name}")
             continue
         notes += pixels_elsewhere(table, tracks, "teach")
+        notes += as_proposed(table, log.name, "they teach what the program takes for true already")
         learned.append(log.name)
         rows += truth.rows
         frames += len(tracks.frame)

@@ -66,6 +66,16 @@ def pixels_elsewhere(table: TruthTable, log: ReadLog, so: str) -> list[str]:
     ] * bool(apart)
 
 
+def as_proposed(table: TruthTable, name: str, so: str) -> list[str]:
+    """A line where rows of a log are as `truth propose` wrote them. so: what that means."""
+    rows = table.rows_of(name)
+    proposed = np.count_nonzero(table.proposed[rows])
+    return [
+        f"{table.path}: by `source`, {proposed} of {len(rows)} rows for {name} are unchecked "
+        f"proposals of `truth propose`; {so}. Clear `source` in the rows that a person has checked"
+    ] * bool(proposed)
+
+
 def outside_image(log: ReadLog, truth: Truth) -> BoolArray:
     """(T,) which discs lie wholly outside the fan; none where positions or the fan are unknown."""
     fan = log.fan

@@ -10,7 +10,7 @@ import numpy as np
 
 from sonarrec.records import SonarrecError, number_of
 from sonarrec.results.read import LogResults, not_whole
-from sonarrec.truth.fits import misfit, outside_image, pixels_elsewhere, without_rows
+from sonarrec.truth.fits import as_proposed, misfit, outside_image, pixels_elsewhere, without_rows
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import TruthTable
 
@@ -103,14 +103,7 @@ def _notes(case: Matched) -> list[str]:
     notes = []
     if table.not_read:
         notes.append(f"{table.path}: columns {', '.join(table.not_read)} are not read")
-    rows = table.rows_of(log.name)
-    proposed = np.count_nonzero(table.proposed[rows])
-    if proposed:
-        notes.append(
-            f"{table.path}: by `source`, {proposed} of {len(rows)} rows for {log.name} are "
-            "unchecked proposals of `truth propose`; they say nothing about the results that they "
-            "came from. Clear `source` in the rows that a person has checked"
-        )
+    notes += as_proposed(table, log.name, "they say nothing about the results that they came from")
     outside = int(np.count_nonzero(outside_image(case.log, case.truth)))
     if outside:
         notes.append(
