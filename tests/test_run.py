@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -578,3 +579,11 @@ def test_one_of_a_kind_is_told_in_the_singular(tmp_path: Path) -> None:
     ]
     for done in said:
         assert re.search(r"(?<![\d.])1 [a-z]+s\b", done.output) is None, done.output
+
+
+def test_a_log_that_is_called_as_a_folder_of_a_batch_is_told(tmp_path: Path) -> None:
+    for name, command in (("map", "map"), ("evaluation", "evaluate")):
+        shutil.copytree(SAMPLE, tmp_path / name, ignore=shutil.ignore_patterns("*[1-9]*.png"))
+        out = tmp_path / "out"
+        told = sonarrec("run", tmp_path / name, "-o", out, "-q").stderr
+        assert f"{out / name}: `sonarrec {command} {out}` writes into this folder, too" in told

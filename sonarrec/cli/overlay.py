@@ -103,7 +103,7 @@ def overlay(
             grid=grid,
             observe=step,
         )
-    tell(done.problems)
+    tell(done.problems, done.notes)
     if not quiet:
         for target in filter(None, targets.values()):
             say(f"{target}: {number_of(done.frames, 'frame')}, {done.method}")

@@ -47,11 +47,12 @@ class Targets:
 
 @dataclass(frozen=True, slots=True)
 class Overlaid:
-    """What became of it: the method shown, frames written, and what could not be used."""
+    """What became of it: the method shown, frames written, what could not be used and a note."""
 
     method: str
     frames: int
     problems: list[str]
+    notes: list[str]
 
 
 # Long by its parameters and what is said of them.
@@ -124,7 +125,9 @@ def write_overlay(
         problems += [*log.problems, *(annotations.problems() if annotations is not None else [])]
     if not written:
         raise UsageError(f"{path}: no frame lies in --frames {span[0]}:{span[1] or ''}")
-    return Overlaid(method, written, problems)
+    made_of = run.input.topic
+    notes = [f"{folder}: results of topic {made_of}, drawn onto {topic}"]
+    return Overlaid(method, written, problems, notes * bool(topic and made_of not in (None, topic)))
 
 
 def _check_targets(targets: Targets, path: Path, ground_truth: Path | None) -> None:

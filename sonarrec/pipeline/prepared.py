@@ -21,7 +21,7 @@ from sonarrec.recogniser.beam_width import FRAMES_FOR_BEAMS, with_beams
 from sonarrec.recogniser.side_by_side import SideBySide
 from sonarrec.recogniser.stage3_features.model import ModelFile, model_from_table, read_model
 from sonarrec.records import Fan, Frame, SonarrecError, UsageError, shown
-from sonarrec.results.folders import check_name
+from sonarrec.results.folders import MADE, MADE_BY, check_name
 from sonarrec.results.run_file import Given, RunFile, read_run, run_table, span_text
 
 
@@ -90,6 +90,11 @@ def prepared(
             configs, first.fan, landmarks, learned.model if learned else None, poses
         )
         folder = _results_of(path, out / (name or log.name))
+        if folder.name in MADE:
+            notes.append(
+                f"{shown(folder)}: `sonarrec {MADE_BY[folder.name]} {shown(out)}` writes into this "
+                "folder, too; give it an --out, or rename the log"
+            )
         source = (shown(log.name), *(digest or log.digest_source()))
         table = run_table(
             configs, recogniser.methods, log.stated, first.fan, landmarks, source, log.reading()

@@ -36,6 +36,8 @@ MADE = {
     "map": ("passes.csv", "factors.csv", "graph.g2o", "map.png", "map.geojson", "map.csv"),
 }
 """Folders made from results, and the files in them."""
+MADE_BY = {"evaluation": "evaluate", "map": "map"}
+"""The command that makes each."""
 
 
 def folder_names(logs: Sequence[tuple[str, Path]]) -> list[str]:

@@ -588,12 +588,14 @@ def test_the_log_is_read_as_the_run_read_it(tmp_path: Path) -> None:
     run = {"input": {"topic": "/b", "time": "header"}, "sonar": sonar.as_table()}
     (tmp_path / "sonar.toml").unlink()
     results = write_results(tmp_path / "results", moving(3), run)
-    write_overlay(log, Targets(mcap=tmp_path / "o.mcap"), results=results)
+    assert not write_overlay(log, Targets(mcap=tmp_path / "o.mcap"), results=results).notes
     found = [m for name, _, m in messages(tmp_path / "o.mcap") if name.endswith("e")]
     for message, image in zip(found, noise(3), strict=True):
         png = np.frombuffer(base64.b64decode(message["data"]), np.uint8)
         shown = cv2.imdecode(png, cv2.IMREAD_UNCHANGED)
         np.testing.assert_array_equal(shown, image[:, ::-1] + 100)
+    other = write_overlay(log, Targets(mcap=tmp_path / "a.mcap"), results=results, topic="/a")
+    assert other.notes == [f"{results}: results of topic /b, drawn onto /a"]
 
 
 def test_video_and_images(tmp_path: Path) -> None:
