@@ -151,6 +151,8 @@ def _parsed(path: Path, expected: str, read: Callable[[], Any]) -> Any:
     except (OSError, UnicodeDecodeError, pd.errors.ParserError, pd.errors.ParserWarning) as error:
         ragged = isinstance(error, pd.errors.ParserError | pd.errors.ParserWarning)
         why = (_longer_row(path) if ragged else None) or str(error).strip()
+        if isinstance(error, UnicodeDecodeError):
+            why = "not in UTF-8; save it as that"
         raise SonarrecError(
             f"{path}: not a readable CSV table ({why}); expected a header such as {expected}"
         ) from None
@@ -238,10 +240,12 @@ def _check_shape(path: Path, expected: str) -> None:
             f"{path}: more than {MOST_COLUMNS} columns, or a line of more than {LONGEST_LINE} "
             "bytes; sonarrec has no such tables"
         )
-    if b";" in header and b"," not in header:
-        raise SonarrecError(
-            f"{path}: columns are separated by ; and not by , as expected; a header is {expected}"
-        )
+    for mark, name in ((b";", ";"), (b"\t", "tabs")):  # as spreadsheets save them
+        if mark in header and b"," not in header:
+            raise SonarrecError(
+                f"{path}: columns are separated by {name} and not by , as expected; a header is "
+                f"{expected}"
+            )
 
 
 def _ends_line(block: bytes) -> bool:

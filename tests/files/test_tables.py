@@ -56,6 +56,14 @@ def test_names_are_text_whatever_they_look_like(
     assert [name for name in found if name == name] == [name for name in names if name]
 
 
+@pytest.mark.parametrize("encoding", ["latin-1", "utf-16"])
+def test_a_table_in_another_encoding_is_told(tmp_path: Path, encoding: str) -> None:
+    path = tmp_path / "t.csv"
+    path.write_bytes("a,b\n1,größe\n".encode(encoding))
+    with pytest.raises(SonarrecError, match="not in UTF-8; save it as that"):
+        read_table(path, {"a": "whole"}, ("a",), "a,b")
+
+
 def test_many_lines_that_end_as_on_old_macs_are_no_wide_header(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     path.write_bytes(b"a,b\r" + 2_000 * b"1,2\r")

@@ -187,6 +187,7 @@ def test_frame_numbers_go_before_times(case: Path) -> None:
         ("landmark,x_px,y_px\n1,2,3\n", "neither frame nor timestamp_ns"),
         ("", "empty; expected a header"),
         ("frame;landmark\n0;1\n", "separated by ; and not by , as expected; a header is frame,"),
+        ("frame\tlandmark\n0\t1\n", "columns are separated by tabs and not by , as expected"),
         ("frame;landmark;x_px;y_px\n0;1;2,5;3,5\n", "columns are separated by ; and not by ,"),
         (
             "frame,landmark\n0,1\n\none,1\n",
