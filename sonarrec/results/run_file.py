@@ -102,8 +102,8 @@ _OF_THE_END: dict[str, Any] = {
 def held_results(folder: Path, table: dict[str, Any]) -> Held:
     """Compare the finished results in a folder with the run.toml of a run to come.
 
-    Raises SonarrecError if they belong to another log (by path and SHA-256) or another program, or
-    if a count in their run.toml is invalid.
+    Raises SonarrecError if they belong to another log (by path and SHA-256), another topic or
+    another program, or if a count in their run.toml is invalid.
     """
     path = folder / "run.toml"
     tables = [estimates_of(folder).name if name in ESTIMATES else name for name in TABLES]
@@ -126,6 +126,11 @@ def held_results(folder: Path, table: dict[str, Any]) -> Held:
     if source.get("sha256") != mine["sha256"] and source.get(where, mine[where]) != mine[where]:
         raise SonarrecError(
             f"{folder}: holds the results of another log ({source.get('path')}); choose another "
+            "--out, or give --overwrite"
+        )
+    if source.get("topic", mine.get("topic")) != mine.get("topic"):
+        raise SonarrecError(
+            f"{folder}: holds the results of topic {source['topic']} of this log; choose another "
             "--out, or give --overwrite"
         )
     coming.pop("ran_on")

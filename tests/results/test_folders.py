@@ -32,6 +32,8 @@ from sonarrec.results.folders import (
 from sonarrec.results.read import find_logs
 from tests.support.command import sonarrec
 from tests.support.kills import assert_readable, command, finished, frames, held, stop_at_random
+from tests.support.logs import cdr_image, mcap_file
+from tests.support.logs import frames as images
 
 SAMPLE = Path(__file__).parents[2] / "sample_data" / "pan"
 FRAMES = 40
@@ -132,6 +134,16 @@ def test_other_settings_replace_results_and_what_was_made_of_them(
     assert not (out / "short" / "evaluation").exists()
     assert (out / "short" / "notes.txt").read_text() == "mine"
     assert not list(out.glob(".*"))
+
+
+def test_the_other_sonar_of_a_bag_does_not_replace_the_results_of_the_first(tmp_path: Path) -> None:
+    stored = [(topic, 0, cdr_image(image)) for image in images(1) for topic in ("/a", "/b")]
+    log, out = mcap_file(tmp_path / "dive.mcap", stored), tmp_path / "out"
+    sonarrec("run", "-q", log, "--topic", "/a", "-o", out)
+    assert "up to date" in sonarrec("run", log, "--topic", "/a", "-o", out).stdout
+    told = sonarrec("run", log, "--topic", "/b", "-o", out, code=1).stderr
+    assert f"{out / 'dive'}: holds the results of topic /a of this log; choose another" in told
+    sonarrec("run", "-q", log, "--topic", "/b", "-o", out, "--overwrite")
 
 
 def test_files_of_the_user_stay_also_where_ours_are_made(log: Path, tmp_path: Path) -> None:
