@@ -20,6 +20,7 @@ from sonarrec.cli.endings import FAILED, MISUSED, PARTLY, say, tell
 from sonarrec.cli.passes import as_json, table
 from sonarrec.pipeline.run import Summary
 from sonarrec.records import MissingError, SonarrecError, number_of, printable
+from sonarrec.results.folders import MADE, PAGES
 from sonarrec.results.run_file import PROGRAM
 
 if TYPE_CHECKING:
@@ -162,6 +163,7 @@ class RunWatch(Watch):
 
     def count(self) -> None:
         """Print how many logs are done, up to date, partial and failed, if there are several."""
+        self._note_what_is_older()
         counts: dict[str, list[str]] = {"done": [], "up to date": [], "in part": [], "failed": []}
         for i, outcome in sorted(self._outcomes.items()):
             counts[_how(outcome)].append(self._tasks[i].path)
@@ -175,6 +177,19 @@ class RunWatch(Watch):
         elif failed:
             line += f": {', '.join(failed)}"
         click.echo(printable(line), err=bool(failed) or self._json)
+
+    def _note_what_is_older(self) -> None:
+        """What was made of all results in OUT stays there when some of them are made anew."""
+        summaries = [outcome.summary for outcome in self._outcomes.values()]
+        if self._box is not None or all(s is None or s.up_to_date for s in summaries):
+            return
+        names = [
+            *PAGES,
+            *(name for name, made in MADE.items() if (self._out / name / made[-1]).is_file()),
+        ]
+        older = [name for name in names if (self._out / name).exists()]
+        if older:
+            tell([], [f"{self._out}: {', '.join(older)}: made of earlier results; make anew"])
 
     def _of(self, i: int) -> str:
         return f" ({i + 1} of {len(self._tasks)})" if len(self._tasks) > 1 else ""

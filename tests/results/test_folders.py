@@ -136,6 +136,20 @@ def test_other_settings_replace_results_and_what_was_made_of_them(
     assert not list(out.glob(".*"))
 
 
+def test_what_was_made_of_all_results_is_told_where_some_are_made_anew(
+    log: Path, tmp_path: Path
+) -> None:
+    short, out = shorter(log, tmp_path / "short"), tmp_path / "out"
+    assert sonarrec("run", "-q", short, "-o", out).stderr == ""
+    (out / "evaluation").mkdir()
+    (out / "evaluation" / "evaluation.json").touch()
+    (out / "report.html").touch()
+    assert sonarrec("run", "-q", short, "-o", out).stderr == ""
+    done = sonarrec("run", "-q", short, "-o", out, "--overwrite")
+    line = f"{out}: report.html, evaluation: made of earlier results; make anew"
+    assert done.stderr == f"sonarrec: note: {line}\n"
+
+
 def test_the_other_sonar_of_a_bag_does_not_replace_the_results_of_the_first(tmp_path: Path) -> None:
     stored = [(topic, 0, cdr_image(image)) for image in images(1) for topic in ("/a", "/b")]
     log, out = mcap_file(tmp_path / "dive.mcap", stored), tmp_path / "out"
