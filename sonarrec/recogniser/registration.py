@@ -64,7 +64,10 @@ class Registered:
         Its translation is taken to have this registration's covariance.
         """
         way = motion[:2]
-        return float(way @ np.linalg.solve(self.covariance[:2, :2], way))
+        try:
+            return float(way @ np.linalg.solve(self.covariance[:2, :2], way))
+        except np.linalg.LinAlgError:  # pictures that are the same to the bit leave no error at all
+            return math.inf if way.any() else 0.0
 
 
 class FloorRegistration:

@@ -95,6 +95,14 @@ def test_a_tripod_is_told_to_stand(kind: str) -> None:
     assert all(0 < max(m.right_sigma_m, m.ahead_sigma_m) < 0.01 for m in sure)
 
 
+def test_pictures_that_come_again_to_the_bit_show_no_motion() -> None:
+    """As of a recording that is looped: they leave no error, by which nothing can be divided."""
+    scene = replace(random_scene(8710, "plain"), frames=2)
+    images = [frame.image for frame in render(scene)] * 6
+    motions = measured(images, scene_fan(scene), scene.landmark_set.radius_m)
+    assert all(m is not None and (m.right_m, m.ahead_m) == (0, 0) for m in motions[1:])
+
+
 @pytest.mark.parametrize(("view_deg", "beams"), [(28.8, 96), (130.0, 256)])
 @pytest.mark.parametrize("pan_deg", [0.1, 0.25])
 def test_slow_pans_do_not_add_up_short(view_deg: float, beams: int, pan_deg: float) -> None:
