@@ -80,7 +80,7 @@ def test_all_at_once_or_one_at_a_time_is_the_same(
 
 def test_the_same_bytes_however_many_processes(tmp_path: Path, pairs: Path) -> None:
     made = {}
-    for jobs in ("1", "5"):
+    for jobs in ("1", "3"):  # of 12 logs: more than the three have ahead
         out = tmp_path / "evaluation"
         done = CliRunner().invoke(
             main, ["evaluate", "--pairs", str(pairs), "-j", jobs, "-o", str(out), "--details"]
@@ -88,7 +88,7 @@ def test_the_same_bytes_however_many_processes(tmp_path: Path, pairs: Path) -> N
         assert done.exit_code == 0, done.output
         made[jobs] = files(out), done.output
         shutil.rmtree(out)
-    assert made["1"] == made["5"]
+    assert made["1"] == made["3"]
 
 
 BROKEN = {
@@ -106,16 +106,19 @@ def broken(folder: Path, name: str) -> str:
     return f"{folder}{os.sep}{told}"
 
 
-@pytest.mark.parametrize("jobs", ["1", "2"])
-@pytest.mark.parametrize("name", BROKEN)
+@pytest.mark.parametrize(
+    ("name", "jobs"),
+    [("estimates.csv", "1"), ("frames.csv", "1"), ("run.toml", "1"), ("run.toml", "2")],
+)
 def test_a_log_that_cannot_be_read_is_left_out(tmp_path: Path, name: str, jobs: str) -> None:
-    """The first, whose IDs' order the others would follow. Without any other it is one line."""
+    """The first, whose IDs' order the others would follow. Without any other it is one line. By
+    what name it cannot be read is settled before it reaches another process: one has it there."""
     pairs = make_logs(tmp_path / "made", 4, 50, 2)
     head, first, *others = pairs.read_text(encoding="utf-8").splitlines()
     pairs.write_text("\n".join([head, *others, ""]), encoding="utf-8")
     ours = tmp_path / "made" / "evaluation"
     tables = ("confusion.csv", "roc.csv", "figures.csv", "per_log.csv")
-    done = CliRunner().invoke(main, ["evaluate", "--pairs", str(pairs), "-j", jobs])
+    done = CliRunner().invoke(main, ["evaluate", "--pairs", str(pairs), "-j", "1"])
     assert done.exit_code == 0, done.output
     without = [files(ours)[table] for table in tables]
     shutil.rmtree(ours)
@@ -138,8 +141,13 @@ def test_a_log_that_cannot_be_read_is_left_out(tmp_path: Path, name: str, jobs: 
     assert not ours.exists()
 
 
-@pytest.mark.parametrize(("side", "jobs"), [("out", "1"), ("new", "2")])
-@pytest.mark.parametrize("name", BROKEN)
+@pytest.mark.parametrize(
+    ("name", "side", "jobs"),
+    [
+        *((name, side, "1") for name in BROKEN for side in ("out", "new")),
+        ("run.toml", "new", "2"),
+    ],
+)
 def test_a_log_that_cannot_be_read_is_not_compared(
     tmp_path: Path, name: str, side: str, jobs: str
 ) -> None:
@@ -197,7 +205,7 @@ RECORDED = {
 }
 
 
-@pytest.mark.parametrize(("logs", "jobs"), [(4, "2"), (12, "1"), (12, "2")])
+@pytest.mark.parametrize(("logs", "jobs"), [(4, "2"), (12, "1")])
 def test_compared_one_at_a_time_as_all_at_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, logs: int, jobs: str
 ) -> None:
@@ -239,9 +247,14 @@ def test_memory_of_a_comparison_does_not_grow_with_the_logs(tmp_path: Path) -> N
     """Six logs and 15. What was read of a log is twice that of
     `test_memory_does_not_grow_with_the_logs`: were it kept, nine more would be 9 MB."""
 
+    old, new, table = make_sides(tmp_path / "made", 15, 1000, 2)
+    pairs = read_pairs(table)
+
     def peak(logs: int) -> float:
-        old, new, pairs = make_sides(tmp_path / str(logs), logs, 1000, 2)
-        return peak_mb(lambda: compare(old, new, read_pairs(pairs), jobs=1))
+        found = []
+        peak = peak_mb(lambda: found.append(compare(old, new, pairs[:logs], jobs=1)))
+        assert len(found[0].logs) == logs
+        return peak
 
     assert peak(15) - peak(6) < 1
 
