@@ -112,7 +112,7 @@ class PolarGrid:
         return self._first_deg + np.arange(start, stop) * STEP_DEG
 
     def index(self, x: FloatArray, y: FloatArray) -> np.ndarray:
-        """Flat indices, int32, of the cells where these places lie; the nearest ones outside."""
+        """Flat indices, intp, of the cells where these places lie; the nearest ones outside."""
         slant = np.sqrt(x**2 + y**2 + self._height_m**2)
         azimuth = self._within(np.degrees(np.arctan2(x, y)))
         return self._index(slant, (azimuth - self._first_deg) / STEP_DEG)
@@ -126,7 +126,7 @@ class PolarGrid:
         rows, columns = self.shape
         row = np.clip(np.floor((slant - self._first_m) / self._bin_m), 0, rows - 1)
         column = np.clip(np.rint(column), 0, columns - 1)
-        return np.asarray((row * columns + column).astype(np.int32))
+        return np.asarray((row * columns + column).astype(np.intp))
 
 
 class SquareGrid:
@@ -183,11 +183,11 @@ class SquareGrid:
         return pan_deg + np.arange(-self._reach_deg, self._reach_deg + STEP_DEG, STEP_DEG)
 
     def index(self, x: FloatArray, y: FloatArray) -> np.ndarray:
-        """Flat indices, int32, of the cells where these places lie; the nearest ones outside."""
+        """Flat indices, intp, of the cells where these places lie; the nearest ones outside."""
         rows, columns = self.shape
         column = np.clip(np.floor((x - self._first[0]) / self.cell_m), 0, columns - 1)
         row = np.clip(np.floor((y - self._first[1]) / self.cell_m), 0, rows - 1)
-        return np.asarray((row * columns + column).astype(np.int32))
+        return np.asarray((row * columns + column).astype(np.intp))
 
     def evened(self, ground: FloatArray) -> FloatArray:
         """Amplitude that keeps the power of a beam where several columns of it share a cell.

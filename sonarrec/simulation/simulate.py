@@ -12,6 +12,7 @@ import csv
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields, replace
+from functools import lru_cache
 from itertools import chain
 from pathlib import Path
 
@@ -27,7 +28,7 @@ from sonarrec.simulation.grid import PolarGrid, SquareGrid, area
 from sonarrec.simulation.laid import raised_m
 from sonarrec.simulation.motion import Pose, ar1, poses
 from sonarrec.simulation.multipath import Multipath, shifted
-from sonarrec.simulation.plane import FLAT, Plane
+from sonarrec.simulation.plane import FLAT, Plane, within_a_turn
 from sonarrec.simulation.receiver import Picture, Receiver, vertical_pattern
 from sonarrec.simulation.scene import (
     PlacedLandmark,
@@ -122,6 +123,33 @@ def visible_share(
 
     lean: how far it leans and towards which azimuth, deg; its lower edge touches the floor.
     """
+    if _aside(fan, pose, x_m, y_m, 2 * radius_m, plane):
+        return 0.0
+    dx, dy, up = _disc(radius_m, lean)
+    slant, bearing = plane.seen(pose, x_m + dx, y_m + dy, up)
+    return float(np.mean(in_image(fan, slant, bearing)))
+
+
+def _aside(fan: Fan, pose: Pose, x_m: float, y_m: float, reach_m: float, plane: Plane) -> bool:
+    """Whether all within reach_m of a place of the floor is surely out of view; told of a level
+    sonar over level floor only."""
+    if pose.roll_deg or plane.slope_deg:
+        return False
+    dx, dy = x_m - pose.x_m, y_m - pose.y_m
+    away = math.hypot(dx, dy)
+    if away <= reach_m:
+        return False
+    middle = (fan.bearing_min_deg + fan.bearing_max_deg) / 2
+    off = abs(float(within_a_turn(math.degrees(math.atan2(dx, dy)) - pose.pan_deg - middle)))
+    off -= math.degrees(math.asin(reach_m / away))
+    return away - reach_m > fan.range_max_m or off > fan.bearing_max_deg - middle
+
+
+@lru_cache(maxsize=256)
+def _disc(
+    radius_m: float, lean: tuple[float, float]
+) -> tuple[FloatArray, FloatArray, FloatArray | float]:
+    """Points of a disc, right and ahead of its middle and up, m. lean: as of `visible_share`."""
     dx, dy = points_on_disc(radius_m, 2000)
     up: FloatArray | float = 0.0
     if lean[0]:
@@ -130,8 +158,7 @@ def visible_share(
         up = (along + radius_m) * math.sin(tilt)
         level = along * (math.cos(tilt) - 1)
         dx, dy = dx + level * math.sin(towards), dy + level * math.cos(towards)
-    slant, bearing = plane.seen(pose, x_m + dx, y_m + dy, up)
-    return float(np.mean(in_image(fan, slant, bearing)))
+    return dx, dy, up
 
 
 def _truth(
