@@ -2,19 +2,53 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from sonarrec.geometry import floor_depth
 from sonarrec.records import Fan, FloatArray, FloatImage
 
 
+@dataclass(frozen=True, slots=True)
+class CellPlaces:
+    """Where the cells of polar pictures lie, evenly spaced: the first cell, and the steps.
+
+    shape: (rows, columns). slant, bearing: m and rad, of the first row and column. slant_step,
+    bearing_step: m and rad from one cell to the next. depth: height of the sonar over the floor, m.
+    """
+
+    shape: tuple[int, int]
+    slant: np.float32
+    slant_step: float
+    bearing: np.float32
+    bearing_step: float
+    depth: np.float32
+
+    def before(
+        self, ground: FloatArray, bearing: FloatArray, motion: FloatArray
+    ) -> tuple[FloatImage, FloatImage]:
+        """(row, column), in cells, of where points of the floor lay before a motion.
+
+        ground (m), bearing (rad): where they lie now; shapes broadcast with the motion's parts,
+        motion[0], motion[1] and motion[2].
+        """
+        toward = bearing + motion[2]
+        x = ground * np.sin(toward) + motion[0]
+        y = ground * np.cos(toward) + motion[1]
+        slant = np.sqrt(x * x + y * y + self.depth**2)
+        row = (slant - self.slant) / np.float32(self.slant_step)
+        column = (np.arctan2(x, y) - self.bearing) / np.float32(self.bearing_step)
+        return row.astype(np.float32), column.astype(np.float32)
+
+
 class FloorCells:
     """The cells of polar pictures of one shape: rows of slant range, columns of bearing.
 
     seen: (rows, columns) float32, 1 where a cell shows floor, else 0. slant, ground: (rows, 1) m.
-    bearing: (1, columns) rad. slant_step, bearing_step: m and rad from one cell to the next. depth:
-    height of the sonar above the floor, m. down, across: (4, rows, columns) by how many cells a
-    picture moves with a metre to the right, a metre ahead, a radian of turn and a metre of height.
+    bearing: (1, columns) rad. places: the same in a few numbers. down, across: (4, rows, columns)
+    by how many cells a picture moves with a metre to the right, a metre ahead, a radian of turn
+    and a metre of height.
     """
 
     def __init__(
@@ -22,16 +56,22 @@ class FloorCells:
     ) -> None:
         """range_m: (rows,), bearing_deg: (columns,) of the cells' middles, evenly spaced."""
         self.seen = seen
-        self.depth = depth = np.float32(floor_depth(fan))
+        depth = np.float32(floor_depth(fan))
         slant = range_m.astype(np.float32)[:, None]
         bearing = np.radians(bearing_deg).astype(np.float32)[None]
         self.slant, self.bearing = slant, bearing
-        self.slant_step = float(slant[1, 0] - slant[0, 0])
-        self.bearing_step = float(bearing[0, 1] - bearing[0, 0])
+        self.places = places = CellPlaces(
+            (seen.shape[0], seen.shape[1]),
+            slant[0, 0],
+            float(slant[1, 0] - slant[0, 0]),
+            bearing[0, 0],
+            float(bearing[0, 1] - bearing[0, 0]),
+            depth,
+        )
         # Nearer than the floor nothing is seen: any distance serves.
         self.ground = ground = np.sqrt(np.maximum(slant**2 - depth**2, 0.01 * slant**2))
-        down = np.float32(1 / self.slant_step)
-        across = np.float32(1 / self.bearing_step)
+        down = np.float32(1 / places.slant_step)
+        across = np.float32(1 / places.bearing_step)
         even = np.ones_like(seen)
         self.down = np.stack(
             [
@@ -50,23 +90,9 @@ class FloorCells:
             ]
         )
 
-    def before(
-        self, ground: FloatArray, bearing: FloatArray, motion: FloatArray
-    ) -> tuple[FloatImage, FloatImage]:
-        """(row, column), in cells, of where points of the floor lay before a motion.
-
-        ground (m), bearing (rad): where they lie now; shapes broadcast with the motion's parts,
-        motion[0], motion[1] and motion[2].
-        """
-        toward = bearing + motion[2]
-        x = ground * np.sin(toward) + motion[0]
-        y = ground * np.cos(toward) + motion[1]
-        slant = np.sqrt(x * x + y * y + self.depth**2)
-        row = (slant - self.slant[0, 0]) / np.float32(self.slant_step)
-        column = (np.arctan2(x, y) - self.bearing[0, 0]) / np.float32(self.bearing_step)
-        return row.astype(np.float32), column.astype(np.float32)
-
     def shift(self, motion: FloatArray) -> float:
         """About how many cells a motion (3,), as Registered.motion, moves a picture."""
         right, ahead, turn = np.abs(motion)
-        return float(max(max(right, ahead) / self.slant_step, turn / self.bearing_step))
+        return float(
+            max(max(right, ahead) / self.places.slant_step, turn / self.places.bearing_step)
+        )

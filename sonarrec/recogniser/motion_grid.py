@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import cv2
 import numpy as np
 
-from sonarrec.recogniser.floor_cells import FloorCells
+from sonarrec.recogniser.floor_cells import CellPlaces
 from sonarrec.records import FloatArray, FloatImage
 
 
@@ -22,12 +23,12 @@ class MotionGrid:
     MOST = (0.09, 0.16, math.radians(6.0))  # m to the right, m ahead, rad: to either side
     FINENESS = (0.01, 0.02)  # m, of the grid; its turns are two cells apart
 
-    def __init__(self, floor: FloorCells) -> None:
-        rows, columns = (side // 2 for side in floor.seen.shape)
+    def __init__(self, cells: CellPlaces) -> None:
+        rows, columns = (side // 2 for side in cells.shape)
         self._block = (rows // self.BLOCKS[0], columns // self.BLOCKS[1])
         right, ahead, turn = (
             np.arange(-math.ceil(most / fine), math.ceil(most / fine) + 1) * fine
-            for most, fine in zip(self.MOST, (*self.FINENESS, 2 * floor.bearing_step), strict=True)
+            for most, fine in zip(self.MOST, (*self.FINENESS, 2 * cells.bearing_step), strict=True)
         )
         motions = np.stack(np.meshgrid(right, ahead, turn, indexing="ij")).reshape(3, -1, 1)
         self._motions = motions[..., 0].T
@@ -35,11 +36,11 @@ class MotionGrid:
             (np.arange(count) + 0.5) * 2 * size - 0.5
             for count, size in zip(self.BLOCKS, self._block, strict=True)
         ]
-        slant = floor.slant[0, 0] + middle[0] * floor.slant_step
-        ground = np.sqrt(np.maximum(slant**2 - floor.depth**2, 0.01 * slant**2))
-        bearing = floor.bearing[0, 0] + middle[1] * floor.bearing_step
+        slant = cells.slant + middle[0] * cells.slant_step
+        ground = np.sqrt(np.maximum(slant**2 - cells.depth**2, 0.01 * slant**2))
+        bearing = cells.bearing + middle[1] * cells.bearing_step
         ground, bearing = (a.ravel() for a in np.meshgrid(ground, bearing, indexing="ij"))
-        row, column = floor.before(ground, bearing, motions)
+        row, column = cells.before(ground, bearing, motions)
         at = [
             np.rint((v - m.ravel()) / 2).astype(int)
             for v, m in zip((row, column), np.meshgrid(*middle, indexing="ij"), strict=True)
@@ -69,3 +70,9 @@ class MotionGrid:
         found = np.fft.irfft2(spectrum, size)[..., : 2 * down + 1, : 2 * across + 1]
         alike = np.append(found.astype(np.float32).ravel(), np.float32(0))
         return np.asarray(self._motions[int(alike[self._place].sum(axis=1).argmax())])
+
+
+@lru_cache(maxsize=2)
+def motion_grid(cells: CellPlaces) -> MotionGrid:
+    """Kept for the next log: it takes as long as ten frames, and many logs are of one sonar."""
+    return MotionGrid(cells)

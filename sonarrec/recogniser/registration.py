@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from sonarrec.recogniser.floor_cells import FloorCells
-from sonarrec.recogniser.motion_grid import MotionGrid
+from sonarrec.recogniser.motion_grid import motion_grid
 from sonarrec.records import ByteImage, FloatArray, FloatImage
 
 STEPS = 8  # Gauss-Newton steps, at most
@@ -81,7 +81,6 @@ class FloorRegistration:
         self._quick = slice(1, len(floor.slant) - 1, EVERY)
         self._quick_down = floor.down[:3, self._quick, 1:-1].copy()
         self._quick_across = floor.across[:3, self._quick, 1:-1].copy()
-        self._grid: MotionGrid | None = None
 
     def refined(self, before: FloatImage, now: FloatImage, start: FloatArray) -> Registered | None:
         """The motion near `start`; None where the steps do not come to rest.
@@ -104,9 +103,7 @@ class FloorRegistration:
 
     def searched(self, before: FloatImage, now: FloatImage) -> FloatArray:
         """(3,) the likeliest motion of a coarse grid, a start for `refined`."""
-        if self._grid is None:
-            self._grid = MotionGrid(self.floor)
-        return self._grid.best(before, now)
+        return motion_grid(self.floor.places).best(before, now)
 
     def quick(self, before: FloatImage, now: FloatImage, turn: float) -> Registered | None:
         """The motion near a turn alone (rad): one step, for motions of a small part of a cell.
@@ -114,7 +111,7 @@ class FloorRegistration:
         It looks at some of the rows, and takes the height as constant. None where the pictures have
         nothing in common.
         """
-        shift = np.float32(turn / self.floor.bearing_step)
+        shift = np.float32(turn / self.floor.places.bearing_step)
         earlier, later = (self._sampled_rows(p) for p in (before, now))
         flat = earlier.reshape(-1, earlier.shape[-1])
         turned = np.asarray(
@@ -186,7 +183,7 @@ class _Fit:
         cls, floor: FloorCells, before: FloatImage, now: FloatImage, motion: FloatArray
     ) -> _Fit | None:
         """None where the pictures have nothing in common."""
-        row, column = floor.before(floor.ground, floor.bearing, motion.astype(np.float32))
+        row, column = floor.places.before(floor.ground, floor.bearing, motion.astype(np.float32))
         earlier = np.asarray(cv2.remap(before, column, row, cv2.INTER_LINEAR), np.float32)
         seen = np.asarray(cv2.remap(floor.seen, column, row, cv2.INTER_LINEAR))
         both = (seen > 0.99).view(np.uint8)
