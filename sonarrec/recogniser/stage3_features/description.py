@@ -8,7 +8,7 @@ import numpy as np
 
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.stage3_features import settled
-from sonarrec.recogniser.stage3_features.expected_symbol import ExpectedSymbols
+from sonarrec.recogniser.stage3_features.expected_symbol import expected_symbols
 from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES, Bands, turned_codes
 from sonarrec.records import BoolArray, FloatArray, IndexArray
 
@@ -131,7 +131,7 @@ class Describer:
         codes = turned_codes(landmarks)
         # As a beam sees them: sector edges smeared over a step.
         self._codes = 0.5 * codes + 0.25 * (codes[..., BEFORE] + codes[..., AFTER])
-        self._expected = ExpectedSymbols(landmarks, radii, bands, alike)
+        self._expected = expected_symbols(landmarks, alike)
         # 1 at the two steps that flank a rise counter-clockwise, -1 at those of a fall.
         self._edges = codes[..., AFTER] - codes[..., BEFORE]
         table = np.asarray(landmarks.sectors, dtype=bool)

@@ -17,13 +17,13 @@ better than every ID does is none of these.
 from __future__ import annotations
 
 import math
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.stage3_features import settled
-from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES, STEP, Bands
+from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES, STEP, Bands, ShapeSampler
 from sonarrec.records import BoolArray, FloatArray
 
 # Typical echo levels over the floor, and the noise, dB. Grey levels are logarithms of the power,
@@ -173,6 +173,14 @@ class ExpectedSymbols:
         at = cell[point] * CROSS_TURNS + turns
         cross = np.bincount(at, share[point], cells * CROSS_TURNS).reshape(cells, CROSS_TURNS)
         return np.concatenate([ids, cross, rivals], axis=1)
+
+
+@lru_cache(maxsize=2)
+def expected_symbols(landmarks: LandmarkSet, alike: float) -> ExpectedSymbols:
+    """Those on the lines of the set's shape matrices; shared by logs and presets that ask for the
+    same. alike: as ExpectedSymbols."""
+    sampler = ShapeSampler(landmarks, (1.0, 1.0))  # where the lines lie does not depend on the axes
+    return ExpectedSymbols(landmarks, sampler.radii, sampler.bands, alike)
 
 
 def _rivals(landmarks: LandmarkSet) -> FloatArray:
