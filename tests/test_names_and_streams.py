@@ -10,7 +10,10 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
+from tempfile import TemporaryFile
 
 import pytest
 from click.shell_completion import BashComplete
@@ -68,6 +71,79 @@ def work(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
     return tmp_path
 
 
+ONE_AFTER_THE_OTHER = """
+import os, sys
+from sonarrec.cli import main
+for line in sys.stdin:
+    code = 0
+    try:
+        main([os.fsdecode(bytes.fromhex(word)) for word in line.split()], prog_name="sonarrec")
+    except SystemExit as end:
+        code = end.code
+    print(f"\\0{code}", flush=True)
+"""
+"""Commands in one process, each a line of words in hex; after what a command prints, its code."""
+
+
+@contextmanager
+def another_locale(**environment: str) -> Iterator[Callable[..., tuple[int, str]]]:
+    """What runs a command in a process that has this environment: its code and what it printed."""
+    with (
+        TemporaryFile() as said,
+        subprocess.Popen(
+            [sys.executable, "-c", ONE_AFTER_THE_OTHER],
+            env=os.environ | environment,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=said,
+        ) as process,
+    ):
+        assert process.stdin is not None
+        assert process.stdout is not None
+        asked, answers = process.stdin, process.stdout
+
+        def run(*words: str | bytes) -> tuple[int, str]:
+            asked.write(b" ".join(os.fsencode(word).hex().encode() for word in words) + b"\n")
+            asked.flush()
+            printed = b""
+            while b"\0" not in printed:
+                line = answers.readline()
+                said.seek(0)
+                assert line, said.read().decode(errors="replace")
+                printed += line
+            told, _, code = printed.partition(b"\0")
+            return int(code), told.decode()
+
+        yield run
+        asked.close()
+        assert process.wait(60) == 0
+        said.seek(0)
+        assert b"Traceback" not in said.read()
+
+
+@pytest.fixture
+def done(
+    work: Path, environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Callable[..., str]]:
+    """Runs a command in the folder and gives what it prints."""
+    monkeypatch.chdir(work)
+
+    def here(*words: str | bytes) -> tuple[int, str]:
+        told = CliRunner().invoke(main, [os.fsdecode(word) for word in words])
+        assert "\x1b" not in told.output  # nothing in a name steers a terminal
+        assert "\nve" not in told.stdout
+        return told.exit_code, told.stdout_bytes.decode()
+
+    with another_locale(**environment) if environment else nullcontext(here) as run:
+
+        def checked(*words: str | bytes, codes: tuple[int, ...] = (0, 3)) -> str:
+            code, printed = run(*words)
+            assert code in codes, printed
+            return printed
+
+        yield checked
+
+
 LATIN, UTF = b"d\xe9\x1b[31m\nve", "d\u00e9v\u00e9".encode()
 
 
@@ -76,24 +152,8 @@ LATIN, UTF = b"d\xe9\x1b[31m\nve", "d\u00e9v\u00e9".encode()
     [(LATIN, LATIN, {}), (UTF, UTF, ASCII)],
     indirect=["work"],
 )
-def test_names_of_any_bytes(
-    work: Path, name: bytes, environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Where it needs a locale of its own, in processes; else nothing in them steers a terminal."""
-    monkeypatch.chdir(work)
-
-    def done(*words: str | bytes, codes: tuple[int, ...] = (0, 3)) -> str:
-        if not environment:
-            told = CliRunner().invoke(main, [os.fsdecode(word) for word in words])
-            assert told.exit_code in codes, told.output
-            assert "\x1b" not in told.output
-            assert "\nve" not in told.stdout
-            return told.stdout_bytes.decode()
-        ended = sonarrec(work, *words, **environment)
-        assert ended.returncode in codes, ended.stderr.decode(errors="replace")
-        assert b"Traceback" not in ended.stderr
-        return ended.stdout.decode()
-
+def test_names_of_any_bytes(work: Path, name: bytes, done: Callable[..., str]) -> None:
+    """Where they need a locale of its own, in a process that has it."""
     done("run", name, codes=(3,))
     [folder] = (p for p in (work / "sonarrec_out").iterdir() if p.is_dir())
     with (folder / "run.toml").open("rb") as file:
