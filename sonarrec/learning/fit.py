@@ -137,9 +137,11 @@ def _likelihood(
         x = _basis(features, knots)
         n, ids, _ = x.shape
         share = smeared_share(smear).astype(np.float32)
-        x = np.concatenate([x, x * share[:, None, None]], axis=2)
+        if share.any():  # else the smear adds nothing: half as wide is four times as quick
+            x = np.concatenate([x, x * share[:, None, None]], axis=2)
+        width = x.shape[2]
         # 'None of these' is the reference: its log odds are 0.
-        logits = np.concatenate([x @ curves, np.zeros((n, 1))], axis=1)
+        logits = np.concatenate([x @ curves[:width], np.zeros((n, 1))], axis=1)
         top = logits.max(axis=1, keepdims=True)
         p = np.exp(logits - top)
         total = p.sum(axis=1, keepdims=True)
@@ -148,9 +150,9 @@ def _likelihood(
         label = label[rows]
         loss += float((top + np.log(total)).sum() - logits[rows, label].sum())
         expected = np.einsum("nk,nkd->nd", p, x)
-        gradient += x[rows, label].sum(axis=0, dtype=float) - expected.sum(axis=0)
-        weighted = (x * np.sqrt(p)[..., None]).reshape(-1, size)
-        curvature += weighted.T @ weighted - expected.T @ expected
+        gradient[:width] += x[rows, label].sum(axis=0, dtype=float) - expected.sum(axis=0)
+        weighted = (x * np.sqrt(p)[..., None]).reshape(-1, width)
+        curvature[:width, :width] += weighted.T @ weighted - expected.T @ expected
     return loss, gradient, curvature
 
 
