@@ -105,6 +105,7 @@ def test_commands_in_order_print_what_is_shown(
 ) -> None:
     shutil.copytree(ROOT / "sample_data", tmp_path / "sample_data")
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sonarrec.batch.cores.cores", lambda: 1)  # no processes: they take longest
     found = examples(document)
     assert any("sonarrec" in command for command, _ in found)
     for command, shown in found:

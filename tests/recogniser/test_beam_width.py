@@ -147,7 +147,9 @@ def test_whatever_reads_a_log_takes_the_width_that_a_run_takes(
 
 
 def test_nothing_is_said_of_the_usual_width(tmp_path: Path) -> None:
-    result = CliRunner().invoke(main, ["run", str(SAMPLE), "-q", "-o", str(tmp_path)])
+    result = CliRunner().invoke(
+        main, ["run", str(SAMPLE), "--frames", ":20", "-q", "-o", str(tmp_path)]
+    )
     assert result.exit_code == 0
     assert "beam" not in result.stderr
     assert width_in(tmp_path / "pan") == 0.4
