@@ -146,7 +146,7 @@ def test_a_quoted_glob_of_logs(tmp_path: Path) -> None:
     mcap_file(tmp_path / "dives" / "dive10.mcap", messages)
     with pytest.raises(SonarrecError, match=r"matches 2 logs, dive2.mcap the first; open each"):
         open_log(pattern)
-    done = CliRunner().invoke(main, ["run", pattern, "--out", str(tmp_path / "out")])
+    done = CliRunner().invoke(main, ["run", pattern, "-j", "1", "--out", str(tmp_path / "out")])
     assert done.exit_code == 0, done.output
     assert {p.name for p in (tmp_path / "out").iterdir()} >= {"dive2", "dive10"}
     told = CliRunner().invoke(main, ["info", pattern])

@@ -9,26 +9,19 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner, Result
 
-from sonarrec.cli import main
 from sonarrec.pipeline.run import result_names
 from sonarrec.readers.find import companion, find_log
 from sonarrec.readers.many import find_logs
 from sonarrec.records import SonarrecError, UsageError
 from sonarrec.remote.run import all_logs
 from tests.support.bags import bag, messages, split_bag
+from tests.support.command import sonarrec
 from tests.support.locked import locked
 from tests.support.logs import SONAR_TOML, frames, image_folder, mcap_file
 
 SAMPLE = Path(__file__).parents[2] / "sample_data"
 IMAGES = frames(3)
-
-
-def sonarrec(*words: str | Path, code: int = 0, **options: str) -> Result:
-    told = CliRunner().invoke(main, [*map(str, words)], **options)  # type: ignore[arg-type]
-    assert told.exit_code == code, told.output
-    return told
 
 
 def recording(path: Path) -> Path:
