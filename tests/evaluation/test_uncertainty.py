@@ -15,6 +15,7 @@ from sonarrec.evaluation.counting.curves import ratio
 from sonarrec.evaluation.counting.passes import MOST_UNITS, find_passes, find_units
 from sonarrec.evaluation.counting.scoring import score
 from sonarrec.evaluation.counting.uncertainty import (
+    MIN_UNITS,
     Tally,
     bootstrap_weights,
     coin_tosses,
@@ -26,6 +27,7 @@ from sonarrec.evaluation.counting.uncertainty import (
 )
 from sonarrec.evaluation.metrics import METRICS, rates, tally, waits
 from sonarrec.evaluation.summary import over_units, summarise
+from sonarrec.records import FloatArray
 from tests.support.claims import evaluated, joined
 
 LABELS = ("strict", "m", "total")
@@ -204,6 +206,22 @@ def test_intervals_cover(units: int) -> None:
         held_by_frames += abs(figure.value - 4 / 6) <= 1.96 * error
     assert 0.92 <= held / 600 <= 0.98
     assert held_by_frames / 600 < 0.70
+
+
+def test_of_too_few_units_one_draw_is_computed() -> None:
+    """The rest are the same: nothing is said of them, and they took most of a small evaluation."""
+    rows = []
+
+    def figures(sums: FloatArray) -> FloatArray:
+        rows.append(len(sums))
+        return sums
+
+    few = Tally("p", "m", "total", ("x",), (1.0,), (MIN_UNITS - 1,), np.ones((9, 1)), figures)
+    assert replicates(few, bootstrap_weights(9, np.random.default_rng(0))).shape == (1000, 1)
+    assert rows == [1]
+    enough = replace(few, cases=(MIN_UNITS,))
+    assert replicates(enough, bootstrap_weights(9, np.random.default_rng(0))).shape == (1000, 1)
+    assert rows == [1, 1000]
 
 
 def test_few_or_equal_units_are_said_to_say_nothing() -> None:

@@ -163,8 +163,19 @@ def _less(b: FloatArray, a: FloatArray) -> FloatArray:
 
 
 def replicates(tally: Tally, weights: FloatArray) -> FloatArray:
-    """(draws, figures) the figures of a tally for each row of `bootstrap_weights`."""
-    return tally.figures(weights @ tally.sums)
+    """(draws, figures) the figures of a tally for each row of `bootstrap_weights`.
+
+    Where no figure has cases in MIN_UNITS, nothing is said of them: all are those of the first row.
+    """
+    if _said(tally.cases):
+        return tally.figures(weights @ tally.sums)
+    first = tally.figures(weights[:1] @ tally.sums)
+    return np.broadcast_to(first, (len(weights), first.shape[1]))
+
+
+def _said(cases: Sequence[int]) -> bool:
+    """Whether anything is said of figures with so many units that have a case."""
+    return max(cases, default=0) >= MIN_UNITS
 
 
 def intervals(tally: Tally, drawn: FloatArray) -> list[Figure]:
@@ -198,6 +209,8 @@ def differences(a: Tally, b: Tally, weights: FloatArray, tosses: FloatArray) -> 
     if a.names != b.names:
         names = [name for name in a.names if name in b.names]
         a, b = _only(a, names), _only(b, names)
+    if not _said([min(pair) for pair in zip(a.cases, b.cases, strict=True)]):
+        tosses = tosses[:1]
     total_a, total_b = a.sums.sum(axis=0), b.sums.sum(axis=0)
     swapped = tosses @ (b.sums - a.sums)
     drawn_a, drawn_b = replicates(a, weights), replicates(b, weights)
