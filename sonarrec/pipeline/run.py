@@ -164,7 +164,7 @@ def process(
         if it.recogniser.filled:
             it.notes.append(
                 f"{shown(it.log.path)}: {it.recogniser.filled:.1%} of the picture never changes, "
-                "as lines or text drawn into it and dead beams do; it is filled from beside"
+                "like drawn lines and text, or dead beams; it is filled from the pixels beside it"
             )
         if it.log.untimed:
             it.notes.append(
