@@ -198,9 +198,9 @@ RECORDED = {
     12: {
         "changes.csv": "c62e8bb554426a0a",
         "compare.csv": "259edaa2f50df435",
-        "compare.html": "d908b057c87e7f6c",
-        "compare.json": "2ab41c928b0abb1f",
-        "printed": "5bacae719fa97373",
+        "compare.html": "7809ea2fd5f8f347",
+        "compare.json": "0c931015529d0391",
+        "printed": "0c59c42476c2184b",
     },
 }
 

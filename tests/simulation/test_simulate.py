@@ -606,7 +606,7 @@ def test_ctrl_c_says_what_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 def test_a_name_that_is_not_utf8(tmp_path: Path) -> None:
     out = tmp_path / os.fsdecode(b"basin\xe9")
     done = sonarrec("simulate", "--scene", "basin", "--frames", "1", "-o", out)
-    assert done.stdout == f"{shown(out)}: 1 frames of scene 'basin'\n"
+    assert done.stdout == f"{shown(out)}: 1 frame of scene 'basin'\n"
     told = sonarrec("simulate", "--background", out, "--count", "1", "-o", f"{out}_laid").stdout
     assert told.startswith(f"{shown(out)}_laid: 1 frames, 1 landmark")
     assert len(list(Path(f"{out}_laid").glob("*.png"))) == 1
