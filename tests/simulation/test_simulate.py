@@ -608,7 +608,7 @@ def test_a_name_that_is_not_utf8(tmp_path: Path) -> None:
     done = sonarrec("simulate", "--scene", "basin", "--frames", "1", "-o", out)
     assert done.stdout == f"{shown(out)}: 1 frame of scene 'basin'\n"
     told = sonarrec("simulate", "--background", out, "--count", "1", "-o", f"{out}_laid").stdout
-    assert told.startswith(f"{shown(out)}_laid: 1 frames, 1 landmark")
+    assert told.startswith(f"{shown(out)}_laid: 1 frame, 1 landmark")
     assert len(list(Path(f"{out}_laid").glob("*.png"))) == 1
 
 
