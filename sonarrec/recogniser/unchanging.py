@@ -33,11 +33,15 @@ AHEAD, MOST_BYTES_AHEAD = 40, 2**24
 STILL, FAINT, MIXED = 0.2, 0.4, 0.2
 LEAST_USUAL = 8.0  # grey levels
 COARSE, SURROUNDINGS = 8, (5, 5)  # pixels in a block, blocks
+LEAST_COUNTED = 0.02  # of the surroundings' pixels: fewer tell no mean
 LEAST_SPOT = 30  # pixels that touch: fewer are still by chance
 # What stays dark is a dead beam where it runs through this share of the rows, and is narrower than
 # so many pixels; else it is a shadow, or lies out of sight.
 LEAST_BEAM, WIDEST = 0.35, 13
 BLACK = 8  # no echo
+# Where echoes are few a pixel stays dark by chance: with at most this one, as far as those about it
+# that do change tell.
+CHANCE = 1e-3
 
 
 class Unchanging:
@@ -52,6 +56,7 @@ class Unchanging:
         self._last: npt.NDArray[np.int16] | None = None  # the sampled pixels of the last look
         self._least: ByteImage = np.empty((0, 0), np.uint8)  # of each pixel, over all looks
         self._most: ByteImage = self._least
+        self._lit: ByteImage = self._least  # in how many looks there was an echo
         self._inside: BoolArray = np.empty((0, 0), bool)  # what shows the fan
         self._holes: IndexArray = np.empty(0, np.intp)
         self._beside: IndexArray = self._holes  # what each is filled from
@@ -97,12 +102,14 @@ class Unchanging:
         sampled = pixels[::down, ::across].astype(np.int16)
         if self._last is None:
             self._least, self._most = pixels.copy(), pixels.copy()
+            self._lit = np.zeros_like(pixels)
         elif not _changed(self._last, sampled):
             return
         self._last = sampled
         self._looks += 1
         cv2.min(self._least, pixels, dst=self._least)
         cv2.max(self._most, pixels, dst=self._most)
+        cv2.add(self._lit, (pixels > BLACK).view(np.uint8), dst=self._lit)
         if self._looks in JUDGED_AFTER:
             if self._inside.shape != pixels.shape:
                 polar = frame.polar is not None
@@ -137,7 +144,9 @@ class Unchanging:
         middle = _local_mean(cv2.addWeighted(self._least, 0.5, self._most, 0.5, 0), others)
         margin = np.float32(MIXED) * usual
         darker, brighter = self._most < middle - margin, self._least > middle + margin
-        judged = inside & (usual > LEAST_USUAL)
+        lit = _local_mean(self._lit, others) / np.float32(self._looks)
+        by_chance = darker & (lit < 1 - CHANCE ** (1 / self._looks))
+        judged = inside & (usual > LEAST_USUAL) & ~by_chance
         still = judged & (change <= np.float32(STILL) * usual)
         if self._looks >= JUDGED_AFTER[1]:
             still |= judged & brighter & (change <= np.float32(FAINT) * usual)
@@ -159,16 +168,17 @@ class Unchanging:
 def _local_mean(values: npt.NDArray[Any], counts: BoolArray) -> FloatImage:
     """(rows, columns) mean over each pixel's surroundings of those values, uint8, that count.
 
-    Made on a coarse grid: it changes little from pixel to pixel.
+    0 where next to none count. Made on a coarse grid: it changes little from pixel to pixel.
     """
     rows, columns = values.shape
     mask = counts.view(np.uint8) * np.uint8(255)
     size = (-(-columns // COARSE), -(-rows // COARSE))
     total, number = (
-        cv2.blur(cv2.resize(v, size, interpolation=cv2.INTER_AREA).astype(np.float32), SURROUNDINGS)
+        cv2.blur(cv2.resize(v.astype(np.float32), size, interpolation=cv2.INTER_AREA), SURROUNDINGS)
         for v in (cv2.bitwise_and(values, mask), mask)
     )
-    mean = total * 255 / np.maximum(number, np.float32(1))
+    least = np.float32(255 * LEAST_COUNTED)
+    mean = np.where(number < least, np.float32(0), total * 255 / np.maximum(number, least))
     return np.asarray(cv2.resize(mean, (columns, rows)), np.float32)
 
 

@@ -122,6 +122,18 @@ def test_dim_floor_and_bright_walls_are_left_alone() -> None:
     assert all(f.pixels is i for f, i in zip(left, images, strict=True))
 
 
+@pytest.mark.parametrize(("specks", "rows"), [(2, 60), (64, 120)])
+def test_black_with_specks_in_it_is_left_alone(specks: int, rows: int) -> None:
+    """Behind a wall, or where the sonar leaves out weak echoes, most pixels are dark by chance."""
+    rng = np.random.default_rng(7)
+    images = list(floor(4))
+    for image in images:
+        image[:rows] = 0
+        image[rng.integers(0, rows, specks), rng.integers(70, 170, specks)] = 60
+    left = list(Unchanging().filled(frames(iter(images))))
+    assert all(f.pixels is i for f, i in zip(left, images, strict=True))
+
+
 def test_what_comes_later_frees_what_was_filled() -> None:
     """Half of the picture stands until the sonar turns on."""
     opacity, _ = lines(255)
