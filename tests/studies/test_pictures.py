@@ -7,14 +7,17 @@ import pytest
 from tests.studies import pictures
 
 
-def test_each_change_is_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+@pytest.fixture(autouse=True)
+def _small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pictures, "FRAMES", 2)
-    monkeypatch.setattr(pictures, "KINDS", ("plain",))
+    for kinds in ("KINDS", "ALL_KINDS"):
+        monkeypatch.setattr(pictures, kinds, ("plain",))
     monkeypatch.setattr(
         pictures, "in_processes", lambda work, recordings: [work(r) for r in recordings]
     )
+
+
+def test_each_change_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pictures.main(["--seeds", "2500", "--out", str(tmp_path)])
     heading, *rows = (line for line in capsys.readouterr().out.splitlines() if " / " in line)
     assert heading.startswith("TPR / FPR")
@@ -23,3 +26,14 @@ def test_each_change_is_told(
         assert row.lstrip().startswith(name)
         twice = name in pictures.NOT_FILLED or name in pictures.BY_LUMINANCE
         assert row.count(" / ") == (2 if twice else 1)
+
+
+def test_what_is_filled_of_unchanged_pictures_is_told(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pictures.main(["--as-they-are", "--seeds", "2500"])
+    assert capsys.readouterr().out == "0 of 1 recordings\n"
+    monkeypatch.setattr(pictures, "most_filled", lambda _: 0.0125)
+    pictures.main(["--as-they-are", "--seeds", "2500"])
+    lines = capsys.readouterr().out.splitlines()
+    assert lines == ["plain, seed 2500: 1.25% of the fan", "1 of 1 recordings"]

@@ -38,6 +38,7 @@ from sonarrec.truth.table import read_truth, write_truth
 from tests.studies.baseline import METHOD, HoughSmi, MajorityTracks
 
 Item = TypeVar("Item")
+Result = TypeVar("Result")
 PROCESSES = 2
 WHOLE = 0.9  # share of a disc in view from which its frame counts
 PRESETS = ("default", "paper", "offline")
@@ -102,14 +103,13 @@ def recognise(job: Job, frames: Iterable[SimulatedFrame] | None = None) -> None:
     write_truth(job.folder / "gt.csv", ["frame", *(f.name for f in fields(LandmarkTruth))], truth)
 
 
-def in_processes(work: Callable[[Item], None], items: Sequence[Item]) -> None:
+def in_processes(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
     """Do the work on each, e.g. `recognise` on jobs: PROCESSES at a time, on a core each."""
     with ProcessPoolExecutor(
         PROCESSES, multiprocessing.get_context("spawn"), cv2.setNumThreads, (1,)
     ) as workers:
         done = workers.map(work, items)
-        for _ in tqdm(done, total=len(items), unit="recording", leave=False, disable=None):
-            pass
+        return list(tqdm(done, total=len(items), unit="recording", leave=False, disable=None))
 
 
 def score(folders: Sequence[Path]) -> Evaluation:
