@@ -10,6 +10,7 @@ import numpy as np
 from sonarrec.config import Config
 from sonarrec.geometry import plane_from_polar
 from sonarrec.landmarks import LandmarkSet
+from sonarrec.recogniser.levels import Levels
 from sonarrec.recogniser.stage3_features.description import FEATURES
 from sonarrec.recogniser.three_stages import ThreeStages
 from sonarrec.recogniser.unchanging import Unchanging
@@ -82,7 +83,8 @@ def describe(
     features: list[FloatArray] = [np.empty((0, len(landmarks.ids), len(FEATURES)), np.float32)]
     smear: list[FloatArray] = [np.empty(0)]
     rows: list[int] = []
-    for row, frame in enumerate(Unchanging().filled(frames)):
+    pictures = Levels(landmarks.radius_m).restored(Unchanging().filled(frames))
+    for row, frame in enumerate(pictures):
         fan = fan or frame.fan
         recogniser = recogniser or ThreeStages(config, fan, landmarks, recorder, smi=None)
         tracks = recogniser.step(frame).estimates

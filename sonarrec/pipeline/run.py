@@ -161,11 +161,7 @@ def process(
             problems = [told(line) for line in (*it.log.problems, *it.recogniser.problems())]
             it.notes.extend(writer.finish(problems, it.log.unusable))
         it.notes.extend([*it.log.notes, *it.recogniser.notes(), *_doubts(it, writer, plausibility)])
-        if it.recogniser.filled:
-            it.notes.append(
-                f"{shown(it.log.path)}: {it.recogniser.filled:.1%} of the picture never changes, "
-                "like drawn lines and text, or dead beams; it is filled from the pixels beside it"
-            )
+        it.notes.extend(f"{shown(it.log.path)}: {x}" for x in it.recogniser.about_pictures())
         if it.log.untimed:
             it.notes.append(
                 f"{shown(it.log.path)}: frames carry no time, so 1 Hz is assumed; give "

@@ -11,6 +11,7 @@ from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.poses import PoseTable
 from sonarrec.recogniser.hindsight import Hindsight
+from sonarrec.recogniser.levels import Levels
 from sonarrec.recogniser.stage3_features.appearance import Judge
 from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, ThreeStages, together
 from sonarrec.recogniser.unchanging import Unchanging
@@ -62,6 +63,7 @@ class SideBySide:
         self._lag = max(config.features.lag_frames for config in configs)
         self._pending: deque[list[FrameResult]] = deque()
         self._unchanging = Unchanging()
+        self._levels = Levels(landmarks.radius_m)
 
     def recognise(self, frames: Iterable[Frame], *, ahead: bool = False) -> Iterator[FrameResult]:
         """The results in the log's order, each when it is final.
@@ -69,7 +71,7 @@ class SideBySide:
         An exception on the way is raised after the results of all frames before it, but for those
         that wait to be revised: call `waiting` for these. ahead: as in `together`.
         """
-        whole = self._unchanging.filled(frames)
+        whole = self._levels.restored(self._unchanging.filled(frames))
         for found in together([*self._recognisers.values()], whole, ahead=ahead):
             results = self._of_each(dict(zip(self._recognisers, found, strict=True)))
             for hindsight, result in zip(self._hindsight, results, strict=True):
@@ -115,10 +117,27 @@ class SideBySide:
         each = (r.odometry.notes() for r in self._recognisers.values())
         return list(dict.fromkeys(chain.from_iterable(each)))
 
-    @property
-    def filled(self) -> float:
-        """The share of the picture that was filled, 0 to 1: see `Unchanging`."""
-        return self._unchanging.share
+    def about_pictures(self) -> list[str]:
+        """What was done to the pictures before stage 1, so far: see `Unchanging` and `Levels`."""
+        done = []
+        if self._unchanging.share:
+            done.append(
+                f"{self._unchanging.share:.1%} of the picture never changes, like drawn lines and "
+                "text, or dead beams; it is filled from the pixels beside it"
+            )
+        levels = self._levels
+        if levels.saturated:
+            done.append(
+                f"{levels.saturated / levels.seen:.0%} of the frames are saturated; how strong the "
+                "strongest echoes are is estimated from how many there are; a lower gain is better"
+            )
+        if levels.equalised:
+            done.append(
+                f"in {levels.equalised / levels.seen:.0%} of the frames all levels are equally "
+                "frequent, as after histogram equalisation; they are spread as a sonar's; pictures "
+                "as recorded are better"
+            )
+        return done
 
     def _final(self) -> FrameResult:
         """The oldest frame that waits, its results put together."""

@@ -2,7 +2,8 @@
 
 Every recording is rendered once, and recognised as it is and after each change to its pictures.
 `python -m tests.studies.pictures --as-they-are --seeds 2730:2738` tells instead in how many
-recordings of every kind, none of their pictures changed, a pixel is taken for drawn or dead.
+recordings of every kind, none of their pictures changed, a pixel is taken for drawn or dead, or a
+picture for saturated or equalised.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from sonarrec.evaluation.counting.curves import Count
 from sonarrec.geometry import fan_mask
 from sonarrec.readers.colour_maps import LUMINANCE, find_map
 from sonarrec.readers.grey import single_channel
+from sonarrec.recogniser.levels import Levels
 from sonarrec.recogniser.three_stages import FRAMEWORK
 from sonarrec.recogniser.unchanging import Unchanging
 from sonarrec.records import ByteImage, Fan, Frame
@@ -117,6 +119,17 @@ def within_fan(change: Callable[[ByteImage], np.ndarray]) -> Change:
     return change_all
 
 
+def saturated(share: float) -> Change:
+    """The gain so high that this share of all echoes is drawn white."""
+
+    def change(pictures: Pictures, _: Fan) -> Pictures:
+        echoes = np.concatenate([p[p > 0][::50] for p in pictures])
+        gain = 255 / np.quantile(echoes, 1 - share)
+        return [np.asarray(cv2.convertScaleAbs(p, alpha=gain), np.uint8) for p in pictures]
+
+    return change
+
+
 def persistence(kept: float) -> Change:
     """A viewer's: each picture holds a share of the one before."""
 
@@ -138,17 +151,20 @@ CHANGES: dict[str, Change] = {
     f"{DEAD_BEAMS} of {OF_BEAMS} beams dead": dead_beams,
     "jet": through(cv2.COLORMAP_JET),
     "viridis": through(cv2.COLORMAP_VIRIDIS),
+    "a twentieth saturated": saturated(0.05),
+    "a tenth saturated": saturated(0.1),
+    "a fifth saturated": saturated(0.2),
+    "histogram equalised": within_fan(cv2.equalizeHist),
     "JPEG, quality 20": jpeg(20),
     "16 grey levels": within_fan(lambda p: p & 0xF0),
     "gamma 2": within_fan(lambda p: 255 * (p / 255.0) ** 2),
     "blurred, 2 pixels": within_fan(lambda p: cv2.GaussianBlur(p, (0, 0), 2.0)),
     "CLAHE": within_fan(lambda p: cv2.createCLAHE(4.0, (8, 8)).apply(p)),
-    "histogram equalised": within_fan(cv2.equalizeHist),
     "persistence .5": persistence(0.5),
     "persistence .8": persistence(0.8),
 }
 # What the changes cost where nothing is done against them.
-NOT_FILLED = tuple(CHANGES)[1:5]
+NOT_RESTORED = (*tuple(CHANGES)[1:5], *tuple(CHANGES)[7:11])
 BY_LUMINANCE = {
     "jet": by_luminance(cv2.COLORMAP_JET),
     "viridis": by_luminance(cv2.COLORMAP_VIRIDIS),
@@ -181,17 +197,22 @@ def recognise_all(recording: Recording) -> None:
         recognise_changed(name, change, "with")
     for name, change in BY_LUMINANCE.items():
         recognise_changed(name, change, "without")
-    with patch.object(Unchanging, "filled", lambda _, frames: frames):
-        for name in NOT_FILLED:
+    with (
+        patch.object(Unchanging, "filled", lambda _, frames: frames),
+        patch.object(Levels, "restored", lambda _, frames: frames),
+    ):
+        for name in NOT_RESTORED:
             recognise_changed(name, CHANGES[name], "without")
 
 
-def most_filled(recording: Recording) -> float:
-    """The largest share of the fan that is filled at any time in pictures as they are."""
+def restored(recording: Recording) -> tuple[float, int]:
+    """Of pictures as they are: the largest share of the fan that is filled at any time, and how
+    many of them are taken for saturated or equalised."""
     scene = random_scene(recording.seed, recording.kind, frames=FRAMES)
-    fan, unchanging = scene_fan(scene), Unchanging()
+    fan, unchanging, levels = scene_fan(scene), Unchanging(), Levels(scene.landmark_set.radius_m)
     frames = (Frame(f.index, f.timestamp_ns, f.image, fan) for f in render(scene))
-    return max(unchanging.share for _ in unchanging.filled(frames))
+    most = max(unchanging.share for _ in levels.restored(unchanging.filled(frames)))
+    return most, levels.saturated + levels.equalised
 
 
 def rates(recordings: Sequence[Recording], change: str, part: str) -> str:
@@ -212,20 +233,25 @@ def main(arguments: Sequence[str] | None = None) -> None:
     given = parser.parse_args(arguments)
     if given.as_they_are:
         recordings = [Recording(k, s, given.out) for k, s in product(ALL_KINDS, given.seeds)]
-        shares = in_processes(most_filled, recordings)
-        for recording, share in zip(recordings, shares, strict=True):
-            if share:
-                print(f"{recording.kind}, seed {recording.seed}: {share:.2%} of the fan")
-        print(f"{np.count_nonzero(shares)} of {len(recordings)} recordings")
+        found = in_processes(restored, recordings)
+        for recording, (share, pictures) in zip(recordings, found, strict=True):
+            if share or pictures:
+                print(
+                    f"{recording.kind}, seed {recording.seed}: {share:.2%} of the fan filled, "
+                    f"{pictures} of {FRAMES} pictures given other levels"
+                )
+        print(f"{sum(f != (0, 0) for f in found)} of {len(recordings)} recordings")
         return
     recordings = [Recording(k, s, given.out) for k, s in product(KINDS, given.seeds)]
     in_processes(recognise_all, recordings)
-    bare = {*NOT_FILLED, *BY_LUMINANCE}
+    bare = {*NOT_RESTORED, *BY_LUMINANCE}
     lines = [
         {
             "pictures": name,
             "default": rates(recordings, name, "with"),
-            "not filled, by luminance": rates(recordings, name, "without") if name in bare else "",
+            "not restored, by luminance": rates(recordings, name, "without")
+            if name in bare
+            else "",
         }
         for name in CHANGES
     ]

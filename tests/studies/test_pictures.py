@@ -24,16 +24,19 @@ def test_each_change_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert len(rows) == len(pictures.CHANGES)
     for row, name in zip(rows, pictures.CHANGES, strict=True):
         assert row.lstrip().startswith(name)
-        twice = name in pictures.NOT_FILLED or name in pictures.BY_LUMINANCE
+        twice = name in pictures.NOT_RESTORED or name in pictures.BY_LUMINANCE
         assert row.count(" / ") == (2 if twice else 1)
 
 
-def test_what_is_filled_of_unchanged_pictures_is_told(
+def test_what_is_restored_of_unchanged_pictures_is_told(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pictures.main(["--as-they-are", "--seeds", "2500"])
     assert capsys.readouterr().out == "0 of 1 recordings\n"
-    monkeypatch.setattr(pictures, "most_filled", lambda _: 0.0125)
+    monkeypatch.setattr(pictures, "restored", lambda _: (0.0125, 1))
     pictures.main(["--as-they-are", "--seeds", "2500"])
     lines = capsys.readouterr().out.splitlines()
-    assert lines == ["plain, seed 2500: 1.25% of the fan", "1 of 1 recordings"]
+    assert lines == [
+        "plain, seed 2500: 1.25% of the fan filled, 1 of 2 pictures given other levels",
+        "1 of 1 recordings",
+    ]

@@ -1,0 +1,159 @@
+"""Pictures whose levels were cut off or evened out: given levels as a sonar would have.
+
+Saturated ones: where the gain is too high, all strong echoes are drawn at the highest level, and a
+ring stands out little from the floor beside it: both reach it. But the ring reaches it more often,
+and how often tells how much brighter it is.
+
+Equalised ones: a viewer drew as many pixels at each level as at any other, and so what is brighter
+or darker than most hardly differs from it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from statistics import NormalDist
+
+import cv2
+import numpy as np
+
+from sonarrec.geometry import fan_mask
+from sonarrec.records import ByteImage, Fan, FloatImage, Frame, IntArray
+
+# A picture is saturated if this share of its echoes is at the highest levels beyond what the next
+# ones lead to expect: else it is merely bright. JPEG spreads the highest level over a few.
+LEAST_SHARE = 0.02
+HIGHEST, NEXT = 4, 8  # grey levels
+BLACK = 8  # no echo
+SAMPLED = 4  # every so many rows and columns are counted
+# Standard deviation, in disc radii, of the surroundings in which saturated pixels are counted; at
+# least this many pixels.
+SURROUNDINGS, LEAST_PX = 0.065, 0.5
+FEWEST, MOST = 0.02, 0.99  # shares beyond these tell no more
+# Speckle in decibels is skewed: it reaches above the mean less far than a Gaussian does.
+OF_GAUSSIAN = 0.6
+LEAST_SPREAD = 4.0  # grey levels
+# A picture is equalised if from the lowest level to the highest, but for the OUTERMOST pixels, as
+# many pixels, to this factor, have levels in each of so many spans. Others have few at either end.
+SPANS, EVEN = 8, 2.0  # other pictures: 6.5 at least
+OUTERMOST = 0.002
+MEAN, SPREAD = 128.0, 40.0  # of the levels that it is given
+
+
+def _lifts() -> FloatImage:
+    """(256,) by how much the mean level of saturated pixels exceeds the highest level, in standard
+    deviations of the speckle, by their share about a pixel in 255ths."""
+    normal = NormalDist()
+    shares = np.clip(np.arange(256) / 255, FEWEST, MOST).tolist()
+    above = [normal.inv_cdf(s) for s in shares]  # of the mean over the highest level
+    # The mean of a Gaussian beyond a limit.
+    means = [a + normal.pdf(a) / s for a, s in zip(above, shares, strict=True)]
+    return OF_GAUSSIAN * np.array(means, np.float32)
+
+
+LIFTS = _lifts()
+
+
+class Levels:
+    """Finds the saturated and the equalised pictures of one log, and restores their levels.
+
+    radius_m: of the landmarks. seen, saturated, equalised: how many pictures there were, and how
+    many of them were so.
+    """
+
+    def __init__(self, radius_m: float) -> None:
+        self._sigma_m = SURROUNDINGS * radius_m
+        self._fan: Fan | None = None
+        self._inside: IntArray = np.empty(0, np.int64)  # the pixels to count, of a fan image
+        self.seen = self.saturated = self.equalised = 0
+
+    def restored(self, frames: Iterable[Frame]) -> Iterator[Frame]:
+        """The frames of a log, those that are saturated or equalised with other `pixels`.
+
+        In the former the brightest exceed the others by more, and all are scaled so that none
+        exceeds 255. In the latter the levels are spread as in a Gaussian.
+        """
+        for frame in frames:
+            self.seen += 1
+            counts = self._counts(frame)
+            first = saturated_from(counts)
+            if first is not None:
+                self.saturated += 1
+                yield replace(frame, pixels=self._lift(frame, first, _spread(counts)))
+            elif evenly_spread(counts):
+                self.equalised += 1
+                yield replace(frame, pixels=np.asarray(cv2.LUT(frame.pixels, _gaussian(counts))))
+            else:
+                yield frame
+
+    def _counts(self, frame: Frame) -> IntArray:
+        """(256,) how many of some pixels within the fan have each level."""
+        if frame.polar is not None:
+            return np.bincount(frame.pixels[::SAMPLED, ::SAMPLED].ravel(), minlength=256)
+        if frame.fan is not self._fan:
+            some = np.zeros(frame.pixels.shape, bool)
+            some[::SAMPLED, ::SAMPLED] = True
+            self._fan, self._inside = frame.fan, np.flatnonzero(some & (fan_mask(frame.fan) > 0))
+        return np.bincount(frame.pixels.ravel()[self._inside], minlength=256)
+
+    def _lift(self, frame: Frame, first: int, spread: float) -> ByteImage:
+        """first: the level from which on pixels are saturated. spread: of speckle, in levels."""
+        fan = frame.fan
+        if frame.polar is None:
+            row_m = column_m = fan.metres_per_pixel
+        else:
+            middle_m = (fan.range_min_m + fan.range_max_m) / 2
+            row_m, column_m = frame.polar.bin_m, middle_m * np.radians(frame.polar.beam_deg)
+        saturated = (frame.pixels >= first).view(np.uint8) * np.uint8(255)
+        share = cv2.GaussianBlur(
+            saturated,
+            (0, 0),
+            sigmaX=max(self._sigma_m / column_m, LEAST_PX),
+            sigmaY=max(self._sigma_m / row_m, LEAST_PX),
+        )
+        lift = cv2.LUT(share, LIFTS * np.float32(spread))
+        lift[saturated == 0] = 0
+        white = first + HIGHEST - 1 + spread * float(LIFTS[-1])
+        return np.asarray(cv2.convertScaleAbs(frame.pixels + lift, alpha=255 / white), np.uint8)
+
+
+def saturated_from(counts: IntArray) -> int | None:
+    """The level from which on pixels are saturated; None of a picture that is not saturated.
+
+    counts: (256,) of its pixels, by level.
+    """
+    echoes = int(counts[BLACK + 1 :].sum())
+    if not echoes:
+        return None
+    first = int(np.flatnonzero(counts)[-1]) - HIGHEST + 1
+    if first - NEXT <= BLACK:
+        return None
+    excess = counts[first:].sum() - HIGHEST * counts[first - NEXT : first].mean()
+    return first if excess >= LEAST_SHARE * echoes else None
+
+
+def evenly_spread(counts: IntArray) -> bool:
+    """Whether a picture is equalised, by how many of its pixels, (256,), have each level."""
+    up_to = np.cumsum(counts[BLACK + 1 :])
+    lowest, highest = np.searchsorted(up_to, np.array([OUTERMOST, 1 - OUTERMOST]) * up_to[-1])
+    if highest - lowest < 4 * SPANS:
+        return False
+    ends = np.linspace(lowest, highest, SPANS + 1)
+    within = np.diff(np.interp(ends, np.arange(len(up_to)), up_to))
+    return bool(within.max() <= EVEN * within.min())
+
+
+def _gaussian(counts: IntArray) -> ByteImage:
+    """(256,) the level that each level of such a picture becomes."""
+    echoes = np.where(np.arange(256) > BLACK, counts, 0)
+    rank = (np.cumsum(echoes) - echoes / 2 + 0.5) / (echoes.sum() + 1)
+    normal = NormalDist(MEAN, SPREAD)
+    levels = [normal.inv_cdf(r) for r in rank[BLACK + 1 :].tolist()]
+    return np.concatenate([np.zeros(BLACK + 1), np.clip(np.rint(levels), 1, 255)]).astype(np.uint8)
+
+
+def _spread(counts: IntArray) -> float:
+    """The standard deviation of the speckle, in levels: from the median down, where none is cut."""
+    echoes = np.cumsum(counts[BLACK + 1 :])
+    low, middle = np.searchsorted(echoes, [0.16 * echoes[-1], 0.5 * echoes[-1]])
+    return max(float(middle - low), LEAST_SPREAD)
