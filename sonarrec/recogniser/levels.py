@@ -10,6 +10,7 @@ or darker than most hardly differs from it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from statistics import NormalDist
@@ -26,9 +27,8 @@ LEAST_SHARE = 0.02
 HIGHEST, NEXT = 4, 8  # grey levels
 BLACK = 8  # no echo
 SAMPLED = 4  # every so many rows and columns are counted
-# Standard deviation, in disc radii, of the surroundings in which saturated pixels are counted; at
-# least this many pixels.
-SURROUNDINGS, LEAST_PX = 0.065, 0.5
+# Standard deviation, in disc radii, of the surroundings in which saturated pixels are counted.
+SURROUNDINGS = 0.065
 FEWEST, MOST = 0.02, 0.99  # shares beyond these tell no more
 # Speckle in decibels is skewed: it reaches above the mean less far than a Gaussian does.
 OF_GAUSSIAN = 0.6
@@ -64,7 +64,7 @@ class Levels:
     def __init__(self, radius_m: float) -> None:
         self._sigma_m = SURROUNDINGS * radius_m
         self._fan: Fan | None = None
-        self._inside: IntArray = np.empty(0, np.int64)  # the pixels to count, of a fan image
+        self._shown: ByteImage = np.empty((0, 0), np.uint8)  # of the pixels counted, the fan's
         self.seen = self.saturated = self.equalised = 0
 
     def restored(self, frames: Iterable[Frame]) -> Iterator[Frame]:
@@ -88,13 +88,15 @@ class Levels:
 
     def _counts(self, frame: Frame) -> IntArray:
         """(256,) how many of some pixels within the fan have each level."""
-        if frame.polar is not None:
-            return np.bincount(frame.pixels[::SAMPLED, ::SAMPLED].ravel(), minlength=256)
         if frame.fan is not self._fan:
-            some = np.zeros(frame.pixels.shape, bool)
-            some[::SAMPLED, ::SAMPLED] = True
-            self._fan, self._inside = frame.fan, np.flatnonzero(some & (fan_mask(frame.fan) > 0))
-        return np.bincount(frame.pixels.ravel()[self._inside], minlength=256)
+            self._fan = frame.fan
+            shown = np.full(frame.pixels.shape, 255, np.uint8)
+            if frame.polar is None:
+                shown = fan_mask(frame.fan)
+            self._shown = np.ascontiguousarray(shown[::SAMPLED, ::SAMPLED])
+        some = np.ascontiguousarray(frame.pixels[::SAMPLED, ::SAMPLED])
+        counts = cv2.calcHist([some], [0], self._shown, [256], [0, 256])
+        return np.asarray(counts.ravel(), np.int64)
 
     def _lift(self, frame: Frame, first: int, spread: float) -> ByteImage:
         """first: the level from which on pixels are saturated. spread: of speckle, in levels."""
@@ -104,17 +106,21 @@ class Levels:
         else:
             middle_m = (fan.range_min_m + fan.range_max_m) / 2
             row_m, column_m = frame.polar.bin_m, middle_m * np.radians(frame.polar.beam_deg)
-        saturated = (frame.pixels >= first).view(np.uint8) * np.uint8(255)
-        share = cv2.GaussianBlur(
-            saturated,
-            (0, 0),
-            sigmaX=max(self._sigma_m / column_m, LEAST_PX),
-            sigmaY=max(self._sigma_m / row_m, LEAST_PX),
-        )
-        lift = cv2.LUT(share, LIFTS * np.float32(spread))
-        lift[saturated == 0] = 0
-        white = first + HIGHEST - 1 + spread * float(LIFTS[-1])
-        return np.asarray(cv2.convertScaleAbs(frame.pixels + lift, alpha=255 / white), np.uint8)
+        saturated = cv2.LUT(frame.pixels, np.where(np.arange(256) < first, 0, 255).astype(np.uint8))
+        # Two box filters come near a Gaussian, in an eighth of its time.
+        box = _box(self._sigma_m / column_m), _box(self._sigma_m / row_m)
+        share = cv2.blur(cv2.blur(saturated, box), box)
+        highest = first + HIGHEST - 1
+        lifted = highest + spread * LIFTS
+        scale = 255 / lifted[-1]
+        pixels = cv2.LUT(frame.pixels, np.rint(scale * np.arange(256)).astype(np.uint8))
+        cv2.copyTo(cv2.LUT(share, np.rint(scale * lifted).astype(np.uint8)), saturated, pixels)
+        return np.asarray(pixels, np.uint8)
+
+
+def _box(sigma: float) -> int:
+    """The side, in pixels, of the box that applied twice has about this standard deviation."""
+    return max(3, 2 * round((math.sqrt(6 * sigma**2 + 1) - 1) / 2) + 1)
 
 
 def saturated_from(counts: IntArray) -> int | None:
