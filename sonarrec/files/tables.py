@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import itertools
 import re
 import warnings
@@ -53,6 +54,10 @@ _OPTIONS: dict[str, Any] = {
     "na_values": ["", "nan"],
     "low_memory": False,
 }
+_AT_ONCE = 16_384
+"""Characters read from a file at a time."""
+_BLANK = ", \t\r\n"
+"""A line of these alone is no row: spreadsheets end a table with lines such as ",,,"."""
 _TEXTS: tuple[Kind, ...] = ("text", "blank or text")
 _WORDS = {
     "whole": "a whole number",
@@ -80,8 +85,17 @@ def read_table(
 def read_header(path: Path, expected: str) -> list[str]:
     """The names of all columns. Raises SonarrecError if the file is not a table."""
     _check_shape(path, expected)
-    table = _parsed(path, expected, lambda: pd.read_csv(path, nrows=0, **_OPTIONS))
-    return [str(column).strip() for column in table.columns]
+    return [name.strip() for name in _names(path, expected)]
+
+
+def _names(path: Path, expected: str) -> list[str]:
+    """The names of all columns, as they are written. Raises SonarrecError as `read_tables` does."""
+
+    def read() -> Any:
+        with _Said(path) as text:
+            return pd.read_csv(text, nrows=0, **_OPTIONS)
+
+    return list(map(str, _parsed(path, expected, read).columns))
 
 
 def read_tables(
@@ -95,17 +109,12 @@ def read_tables(
 
     The rows before an invalid cell are given before SonarrecError is raised.
     """
-    if path.suffix != PARQUET:
-        _check_shape(path, expected)
-
-    def read(**options: Any) -> Any:
-        return _parsed(path, expected, lambda: pd.read_csv(path, **_OPTIONS, **options))
-
     in_parquet = path.suffix == PARQUET
     if in_parquet:
         names, parquet = read_parts(path, rows)
     else:
-        names = list(map(str, read(nrows=0).columns))
+        _check_shape(path, expected)
+        names = _names(path, expected)
     header = {name.strip(): name for name in names}
     for name in kinds:  # pandas calls the second of equal names NAME.1
         if f"{name}.1" in header or sum(other.strip() == name for other in names) > 1:
@@ -118,14 +127,9 @@ def read_tables(
         )
     used = {name: header[name] for name in kinds if name in header}
     text = [c for n, c in used.items() if kinds[n] in _TEXTS]
-    parts: Iterator[Any]
-    if in_parquet:
-        parts = parquet
-    else:
-        # Not as "category", which turns the name 007 into a number. Not with `usecols`, which
-        # accepts rows that are longer than the header.
-        as_text = dict.fromkeys(text, object)
-        parts = iter([read(dtype=as_text)]) if rows is None else read(dtype=as_text, chunksize=rows)
+    # Not as "category", which turns the name 007 into a number. Not with `usecols`, which accepts
+    # rows that are longer than the header.
+    parts = parquet if in_parquet else _csv_parts(path, dict.fromkeys(text, object), rows)
     labels: dict[Any, int] = {}
     first = 0
     while (part := _parsed(path, expected, lambda: next(parts, None))) is not None:
@@ -136,6 +140,33 @@ def read_tables(
         if fault is not None:
             raise fault
         first += len(part)
+
+
+def _csv_parts(path: Path, dtype: Mapping[str, type], rows: int | None) -> Iterator[Any]:
+    """Data frames of at most `rows` rows; None: one of all rows."""
+    with _Said(path) as text:
+        if rows is None:
+            yield pd.read_csv(text, dtype=dtype, **_OPTIONS)
+        else:
+            yield from pd.read_csv(text, dtype=dtype, chunksize=rows, **_OPTIONS)
+
+
+class _Said(io.TextIOBase):
+    """The text of a CSV file without its blank lines, for pandas."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = path.open(encoding="utf-8-sig", newline="")
+
+    def read(self, _size: int | None = -1, /) -> str:
+        """Some whole lines; "" at the end."""
+        while lines := self._file.readlines(_AT_ONCE):
+            if text := "".join([line for line in lines if line.strip(_BLANK)]):
+                return text
+        return ""
+
+    def close(self) -> None:
+        self._file.close()
+        super().close()
 
 
 def _parsed(path: Path, expected: str, read: Callable[[], Any]) -> Any:
@@ -160,16 +191,12 @@ def _parsed(path: Path, expected: str, read: Callable[[], Any]) -> Any:
 
 def _longer_row(path: Path) -> str | None:
     """A message on the first row that is longer than the header; None if there is none."""
-    with (
-        suppress(csv.Error, UnicodeDecodeError),
-        path.open(encoding="utf-8-sig", newline="") as file,
-    ):
-        rows = csv.reader(file, skipinitialspace=True)
-        columns = 0
-        for cells in rows:
-            columns = columns or len(cells)  # of the header; blank lines may come before it
+    columns = 0
+    with suppress(csv.Error):
+        for line, cells in _rows(path):
+            columns = columns or len(cells)  # of the header
             if len(cells) > columns:
-                return f"line {rows.line_num}: {len(cells)} cells, the header has {columns}"
+                return f"line {line}: {len(cells)} cells, the header has {columns}"
     return None
 
 
@@ -225,7 +252,8 @@ def _check_shape(path: Path, expected: str) -> None:
         if path.exists() and not path.is_file():
             raise SonarrecError(f"{path}: not a file that can be read as a table")
         with path.open("rb") as file:
-            header = re.split(rb"[\r\n]", file.read(LONGEST_LINE).lstrip(), maxsplit=1)[0]
+            beginning = file.read(LONGEST_LINE)
+            header = re.split(rb"[\r\n]", beginning.lstrip(), maxsplit=1)[0]
             blocks = iter(lambda: file.read(LONGEST_LINE), b"")
             long = any(
                 len(x) == LONGEST_LINE and not _ends_line(x)
@@ -235,6 +263,10 @@ def _check_shape(path: Path, expected: str) -> None:
         return  # reported when it is read
     except OSError as error:
         raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
+    if beginning.startswith((b"PK\x03\x04", b"\x1f\x8b")):  # zip, as .xlsx and .ods are, and gzip
+        raise SonarrecError(
+            f"{path}: a workbook or an archive, not a CSV table; export or unpack it as CSV"
+        )
     if long or header.count(b",") >= MOST_COLUMNS:
         raise SonarrecError(
             f"{path}: more than {MOST_COLUMNS} columns, or a line of more than {LONGEST_LINE} "
@@ -267,19 +299,31 @@ def line_numbers(path: Path) -> Iterator[int]:
 
     Blank lines are not rows, and a quoted cell may span several lines.
     """
+    line = 0
+    with suppress(csv.Error):  # a cell that is too long for the reader
+        for n, (line, _) in enumerate(_rows(path)):
+            if n:  # not the header
+                yield line
+    yield from itertools.count(line + 1)
+
+
+def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
+    """The header and the rows of a CSV file: (1-based line at which it begins, cells).
+
+    Raises csv.Error at a cell that is too long for the reader.
+    """
+    numbers: list[int] = []  # of the lines of one row
     with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
-        rows = csv.reader(file, skipinitialspace=True)
-        before = 0
-        header = True
-        with suppress(csv.Error):  # a cell that is too long for the reader
-            for cells in rows:
-                line, before = before + 1, rows.line_num
-                if len(cells) < 2 and not "".join(cells).strip():  # a blank line
-                    continue
-                if not header:
+
+        def said() -> Iterator[str]:
+            for number, line in enumerate(file, 1):
+                if line.strip(_BLANK):
+                    numbers.append(number)
                     yield line
-                header = False
-    yield from itertools.count(before + 1)
+
+        for cells in csv.reader(said(), skipinitialspace=True):
+            yield numbers[0], cells
+            numbers.clear()
 
 
 def _values(column: Any, kind: Kind, labels: dict[Any, int]) -> tuple[Any, BoolArray]:

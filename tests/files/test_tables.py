@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from sonarrec.files.tables import line_number, read_table, read_tables
+from sonarrec.files.tables import Kind, line_number, read_header, read_table, read_tables
 from sonarrec.records import SonarrecError
 
 
@@ -35,6 +35,41 @@ def test_lines_are_those_of_the_file(tmp_path: Path, end: str) -> None:
     assert len(table["a"]) == 4
 
 
+@pytest.mark.parametrize("rows", [None, 1])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_rows_of_commas_alone_are_no_rows(tmp_path: Path, end: str, rows: int | None) -> None:
+    """Spreadsheets write them, also longer than the header. The others keep lines and digits."""
+    lines = [
+        ",,",
+        "timestamp_ns,b,c",
+        f"{2**62 + 1},,",
+        ",,",
+        "",
+        " , ,\t,,,",
+        f"{2**62 + 3},1,",
+        ",,",
+    ]
+    path = tmp_path / "t.csv"
+    path.write_bytes(end.join(lines).encode())
+    kinds: dict[str, Kind] = {"timestamp_ns": "whole", "b": "blank or number", "c": "blank or text"}
+    found = [part for _, part in read_tables(path, kinds, ("b",), "b", rows)]
+    assert [at for part in found for at in part["timestamp_ns"]] == [2**62 + 1, 2**62 + 3]
+    assert read_header(path, "b") == ["timestamp_ns", "b", "c"]
+    with pytest.raises(SonarrecError, match="line 3: b must be a finite number, not an empty cell"):
+        read_table(path, {"b": "number"}, ("b",), "b")
+    with path.open("ab") as file:
+        file.write(f"{end}1,2{end}1,2,3,4".encode())
+    with pytest.raises(SonarrecError, match="line 10: 4 cells, the header has 3"):
+        list(read_tables(path, kinds, ("b",), "b", rows))
+
+
+def test_blank_lines_within_a_cell_end_no_row(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text('a,b\n1,"note\n,,\n\n"\n,,\n2,"\n"\nx,3\n')
+    with pytest.raises(SonarrecError, match="line 9: a must be a whole number, not 'x'"):
+        read_table(path, {"a": "whole"}, ("a",), "a,b")
+
+
 @pytest.mark.parametrize("header", ["a,b,a", "a ,b, a", '"a",b,a'])
 def test_one_of_two_columns_of_a_name_is_not_chosen(tmp_path: Path, header: str) -> None:
     path = tmp_path / "t.csv"
@@ -61,6 +96,14 @@ def test_a_table_in_another_encoding_is_told(tmp_path: Path, encoding: str) -> N
     path = tmp_path / "t.csv"
     path.write_bytes("a,b\n1,größe\n".encode(encoding))
     with pytest.raises(SonarrecError, match="not in UTF-8; save it as that"):
+        read_table(path, {"a": "whole"}, ("a",), "a,b")
+
+
+@pytest.mark.parametrize("magic", [b"PK\3\4\x14\0\6\0\n", b"\x1f\x8b\10\0\n"])
+def test_a_workbook_is_told(tmp_path: Path, magic: bytes) -> None:
+    path = tmp_path / "gt.csv"
+    path.write_bytes(magic + 100_000 * b"\xff")
+    with pytest.raises(SonarrecError, match="a workbook or an archive, not a CSV table"):
         read_table(path, {"a": "whole"}, ("a",), "a,b")
 
 
