@@ -21,6 +21,7 @@ from sonarrec.records import BoolArray, FloatArray, IntArray, SonarrecError
 Kind = Literal[
     "whole",
     "number",
+    "time",
     "blank or number",
     "blank or place",
     "share",
@@ -32,9 +33,9 @@ Kind = Literal[
 Table = dict[str, Any]
 """Column name to (rows,) array.
 
-int64, float64, float64 with NaN (three kinds), bool, str categories (two kinds); of a label,
-which may be any text, whole numbers as they are, else an int64 number per distinct one, -1 where
-blank."""
+int64, float64 (two kinds), float64 with NaN (three kinds), bool, str categories (two kinds); of a
+label, which may be any text, whole numbers as they are, else an int64 number per distinct one, -1
+where blank."""
 
 POSITION_KINDS: dict[str, Kind] = {
     "x_px": "blank or place",
@@ -59,9 +60,11 @@ _AT_ONCE = 16_384
 _BLANK = ", \t\r\n"
 """A line of these alone is no row: spreadsheets end a table with lines such as ",,,"."""
 _TEXTS: tuple[Kind, ...] = ("text", "blank or text")
+_WITH_OFFSET = r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d.*(?:Z|[+-]\d\d(?::?\d\d)?)"
 _WORDS = {
     "whole": "a whole number",
     "number": "a finite number",
+    "time": "a finite number, or a time with its UTC offset such as 2024-05-01T12:00:00Z",
     "blank or number": "a finite number",
     "blank or place": "a finite number",
     "share": "0 to 1",
@@ -84,12 +87,14 @@ def read_table(
 
 def read_header(path: Path, expected: str) -> list[str]:
     """The names of all columns. Raises SonarrecError if the file is not a table."""
-    _check_shape(path, expected)
     return [name.strip() for name in _names(path, expected)]
 
 
 def _names(path: Path, expected: str) -> list[str]:
     """The names of all columns, as they are written. Raises SonarrecError as `read_tables` does."""
+    if path.suffix == PARQUET:
+        return read_parts(path, None)[0]
+    _check_shape(path, expected)
 
     def read() -> Any:
         with _Said(path) as text:
@@ -109,12 +114,7 @@ def read_tables(
 
     The rows before an invalid cell are given before SonarrecError is raised.
     """
-    in_parquet = path.suffix == PARQUET
-    if in_parquet:
-        names, parquet = read_parts(path, rows)
-    else:
-        _check_shape(path, expected)
-        names = _names(path, expected)
+    names = _names(path, expected)
     header = {name.strip(): name for name in names}
     for name in kinds:  # pandas calls the second of equal names NAME.1
         if f"{name}.1" in header or sum(other.strip() == name for other in names) > 1:
@@ -129,7 +129,11 @@ def read_tables(
     text = [c for n, c in used.items() if kinds[n] in _TEXTS]
     # Not as "category", which turns the name 007 into a number. Not with `usecols`, which accepts
     # rows that are longer than the header.
-    parts = parquet if in_parquet else _csv_parts(path, dict.fromkeys(text, object), rows)
+    parts = (
+        read_parts(path, rows)[1]
+        if path.suffix == PARQUET
+        else _csv_parts(path, dict.fromkeys(text, object), rows)
+    )
     labels: dict[Any, int] = {}
     first = 0
     while (part := _parsed(path, expected, lambda: next(parts, None))) is not None:
@@ -339,6 +343,8 @@ def _values(column: Any, kind: Kind, labels: dict[Any, int]) -> tuple[Any, BoolA
         return column.to_numpy(), np.zeros(len(column), dtype=bool)
     if column.dtype.kind in "iu" and column.dtype != np.uint64:
         values = column.to_numpy(dtype=np.int64)
+    elif column.dtype.kind in "mM" or (column.dtype.kind == "O" and kind == "time"):
+        values = _seconds(column) if kind == "time" else np.full(len(column), np.nan)
     else:
         try:
             values = pd.to_numeric(column, errors="coerce").to_numpy(dtype=float)
@@ -357,6 +363,18 @@ def _values(column: Any, kind: Kind, labels: dict[Any, int]) -> tuple[Any, BoolA
     elif kind == "flag":
         bad |= (values != 0) & (values != 1)
     return values, bad
+
+
+def _seconds(column: Any) -> FloatArray:
+    """Numbers as they are, times in ISO 8601 as seconds since 1970; NaN for other cells.
+
+    A time without its UTC offset may be that of any zone.
+    """
+    text = column.astype(str)
+    told = text.where(text.str.fullmatch(_WITH_OFFSET))
+    times = pd.to_datetime(told, format="ISO8601", utc=True, errors="coerce")
+    seconds = (times - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1)
+    return np.asarray(seconds.fillna(pd.to_numeric(text, errors="coerce")), dtype=float)
 
 
 def _numbered(column: Any, blank: BoolArray, labels: dict[Any, int]) -> IntArray:

@@ -23,15 +23,16 @@ def read_poses(path: Path) -> PoseTable:
     """Read a CSV table with a header such as HEADER; x and y together or not at all.
 
     timestamp_ns is in nanoseconds; timestamp is in seconds where its rows are less than
-    SECONDS_BELOW apart in the median, in nanoseconds from NANOSECONDS_FROM on. Rows may come in any
-    order; of several at one time the first counts. Raises SonarrecError where the table cannot be
-    used.
+    SECONDS_BELOW apart in the median, in nanoseconds from NANOSECONDS_FROM on; or it is in ISO 8601
+    with its UTC offset. Rows may come in any order; of several at one time the first counts.
+    Raises SonarrecError where the table cannot be used.
     """
     # With pandas, which only runs with such a table need.
     from sonarrec.files.tables import Kind, read_table
 
-    kinds: dict[str, Kind] = dict.fromkeys(("timestamp", "yaw", "x", "y"), "number")
-    table = read_table(path, {"timestamp_ns": "whole", **kinds}, ("yaw",), HEADER)
+    kinds: dict[str, Kind] = dict.fromkeys(("yaw", "x", "y"), "number")
+    kinds |= {"timestamp_ns": "whole", "timestamp": "time"}
+    table = read_table(path, kinds, ("yaw",), HEADER)
     if "timestamp_ns" in table:
         at = table["timestamp_ns"]
     elif "timestamp" in table:

@@ -104,6 +104,28 @@ def test_a_pose_between_two_rows_lies_on_the_line_between_them(tmp_path):
     assert table.motion(11_000_000_000, 11_000_000_000) == Motion(0.0, 0.0, 0.0)
 
 
+def test_times_in_iso_8601_are_seconds_since_1970(tmp_path):
+    cells = ["2024-05-01T12:00:00Z", "2024-05-01 14:00:00.5+02:00", "2024-05-01T07:00:01-0500"]
+    text = "timestamp,yaw\n" + "".join(f"{cell},{n}\n" for n, cell in enumerate(cells))
+    table = read_poses(rows(tmp_path / "o.csv", text))
+    assert table.at.tolist() == [1_714_564_800_000_000_000 + n * 500_000_000 for n in range(3)]
+
+
+@pytest.mark.parametrize("unit", ["s", "ms", "ns"])
+def test_times_in_parquet_are_of_any_unit(tmp_path, unit):
+    """A time that states no zone is refused there too: its whole numbers are of some unit."""
+    pd = pytest.importorskip("pandas")
+    pytest.importorskip("pyarrow")
+    times = pd.to_datetime([1_714_564_800, 1_714_564_802], unit="s").as_unit(unit)
+    table = pd.DataFrame({"timestamp": times, "yaw": [1.0, 2.0]})
+    table.to_parquet(tmp_path / "o.parquet")
+    with pytest.raises(SonarrecError, match=r"line 2: timestamp must be .* not '2024-05-01 12:00:"):
+        read_poses(tmp_path / "o.parquet")
+    table.assign(timestamp=times.tz_localize("UTC")).to_parquet(tmp_path / "o.parquet")
+    read = read_poses(tmp_path / "o.parquet")
+    assert read.at.tolist() == [1_714_564_800_000_000_000, 1_714_564_802_000_000_000]
+
+
 def test_without_x_and_y_the_sonar_only_turns(tmp_path):
     table = read_poses(rows(tmp_path / "o.csv", "timestamp_ns, yaw\n0, 1\n1000000000, -2\n"))
     assert table.motion(0, 1_000_000_000) == Motion(-3.0, 0.0, 0.0)
@@ -288,6 +310,11 @@ def test_a_table_that_the_images_contradict_is_noted(pings, factor):
         ("time,yaw\n0,1\n1,2\n", "neither timestamp nor timestamp_ns"),
         ("timestamp,yaw,x\n0,1,2\n1,2,3\n", "x and y go together"),
         ("timestamp,yaw\n0,1\n", "two times"),
+        (
+            "timestamp,yaw\n2024-05-01T12:00:00Z,1\n2024-05-01T12:00:01,2\n",
+            "line 3: timestamp must be a finite number, or a time with its UTC offset such "
+            "as 2024-05-01T12:00:00Z, not '2024-05-01T12:00:01'",
+        ),
         ("timestamp,yaw\n1.7e12,1\n1700000000100,1\n", "neither (milliseconds?)"),
         ("timestamp,yaw\n1763700000000000,1\n1763700000050000,2\n", "(microseconds?)"),
         ("timestamp,yaw\n0,1\n50000,2\n100000,3\n", "rows 50000 apart are neither"),
