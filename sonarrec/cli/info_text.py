@@ -6,8 +6,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sonarrec.cli.passes import YEAR_2000_NS
-from sonarrec.records import number_of
+from sonarrec.records import YEAR_2000_NS, number_of
 
 if TYPE_CHECKING:
     from sonarrec.readers.info import Channel, Container, Images, LogInfo

@@ -8,12 +8,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sonarrec.records import YEAR_2000_NS
+
 if TYPE_CHECKING:
     from sonarrec.pipeline.run import Summary
     from sonarrec.results.sightings import Sighting
-
-YEAR_2000_NS = 946_684_800 * 10**9
-"""Later times are shown as dates."""
 
 
 def table(summary: Summary, folder: str) -> list[str]:

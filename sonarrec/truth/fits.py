@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.geometry import polar_from_plane
-from sonarrec.records import BoolArray, number_of
+from sonarrec.records import YEAR_2000_NS, BoolArray, IntArray, number_of
 from sonarrec.truth.in_view import share_in_image
-from sonarrec.truth.match import SLACK_PX, ReadLog, Truth, pixels_apart
+from sonarrec.truth.match import SLACK_PX, ReadLog, Truth, match_times, pixels_apart
 from sonarrec.truth.table import TruthTable
 
 
@@ -22,14 +22,19 @@ def misfit(table: TruthTable, log: ReadLog, truth: Truth) -> str | None:
     if truth.rows and not len(truth.frame_index):
         at = table.at[table.rows_of(log.name)]
         rows = f"{truth.rows} rows ({table.key} {at.min()} to {at.max()})"
-        near, of_frames = "on", log.frame
+        near, of_frames, hours = "on", log.frame, None
         if truth.tolerance_ns is not None:
             assert log.timestamp_ns is not None
             near, of_frames = f"within {truth.tolerance_ns / 1e9:.4g} s of", log.timestamp_ns
+            hours = _hours_away(log.timestamp_ns, at)
         return (
             f"{table.path}: none of its {rows} lies {near} a processed frame of {log.name} "
-            f"({number_of(len(log.frame), 'frame')}, {of_frames.min()} to {of_frames.max()}); is "
-            "this the truth of another log?"
+            f"({number_of(len(log.frame), 'frame')}, {of_frames.min()} to {of_frames.max()}); "
+            + (
+                f"shifted by {hours * 3600} s all would: are they times of another time zone?"
+                if hours
+                else "is this the truth of another log?"
+            )
         )
     outside = outside_image(log, truth)
     if len(outside) and outside.all():
@@ -42,6 +47,21 @@ def misfit(table: TruthTable, log: ReadLog, truth: Truth) -> str | None:
             f"to {log.fan.bearing_max_deg:g} deg), the first at {range_m:.4g} m and "
             f"{bearing_deg:.4g} deg; are these the units, and is this the log?"
         )
+    return None
+
+
+def _hours_away(timestamp_ns: IntArray, at: IntArray) -> int | None:
+    """By how many whole hours times must be shifted to be those of frames; None where they are not.
+
+    timestamp_ns: (F,) of frames. at: (R,) ns. Only times of a clock that meet frames to within
+    10 us count, three or more: those of another log do not, unless both are counted from 0.
+    """
+    if timestamp_ns.min() < YEAR_2000_NS or len(np.unique(at)) < 3:
+        return None
+    for hours in sorted(range(-14, 15), key=abs):
+        _, met, _ = match_times(timestamp_ns, at + hours * 3600 * 10**9, 1e-5)
+        if met.all():
+            return hours
     return None
 
 

@@ -142,6 +142,23 @@ def test_nearest_frame_within_half_an_interval(case: Path) -> None:
     assert matched(case, 0.2).between == 2
 
 
+def test_times_of_another_zone_are_told_as_that(case: Path) -> None:
+    """Only where every one, shifted by whole hours, is that of a frame: else it is another log."""
+    start_s = 1_714_564_800
+    rows = "".join(f"{n},{start_s}{ms}000000\n" for n, ms in enumerate((103, 351, 612, 849)))
+    (case / "out" / "frames.csv").write_text("frame,timestamp_ns\n" + rows)
+    zone = f"{start_s + 7200}"
+    (case / "gt.csv").write_text(
+        "timestamp_ns,landmark\n" + "".join(f"{zone}{ms}000000,1\n" for ms in (103, 351, 849))
+    )
+    told = "shifted by -7200 s all would: are they times of another time zone?"
+    assert told in failure(run(case))
+    (case / "gt.csv").write_text(
+        "timestamp_ns,landmark\n" + "".join(f"{zone}{ms}000000,1\n" for ms in (103, 351, 850))
+    )
+    assert failure(run(case)).endswith("is this the truth of another log?")
+
+
 def test_denser_truth_shows_a_landmark_once_per_frame(case: Path) -> None:
     stamps(case, *range(950, 1800, 10))
     truth = matched(case, 0.1)
