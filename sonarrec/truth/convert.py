@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from sonarrec.landmarks import LandmarkSet
 from sonarrec.readers.find import find_log
 from sonarrec.readers.images import is_image, natural_order
 from sonarrec.readers.log import Log
-from sonarrec.records import Fan, FloatArray, SonarrecError, UsageError
+from sonarrec.records import Fan, FloatArray, SonarrecError, UsageError, number_of
 from sonarrec.sonar import Sonar
 from sonarrec.truth.annotations import read_annotations
 from sonarrec.truth.annotations.shapes import Annotations, Shape
@@ -23,6 +24,8 @@ from sonarrec.truth.in_view import share_in_image
 from sonarrec.truth.table import HEADER, write_truth
 
 _PLAIN_LABEL = re.compile(r"(?:(?:id|landmark)[\s._-]*)?(\d{1,18})", re.IGNORECASE)
+_LAST_NUMBER = re.compile(r"(?<![0-9])(?<![0-9]\.)[0-9]{1,18}$")
+"""In an image's name; not the fraction of a time in seconds."""
 _BY_NUMBER = "frames by the number that ends every image name"
 _FEW = 5  # names told in one line
 MOST_LETTERS = 255
@@ -91,14 +94,18 @@ def convert(
     UsageError where `labels` or `first_frame` cannot be meant.
     """
     name, found = read_annotations(source, format_name)
-    unused = [f"{count} {what}: passed over" for what, count in found.unused.items()]
+    unused = [
+        f"{what}: {number_of(count, 'shape')} without one centre passed over"
+        for what, count in found.unused.items()
+    ]
     ids, unknown = _landmark_ids(Counter(s.label for s in found.shapes), labels or {}, landmarks)
     unused += unknown
     key, frames, rule = _frame_numbers(source, found, first_frame, log.names if log else ())
     missing = Counter(str(s.frame) for s in found.shapes if s.frame not in frames)
     if missing:
         unused.append(
-            f"{missing.total()} shapes on images that are not in the log: {_some(missing)}"
+            f"{number_of(missing.total(), 'shape')} on images that are not in the log: "
+            f"{_some(missing)}"
         )
     used = [s for s in found.shapes if s.label in ids and s.frame in frames]
     if unused and not used:
@@ -114,9 +121,9 @@ def convert(
     write_truth(out, HEADER.replace("frame", key).split(","), rows)
     notes = [rule]
     if found.interpolated:
-        notes.append(f"{found.interpolated} shapes filled in between keyframes")
+        notes.append(f"{number_of(found.interpolated, 'shape')} filled in between keyframes")
     if len(rows) < len(used):
-        notes.append(f"{len(used) - len(rows)} shapes repeated another and were left out")
+        notes.append(f"{number_of(len(used) - len(rows), 'repeated shape')} left out")
     counts = Counter(row[1] for row in rows)
     return Converted(name, {i: counts[i] for i in landmarks.ids if counts[i]}, notes, unused)
 
@@ -137,15 +144,18 @@ def _landmark_ids(
         if label in given:
             continue
         plain = _PLAIN_LABEL.fullmatch(label.strip())
-        if plain is None:
+        told = f"label {label!r} ({number_of(count, 'time')})"
+        if not label:
+            unused.append(f"{number_of(count, 'shape')} without a label")
+        elif plain is None:
             unused.append(
-                f"label {label!r} ({count} times) has no ID: give one by --map '{label}=ID', "
-                f"or leave it out by --map '{label}=none'"
+                f"{told} has no ID: give one by --map '{label}=ID', or leave it out by "
+                f"--map '{label}=none'"
             )
         elif int(plain[1]) not in landmarks.ids:
             unused.append(
-                f"label {label!r} ({count} times) is not in the set {landmarks.name!r} ({known}): "
-                "name the right set by --landmarks"
+                f"{told} is not in the set {landmarks.name!r} ({known}): name the right set by "
+                "--landmarks"
             )
         else:
             ids[label] = int(plain[1])
@@ -200,7 +210,7 @@ def _frames_of_images(
     log of images; else the number at the end of every name counts; else their natural order.
     Raises SonarrecError where the log has names, and none of these.
     """
-    paths = {name: Path(name.replace("\\", "/")) for name in images}
+    paths = {name: _path(name, log_names) for name in images}
     long = next((name for name, path in paths.items() if len(path.name) > MOST_LETTERS), None)
     if long is not None:
         raise SonarrecError(f"image name of {len(long)} characters, {long[:40]!r}...: no file's")
@@ -220,13 +230,19 @@ def _frames_of_images(
         if latest >= 2**63:
             raise SonarrecError(f"image name {latest} is no time in ns: it must lie below 2^63")
         return "timestamp_ns", times, "image names of 19 digits are times in ns"
-    ends = {name: re.search(r"(?<![0-9])[0-9]{1,18}$", path.stem) for name, path in paths.items()}
+    ends = {name: _LAST_NUMBER.search(path.stem) for name, path in paths.items()}
     numbers: FrameNumbers = {name: int(end[0]) for name, end in ends.items() if end}
     if len(numbers) == len(ends):
         return "frame", numbers, _BY_NUMBER
     order = sorted(paths, key=lambda name: natural_order(paths[name]))
     rule = "frames by the natural order of the images listed; give --log where it has more"
     return "frame", {name: n for n, name in enumerate(order)}, rule
+
+
+def _path(name: str, log_names: Sequence[str]) -> Path:
+    """An image's path. Web tools write a space as %20, whose digits are none of the name's."""
+    path = Path(name.replace("\\", "/"))
+    return path if "%" not in name or path.name in log_names else Path(unquote(str(path)))
 
 
 def _once(names: Sequence[str]) -> dict[str, int]:

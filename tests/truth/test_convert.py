@@ -202,10 +202,11 @@ def test_entity_bombs_are_refused_before_they_go_off(tmp_path: Path) -> None:
     [
         ("<track id='0'></track>", "lacks the attribute 'label'"),
         (track('<box frame="0" xtl="1" ytl="2" xbr="3"/>'), "lacks the attribute 'ybr'"),
-        (track('<box frame="0" xtl="a" ytl="2" xbr="3" ybr="4"/>'), "line 6: could not convert"),
+        (track('<box frame="0" xtl="a" ytl="2" xbr="3" ybr="4"/>'), "line 6: 'a' is no coordinate"),
         (track('<box frame="0" xtl="nan" ytl="2" xbr="3" ybr="4"/>'), "'nan' is no coordinate"),
         (track('<points frame="0" points="1,2;3,4"/>'), "marked by one point, not 2"),
-        (track('<polygon frame="0" points="1,2;3"/>'), "line 6"),
+        (track('<polygon frame="0" points="1,2;3"/>'), "line 6: points must be x,y;x,y and so on"),
+        (track('<polygon frame="0" points="1,2;3,4"/>'), "line 6: 2 points, which is no polygon"),
         (
             track(BOX.format(0, 0, 0, 1, 2), BOX.format(10**9, 0, 0, 1, 2)),
             "shapes to fill in between keyframes",
@@ -262,16 +263,55 @@ def test_coco(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("annotation", "said"),
     [
-        ({"image_id": 99, "category_id": 1, "bbox": [0, 0, 1, 1]}, "annotation 0 of the list"),
-        ({"image_id": 7, "category_id": 1}, "KeyError('bbox')"),
-        ({"image_id": 7, "category_id": 1, "bbox": [0, 0, 1]}, "annotation 0 of the list"),
-        ({"image_id": 7, "category_id": 1, "bbox": [0, 0, 1, None]}, "annotation 0 of the list"),
+        ({"image_id": 99, "category_id": 1}, "annotations[0]: image_id 99 is not among the images"),
+        ({"image_id": 7, "category_id": [1]}, "category_id [1] is not among the categories"),
+        ({"image_id": 7, "category_id": 1}, "annotations[0]: no 'bbox'"),
+        ({"image_id": 7, "category_id": 1, "bbox": None}, "annotations[0]: no 'bbox'"),
+        ({"image_id": 7, "category_id": 1, "bbox": [0, 0, 1]}, "4 numbers, not [0, 0, 1]"),
+        ({"image_id": 7, "category_id": 1, "bbox": [0, 0, 1, None]}, "None is no coordinate"),
         ({"image_id": 7, "category_id": 1, "bbox": [0, 0, 1, math.inf]}, "no coordinate"),
-        ([], "annotation 0 of the list"),
+        ({"image_id": 7, "category_id": 1, "bbox": [0] * 4}, "annotation left empty: 1 shape"),
+        ({"image_id": 7, "category_id": 1, "keypoints": [1, 2]}, "a keypoint must be 3 numbers"),
+        ([], "annotations[0]: [] where keys are expected"),
     ],
 )
 def test_bad_coco_is_one_line(tmp_path: Path, annotation: dict[str, object], said: str) -> None:
     assert said in failure(coco(tmp_path, [annotation], ["a_0.png"]))
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [
+        ("images", None, "no 'images'"),
+        ("images", [{"id": 7, "file_name": None}], "images[0]: no 'file_name'"),
+        ("categories", {"1": "ID.1"}, "'categories' must be a list, not {'1': 'ID.1'}"),
+        (
+            "images",
+            [{"id": 7, "file_name": "a_0.png"}, {"id": 7, "file_name": "a_1.png"}],
+            "images[1]: id 7 is that of 'a_0.png' and of 'a_1.png'",
+        ),
+        (
+            "categories",
+            [{"id": 1, "name": "1"}, {"id": 1, "name": "2"}],
+            "categories[1]: id 1 is that of '1' and of '2'",
+        ),
+    ],
+)
+def test_coco_whose_ids_tell_no_names_is_one_line(
+    tmp_path: Path, key: str, value: Any, said: str
+) -> None:
+    """Of two files put together an id stands for two images: the last of them was taken."""
+    source = coco(tmp_path, [BBOX | {"image_id": 7}], ["a_0.png"])
+    source.write_text(json.dumps(json.loads(source.read_text()) | {key: value}))
+    assert said in failure(source)
+
+
+def test_sizes_that_coco_leaves_open_are_not_told(tmp_path: Path) -> None:
+    source = coco(tmp_path, [BBOX | {"image_id": 7, "attributes": {"visible": ""}}], ["a_0.png"])
+    document = json.loads(source.read_text())
+    document["images"][0] |= {"width": None, "height": None}
+    source.write_text(json.dumps(document))
+    assert converted(tmp_path, source)[0][4] == 1.0
 
 
 # --- MOTChallenge --------------------------------------------------------------------------------
@@ -310,11 +350,12 @@ def test_mot_of_cvat_names_classes_and_counts_boxes_from_zero(tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ("1,1,0,0,5,x,1,2,1.0", "line 2: could not convert"),
-        ("1,1,0,0,5", "line 2: not enough values"),
+        ("1,1,0,0,5,x,1,2,1.0", "line 2: 'x' is no coordinate"),
+        ("1,1,0,0,5", "line 2: 5 cells"),
         ("1.5,1,0,0,5,5,1", "frames are whole numbers"),
         ("1,1,0,0,5,5,1,1,86", "visibility is a share"),
         ("1,1,0,0,5,inf,1", "no coordinate"),
+        ("1,1,0,0,5,5,1,1.5", "line 2: 1.5 is no number"),
         ("0,1,0,0,5,5,1", "lies before the log's first frame, which is called 1 here"),
     ],
 )
@@ -357,10 +398,14 @@ def test_labelme_folder(tmp_path: Path) -> None:
     ("shape", "said"),
     [
         ({"label": "1", "points": [[1, 2]], "shape_type": "circle"}, ""),
-        ({"points": [[1, 2]], "shape_type": "point"}, "KeyError('label')"),
-        ({"label": "1", "points": [], "shape_type": "point"}, "IndexError"),
-        ({"label": "1", "points": [[1]], "shape_type": "point"}, "not as LabelMe writes it"),
-        ("shape", "not as LabelMe writes it"),
+        ({"points": [[1, 2]], "shape_type": "point"}, "shapes[0]: no 'label'"),
+        ({"label": "1", "points": [], "shape_type": "point"}, "0 points, which is no point"),
+        ({"label": "1", "points": [[1, 2]], "shape_type": "rectangle"}, "1 point, which is no rec"),
+        ({"label": "1", "points": [[1, 2], [3, 4]]}, "2 points, which is no polygon"),
+        ({"label": "1", "points": [[1]], "shape_type": "point"}, "a point must be 2 numbers"),
+        ({"label": "1", "points": None, "shape_type": "point"}, "no 'points'"),
+        ({"label": "", "points": [[1, 2]], "shape_type": "point"}, "1 shape without a label"),
+        ("shape", "shapes[0]: 'shape' where keys are expected"),
     ],
 )
 def test_bad_labelme_is_one_line(tmp_path: Path, shape: dict[str, object], said: str) -> None:
@@ -369,6 +414,17 @@ def test_bad_labelme_is_one_line(tmp_path: Path, shape: dict[str, object], said:
         assert said in failure(tmp_path / "a.json")
     else:
         assert len(converted(tmp_path, tmp_path / "a.json")) == 1
+
+
+def test_other_json_in_a_folder_of_labelme_is_told(tmp_path: Path) -> None:
+    folder = tmp_path / "labels"
+    labelme(folder / "a.json", [], "3.png")
+    (folder / "._a.json").write_bytes(b"\0\5\26\7\xff")  # as macOS leaves them
+    assert converted(tmp_path, folder) == []
+    (folder / "classes.json").write_text('{"classes": ["1"]}')
+    assert "classes.json: not as LabelMe writes it (no 'shapes'); move other" in failure(folder)
+    (tmp_path / "none").mkdir()
+    assert "none: a folder without LabelMe JSON files" in failure(tmp_path / "none")
 
 
 # --- What is no annotation file ------------------------------------------------------------------
@@ -432,7 +488,7 @@ def test_other_labels_are_told_of(tmp_path: Path, label: str) -> None:
     source = cvat(tmp_path, body)
     done = run(source, "--out", tmp_path / "gt.csv")
     assert done.exit_code == 3
-    assert f"label {label!r} (1 times)" in done.stderr
+    assert f"label {label!r} (1 time)" in done.stderr
     assert len(rows_of(tmp_path / "gt.csv")) == 1
     (tmp_path / "gt.csv").unlink()
     assert len(converted(tmp_path, source, "--map", f"{label}=none")) == 1
@@ -473,6 +529,18 @@ def frames_of(tmp_path: Path, names: list[str], *more: str | Path) -> list[int]:
 
 def test_frames_by_the_number_that_ends_the_name(tmp_path: Path) -> None:
     assert frames_of(tmp_path, ["x1_0012.png", "x1_0003.jpg"]) == [3, 12]
+
+
+def test_digits_that_are_no_number_of_a_frame(tmp_path: Path) -> None:
+    """Of a space as web tools write it, and of a fraction of a second."""
+    assert frames_of(tmp_path, ["img%2012.png", "a/img%203.jpg"]) == [3, 12]
+    (tmp_path / "gt.csv").unlink()
+    assert frames_of(tmp_path, ["1714564801.125.png", "1714564800.375.png"]) == [0, 1]
+    (tmp_path / "gt.csv").unlink()
+    log = image_folder(tmp_path / "log", frames(3, 80, 100))
+    (log / "frame0.png").rename(log / "b%2034.png")  # that very name
+    (log / "frame1.png").rename(log / "b 5.png")
+    assert frames_of(tmp_path, ["b%2034.png", "b%205.png"], "--log", log) == [0, 1]
 
 
 def test_first_frame_shifts_numbers(tmp_path: Path) -> None:

@@ -44,6 +44,8 @@ def read_annotations(path: Path, name: str | None = None) -> tuple[str, Annotati
     else:
         text = "" if path.is_dir() else _beginning(path)
         matching = [f for f in FORMATS if f.matches(path, text)]
+        if not matching and path.is_dir():
+            raise SonarrecError(f"{path}: a folder without LabelMe JSON files")
         if not matching:
             raise SonarrecError(
                 f"{path}: not an annotation file this program reads (CVAT XML 1.1, COCO JSON, "

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from sonarrec.records import SonarrecError
 from sonarrec.truth.annotations.shapes import (
     HALF_A_PIXEL,
-    NOT_AS_DESCRIBED,
     PARTLY_HIDDEN,
     Annotations,
     Shape,
     centre_of_area,
-    coordinate,
+    coordinates,
+    listed,
     read_json,
+    stated,
     stated_visible,
     whole,
 )
@@ -36,46 +39,80 @@ def read(path: Path) -> Annotations:
     """
     document = read_json(path)
     found = Annotations()
-    where = "images and categories"
     try:
-        labels = {category["id"]: str(category["name"]) for category in document["categories"]}
-        names = {}
-        for image in document["images"]:
-            names[image["id"]] = str(image["file_name"])
-            if "width" in image and "height" in image:
-                size = whole(image["width"]), whole(image["height"])
-                found.sizes[names[image["id"]]] = size
+        names = _names(document, "images", "file_name")
+        labels = _names(document, "categories", "name")
+        for number, image in enumerate(document["images"]):
+            with _place(f"images[{number}]"):
+                if image.get("width") and image.get("height"):
+                    found.sizes[names[image["id"]]] = whole(image["width"]), whole(image["height"])
         found.images.extend(names.values())
-        for number, annotation in enumerate(document["annotations"]):
-            where = f"annotation {number} of the list"
-            if annotation.get("iscrowd"):
-                found.unused["crowds"] += 1
-                continue
-            x, y, visible = _centre(annotation)
-            name, label = names[annotation["image_id"]], labels[annotation["category_id"]]
-            found.shapes.append(Shape(name, label, x, y, visible))
-    except NOT_AS_DESCRIBED as error:
-        raise SonarrecError(f"{path}: {where}: not as COCO describes it ({error!r})") from None
+        for number, annotation in enumerate(listed(document, "annotations")):
+            with _place(f"annotations[{number}]"):
+                name = _named(names, annotation, "image_id", "images")
+                label = _named(labels, annotation, "category_id", "categories")
+                if annotation.get("iscrowd"):
+                    found.unused["crowd"] += 1
+                elif (centre := _centre(annotation)) is None:
+                    found.unused["annotation left empty"] += 1
+                else:
+                    found.shapes.append(Shape(name, label, *centre))
+    except ValueError as error:
+        raise SonarrecError(f"{path}: not as COCO describes it ({error})") from None
     return found
 
 
-def _centre(annotation: dict[str, Any]) -> tuple[float, float, float | None]:
-    """(x, y, visible) of one annotation."""
-    visible = stated_visible(annotation.get("attributes") or {})
-    flat = annotation.get("keypoints") or []
-    keypoints = [tuple(flat[n : n + 3]) for n in range(0, len(flat), 3)]
+@contextmanager
+def _place(where: str) -> Iterator[None]:
+    """Errors in it begin with the place in the document."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from None
+
+
+def _names(document: Any, key: str, name: str) -> dict[float | str, str]:
+    """The names in a list of the document, by id. Raises ValueError where they are not told."""
+    names: dict[float | str, str] = {}
+    for number, row in enumerate(listed(document, key)):
+        with _place(f"{key}[{number}]"):
+            n, text = stated(row, "id"), str(stated(row, name))
+            if not isinstance(n, int | float | str):
+                raise ValueError(f"id {n!r}")
+            if names.setdefault(n, text) != text:
+                raise ValueError(f"id {n!r} is that of {names[n]!r} and of {text!r}")
+    return names
+
+
+def _named(names: Mapping[float | str, str], annotation: Any, key: str, where: str) -> str:
+    """The name that an id of an annotation stands for. Raises ValueError where it has none."""
+    n = stated(annotation, key)
+    if not isinstance(n, int | float | str) or n not in names:
+        raise ValueError(f"{key} {n!r} is not among the {where}")
+    return names[n]
+
+
+def _centre(annotation: dict[str, Any]) -> tuple[float, float, float | None] | None:
+    """(x, y, visible) of one annotation; None where it has no place."""
+    attributes = annotation.get("attributes")
+    visible = stated_visible(attributes if isinstance(attributes, dict) else {})
+    flat = listed(annotation, "keypoints") if annotation.get("keypoints") else []
+    keypoints = [coordinates(flat[n : n + 3], 3, "a keypoint") for n in range(0, len(flat), 3)]
     labelled = [(x, y, flag) for x, y, flag in keypoints if flag]
     if len(labelled) == 1:
         x, y, flag = labelled[0]
         if visible is None and flag == 1:  # labelled, but not visible
             visible = PARTLY_HIDDEN
         # A keypoint names a pixel; boxes and polygons run along the edges between pixels.
-        return coordinate(x), coordinate(y), visible
-    polygons = annotation.get("segmentation")
-    if isinstance(polygons, list) and len(polygons) == 1 and len(polygons[0]) >= 6:
-        flat = [coordinate(value) for value in polygons[0]]
+        return x, y, visible
+    outlines = annotation.get("segmentation")
+    outline = outlines[0] if isinstance(outlines, list) and len(outlines) == 1 else None
+    if isinstance(outline, list) and len(outline) >= 6:
+        flat = coordinates(outline, len(outline) // 2 * 2, "a polygon")
         x, y = centre_of_area(list(zip(flat[0::2], flat[1::2], strict=True)))
     else:
-        left, top, width, height = (coordinate(value) for value in annotation["bbox"])
+        left, top, width, height = coordinates(stated(annotation, "bbox"), 4, "bbox")
+        if not (left or top or width or height):  # as is written where there is none
+            return None
         x, y = left + width / 2, top + height / 2
     return x - HALF_A_PIXEL, y - HALF_A_PIXEL, visible

@@ -12,13 +12,14 @@ from itertools import pairwise
 from pathlib import Path
 from xml.parsers import expat
 
-from sonarrec.records import SonarrecError
+from sonarrec.records import SonarrecError, number_of
 from sonarrec.truth.annotations.shapes import (
     HALF_A_PIXEL,
     Annotations,
     Shape,
     centre_of_area,
     coordinate,
+    shortened,
     stated_visible,
     whole,
 )
@@ -80,7 +81,16 @@ def _mask(a: Mapping[str, str]) -> tuple[float, float]:
 
 def _points(a: Mapping[str, str]) -> list[tuple[float, float]]:
     pairs = [point.split(",") for point in a["points"].split(";")]
+    if any(len(pair) != 2 for pair in pairs):
+        raise ValueError(f"points must be x,y;x,y and so on, not {shortened(a['points'])}")
     return [(coordinate(x), coordinate(y)) for x, y in pairs]
+
+
+def _polygon(a: Mapping[str, str]) -> tuple[float, float]:
+    points = _points(a)
+    if len(points) < 3:
+        raise ValueError(f"{number_of(len(points), 'point')}, which is no polygon")
+    return centre_of_area(points)
 
 
 def _point(a: Mapping[str, str]) -> tuple[float, float]:
@@ -94,7 +104,7 @@ _CENTRES: dict[str, Callable[[Mapping[str, str]], tuple[float, float]]] = {
     "box": _box,
     "ellipse": lambda a: (coordinate(a["cx"]), coordinate(a["cy"])),
     "mask": _mask,
-    "polygon": lambda a: centre_of_area(_points(a)),
+    "polygon": _polygon,
     "points": _point,
 }
 _OTHER_SHAPES = {"polyline", "cuboid", "skeleton", "tag"}
@@ -142,7 +152,7 @@ class _Reader:
         elif tag in _CENTRES:
             self._told = {}
         elif tag in _OTHER_SHAPES and len(self._open) == 3:
-            self.found.unused[f"{tag} shapes, which have no one centre"] += 1
+            self.found.unused[tag] += 1
 
     def text(self, text: str) -> None:
         self._text += text

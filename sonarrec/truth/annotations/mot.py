@@ -45,10 +45,12 @@ def read(path: Path) -> Annotations:
     origin = 0 if names else 1
     found = Annotations(first_frame=1)
     for number, line in enumerate(text.splitlines(), 1):
-        if not line.strip():
+        if not line.strip(", \t"):
             continue
         try:
             cells = [coordinate(cell) for cell in line.split(",")]
+            if len(cells) < 7:
+                raise ValueError(f"{len(cells)} cells, where seven numbers or more are expected")
             frame, track, left, top, width, height, considered = cells[:7]
             kind = whole(cells[7]) if len(cells) > 7 else -1
             visible = cells[8] if len(cells) > 8 and kind != -1 else None

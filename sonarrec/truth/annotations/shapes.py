@@ -24,16 +24,6 @@ HALF_A_PIXEL = 0.5
 MOST_DIGITS = 400
 """Of a number; Python itself refuses to read or write thousands of them."""
 
-NOT_AS_DESCRIBED = (
-    AttributeError,
-    IndexError,
-    KeyError,
-    OverflowError,
-    TypeError,
-    ValueError,
-)
-"""What reading a document raises that is built in another way than its format says."""
-
 
 @dataclass(frozen=True, slots=True)
 class Shape:
@@ -63,7 +53,7 @@ class Annotations:
     interpolated: int = 0
     """Shapes filled in between keyframes."""
     unused: Counter[str] = field(default_factory=Counter)
-    """What was passed over, counted."""
+    """The kinds of shapes that were passed over, as they have no one centre, counted."""
 
 
 def centre_of_area(points: Sequence[tuple[float, float]]) -> tuple[float, float]:
@@ -92,14 +82,14 @@ def stated_visible(attributes: Mapping[str, Any]) -> float | None:
     """
     told = {str(name).strip().lower(): value for name, value in attributes.items()}
     for name in ("visible", "visibility"):
-        if name in told:
-            text = str(told[name]).strip().lower()
+        text = "" if told.get(name) is None else str(told[name]).strip().lower()
+        if text:  # else left blank
             try:
                 share = float({"true": "1", "false": "0"}.get(text, text))
             except ValueError:
                 share = math.nan
             if not 0 <= share <= 1:
-                raise ValueError(f"{name} must be a share, 0 to 1, not {_shortened(told[name])}")
+                raise ValueError(f"{name} must be a share, 0 to 1, not {shortened(told[name])}")
             return share
     if str(told.get("occluded", "")).strip().lower() in ("1", "true"):
         return PARTLY_HIDDEN
@@ -107,22 +97,53 @@ def stated_visible(attributes: Mapping[str, Any]) -> float | None:
 
 
 def coordinate(value: Any) -> float:
-    """A coordinate in pixels as a number. Raises ValueError or TypeError where it is none."""
-    number = float(value) if len(str(value)) < MOST_DIGITS else math.inf
+    """A coordinate in pixels as a number. Raises ValueError where it is none."""
+    try:
+        number = float(value) if len(str(value)) < MOST_DIGITS else math.inf
+    except (TypeError, ValueError):
+        number = math.nan
     if not abs(number) <= LARGEST:  # or nan
-        raise ValueError(f"{_shortened(value)} is no coordinate in pixels")
+        raise ValueError(f"{shortened(value)} is no coordinate in pixels")
     return number
+
+
+def coordinates(values: Any, count: int, what: str) -> list[float]:
+    """So many coordinates from a JSON document. Raises ValueError where they are not."""
+    if not isinstance(values, list) or len(values) != count:
+        raise ValueError(f"{what} must be {count} numbers, not {shortened(values)}")
+    return [coordinate(value) for value in values]
 
 
 def whole(value: Any) -> int:
-    """A frame number, a size or a class. Raises ValueError or TypeError where it is none."""
-    number = int(value) if len(str(value)) < MOST_DIGITS else LARGEST + 1
-    if abs(number) > LARGEST:
-        raise ValueError(f"{_shortened(value)} is no number of a frame, of a class or of pixels")
+    """A frame number, a size or a class. Raises ValueError where it is none."""
+    try:
+        number = int(value) if len(str(value)) < MOST_DIGITS else LARGEST + 1
+    except (OverflowError, TypeError, ValueError):
+        number = LARGEST + 1
+    if abs(number) > LARGEST or (isinstance(value, float) and value != number):
+        raise ValueError(f"{shortened(value)} is no number of a frame, of a class or of pixels")
     return number
 
 
-def _shortened(value: Any) -> str:
+def stated(table: Any, key: str) -> Any:
+    """A value of a JSON document. Raises ValueError where there is none, or null."""
+    if not isinstance(table, dict):
+        raise ValueError(f"{shortened(table)} where keys are expected, such as {key!r}")
+    if table.get(key) is None:
+        raise ValueError(f"no {key!r}")
+    return table[key]
+
+
+def listed(table: Any, key: str) -> list[Any]:
+    """A list of a JSON document. Raises ValueError where there is none."""
+    values = stated(table, key)
+    if not isinstance(values, list):
+        raise ValueError(f"{key!r} must be a list, not {shortened(values)}")
+    return values
+
+
+def shortened(value: Any) -> str:
+    """A value for a message."""
     text = repr(value) if isinstance(value, str) else str(value)
     return text if len(text) < 40 else f"{text[:40]}..."
 
