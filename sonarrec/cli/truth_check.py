@@ -87,6 +87,8 @@ def check(
     tell(checked.problems)
     if not quiet:
         say(f"{ground_truth}: {checked.told()}")
+    if checked.not_read:
+        say(f"note: columns {', '.join(checked.not_read)} are not read")
     if checked.others:
         say(f"note: {number_of(checked.others, 'row')} of other logs not checked")
     if strips and not quiet:

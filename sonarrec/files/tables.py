@@ -393,18 +393,25 @@ def _numbered(column: Any, blank: BoolArray, labels: dict[Any, int]) -> IntArray
 def position_pair(path: Path, table: Table) -> tuple[str, FloatArray, FloatArray] | None:
     """("polar", range m, bearing deg) or ("pixel", column, row), each (rows,); None if neither.
 
-    Range and bearing are preferred, since they need no geometry. Empty columns count as missing.
-    Raises SonarrecError if only some cells of a pair are empty.
+    Range and bearing are preferred, since they need no geometry. A pair with an empty column counts
+    as missing. Raises SonarrecError if only some cells of a pair are empty, and if there is half a
+    pair alone.
     """
+    half = None
     for kind, pair in (("polar", ("range_m", "bearing_deg")), ("pixel", ("x_px", "y_px"))):
         if any(name not in table for name in pair):
             continue
         first, second = (table[name] for name in pair)
         blank = np.isnan(first) | np.isnan(second)
-        if blank.size and blank.all():
+        row = int(np.argmax(blank)) if blank.any() else None
+        if row is not None:
+            fault = f"{path} line {line_number(path, row)}: {' or '.join(pair)} is empty"
+            if not blank.all():
+                raise SonarrecError(fault)
+            if not (np.isnan(first) & np.isnan(second)).all():
+                half = fault
             continue
-        if blank.any():
-            line = line_number(path, int(np.argmax(blank)))
-            raise SonarrecError(f"{path} line {line}: {' or '.join(pair)} is empty")
         return kind, first, second
+    if half is not None:
+        raise SonarrecError(half)
     return None

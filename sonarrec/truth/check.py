@@ -55,6 +55,8 @@ class CheckedTruth:
     """In order of the lines."""
     others: int
     """Rows that speak of other logs."""
+    not_read: tuple[str, ...]
+    """Columns, as TruthTable has them."""
     problems: list[str]
     """Of the log."""
 
@@ -88,7 +90,7 @@ def check_truth(
     names = possible_names(log.name, find_log(log.path).place.resolve())
     row = next(filter(len, map(table.rows_of, names)), table.rows_of(log.name))
     if len(table.at) and not len(row):
-        named = ", ".join(sorted({str(name) for name in table.log}))
+        named = ", ".join(sorted({repr(str(name)) for name in table.log}))
         raise SonarrecError(f"{path}: its log column does not name {log.name}; it has {named}")
     lines = np.fromiter(line_numbers(path), np.int64, len(table.at))
     line = lines[row]
@@ -129,6 +131,7 @@ def check_truth(
         visible=visible,
         faults=sorted(faults, key=lambda fault: fault.line),
         others=len(table.at) - len(row),
+        not_read=table.not_read,
         problems=list(log.problems),
     )
 

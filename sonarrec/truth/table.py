@@ -42,6 +42,12 @@ _LOOK_ALIKE = {
     ),
 }
 """Names in lower case that others give to positions, by what they should be here."""
+_OTHER_ALIKE = {
+    "visible": ("visible", "visibility", "vis"),
+    "orientation_deg": ("orientation_deg", "orientation"),
+    "log": ("log",),
+}
+"""The same of columns without which a truth is sound, but says something else."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +74,7 @@ class TruthTable:
     proposed: BoolArray
     """(R,) whether `source` says that `truth propose` wrote the row."""
     not_read: tuple[str, ...]
-    """Columns that look like positions, beside those that are read."""
+    """Columns that look like positions, `visible` and so on, beside those that are read."""
 
     def rows_of(self, name: str) -> IntArray:
         """The rows that speak of a log, rising."""
@@ -134,7 +140,14 @@ def read_rows(path: Path) -> TruthTable:
     visible = table.get("visible", np.ones(len(table["landmark"])))
     visible = np.where(np.isnan(visible), 1.0, visible)
     position = position_pair(path, table)
-    alike = _look_alike(read_header(path, HEADER))
+    header = read_header(path, HEADER)
+    alike = _look_alike(header)
+    others = [
+        name
+        for right, names in _OTHER_ALIKE.items()
+        for name in header
+        if right not in header and name.lower() in names
+    ]
     if alike and position is None:
         told = "; ".join(f"{', '.join(names)}: expected {right}" for right, names in alike.items())
         raise SonarrecError(
@@ -160,7 +173,7 @@ def read_rows(path: Path) -> TruthTable:
             if "source" in table
             else np.zeros(len(table["landmark"]), dtype=bool)
         ),
-        not_read=tuple(name for names in alike.values() for name in names),
+        not_read=(*(name for names in alike.values() for name in names), *others),
     )
 
 

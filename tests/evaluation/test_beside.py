@@ -257,6 +257,17 @@ def test_columns_beside_good_positions_are_told(tmp_path: Path) -> None:
     assert "gt.csv: columns x, y are not read" in command("--ground-truth", gt, results).stdout
 
 
+def test_columns_that_only_look_like_others_are_told(tmp_path: Path) -> None:
+    """Without `visible` all of each disc is taken to be in view."""
+    results, gt = write_case(tmp_path, FRAMES, [(0, "m", 2.0, 0.0, 1, 0.9, 1)], [])
+    gt.write_text("frame,landmark,range_m,bearing_deg,Visible,Log\n0,1,2.0,0.0,0,other\n")
+    assert (
+        "gt.csv: columns Visible, Log are not read" in command("--ground-truth", gt, results).stdout
+    )
+    gt.write_text("frame,landmark,range_m,bearing_deg,visible\n0,1,2.0,0.0,0\n")
+    assert "are not read" not in command("--ground-truth", gt, results).stdout
+
+
 @pytest.mark.parametrize("unit", [100.0, 0.001])
 def test_positions_outside_the_image_are_refused(tmp_path: Path, unit: float) -> None:
     """Centimetres, or kilometres."""

@@ -143,7 +143,7 @@ def test_truth_of_other_logs_alone_is_a_failure_and_an_empty_one_is_sound(
     path = truth(tmp_path, ["a,0,1,2.0,0"], "log,frame,landmark,range_m,bearing_deg")
     done = run(path, log, "--sheet", tmp_path / "s.png")
     assert done.exit_code == 1
-    assert "its log column does not name pings; it has a" in done.stderr
+    assert "its log column does not name pings; it has 'a'" in done.stderr
     for header in ("frame,landmark,x_px,y_px", "timestamp_ns,landmark,range_m,bearing_deg"):
         done = run(truth(tmp_path, [], header), log, "--sheet", tmp_path / "s.png")
         assert (done.exit_code, "0 rows, no fault" in done.stdout) == (0, True), done.output
