@@ -160,9 +160,12 @@ class Sonar:
                 yield window, f"a window of {high - low:g} m is shorter than {MIN_WINDOW_M:g} m"
         view, height = self.field_of_view_deg, self.height_m
         if view is not None and not 0 < view < 180:
-            yield ("field_of_view_deg",), f"field_of_view_deg = {view:g} must be within 0 to 180"
+            yield (
+                ("field_of_view_deg",),
+                f"field_of_view_deg = {view:g} must be above 0 and below 180",
+            )
         if tilt is not None and not 0 <= tilt < 90:
-            yield ("tilt_deg",), f"tilt_deg = {tilt:g} must be within 0 to 90 (downward)"
+            yield ("tilt_deg",), f"tilt_deg = {tilt:g} must be 0 to below 90 (downward)"
         if height is not None and high is not None and not 0 < height < high:
             yield (
                 ("height_m", "range_max_m"),
@@ -178,7 +181,7 @@ class Sonar:
                 yield ("bearings_deg",), "bearings_deg must lie between -90 and 90"
             steps = np.diff(self.bearings_deg)
             if not len(steps) or not (np.all(steps > 0) or np.all(steps < 0)):
-                wrong = "bearings_deg must rise or fall steadily from beam to beam"
+                wrong = "bearings_deg must rise or fall from beam to beam, and be two or more"
                 yield ("bearings_deg",), wrong
         if self.ranges_m is not None:
             least, most = min(self.ranges_m, default=None), max(self.ranges_m, default=None)

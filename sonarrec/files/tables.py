@@ -22,6 +22,7 @@ Kind = Literal[
     "whole",
     "number",
     "time",
+    "place",
     "blank or number",
     "blank or place",
     "share",
@@ -33,7 +34,7 @@ Kind = Literal[
 Table = dict[str, Any]
 """Column name to (rows,) array.
 
-int64, float64 (two kinds), float64 with NaN (three kinds), bool, str categories (two kinds); of a
+int64, float64 (three kinds), float64 with NaN (three kinds), bool, str categories (two kinds); of a
 label, which may be any text, whole numbers as they are, else an int64 number per distinct one, -1
 where blank."""
 
@@ -59,12 +60,14 @@ _AT_ONCE = 16_384
 """Characters read from a file at a time."""
 _BLANK = ", \t\r\n"
 """A line of these alone is no row: spreadsheets end a table with lines such as ",,,"."""
+_PLACES: tuple[Kind, ...] = ("place", "blank or place")
 _TEXTS: tuple[Kind, ...] = ("text", "blank or text")
 _WITH_OFFSET = r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d.*(?:Z|[+-]\d\d(?::?\d\d)?)"
 _WORDS = {
     "whole": "a whole number",
     "number": "a finite number",
     "time": "a finite number, or a time with its UTC offset such as 2024-05-01T12:00:00Z",
+    "place": "a finite number",
     "blank or number": "a finite number",
     "blank or place": "a finite number",
     "share": "0 to 1",
@@ -225,7 +228,7 @@ def _table(
             size, wide = np.abs(array[row]), ""
             if kinds[name] == "whole" and size >= 2.0**63:
                 wide = " below 2^63"
-            elif kinds[name] == "blank or place" and np.isfinite(size):
+            elif kinds[name] in _PLACES and np.isfinite(size):
                 wide = " from -1e9 to 1e9"
             line = line_number(path, first + row)
             fault = SonarrecError(
@@ -353,10 +356,10 @@ def _values(column: Any, kind: Kind, labels: dict[Any, int]) -> tuple[Any, BoolA
     bad = ~np.isfinite(values)
     if kind in ("blank or number", "blank or place", "share"):
         bad &= ~blank
-        if kind == "blank or place":
-            bad |= np.abs(values) > LARGEST
-        if kind == "share":
-            bad |= (values < 0) | (values > 1)
+    if kind in _PLACES:
+        bad |= np.abs(values) > LARGEST
+    if kind == "share":
+        bad |= (values < 0) | (values > 1)
     elif kind == "whole" and values.dtype.kind == "f":
         # Larger floats would overflow without an error.
         bad |= (values != np.floor(values)) | (np.abs(values) >= 2.0**63)

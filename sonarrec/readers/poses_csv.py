@@ -13,6 +13,13 @@ from sonarrec.records import SonarrecError
 POSES_FILE = "poses.csv"
 """Poses beside a log, or NAME.poses.csv, which are used where none are given."""
 HEADER = "timestamp,yaw,x,y"
+LOOK_ALIKE = (
+    *("x", "y", "x_m", "y_m", "px", "py", "pos_x", "pos_y", "position_x", "position_y"),
+    *("east", "north", "east_m", "north_m", "easting", "northing"),
+    *("lat", "lon", "latitude", "longitude"),
+)
+"""Names in lower case that others give to positions. Without x and y a sonar only turns: a wrong
+motion, where it moved."""
 # No table has its rows hours apart (10,000 s), nor 2,000 of them a second; rows between the two
 # are in microseconds.
 SECONDS_BELOW = 10_000
@@ -28,9 +35,9 @@ def read_poses(path: Path) -> PoseTable:
     Raises SonarrecError where the table cannot be used.
     """
     # With pandas, which only runs with such a table need.
-    from sonarrec.files.tables import Kind, read_table
+    from sonarrec.files.tables import Kind, read_header, read_table
 
-    kinds: dict[str, Kind] = dict.fromkeys(("yaw", "x", "y"), "number")
+    kinds: dict[str, Kind] = dict.fromkeys(("yaw", "x", "y"), "place")
     kinds |= {"timestamp_ns": "whole", "timestamp": "time"}
     table = read_table(path, kinds, ("yaw",), HEADER)
     if "timestamp_ns" in table:
@@ -44,6 +51,12 @@ def read_poses(path: Path) -> PoseTable:
         )
     if ("x" in table) != ("y" in table):
         raise SonarrecError(f"{path}: x and y go together; give both or neither")
+    alike = [name for name in read_header(path, HEADER) if name.lower() in LOOK_ALIKE]
+    if "x" not in table and alike:
+        raise SonarrecError(
+            f"{path}: no position can be read from the columns {', '.join(alike)}: expected x,y "
+            "in metres (sonarrec help poses); rename them, or drop them if the sonar only turns"
+        )
     steps = np.diff(np.unique(at))
     if not len(steps):
         raise SonarrecError(f"{path}: a motion needs rows at two times or more")

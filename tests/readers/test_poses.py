@@ -104,6 +104,11 @@ def test_a_pose_between_two_rows_lies_on_the_line_between_them(tmp_path):
     assert table.motion(11_000_000_000, 11_000_000_000) == Motion(0.0, 0.0, 0.0)
 
 
+def test_other_columns_beside_a_position_are_not_looked_at(tmp_path):
+    text = "timestamp,yaw,x,y,lat,roll\n0,1,2,3,x,\n1,1,2,3,,\n"
+    assert read_poses(rows(tmp_path / "o.csv", text)).pose.shape == (2, 3)
+
+
 def test_times_in_iso_8601_are_seconds_since_1970(tmp_path):
     cells = ["2024-05-01T12:00:00Z", "2024-05-01 14:00:00.5+02:00", "2024-05-01T07:00:01-0500"]
     text = "timestamp,yaw\n" + "".join(f"{cell},{n}\n" for n, cell in enumerate(cells))
@@ -309,6 +314,9 @@ def test_a_table_that_the_images_contradict_is_noted(pings, factor):
         ("timestamp,heading\n0,1\n1,2\n", "no yaw"),
         ("time,yaw\n0,1\n1,2\n", "neither timestamp nor timestamp_ns"),
         ("timestamp,yaw,x\n0,1,2\n1,2,3\n", "x and y go together"),
+        ("timestamp,yaw,X,Y\n0,1,2,3\n1,1,2,3\n", "the columns X, Y: expected x,y in metres"),
+        ("timestamp,yaw,lat,lon\n0,1,2,3\n1,1,2,3\n", "from the columns lat, lon: expected x,y"),
+        ("timestamp,yaw,x,y\n0,1,1e300,3\n1,1,2,3\n", "line 2: x must be a finite number from"),
         ("timestamp,yaw\n0,1\n", "two times"),
         (
             "timestamp,yaw\n2024-05-01T12:00:00Z,1\n2024-05-01T12:00:01,2\n",

@@ -466,7 +466,7 @@ def test_errors_of_geometry_are_in_the_sidecar_only() -> None:
         ("[sonar]\nrange_min_m = 4.0", r"its errors, contradicts itself: range_min_m = 4 .* 3.75$"),
         (
             "[sonar]\ntilt_error_deg = 80",
-            "contradicts itself: tilt_deg = 100 must be within 0 to 90",
+            "contradicts itself: tilt_deg = 100 must be 0 to below 90",
         ),
         ("[sonar]\nlayout = 'square'", "layout must be"),
         ("[sonar]\nbearings = 'odd'", "bearings must be"),
