@@ -87,8 +87,8 @@ def check(
     tell(checked.problems)
     if not quiet:
         say(f"{ground_truth}: {checked.told()}")
-    if checked.not_read:
-        say(f"note: columns {', '.join(checked.not_read)} are not read")
+    for line in checked.notes:
+        say(f"note: {line}")
     if checked.others:
         say(f"note: {number_of(checked.others, 'row')} of other logs not checked")
     if strips and not quiet:

@@ -29,7 +29,13 @@ from sonarrec.records import (
     printable,
 )
 from sonarrec.sonar import Sonar
-from sonarrec.truth.fits import as_proposed, misfit, pixels_elsewhere, without_rows
+from sonarrec.truth.fits import (
+    as_proposed,
+    columns_not_read,
+    misfit,
+    pixels_elsewhere,
+    without_rows,
+)
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import TruthTable, read_truth
 
@@ -122,7 +128,7 @@ def learn(
     learned: list[str] = []
     misfits: list[str] = []
     problems: list[str] = []
-    notes: list[str] = []
+    notes = columns_not_read(table)
     rows = frames = 0
     for path in paths:
         with open_log(

@@ -14,6 +14,7 @@ from sonarrec.readers.find import find_log
 from sonarrec.readers.log import Log
 from sonarrec.records import Fan, FloatArray, IntArray, SonarrecError, number_of
 from sonarrec.results.folders import possible_names
+from sonarrec.truth.fits import columns_not_read
 from sonarrec.truth.in_view import share_in_image
 from sonarrec.truth.match import SLACK_PX, match_times, pixels_apart
 from sonarrec.truth.table import TruthTable, read_rows, repeated_rows
@@ -55,8 +56,8 @@ class CheckedTruth:
     """In order of the lines."""
     others: int
     """Rows that speak of other logs."""
-    not_read: tuple[str, ...]
-    """Columns, as TruthTable has them."""
+    notes: list[str]
+    """On the columns."""
     problems: list[str]
     """Of the log."""
 
@@ -131,7 +132,7 @@ def check_truth(
         visible=visible,
         faults=sorted(faults, key=lambda fault: fault.line),
         others=len(table.at) - len(row),
-        not_read=table.not_read,
+        notes=columns_not_read(table),
         problems=list(log.problems),
     )
 

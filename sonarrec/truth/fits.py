@@ -75,6 +75,13 @@ def without_rows(path: Path, rows: int, logs: Iterable[str], so: str) -> str:
     )
 
 
+def columns_not_read(table: TruthTable) -> list[str]:
+    """A line where columns look like those that are read, and are not."""
+    return [f"{table.path}: columns {', '.join(table.not_read)} are not read"] * bool(
+        table.not_read
+    )
+
+
 def pixels_elsewhere(table: TruthTable, log: ReadLog, so: str) -> list[str]:
     """A line where rows of the log tell two places. so: what is done with range and bearing."""
     if log.fan is None or table.pixels is None:

@@ -10,7 +10,14 @@ import numpy as np
 
 from sonarrec.records import SonarrecError, number_of
 from sonarrec.results.read import LogResults, not_whole
-from sonarrec.truth.fits import as_proposed, misfit, outside_image, pixels_elsewhere, without_rows
+from sonarrec.truth.fits import (
+    as_proposed,
+    columns_not_read,
+    misfit,
+    outside_image,
+    pixels_elsewhere,
+    without_rows,
+)
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import TruthTable
 
@@ -100,9 +107,7 @@ def fit(cases: Sequence[Checked], some: bool = False) -> Fit:
 def _notes(case: Matched) -> list[str]:
     """Notes on a truth, a line each."""
     table, log = case.table, case.log
-    notes = []
-    if table.not_read:
-        notes.append(f"{table.path}: columns {', '.join(table.not_read)} are not read")
+    notes = columns_not_read(table)
     notes += as_proposed(table, log.name, "they say nothing about the results that they came from")
     outside = int(np.count_nonzero(outside_image(case.log, case.truth)))
     if outside:
