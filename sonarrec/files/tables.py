@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from sonarrec.files.parquet import PARQUET, read_parts
-from sonarrec.records import BoolArray, FloatArray, IntArray, SonarrecError
+from sonarrec.records import BoolArray, FloatArray, IntArray, SonarrecError, printable
 
 Kind = Literal[
     "whole",
@@ -48,6 +48,8 @@ LARGEST = 10**9
 """Larger positions (pixels, m, deg) are invalid; their squares could not be used."""
 MOST_COLUMNS = 1_000
 LONGEST_LINE = 64_000
+MOST_SHOWN = 300
+"""Characters of a header in a message."""
 _OPTIONS: dict[str, Any] = {
     "encoding": "utf-8-sig",
     "skipinitialspace": True,
@@ -124,9 +126,11 @@ def read_tables(
             raise SonarrecError(f"{path}: two columns are called {name}; rename or delete one")
     missing = [name for name in required if name not in header]
     if missing:
+        found = printable(",".join(header))
+        found = found if len(found) <= MOST_SHOWN else f"{found[:MOST_SHOWN]}..."
         raise SonarrecError(
-            f"{path}: wrong columns, no {', '.join(missing)}; found "
-            f"{','.join(header)}; expected a header such as {expected}"
+            f"{path}: wrong columns, no {', '.join(missing)}; found {found}; expected a header "
+            f"such as {expected}"
         )
     used = {name: header[name] for name in kinds if name in header}
     text = [c for n, c in used.items() if kinds[n] in _TEXTS]
@@ -189,6 +193,8 @@ def _parsed(path: Path, expected: str, read: Callable[[], Any]) -> Any:
     except (OSError, UnicodeDecodeError, pd.errors.ParserError, pd.errors.ParserWarning) as error:
         ragged = isinstance(error, pd.errors.ParserError | pd.errors.ParserWarning)
         why = (_longer_row(path) if ragged else None) or str(error).strip()
+        if "EOF inside string" in why:
+            why = 'a quotation mark (") is never closed'
         if isinstance(error, UnicodeDecodeError):
             why = "not in UTF-8; save it as that"
         raise SonarrecError(
@@ -347,7 +353,7 @@ def _values(column: Any, kind: Kind, labels: dict[Any, int]) -> tuple[Any, BoolA
     if column.dtype.kind in "iu" and column.dtype != np.uint64:
         values = column.to_numpy(dtype=np.int64)
     elif column.dtype.kind in "mM" or (column.dtype.kind == "O" and kind == "time"):
-        values = _seconds(column) if kind == "time" else np.full(len(column), np.nan)
+        values = _nanoseconds(column) if kind == "time" else np.full(len(column), np.nan)
     else:
         try:
             values = pd.to_numeric(column, errors="coerce").to_numpy(dtype=float)
@@ -368,16 +374,18 @@ def _values(column: Any, kind: Kind, labels: dict[Any, int]) -> tuple[Any, BoolA
     return values, bad
 
 
-def _seconds(column: Any) -> FloatArray:
-    """Numbers as they are, times in ISO 8601 as seconds since 1970; NaN for other cells.
+def _nanoseconds(column: Any) -> FloatArray:
+    """Numbers as they are, times in ISO 8601 as ns since 1970; NaN for other cells.
 
     A time without its UTC offset may be that of any zone.
     """
     text = column.astype(str)
     told = text.where(text.str.fullmatch(_WITH_OFFSET))
     times = pd.to_datetime(told, format="ISO8601", utc=True, errors="coerce")
-    seconds = (times - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1)
-    return np.asarray(seconds.fillna(pd.to_numeric(text, errors="coerce")), dtype=float)
+    # By seconds, for times beyond the year 2262 are more ns than 64 bits hold.
+    start, second = pd.Timestamp(0, tz="UTC").as_unit("s"), pd.Timedelta(seconds=1).as_unit("s")
+    ns = (times - start) / second * 1e9
+    return np.asarray(ns.fillna(pd.to_numeric(text, errors="coerce")), dtype=float)
 
 
 def _numbered(column: Any, blank: BoolArray, labels: dict[Any, int]) -> IntArray:

@@ -109,11 +109,13 @@ def test_other_columns_beside_a_position_are_not_looked_at(tmp_path):
     assert read_poses(rows(tmp_path / "o.csv", text)).pose.shape == (2, 3)
 
 
-def test_times_in_iso_8601_are_seconds_since_1970(tmp_path):
+def test_times_in_iso_8601_are_those_of_a_clock(tmp_path):
     cells = ["2024-05-01T12:00:00Z", "2024-05-01 14:00:00.5+02:00", "2024-05-01T07:00:01-0500"]
     text = "timestamp,yaw\n" + "".join(f"{cell},{n}\n" for n, cell in enumerate(cells))
     table = read_poses(rows(tmp_path / "o.csv", text))
     assert table.at.tolist() == [1_714_564_800_000_000_000 + n * 500_000_000 for n in range(3)]
+    days = rows(tmp_path / "o.csv", "timestamp,yaw\n2024-05-01T12:00Z,0\n2024-05-02T12:00Z,1\n")
+    assert np.diff(read_poses(days).at).tolist() == [86_400 * 10**9]
 
 
 @pytest.mark.parametrize("unit", ["s", "ms", "ns"])
@@ -322,6 +324,10 @@ def test_a_table_that_the_images_contradict_is_noted(pings, factor):
             "timestamp,yaw\n2024-05-01T12:00:00Z,1\n2024-05-01T12:00:01,2\n",
             "line 3: timestamp must be a finite number, or a time with its UTC offset such "
             "as 2024-05-01T12:00:00Z, not '2024-05-01T12:00:01'",
+        ),
+        (
+            "timestamp,yaw\n2024-05-01T12:00:00Z,1\n2300-05-01T12:00:00Z,2\n",
+            "timestamp must be seconds or nanoseconds; these are neither",
         ),
         ("timestamp,yaw\n1.7e12,1\n1700000000100,1\n", "neither (milliseconds?)"),
         ("timestamp,yaw\n1763700000000000,1\n1763700000050000,2\n", "(microseconds?)"),

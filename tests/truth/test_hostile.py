@@ -75,6 +75,8 @@ def test_digits_in_names_and_labels(tmp_path: Path, image: str, label: str, said
         (",".join(f"c{i}" for i in range(200_000)) + "\n", "columns"),
         ("frame,landmark\n" + "1," * 200_000 + "\n", "columns"),
         ("frame,landmark\n" + "9" * 5000 + ",1\n", "a whole number"),
+        ("9" * 5000 + ",frame\n", "no landmark; found 999"),
+        ('"a\nb",frame\n1,1\n', r"found a\\nb,frame; expected"),
     ],
 )
 def test_tables(tmp_path: Path, text: str, said: str) -> None:

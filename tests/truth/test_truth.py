@@ -226,6 +226,7 @@ def test_frame_numbers_go_before_times(case: Path) -> None:
             "line 2: bearing_deg must be a finite number from -1e9 to 1e9",
         ),
         ("frame,landmark,x_px,y_px\n0,1,5,\n3,1,6,\n", "line 2: x_px or y_px is empty"),
+        ('frame,landmark,note\n0,1,"x\n', 'CSV table (a quotation mark (") is never closed)'),
         ("frame,landmark\n0,1,7\n", "CSV table (line 2: 3 cells, the header has 2)"),
         ("frame,landmark\n0,1\n1,1,7,8\n", "CSV table (line 3: 4 cells, the header has 2)"),
         ("# mine\n\nframe,landmark,visible\n0,1,1\n", "(line 3: 3 cells, the header has 1)"),
