@@ -14,7 +14,7 @@ import numpy as np
 from sonarrec.geometry import beam_bearings, bin_ranges, pixel_from_polar, polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.readers.find import find_log
-from sonarrec.readers.images import is_image, natural_order
+from sonarrec.readers.images import is_image, names_an_image, natural_order
 from sonarrec.readers.log import Log
 from sonarrec.records import Fan, FloatArray, SonarrecError, UsageError, number_of
 from sonarrec.sonar import Sonar
@@ -240,9 +240,12 @@ def _frames_of_images(
 
 
 def _path(name: str, log_names: Sequence[str]) -> Path:
-    """An image's path. Web tools write a space as %20, whose digits are none of the name's."""
+    """An image's path. Web tools write %20 for a space and a query behind: digits of no name."""
     path = Path(name.replace("\\", "/"))
-    return path if "%" not in name or path.name in log_names else Path(unquote(str(path)))
+    if not ("%" in name or "?" in name) or path.name in log_names:
+        return path
+    address = Path(str(path).partition("?")[0])
+    return Path(unquote(str(address if names_an_image(address.name) else path)))
 
 
 def _once(names: Sequence[str]) -> dict[str, int]:

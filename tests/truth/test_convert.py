@@ -532,8 +532,9 @@ def test_frames_by_the_number_that_ends_the_name(tmp_path: Path) -> None:
 
 
 def test_digits_that_are_no_number_of_a_frame(tmp_path: Path) -> None:
-    """Of a space as web tools write it, and of a fraction of a second."""
-    assert frames_of(tmp_path, ["img%2012.png", "a/img%203.jpg"]) == [3, 12]
+    """Of a space and a query as web tools write them, and of a fraction of a second."""
+    names = ["img%2012.png", "a/img%203.jpg", "../b%2F7.png?c=%2F5", "/files/?d=a%2F9.png"]
+    assert frames_of(tmp_path, names) == [3, 7, 9, 12]
     (tmp_path / "gt.csv").unlink()
     assert frames_of(tmp_path, ["1714564801.125.png", "1714564800.375.png"]) == [0, 1]
     (tmp_path / "gt.csv").unlink()
