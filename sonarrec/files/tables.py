@@ -102,7 +102,7 @@ def _names(path: Path, expected: str) -> list[str]:
     _check_shape(path, expected)
 
     def read() -> Any:
-        with _Said(path) as text:
+        with _NonBlankLines(path) as text:
             return pd.read_csv(text, nrows=0, **_OPTIONS)
 
     return list(map(str, _parsed(path, expected, read).columns))
@@ -155,14 +155,14 @@ def read_tables(
 
 def _csv_parts(path: Path, dtype: Mapping[str, type], rows: int | None) -> Iterator[Any]:
     """Data frames of at most `rows` rows; None: one of all rows."""
-    with _Said(path) as text:
+    with _NonBlankLines(path) as text:
         if rows is None:
             yield pd.read_csv(text, dtype=dtype, **_OPTIONS)
         else:
             yield from pd.read_csv(text, dtype=dtype, chunksize=rows, **_OPTIONS)
 
 
-class _Said(io.TextIOBase):
+class _NonBlankLines(io.TextIOBase):
     """The text of a CSV file without its blank lines, for pandas."""
 
     def __init__(self, path: Path) -> None:
@@ -328,13 +328,13 @@ def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
     numbers: list[int] = []  # of the lines of one row
     with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
 
-        def said() -> Iterator[str]:
+        def non_blank_lines() -> Iterator[str]:
             for number, line in enumerate(file, 1):
                 if line.strip(_BLANK):
                     numbers.append(number)
                     yield line
 
-        for cells in csv.reader(said(), skipinitialspace=True):
+        for cells in csv.reader(non_blank_lines(), skipinitialspace=True):
             yield numbers[0], cells
             numbers.clear()
 
