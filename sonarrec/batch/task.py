@@ -9,13 +9,13 @@ from pathlib import Path
 from time import monotonic
 from typing import Literal
 
-from sonarrec.pipeline.prepared import Used
+from sonarrec.pipeline.prepare import RunOptions
 from sonarrec.pipeline.run import Observe, Summary, planned, process
 from sonarrec.records import SonarrecError, shown
 from sonarrec.remote.fetch import Progress, fetched, no_progress
 from sonarrec.remote.run import RemotePlaces
 from sonarrec.results.folders import part_of
-from sonarrec.results.run_file import Given
+from sonarrec.results.run_file import LogOptions
 
 Status = Literal["waiting", "running", "done", "partial", "failed"]
 GRACE_S = 10.0
@@ -29,33 +29,33 @@ class Task:
     path: str  # for a log on a server its URL without secrets
     name: str  # of its results folder, see pipeline.run.result_names
     out: str  # the folder for that folder
-    given: Given
-    used: Used
+    log_options: LogOptions
+    run_options: RunOptions
     overwrite: bool = False
     remote: RemotePlaces | None = None  # set if the log or its results lie on a server
     ahead: bool = False  # whether other cores read frames and select candidates in advance
 
     def absolute(self) -> Task:
         """The same task with absolute paths, for another working folder."""
-        given, used = self.given, self.used
-        landmarks = used.landmarks  # a file or a built-in set
+        log_options, run_options = self.log_options, self.run_options
+        landmarks = run_options.landmarks  # a file or a built-in set
         if landmarks is not None and Path(landmarks).is_file():
             landmarks = Path(landmarks).absolute()
         return replace(
             self,
             path=self.path if "://" in self.path else str(Path(self.path).absolute()),
             out=self.out if "://" in self.out else str(Path(self.out).absolute()),
-            given=replace(
-                given,
-                sonar_file=_absolute(given.sonar_file),
-                odometry=_absolute(given.odometry),
-                up_to=_absolute(given.up_to),
+            log_options=replace(
+                log_options,
+                sonar_file=_absolute(log_options.sonar_file),
+                odometry=_absolute(log_options.odometry),
+                up_to=_absolute(log_options.up_to),
             ),
-            used=replace(
-                used,
+            run_options=replace(
+                run_options,
                 landmarks=landmarks,
-                model=_absolute(used.model),
-                earlier_run=_absolute(used.earlier_run),
+                model=_absolute(run_options.model),
+                earlier_run=_absolute(run_options.earlier_run),
             ),
         )
 
@@ -87,13 +87,15 @@ class Outcome:
 
 def plan(task: Task) -> str:
     """What `do` would do, and why; writes nothing. Raises SonarrecError as `do` would."""
-    with _at_hand(task, upload=False) as (path, given, _):
+    with _at_hand(task, upload=False) as (path, log_options, _):
         folder = Path(task.out) / task.name
-        held = planned(path, task.out, given, task.used, name=task.name, overwrite=task.overwrite)
-    if held.up_to_date:
+        existing = planned(
+            path, task.out, log_options, task.run_options, name=task.name, overwrite=task.overwrite
+        )
+    if existing.up_to_date:
         return "up to date"
-    if held.why:
-        return f"done anew ({held.why})"
+    if existing.reason:
+        return f"done anew ({existing.reason})"
     return "done anew (it was stopped before its end)" if part_of(folder).exists() else "new"
 
 
@@ -104,12 +106,12 @@ def do(task: Task, observe: Observe | None = None, fetching: Progress = no_progr
     """
     begun = monotonic()
     try:
-        with _at_hand(task, fetching) as (path, given, renamed):
+        with _at_hand(task, fetching) as (path, log_options, renamed):
             summary = process(
                 path,
                 task.out,
-                given,
-                task.used,
+                log_options,
+                task.run_options,
                 observe,
                 name=task.name,
                 overwrite=task.overwrite,
@@ -129,19 +131,22 @@ def do(task: Task, observe: Observe | None = None, fetching: Progress = no_progr
 @contextmanager
 def _at_hand(
     task: Task, fetching: Progress = no_progress, *, upload: bool = True
-) -> Iterator[tuple[Path, Given, Callable[[str], str]]]:
+) -> Iterator[tuple[Path, LogOptions, Callable[[str], str]]]:
     """What to open, how to read it, and a function that puts a server's names into a line.
 
     A log on a server is held in the cache; results for a server are uploaded at the end. A file
     that cannot be opened inside raises SonarrecError, so that it costs this log only.
     """
     remote = task.remote
-    path, given = Path(task.path), task.given
+    path, log_options = Path(task.path), task.log_options
     renamed: Callable[[str], str] = str
     with ExitStack() as held:
         if remote is not None and remote.log is not None:
             found = held.enter_context(fetched(remote.log, remote.cache, fetching))
-            path, given = found.path, replace(given, up_to=found.up_to, origin=found.origin)
+            path, log_options = (
+                found.path,
+                replace(log_options, up_to=found.up_to, origin=found.origin),
+            )
         if remote is not None and remote.out is not None:
             from sonarrec.remote.upload import Outbox  # with fsspec, only where needed
 
@@ -149,7 +154,7 @@ def _at_hand(
             renamed = box.origin.told
             held.enter_context(box.results(task.name, upload=upload))
         try:
-            yield path, given, renamed
+            yield path, log_options, renamed
         except OSError as error:
             if error.filename is None:  # not a fault of the input
                 raise

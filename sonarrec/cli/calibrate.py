@@ -60,23 +60,23 @@ def calibrate(
     """
     from sonarrec.files.outputs import check_output, write_text, writing
     from sonarrec.learning.calibrate import learn
-    from sonarrec.results.run_file import Given, read_run
+    from sonarrec.results.run_file import LogOptions, read_run
 
     check_output(out, "model", [*log, ground_truth])
     config = settings.config()
     # As in `run`, a run.toml also gives the landmark set and the geometry.
     earlier = read_run(settings.file)
-    given = earlier.lay_under(Given(**log_choice.arguments()), same_log=False)
+    log_options = earlier.complete(LogOptions(**log_choice.arguments()), same_log=False)
     with progress(quiet) as step:
         lesson = learn(
             log,
             ground_truth,
             config,
             earlier.landmark_set(landmarks),
-            sonar=given.sonar,
-            sonar_file=given.sonar_file,
-            topic=given.topic,
-            time=given.time,
+            sonar=log_options.sonar,
+            sonar_file=log_options.sonar_file,
+            topic=log_options.topic,
+            time=log_options.time,
             from_scratch=from_scratch,
             observe=step,
         )

@@ -16,7 +16,7 @@ from sonarrec.records import UsageError
 if TYPE_CHECKING:
     from sonarrec.config import Config
     from sonarrec.landmarks import LandmarkSet
-    from sonarrec.results.run_file import Given
+    from sonarrec.results.run_file import LogOptions
     from sonarrec.simulation.background import Background
 
 MOST_DB = 60.0
@@ -102,14 +102,16 @@ class Laying:
 
         return load_landmarks(self.values["landmarks"] or "basin")
 
-    def given(self, log_choice: LogChoice, frames: str | None) -> Given:
+    def log_options(self, log_choice: LogChoice, frames: str | None) -> LogOptions:
         """How the recording is to be read. Raises UsageError for values that are invalid."""
-        return log_choice.given(self.values["odometry"], self.values["odometry_topic"], frames)
+        return log_choice.log_options(
+            self.values["odometry"], self.values["odometry_topic"], frames
+        )
 
     def survey(
         self,
         log: str,
-        given: Given,
+        log_options: LogOptions,
         landmarks: LandmarkSet,
         config: Config,
         step: Callable[..., None],
@@ -118,14 +120,14 @@ class Laying:
         from sonarrec.readers import open_log
         from sonarrec.simulation.background import poses_of, survey
 
-        reading = given.reading()
-        poses = poses_of(log, given.odometry, given.odometry_topic, reading["time"])
+        arguments = log_options.arguments()
+        poses = poses_of(log, log_options.odometry, log_options.odometry_topic, arguments["time"])
         return survey(
-            lambda: open_log(log, **reading),
+            lambda: open_log(log, **arguments),
             landmarks,
             config,
             poses,
-            given.frames or (0, None),
+            log_options.frames or (0, None),
             step,
         )
 

@@ -13,7 +13,7 @@ from sonarrec.cli.groups import FILE, GEOMETRY, INPUT, PIXELS, Decorator, as_one
 from sonarrec.records import Clock, UsageError, shown
 
 if TYPE_CHECKING:
-    from sonarrec.results.run_file import Given
+    from sonarrec.results.run_file import LogOptions
 
 _NUMBERS = {
     "range_min_m": "Slant range of the window's near end, m.",
@@ -227,16 +227,18 @@ class LogChoice:
             **({"time": time} if time else {}),
         }
 
-    def given(self, odometry: Path | None, odometry_topic: str | None, frames: str | None) -> Given:
+    def log_options(
+        self, odometry: Path | None, odometry_topic: str | None, frames: str | None
+    ) -> LogOptions:
         """How the log is to be read, with its poses and its frames A:B.
 
         Raises UsageError for values that are invalid.
         """
-        from sonarrec.results.run_file import Given, frame_span
+        from sonarrec.results.run_file import LogOptions, frame_span
 
         if odometry is not None and odometry_topic is not None:
             raise UsageError("--odometry and --odometry-topic: choose one of the two")
-        return Given(
+        return LogOptions(
             **self.arguments(),
             odometry=odometry,
             odometry_topic=odometry_topic,

@@ -47,11 +47,11 @@ from sonarrec.records import SonarrecError, UsageError, number_of, shown
 if TYPE_CHECKING:
     from sonarrec.batch.processes import Watch
     from sonarrec.batch.task import Task
-    from sonarrec.pipeline.prepared import Used
+    from sonarrec.pipeline.prepare import RunOptions
     from sonarrec.readers.many import NamedLog
     from sonarrec.remote.find import RemoteLog
     from sonarrec.remote.upload import Outbox
-    from sonarrec.results.run_file import Given
+    from sonarrec.results.run_file import LogOptions
 
 
 _ODOMETRY = odometry_options(INPUT)
@@ -192,13 +192,15 @@ def run(
     from sonarrec.batch.logs_table import LogsTable
     from sonarrec.cli.run_watch import RunWatch
     from sonarrec.files.parquet import check_parquet
-    from sonarrec.pipeline.prepared import Used
+    from sonarrec.pipeline.prepare import RunOptions
 
-    given = log_choice.given(odometry, odometry_topic, frames)
+    log_options = log_choice.log_options(odometry, odometry_topic, frames)
     if tables == "parquet":
         check_parquet()
-    used = Used(settings.configs(), landmarks, model, settings.file, tables == "parquet")
-    used.check()
+    run_options = RunOptions(
+        settings.configs(), landmarks, model, settings.file, tables == "parquet"
+    )
+    run_options.check()
     if timeout is not None and not timeout <= TIMEOUT_MAX:  # true for nan as well
         raise UsageError(f"--timeout {timeout:g}: expected at most {TIMEOUT_MAX:.0f} seconds")
     logs = named_logs(log, from_file, recursive)
@@ -209,7 +211,7 @@ def run(
         read_poses(odometry)  # so that a fault is reported once, not for each log
     box = _outbox(out, cache)
     made = Path(out) if box is None else box.folder
-    tasks = _shard(_tasks(logs, made, given, used, overwrite, box, cache), shard)
+    tasks = _shard(_tasks(logs, made, log_options, run_options, overwrite, box, cache), shard)
     unended = 0
     if retry_failed:
         tasks, unended = _again(tasks, made, box)
@@ -303,8 +305,8 @@ def _outbox(out: Path | str, cache: CacheChoice) -> Outbox | None:
 def _tasks(
     logs: Sequence[NamedLog | RemoteLog],
     out: Path,
-    given: Given,
-    used: Used,
+    log_options: LogOptions,
+    run_options: RunOptions,
     overwrite: bool,
     box: Outbox | None,
     cache: CacheChoice,
@@ -322,8 +324,8 @@ def _tasks(
         if remote or box:
             places = RemotePlaces(cache.cache(), remote, box.url if box else None)
         path, up_to = (one.shown, None) if isinstance(one, RemoteLog) else (one.path, one.up_to)
-        known = replace(given, up_to=up_to)
-        tasks.append(Task(path, name, str(out), known, used, overwrite, places))
+        known = replace(log_options, up_to=up_to)
+        tasks.append(Task(path, name, str(out), known, run_options, overwrite, places))
     return tasks
 
 

@@ -173,8 +173,8 @@ def _lay(
         folders = {contrasts[0]: out}
     check_free(list(folders.values()))
     with progress(quiet, title="motion") as step:
-        given = laying.given(log_choice, frames)
-        background = laying.survey(log, given, landmarks, config, step)
+        log_options = laying.log_options(log_choice, frames)
+        background = laying.survey(log, log_options, landmarks, config, step)
     layout = draw_layout(background, landmarks, seed, laying.count)
     with begun(*folders.values()), progress(quiet, len(background.path), "discs") as step:
         write_backgrounds(

@@ -72,7 +72,7 @@ def site(
     """
     from dataclasses import replace
 
-    from sonarrec.pipeline.prepared import Used, digest_asked, is_same_log
+    from sonarrec.pipeline.prepare import RunOptions, digest_asked, is_same_log
     from sonarrec.readers.find import find_log
     from sonarrec.report.site import Laid, assess
     from sonarrec.report.site_page import render
@@ -85,28 +85,28 @@ def site(
     # As in `run`, a run.toml also gives everything except the frames.
     earlier, source = read_run(settings.file), find_log(log)
     landmarks = earlier.landmark_set(values["landmarks"])
-    stated = laying.given(log_choice, frames)
+    stated = laying.log_options(log_choice, frames)
     same_log, _ = is_same_log(earlier, source, digest_asked(earlier, source))
-    given = replace(earlier.lay_under(stated, same_log=same_log), frames=stated.frames)
+    log_options = replace(earlier.complete(stated, same_log=same_log), frames=stated.frames)
     if same_log:
-        earlier.check_poses(given)
+        earlier.check_poses(log_options)
     out = out or Path("sonarrec_site") / source.name
     check_free([out])
     with progress(quiet, title="motion") as step:
-        background = laying.survey(log, given, landmarks, config, step)
+        background = laying.survey(log, log_options, landmarks, config, step)
     # One pass to run the recording as it is; per layout one for the discs and one per contrast.
     passes = 1 + layouts * (1 + len(contrasts))
     with begun(out), progress(quiet, passes * len(background.path)) as step:
         found = assess(
             Path(log),
-            replace(given, frames=background.span),  # not those of the run.toml
+            replace(log_options, frames=background.span),  # not those of the run.toml
             out,
             Laid(
                 background,
                 landmarks,
                 laying.plate_db,
                 laying.beam_width_deg(background),
-                Used([config], values["landmarks"], model, settings.file),
+                RunOptions([config], values["landmarks"], model, settings.file),
                 keep,
             ),
             contrasts=contrasts,

@@ -25,7 +25,7 @@ from sonarrec.readers.log import Log
 from sonarrec.records import Estimate, Fan, Frame, MissingError, SonarrecError, UsageError
 from sonarrec.results.folders import estimates_of, part_of
 from sonarrec.results.read import read_frames, read_log
-from sonarrec.results.run_file import Given, read_run
+from sonarrec.results.run_file import LogOptions, read_run
 from sonarrec.results.same_log import check_same_log, last_frame
 from sonarrec.results.stream import choose_method, read_estimates
 from sonarrec.sonar import Sonar
@@ -87,14 +87,14 @@ def write_overlay(
     folder = _results_folder(path, source.name, results)
     run = read_run(folder / "run.toml")
     landmark_set = run.landmark_set(landmarks)
-    given = run.lay_under(
-        Given(sonar or Sonar(), sonar_file, topic),
+    log_options = run.complete(
+        LogOptions(sonar or Sonar(), sonar_file, topic),
         same_log=source.reader.has_topics,  # else a topic in run.toml is another log's
     )
     span = span or run.span() or (0, None)
     table = estimates_of(folder)
     method = choose_method(table, method)
-    with open_log(source, **given.reading()) as log:
+    with open_log(source, **log_options.arguments()) as log:
         check_same_log(log, folder, run)
         problems = [] if run.finished else [_cut_short(folder)]
         frames = iter(log)

@@ -12,7 +12,7 @@ from typing import Any
 
 from sonarrec.drawing.geometry import disc_width_px
 from sonarrec.pipeline.frames import Presets, configs_of
-from sonarrec.pipeline.prepared import Prepared, Used, prepared
+from sonarrec.pipeline.prepare import PreparedRun, RunOptions, prepare
 from sonarrec.readers.find import find_log, log_name, results_name
 from sonarrec.readers.plausible import Plausibility
 from sonarrec.records import (
@@ -27,7 +27,13 @@ from sonarrec.records import (
 from sonarrec.remote.find import RemoteLog
 from sonarrec.remote.urls import local
 from sonarrec.results.folders import folder_names
-from sonarrec.results.run_file import Given, Held, frame_span, held_results, span_text
+from sonarrec.results.run_file import (
+    ExistingResults,
+    LogOptions,
+    existing_results,
+    frame_span,
+    span_text,
+)
 from sonarrec.results.sightings import Sighting, Sightings
 from sonarrec.results.sightings_file import sightings_in
 from sonarrec.results.write import ResultsWriter
@@ -92,7 +98,7 @@ def run(
 
     Raises SonarrecError for input or settings that cannot be used; what was written stays.
     """
-    given = Given(
+    log_options = LogOptions(
         sonar=sonar_from(sonar),
         sonar_file=_path(sonar_file),
         topic=topic,
@@ -101,8 +107,8 @@ def run(
         # By the text that run.toml will hold: what it could not give back is refused.
         frames=None if frames is None else frame_span(span_text(frames)),
     )
-    used = Used(configs_of(preset), landmarks, _path(model))
-    return process(log, local(out), given, used, observe, overwrite=overwrite)
+    run_options = RunOptions(configs_of(preset), landmarks, _path(model))
+    return process(log, local(out), log_options, run_options, observe, overwrite=overwrite)
 
 
 def result_names(logs: Sequence[str | Path | RemoteLog]) -> list[str]:
@@ -130,8 +136,8 @@ def _named_at(log: str | Path | RemoteLog) -> tuple[str, Path]:
 def process(
     path: str | Path,
     out: str | Path,
-    given: Given,
-    used: Used,
+    log_options: LogOptions,
+    run_options: RunOptions,
     observe: Observe | None = None,
     *,
     name: str | None = None,
@@ -145,73 +151,69 @@ def process(
     meanwhile may be lost: see `decode_image`.
     Raises SonarrecError for input or settings that cannot be used.
     """
-    told = given.origin.told if given.origin else str
-    with prepared(Path(path), Path(out), given, used, name) as it:
+    with prepare(Path(path), Path(out), log_options, run_options, name) as job:
         if not overwrite:
-            held = held_results(it.folder, it.table)
-            if held.up_to_date:
-                return _held(it, held)
-            if held.why:
-                it.notes.append(f"{it.folder}: earlier results are replaced ({held.why})")
-        plausibility, sightings = Plausibility(), Sightings(it.landmarks, it.fan, it.poses)
+            existing = existing_results(job.folder, job.table)
+            if existing.up_to_date:
+                return _summary_of_existing(job, existing)
+            if existing.reason:
+                job.notes.append(f"{job.folder}: earlier results are replaced ({existing.reason})")
+        told = log_options.origin.told if log_options.origin else str
+        plausibility = Plausibility()
+        sightings = Sightings(job.landmarks, job.fan, job.poses)
         with ResultsWriter(
-            it.folder, it.landmarks, it.table, sightings, parquet=used.parquet
+            job.folder, job.landmarks, job.table, sightings, parquet=run_options.parquet
         ) as writer:
-            _recognise(it, writer, plausibility, observe, ahead=ahead)
-            problems = [told(line) for line in (*it.log.problems, *it.recogniser.problems())]
-            it.notes.extend(writer.finish(problems, it.log.unusable))
-        it.notes.extend([*it.log.notes, *it.recogniser.notes(), *_doubts(it, writer, plausibility)])
-        it.notes.extend(f"{shown(it.log.path)}: {x}" for x in it.recogniser.about_pictures())
-        if it.log.untimed:
-            it.notes.append(
-                f"{shown(it.log.path)}: frames carry no time, so 1 Hz is assumed; give "
-                "frame_rate_hz"
-            )
-        it.notes[:] = map(told, it.notes)
+            _recognise(job, writer, plausibility, observe, ahead=ahead)
+            problems = [told(line) for line in (*job.log.problems, *job.recogniser.problems())]
+            job.notes.extend(writer.finish(problems, job.log.unusable))
+        job.notes.extend(_notes(job, writer, plausibility))
         return Summary(
-            it.folder,
+            job.folder,
             writer.frames,
-            it.log.unusable,
+            job.log.unusable,
             writer.candidates,
             problems,
-            it.notes,
-            *_longest(it.folder, it.recogniser.tracking),
+            [told(line) for line in job.notes],
+            *_longest(job.folder, job.recogniser.tracking),
         )
 
 
 def planned(
     path: str | Path,
     out: str | Path,
-    given: Given,
-    used: Used,
+    log_options: LogOptions,
+    run_options: RunOptions,
     *,
     name: str | None = None,
     overwrite: bool = False,
-) -> Held:
+) -> ExistingResults:
     """What `process` would find in the place of its results; nothing is written.
 
     Raises SonarrecError as `process`.
     """
-    with prepared(Path(path), Path(out), given, used, name) as it:
-        return Held(why="asked for") if overwrite else held_results(it.folder, it.table)
+    with prepare(Path(path), Path(out), log_options, run_options, name) as job:
+        if overwrite:
+            return ExistingResults(reason="asked for")
+        return existing_results(job.folder, job.table)
 
 
-def _held(it: Prepared, held: Held) -> Summary:
+def _summary_of_existing(job: PreparedRun, existing: ExistingResults) -> Summary:
     """The results that are there already."""
     return Summary(
-        it.folder,
-        held.frames,
-        held.unusable,
-        held.candidates,
-        held.problems,
+        job.folder,
+        existing.frames,
+        existing.unusable,
+        existing.candidates,
+        existing.problems,
         [],
-        *_longest(it.folder, it.recogniser.tracking),
+        *_longest(job.folder, job.recogniser.tracking),
         up_to_date=True,
     )
 
 
 def _recognise(
-    it: Prepared,
+    job: PreparedRun,
     writer: ResultsWriter,
     plausibility: Plausibility,
     observe: Observe | None,
@@ -221,14 +223,14 @@ def _recognise(
     """Every frame through the recogniser and into the tables, also those before an interrupt."""
     stamps = deque[Stamps]()  # of the frames whose results are waited for
     try:
-        frames = _noted(it.frames, stamps, plausibility)
-        for result in it.recogniser.recognise(frames, ahead=ahead):
+        frames = _noted(job.frames, stamps, plausibility)
+        for result in job.recogniser.recognise(frames, ahead=ahead):
             writer.write(result, stamps.popleft())
             if observe is not None:
-                observe(result, it.frame_count)
+                observe(result, job.frame_count)
     except BaseException:  # Ctrl-C as well: keep what is there
         if not writer.full:
-            for result in it.recogniser.waiting():
+            for result in job.recogniser.waiting():
                 writer.write(result, stamps.popleft())
         raise
 
@@ -243,17 +245,31 @@ def _noted(
         yield frame
 
 
-def _doubts(it: Prepared, writer: ResultsWriter, plausibility: Plausibility) -> list[str]:
-    """A note where the pictures contradict the geometry, or hold no candidate at all."""
-    doubts = plausibility.contradictions(polar=it.log.sonar.layout == "polar")
+def _notes(job: PreparedRun, writer: ResultsWriter, plausibility: Plausibility) -> Iterator[str]:
+    """What is worth knowing of a run at its end, a line each."""
+    yield from job.log.notes
+    yield from job.recogniser.notes()
+    path = shown(job.log.path)
+    doubts = _doubts(job, writer, plausibility)
+    if doubts:
+        look = f"`sonarrec info {path} --preview FILE.png`, with the same geometry"
+        yield f"{path}: {'; '.join(doubts)}; look at {look}"
+    yield from (f"{path}: {line}" for line in job.recogniser.about_pictures())
+    if job.log.untimed:
+        yield f"{path}: frames carry no time, so 1 Hz is assumed; give frame_rate_hz"
+
+
+def _doubts(job: PreparedRun, writer: ResultsWriter, plausibility: Plausibility) -> list[str]:
+    """Where the pictures contradict the geometry, and whether they hold no candidate at all."""
+    doubts = plausibility.contradictions(polar=job.log.sonar.layout == "polar")
     if not writer.candidates:
-        width = disc_width_px(it.fan, it.landmarks)
-        of = f"a disc of {it.landmarks.name} would be {width:.0f} px wide here"
+        width = disc_width_px(job.fan, job.landmarks)
         frames = number_of(writer.frames, "frame")
-        doubts.append(f"0 candidates in {frames}: {of}")
-    path = shown(it.log.path)
-    look = f"`sonarrec info {path} --preview FILE.png`, with the same geometry"
-    return [f"{path}: {'; '.join(doubts)}; look at {look}"] if doubts else []
+        doubts.append(
+            f"0 candidates in {frames}: a disc of {job.landmarks.name} would be {width:.0f} px "
+            "wide here"
+        )
+    return doubts
 
 
 def _longest(folder: Path, methods: Sequence[str]) -> tuple[dict[str, int], list[Sighting]]:

@@ -13,7 +13,7 @@ from sonarrec.readers.find import find_log, log_name, names_a_log, results_name
 from sonarrec.readers.log import Log
 from sonarrec.records import SonarrecError, UsageError, shown
 from sonarrec.report.logs import ReportedLog
-from sonarrec.results.run_file import Given
+from sonarrec.results.run_file import LogOptions
 from sonarrec.results.same_log import check_same_log
 from sonarrec.sonar import Sonar
 
@@ -21,10 +21,10 @@ from sonarrec.sonar import Sonar
 def open_recording(path: Path, log: ReportedLog, sonar: Sonar, topic: str | None) -> Log:
     """The recording, read as the run read it."""
     source = find_log(path)
-    given = log.run.lay_under(Given(sonar, topic=topic), same_log=True)
+    log_options = log.run.complete(LogOptions(sonar, topic=topic), same_log=True)
     if not source.reader.has_topics:  # then the topic in run.toml is of another log
-        given = replace(given, topic=topic, time=None)
-    return open_log(source, **given.reading())
+        log_options = replace(log_options, topic=topic, time=None)
+    return open_log(source, **log_options.arguments())
 
 
 def match_recordings(

@@ -20,13 +20,13 @@ from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import Pair
 from sonarrec.geometry import STEEPEST, floor_depth
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.pipeline.prepared import Used
+from sonarrec.pipeline.prepare import RunOptions
 from sonarrec.pipeline.run import process
 from sonarrec.readers.pixels import decode_image
 from sonarrec.recogniser.three_stages import FRAMEWORK
 from sonarrec.records import Estimate, FrameResult
 from sonarrec.report.site_results import ENOUGH, AtContrast, Shown, Site, sentences
-from sonarrec.results.run_file import Given
+from sonarrec.results.run_file import LogOptions
 from sonarrec.simulation.background import (
     Background,
     Layout,
@@ -46,20 +46,21 @@ Step = Callable[[str], None]
 class Laid:
     """What all recordings and their runs have in common.
 
-    beam_width_deg: by which the discs are smeared. used: its one Config. keep: keep the images.
+    beam_width_deg: by which the discs are smeared. run_options: with one Config.
+    keep: whether the images stay.
     """
 
     background: Background
     landmarks: LandmarkSet
     plate_db: float
     beam_width_deg: float
-    used: Used
+    run_options: RunOptions
     keep: bool
 
 
 def assess(
     log: Path,
-    given: Given,
+    log_options: LogOptions,
     out: Path,
     laid: Laid,
     *,
@@ -71,12 +72,12 @@ def assess(
 ) -> Site:
     """Lay, run and score; everything is written into the folder `out`.
 
-    log, given: the recording; it is also run unchanged, to count claims without landmarks.
+    log, log_options: the recording; it is also run unchanged, to count claims without landmarks.
     contrasts: dB, rising. layouts: number of layouts, with seeds from `seed` on. count: of the
     landmarks, as in `draw_layout`. Raises SonarrecError if input cannot be used or files cannot be
     written.
     """
-    background, landmarks, used = laid.background, laid.landmarks, laid.used
+    background, landmarks, run_options = laid.background, laid.landmarks, laid.run_options
     drawn = [draw_layout(background, landmarks, seed + n, count) for n in range(layouts)]
     claims = 0
 
@@ -86,7 +87,7 @@ def assess(
         step("recording as it is")
 
     results = out / "results"
-    process(log, results, given, used, claimed, name="as_it_is", overwrite=True)
+    process(log, results, log_options, run_options, claimed, name="as_it_is", overwrite=True)
     pairs: dict[float, list[Pair]] = {db: [] for db in contrasts}
     shown: list[Shown] = []
     for number, layout in enumerate(drawn, 1):
@@ -104,7 +105,7 @@ def assess(
         plate_db=laid.plate_db,
         beam_width_deg=laid.beam_width_deg,
         dynamic_range_db=background.dynamic_range_db,
-        preset=used.configs[0].preset,
+        preset=run_options.configs[0].preset,
         seed=seed,
         layouts=tuple(drawn),
         contrasts=tuple(found),
@@ -140,9 +141,9 @@ def _run_layout(
     # The beam width is that of a run of the recording itself.
     configs = [
         replace(c, features=replace(c.features, beam_width_deg=background.beam_width_deg))
-        for c in laid.used.configs
+        for c in laid.run_options.configs
     ]
-    used = replace(laid.used, configs=configs)
+    run_options = replace(laid.run_options, configs=configs)
     shown_frame = _most_landmarks(background, layout, landmarks)
     for db, folder in folders.items():
         seen: list[Estimate] = []
@@ -155,8 +156,8 @@ def _run_layout(
             step(f"{doing}, {db:g} dB")
 
         name = f"layout_{number}_contrast_{db:g}"
-        own = Given(sonar_file=folder / "sonar.toml")  # not the geometry of an earlier run
-        process(folder, out / "results", own, used, observe, name=name, overwrite=True)
+        own = LogOptions(sonar_file=folder / "sonar.toml")  # not the geometry of an earlier run
+        process(folder, out / "results", own, run_options, observe, name=name, overwrite=True)
         picture = _picture(background, layout, landmarks, folder, shown_frame, db, seen)
         if not laid.keep:
             for image in folder.glob("*.png"):

@@ -81,7 +81,7 @@ def _ran_on() -> dict[str, str]:
 
 
 @dataclass(frozen=True, slots=True)
-class Held:
+class ExistingResults:
     """The finished results in a folder, compared with a run to come."""
 
     up_to_date: bool = False  # the run would give the same
@@ -89,7 +89,7 @@ class Held:
     unusable: int = 0  # frames
     candidates: int = 0
     problems: list[str] = field(default_factory=list)
-    why: str = ""  # how the run differs from them; empty if there are none
+    reason: str = ""  # to run anew: how the run differs from them; empty if there are none
 
 
 _OF_THE_END: dict[str, Any] = {
@@ -99,7 +99,7 @@ _OF_THE_END: dict[str, Any] = {
 """Keys of [input] that only a finished run has, with their types."""
 
 
-def held_results(folder: Path, table: dict[str, Any]) -> Held:
+def existing_results(folder: Path, table: dict[str, Any]) -> ExistingResults:
     """Compare the finished results in a folder with the run.toml of a run to come.
 
     Raises SonarrecError if they belong to another log (by path and SHA-256), another topic or
@@ -114,11 +114,11 @@ def held_results(folder: Path, table: dict[str, Any]) -> Held:
             "another --out, or give --overwrite"
         )
     if len(present) <= len(TABLES):
-        return Held()
+        return ExistingResults()
     there = read_toml(path)
     source = there.get("input")
     if not there.get("finished") or not isinstance(source, dict):
-        return Held()
+        return ExistingResults()
     coming = json.loads(json.dumps(table))  # tuples become lists, as in a file that is read
     mine = coming["input"]
     # Earlier versions kept no place, only the path, which may be relative.
@@ -143,7 +143,7 @@ def held_results(folder: Path, table: dict[str, Any]) -> Held:
         def stated(key: str, default: Any = 0) -> Any:
             return checked(source.get(key, default), _OF_THE_END[key], f"{path}: input.{key}")
 
-        return Held(
+        return ExistingResults(
             True,
             stated("frames_processed"),
             stated("frames_unusable"),
@@ -151,11 +151,11 @@ def held_results(folder: Path, table: dict[str, Any]) -> Held:
             list(stated("problems", ())),
         )
     if source.get("sha256") != mine["sha256"]:
-        return Held(why="the log has changed")
+        return ExistingResults(reason="the log has changed")
     before, after = dict(flat(alike)), dict(flat(coming))
     keys = [key for key in {**after, **before} if before.get(key) != after.get(key)]
     more = f" and {len(keys) - 3} more" if len(keys) > 3 else ""
-    return Held(why=f"other settings: {', '.join(keys[:3])}{more}")
+    return ExistingResults(reason=f"other settings: {', '.join(keys[:3])}{more}")
 
 
 def flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -209,7 +209,7 @@ def cut_short(name: str, frames: int, done: str) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Given:
+class LogOptions:
     """How to read a log, as given by the user; None: not given."""
 
     sonar: Sonar = field(default_factory=Sonar)  # keys that take precedence over every file
@@ -222,7 +222,7 @@ class Given:
     up_to: Path | None = None  # the highest folder searched for files that belong to the log
     origin: Origin | None = None  # the server that a fetched log is from, for run.toml
 
-    def reading(self) -> dict[str, Any]:
+    def arguments(self) -> dict[str, Any]:
         """Keyword arguments of `open_log`."""
         named = {key: getattr(self, key) for key in ("sonar", "sonar_file", "topic", "up_to")}
         return named | {"time": self.time or "log"}
@@ -271,25 +271,27 @@ class RunFile:
         """The geometry as it was stated for the run."""
         return sonar_from_table(self.table.get("sonar", {}), str(self.path))
 
-    def lay_under(self, given: Given, *, same_log: bool) -> Given:
-        """What is given, completed with the run's geometry.
+    def complete(self, log_options: LogOptions, *, same_log: bool) -> LogOptions:
+        """The options, completed with the run's geometry.
 
         same_log: complete it with the run's topic, time, frames and topic of poses as well.
         """
-        same_poses = same_log and given.odometry is None
+        same_poses = same_log and log_options.odometry is None
         poses = self.odometry.get("topic") if same_poses else None
         return replace(
-            given,
-            sonar=given.sonar if given.sonar_file else self.sonar().updated(given.sonar),
-            topic=given.topic or (self.input.topic if same_log else None),
-            time=given.time or (self.input.time if same_log else None),
-            odometry_topic=given.odometry_topic or poses,
-            frames=given.frames or (self.span() if same_log else None),
+            log_options,
+            sonar=log_options.sonar
+            if log_options.sonar_file
+            else self.sonar().updated(log_options.sonar),
+            topic=log_options.topic or (self.input.topic if same_log else None),
+            time=log_options.time or (self.input.time if same_log else None),
+            odometry_topic=log_options.odometry_topic or poses,
+            frames=log_options.frames or (self.span() if same_log else None),
         )
 
-    def check_poses(self, given: Given) -> None:
+    def check_poses(self, log_options: LogOptions) -> None:
         """Raise UsageError where the run had a table of poses that is not given again."""
-        if self.odometry and given.odometry is None and given.odometry_topic is None:
+        if self.odometry and log_options.odometry is None and log_options.odometry_topic is None:
             raise UsageError(
                 f"{self.path}: that run used the odometry {self.odometry.get('name')}; "
                 "give it again with --odometry"

@@ -22,8 +22,8 @@ from sonarrec.batch.processes import Watch
 from sonarrec.batch.task import Outcome, Task, do
 from sonarrec.cli import main
 from sonarrec.config import preset
-from sonarrec.pipeline.prepared import Used
-from sonarrec.results.run_file import Given
+from sonarrec.pipeline.prepare import RunOptions
+from sonarrec.results.run_file import LogOptions
 from tests.support.batch import SAMPLE, command, environment, made, rows, tables
 
 
@@ -127,7 +127,9 @@ class Awaited(Watch):
 
 
 def test_a_cluster_without_a_worker_is_told(tmp_path: Path) -> None:
-    task = Task(str(tmp_path / "none.mcap"), "none", str(tmp_path / "out"), Given(), Used(()))
+    task = Task(
+        str(tmp_path / "none.mcap"), "none", str(tmp_path / "out"), LogOptions(), RunOptions(())
+    )
     with distributed.LocalCluster(n_workers=0, dashboard_address=None) as empty:
         watch = Awaited(empty)
         run_on_cluster([task], empty.scheduler_address, watch)
@@ -141,8 +143,10 @@ def test_a_worker_in_another_folder_finds_the_geometry_above_the_log(
     (log,) = made(tmp_path, "campaign/day1/dive", frames=1)
     (log / "sonar.toml").rename(tmp_path / "campaign" / "sonar.toml")
     monkeypatch.chdir(tmp_path)
-    given = Given(up_to=Path("campaign"))
-    task = Task("campaign/day1/dive", "dive", "out", given, Used([preset("default")])).absolute()
+    log_options = LogOptions(up_to=Path("campaign"))
+    task = Task(
+        "campaign/day1/dive", "dive", "out", log_options, RunOptions([preset("default")])
+    ).absolute()
     monkeypatch.chdir(log.parent)
     assert do(task).error is None
     assert (tmp_path / "out" / "dive" / "run.toml").is_file()

@@ -17,10 +17,10 @@ import pytest
 from sonarrec.batch import logs_table, processes
 from sonarrec.batch.logs_table import COLUMNS, LogsTable, read_logs
 from sonarrec.batch.task import Outcome, Task
-from sonarrec.pipeline.prepared import Used
+from sonarrec.pipeline.prepare import RunOptions
 from sonarrec.records import SonarrecError
 from sonarrec.results.folders import LockedError
-from sonarrec.results.run_file import Given
+from sonarrec.results.run_file import LogOptions
 from sonarrec.sonar import Sonar
 from tests.support.batch import GRACE_S, SAMPLE, command, environment, made, rows, tables
 from tests.support.command import sonarrec
@@ -76,7 +76,7 @@ def test_a_fault_beside_the_processes_is_raised(monkeypatch: pytest.MonkeyPatch)
         raise ZeroDivisionError
 
     monkeypatch.setattr(processes.Worker, "run", broken)
-    tasks = [Task(name, name, "out", Given(), Used([])) for name in "ab"]
+    tasks = [Task(name, name, "out", LogOptions(), RunOptions([])) for name in "ab"]
     with pytest.raises(ZeroDivisionError):
         processes.run_apart(tasks, 2, processes.Watch())
 
@@ -276,7 +276,7 @@ def test_a_foreign_logs_csv_is_not_replaced(tmp_path: Path) -> None:
 
 def test_a_log_that_another_call_has_in_hand_keeps_that_call_s_row(tmp_path: Path) -> None:
     """It was told as failed though it was done, and --retry-failed did it again."""
-    task = Task("a", "a", str(tmp_path), Given(), Used([]))
+    task = Task("a", "a", str(tmp_path), LogOptions(), RunOptions([]))
     first, second = (LogsTable(tmp_path, [task]) for _ in range(2))
     for table in (first, second):
         table.begun(0)
@@ -292,7 +292,7 @@ def test_what_failed_by_a_full_disk_does_not_stay_as_running(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The row has room where the table is; a whole new table has not."""
-    table = LogsTable(tmp_path, [Task("a", "a", str(tmp_path), Given(), Used([]))])
+    table = LogsTable(tmp_path, [Task("a", "a", str(tmp_path), LogOptions(), RunOptions([]))])
     table.begun(0)
     table.write()
 
@@ -311,7 +311,7 @@ def test_what_failed_by_a_full_disk_does_not_stay_as_running(
 
 def test_an_empty_logs_csv_holds_nothing_to_lose(tmp_path: Path) -> None:
     (tmp_path / "logs.csv").touch()
-    table = LogsTable(tmp_path, [Task("a.mcap", "a", str(tmp_path), Given(), Used([]))])
+    table = LogsTable(tmp_path, [Task("a.mcap", "a", str(tmp_path), LogOptions(), RunOptions([]))])
     table.begun(0)
     table.frames(0, 3)
     table.write()

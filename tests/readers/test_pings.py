@@ -15,7 +15,7 @@ from click.testing import CliRunner, Result
 from sonarrec import config
 from sonarrec.cli import main
 from sonarrec.geometry import PolarToFan, polar_from_pixel
-from sonarrec.pipeline.prepared import Used
+from sonarrec.pipeline.prepare import RunOptions
 from sonarrec.pipeline.run import process
 from sonarrec.readers import open_log
 from sonarrec.readers.beam_order import looks_beam_major
@@ -23,7 +23,7 @@ from sonarrec.readers.frame_maker import FrameMaker
 from sonarrec.readers.info import describe
 from sonarrec.readers.raw import RawFrame, UnusableError
 from sonarrec.records import SonarrecError, UsageError
-from sonarrec.results.run_file import Given
+from sonarrec.results.run_file import LogOptions
 from sonarrec.simulation.mcap_writer import SCHEMAS, is_polar
 from sonarrec.sonar import Sonar
 from tests.support import messages
@@ -101,14 +101,14 @@ def test_a_window_that_changes(tmp_path: Path) -> None:
 
 def test_an_odd_first_ping_does_not_settle_the_window(tmp_path: Path) -> None:
     """Sent before the driver had its settings: ten times as far, or nowhere near."""
-    for far, used in ((10.0, [0, 1, 2, 3]), (0.1, [1, 2, 3])):
+    for far, run_options in ((10.0, [0, 1, 2, 3]), (0.1, [1, 2, 3])):
         pings = [messages.projected_fields(k, image) for k, image in enumerate(polar_frames(4))]
         pings[0]["ranges"] = (pings[0]["ranges"] * far).astype(np.float32)
-        if used[0] == 0:  # from the sonar on, so that it shows what the others do
+        if run_options[0] == 0:  # from the sonar on, so that it shows what the others do
             pings[0]["ranges"] = (np.arange(BINS) + 0.5).astype(np.float32) / 4
         found, problems, _ = read(log_of(tmp_path / "log.mcap", pings), sonar=TILT)
-        assert [f.index for f in found] == used
-        assert len(problems) == 4 - len(used)
+        assert [f.index for f in found] == run_options
+        assert len(problems) == 4 - len(run_options)
         assert found[0].fan.range_max_m == pytest.approx((FIRST_BIN + BINS) * BIN_M)
 
 
@@ -440,15 +440,15 @@ def test_the_time_that_names_a_frame(tmp_path: Path) -> None:
         for frame, image in zip(found, images, strict=True):
             np.testing.assert_array_equal(frame.image, image)
     settings = [config.preset("default")]
-    process(path, tmp_path, Given(time="header"), Used(settings))
+    process(path, tmp_path, LogOptions(time="header"), RunOptions(settings))
     lines = (tmp_path / "log" / "frames.csv").read_text().splitlines()
     assert lines[0].split(",")[4:7] == ["log_time_ns", "publish_time_ns", "header_stamp_ns"]
     assert lines[2].split(",")[1] == str(stamp_ns(2))
     assert lines[2].split(",")[4:7] == [str(PERIOD_NS), str(PERIOD_NS + 1), str(stamp_ns(2))]
     before = (tmp_path / "log" / "estimates.csv").read_bytes()
     again = tmp_path / "again"
-    used = Used(settings, earlier_run=tmp_path / "log" / "run.toml")
-    process(path, again, Given(), used)
+    run_options = RunOptions(settings, earlier_run=tmp_path / "log" / "run.toml")
+    process(path, again, LogOptions(), run_options)
     assert (again / "log" / "estimates.csv").read_bytes() == before
 
 

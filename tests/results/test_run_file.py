@@ -1,4 +1,4 @@
-"""run.toml read back: what it tells, what is refused, and how it lies under what is given."""
+"""run.toml read back: what it tells, what is refused, and how it completes options."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 from sonarrec.geometry import in_image, pixel_from_polar
 from sonarrec.records import SonarrecError, UsageError
-from sonarrec.results.run_file import Given, read_run
+from sonarrec.results.run_file import LogOptions, read_run
 from sonarrec.results.same_log import check_same_log
 from sonarrec.sonar import Sonar
 
@@ -80,8 +80,8 @@ def test_a_missing_and_an_empty_one_tell_nothing(tmp_path: Path, text: str | Non
     assert run.finished
     assert run.methods is None
     assert run.fan() is None
-    given = Given(Sonar(tilt_deg=5.0), topic="/a", time="log")
-    assert run.lay_under(given, same_log=True) == given
+    log_options = LogOptions(Sonar(tilt_deg=5.0), topic="/a", time="log")
+    assert run.complete(log_options, same_log=True) == log_options
 
 
 def test_none_is_not_the_one_that_happens_to_be_here(
@@ -94,13 +94,13 @@ def test_none_is_not_the_one_that_happens_to_be_here(
 
 def test_it_lies_under_what_is_given(tmp_path: Path) -> None:
     run = read_run(written(tmp_path, RUN))
-    laid = run.lay_under(Given(Sonar(tilt_deg=5.0), time="log"), same_log=True)
+    laid = run.complete(LogOptions(Sonar(tilt_deg=5.0), time="log"), same_log=True)
     assert (laid.sonar.tilt_deg, laid.sonar.range_max_m) == (5.0, 4.0)
     assert (laid.topic, laid.time) == ("/sonar", "log")
-    other = run.lay_under(Given(), same_log=False)
+    other = run.complete(LogOptions(), same_log=False)
     assert (other.sonar.tilt_deg, other.topic, other.time) == (20.0, None, None)
     file = tmp_path / "sonar.toml"
-    assert run.lay_under(Given(sonar_file=file), same_log=False).sonar == Sonar()
+    assert run.complete(LogOptions(sonar_file=file), same_log=False).sonar == Sonar()
 
 
 class OtherLog:
@@ -127,12 +127,12 @@ def test_of_the_same_log_the_topic_of_poses_serves_again(tmp_path: Path) -> None
     """`site` left it out, and measured in the images what the run had been told."""
     (tmp_path / "run.toml").write_text('finished = true\n[odometry]\ntopic = "/odom"\n')
     run = read_run(tmp_path / "run.toml")
-    assert run.lay_under(Given(), same_log=True).odometry_topic == "/odom"
-    assert run.lay_under(Given(), same_log=False).odometry_topic is None
-    table = Given(odometry=tmp_path / "poses.csv")
-    assert run.lay_under(table, same_log=True).odometry_topic is None
+    assert run.complete(LogOptions(), same_log=True).odometry_topic == "/odom"
+    assert run.complete(LogOptions(), same_log=False).odometry_topic is None
+    table = LogOptions(odometry=tmp_path / "poses.csv")
+    assert run.complete(table, same_log=True).odometry_topic is None
     (tmp_path / "run.toml").write_text('finished = true\n[odometry]\nname = "poses.csv"\n')
     run = read_run(tmp_path / "run.toml")
     run.check_poses(table)
     with pytest.raises(UsageError, match=r"used the odometry poses\.csv; give it again"):
-        run.check_poses(run.lay_under(Given(), same_log=True))
+        run.check_poses(run.complete(LogOptions(), same_log=True))

@@ -22,11 +22,11 @@ from sonarrec.recogniser.side_by_side import SideBySide
 from sonarrec.recogniser.stage3_features.model import ModelFile, model_from_table, read_model
 from sonarrec.records import Fan, Frame, SonarrecError, UsageError, shown
 from sonarrec.results.folders import MADE, MADE_BY, check_name
-from sonarrec.results.run_file import Given, RunFile, read_run, run_table, span_text
+from sonarrec.results.run_file import LogOptions, RunFile, read_run, run_table, span_text
 
 
 @dataclass(frozen=True, slots=True)
-class Used:
+class RunOptions:
     """What a log is run with."""
 
     configs: Sequence[Config]  # several: side by side, each under its own method name
@@ -45,7 +45,7 @@ class Used:
 
 
 @dataclass(frozen=True, slots=True)
-class Prepared:
+class PreparedRun:
     """A log that was opened, with what recognises it and where its results go."""
 
     log: Log
@@ -61,31 +61,31 @@ class Prepared:
 
 
 @contextmanager
-def prepared(
-    path: Path, out: Path, given: Given, used: Used, name: str | None
-) -> Iterator[Prepared]:
+def prepare(
+    path: Path, out: Path, log_options: LogOptions, run_options: RunOptions, name: str | None
+) -> Iterator[PreparedRun]:
     """Open a log and make ready its run into `out`/<name>/, by default under its own name.
 
     Raises SonarrecError for input or settings that cannot be used.
     """
-    earlier = read_run(used.earlier_run)
-    found = find_log(path, given.up_to)
+    earlier = read_run(run_options.earlier_run)
+    found = find_log(path, log_options.up_to)
     digest = digest_asked(earlier, found)
     same_log, other = is_same_log(earlier, found, digest)
-    given = earlier.lay_under(given, same_log=same_log)
-    given, notes = _with_companions(found, given, again=same_log)
+    log_options = earlier.complete(log_options, same_log=same_log)
+    log_options, notes = _with_companions(found, log_options, again=same_log)
     notes = [*other, *notes]
-    landmarks = earlier.landmark_set(used.landmarks)
-    learned = _model(used, earlier)
-    poses, more = _poses(path, given, earlier if same_log else read_run(None))
-    with open_log(found, **given.reading()) as log:
-        span = given.frames or (0, None)
+    landmarks = earlier.landmark_set(run_options.landmarks)
+    learned = _model(run_options, earlier)
+    poses, more = _poses(path, log_options, earlier if same_log else read_run(None))
+    with open_log(found, **log_options.arguments()) as log:
+        span = log_options.frames or (0, None)
         frames = log.within(span)
         first = next(frames, None)  # raises where there is no usable frame at all
         if first is None:
             raise UsageError(f"{shown(path)}: no frame lies in --frames {span_text(span)}")
         begin = [first, *islice(frames, FRAMES_FOR_BEAMS - 1)]
-        configs, beams = with_beams(used.configs, log.beam_width_deg, begin)
+        configs, beams = with_beams(run_options.configs, log.beam_width_deg, begin)
         recogniser = SideBySide(
             configs, first.fan, landmarks, learned.model if learned else None, poses
         )
@@ -99,14 +99,14 @@ def prepared(
         table = run_table(
             configs, recogniser.methods, log.stated, first.fan, landmarks, source, log.reading()
         )
-        table["input"] |= _where(path, folder, given)
-        if used.parquet:
+        table["input"] |= _where(path, folder, log_options)
+        if run_options.parquet:
             table["program"]["tables"] = "parquet"
         if poses is not None:
             table["odometry"] = dict(poses.source)
         if learned is not None:
             table["model"] = learned.as_table()
-        yield Prepared(
+        yield PreparedRun(
             log,
             chain(begin, frames),
             _count(log, span),
@@ -142,11 +142,11 @@ def is_same_log(
     return False, [other] if alike else []
 
 
-def _where(path: Path, folder: Path, given: Given) -> dict[str, str]:
+def _where(path: Path, folder: Path, log_options: LogOptions) -> dict[str, str]:
     """`path`, `place` and, if they were asked for, `frames` of run.toml's [input]."""
-    frames = {} if given.frames is None else {"frames": span_text(given.frames)}
-    if given.origin is not None:
-        return {**dict.fromkeys(("path", "place"), given.origin.url), **frames}
+    frames = {} if log_options.frames is None else {"frames": span_text(log_options.frames)}
+    if log_options.origin is not None:
+        return {**dict.fromkeys(("path", "place"), log_options.origin.url), **frames}
     place = os.path.relpath(path.resolve(), folder.resolve())
     return {"path": shown(path), "place": shown(place), **frames}
 
@@ -179,52 +179,56 @@ def _count(log: Log, span: tuple[int, int | None]) -> int | None:
     return max(end - span[0], 0)
 
 
-def _with_companions(source: Source, given: Given, again: bool) -> tuple[Given, list[str]]:
-    """What is given, with the poses that lie beside the log, and a note for each file that was
+def _with_companions(
+    source: Source, log_options: LogOptions, again: bool
+) -> tuple[LogOptions, list[str]]:
+    """The options, with the poses that lie beside the log, and a note for each file that was
     found and is not beside it, or was not asked for.
 
     again: the run of a run.toml is run again, with the poses it had.
     """
     path, notes = source.path, []
     geometry = source.beside(SONAR_FILE)
-    own = given.sonar_file is not None or given.up_to is None
+    own = log_options.sonar_file is not None or log_options.up_to is None
     if not own and geometry != replace(source, up_to=None).beside(SONAR_FILE):
         notes.append(f"{path}: its geometry is that of {geometry}")
-    if again or given.odometry is not None or given.odometry_topic is not None:
-        return given, notes
+    if again or log_options.odometry is not None or log_options.odometry_topic is not None:
+        return log_options, notes
     poses = source.beside(POSES_FILE)
     if poses is None:
-        return given, notes
-    return replace(given, odometry=poses), [*notes, f"{path}: its poses are those of {poses}"]
+        return log_options, notes
+    return replace(log_options, odometry=poses), [*notes, f"{path}: its poses are those of {poses}"]
 
 
-def _model(used: Used, earlier: RunFile) -> ModelFile | None:
+def _model(run_options: RunOptions, earlier: RunFile) -> ModelFile | None:
     """The appearance model of the file, else of the earlier run; None for the built-in one."""
-    if used.model is None:
+    if run_options.model is None:
         return None if earlier.model is None else model_from_table(earlier.model, str(earlier.path))
-    learned = read_model(used.model)
-    if all(c.features.measurement == "single" for c in used.configs):
+    learned = read_model(run_options.model)
+    if all(c.features.measurement == "single" for c in run_options.configs):
         raise UsageError(
-            f"--model {used.model}: only features.measurement = track uses a model, and this "
-            "preset measures single frames by the published one"
+            f"--model {run_options.model}: only features.measurement = track uses a model, and "
+            "this preset measures single frames by the published one"
         )
     return learned
 
 
-def _poses(path: Path, given: Given, earlier: RunFile) -> tuple[PoseTable | None, list[str]]:
+def _poses(
+    path: Path, log_options: LogOptions, earlier: RunFile
+) -> tuple[PoseTable | None, list[str]]:
     """The poses of a topic of the log, else of a table; None without either. With what to note.
 
     earlier: the run of this log that is run again. Raises UsageError where it had a table of poses
     that is not given again.
     """
-    earlier.check_poses(given)
-    topic = given.odometry_topic
+    earlier.check_poses(log_options)
+    topic = log_options.odometry_topic
     if topic is not None:
         from sonarrec.readers.mcap.poses import read_topic  # with its decompressors, where needed
 
-        poses = read_topic(path, topic, given.time or "log")
-    elif given.odometry is not None:
-        poses = read_poses(given.odometry)
+        poses = read_topic(path, topic, log_options.time or "log")
+    elif log_options.odometry is not None:
+        poses = read_poses(log_options.odometry)
     else:
         return None, []
     if earlier.odometry and earlier.odometry != poses.source:
