@@ -12,7 +12,7 @@ import numpy as np
 from sonarrec.evaluation.counting.parts import part_of, score_all
 from sonarrec.evaluation.counting.pooled import Parts, Pooled, pooled
 from sonarrec.evaluation.counting.scoring import Scored
-from sonarrec.evaluation.matching.fit import Checked, fit, left_out, of_other_logs
+from sonarrec.evaluation.matching.fit import TruthCheck, left_out, of_other_logs, scorable_logs
 from sonarrec.evaluation.matching.joined import Joined, join
 from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import (
@@ -22,7 +22,7 @@ from sonarrec.evaluation.matching.pairs import (
     found_where,
     of_one_log,
 )
-from sonarrec.evaluation.survey import Reading, Surveyed, Unread, each, survey
+from sonarrec.evaluation.survey import LogToScore, SurveyedLog, UnreadableLog, map_logs, survey
 from sonarrec.records import IntArray, SonarrecError, printable
 from sonarrec.results.counted_once import counted_once
 from sonarrec.results.read import find_logs, read_frames
@@ -103,9 +103,9 @@ def evaluate_whole(
     that `evaluate_many` scored, so it is no fault if none of them has a row in its truth, or a
     method.
     """
-    given = _given(results, ground_truth, options)
-    found = _gathered(given, (survey(r, whole=True) for r in given.readings), some)
-    logs = [found.logs[i] for i in found.used]
+    inputs = _inputs(results, ground_truth, options)
+    found = _select_logs(inputs, (survey(r, whole=True) for r in inputs.readings), some)
+    logs = [found.logs[i] for i in found.scored]
     if not some:
         _check_methods(logs, found.names)
     cases = [log.case for log in logs if log.case is not None]
@@ -137,22 +137,23 @@ def evaluate_many(
 ) -> Pooled:
     """As `evaluate_whole`, but logs are read one at a time, so memory does not grow with them.
 
-    jobs: number of processes, as in `survey.each`; it does not change the result.
+    jobs: number of processes, as in `survey.map_logs`; it does not change the result.
     find_beside: finds truth beside logs on servers, as in `pairs.found_beside`.
     """
-    given = _given(results, ground_truth, options, find_beside)
+    inputs = _inputs(results, ground_truth, options, find_beside)
     parts = Parts()
     numbers: dict[int, int] = {}
 
-    def counted() -> Iterable[Surveyed | Unread]:
+    def counted() -> Iterable[SurveyedLog | UnreadableLog]:
         ids: tuple[int, ...] = ()
         read = 0
-        for reading, one in zip(given.readings, each(survey, given.readings, jobs), strict=True):
-            if isinstance(one, Surveyed):
+        surveyed = map_logs(survey, inputs.readings, jobs)
+        for reading, one in zip(inputs.readings, surveyed, strict=True):
+            if isinstance(one, SurveyedLog):
                 ids = ids or one.ids
                 if one.ids != ids and set(one.ids) == set(ids):  # count in the first log's order
                     one = survey(replace(reading, ids=ids))
-            if isinstance(one, Unread):
+            if isinstance(one, UnreadableLog):
                 yield one
                 continue
             if one.part is not None:
@@ -160,9 +161,9 @@ def evaluate_many(
             read += 1
             yield replace(one, part=None)
 
-    found = _gathered(given, counted())
-    result = pooled(parts, [numbers[i] for i in found.used], found.names, options.min_visible)
-    logs = [found.logs[i] for i in found.used]
+    found = _select_logs(inputs, counted())
+    result = pooled(parts, [numbers[i] for i in found.scored], found.names, options.min_visible)
+    logs = [found.logs[i] for i in found.scored]
     _check_methods(logs, found.names)
     facts = result.methods, result.placed, result.estimates, result.ids, result.positives
     notes = [*found.notes, *_notes(logs, found.names, *facts)]
@@ -175,10 +176,10 @@ def evaluate_many(
 
 
 @dataclass(frozen=True, slots=True)
-class _Given:
-    """The logs to read."""
+class _Inputs:
+    """The logs to read, with their truth."""
 
-    readings: list[Reading]
+    readings: list[LogToScore]
     notes: list[str]
     unused: list[str]
     table: TruthTable | None = None
@@ -187,35 +188,35 @@ class _Given:
     """If there is a `table`: the results folder as given."""
 
 
-def _given(
+def _inputs(
     results: str | Path | Sequence[Pair],
     ground_truth: str | Path | None,
     options: ScoringOptions,
     find_beside: FindBeside | None = None,
-) -> _Given:
+) -> _Inputs:
     """The logs to read and their truth; the arguments are those of `evaluate_many`."""
     options.check()
     if not isinstance(results, str | Path):
         pairs, unused = of_one_log(results)
-        readings = [Reading(p.results, p.ground_truth, options, p.log) for p in pairs]
-        return _Given(readings, [], unused)
+        readings = [LogToScore(p.results, p.ground_truth, options, p.log) for p in pairs]
+        return _Inputs(readings, [], unused)
     folders = find_logs(Path(results))
     if ground_truth is None:  # each log with the truth beside it
         pairs, without = found_beside(folders, find_beside)
-        readings = [Reading(p.results, p.ground_truth, options) for p in pairs]
-        return _Given(readings, list(map(found_where, pairs)), without)
+        readings = [LogToScore(p.results, p.ground_truth, options) for p in pairs]
+        return _Inputs(readings, list(map(found_where, pairs)), without)
     path = Path(ground_truth)
-    readings = [Reading(folder, path, options) for folder in folders]
-    return _Given(readings, [], [], read_truth(path), Path(results))
+    readings = [LogToScore(folder, path, options) for folder in folders]
+    return _Inputs(readings, [], [], read_truth(path), Path(results))
 
 
 @dataclass(frozen=True, slots=True)
-class _Gathered:
-    """The logs that were read, and the messages about them."""
+class _LogSelection:
+    """The logs that were read, which of them are scored, and the messages about them."""
 
-    logs: list[Surveyed]
+    logs: list[SurveyedLog]
     """Those that could be read."""
-    used: list[int]
+    scored: list[int]
     """Indices of those that are scored."""
     names: list[str]
     """Names of those that are scored, all different."""
@@ -223,17 +224,17 @@ class _Gathered:
     unused: list[str]
 
 
-def _gathered(
-    given: _Given, surveyed: Iterable[Surveyed | Unread], some: bool = False
-) -> _Gathered:
+def _select_logs(
+    inputs: _Inputs, surveyed: Iterable[SurveyedLog | UnreadableLog], some: bool = False
+) -> _LogSelection:
     """Decide which logs are scored. some: as in `evaluate_whole`.
 
     Raises SonarrecError if none can be read, or if they cannot be scored together.
     """
-    logs: list[Surveyed] = []
-    unread: list[Unread] = []
+    logs: list[SurveyedLog] = []
+    unread: list[UnreadableLog] = []
     for one in surveyed:
-        if isinstance(one, Surveyed):
+        if isinstance(one, SurveyedLog):
             logs.append(one)
         else:
             unread.append(one)
@@ -248,59 +249,62 @@ def _gathered(
     once = counted_once(folders, recordings, frames, "scored", truths)
     kept = [logs[i] for i in once.kept]
     others = [log.name for log in unread]
-    _check_names(given, [*(log.name for log in kept), *others])
-    faults = [Unread(log.name, log.error) for log in kept if log.error is not None]
+    _check_names(inputs, [*(log.name for log in kept), *others])
+    faults = [UnreadableLog(log.name, log.error) for log in kept if log.error is not None]
     if len(faults) == len(kept):
         raise faults[0].error
     matching = [i for i in once.kept if logs[i].error is None]
-    cases = [case for i in matching if (case := logs[i].checked) is not None]
-    found = fit(cases, some)
+    cases = [case for i in matching if (case := logs[i].truth_check) is not None]
+    found = scorable_logs(cases, some)
     used = [matching[i] for i in found.usable]
     first = logs[used[0]]
     for i in used:
         if set(logs[i].ids) != set(first.ids):
             raise other_ids(first.name, logs[i].name)
-    return _Gathered(
+    return _LogSelection(
         logs,
         used,
-        told_apart([(logs[i].name, logs[i].folder) for i in used]),
-        [*given.notes, *once.notes, *found.notes],
+        distinct_names([(logs[i].name, logs[i].folder) for i in used]),
+        [*inputs.notes, *once.notes, *found.notes],
         [
-            *given.unused,
-            *(one.told() for one in [*unread, *faults]),
+            *inputs.unused,
+            *(one.message() for one in [*unread, *faults]),
             *found.unused,
-            *_left_out(given, logs, others, [cases[i] for i in found.usable]),
+            *_left_out(inputs, logs, others, [cases[i] for i in found.usable]),
             *once.unused,
         ],
     )
 
 
-def _check_names(given: _Given, logs: Sequence[str]) -> None:
+def _check_names(inputs: _Inputs, logs: Sequence[str]) -> None:
     """Raise SonarrecError if one truth without a log column is for several logs (their names)."""
-    table = given.table
+    table = inputs.table
     if table is not None and table.log is None and len(logs) > 1:
         raise SonarrecError(
-            f"{table.path}: {given.folder} holds {len(logs)} logs ({', '.join(logs)}), so the "
+            f"{table.path}: {inputs.folder} holds {len(logs)} logs ({', '.join(logs)}), so the "
             "truth needs a log column that names their folders; or give the folder of one log"
         )
 
 
 def _left_out(
-    given: _Given, logs: Sequence[Surveyed], unread: Sequence[str], usable: Sequence[Checked]
+    inputs: _Inputs,
+    logs: Sequence[SurveyedLog],
+    unread: Sequence[str],
+    usable: Sequence[TruthCheck],
 ) -> list[str]:
     """A line for each part of truth and results that is not scored.
 
     logs: those that could be read. unread: names of the others. usable: the scored ones.
     """
-    if given.table is None:
+    if inputs.table is None:
         return [line for case in usable for line in left_out([case])]
     lines = left_out(usable)
-    if [log.folder for log in logs] != [given.folder]:  # several logs were given, not one
-        lines += of_other_logs(given.table, [*(log.name for log in logs), *unread])
+    if [log.folder for log in logs] != [inputs.folder]:  # several logs were given, not one
+        lines += of_other_logs(inputs.table, [*(log.name for log in logs), *unread])
     return lines
 
 
-def told_apart(logs: Sequence[tuple[str, Path]]) -> list[str]:
+def distinct_names(logs: Sequence[tuple[str, Path]]) -> list[str]:
     """A different name for each log: its name or, if others share it, its folder.
 
     logs: (name, folder) of each.
@@ -317,14 +321,14 @@ def other_ids(first: str, other: str) -> SonarrecError:
     )
 
 
-def _check_methods(logs: Sequence[Surveyed], names: Sequence[str]) -> None:
+def _check_methods(logs: Sequence[SurveyedLog], names: Sequence[str]) -> None:
     """Raise SonarrecError if none of the logs has a method. names: of the logs."""
     if not any(log.methods for log in logs):
         raise SonarrecError(f"{', '.join(names)}: estimates.csv names no method to score")
 
 
 def _notes(
-    logs: Sequence[Surveyed],
+    logs: Sequence[SurveyedLog],
     names: Sequence[str],
     methods: Sequence[str],
     placed: bool,
@@ -343,7 +347,7 @@ def _notes(
             "in pixels and the geometry is not known (give --sonar FILE)"
         )
     for name, log in zip(names, logs, strict=True):
-        if log.checked is not None and not log.checked.rows:
+        if log.truth_check is not None and not log.truth_check.rows:
             notes.append(f"{name}: no row in the ground truth, so it is taken to hold no landmark")
         if log.between:
             notes.append(

@@ -15,7 +15,7 @@ from typing import Protocol, TypeVar
 
 from sonarrec.batch.cores import cores
 from sonarrec.evaluation.counting.parts import Part, part_of
-from sonarrec.evaluation.matching.fit import Checked, Matched, checked, matched
+from sonarrec.evaluation.matching.fit import MatchedLog, TruthCheck, check_fit, match_log
 from sonarrec.evaluation.matching.joined import join
 from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.records import SonarrecError, shown
@@ -29,14 +29,14 @@ WORTH_BYTES = 4_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class LogToScore:
     """One log to be read and scored."""
 
     folder: Path
     ground_truth: Path
     options: ScoringOptions
     log: str | None = None
-    """Its name; None: the name of the folder."""
+    """The log's name; None: the name of the folder."""
     ids: tuple[int, ...] | None = None
     """Its IDs in the wanted order; None: the order of its landmark set."""
 
@@ -46,19 +46,19 @@ class Reading:
 
 
 @dataclass(frozen=True, slots=True)
-class Unread:
+class UnreadableLog:
     """A log whose results or truth cannot be read."""
 
     name: str
     error: SonarrecError
 
-    def told(self, done: str = "scored") -> str:
+    def message(self, done: str = "scored") -> str:
         """A message. done: what is done with other logs."""
         return f"{self.error}; {self.name} is not {done}"
 
 
 @dataclass(frozen=True, slots=True)
-class Surveyed:
+class SurveyedLog:
     """One log as it was read."""
 
     folder: Path
@@ -69,37 +69,37 @@ class Surveyed:
     recording: Recording
     between: int
     """Rows of its truth between frames."""
-    checked: Checked | None
+    truth_check: TruthCheck | None
     """None if truth and log could not be matched; then `error` says why."""
     error: SonarrecError | None
-    case: Matched | None
+    case: MatchedLog | None
     """All that was read, if `whole` was set and log and truth match."""
     part: Part | None
     """The counts, if `whole` was not set and the log can be scored."""
 
 
-def survey(reading: Reading, *, whole: bool = False) -> Surveyed | Unread:
+def survey(reading: LogToScore, *, whole: bool = False) -> SurveyedLog | UnreadableLog:
     """Read one log. whole: keep everything and count nothing."""
     options = reading.options
     try:
         table = truth_table(reading.ground_truth)
         log = read_log(reading.folder, options.landmarks, options.sonar)
     except SonarrecError as fault:  # the other logs can be scored
-        return Unread(reading.log or shown(reading.folder.resolve().name), fault)
+        return UnreadableLog(reading.log or shown(reading.folder.resolve().name), fault)
     log = log if reading.log is None else replace(log, name=reading.log)
-    case: Matched | None = None
-    found: Checked | None = None
+    case: MatchedLog | None = None
+    found: TruthCheck | None = None
     error: SonarrecError | None = None
     try:
-        case = matched(reading.folder, table, log, options.tolerance_s)
-        found = checked(case)
+        case = match_log(reading.folder, table, log, options.tolerance_s)
+        found = check_fit(case)
     except SonarrecError as fault:  # raised later, unless the log is a copy of another
         error = fault
     part = None
     if case is not None and found is not None and found.fault is None and not whole:
         part = part_of(join([log], [case.truth], options.min_visible, reading.ids))
     rows = table.rows_of(log.name)
-    return Surveyed(
+    return SurveyedLog(
         folder=reading.folder,
         ground_truth=TruthOf(reading.ground_truth, log.name, len(rows), table.digest_of(rows)),
         name=log.name,
@@ -107,7 +107,7 @@ def survey(reading: Reading, *, whole: bool = False) -> Surveyed | Unread:
         methods=log.methods,
         recording=recording(reading.folder, log.run, len(log.frame_index)),
         between=0 if case is None else case.truth.between,
-        checked=found,
+        truth_check=found,
         error=error,
         case=case if whole else None,
         part=part,
@@ -120,21 +120,21 @@ def truth_table(path: Path) -> TruthTable:
     return read_truth(path)
 
 
-class Readable(Protocol):
-    """One log to be read; `folders`: of its results."""
+class LogToRead(Protocol):
+    """What `map_logs` needs of a log: the folders of its results, to know their size."""
 
     @property
     def folders(self) -> tuple[Path, ...]: ...
 
 
-Asked = TypeVar("Asked", bound=Readable)
-Found = TypeVar("Found")
+Log = TypeVar("Log", bound=LogToRead)
+Counts = TypeVar("Counts")
 
 
-def each(
-    work: Callable[[Asked], Found], readings: Sequence[Asked], jobs: int | None
-) -> Iterator[Found]:
-    """The results of `work`, such as `survey`, for each log, in order.
+def map_logs(
+    work: Callable[[Log], Counts], readings: Sequence[Log], jobs: int | None
+) -> Iterator[Counts]:
+    """Yield the result of `work`, such as `survey`, for each log, in order.
 
     jobs: number of processes; default: the number of cores, or fewer if the logs are small.
     Raises the first error that `work` raises.
@@ -158,9 +158,9 @@ def each(
             workers.shutdown(wait=False, cancel_futures=True)
 
 
-def _in_order(starts: Iterable[Callable[[], Future[Found]]], jobs: int) -> Iterator[Found]:
+def _in_order(starts: Iterable[Callable[[], Future[Counts]]], jobs: int) -> Iterator[Counts]:
     """Results in order; only some tasks run ahead, since their results are kept in memory."""
-    ahead: deque[Future[Found]] = deque()
+    ahead: deque[Future[Counts]] = deque()
     for start in starts:
         ahead.append(start())
         if len(ahead) > 2 * jobs:
@@ -169,7 +169,7 @@ def _in_order(starts: Iterable[Callable[[], Future[Found]]], jobs: int) -> Itera
         yield ahead.popleft().result()
 
 
-def _bytes(reading: Readable) -> int:
+def _bytes(reading: LogToRead) -> int:
     total = 0
     for folder in reading.folders:
         with suppress(OSError):  # reported when it is read

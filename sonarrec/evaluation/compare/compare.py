@@ -27,13 +27,13 @@ from sonarrec.evaluation.counting.uncertainty import (
     coin_tosses,
     differences,
 )
-from sonarrec.evaluation.evaluate import DEFAULT, other_ids, told_apart
-from sonarrec.evaluation.matching.fit import fit
+from sonarrec.evaluation.evaluate import DEFAULT, distinct_names, other_ids
+from sonarrec.evaluation.matching.fit import scorable_logs
 from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import FindBeside, Pair
 from sonarrec.evaluation.metrics import BY_NAME, MAIN
 from sonarrec.evaluation.summary import units_text
-from sonarrec.evaluation.survey import Unread, each
+from sonarrec.evaluation.survey import UnreadableLog, map_logs
 from sonarrec.records import SonarrecError, printable
 from sonarrec.results.run_file import RunFile, read_run
 
@@ -229,16 +229,16 @@ def _counted(pairs: Sequence[LogPair], jobs: int | None, min_visible: float) -> 
     before, after = Parts(store, "old"), Parts(store, "new")
     logs: list[CountedPair] = []
     read: list[LogPair] = []
-    unread: list[Unread] = []
+    unread: list[UnreadableLog] = []
     numbers: dict[int, int] = {}  # of a log, by its index in `logs`, the number of its parts
     ids: tuple[int, ...] | None = None
-    for pair, log in zip(pairs, each(count_pair, pairs, jobs), strict=True):
+    for pair, log in zip(pairs, map_logs(count_pair, pairs, jobs), strict=True):
         one = log
         if isinstance(one, CountedPair) and one.parts is not None:
             ids = ids or one.ids
             if one.ids != ids and set(one.ids) == set(ids):  # count again, in the first log's order
                 one = count_pair(replace(pair, ids=ids))
-        if isinstance(one, Unread):
+        if isinstance(one, UnreadableLog):
             unread.append(one)
             continue
         if one.parts is not None:
@@ -249,12 +249,12 @@ def _counted(pairs: Sequence[LogPair], jobs: int | None, min_visible: float) -> 
         read.append(pair)
     if not logs:
         raise unread[0].error
-    found = fit([log.checked for log in logs])
+    found = scorable_logs([log.truth_check for log in logs])
     used = [logs[i] for i in found.usable]
     for log in used:
         if set(log.ids) != set(used[0].ids):
             raise other_ids(used[0].name, log.name)
-    names = told_apart([(read[i].name, read[i].new) for i in found.usable])
+    names = distinct_names([(read[i].name, read[i].new) for i in found.usable])
     kept = [numbers[i] for i in found.usable]
     old, new = (pooled(parts, kept, names, min_visible) for parts in (before, after))
     if not (old.methods and new.methods):
@@ -266,7 +266,7 @@ def _counted(pairs: Sequence[LogPair], jobs: int | None, min_visible: float) -> 
         frames=partial(FrameChanges, store, tuple(zip(kept, names, strict=True))),
         notes=found.notes,
         cut=[line for log in logs for line in log.unused],
-        unused=[*(one.told("compared") for one in unread), *found.unused],
+        unused=[*(one.message("compared") for one in unread), *found.unused],
     )
 
 

@@ -10,10 +10,10 @@ import numpy as np
 
 from sonarrec.evaluation.compare.changes import ByMethod, changed_frames
 from sonarrec.evaluation.counting.parts import Part, part_of, score_all
-from sonarrec.evaluation.matching.fit import Checked, checked, matched
+from sonarrec.evaluation.matching.fit import TruthCheck, check_fit, match_log
 from sonarrec.evaluation.matching.joined import join
 from sonarrec.evaluation.matching.options import ScoringOptions
-from sonarrec.evaluation.survey import Unread, truth_table
+from sonarrec.evaluation.survey import UnreadableLog, truth_table
 from sonarrec.records import SonarrecError, number_of
 from sonarrec.results.read import LogResults, not_whole, read_log
 
@@ -30,7 +30,7 @@ class LogPair:
     """Name of the log, in messages and in the log column of the truth."""
     options: ScoringOptions
     ids: tuple[int, ...] | None = None
-    """As in `survey.Reading`."""
+    """As in `survey.LogToScore`."""
 
     @property
     def folders(self) -> tuple[Path, ...]:
@@ -43,7 +43,7 @@ class CountedPair:
 
     name: str
     ids: tuple[int, ...]
-    checked: Checked
+    truth_check: TruthCheck
     unused: list[str]
     """A line for each part of the results that is not compared."""
     parts: tuple[Part, Part] | None
@@ -52,12 +52,12 @@ class CountedPair:
     """Frames and IDs that are counted differently."""
 
 
-def count_pair(pair: LogPair) -> CountedPair | Unread:
+def count_pair(pair: LogPair) -> CountedPair | UnreadableLog:
     """Read and count the old and the new results of one log."""
     try:
         return _counted(pair)
     except SonarrecError as fault:  # the other logs can be compared
-        return Unread(pair.name, fault)
+        return UnreadableLog(pair.name, fault)
 
 
 def _counted(pair: LogPair) -> CountedPair:
@@ -80,8 +80,8 @@ def _counted(pair: LogPair) -> CountedPair:
             unused.append(f"{log.name}: {frames} in {folder} only; not compared")
         unused += not_whole(log, "scored")
     old, new = (_only(replace(log, name=pair.name), common) for log in (old, new))
-    case = matched(pair.new, table, new, options.tolerance_s)
-    found = checked(case)
+    case = match_log(pair.new, table, new, options.tolerance_s)
+    found = check_fit(case)
     labels = pair.name, new.landmarks.ids, found, unused
     if found.fault is not None:
         return CountedPair(*labels, None, {})

@@ -23,7 +23,7 @@ from sonarrec.truth.table import TruthTable
 
 
 @dataclass(frozen=True, slots=True)
-class Matched:
+class MatchedLog:
     """One log's results and its truth."""
 
     folder: Path
@@ -34,7 +34,7 @@ class Matched:
 
 
 @dataclass(frozen=True, slots=True)
-class Checked:
+class TruthCheck:
     """How a truth fits a log, without the rows of either."""
 
     name: str
@@ -56,7 +56,7 @@ class Checked:
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
+class ScorableLogs:
     """The logs that can be scored, by index, notes on them, and a line for each other log."""
 
     usable: list[int]
@@ -64,14 +64,16 @@ class Fit:
     unused: list[str]
 
 
-def matched(folder: Path, table: TruthTable, log: LogResults, tolerance_s: float | None) -> Matched:
-    """As `truth.match.match_truth`."""
-    return Matched(folder, log, table, match_truth(table, log, tolerance_s))
+def match_log(
+    folder: Path, table: TruthTable, log: LogResults, tolerance_s: float | None
+) -> MatchedLog:
+    """A log's results with its truth, matched as in `truth.match.match_truth`."""
+    return MatchedLog(folder, log, table, match_truth(table, log, tolerance_s))
 
 
-def checked(case: Matched) -> Checked:
+def check_fit(case: MatchedLog) -> TruthCheck:
     """Check that the truth fits the log."""
-    return Checked(
+    return TruthCheck(
         name=case.log.name,
         table=case.table.path,
         table_rows=len(case.table.at),
@@ -84,7 +86,7 @@ def checked(case: Matched) -> Checked:
     )
 
 
-def fit(cases: Sequence[Checked], some: bool = False) -> Fit:
+def scorable_logs(cases: Sequence[TruthCheck], some: bool = False) -> ScorableLogs:
     """The logs whose truth fits.
 
     Raises SonarrecError if there is none, or if no truth has a row. some: as in `evaluate_whole`.
@@ -93,7 +95,7 @@ def fit(cases: Sequence[Checked], some: bool = False) -> Fit:
         of = next((case for case in cases if case.table_rows), cases[0])
         names = [case.name for case in cases]
         raise SonarrecError(without_rows(of.table, of.table_rows, names, "nothing is scored"))
-    found = Fit([i for i, case in enumerate(cases) if case.fault is None], [], [])
+    found = ScorableLogs([i for i, case in enumerate(cases) if case.fault is None], [], [])
     faults = [case.fault for case in cases if case.fault is not None]
     # A log without a row counts as empty, but only if others have rows.
     if faults and not any(cases[i].rows for i in found.usable):
@@ -104,7 +106,7 @@ def fit(cases: Sequence[Checked], some: bool = False) -> Fit:
     return found
 
 
-def _notes(case: Matched) -> list[str]:
+def _notes(case: MatchedLog) -> list[str]:
     """Notes on a truth, a line each."""
     table, log = case.table, case.log
     notes = columns_not_read(table)
@@ -118,7 +120,7 @@ def _notes(case: Matched) -> list[str]:
     return notes + pixels_elsewhere(table, log, "are scored")
 
 
-def left_out(cases: Sequence[Checked]) -> list[str]:
+def left_out(cases: Sequence[TruthCheck]) -> list[str]:
     """A line for each part of the input that is not scored. cases: logs of one truth."""
     if not cases:
         return []
