@@ -84,17 +84,17 @@ class Origin:
     here: str
     there: str
 
-    def told(self, text: str) -> str:
+    def with_server_names(self, text: str) -> str:
         """A line with the server's names in place of the local ones."""
         return text.replace(self.here, self.there)
 
     @contextmanager
     def translated(self) -> Iterator[None]:
-        """A SonarrecError raised inside is told with the server's names."""
+        """A SonarrecError raised inside is raised with the server's names."""
         try:
             yield
         except SonarrecError as error:
-            raise type(error)(self.told(str(error))) from None
+            raise type(error)(self.with_server_names(str(error))) from None
 
 
 @dataclass(frozen=True, slots=True)

@@ -151,7 +151,7 @@ def _at_hand(
             from sonarrec.remote.upload import Outbox  # with fsspec, only where needed
 
             box = Outbox(remote.out, remote.cache)
-            renamed = box.origin.told
+            renamed = box.origin.with_server_names
             held.enter_context(box.results(task.name, upload=upload))
         try:
             yield path, log_options, renamed

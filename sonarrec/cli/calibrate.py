@@ -68,7 +68,7 @@ def calibrate(
     earlier = read_run(settings.file)
     log_options = earlier.complete(LogOptions(**log_choice.arguments()), same_log=False)
     with progress(quiet) as step:
-        lesson = learn(
+        report = learn(
             log,
             ground_truth,
             config,
@@ -81,8 +81,8 @@ def calibrate(
             observe=step,
         )
     with writing(out):
-        write_text(out, lesson.as_toml())
-    tell(lesson.problems, lesson.notes)
+        write_text(out, report.as_toml())
+    tell(report.problems, report.notes)
     if not quiet:
-        say(*lesson.told(), f"{out}: model, for `sonarrec run --model`")
-    end(lesson.problems)
+        say(*report.summary(), f"{out}: model, for `sonarrec run --model`")
+    end(report.problems)

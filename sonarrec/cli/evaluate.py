@@ -184,8 +184,8 @@ def _score(
     folder = remote.output(out or inside(results if pairs is None else pairs.parent, "evaluation"))
     found = replace(
         found,
-        notes=tuple(map(remote.told, found.notes)),
-        unused=tuple(map(remote.told, found.unused)),
+        notes=tuple(map(remote.with_server_names, found.notes)),
+        unused=tuple(map(remote.with_server_names, found.unused)),
     )
     summary = summarise(found, unit)
     written = write.write_evaluation(folder, found, summary, det)
@@ -198,7 +198,7 @@ def _score(
         click.echo(tabulate.summary_screen(found, summary, shown.details))
         for note in notes:
             say(f"note: {note}")
-        say(f"{remote.told(str(folder))}: {', '.join(written)}")
+        say(f"{remote.with_server_names(str(folder))}: {', '.join(written)}")
     return PARTLY if unused else 0
 
 
@@ -230,7 +230,7 @@ def _compare(
         click.echo(screen(found))
         for note in found.notes:
             say(f"note: {note}")
-        say(f"{remote.told(str(folder))}: {', '.join(written)}")
+        say(f"{remote.with_server_names(str(folder))}: {', '.join(written)}")
     regressions = [] if band is None else found.regressions(band)
     tell(f"worse: {line}" for line in regressions)
     return 1 if regressions else PARTLY if unused else 0
@@ -251,8 +251,8 @@ def compared(
     found = compare(old, new, truth, scoring, unit=unit, jobs=jobs, find_beside=remote.beside)
     return replace(
         found,
-        old=remote.told(found.old),
-        new=remote.told(found.new),
-        notes=tuple(map(remote.told, found.notes)),
-        unused=tuple(map(remote.told, found.unused)),
+        old=remote.with_server_names(found.old),
+        new=remote.with_server_names(found.new),
+        notes=tuple(map(remote.with_server_names, found.notes)),
+        unused=tuple(map(remote.with_server_names, found.unused)),
     )

@@ -108,10 +108,10 @@ def map_(
 
 
 def _origin(text: str) -> Any:
-    """The Origin of LAT,LON,HEADING. Raises UsageError if it is invalid."""
-    from sonarrec.mapping.tables import Origin
+    """The GeographicOrigin of LAT,LON,HEADING. Raises UsageError if it is invalid."""
+    from sonarrec.mapping.tables import GeographicOrigin
 
-    origin = Origin(*_numbers("--origin", text, 3))
+    origin = GeographicOrigin(*_numbers("--origin", text, 3))
     if not (abs(origin.latitude_deg) < 90 and abs(origin.longitude_deg) <= 180):
         raise UsageError(f"--origin {text}: LAT must be between -90 and 90, LON from -180 to 180")
     return origin

@@ -117,10 +117,10 @@ def report(
         else:
             given = {"topic": topic, "method": method, "options": scoring}
             unused, line = _report(results, truth, pairs, recordings, out, given, remote)
-        unused = [*remote.unused, *map(remote.told, unused)]
+        unused = [*remote.unused, *map(remote.with_server_names, unused)]
         tell(unused)
         if not quiet:
-            say(remote.told(line))
+            say(remote.with_server_names(line))
     end(unused)
 
 

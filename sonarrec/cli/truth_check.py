@@ -86,7 +86,7 @@ def check(
             say(f"... and {count - _MOST_LINES} more of this kind: {kind}")
     tell(checked.problems)
     if not quiet:
-        say(f"{ground_truth}: {checked.told()}")
+        say(f"{ground_truth}: {checked.summary()}")
     for line in checked.notes:
         say(f"note: {line}")
     if checked.others:

@@ -45,7 +45,7 @@ FOLDS = 5
 
 
 @dataclass(frozen=True, slots=True)
-class Lesson:
+class LearningReport:
     """What a model was learned from, and how good it is.
 
     frames: of all logs. seen: per ID of the set, then for 'none of these', the frames in which a
@@ -65,7 +65,7 @@ class Lesson:
     problems: list[str]
     notes: list[str]
 
-    def told(self) -> list[str]:
+    def summary(self) -> list[str]:
         """What was learned from and how well: lines to print."""
         names = [f"ID.{i}" for i in self.landmarks.ids] + ["none of these"]
         # They go into a comment too, where a line break in a name would end it.
@@ -93,7 +93,7 @@ class Lesson:
         head = [
             "Log odds of an ID against 'none of these' = bias + the curves of all features.",
             f"{MODEL_MARK}:",
-            *self.told(),
+            *self.summary(),
         ]
         return "".join(f"# {line}\n" for line in head) + self.model.as_toml()
 
@@ -110,7 +110,7 @@ def learn(
     time: Clock | None = None,
     from_scratch: bool = False,
     observe: Callable[[], object] | None = None,
-) -> Lesson:
+) -> LearningReport:
     """Learn an appearance model from logs and their gt.csv.
 
     from_scratch: do not start from the built-in model. observe: called at every frame. The rest is
@@ -169,7 +169,9 @@ def learn(
     seen = _seen(parts, landmarks)
     before, after = _left_out(parts, prior)
     notes += _not_taught(landmarks, seen, before, after)
-    return Lesson(model, landmarks, tuple(learned), frames, seen, before, after, problems, notes)
+    return LearningReport(
+        model, landmarks, tuple(learned), frames, seen, before, after, problems, notes
+    )
 
 
 def _tracks_of(
@@ -203,7 +205,10 @@ def _not_taught(
     before: float | None,
     after: float | None,
 ) -> Iterator[str]:
-    """A line on each thing that the recordings do not teach; the arguments are as in Lesson."""
+    """A line on each thing that the recordings do not teach.
+
+    The arguments are the fields of LearningReport.
+    """
     unseen = [f"ID.{i}" for i, (n, _) in zip(landmarks.ids, seen[:-1], strict=True) if not n]
     if unseen:
         yield (

@@ -12,7 +12,7 @@ from sonarrec.landmarks import LandmarkSet
 from sonarrec.mapping.join import Landmark, LogPasses, join
 from sonarrec.mapping.measured import measured_motion_path, read_frames
 from sonarrec.mapping.passes import Seen, find_passes, read_seen
-from sonarrec.mapping.path import Drift, SonarPath, told_path
+from sonarrec.mapping.path import Drift, SonarPath, path_from_poses
 from sonarrec.mapping.poses_of_run import poses_of_run
 from sonarrec.poses import PoseTable
 from sonarrec.records import Fan, SonarrecError, UsageError
@@ -120,8 +120,8 @@ def make_map(
     logs = [one.log for one in counted]
     problems += [line for one in counted for line in one.problems] + once.unused
     notes = [line for one in counted for line in one.notes] + once.notes
-    if len(logs) > 1 and not all(log.path.told for log in logs):
-        alone = ", ".join(log.name for log in logs if not log.path.told)
+    if len(logs) > 1 and not all(log.path.from_poses for log in logs):
+        alone = ", ".join(log.name for log in logs if not log.path.from_poses)
         raise UsageError(
             f"without poses each log has a frame of its own ({alone}): give poses with "
             "--odometry, or map the logs one by one"
@@ -186,7 +186,7 @@ def _path(folder: Path, poses: PoseTable | None, drift: Drift) -> tuple[SonarPat
             raise SonarrecError(
                 f"{folder}: frames.csv has no timestamp_ns, which is needed to find poses"
             )
-        return told_path(table["frame"], table["timestamp_ns"], poses, drift), []
+        return path_from_poses(table["frame"], table["timestamp_ns"], poses, drift), []
     if drift != Drift():
         raise UsageError("--drift applies to given poses, and there are none; give --odometry")
     return measured_motion_path(folder, table)

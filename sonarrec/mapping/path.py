@@ -39,16 +39,17 @@ class SonarPath:
 
     frame: (F,) numbers, rising. timestamp_ns: (F,). pose: (F, 3) yaw in deg, positive to the
     right, then x and y in m, y ahead and x to the right of a sonar whose yaw is 0; NaN where it is
-    not known. told: by poses; else measured, from the first frame on. sums: (F, 9) over the steps
-    up to each frame, see `_sums`. common: (F, 3) sums over the turns of a measured path while it
-    stood: the turn (rad), and the same times x and times y. In both x and y are counted from its
-    first known place, `origin` (2,): squares of such coordinates as UTM's would leave few digits.
+    not known. from_poses: whether a table or topic of poses gave the path; else it is measured,
+    from the first frame on. sums: (F, 9) over the steps up to each frame, see `_sums`. common:
+    (F, 3) sums over the turns of a measured path while it stood: the turn (rad), and the same
+    times x and times y. In both x and y are counted from its first known place, `origin` (2,):
+    squares of such coordinates as UTM's would leave few digits.
     """
 
     frame: IntArray
     timestamp_ns: IntArray
     pose: FloatArray
-    told: bool
+    from_poses: bool
     sums: FloatArray
     common: FloatArray
     origin: FloatArray
@@ -67,7 +68,7 @@ class SonarPath:
         xy = s[:, 1] - s[:, 3] * x * y + x * s[:, 5] + y * s[:, 4] - s[:, 7]
         yy = s[:, 2] + s[:, 3] * x**2 - 2 * x * s[:, 4] + s[:, 6]
         own = np.stack([np.stack([xx, xy], -1), np.stack([xy, yy], -1)], -2)
-        if self.told:
+        if self.from_poses:
             return own
         began = np.zeros_like(row) if since is None else since
         length = COMMON_LENGTH * (self.pose[row, 1:] - self.pose[began, 1:])
@@ -113,7 +114,9 @@ class SonarPath:
         return found
 
 
-def told_path(frame: IntArray, timestamp_ns: IntArray, poses: PoseTable, drift: Drift) -> SonarPath:
+def path_from_poses(
+    frame: IntArray, timestamp_ns: IntArray, poses: PoseTable, drift: Drift
+) -> SonarPath:
     """The path that poses tell; frame, timestamp_ns: (F,). They drift from the first one told."""
     pose = poses.at_times(timestamp_ns)
     minutes = np.diff(timestamp_ns, prepend=timestamp_ns[:1]) / 60e9

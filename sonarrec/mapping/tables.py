@@ -64,7 +64,7 @@ class Axes:
 
 
 @dataclass(frozen=True, slots=True)
-class Origin:
+class GeographicOrigin:
     """Where the origin of the poses lies on Earth (WGS 84, deg).
 
     heading_deg: the compass heading of a sonar whose yaw is 0.
@@ -218,27 +218,27 @@ def ellipse(place: FloatArray, covariance: FloatArray, points: int = 48) -> Floa
     return np.asarray(place + circle * half @ axes.T)
 
 
-def write_geojson(path: Path, site: SiteMap, origin: Origin) -> None:
+def write_geojson(path: Path, site: SiteMap, origin: GeographicOrigin) -> None:
     """The landmarks as points, their 95 % ellipses as polygons, the paths as lines (RFC 7946).
 
     Ellipses and paths are cut in two at the 180th meridian; an ellipse round a pole is left out.
     """
     features = []
 
-    def add(kind: str, where: list[Any], told: dict[str, object]) -> None:
-        one = len(where) == 1
+    def add(kind: str, coordinates: list[Any], properties: dict[str, object]) -> None:
+        one = len(coordinates) == 1
         geometry = {
             "type": kind if one else f"Multi{kind}",
-            "coordinates": where[0] if one else where,
+            "coordinates": coordinates[0] if one else coordinates,
         }
-        features.append({"type": "Feature", "geometry": geometry, "properties": told})
+        features.append({"type": "Feature", "geometry": geometry, "properties": properties})
 
     def rounded(part: FloatArray) -> list[Any]:
         found: list[Any] = np.round(part, 9).tolist()
         return found
 
     for number, one in enumerate(site.landmarks, 1):
-        told: dict[str, object] = {"number": number, "landmark": one.id}
+        properties: dict[str, object] = {"number": number, "landmark": one.id}
         sigma = float(np.sqrt(np.linalg.eigvalsh(one.covariance)[-1]))
         # Where the first sector begins, as a compass has it.
         turn = (90 + origin.heading_deg - one.turn_deg) % 360
@@ -249,7 +249,7 @@ def write_geojson(path: Path, site: SiteMap, origin: Origin) -> None:
             rounded(origin.on_earth(one.place[None])),
             {
                 "name": f"ID.{one.id}",
-                **told,
+                **properties,
                 **known,
                 "sigma_m": round(sigma, 4),
                 "passes": len(one.members),
@@ -258,7 +258,7 @@ def write_geojson(path: Path, site: SiteMap, origin: Origin) -> None:
         )
         rings = rings_at_180(origin.on_earth(ellipse(one.place, one.covariance)))
         if rings:
-            add("Polygon", [[rounded(ring)] for ring in rings], {**told, "within": 0.95})
+            add("Polygon", [[rounded(ring)] for ring in rings], {**properties, "within": 0.95})
     for log in site.logs:
         places = log.path.pose[np.isfinite(log.path.pose).all(axis=1), 1:]
         if len(places) > 1:

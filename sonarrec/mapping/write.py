@@ -18,14 +18,14 @@ from sonarrec.mapping.tables import (
     GEOJSON_BEGIN,
     MAP_COLUMNS,
     PASS_COLUMNS,
-    Origin,
+    GeographicOrigin,
     write_geojson,
     write_map,
     write_passes,
 )
 
 
-def write_all(folder: Path, site: SiteMap, origin: Origin | None = None) -> list[Path]:
+def write_all(folder: Path, site: SiteMap, origin: GeographicOrigin | None = None) -> list[Path]:
     """Write map.csv, passes.csv, factors.csv, graph.g2o, map.png and, with an origin, map.geojson.
 
     Returns them. Raises SonarrecError where the folder cannot be written, UsageError, before

@@ -158,14 +158,14 @@ def process(
                 return _summary_of_existing(job, existing)
             if existing.reason:
                 job.notes.append(f"{job.folder}: earlier results are replaced ({existing.reason})")
-        told = log_options.origin.told if log_options.origin else str
+        renamed = log_options.origin.with_server_names if log_options.origin else str
         plausibility = Plausibility()
         sightings = Sightings(job.landmarks, job.fan, job.poses)
         with ResultsWriter(
             job.folder, job.landmarks, job.table, sightings, parquet=run_options.parquet
         ) as writer:
             _recognise(job, writer, plausibility, observe, ahead=ahead)
-            problems = [told(line) for line in (*job.log.problems, *job.recogniser.problems())]
+            problems = [renamed(line) for line in (*job.log.problems, *job.recogniser.problems())]
             job.notes.extend(writer.finish(problems, job.log.unusable))
         job.notes.extend(_notes(job, writer, plausibility))
         return Summary(
@@ -174,7 +174,7 @@ def process(
             job.log.unusable,
             writer.candidates,
             problems,
-            [told(line) for line in job.notes],
+            [renamed(line) for line in job.notes],
             *_longest(job.folder, job.recogniser.tracking),
         )
 

@@ -115,20 +115,22 @@ class LogInfo:
     def fetched_from(self, origin: Origin) -> LogInfo:
         """The same of a log that was fetched, with the server's names."""
 
-        def told(lines: list[str]) -> list[str]:
-            return [origin.told(line) for line in lines]
+        def renamed(lines: list[str]) -> list[str]:
+            return [origin.with_server_names(line) for line in lines]
 
         images = [
             replace(
                 one,
-                geometry_from=one.geometry_from and origin.told(one.geometry_from),
-                origins={key: origin.told(where) for key, where in one.origins.items()},
-                notes=told(one.notes),
-                problems=told(one.problems),
+                geometry_from=one.geometry_from and origin.with_server_names(one.geometry_from),
+                origins={
+                    key: origin.with_server_names(where) for key, where in one.origins.items()
+                },
+                notes=renamed(one.notes),
+                problems=renamed(one.problems),
             )
             for one in self.images
         ]
-        return replace(self, path=origin.url, images=images, faults=told(self.faults))
+        return replace(self, path=origin.url, images=images, faults=renamed(self.faults))
 
     @property
     def nothing(self) -> bool:

@@ -103,10 +103,10 @@ class RemoteFiles:
         self.unused += found.unused
         return found.path
 
-    def told(self, text: str) -> str:
+    def with_server_names(self, text: str) -> str:
         """A message with the paths of the server in place of local ones."""
         for origin in self._origins:
-            text = origin.told(text)
+            text = origin.with_server_names(text)
         return text
 
 

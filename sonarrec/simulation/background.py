@@ -56,7 +56,7 @@ class Background:
 
     where: names it. path: the sonar's pose in every frame used, the first at the origin. lit:
     (fan.rows, fan.columns) where at least half of the frames show an echo. unknown: frames whose
-    motion neither images nor poses told; the sonar is taken to have stood still. told: whether
+    motion neither images nor poses told; the sonar is taken to have stood still. has_poses: whether
     poses told the motion. beam_width_deg: of its beams, as a run takes it. dynamic_range_db: from
     black to white. problems: a line for each thing that could not be used.
     """
@@ -69,7 +69,7 @@ class Background:
     lit: BoolArray
     rate_hz: float
     unknown: int
-    told: bool
+    has_poses: bool
     beam_width_deg: float
     dynamic_range_db: float
     notes: tuple[str, ...]
@@ -154,7 +154,7 @@ def survey(
         lit=echoes * 2 >= len(path),
         rate_hz=1e9 / usual if usual > 0 else rate or 1.0,
         unknown=unknown,
-        told=poses is not None,
+        has_poses=poses is not None,
         beam_width_deg=own.features.beam_width_deg or usual_beam_width_deg(fan),
         dynamic_range_db=stated or DYNAMIC_RANGE_DB,
         notes=tuple(notes),
@@ -285,7 +285,7 @@ def write_backgrounds(
             for file in tables.values():
                 file.close()
         for db, folder in folders.items():
-            if background.told:
+            if background.has_poses:
                 _write_poses(folder / "poses.csv", background)
             if landmarks != load_landmarks("basin"):
                 text = tomli_w.dumps(landmarks.as_table())
@@ -395,7 +395,7 @@ def _told(
             "beam_width_deg": beam_width_deg,
             "dynamic_range_db": background.dynamic_range_db,
             "seed": layout.seed,
-            "motion": "told by poses" if background.told else "measured between the images",
+            "motion": "told by poses" if background.has_poses else "measured between the images",
             "motion_unknown": background.unknown,
         },
         "disc": [

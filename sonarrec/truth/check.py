@@ -61,7 +61,7 @@ class CheckedTruth:
     problems: list[str]
     """Of the log."""
 
-    def told(self) -> str:
+    def summary(self) -> str:
         """How much was looked at, and how much of it is wrong."""
         faults = number_of(len(self.faults), "fault") if self.faults else "no fault"
         return f"{number_of(len(self.line), 'row')}, {faults}"

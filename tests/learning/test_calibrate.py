@@ -12,7 +12,7 @@ import pytest
 
 from sonarrec.config import preset
 from sonarrec.landmarks import BUILT_IN, load_landmarks
-from sonarrec.learning.calibrate import FOLDS, Lesson, _not_taught, learn
+from sonarrec.learning.calibrate import FOLDS, LearningReport, _not_taught, learn
 from sonarrec.learning.fit import PRIOR_WEIGHT, fit
 from sonarrec.learning.samples import Samples, Tracks, label
 from sonarrec.recogniser.stage3_features.description import FEATURES
@@ -237,25 +237,25 @@ def test_a_model_of_ones_own_serves_logs_it_has_not_seen(site, tmp_path, monkeyp
 
 def test_what_was_learned_from_is_told(site):
     logs = [site / "one", site / "two"]
-    lesson = learn(logs, site / "gt.csv", preset("default"), BASIN)
-    assert lesson.frames == 140
-    assert not lesson.problems
-    on = sum(frames for frames, _ in lesson.seen[:-1])
+    report = learn(logs, site / "gt.csv", preset("default"), BASIN)
+    assert report.frames == 140
+    assert not report.problems
+    on = sum(frames for frames, _ in report.seen[:-1])
     with (site / "gt.csv").open(newline="") as file:
         truth = list(csv.DictReader(file))
     whole = sum(float(r["visible"]) >= 0.9 for r in truth)
     assert 0.8 * whole < on <= len(truth)
-    seen = {i for i, (frames, _) in zip(BASIN.ids, lesson.seen, strict=False) if frames}
+    seen = {i for i, (frames, _) in zip(BASIN.ids, report.seen, strict=False) if frames}
     assert seen == {int(r["landmark"]) for r in truth}
     for i in set(BASIN.ids) - seen:
-        assert any(f"ID.{i}" in note for note in lesson.notes)
-    tracks = sum(count for _, count in lesson.seen[:-1])
-    assert (lesson.before is None) == (tracks < FOLDS)
+        assert any(f"ID.{i}" in note for note in report.notes)
+    tracks = sum(count for _, count in report.seen[:-1])
+    assert (report.before is None) == (tracks < FOLDS)
     # With the built-in model as the start nothing moves far; without it everything does.
     built_in = built_in_model()
     scratch = learn(logs[:1], site / "gt.csv", preset("default"), BASIN, from_scratch=True)
-    assert lesson.model.knots is not scratch.model.knots
-    moved = [np.abs(a - b).max() for a, b in zip(lesson.model.values, built_in.values, strict=True)]
+    assert report.model.knots is not scratch.model.knots
+    moved = [np.abs(a - b).max() for a, b in zip(report.model.values, built_in.values, strict=True)]
     assert 0 < max(moved) < 3
 
 
@@ -372,9 +372,11 @@ def test_a_proposal_that_nobody_checked_is_told(tmp_path):
 def test_names_of_logs_do_not_break_the_model_file():
     model = built_in_model()
     seen = ((1, 1),) * 4 + ((9, 2),)
-    lesson = Lesson(model, BASIN, ("day\n1", "d\x07y_2", "dïve"), 10, seen, None, None, [], [])
-    parse_model(lesson.as_toml(), "it")
-    assert lesson.told()[0] == r"learned from 10 frames of day\n1, d\x07y_2, dïve"
+    report = LearningReport(
+        model, BASIN, ("day\n1", "d\x07y_2", "dïve"), 10, seen, None, None, [], []
+    )
+    parse_model(report.as_toml(), "it")
+    assert report.summary()[0] == r"learned from 10 frames of day\n1, d\x07y_2, dïve"
 
 
 def test_worse_is_told_only_where_the_printed_figures_differ():

@@ -30,8 +30,8 @@ from sonarrec.drawing.pen import landmark_colours
 from sonarrec.landmarks import load_landmarks
 from sonarrec.mapping.build import make_map
 from sonarrec.mapping.factors import Factors, Graph, write_g2o
-from sonarrec.mapping.path import COMMON_LENGTH, Drift, SonarPath, measured_path, told_path
-from sonarrec.mapping.tables import CHI2_95, Origin, ellipse, rings_at_180
+from sonarrec.mapping.path import COMMON_LENGTH, Drift, SonarPath, measured_path, path_from_poses
+from sonarrec.mapping.tables import CHI2_95, GeographicOrigin, ellipse, rings_at_180
 from sonarrec.poses import pose_table
 from sonarrec.readers.poses_csv import read_poses
 from sonarrec.records import Estimate, FloatArray, FrameResult, SonarrecError, UsageError
@@ -434,7 +434,7 @@ def test_told_poses_drift_as_stated() -> None:
     frame = np.arange(241)
     at = np.round(frame * 0.25e9).astype(np.int64)
     table_of_poses = pose_table("p", {}, at, 0.0 * frame, 0.0 * frame, 0.0 * frame)
-    path = told_path(frame, at, table_of_poses, Drift(0.2, 6.0))
+    path = path_from_poses(frame, at, table_of_poses, Drift(0.2, 6.0))
     last = np.array([240])
     assert path.yaw_variance(last)[0] == pytest.approx(36)  # a minute
     covariance = path.place_covariance(last, np.zeros((1, 2)))[0]
@@ -447,7 +447,7 @@ def test_told_poses_drift_from_the_first_one_that_is_told() -> None:
     at = np.round(frame * 0.25e9).astype(np.int64)
     east, north = 500_000 + 0.0 * frame, 6_000_000 + 0.0 * frame
     late = pose_table("p", {}, at[20:], 0.0 * frame[20:], east[20:], north[20:])
-    path = told_path(frame, at, late, Drift(0.2, 6.0))
+    path = path_from_poses(frame, at, late, Drift(0.2, 6.0))
     last, place = np.array([240]), np.array([[500_000.0, 6_000_002.0]])
     share = 220 / 240  # of a minute
     turned = share * np.radians(6) ** 2 * 2**2
@@ -692,7 +692,7 @@ def test_geojson_keeps_to_its_side_of_the_180th_meridian(mapped: Path, latitude:
 
 
 def test_an_ellipse_round_a_pole_is_left_out() -> None:
-    round_it = Origin(89.9999999, 0.0, 0.0).on_earth(ellipse(np.zeros(2), np.eye(2)))
+    round_it = GeographicOrigin(89.9999999, 0.0, 0.0).on_earth(ellipse(np.zeros(2), np.eye(2)))
     assert rings_at_180(round_it) == []
 
 
@@ -932,7 +932,7 @@ def test_the_same_results_give_the_same_bytes(mapped: Path) -> None:
 
 def test_an_origin_on_earth() -> None:
     """A minute of latitude is a nautical mile, within what the ellipsoid's shape changes."""
-    found = Origin(0.0, 0.0, 0.0).on_earth(np.array([[0.0, 1852.0], [1852.0, 0.0]]))
+    found = GeographicOrigin(0.0, 0.0, 0.0).on_earth(np.array([[0.0, 1852.0], [1852.0, 0.0]]))
     assert found[0] == pytest.approx([0, 1 / 60], rel=0.006)
     assert found[1] == pytest.approx([1 / 60, 0], rel=0.006)
 

@@ -58,7 +58,10 @@ def test_a_log_and_what_lies_beside_it_is_fetched_once(site: Path, cache: Cache)
                     n: n for n in ("a.sonar.toml", "sonar.toml", "gt.csv", "a.poses.csv")
                 }
                 assert log.origin.url == f"{web.url}/day 1/a.mcap"
-                assert log.origin.told(f"{log.path}: bad") == f"{web.url}/day 1/a.mcap: bad"
+                assert (
+                    log.origin.with_server_names(f"{log.path}: bad")
+                    == f"{web.url}/day 1/a.mcap: bad"
+                )
         assert len(web.gets("a.mcap")) == 1
 
 

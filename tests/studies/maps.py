@@ -106,7 +106,7 @@ def placed(run: VehicleRun, site: SiteMap) -> Placed:
     Of true poses each pass by itself tells which landmark it was of; of others `joined` is not
     known.
     """
-    exact = site.logs[0].path.told
+    exact = site.logs[0].path.from_poses
     truth = truth_of(run) if exact else from_first(run.path, truth_of(run))
     near = NEAR_M if exact else NEAR_DRIFTED_M
     periods = dict(zip(site.landmark_set.ids, site.landmark_set.periods_deg(), strict=True))

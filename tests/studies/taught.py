@@ -21,7 +21,7 @@ from sonarrec.recogniser.stage3_features.model import AppearanceModel, read_mode
 from sonarrec.simulation.random_scenes import KINDS_OF_SCENE, STRETCH_KINDS
 from tests.studies.ablation import Ablation, compare, parser
 
-Lesson = Callable[[str, Samples], Samples | None]
+LearningReport = Callable[[str, Samples], Samples | None]
 """What of a recording of a kind of scene is taught; None: nothing."""
 
 
@@ -70,7 +70,7 @@ BESIDE = (
     *("local_weakest_bright", "local_strongest_dark", "strongest_dark_over_floor"),
     *("weakest_bright_half_share", "strongest_dark_half_share"),
 )
-LESSONS: dict[str, Lesson] = {
+LESSONS: dict[str, LearningReport] = {
     "all that the built-in model is taught": whole,
     "no rivals: symbols that no ID has": partial(without, ("rival_misfit",)),
     "the ring counted over the floor alone": partial(without, RING_OVER_GAP),

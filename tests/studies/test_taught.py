@@ -13,7 +13,7 @@ from sonarrec.learning.samples import Samples
 from sonarrec.recogniser.stage3_features.description import FEATURES
 from sonarrec.recogniser.stage3_features.model import AppearanceModel, parse_model
 from sonarrec.simulation.random_scenes import KINDS_OF_SCENE, STRETCH_KINDS
-from tests.studies.taught import LESSONS, Lesson
+from tests.studies.taught import LESSONS, LearningReport
 
 
 def samples(seed: int) -> Samples:
@@ -26,7 +26,7 @@ def samples(seed: int) -> Samples:
     return Samples(features, smear, label, np.arange(400))
 
 
-def taught(lesson: Lesson) -> AppearanceModel:
+def taught(lesson: LearningReport) -> AppearanceModel:
     """By recordings of two kinds, as it is read again from its file."""
     parts = [lesson(kind, samples(i)) for i, kind in enumerate(("plain", "symbols"))]
     return parse_model(fit([p for p in parts if p is not None]).as_toml(), "a test")
