@@ -96,7 +96,7 @@ class _Row:
 
 
 @dataclass(frozen=True, slots=True)
-class _Stated:
+class _LandmarkSetFile:
     """A landmark set as its file states it."""
 
     name: str
@@ -124,7 +124,7 @@ def landmarks_from_table(
     table: object, where: str, error: type[SonarrecError] = SonarrecError
 ) -> LandmarkSet:
     """A LandmarkSet from the keys of its TOML; `where` names it in errors (`error`)."""
-    stated = from_table(_Stated, table, where, error=error)
+    stated = from_table(_LandmarkSetFile, table, where, error=error)
     ids = tuple(row.id for row in stated.landmark)
     sectors = tuple(row.sectors for row in stated.landmark)
     for key, (inner, outer) in (("ring", stated.ring), ("symbol", stated.symbol)):

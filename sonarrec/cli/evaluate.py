@@ -135,7 +135,7 @@ def evaluate(
     with ExitStack() as held:  # outputs are uploaded as it closes, so leave() comes after it
         remote = RemoteFiles(held, cache.cache)
         truth = remote.file(ground_truth) if pairs is None else read_pairs(pairs)
-        shown = _Shown(details, as_json, quiet)
+        shown = _PrintOptions(details, as_json, quiet)
         if compare is not None:
             code = _compare(compare, truth, out, band, unit, jobs, shown, scoring, remote)
         else:
@@ -146,7 +146,7 @@ def evaluate(
 
 
 @dataclass(frozen=True, slots=True)
-class _Shown:
+class _PrintOptions:
     """What is printed on stdout."""
 
     details: bool
@@ -166,7 +166,7 @@ def _score(
     unit: Any,
     jobs: int | None,
     det: bool,
-    shown: _Shown,
+    shown: _PrintOptions,
     scoring: ScoringOptions,
     remote: RemoteFiles,
 ) -> int:
@@ -209,7 +209,7 @@ def _compare(
     band: float | None,
     unit: Any,
     jobs: int | None,
-    shown: _Shown,
+    shown: _PrintOptions,
     scoring: ScoringOptions,
     remote: RemoteFiles,
 ) -> int:

@@ -55,7 +55,7 @@ _LAYING = {
 
 
 @dataclass(frozen=True, slots=True)
-class Laying:
+class LayoutChoice:
     """The landmarks to lay, as given on the command line."""
 
     values: Mapping[str, Any]
@@ -139,4 +139,6 @@ def laying_options(contrast: str) -> Decorator:
         f"separated by commas, make a series.  [default: {contrast}]"
     )
     series = option(BACKGROUND, "--contrast", metavar="DB[,DB]", help=text)
-    return as_one("laying", {"contrast": series} | _LAYING, lambda values: Laying(values, contrast))
+    return as_one(
+        "laying", {"contrast": series} | _LAYING, lambda values: LayoutChoice(values, contrast)
+    )

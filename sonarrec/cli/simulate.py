@@ -10,7 +10,7 @@ from sonarrec.cli.bars import progress
 from sonarrec.cli.endings import begun, end, say, tell
 from sonarrec.cli.groups import ANY, INPUT, OUTPUT, command, file_names, option
 from sonarrec.cli.options import out_option, quiet_option
-from sonarrec.cli.options_background import Laying, laying_options
+from sonarrec.cli.options_background import LayoutChoice, laying_options
 from sonarrec.cli.options_log import LogChoice, log_options
 from sonarrec.records import UsageError, number_of, shown
 
@@ -80,7 +80,7 @@ def simulate(
     background: str | None,
     seed: int | None,
     frames: str | None,
-    laying: Laying,
+    laying: LayoutChoice,
     log_choice: LogChoice,
     image_format: str | None,
     schema: str | None,
@@ -155,7 +155,7 @@ def _lay(
     log: str,
     seed: int,
     frames: str | None,
-    laying: Laying,
+    laying: LayoutChoice,
     log_choice: LogChoice,
     out: Path,
     quiet: bool,

@@ -19,7 +19,7 @@ from sonarrec.cli.options import (
     quiet_option,
     settings_options,
 )
-from sonarrec.cli.options_background import Laying, laying_options
+from sonarrec.cli.options_background import LayoutChoice, laying_options
 from sonarrec.cli.options_log import LogChoice, log_options
 from sonarrec.records import number_of, shown
 
@@ -51,7 +51,7 @@ def site(
     log: str,
     log_choice: LogChoice,
     frames: str | None,
-    laying: Laying,
+    laying: LayoutChoice,
     layouts: int,
     model: Path | None,
     settings: SettingsChoice,
@@ -74,7 +74,7 @@ def site(
 
     from sonarrec.pipeline.prepare import RunOptions, digest_asked, is_same_log
     from sonarrec.readers.find import find_log
-    from sonarrec.report.site import Laid, assess
+    from sonarrec.report.site import SiteSetup, assess
     from sonarrec.report.site_page import render
     from sonarrec.report.site_results import write_site
     from sonarrec.results.run_file import read_run
@@ -101,7 +101,7 @@ def site(
             Path(log),
             replace(log_options, frames=background.span),  # not those of the run.toml
             out,
-            Laid(
+            SiteSetup(
                 background,
                 landmarks,
                 laying.plate_db,

@@ -49,7 +49,7 @@ class RangeRate:
 
 
 @dataclass(frozen=True, slots=True)
-class Recognised:
+class RecognitionRates:
     """One method: TPR in total and by range, and false claims per 100 frames."""
 
     tpr: Rate
@@ -57,7 +57,9 @@ class Recognised:
     false_per_100: Rate
 
 
-def recognised(evaluation: Evaluation, method: str, edges_m: Sequence[float]) -> Recognised:
+def recognition_rates(
+    evaluation: Evaluation, method: str, edges_m: Sequence[float]
+) -> RecognitionRates:
     """The rates of one method. edges_m: (n + 1,) rising, edges of n steps of slant range."""
     joined = evaluation.joined
     scored = next(s for s in evaluation.scored if (s.protocol, s.method) == ("strict", method))
@@ -71,7 +73,7 @@ def recognised(evaluation: Evaluation, method: str, edges_m: Sequence[float]) ->
     for near, far in pairwise(edges_m):
         here = (range_m >= near) & ((range_m < far) | (far == edges_m[-1]))
         steps.append(RangeRate(near, far, _rate(right[here], unit[here], count)))
-    return Recognised(_rate(right, unit, count), tuple(steps), _false(evaluation, scored))
+    return RecognitionRates(_rate(right, unit, count), tuple(steps), _false(evaluation, scored))
 
 
 def _false(evaluation: Evaluation, scored: Scored) -> Rate:

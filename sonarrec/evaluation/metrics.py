@@ -16,17 +16,23 @@ import numpy as np
 
 from sonarrec.evaluation.counting.behaviour import (
     FalseClaims,
-    Switched,
+    SwitchTotals,
     error_counts,
     false_claim_counts,
     switch_counts,
     wait_counts,
 )
-from sonarrec.evaluation.counting.counted import QUANTILES, Counted, Rates, Spread, rate_count
 from sonarrec.evaluation.counting.curves import FPR_POINTS, PARTIAL_FPR, area, ratio, tpr_at
 from sonarrec.evaluation.counting.pooled import Pooled, PooledScored, PooledUnits
 from sonarrec.evaluation.counting.reliability import Calibration, calibration_counts
 from sonarrec.evaluation.counting.uncertainty import Tally
+from sonarrec.evaluation.counting.unit_sums import (
+    QUANTILES,
+    CumulativeHistogram,
+    Rates,
+    UnitSums,
+    rate_sums,
+)
 from sonarrec.records import FloatArray, IntArray
 
 
@@ -46,25 +52,25 @@ class Case:
 # The kinds of records, per ID and in total. Without positions only the first two are counted.
 
 
-def rates(case: Case) -> Iterable[Counted]:
+def rates(case: Case) -> Iterable[UnitSums]:
     """Rates of every method under every protocol."""
     for scored in case.pooled.scored:
         yield from rates_of(case, scored)
 
 
-def rates_of(case: Case, s: PooledScored) -> Iterable[Counted]:
+def rates_of(case: Case, s: PooledScored) -> Iterable[UnitSums]:
     """Rates of one method under one protocol."""
     pooled, units = case.pooled, case.units
     base = pooled.sums(("base", s.protocol), units)
     declared = base + pooled.sums(("made", s.protocol, s.method), units)
     for k, landmark in enumerate(s.ids):
         labels, claims = (s.protocol, s.method, str(landmark)), pooled.claims(s, k, units)
-        yield rate_count(labels, base[:, k], declared[:, k], s.curve(k), claims)
+        yield rate_sums(labels, base[:, k], declared[:, k], s.curve(k), claims)
     labels, claims = (s.protocol, s.method, "total"), pooled.claims(s, None, units)
-    yield rate_count(labels, base.sum(axis=1), declared.sum(axis=1), s.curve(), claims)
+    yield rate_sums(labels, base.sum(axis=1), declared.sum(axis=1), s.curve(), claims)
 
 
-def waits(case: Case) -> Iterable[Counted]:
+def waits(case: Case) -> Iterable[UnitSums]:
     """Spread of the frames to a lasting ID, under every protocol."""
     return wait_counts(case.pooled.outcomes, *_passes(case))
 
@@ -74,7 +80,7 @@ def _passes(case: Case) -> tuple[tuple[int, ...], IntArray, IntArray, int]:
     return case.pooled.ids, landmark_index, case.unit_of_pass, case.units.count
 
 
-def false_claims(case: Case) -> Iterable[Counted]:
+def false_claims(case: Case) -> Iterable[UnitSums]:
     """FalseClaims of every method."""
     pooled, units = case.pooled, case.units
     minutes = pooled.sums_of_kind(("minutes",), units)
@@ -84,22 +90,22 @@ def false_claims(case: Case) -> Iterable[Counted]:
             yield from false_claim_counts(method, pooled.ids, made, minutes)
 
 
-def switched(case: Case) -> Iterable[Counted]:
-    """Switched of every method."""
+def switched(case: Case) -> Iterable[UnitSums]:
+    """SwitchTotals of every method."""
     return switch_counts(case.pooled.switches, *_passes(case))
 
 
-def positions(case: Case) -> Iterable[Counted]:
+def positions(case: Case) -> Iterable[UnitSums]:
     """Spread of position errors, m."""
     return _errors(case, "position")
 
 
-def orientations(case: Case) -> Iterable[Counted]:
+def orientations(case: Case) -> Iterable[UnitSums]:
     """Spread of orientation errors, deg."""
     return _errors(case, "orientation")
 
 
-def _errors(case: Case, name: str) -> Iterable[Counted]:
+def _errors(case: Case, name: str) -> Iterable[UnitSums]:
     pooled = case.pooled
     errors = partial(pooled.errors, name, case.units)
     return error_counts(
@@ -107,7 +113,7 @@ def _errors(case: Case, name: str) -> Iterable[Counted]:
     )
 
 
-def calibration(case: Case) -> Iterable[Counted]:
+def calibration(case: Case) -> Iterable[UnitSums]:
     """Calibration of every method that states probabilities."""
     pooled = case.pooled
     for method in pooled.methods if pooled.placed else ():
@@ -144,7 +150,7 @@ def tpr_at_fpr(most: float) -> Callable[[Rates], FloatArray]:
     return lambda r: tpr_at(r.fpr, r.tpr, most)
 
 
-def quantile(share: float) -> Callable[[Spread], FloatArray]:
+def quantile(share: float) -> Callable[[CumulativeHistogram], FloatArray]:
     """The smallest value that this share of values, one of QUANTILES, does not exceed."""
     return lambda s: s.quantile(share)
 
@@ -159,12 +165,12 @@ def wrong_per_minute(f: FalseClaims) -> FloatArray:
     return ratio(f.other, f.minutes)
 
 
-def id_switches(s: Switched) -> FloatArray:
+def id_switches(s: SwitchTotals) -> FloatArray:
     """Changes of the declared ID, per pass."""
     return ratio(s.ids, s.passes)
 
 
-def track_switches(s: Switched) -> FloatArray | None:
+def track_switches(s: SwitchTotals) -> FloatArray | None:
     """Changes of the track on a landmark, per pass; None for a method without tracks."""
     return None if s.tracks is None else ratio(s.tracks, s.passes)
 
@@ -176,7 +182,7 @@ def brier(c: Calibration) -> FloatArray:
 
 def ece(c: Calibration) -> FloatArray:
     """Expected calibration error: mean distance between stated and true probability."""
-    return ratio(np.abs(c.said - c.right).sum(axis=1), c.count.sum(axis=1))
+    return ratio(np.abs(c.stated - c.right).sum(axis=1), c.count.sum(axis=1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,7 +195,7 @@ class Metric:
     """Name on screen and in the report."""
     digits: int
     """After the decimal point."""
-    counted: Callable[[Case], Iterable[Counted]]
+    counted: Callable[[Case], Iterable[UnitSums]]
     """Counts the records that it is a function of."""
     figure: Callable[[Any], FloatArray | None]
     """(R,) of a record of R rows; None if the method has no such figure."""
@@ -200,7 +206,7 @@ class Metric:
     The one with the fewest cases counts: a curve's positives and negatives may come from different
     units."""
 
-    def value(self, counted: Counted) -> float:
+    def value(self, counted: UnitSums) -> float:
         """The figure over all units; NaN if there is none."""
         found = self.figure(counted.exact)
         return np.nan if found is None else float(found[0])
@@ -249,7 +255,7 @@ AT_ONCE = 256
 """Draws whose figures are computed together: so few lie in the processor's cache."""
 
 
-def tally(kind: Callable[[Case], Iterable[Counted]], counted: Counted) -> Tally:
+def tally(kind: Callable[[Case], Iterable[UnitSums]], counted: UnitSums) -> Tally:
     """The figures of one kind of record."""
     exact = [(m, m.figure(counted.exact)) for m in METRICS if m.counted is kind]
     available = [(m, value) for m, value in exact if value is not None]

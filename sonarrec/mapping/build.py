@@ -11,7 +11,7 @@ import numpy as np
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.mapping.join import Landmark, LogPasses, join
 from sonarrec.mapping.measured import measured_motion_path, read_frames
-from sonarrec.mapping.passes import Seen, find_passes, read_seen
+from sonarrec.mapping.passes import DeclaredEstimates, find_passes, read_declared
 from sonarrec.mapping.path import Drift, SonarPath, path_from_poses
 from sonarrec.mapping.poses_of_run import poses_of_run
 from sonarrec.poses import PoseTable
@@ -34,7 +34,7 @@ class MappedLog:
 
     name: str
     path: SonarPath
-    seen: Seen
+    seen: DeclaredEstimates
     on_floor: LogPasses
     fan: Fan
     ros_axes: bool
@@ -153,7 +153,7 @@ def _found(
     table = estimates_of(folder)
     method = choose_method(table, method)
     check_follows(method)
-    seen = read_seen(table, method, landmarks, fan, path.frame)
+    seen = read_declared(table, method, landmarks, fan, path.frame)
     passes = find_passes(seen, path, landmarks, fan)
     name = folder.resolve().name
     ros_axes = poses is not None and "topic" in poses.source

@@ -40,7 +40,7 @@ UNSTATED = (0.03, 0.5, 10.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class DeclaredEstimates:
     """The declared estimates of one method in one log, n of them.
 
     row: (n,) index of the frame in the path. landmark: (n,) IDs. track: (n,) not negative.
@@ -88,7 +88,9 @@ class Passes:
     begin: IntArray
 
 
-def read_seen(path: Path, method: str, landmarks: LandmarkSet, fan: Fan, frame: IntArray) -> Seen:
+def read_declared(
+    path: Path, method: str, landmarks: LandmarkSet, fan: Fan, frame: IntArray
+) -> DeclaredEstimates:
     """The declared estimates of a method; frame: (F,) the numbers in frames.csv, rising.
 
     Raises SonarrecError where the table cannot be read or a declared estimate has no place or no
@@ -134,7 +136,7 @@ def read_seen(path: Path, method: str, landmarks: LandmarkSet, fan: Fan, frame: 
         parts.append(rows)
     rows = np.concatenate(parts)
     whole = rows[:, :3].astype(np.int64)
-    return Seen(
+    return DeclaredEstimates(
         row=np.searchsorted(frame, whole[:, 0]),
         landmark=whole[:, 1],
         track=whole[:, 2],
@@ -145,7 +147,9 @@ def read_seen(path: Path, method: str, landmarks: LandmarkSet, fan: Fan, frame: 
     )
 
 
-def find_passes(seen: Seen, path: SonarPath, landmarks: LandmarkSet, fan: Fan) -> Passes:
+def find_passes(
+    seen: DeclaredEstimates, path: SonarPath, landmarks: LandmarkSet, fan: Fan
+) -> Passes:
     """The passes of a log, placed on the floor; estimates in frames without a pose are left out.
 
     Estimates nearer than the floor are left out too.
@@ -169,7 +173,7 @@ def find_passes(seen: Seen, path: SonarPath, landmarks: LandmarkSet, fan: Fan) -
 
 
 def _passes(
-    seen: Seen,
+    seen: DeclaredEstimates,
     path: SonarPath,
     landmarks: LandmarkSet,
     fan: Fan,
@@ -226,7 +230,11 @@ def _passes(
 
 
 def _turns(
-    seen: Seen, landmarks: LandmarkSet, order: IntArray, begin: IntArray, yaw_deg: FloatArray
+    seen: DeclaredEstimates,
+    landmarks: LandmarkSet,
+    order: IntArray,
+    begin: IntArray,
+    yaw_deg: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """(n,) mean orientation on the floor and its standard error, deg; NaN where not known.
 

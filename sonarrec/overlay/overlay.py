@@ -46,7 +46,7 @@ class Targets:
 
 
 @dataclass(frozen=True, slots=True)
-class Overlaid:
+class OverlayReport:
     """What became of it: the method shown, frames written, what could not be used and a note."""
 
     method: str
@@ -70,7 +70,7 @@ def write_overlay(
     topic: str | None = None,
     grid: bool = False,
     observe: Callable[[int | None], None] | None = None,
-) -> Overlaid:
+) -> OverlayReport:
     """Draw the results of one log onto its frames, in one pass.
 
     results: the folder of this log's results, or one that holds it. method: None for the
@@ -127,7 +127,9 @@ def write_overlay(
         raise UsageError(f"{path}: no frame lies in --frames {span[0]}:{span[1] or ''}")
     made_of = run.input.topic
     notes = [f"{folder}: results of topic {made_of}, drawn onto {topic}"]
-    return Overlaid(method, written, problems, notes * bool(topic and made_of not in (None, topic)))
+    return OverlayReport(
+        method, written, problems, notes * bool(topic and made_of not in (None, topic))
+    )
 
 
 def _check_targets(targets: Targets, path: Path, ground_truth: Path | None) -> None:

@@ -143,7 +143,7 @@ class LogInfo:
         return bool(self.faults) or any(i.problems for i in self.images)
 
 
-class _Watched(RawLog):
+class _CountingLog(RawLog):
     """A RawLog that keeps count of what passes through it."""
 
     def __init__(self, raw: RawLog, observe: Observe | None) -> None:
@@ -279,7 +279,7 @@ def _images(
     stated: by file and flags; flags: by these alone. where: names the geometry. Returns also the
     faults of the file that reading it brought up.
     """
-    raw = _Watched(source.open(topic), observe)
+    raw = _CountingLog(source.open(topic), observe)
     by_user, stated = stated, raw.geometry(stated)
     lacks = [key for key in stated.missing() if key == "tilt_deg" or not raw.polar]
     complete = _with_stand_ins(stated, lacks)
@@ -340,7 +340,7 @@ def _looked_through(
     return used, log.problems, plausibility
 
 
-def _origin(key: str, flags: Sonar, stated: Sonar, where: str, raw: _Watched) -> str:
+def _origin(key: str, flags: Sonar, stated: Sonar, where: str, raw: _CountingLog) -> str:
     """Where a key's value is from. stated: by file and flags."""
     if getattr(flags, key) is not None:
         return "flag"

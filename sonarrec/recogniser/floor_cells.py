@@ -91,7 +91,7 @@ class FloorCells:
         )
 
     def shift(self, motion: FloatArray) -> float:
-        """About how many cells a motion (3,), as Registered.motion, moves a picture."""
+        """About how many cells a motion (3,), as Registration.motion, moves a picture."""
         right, ahead, turn = np.abs(motion)
         return float(
             max(max(right, ahead) / self.places.slant_step, turn / self.places.bearing_step)

@@ -17,7 +17,7 @@ from sonarrec.recogniser.floor_cells import FloorCells
 from sonarrec.recogniser.keyframes import Keyframes
 from sonarrec.recogniser.pan import PanEstimator
 from sonarrec.recogniser.plane import Plane
-from sonarrec.recogniser.registration import FloorRegistration, Registered
+from sonarrec.recogniser.registration import FloorRegistration, Registration
 from sonarrec.records import ByteImage, FloatArray, FloatImage, Motion
 
 # Least match of a registration that is believed: one that started from the last frame's motion,
@@ -64,7 +64,7 @@ class _Evidence:
     def none(cls) -> _Evidence:
         return cls(np.zeros(2), np.zeros((2, 2)))
 
-    def add(self, found: Registered) -> float:
+    def add(self, found: Registration) -> float:
         """Take in a frame. Returns the chi-square, of 2 degrees of freedom, of a motion so far."""
         information = np.linalg.inv(found.covariance[:2, :2] + 1e-9 * np.eye(2))
         self.vector = KEEP * self.vector + information @ found.motion[:2]
@@ -147,7 +147,9 @@ class ImageMotion:
         right, ahead = self._evidence.sigma.tolist()
         return Motion(pan_deg, 0.0, 0.0, self._pan_sigma, right, ahead)
 
-    def _quick_look(self, before: FloatImage, turn: float) -> tuple[Registered | None, bool, bool]:
+    def _quick_look(
+        self, before: FloatImage, turn: float
+    ) -> tuple[Registration | None, bool, bool]:
         """A quick registration, and whether by a keyframe, and by all evidence, the sonar moves.
 
         turn: the pan since the picture before, rad.
@@ -192,7 +194,7 @@ class ImageMotion:
 
     def _registered(
         self, before: FloatImage, start: FloatArray, *, searched: bool
-    ) -> Registered | None:
+    ) -> Registration | None:
         """A registration from `start` or from a search; None where it is not believed."""
         now = self.pan.picture
         if searched:
@@ -202,7 +204,7 @@ class ImageMotion:
             return None
         return found if found.match >= (LEAST_SEARCHED if searched else LEAST_NEAR) else None
 
-    def _went(self, found: Registered, seconds: float) -> Motion:
+    def _went(self, found: Registration, seconds: float) -> Motion:
         """The motion of a sonar that is under way; its speed and place are kept."""
         self._keyframes.keep(self.pan.picture, found.motion)
         self._speed, self._lost = found.motion / seconds, 0
@@ -215,7 +217,7 @@ def unknown(seconds: float) -> Motion:
     return Motion(0.0, 0.0, 0.0, degrees, metres, metres, known=False)
 
 
-def _motion(found: Registered) -> Motion:
+def _motion(found: Registration) -> Motion:
     """A registration as a Motion, its errors widened by SCALE_ERROR."""
     right, ahead, turn = found.motion.tolist()
     sigma = np.hypot(found.sigma, [SCALE_ERROR * right, SCALE_ERROR * ahead, 0])

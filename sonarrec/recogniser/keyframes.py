@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sonarrec.recogniser.registration import FloorRegistration, Registered
+from sonarrec.recogniser.registration import FloorRegistration, Registration
 from sonarrec.records import FloatArray, FloatImage
 
 # A keyframe serves from 6 to 12 cells away, as long as it matches. Steps of more than MOST_STEP
@@ -28,7 +28,7 @@ SUSPECT = 9.0
 
 class _Keyframe(NamedTuple):
     pose: FloatArray
-    """(3,) of the sonar, as Registered.motion, since the log's first picture."""
+    """(3,) of the sonar, as Registration.motion, since the log's first picture."""
     picture: FloatImage
 
 
@@ -46,10 +46,10 @@ class Keyframes:
         self._kept.clear()
         self._trail.clear()
 
-    def registered(self, now: FloatImage, start: FloatArray) -> Registered | None:
+    def registered(self, now: FloatImage, start: FloatArray) -> Registration | None:
         """The motion since the last picture, near `start`; None where no keyframe gives it.
 
-        start: (3,) as Registered.motion.
+        start: (3,) as Registration.motion.
         """
         if not self._kept or self._registration.floor.shift(start) > MOST_STEP:
             return None
@@ -96,7 +96,7 @@ class Keyframes:
         self._pose = _after(_after(keyframe.pose, found.motion), np.array([0.0, 0.0, -turn]))
         return True
 
-    def under_way(self, found: Registered) -> float | None:
+    def under_way(self, found: Registration) -> float | None:
         """The chi-square, of 2 degrees of freedom, of having moved over the last STRETCH frames.
 
         found: from `registered`. None after fewer frames.

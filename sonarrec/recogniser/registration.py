@@ -37,7 +37,7 @@ QUICK_BLOCKS = (4, 8)
 
 
 @dataclass(frozen=True, slots=True)
-class Registered:
+class Registration:
     """How two pictures fit together.
 
     motion: (3,) how far the sonar was carried to the right and ahead (m, in the axes of the earlier
@@ -82,10 +82,12 @@ class FloorRegistration:
         self._quick_down = floor.down[:3, self._quick, 1:-1].copy()
         self._quick_across = floor.across[:3, self._quick, 1:-1].copy()
 
-    def refined(self, before: FloatImage, now: FloatImage, start: FloatArray) -> Registered | None:
+    def refined(
+        self, before: FloatImage, now: FloatImage, start: FloatArray
+    ) -> Registration | None:
         """The motion near `start`; None where the steps do not come to rest.
 
-        start: (3,) as Registered.motion.
+        start: (3,) as Registration.motion.
         """
         motion = np.array(start, dtype=float)
         for _ in range(STEPS):
@@ -98,14 +100,14 @@ class FloorRegistration:
                 return None
             if (np.abs(step) < CONVERGED).all():
                 covariance = fit.covariance()
-                return None if covariance is None else Registered(motion, covariance, fit.match)
+                return None if covariance is None else Registration(motion, covariance, fit.match)
         return None
 
     def searched(self, before: FloatImage, now: FloatImage) -> FloatArray:
         """(3,) the likeliest motion of a coarse grid, a start for `refined`."""
         return motion_grid(self.floor.places).best(before, now)
 
-    def quick(self, before: FloatImage, now: FloatImage, turn: float) -> Registered | None:
+    def quick(self, before: FloatImage, now: FloatImage, turn: float) -> Registration | None:
         """The motion near a turn alone (rad): one step, for motions of a small part of a cell.
 
         It looks at some of the rows, and takes the height as constant. None where the pictures have
@@ -144,7 +146,7 @@ class FloorRegistration:
         rest = inverse @ blocks.sum(axis=1)
         rest[2] += turn
         match = product / math.sqrt(power * float(np.vdot(other, other)))
-        return Registered(rest, inverse @ (blocks @ blocks.T) @ inverse, match)
+        return Registration(rest, inverse @ (blocks @ blocks.T) @ inverse, match)
 
     def _sampled_rows(self, picture: FloatImage) -> FloatImage:
         """(3, rows, columns): above each row of the quick registration, that row, and below it."""

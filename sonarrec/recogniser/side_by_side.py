@@ -12,7 +12,7 @@ from sonarrec.landmarks import LandmarkSet
 from sonarrec.poses import PoseTable
 from sonarrec.recogniser.hindsight import Hindsight
 from sonarrec.recogniser.levels import Levels
-from sonarrec.recogniser.stage3_features.appearance import Judge
+from sonarrec.recogniser.stage3_features.appearance import Classifier
 from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, ThreeStages, together
 from sonarrec.recogniser.unchanging import Unchanging
 from sonarrec.records import Fan, Frame, FrameResult
@@ -33,7 +33,7 @@ class SideBySide:
         configs: Sequence[Config],
         fan: Fan,
         landmarks: LandmarkSet,
-        model: Judge | None = None,
+        model: Classifier | None = None,
         poses: PoseTable | None = None,
     ) -> None:
         behind = [f":{c.preset}" if len(configs) > 1 else "" for c in configs]

@@ -22,7 +22,7 @@ from sonarrec.recogniser.plane import working_plane
 from sonarrec.recogniser.stage1_candidates import CandidateSelector
 from sonarrec.recogniser.stage2_continuity import ContinuityFilter
 from sonarrec.recogniser.stage3_features import Measurement, shape_matrix
-from sonarrec.recogniser.stage3_features.appearance import AppearanceMeasurement, Judge
+from sonarrec.recogniser.stage3_features.appearance import AppearanceMeasurement, Classifier
 from sonarrec.recogniser.stage3_features.model import built_in_model
 from sonarrec.recogniser.stage3_features.published import PublishedMeasurement
 from sonarrec.recogniser.stage3_features.smi import identify
@@ -49,7 +49,7 @@ class ThreeStages:
         config: Config,
         fan: Fan,
         landmarks: LandmarkSet,
-        model: Judge | None = None,
+        model: Classifier | None = None,
         method: str = FRAMEWORK,
         smi: str | None = SMI,
         poses: PoseTable | None = None,

@@ -35,7 +35,7 @@ def no_progress(_came: int, _all: int | None) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class Fetched:
+class CachedCopy:
     """A log or results in the cache.
 
     path: the file, folder or glob to open. origin: the server's URL, for run.toml and messages.
@@ -55,7 +55,7 @@ def fetched(
     cache: Cache,
     progress: Progress = no_progress,
     stop: threading.Event | None = None,
-) -> Iterator[Fetched]:
+) -> Iterator[CachedCopy]:
     """A log in the cache: fetched if it is missing or has changed, and kept while it is used.
 
     Several processes or threads may call it at once for one log; it is fetched once.
@@ -71,14 +71,14 @@ def fetched(
 @contextmanager
 def hold(
     log: RemoteLog, cache: Cache, progress: Progress, stop: threading.Event, *, wait: bool = True
-) -> Iterator[Fetched]:
+) -> Iterator[CachedCopy]:
     """As `fetched`. wait: until other logs make room, instead of raising NoRoomError."""
     from sonarrec.remote.store import Store
 
     root, name, items = wanted(log, Store(log.url, stop))
     with _kept(log.url.shown, root, items, cache, progress, stop, wait) as entry:
         origin = Origin(log.url.shown, str(entry.files), root.place.rstrip("/"))
-        yield Fetched(entry.files / name, origin, entry.files if log.up_to else None)
+        yield CachedCopy(entry.files / name, origin, entry.files if log.up_to else None)
 
 
 def fetch_ahead(log: RemoteLog, cache: Cache) -> None:
@@ -96,7 +96,7 @@ def fetch_ahead(log: RemoteLog, cache: Cache) -> None:
 
 
 @contextmanager
-def fetched_file(text: str, cache: Cache) -> Iterator[Fetched]:
+def fetched_file(text: str, cache: Cache) -> Iterator[CachedCopy]:
     """One file, such as a ground-truth table; otherwise as `fetched`."""
     from sonarrec.remote.store import Store
 
@@ -109,16 +109,16 @@ def fetched_file(text: str, cache: Cache) -> Iterator[Fetched]:
 @contextmanager
 def _found(
     url: Url, root: Url, items: Sequence[Item], cache: Cache, unused: Sequence[str] = ()
-) -> Iterator[Fetched]:
+) -> Iterator[CachedCopy]:
     """These files, which lie below `root`; otherwise as `fetched`."""
     with _kept(url.shown, root, items, cache, no_progress, threading.Event(), True) as entry:
         origin = Origin(url.shown, str(entry.files), root.place.rstrip("/"))
         with origin.translated():
-            yield Fetched(entry.files / relative(url, root), origin, None, tuple(unused))
+            yield CachedCopy(entry.files / relative(url, root), origin, None, tuple(unused))
 
 
 @contextmanager
-def fetched_results(text: str, cache: Cache) -> Iterator[Fetched]:
+def fetched_results(text: str, cache: Cache) -> Iterator[CachedCopy]:
     """The finished results at a URL, of one log or of several; otherwise as `fetched`.
 
     Raises SonarrecError if there are none. Results without run.toml, which is uploaded last, are

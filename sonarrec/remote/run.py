@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 from sonarrec.readers.many import NamedLog, find_logs, named
 from sonarrec.records import Origin
 from sonarrec.remote.cache import Cache
-from sonarrec.remote.fetch import Fetched, fetched, fetched_file, fetched_results
+from sonarrec.remote.fetch import CachedCopy, fetched, fetched_file, fetched_results
 from sonarrec.remote.find import RemoteLog, beside, find
 from sonarrec.remote.urls import Url, is_url
 
@@ -97,7 +97,7 @@ class RemoteFiles:
         self._origins.append(origin)
         return path
 
-    def _enter(self, opening: AbstractContextManager[Fetched]) -> Path:
+    def _enter(self, opening: AbstractContextManager[CachedCopy]) -> Path:
         found = self._held.enter_context(opening)
         self._origins.append(found.origin)
         self.unused += found.unused

@@ -16,11 +16,18 @@ from sonarrec.evaluation.matching.pairs import Pair, read_pairs
 from sonarrec.files.outputs import check_output, write_page
 from sonarrec.records import number_of
 from sonarrec.report import frames
-from sonarrec.report.logs import MOST_LOGS, ReportedLog, Seen, read_logs, seen, told_false
+from sonarrec.report.logs import (
+    MOST_LOGS,
+    JudgedSighting,
+    ReportedLog,
+    false_claim_text,
+    judged_sightings,
+    read_logs,
+)
 from sonarrec.report.mistakes import Episode, episodes, in_words
 from sonarrec.report.outliers import Outlier, outliers, outliers_first
-from sonarrec.report.page import MOST_MISTAKES, Drawn, Many, render
-from sonarrec.report.pictures import Picture, Wanted
+from sonarrec.report.page import MOST_MISTAKES, LogsOverview, RecordingImages, render
+from sonarrec.report.pictures import Picture, PictureRequest
 from sonarrec.report.recordings import match_recordings, open_recording
 from sonarrec.results.read import find_logs, not_whole
 from sonarrec.sonar import Sonar
@@ -78,14 +85,16 @@ def write_report(
     drawn, missing = _draw_all(logs, evaluation, mistakes, recordings, sonar, topic)
     incomplete = (line for log in logs for line in not_whole(log.results, "shown"))
     unused = (*(incomplete if pooled is None else pooled.unused), *unread, *missing)
-    many = Many(len(shown.folders) if pooled is None else len(pooled.logs), shown.outliers)
+    overview = LogsOverview(
+        len(shown.folders) if pooled is None else len(pooled.logs), shown.outliers
+    )
     truth = pairs or ground_truth
-    write_page(path, render(logs, evaluation, pooled, mistakes, truth, drawn, unused, many))
+    write_page(path, render(logs, evaluation, pooled, mistakes, truth, drawn, unused, overview))
     return Report(path, len(drawn.pictures), sum(len(s.frames) for s in drawn.shown), unused)
 
 
 @dataclass(frozen=True, slots=True)
-class _Chosen:
+class _ChosenLogs:
     """The logs to show, in order, and their scores."""
 
     folders: list[Path]
@@ -105,7 +114,7 @@ def _choose(
     rows: list[Pair] | None,
     options: ScoringOptions,
     method: str | None,
-) -> _Chosen:
+) -> _ChosenLogs:
     """Read and score the logs. rows: results and truth of each, in place of the other two.
 
     If there are more than MOST_LOGS, they are read one at a time, and only MOST_LOGS of those that
@@ -123,19 +132,19 @@ def _choose(
             evaluation = evaluate_whole(rows, None, options)
         elif ground_truth is not None and results is not None:
             evaluation = evaluate_whole(results, ground_truth, options)
-        return _Chosen(
+        return _ChosenLogs(
             folders, truth, [], evaluation, None if evaluation is None else evaluation.pooled()
         )
     if not truth:
         found = outliers(folders, None, results, options, method)
-        return _Chosen(outliers_first(folders, found), [], found, None, None)
+        return _ChosenLogs(outliers_first(folders, found), [], found, None, None)
     pooled = evaluate_many(truth if results is None else results, ground_truth, options)
     found = outliers(folders, pooled, results, options, method)
     folders = outliers_first(pooled.folders, found)[:MOST_LOGS]
     row_of = {row.results: row for row in reversed(truth)}  # the first row of a log named twice
     truth = [row_of[folder] for folder in folders]
     evaluation = evaluate_whole(truth, None, options, some=True)
-    return _Chosen(folders, truth, found, evaluation, pooled)
+    return _ChosenLogs(folders, truth, found, evaluation, pooled)
 
 
 def _with_panels(
@@ -178,23 +187,23 @@ def _draw_all(
     recordings: Sequence[Path],
     sonar: Sonar,
     topic: str | None,
-) -> tuple[Drawn, list[str]]:
+) -> tuple[RecordingImages, list[str]]:
     """Pictures and frames of the recordings given; a line for each recording not found."""
     sources, missing = match_recordings(logs, recordings, sonar, topic)
     there = [log for log in logs if log.results.name in sources]
-    passes = [(log, s) for log in there for s in seen(log)]
-    wanted = [*_seen(there, passes), *_mistaken(evaluation, mistakes, sources)]
-    held = frames.choose(there, _named(passes, mistakes, wanted))
-    pictures: dict[Wanted, Picture] = {}
+    passes = [(log, s) for log in there for s in judged_sightings(log)]
+    requests = [*_sighting_requests(there, passes), *_mistaken(evaluation, mistakes, sources)]
+    held = frames.choose(there, _named(passes, mistakes, requests))
+    pictures: dict[PictureRequest, Picture] = {}
     shown: list[frames.ShownLog] = []
     for log in there:
         name = log.results.name
-        mine = [w for w in wanted if w.log == name]
+        mine = [w for w in requests if w.log == name]
         with open_recording(sources[name], log, sonar, topic) as recording:
             found, part = frames.take(recording, log, mine, held[name], _share(held))
         pictures |= found
         shown.append(part)
-    return Drawn([pictures[w] for w in wanted], shown), missing
+    return RecordingImages([pictures[w] for w in requests], shown), missing
 
 
 def _share(held: Mapping[str, Sequence[int]]) -> int:
@@ -203,12 +212,12 @@ def _share(held: Mapping[str, Sequence[int]]) -> int:
 
 
 def _named(
-    passes: Sequence[tuple[ReportedLog, Seen]],
+    passes: Sequence[tuple[ReportedLog, JudgedSighting]],
     mistakes: Mapping[str, Sequence[Episode]],
-    wanted: Sequence[Wanted],
+    requests: Sequence[PictureRequest],
 ) -> Iterator[tuple[str, int]]:
     """(log, frame) of all frames that the page names, the most interesting first."""
-    yield from ((w.log, w.frame) for w in wanted)
+    yield from ((w.log, w.frame) for w in requests)
     yield from ((log.results.name, log.frame_of(s.surest)) for log, s in passes)
     for found in mistakes.values():
         yield from ((e.log, e.worst) for e in found[:MOST_MISTAKES])
@@ -217,26 +226,28 @@ def _named(
         yield log.results.name, s.sighting.last_frame
 
 
-def _seen(logs: Sequence[ReportedLog], seen: Sequence[tuple[ReportedLog, Seen]]) -> list[Wanted]:
+def _sighting_requests(
+    logs: Sequence[ReportedLog], passes: Sequence[tuple[ReportedLog, JudgedSighting]]
+) -> list[PictureRequest]:
     """The surest frame of each declared landmark, then the shortest sightings."""
-    if logs and not seen:
+    if logs and not passes:
         return _nearest_to_one(logs)
 
-    def sure(one: tuple[ReportedLog, Seen]) -> tuple[float, bool, int]:
+    def sure(one: tuple[ReportedLog, JudgedSighting]) -> tuple[float, bool, int]:
         log, s = one
         # Of scores that print alike: a true claim first, then the longest sighting.
         return -round(log.results.score[s.surest], 2), s.is_false, -s.sighting.frames_declared
 
     best = {
-        k: min((one for one in seen if one[1].sighting.landmark == k), key=sure)
-        for k in sorted({s.sighting.landmark for _, s in seen})
+        k: min((one for one in passes if one[1].sighting.landmark == k), key=sure)
+        for k in sorted({s.sighting.landmark for _, s in passes})
     }
-    left = [one for one in seen if not any(one is b for b in best.values())]
+    left = [one for one in passes if not any(one is b for b in best.values())]
     rare = sorted(left, key=lambda one: one[1].sighting.frames_declared)
     return [
-        *(_wanted(log, s, "surest", "") for log, s in best.values()),
+        *(_sighting_request(log, s, "surest", "") for log, s in best.values()),
         *(
-            _wanted(
+            _sighting_request(
                 log,
                 s,
                 "rarest",
@@ -247,14 +258,16 @@ def _seen(logs: Sequence[ReportedLog], seen: Sequence[tuple[ReportedLog, Seen]])
     ]
 
 
-def _wanted(log: ReportedLog, seen: Seen, group: str, more: str) -> Wanted:
-    score, frame = log.results.score[seen.surest], log.frame_of(seen.surest)
-    wrong = f"False claim: {told_false(log, seen.surest)}." if seen.is_false else ""
-    caption = f"ID.{seen.sighting.landmark} ({score:.2f}){more}."
-    return Wanted(log.results.name, log.tracker, frame, group, caption, wrong)
+def _sighting_request(
+    log: ReportedLog, judged: JudgedSighting, group: str, more: str
+) -> PictureRequest:
+    score, frame = log.results.score[judged.surest], log.frame_of(judged.surest)
+    wrong = f"False claim: {false_claim_text(log, judged.surest)}." if judged.is_false else ""
+    caption = f"ID.{judged.sighting.landmark} ({score:.2f}){more}."
+    return PictureRequest(log.results.name, log.tracker, frame, group, caption, wrong)
 
 
-def _nearest_to_one(logs: Sequence[ReportedLog]) -> list[Wanted]:
+def _nearest_to_one(logs: Sequence[ReportedLog]) -> list[PictureRequest]:
     """The estimate of the highest score, for logs in which nothing was declared."""
     best: tuple[float, ReportedLog, int] | None = None
     for log in logs:
@@ -269,17 +282,17 @@ def _nearest_to_one(logs: Sequence[ReportedLog]) -> list[Wanted]:
     score, log, n = best
     landmark = log.ids[log.results.landmark_index[n]]
     caption = f"Nothing declared; nearest to it ID.{landmark} ({score:.2f})."
-    return [Wanted(log.results.name, log.tracker, log.frame_of(n), "surest", caption)]
+    return [PictureRequest(log.results.name, log.tracker, log.frame_of(n), "surest", caption)]
 
 
 def _mistaken(
     evaluation: Evaluation | None,
     mistakes: Mapping[str, Sequence[Episode]],
     sources: Mapping[str, Path],
-) -> list[Wanted]:
+) -> list[PictureRequest]:
     """The worst frame of the worst mistakes, per method."""
     return [
-        Wanted(e.log, method, e.worst, "mistake", "", f"{in_words(e, evaluation.joined)}.")
+        PictureRequest(e.log, method, e.worst, "mistake", "", f"{in_words(e, evaluation.joined)}.")
         for method, found in mistakes.items()
         for e in [e for e in found if e.log in sources][:MOST_MISTAKEN]
         if evaluation is not None

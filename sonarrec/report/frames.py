@@ -15,7 +15,7 @@ from sonarrec.drawing.results import AROUND, Mark, caption
 from sonarrec.readers.log import Log
 from sonarrec.records import ByteImage, Estimate, Fan, Frame, SonarrecError
 from sonarrec.report.logs import ReportedLog
-from sonarrec.report.pictures import Picture, Wanted, as_webp, draw, ellipse, shrunk
+from sonarrec.report.pictures import Picture, PictureRequest, as_webp, draw, ellipse, shrunk
 from sonarrec.results.folders import estimates_of
 from sonarrec.results.same_log import check_same_log
 from sonarrec.results.stream import read_estimates
@@ -41,7 +41,7 @@ class Outline:
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
+class ShownFrame:
     """One frame. at: its place on the log's time axis. image: a data URI of size (width, height).
     said: the outlines of each method of the log."""
 
@@ -61,7 +61,7 @@ class ShownLog:
     unit: str
     methods: list[str]
     in_all: int
-    frames: list[Shown] = field(default_factory=list)
+    frames: list[ShownFrame] = field(default_factory=list)
 
 
 def choose(
@@ -93,15 +93,19 @@ def choose(
 
 
 def take(
-    log: Log, reported: ReportedLog, wanted: Sequence[Wanted], held: Sequence[int], most_bytes: int
-) -> tuple[dict[Wanted, Picture], ShownLog]:
+    log: Log,
+    reported: ReportedLog,
+    wanted: Sequence[PictureRequest],
+    held: Sequence[int],
+    most_bytes: int,
+) -> tuple[dict[PictureRequest, Picture], ShownLog]:
     """The pictures wanted and the frames to hold, from one pass over the log.
 
     most_bytes: of each frame. Raises SonarrecError if the results are of another log, or if the log
     lacks a frame.
     """
     check_same_log(log, reported.folder, reported.run)
-    pictures: dict[Wanted, Picture] = {}
+    pictures: dict[PictureRequest, Picture] = {}
     methods = list(reported.results.methods)
     shown = ShownLog(
         reported.results.name,
@@ -158,7 +162,7 @@ def _shown(
     here: Mapping[str, Sequence[Estimate]],
     marks: Sequence[Mark],
     most_bytes: int,
-) -> Shown:
+) -> ShownFrame:
     found = reported.results
     image = shrunk(frame.image, LARGEST)
     scale = image.shape[1] / frame.image.shape[1]
@@ -179,7 +183,7 @@ def _shown(
         mine = sorted(here[method], key=lambda e: (e.declared, e.score))[-MOST_MARKED:]
         labelled = [(e, caption(e, found.landmarks, score=True), e.declared) for e in mine]
         said.append(outlines(labelled, 1))
-    return Shown(
+    return ShownFrame(
         frame=frame.index,
         at=round(float(reported.time[row]), 3),
         image=_within(image, most_bytes),

@@ -182,7 +182,7 @@ def _truth_near(log: LogResults, truth: Truth, min_visible: float) -> IntArray |
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class JudgedSighting:
     """A sighting and whether it is true. n declarations, indices into the estimates."""
 
     sighting: Sighting
@@ -197,7 +197,7 @@ class Seen:
     """Whether `surest` is known to be a false claim."""
 
 
-def seen(log: ReportedLog) -> list[Seen]:
+def judged_sightings(log: ReportedLog) -> list[JudgedSighting]:
     """The tracker's passes, in order of first sight."""
     found = log.results
     mine = np.flatnonzero(log.of_method(log.tracker) & found.declared)
@@ -214,19 +214,24 @@ def seen(log: ReportedLog) -> list[Seen]:
             here &= found.object[at] == s.track
         if here.any():
             at = at[here]
-            shown.append(_seen(log, s, at, None if false is None else false[at]))
+            shown.append(_judged(log, s, at, None if false is None else false[at]))
     return shown
 
 
-def _seen(log: ReportedLog, sighting: Sighting, at: IntArray, wrong: BoolArray | None) -> Seen:
-    """at: (n,) its declarations. wrong: (n,) which are false claims, None if not known."""
+def _judged(
+    log: ReportedLog, sighting: Sighting, at: IntArray, wrong: BoolArray | None
+) -> JudgedSighting:
+    """A sighting with its surest declaration and how many are true.
+
+    at: (n,) its declarations. wrong: (n,) which are false claims, None if not known.
+    """
     rows = log.results.frame_index[at]
     place = log.results.position
     aside = rows - (rows[0] + rows[-1]) / 2 if place is None else np.arctan2(*place[at].T)
     true_last = np.zeros(len(at), dtype=bool) if wrong is None else wrong
     best = np.lexsort((np.abs(aside), true_last, -log.results.score[at].round(2)))[0]
     right = None if wrong is None else int((~wrong).sum())
-    return Seen(sighting, at, int(at[best]), right, bool(true_last[best]))
+    return JudgedSighting(sighting, at, int(at[best]), right, bool(true_last[best]))
 
 
 def _false(log: ReportedLog) -> BoolArray | None:
@@ -244,7 +249,7 @@ def _false(log: ReportedLog) -> BoolArray | None:
     return ~there[found.frame_index, found.landmark_index]
 
 
-def told_false(log: ReportedLog, estimate: int) -> str:
+def false_claim_text(log: ReportedLog, estimate: int) -> str:
     """A false claim in words."""
     if log.truth_near is None:
         return "the landmark is not in view"

@@ -10,7 +10,7 @@ from sonarrec.results.sightings import Sighting
 
 
 @dataclass(frozen=True, slots=True)
-class Measured:
+class MeasuredColumn:
     """One column: a measurement of each sighting."""
 
     head: str
@@ -34,9 +34,9 @@ class Measured:
 
 
 MEASURED = (
-    Measured("range, m", "range_m", 3, "range_sigma_m"),
-    Measured("bearing, deg", "bearing_deg", 1, "bearing_sigma_deg"),
-    Measured("orientation, deg", "orientation_deg", 0, "orientation_sigma_deg"),
-    Measured("x, m", "x_m", 2),
-    Measured("y, m", "y_m", 2),
+    MeasuredColumn("range, m", "range_m", 3, "range_sigma_m"),
+    MeasuredColumn("bearing, deg", "bearing_deg", 1, "bearing_sigma_deg"),
+    MeasuredColumn("orientation, deg", "orientation_deg", 0, "orientation_sigma_deg"),
+    MeasuredColumn("x, m", "x_m", 2),
+    MeasuredColumn("y, m", "y_m", 2),
 )

@@ -24,8 +24,15 @@ from sonarrec.evaluation.summary import over_units, summarise, units_text
 from sonarrec.records import number_of
 from sonarrec.report import charts
 from sonarrec.report.frames import ShownLog
-from sonarrec.report.logs import ReportedLog, Seen, Track, seen, tracks, true_landmark
-from sonarrec.report.measured import MEASURED, Measured
+from sonarrec.report.logs import (
+    JudgedSighting,
+    ReportedLog,
+    Track,
+    judged_sightings,
+    tracks,
+    true_landmark,
+)
+from sonarrec.report.measured import MEASURED, MeasuredColumn
 from sonarrec.report.mistakes import Episode, in_words
 from sonarrec.report.outliers import Outlier
 from sonarrec.report.pictures import Picture
@@ -68,9 +75,9 @@ class LogView:
     axis: Axis
     """The time axis of the whole log."""
     unseen: list[int]
-    sightings: list[Seen]
+    sightings: list[JudgedSighting]
     sightings_left: int
-    measured: list[Measured]
+    measured: list[MeasuredColumn]
     """Columns with a value in any sighting."""
     in_utc: bool
     """Whether the log's times count from 1970."""
@@ -83,7 +90,7 @@ class LogView:
 
 
 @dataclass(frozen=True, slots=True)
-class Drawn:
+class RecordingImages:
     """Content from the recordings: pictures in order, and frames to show on a click."""
 
     pictures: list[Picture] = field(default_factory=list)
@@ -136,7 +143,7 @@ class Scores:
 
 
 @dataclass(frozen=True, slots=True)
-class Many:
+class LogsOverview:
     """How many logs there are, and those that differ from the rest."""
 
     in_all: int
@@ -149,9 +156,9 @@ def render(
     pooled: Pooled | None,
     wrong: Mapping[str, Sequence[Episode]],
     truth: Path | None,
-    drawn: Drawn,
+    drawn: RecordingImages,
     unused: Sequence[str],
-    many: Many,
+    overview: LogsOverview,
 ) -> str:
     """The whole page as HTML.
 
@@ -173,12 +180,12 @@ def render(
         number=_number,
         time_of_day=_time_of_day,
         version=__version__,
-        title=_title(logs, many),
+        title=_title(logs, overview),
         contents=_contents(
             scores is not None,
             bool(scores and scores.others),
-            several=many.in_all > 1,
-            outliers=bool(many.outliers),
+            several=overview.in_all > 1,
+            outliers=bool(overview.outliers),
             mapped=map_picture is not None,
         ),
         few=FEW,
@@ -195,11 +202,11 @@ def render(
         truth=None if truth is None else truth.name,
         evaluation=evaluation,
         scores=scores,
-        surest=[p for p in drawn.pictures if p.wanted.group == "surest"],
-        rarest=[p for p in drawn.pictures if p.wanted.group == "rarest"],
-        mistake_pictures=[p for p in drawn.pictures if p.wanted.group == "mistake"],
+        surest=[p for p in drawn.pictures if p.request.group == "surest"],
+        rarest=[p for p in drawn.pictures if p.request.group == "rarest"],
+        mistake_pictures=[p for p in drawn.pictures if p.request.group == "mistake"],
         unused=_first(unused),
-        many=many,
+        overview=overview,
         most_outliers=MOST_RATES,
         pooled=pooled,
         held={shown.name: n for n, shown in enumerate(drawn.shown)},
@@ -211,9 +218,9 @@ def render(
     )
 
 
-def _title(logs: Sequence[ReportedLog], many: Many) -> str:
-    if many.in_all > len(logs):
-        return f"{many.in_all} logs"
+def _title(logs: Sequence[ReportedLog], overview: LogsOverview) -> str:
+    if overview.in_all > len(logs):
+        return f"{overview.in_all} logs"
     return ", ".join(log.results.name for log in logs[:3]) + (", ..." if logs[3:] else "")
 
 
@@ -300,7 +307,7 @@ def _mistakes_of(row: tuple[str, list[cells.OperatingPoint]]) -> int:
 
 
 def _log_view(log: ReportedLog, most_tracks: int) -> LogView:
-    found = seen(log)
+    found = judged_sightings(log)
     found_tracks = tracks(log, most_tracks, MOST_SILENT)
     stamps = log.results.timestamp_ns
     rows = charts.timeline(log)

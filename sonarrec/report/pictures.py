@@ -18,7 +18,7 @@ QUALITY = 80
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class PictureRequest:
     """A frame to draw with the estimates of one method.
 
     log: name. frame: its number in the log. group: "surest", "rarest" or "mistake". wrong: its
@@ -37,7 +37,7 @@ class Wanted:
 class Picture:
     """A drawn frame. source: a data URI. alt: a description."""
 
-    wanted: Wanted
+    request: PictureRequest
     source: str
     width: int
     height: int
@@ -47,13 +47,13 @@ class Picture:
 def draw(
     frame: Frame,
     reported: ReportedLog,
-    wanted: Sequence[Wanted],
+    requests: Sequence[PictureRequest],
     said: Mapping[str, Sequence[Estimate]],
     marks: Sequence[Mark],
-) -> dict[Wanted, Picture]:
-    """The frame drawn for each `wanted`. said: its estimates by method. marks: its truth."""
+) -> dict[PictureRequest, Picture]:
+    """The frame drawn for each `requests`. said: its estimates by method. marks: its truth."""
     return {
-        w: _picture(frame, reported, said[w.method], marks if w.wrong else (), w) for w in wanted
+        w: _picture(frame, reported, said[w.method], marks if w.wrong else (), w) for w in requests
     }
 
 
@@ -87,7 +87,7 @@ def _picture(
     reported: ReportedLog,
     estimates: Sequence[Estimate],
     marks: Sequence[Mark],
-    wanted: Wanted,
+    request: PictureRequest,
 ) -> Picture:
     landmarks = reported.results.landmarks
     image = draw_frame(frame.image, frame.fan, landmarks, estimates, truth=marks, score=True)
@@ -97,7 +97,7 @@ def _picture(
     ]
     parts += [f"truth holds ID.{mark.landmark}" for mark in marks]
     return Picture(
-        wanted=wanted,
+        request=request,
         source=as_webp(image, QUALITY),
         width=image.shape[1],
         height=image.shape[0],

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.drawing.results import Mark, draw_frame
-from sonarrec.evaluation.by_range import recognised
+from sonarrec.evaluation.by_range import recognition_rates
 from sonarrec.evaluation.evaluate import evaluate_whole
 from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import Pair
@@ -25,7 +25,7 @@ from sonarrec.pipeline.run import process
 from sonarrec.readers.pixels import decode_image
 from sonarrec.recogniser.three_stages import FRAMEWORK
 from sonarrec.records import Estimate, FrameResult
-from sonarrec.report.site_results import ENOUGH, AtContrast, Shown, Site, sentences
+from sonarrec.report.site_results import ENOUGH, ContrastResults, ExampleFrame, Site, sentences
 from sonarrec.results.run_file import LogOptions
 from sonarrec.simulation.background import (
     Background,
@@ -43,7 +43,7 @@ Step = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
-class Laid:
+class SiteSetup:
     """What all recordings and their runs have in common.
 
     beam_width_deg: by which the discs are smeared. run_options: with one Config.
@@ -62,7 +62,7 @@ def assess(
     log: Path,
     log_options: LogOptions,
     out: Path,
-    laid: Laid,
+    setup: SiteSetup,
     *,
     contrasts: Sequence[float],
     layouts: int,
@@ -77,7 +77,7 @@ def assess(
     landmarks, as in `draw_layout`. Raises SonarrecError if input cannot be used or files cannot be
     written.
     """
-    background, landmarks, run_options = laid.background, laid.landmarks, laid.run_options
+    background, landmarks, run_options = setup.background, setup.landmarks, setup.run_options
     drawn = [draw_layout(background, landmarks, seed + n, count) for n in range(layouts)]
     claims = 0
 
@@ -89,10 +89,10 @@ def assess(
     results = out / "results"
     process(log, results, log_options, run_options, claimed, name="as_it_is", overwrite=True)
     pairs: dict[float, list[Pair]] = {db: [] for db in contrasts}
-    shown: list[Shown] = []
+    shown: list[ExampleFrame] = []
     for number, layout in enumerate(drawn, 1):
         doing = f"layout {number} of {layouts}"
-        for db, pair, picture in _run_layout(laid, layout, contrasts, out, number, doing, step):
+        for db, pair, picture in _run_layout(setup, layout, contrasts, out, number, doing, step):
             pairs[db].append(pair)
             if number == 1:
                 shown.append(picture)
@@ -102,8 +102,8 @@ def assess(
         frames=len(background.path),
         landmarks=landmarks.name,
         radius_m=landmarks.radius_m,
-        plate_db=laid.plate_db,
-        beam_width_deg=laid.beam_width_deg,
+        plate_db=setup.plate_db,
+        beam_width_deg=setup.beam_width_deg,
         dynamic_range_db=background.dynamic_range_db,
         preset=run_options.configs[0].preset,
         seed=seed,
@@ -117,16 +117,16 @@ def assess(
 
 
 def _run_layout(
-    laid: Laid,
+    setup: SiteSetup,
     layout: Layout,
     contrasts: Sequence[float],
     out: Path,
     number: int,
     doing: str,
     step: Step,
-) -> Iterator[tuple[float, Pair, Shown]]:
+) -> Iterator[tuple[float, Pair, ExampleFrame]]:
     """Lay one layout at every contrast and run each: (contrast, results with truth, picture)."""
-    background, landmarks = laid.background, laid.landmarks
+    background, landmarks = setup.background, setup.landmarks
     under = out / "recordings" / f"layout_{number}"
     folders = {db: under / f"contrast_{db:g}" for db in contrasts}
     write_backgrounds(
@@ -134,16 +134,16 @@ def _run_layout(
         layout,
         landmarks,
         folders,
-        laid.plate_db,
-        laid.beam_width_deg,
+        setup.plate_db,
+        setup.beam_width_deg,
         lambda: step(f"{doing}, discs"),
     )
     # The beam width is that of a run of the recording itself.
     configs = [
         replace(c, features=replace(c.features, beam_width_deg=background.beam_width_deg))
-        for c in laid.run_options.configs
+        for c in setup.run_options.configs
     ]
-    run_options = replace(laid.run_options, configs=configs)
+    run_options = replace(setup.run_options, configs=configs)
     shown_frame = _most_landmarks(background, layout, landmarks)
     for db, folder in folders.items():
         seen: list[Estimate] = []
@@ -159,7 +159,7 @@ def _run_layout(
         own = LogOptions(sonar_file=folder / "sonar.toml")  # not the geometry of an earlier run
         process(folder, out / "results", own, run_options, observe, name=name, overwrite=True)
         picture = _picture(background, layout, landmarks, folder, shown_frame, db, seen)
-        if not laid.keep:
+        if not setup.keep:
             for image in folder.glob("*.png"):
                 image.unlink()
         yield db, Pair(out / "results" / name, folder / "gt.csv"), picture
@@ -169,20 +169,20 @@ def _declared(result: FrameResult) -> list[Estimate]:
     return [e for e in result.estimates if e.method == FRAMEWORK and e.declared]
 
 
-def _scored(background: Background, pairs: dict[float, list[Pair]]) -> list[AtContrast]:
+def _scored(background: Background, pairs: dict[float, list[Pair]]) -> list[ContrastResults]:
     fan = background.fan
     nearest = max(fan.range_min_m, STEEPEST * floor_depth(fan))
     edges = np.linspace(nearest, fan.range_max_m, RANGE_STEPS + 1).tolist()
     found = []
     for db, rows in pairs.items():
         scored = evaluate_whole(rows, options=ScoringOptions(min_visible=MIN_VISIBLE))
-        one = recognised(scored, FRAMEWORK, edges)
+        one = recognition_rates(scored, FRAMEWORK, edges)
         near = far = math.nan
         for each in (r for r in one.by_range if r.tpr.cases):
             if each.tpr.value < ENOUGH:
                 break
             near, far = (each.near_m if math.isnan(near) else near), each.far_m
-        found.append(AtContrast(db, one, near, far))
+        found.append(ContrastResults(db, one, near, far))
     return found
 
 
@@ -207,11 +207,11 @@ def _picture(
     frame: int,
     contrast_db: float,
     declared: Sequence[Estimate],
-) -> Shown:
+) -> ExampleFrame:
     image = decode_image((folder / f"{frame:06d}.png").read_bytes())
     rows = truth_of(background, layout, landmarks, frame)
     marks = [Mark(row.landmark, row.x_px, row.y_px) for row in rows]
     drawn = draw_frame(
         np.asarray(image, np.uint8), background.fan, landmarks, declared, truth=marks, score=True
     )
-    return Shown(contrast_db, frame, drawn, len(marks), len(declared))
+    return ExampleFrame(contrast_db, frame, drawn, len(marks), len(declared))

@@ -15,7 +15,7 @@ from sonarrec.evaluation.counting.uncertainty import LEVEL, MIN_UNITS
 from sonarrec.evaluation.plots import COLOURS
 from sonarrec.records import FloatArray
 from sonarrec.report.pictures import LARGEST, QUALITY, as_webp, shrunk
-from sonarrec.report.site_results import ENOUGH, AtContrast, Shown, Site
+from sonarrec.report.site_results import ENOUGH, ContrastResults, ExampleFrame, Site
 from sonarrec.report.svg import STYLES, UNIT, Axis, Chart, Dot, Shape, polyline
 from sonarrec.report.templates import filled
 
@@ -70,7 +70,7 @@ def _cell(rate: Rate, digits: int) -> Cell:
     return cells.cell(rate.value, rate.low, rate.high, digits)
 
 
-def _row(one: AtContrast) -> Row:
+def _row(one: ContrastResults) -> Row:
     found = one.found
     return Row(
         f"{one.contrast_db:g} dB",
@@ -83,13 +83,13 @@ def _row(one: AtContrast) -> Row:
     )
 
 
-def _contrast_axis(found: Sequence[AtContrast]) -> Axis:
+def _contrast_axis(found: Sequence[ContrastResults]) -> Axis:
     low, high = found[0].contrast_db, found[-1].contrast_db
     margin = max(0.05 * (high - low), 0.5)
     return Axis(low - margin, high + margin)
 
 
-def _over_contrast(found: Sequence[AtContrast]) -> Chart:
+def _over_contrast(found: Sequence[ContrastResults]) -> Chart:
     """TPR over contrast, with its interval as thin lines."""
     rates = [one.found.tpr for one in found]
     x = _contrast_axis(found).share(np.array([one.contrast_db for one in found]))
@@ -106,7 +106,7 @@ def _over_contrast(found: Sequence[AtContrast]) -> Chart:
     )
 
 
-def _false(found: Sequence[AtContrast]) -> Chart:
+def _false(found: Sequence[ContrastResults]) -> Chart:
     """False claims over contrast."""
     value = np.array([one.found.false_per_100.value for one in found])
     up = Axis(0.0, max(1.0, 1.1 * float(np.nanmax(value))))
@@ -115,7 +115,7 @@ def _false(found: Sequence[AtContrast]) -> Chart:
 
 
 def _contrast_chart(
-    found: Sequence[AtContrast],
+    found: Sequence[ContrastResults],
     value: FloatArray,
     texts: Sequence[str],
     up: Axis,
@@ -136,7 +136,7 @@ def _contrast_chart(
     return Chart("; ".join(texts), drawn, axis.ticks(), up.ticks(5), dots, *labels)
 
 
-def _over_range(found: Sequence[AtContrast]) -> Chart:
+def _over_range(found: Sequence[ContrastResults]) -> Chart:
     """TPR at the middle of each step of slant range, a line for each contrast."""
     steps = found[0].found.by_range
     axis = Axis(steps[0].near_m, steps[-1].far_m)
@@ -158,7 +158,7 @@ def _over_range(found: Sequence[AtContrast]) -> Chart:
     )
 
 
-def _picture(one: Shown) -> Picture:
+def _picture(one: ExampleFrame) -> Picture:
     image = shrunk(one.image, LARGEST)
     declared = f"{one.declared} of {one.truth} declared" if one.truth else "no landmark in view"
     return Picture(

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sonarrec.evaluation.by_range import Rate, Recognised
+from sonarrec.evaluation.by_range import Rate, RecognitionRates
 from sonarrec.evaluation.counting.uncertainty import MIN_UNITS, unseen_share
 from sonarrec.files.outputs import write_csv, write_text, writing
 from sonarrec.records import ByteImage, number_of
@@ -20,7 +20,7 @@ ENOUGH = 0.9
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
+class ExampleFrame:
     """A frame at one contrast, drawn on: truth dashed, declared landmarks in colour."""
 
     contrast_db: float
@@ -31,7 +31,7 @@ class Shown:
 
 
 @dataclass(frozen=True, slots=True)
-class AtContrast:
+class ContrastResults:
     """The results at one contrast.
 
     near_m, far_m: slant ranges between which landmarks are recognised in ENOUGH of the frames,
@@ -39,7 +39,7 @@ class AtContrast:
     """
 
     contrast_db: float
-    found: Recognised
+    found: RecognitionRates
     near_m: float
     far_m: float
 
@@ -72,14 +72,14 @@ class Site:
     preset: str
     seed: int
     layouts: tuple[Layout, ...]
-    contrasts: tuple[AtContrast, ...]
+    contrasts: tuple[ContrastResults, ...]
     empty: float
     sentences: tuple[str, ...]
-    shown: tuple[Shown, ...]
+    shown: tuple[ExampleFrame, ...]
     notes: tuple[str, ...]
 
 
-def sentences(found: Sequence[AtContrast], claims: int, frames: int) -> list[str]:
+def sentences(found: Sequence[ContrastResults], claims: int, frames: int) -> list[str]:
     """The answer: from which contrast on, at which range, how certain, and false claims."""
     lines = []
     good = len(found)

@@ -196,7 +196,7 @@ def draw_layout(
 
 
 @dataclass(frozen=True, slots=True)
-class Composed:
+class ComposedFrame:
     """One frame with discs. images: by contrast (dB). truth: of gt.csv, in the layout's order."""
 
     index: int
@@ -211,7 +211,7 @@ def compose(
     contrasts: Sequence[float],
     plate_db: float,
     beam_width_deg: float,
-) -> Iterator[Composed]:
+) -> Iterator[ComposedFrame]:
     """The recording's frames with the discs of a layout, at each contrast.
 
     contrasts, plate_db: of ring and sectors, and of the plate, over the floor, dB.
@@ -224,7 +224,9 @@ def compose(
         shapes = [composer.footprint(disc, pose) for disc in layout.discs]
         there = [shape for shape in shapes if shape is not None]
         images = {db: composer.lay(frame.image, surface, there, db, plate_db) for db in contrasts}
-        yield Composed(frame.index, images, truth_of(background, layout, landmarks, frame.index))
+        yield ComposedFrame(
+            frame.index, images, truth_of(background, layout, landmarks, frame.index)
+        )
 
 
 def truth_of(

@@ -19,7 +19,7 @@ def raised_m(item: PlacedLandmark | PlacedObject, radius_m: float) -> float:
     return radius_m * math.sin(math.radians(item.lean_deg))
 
 
-class Raised:
+class RaisedDisc:
     """A disc whose lower edge touches the floor, where a sonar over the origin sees it.
 
     What is raised is as near as floor that lies nearer along the same azimuth; there it shows.

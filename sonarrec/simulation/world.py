@@ -11,7 +11,7 @@ import numpy as np
 
 from sonarrec.records import FloatArray
 from sonarrec.simulation.grid import PolarGrid, SquareGrid, smooth_noise
-from sonarrec.simulation.laid import Raised, ripples, silt_over
+from sonarrec.simulation.laid import RaisedDisc, ripples, silt_over
 from sonarrec.simulation.motion import Pose
 from sonarrec.simulation.plane import Plane
 from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene, place_of
@@ -122,7 +122,7 @@ class World:
         dx, dy = grid.x_m[box] - x0, grid.y_m[box] - y0
         raised = None
         if item.lean_deg:
-            raised = Raised(item, radius, scene.sonar.height_m, grid.x_m[box], grid.y_m[box])
+            raised = RaisedDisc(item, radius, scene.sonar.height_m, grid.x_m[box], grid.y_m[box])
             dx, dy = raised.dx_m, raised.dy_m
         turn = math.radians(item.orientation_deg)
         u = (dx * math.cos(turn) + dy * math.sin(turn)) / radius

@@ -52,7 +52,7 @@ class LogImages:
 
 
 @dataclass(frozen=True, slots=True)
-class Converted:
+class ConversionReport:
     """What became of the annotations.
 
     format: which it was. counts: rows written per ID. notes: what was done on the way.
@@ -84,7 +84,7 @@ def convert(
     labels: Mapping[str, int | None] | None = None,
     first_frame: int | None = None,
     log: LogImages | None = None,
-) -> Converted:
+) -> ConversionReport:
     """Write the annotations in `source` as `out`, a new gt.csv.
 
     labels: the ID for labels that do not show it themselves; None leaves a label out. first_frame:
@@ -125,7 +125,7 @@ def convert(
     if len(rows) < len(used):
         notes.append(f"{number_of(len(used) - len(rows), 'repeated shape')} left out")
     counts = Counter(row[1] for row in rows)
-    return Converted(name, {i: counts[i] for i in landmarks.ids if counts[i]}, notes, unused)
+    return ConversionReport(name, {i: counts[i] for i in landmarks.ids if counts[i]}, notes, unused)
 
 
 def _landmark_ids(

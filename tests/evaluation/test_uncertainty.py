@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from sonarrec.evaluation.counting.behaviour import PassOutcomes, wait_counts
-from sonarrec.evaluation.counting.counted import rate_count
 from sonarrec.evaluation.counting.curves import ratio
 from sonarrec.evaluation.counting.passes import MOST_UNITS, find_passes, find_units
 from sonarrec.evaluation.counting.scoring import score
@@ -25,6 +24,7 @@ from sonarrec.evaluation.counting.uncertainty import (
     macro,
     replicates,
 )
+from sonarrec.evaluation.counting.unit_sums import rate_sums
 from sonarrec.evaluation.metrics import METRICS, rates, tally, waits
 from sonarrec.evaluation.summary import over_units, summarise
 from sonarrec.records import FloatArray
@@ -53,11 +53,11 @@ def rate_tallies(scored, units) -> list[Tally]:
         mine = scored.landmark_index == k
         claims = [(scored.score[mine], scored.effect[mine], group[mine])]
         labels = (scored.protocol, scored.method, str(landmark))
-        found.append(rate_count(labels, base[:, k], declared[:, k], scored.curve(k), claims))
+        found.append(rate_sums(labels, base[:, k], declared[:, k], scored.curve(k), claims))
     labels = (scored.protocol, scored.method, "total")
     claims = [(scored.score, scored.effect, group)]
     whole = base.sum(axis=1), declared.sum(axis=1)
-    found.append(rate_count(labels, *whole, scored.curve(), claims))
+    found.append(rate_sums(labels, *whole, scored.curve(), claims))
     return [tally(rates, counted) for counted in found]
 
 
@@ -369,7 +369,7 @@ def test_a_tally_is_told_over_the_same_numbers_again() -> None:
 
 def test_small_rates_are_told_apart_as_large_ones_are() -> None:
     """Ten of twelve units with one false claim more: by enumeration 2 of 2^10 swaps are as far off,
-    whatever the frames are. Sums are held in 32 bits, as `rate_count` holds them."""
+    whatever the frames are. Sums are held in 32 bits, as `rate_sums` holds them."""
     fp = np.array([1] * 10 + [0] * 2)
     rng = np.random.default_rng(0)
     weights, tosses = bootstrap_weights(12, rng), coin_tosses(12, rng)

@@ -34,7 +34,7 @@ from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.summary import summarise
 from sonarrec.landmarks import load_landmarks
 from sonarrec.report import charts, frames, svg
-from sonarrec.report.logs import ReportedLog, Track, alongside, read_logs, seen, tracks
+from sonarrec.report.logs import ReportedLog, Track, alongside, judged_sightings, read_logs, tracks
 from sonarrec.report.mistakes import episodes, in_words
 from sonarrec.report.settings import settings_tables
 from sonarrec.sonar import Sonar
@@ -790,7 +790,7 @@ def test_sightings_of_the_sample(results: Path) -> None:
                 key = (int(row["landmark"]), int(row["object"]))
                 claims.setdefault(key, []).append((int(row["frame"]), float(row["score"])))
     reported_log = reported(results, SAMPLE / "gt.csv")
-    found = seen(reported_log)
+    found = judged_sightings(reported_log)
     assert {(one.sighting.landmark, one.sighting.track) for one in found} == set(claims)
     assert {one.sighting.landmark for one in found} == {1, 3}
     assert len(found) == 3  # landmark 1 goes and comes back

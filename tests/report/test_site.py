@@ -15,9 +15,9 @@ import cv2
 import numpy as np
 import pytest
 
-from sonarrec.evaluation.by_range import RangeRate, Rate, Recognised
+from sonarrec.evaluation.by_range import RangeRate, Rate, RecognitionRates
 from sonarrec.landmarks import BUILT_IN
-from sonarrec.report.site_results import AtContrast, sentences
+from sonarrec.report.site_results import ContrastResults, sentences
 from sonarrec.simulation.random_scenes import random_scene
 from sonarrec.simulation.simulate import write_recording
 from tests.support.browser import chromium, look
@@ -156,7 +156,7 @@ def test_a_folder_in_use_is_refused(site: Path) -> None:
     assert "already exists and is not empty" in told
 
 
-def at(db: float, shares: list[float], units: int = 8, false: int = 0) -> AtContrast:
+def at(db: float, shares: list[float], units: int = 8, false: int = 0) -> ContrastResults:
     """A contrast with these rates in steps of a metre from 1 m."""
     mean = float(np.mean(shares))
     alike = mean in (0.0, 1.0) or units < 6
@@ -169,7 +169,7 @@ def at(db: float, shares: list[float], units: int = 8, false: int = 0) -> AtCont
     reach = next((n for n, v in enumerate(shares) if v < 0.9), len(shares))
     near, far = (1.0, 1.0 + reach) if reach else (math.nan, math.nan)
     claims = Rate(100, units, false, float(false), math.nan, math.nan)
-    return AtContrast(db, Recognised(whole, steps, claims), near, far)
+    return ContrastResults(db, RecognitionRates(whole, steps, claims), near, far)
 
 
 def test_the_sentence_names_the_least_contrast_that_holds_from_there_on() -> None:

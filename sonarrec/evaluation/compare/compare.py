@@ -17,7 +17,6 @@ from sonarrec.evaluation.compare.log_pair import CountedPair, LogPair, count_pai
 from sonarrec.evaluation.compare.pairing import pair_logs
 from sonarrec.evaluation.compare.settings import SettingChange, changed_settings
 from sonarrec.evaluation.counting.behaviour import PassOutcomes
-from sonarrec.evaluation.counting.counted import Counted
 from sonarrec.evaluation.counting.passes import UnitKind
 from sonarrec.evaluation.counting.pooled import Parts, Pooled, pooled
 from sonarrec.evaluation.counting.store import Store
@@ -27,6 +26,7 @@ from sonarrec.evaluation.counting.uncertainty import (
     coin_tosses,
     differences,
 )
+from sonarrec.evaluation.counting.unit_sums import UnitSums
 from sonarrec.evaluation.evaluate import DEFAULT, distinct_names, other_ids
 from sonarrec.evaluation.matching.fit import scorable_logs
 from sonarrec.evaluation.matching.options import ScoringOptions
@@ -204,7 +204,7 @@ def _runs(pair: LogPair) -> tuple[str, RunFile, RunFile]:
 
 
 @dataclass(frozen=True, slots=True)
-class _Counted:
+class _CountedPairs:
     """The counts of all pairs that can be compared."""
 
     used: list[LogPair]
@@ -220,7 +220,7 @@ class _Counted:
     """A line for each log that is not compared."""
 
 
-def _counted(pairs: Sequence[LogPair], jobs: int | None, min_visible: float) -> _Counted:
+def _counted(pairs: Sequence[LogPair], jobs: int | None, min_visible: float) -> _CountedPairs:
     """Read and count all pairs.
 
     Raises SonarrecError if none can be compared, or if they have different IDs or no method.
@@ -259,7 +259,7 @@ def _counted(pairs: Sequence[LogPair], jobs: int | None, min_visible: float) -> 
     old, new = (pooled(parts, kept, names, min_visible) for parts in (before, after))
     if not (old.methods and new.methods):
         raise SonarrecError(f"{', '.join(names)}: estimates.csv names no method to score")
-    return _Counted(
+    return _CountedPairs(
         used=[replace(read[i], name=n) for i, n in zip(found.usable, names, strict=True)],
         before=old,
         after=new,
@@ -270,7 +270,7 @@ def _counted(pairs: Sequence[LogPair], jobs: int | None, min_visible: float) -> 
     )
 
 
-def _compared(counted: _Counted, unit: UnitKind | None, **known: Any) -> Comparison:
+def _compared(counted: _CountedPairs, unit: UnitKind | None, **known: Any) -> Comparison:
     """known: the fields of Comparison that are known already."""
     before, after = counted.before, counted.after
     units = after.units(unit)
@@ -322,7 +322,7 @@ def _compared(counted: _Counted, unit: UnitKind | None, **known: Any) -> Compari
     )
 
 
-def _rate_changes(old: Counted, new: Counted) -> Iterable[RateChange]:
+def _rate_changes(old: UnitSums, new: UnitSums) -> Iterable[RateChange]:
     """The rates of MAIN that are known in the old or the new results."""
     tp, tn, fp, fn = new.exact.made[0].tolist()
     for name in MAIN:

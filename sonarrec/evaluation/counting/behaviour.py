@@ -9,16 +9,16 @@ from functools import partial
 
 import numpy as np
 
-from sonarrec.evaluation.counting.counted import (
-    Counted,
-    Values,
-    by_landmark,
-    spread_count,
-    sum_count,
-)
 from sonarrec.evaluation.counting.passes import Passes, Units
 from sonarrec.evaluation.counting.scoring import Scored
 from sonarrec.evaluation.counting.store import ranked
+from sonarrec.evaluation.counting.unit_sums import (
+    UnitSums,
+    Values,
+    by_landmark,
+    histogram_sums,
+    plain_sums,
+)
 from sonarrec.evaluation.matching.joined import Joined, distance, nearest_truth
 from sonarrec.records import BoolArray, FloatArray, IntArray, follows
 
@@ -63,8 +63,8 @@ class Switches:
 
 
 @dataclass(frozen=True, slots=True)
-class Switched:
-    """Switches of a method, (R,) each."""
+class SwitchTotals:
+    """Sums of the Switches of a method, (R,) each."""
 
     passes: FloatArray
     ids: FloatArray
@@ -96,7 +96,7 @@ def wait_counts(
     landmark_index: IntArray,
     unit: IntArray,
     units: int,
-) -> Iterator[Counted]:
+) -> Iterator[UnitSums]:
     """Frames to a lasting ID, over the passes of each ID and of all.
 
     landmark_index, unit: (P,) of the passes. units: how many there are. A pass without a lasting
@@ -107,7 +107,7 @@ def wait_counts(
         for name, mine in by_landmark(ids, landmark_index):
             labels = (one.protocol, one.method, name)
             some = [(one.wait[mine], unit[mine])]
-            yield spread_count(labels, partial(list, some), units, edges)
+            yield histogram_sums(labels, partial(list, some), units, edges)
 
 
 def on_truth(joined: Joined) -> IntArray:
@@ -141,11 +141,11 @@ def minutes(joined: Joined, units: Units) -> FloatArray:
 
 def false_claim_counts(
     method: str, ids: Sequence[int], made: IntArray, minutes: FloatArray
-) -> Iterator[Counted]:
+) -> Iterator[UnitSums]:
     """FalseClaims per claimed ID and in all. made: from `false_claims`. minutes: from `minutes`."""
     named = [(str(i), made[:, k]) for k, i in enumerate(ids)]
     for name, mine in [*named, ("total", made.sum(axis=1))]:
-        yield sum_count(("strict", method, name), FalseClaims, [*mine.T, minutes])
+        yield plain_sums(("strict", method, name), FalseClaims, [*mine.T, minutes])
 
 
 def switches(joined: Joined, nearest: IntArray, passes: Passes) -> list[Switches]:
@@ -198,20 +198,20 @@ def switch_counts(
     landmark_index: IntArray,
     unit: IntArray,
     units: int,
-) -> Iterator[Counted]:
-    """Switched per ID and in all; the arguments are those of `wait_counts`."""
+) -> Iterator[UnitSums]:
+    """SwitchTotals per ID and in all; the arguments are those of `wait_counts`."""
     for one in found:
         # All methods have the same columns, so that tests can swap them.
-        record = Switched if one.tracks is not None else _without_tracks
+        record = SwitchTotals if one.tracks is not None else _without_tracks
         kinds = one.ids, np.zeros_like(one.ids) if one.tracks is None else one.tracks
         for name, mine in by_landmark(ids, landmark_index):
             summed = (np.bincount(unit[mine], kind[mine], units) for kind in kinds)
             columns = [np.bincount(unit[mine], minlength=units), *summed]
-            yield sum_count(("strict", one.method, name), record, columns)
+            yield plain_sums(("strict", one.method, name), record, columns)
 
 
-def _without_tracks(passes: FloatArray, ids: FloatArray, _: FloatArray) -> Switched:
-    return Switched(passes, ids)
+def _without_tracks(passes: FloatArray, ids: FloatArray, _: FloatArray) -> SwitchTotals:
+    return SwitchTotals(passes, ids)
 
 
 def position_errors(strict: Scored, joined: Joined, right: IntArray) -> FloatArray:
@@ -249,7 +249,7 @@ def positive_is_claimed(scored: Scored, joined: Joined) -> BoolArray:
 
 def error_counts(
     methods: Sequence[str], ids: Sequence[int], errors: Callable[[str, int], Values], units: int
-) -> Iterator[Counted]:
+) -> Iterator[UnitSums]:
     """Errors of right claims, per ID and in all.
 
     errors: gives the errors of a method and the k-th ID, without NaN, and their units.
@@ -271,4 +271,4 @@ def error_counts(
     for method in methods:
         named = [(str(i), [(method, n)]) for n, i in enumerate(ids)]
         for name, some in [*named, ("total", [(method, i) for i in k])]:
-            yield spread_count(("strict", method, name), partial(several, some), units, edges)
+            yield histogram_sums(("strict", method, name), partial(several, some), units, edges)

@@ -16,12 +16,12 @@ import numpy as np
 import numpy.typing as npt
 
 from sonarrec.evaluation.counting.behaviour import PassOutcomes, Switches
-from sonarrec.evaluation.counting.counted import Claims, Values
 from sonarrec.evaluation.counting.curves import Count, Curve
 from sonarrec.evaluation.counting.parts import Part, PassTable, ScoredPart, Totals
 from sonarrec.evaluation.counting.passes import LOGS_ENOUGH, MOST_UNITS, UnitKind, fewer
 from sonarrec.evaluation.counting.scoring import PROTOCOLS
 from sonarrec.evaluation.counting.store import Store, summed
+from sonarrec.evaluation.counting.unit_sums import Claims, Values
 from sonarrec.records import FloatArray, IntArray
 from sonarrec.results.read import in_order
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sonarrec.evaluation.counting.counted import Counted
 from sonarrec.evaluation.counting.curves import ratio
 from sonarrec.evaluation.counting.passes import Units
+from sonarrec.evaluation.counting.unit_sums import UnitSums
 from sonarrec.evaluation.matching.joined import Joined
 from sonarrec.records import BoolArray, FloatArray, IntArray
 
@@ -26,7 +26,7 @@ class Calibration:
     """(R,) sum of (p - y)^2."""
     count: FloatArray
     """(R, BINS) estimates."""
-    said: FloatArray
+    stated: FloatArray
     """(R, BINS) sum of their probabilities."""
     right: FloatArray
     """(R, BINS) how many are right."""
@@ -79,20 +79,20 @@ def calibration(joined: Joined, nearest: IntArray, units: Units, method: int) ->
     return np.stack([*rows, _row(squares, steps)], axis=1)
 
 
-def calibration_counts(method: str, ids: Sequence[int], rows: FloatArray) -> Iterator[Counted]:
+def calibration_counts(method: str, ids: Sequence[int], rows: FloatArray) -> Iterator[UnitSums]:
     """Calibration per ID, for "none" and in total. rows: from `calibration`."""
     for c, name in enumerate([*map(str, ids), "none", "total"]):
         sums = np.ascontiguousarray(rows[:, c])
         exact = _calibration(sums.sum(axis=0)[None])
-        yield Counted("strict", method, name, sums, _calibration, exact)
+        yield UnitSums("strict", method, name, sums, _calibration, exact)
 
 
-def reliability(counted: Iterable[Counted]) -> Iterator[Reliability]:
+def reliability(counted: Iterable[UnitSums]) -> Iterator[Reliability]:
     """The curves of records from `calibration_counts`."""
     for one in counted:
-        count, said, right = (a[0] for a in (one.exact.count, one.exact.said, one.exact.right))
+        count, stated, right = (a[0] for a in (one.exact.count, one.exact.stated, one.exact.right))
         name = "top" if one.landmark_text == "total" else one.landmark_text
-        mean, share = ratio(said, count), ratio(right, count)
+        mean, share = ratio(stated, count), ratio(right, count)
         yield Reliability(one.method, name, count.astype(np.int64), mean, share)
 
 

@@ -29,7 +29,7 @@ LEAST_FRAMES, FEW_BEAMS, FRAMES_OF_FEW_BEAMS = 2, 5, 8
 HALF_POWER = 2 * (2 * np.log(2)) ** 0.5  # width of a Gaussian at half power, in its sigmas
 
 
-class Judge(Protocol):
+class Classifier(Protocol):
     """What judges discs by their features."""
 
     def probabilities(self, features: FloatArray, smear: FloatArray) -> FloatArray:
@@ -49,7 +49,7 @@ class AppearanceMeasurement:
         plane: Plane,
         sampler: ShapeSampler,
         landmarks: LandmarkSet,
-        model: Judge,
+        model: Classifier,
         beam_width_deg: float,
         remember_frames: int,
     ) -> None:

@@ -25,7 +25,7 @@ FPR_GRID = np.unique(
 )
 """The FPRs of resampled curves, dense about FPR_POINTS. Reported curves are exact."""
 QUANTILES = (0.5, 0.9, 0.95)
-"""The quantiles that metrics may use; `exact_spread` has no others."""
+"""The quantiles that metrics may use; `exact_histogram` has no others."""
 
 Claims = Iterable[tuple[FloatArray, IntArray, IntArray]]
 """Blocks of claims: (n,) scores, (n, 4) effects and (n,) units."""
@@ -34,7 +34,7 @@ Values = Callable[[], Iterable[tuple[FloatArray, IntArray]]]
 
 
 @dataclass(frozen=True, slots=True)
-class Counted:
+class UnitSums:
     """The contributions of the units to a record, for one method under one protocol."""
 
     protocol: str
@@ -61,7 +61,7 @@ class Rates:
 
 
 @dataclass(frozen=True, slots=True)
-class Spread:
+class CumulativeHistogram:
     """A cumulative histogram."""
 
     edges: FloatArray
@@ -76,9 +76,9 @@ class Spread:
         return np.where(total[:, 0] > 0, found, np.nan)
 
 
-def rate_count(
+def rate_sums(
     labels: tuple[str, str, str], base: IntArray, declared: IntArray, curve: Curve, claims: Claims
-) -> Counted:
+) -> UnitSums:
     """The contributions of the units to Rates.
 
     labels: protocol, method, landmark_text. base: (U, 4) TP, TN, FP, FN without any claim.
@@ -100,7 +100,7 @@ def rate_count(
                 steps[first : first + len(added), c] += added
     # The curve of a sum is the sum of curves, so this is done once and not in each draw.
     np.cumsum(steps, axis=2, out=steps)
-    return Counted(
+    return UnitSums(
         *labels,
         sums=np.hstack([declared, steps.reshape(units, -1)]).astype(np.float32),
         record=_rates,
@@ -116,10 +116,10 @@ def _rates(rows: FloatArray) -> Rates:
     return Rates(rows[:, :4], tpr, fpr)
 
 
-def spread_count(
+def histogram_sums(
     labels: tuple[str, str, str], values: Values, units: int, edges: FloatArray
-) -> Counted:
-    """The contributions of the units to a Spread.
+) -> UnitSums:
+    """The contributions of the units to a CumulativeHistogram.
 
     labels: protocol, method, landmark_text. edges: rising; the last is no less than any value.
     Resampled values are rounded up to an edge, so methods need equal edges to be compared.
@@ -133,28 +133,30 @@ def spread_count(
             added = np.bincount(place, minlength=size).reshape(-1, len(edges))
             sums[first : first + len(added)] += added
     np.cumsum(sums, axis=1, out=sums)
-    exact = exact_spread(lambda: (some for some, _ in values()))
-    return Counted(*labels, sums, lambda rows: Spread(edges, rows), exact)
+    exact = exact_histogram(lambda: (some for some, _ in values()))
+    return UnitSums(*labels, sums, lambda rows: CumulativeHistogram(edges, rows), exact)
 
 
-def exact_spread(values: Blocks) -> Spread:
-    """A Spread of all values whose edges are their QUANTILES and maximum, which are thus exact."""
+def exact_histogram(values: Blocks) -> CumulativeHistogram:
+    """The histogram of all values; its edges, their QUANTILES and maximum, are thus exact."""
     total = sum(map(len, values()))
     if not total:
-        return Spread(np.zeros(1), np.zeros((1, 1)))
-    least = np.ceil(np.array([*QUANTILES, 1.0]) * total - 1e-3)  # as in Spread.quantile
+        return CumulativeHistogram(np.zeros(1), np.zeros((1, 1)))
+    least = np.ceil(
+        np.array([*QUANTILES, 1.0]) * total - 1e-3
+    )  # as in CumulativeHistogram.quantile
     reached = np.clip(least, 1, total)
-    return Spread(ranked(values, reached.astype(np.int64) - 1), reached[None])
+    return CumulativeHistogram(ranked(values, reached.astype(np.int64) - 1), reached[None])
 
 
-def sum_count(
+def plain_sums(
     labels: tuple[str, str, str],
     record: Callable[..., Any],
     columns: Sequence[FloatArray | IntArray],
-) -> Counted:
+) -> UnitSums:
     """Plain sums. columns: (U,) each, contributions to the fields of `record` in order."""
     sums = np.stack(columns, axis=1).astype(float)
-    return Counted(*labels, sums, lambda rows: record(*rows.T), record(*sums.sum(axis=0)[:, None]))
+    return UnitSums(*labels, sums, lambda rows: record(*rows.T), record(*sums.sum(axis=0)[:, None]))
 
 
 def by_landmark(ids: Sequence[int], landmark_index: IntArray) -> list[tuple[str, BoolArray]]:
