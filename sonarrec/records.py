@@ -291,7 +291,7 @@ class Estimate:
     landmark: the most probable ID. score: 0 to 1, what a ROC threshold sweeps.
     declared: the method claims the ID at its operating point. range_sigma_m, bearing_sigma_deg,
     orientation_sigma_deg: standard errors, NaN where the method has none. sight_deg, in_view: as in
-    Groups. chapter: as in Gathered. These three are not written.
+    Groups. chapter: as in Evidence. These three are not written.
     """
 
     method: str

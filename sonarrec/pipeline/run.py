@@ -147,8 +147,8 @@ def process(
     """Run one log and write `out`/<name>/, by default under the log's own name.
 
     The same results are not made again, and those of another log not replaced, but with overwrite.
-    ahead: as in `together`, where there is a core for it. What the process writes to descriptor 2
-    meanwhile may be lost: see `decode_image`.
+    ahead: as in `recognise_together`, where there is a core for it. What the process writes to
+    descriptor 2 meanwhile may be lost: see `decode_image`.
     Raises SonarrecError for input or settings that cannot be used.
     """
     with prepare(Path(path), Path(out), log_options, run_options, name) as job:

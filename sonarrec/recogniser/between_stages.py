@@ -1,4 +1,4 @@
-"""What each stage hands to the next: of one frame, and of several frames at once."""
+"""What each stage hands to the next, for one frame or for several at once."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sonarrec.recogniser.stage3_features import Gathered
+from sonarrec.recogniser.stage3_features import Evidence
 from sonarrec.records import (
     BoolArray,
     ByteImage,
@@ -51,8 +51,8 @@ class AfterStage2:
     """(n, L, ANGLES) which of their cells lie inside the fan."""
     groups: Groups
     """m of them."""
-    gathered: Gathered
-    """Of the groups, as the measurement gathers it."""
+    evidence: Evidence
+    """Of the groups, from `Measurement.gather`."""
     motion: Motion | None = None
     """Of the sonar since the frame before."""
 
@@ -77,11 +77,15 @@ class Batch:
         """Frame by frame."""
         self.tracked = joined(self.groups)
         """All m of them."""
-        self.gathered = joined([f.gathered for f in frames])
+        self.evidence = joined([f.evidence for f in frames])
         """Of all m."""
 
     def results(self, single: list[Estimate], tracked: list[Estimate]) -> list[FrameResult]:
-        """Frame by frame: `single` of the candidates (or of none), then `tracked` of the groups."""
+        """The estimates frame by frame: those of the candidates, then those of the groups.
+
+        single: of all candidates, in order; empty if the single-frame method is not run. tracked:
+        of all groups, in order.
+        """
         singles = _split(single, self._candidates if single else [0] * len(self._candidates))
         return [
             FrameResult(f.frame, f.timestamp_ns, candidates, tracks, (*a, *b), f.motion)

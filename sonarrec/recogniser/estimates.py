@@ -35,7 +35,7 @@ class EstimateMaker:
     def of_groups(self, method: str, batch: Batch, beliefs: Beliefs) -> list[Estimate]:
         """The framework's estimates of a batch's groups. Its score is the belief in the ID."""
         _, scores = likeliest(beliefs.probabilities)
-        chapters = batch.gathered.chapters
+        chapters = batch.evidence.chapters
         return self._estimates(method, batch.tracked, chapters, beliefs, scores, self._declare)
 
     def of_candidates(self, method: str, batch: Batch, found: Identification) -> list[Estimate]:
@@ -65,7 +65,7 @@ class EstimateMaker:
     ) -> list[Estimate]:
         """One Estimate for each of n objects.
 
-        chapters: (n,) as in Gathered. scores: (n,). threshold: as `declared`.
+        chapters: (n,) as in Evidence. scores: (n,). threshold: as `declared`.
         """
         landmark_index, _ = likeliest(beliefs.probabilities)
         positions, spread = objects.positions, objects.spread

@@ -54,7 +54,7 @@ class Hindsight:
     Where most frames do not believe in the pool's ID, they stay as they were. An ID is never
     declared in a frame where too little of its object is in view. Where a track comes back with
     another picture, another object has taken up its number: so a belief holds for one chapter of a
-    track alone (see Gathered).
+    track alone (see Evidence).
 
     lag: how many frames a result waits for its revision.
     """
@@ -82,7 +82,7 @@ class Hindsight:
 
     def _add(self, frame: int, estimate: Estimate) -> None:
         """Add one frame's estimate to the opinion of its track."""
-        opinion = self._opinions.now(estimate.object, estimate.chapter, frame)
+        opinion = self._opinions.current(estimate.object, estimate.chapter, frame)
         opinion.add(estimate.probabilities)
         opinion.beliefs_sum += estimate.probabilities
         if estimate.score > opinion.turns.get(estimate.landmark, (0.0,))[0]:
@@ -91,14 +91,14 @@ class Hindsight:
             opinion.turns[estimate.landmark] = (estimate.score, turn, sigma)
 
     def revised(self, result: FrameResult) -> FrameResult:
-        """A past result, which `learn` has taken in, with what is known now."""
+        """A past result with the beliefs of today; `learn` must have taken it in."""
         return replace(result, estimates=tuple(self._revise(e) for e in result.estimates))
 
     def _revise(self, estimate: Estimate) -> Estimate:
-        """The estimate with its track's belief and orientation; of another method as it is."""
+        """The estimate with its track's belief and orientation; unchanged if of another method."""
         if estimate.method != self._method:
             return estimate
-        opinion = self._opinions.of(estimate.object, estimate.chapter)
+        opinion = self._opinions.get(estimate.object, estimate.chapter)
         beliefs = opinion.beliefs()
         (landmark_index,), (score,) = likeliest(beliefs[None])
         claimed = bool(declared(score, self._threshold))
@@ -120,7 +120,7 @@ class Hindsight:
 
 
 def _from_image(estimate: Estimate) -> float:
-    """Degrees to add to an angle in the image to count it from the line of sight at first.
+    """Degrees that turn an angle in the image into one from the line of sight as the track began.
 
     The line of sight turns in the image with the bearing, and over the floor as the sonar is
     carried past; the object does not turn.

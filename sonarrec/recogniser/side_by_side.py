@@ -13,7 +13,7 @@ from sonarrec.poses import PoseTable
 from sonarrec.recogniser.hindsight import Hindsight
 from sonarrec.recogniser.levels import Levels
 from sonarrec.recogniser.stage3_features.appearance import Classifier
-from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, ThreeStages, together
+from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, ThreeStages, recognise_together
 from sonarrec.recogniser.unchanging import Unchanging
 from sonarrec.records import Fan, Frame, FrameResult
 
@@ -69,10 +69,10 @@ class SideBySide:
         """The results in the log's order, each when it is final.
 
         An exception on the way is raised after the results of all frames before it, but for those
-        that wait to be revised: call `waiting` for these. ahead: as in `together`.
+        that wait to be revised: call `waiting` for these. ahead: as in `recognise_together`.
         """
         whole = self._levels.restored(self._unchanging.filled(frames))
-        for found in together([*self._recognisers.values()], whole, ahead=ahead):
+        for found in recognise_together([*self._recognisers.values()], whole, ahead=ahead):
             results = self._of_each(dict(zip(self._recognisers, found, strict=True)))
             for hindsight, result in zip(self._hindsight, results, strict=True):
                 if hindsight is not None:

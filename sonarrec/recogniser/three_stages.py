@@ -13,12 +13,12 @@ import numpy as np
 from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.poses import PoseTable
-from sonarrec.recogniser.ahead import Ahead
 from sonarrec.recogniser.beam_width import usual_beam_width_deg
 from sonarrec.recogniser.between_stages import AfterStage1, AfterStage2, Batch
 from sonarrec.recogniser.estimates import EstimateMaker
 from sonarrec.recogniser.odometry import Odometry
 from sonarrec.recogniser.plane import working_plane
+from sonarrec.recogniser.prefetch import Prefetcher
 from sonarrec.recogniser.stage1_candidates import CandidateSelector
 from sonarrec.recogniser.stage2_continuity import ContinuityFilter
 from sonarrec.recogniser.stage3_features import Measurement, shape_matrix
@@ -56,9 +56,9 @@ class ThreeStages:
     ) -> None:
         """fan: the geometry that all frames of the log share. model: default, the built-in one.
 
-        method: the name of the framework's estimates. smi: the name of the single-frame method's;
-        None: it is not run. poses: where they tell the sonar's motion, it is not measured in the
-        images.
+        method: the name of the framework in the estimates. smi: that of the single-frame method;
+        None: it is not run. poses: of the sonar; where they give its motion, it is not measured in
+        the images.
         """
         self.fan = fan
         rng = np.random.default_rng(config.seed)
@@ -90,28 +90,29 @@ class ThreeStages:
         self._method, self._smi = method, smi
 
     def recognise(self, frames: Iterable[Frame]) -> Iterator[FrameResult]:
-        """The three stages over the frames of a log; see `together`."""
-        return (result for (result,) in together([self], frames))
+        """The three stages over the frames of a log; see `recognise_together`."""
+        return (result for (result,) in recognise_together([self], frames))
 
     def step(self, frame: Frame) -> FrameResult:
-        """The three stages over the log's next frame alone."""
+        """The three stages over one frame, which must be the log's next."""
         return self.stage3([self.stage2(self.stage1(frame, self.working_image(frame)))])[0]
 
     def working_image(self, frame: Frame) -> ByteImage:
-        """The frame in the working plane: what stage 1 works on. Of any frame."""
+        """The frame in the working plane, which stage 1 works on. Frames may come in any order."""
         return self._plane.warp(frame.pixels, frame.polar)
 
     def stage1(self, frame: Frame, image: ByteImage) -> AfterStage1:
         """Candidate selection (Section 3.2): where could a landmark's circle be?
 
-        Of any frame and its working image.
+        image: the frame's `working_image`. Frames may come in any order.
         """
         return AfterStage1(frame.index, frame.timestamp_ns, image, self._select(image))
 
     def stage2(self, frame: AfterStage1) -> AfterStage2:
         """Continuity evaluation (Section 3.3): which candidates are objects that persist?
 
-        Of the log's next frame. The shape matrices for stage 3 are sampled here as well.
+        Frames must come in the log's order. The shape matrices that stage 3 needs are sampled here
+        too, while the image is at hand.
         """
         image, selection = frame.image, frame.selection
         motion = self.odometry.step(image, frame.timestamp_ns)
@@ -125,7 +126,7 @@ class ThreeStages:
         sight[n:] -= np.radians(shape_matrix.whole_steps(groups.sight_deg)[1])
         levels = self._select.levels(selection, places)
         grey, seen = self._sampler(image, self._plane.inside, places, sight, *levels)
-        gathered = self._measurement.gather(groups, grey[n:], seen[n:])
+        evidence = self._measurement.gather(groups, grey[n:], seen[n:])
         return AfterStage2(
             frame.frame,
             frame.timestamp_ns,
@@ -134,18 +135,18 @@ class ThreeStages:
             grey[:n],
             seen[:n],
             groups,
-            gathered,
+            evidence,
             motion,
         )
 
     def stage3(self, frames: Sequence[AfterStage2]) -> list[FrameResult]:
         """Bayesian feature estimation (Section 3.4): which landmark is each object?
 
-        Of the log's next frames, one or more. Into how many calls they are divided changes nothing
+        frames: one or more, in the log's order. How they are divided among calls changes nothing
         but rounding.
         """
         batch = Batch(frames)
-        beliefs = self._measurement.beliefs(batch.groups, batch.gathered)
+        beliefs = self._measurement.beliefs(batch.groups, batch.evidence)
         tracked = self._estimates.of_groups(self._method, batch, beliefs)
         # The paper's baseline: shape-matrix identification (SMI) of single frames.
         single = []
@@ -155,28 +156,28 @@ class ThreeStages:
         return batch.results(single, tracked)
 
 
-def together(
+def recognise_together(
     recognisers: Sequence[ThreeStages], frames: Iterable[Frame], *, ahead: bool = False
 ) -> Iterator[tuple[FrameResult, ...]]:
     """Several recognisers over the same frames: for each frame, one result of each recogniser.
 
-    Results come in bursts of FRAMES_AT_ONCE. An exception on the way, Ctrl-C as well, is raised
-    once the results of all frames before it are out. ahead: read frames and do stage 1 in a
-    thread beside this one; in a thread each where fans are LARGE.
+    Results come in bursts of FRAMES_AT_ONCE. An exception on the way, also Ctrl-C, is raised after
+    the results of all frames before it were yielded. ahead: whether stage 1 runs ahead in a thread
+    of its own, with the frames' reading; where fans are LARGE, reading has another thread.
     """
-    cv2.ipp.setUseIPP(False)  # as in __init__.py: each thread has its own switch
+    cv2.ipp.setUseIPP(False)  # as in the package: each thread has its own switch
     with ExitStack() as threads:
         seen: Iterable[tuple[Frame, list[ByteImage]]]
         seen = ((frame, [r.working_image(frame) for r in recognisers]) for frame in frames)
         if ahead and all(r.fan.rows * r.fan.columns >= LARGE for r in recognisers):
-            seen = threads.enter_context(closing(Ahead(seen)))
+            seen = threads.enter_context(closing(Prefetcher(seen)))
         selected: Iterable[list[AfterStage1]]
         selected = (
             [r.stage1(frame, image) for r, image in zip(recognisers, images, strict=True)]
             for frame, images in seen
         )
         if ahead:
-            selected = threads.enter_context(closing(Ahead(selected)))
+            selected = threads.enter_context(closing(Prefetcher(selected)))
         left, broken = iter(selected), None
         while broken is None:
             tracked: list[list[AfterStage2]] = []

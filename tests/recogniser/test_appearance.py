@@ -435,8 +435,8 @@ def averaged(pattern, seed: int, frames: int = 16, range_m: float = 2.1, bearing
         image = PLANE.warp(speckled(disc, seen, rng, dark=plate))
         grey, visible = SAMPLER(image, PLANE.inside, centre, sight, *surroundings(image))
         track = dataclasses.replace(groups(1), positions=centre, existence=SURE[:1])
-        gathered = measurement.gather(track, grey, visible)
-    known = measurement.beliefs([track], gathered)
+        evidence = measurement.gather(track, grey, visible)
+    known = measurement.beliefs([track], evidence)
     return known.probabilities[0], float(sight[0] + known.turn[0] * STEP)
 
 

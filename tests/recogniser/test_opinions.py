@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from sonarrec.recogniser.stage3_features import Gathered
+from sonarrec.recogniser.stage3_features import Evidence
 from sonarrec.recogniser.stage3_features.opinions import (
     LEAST_BELIEF,
     LEAST_NOW,
@@ -39,15 +39,15 @@ def groups(*numbers: int, remembered: tuple[int, ...] = ()) -> Groups:
     )
 
 
-def gathered(*chapters: int) -> Gathered:
+def evidence(*chapters: int) -> Evidence:
     n = len(chapters)
     cells = np.zeros((n, 1, 1))
-    return Gathered(cells, cells, np.ones(n, np.int64), np.array(chapters, np.int64))
+    return Evidence(cells, cells, np.ones(n, np.int64), np.array(chapters, np.int64))
 
 
 def beliefs_of(chapters: list[int], frames: np.ndarray) -> np.ndarray:
     """Of track 7, seen in so many frames, each in a chapter of its life."""
-    return TrackBelief(IDS, 400)([groups(7)] * len(frames), gathered(*chapters), frames)
+    return TrackBelief(IDS, 400)([groups(7)] * len(frames), evidence(*chapters), frames)
 
 
 @given(said)
@@ -68,7 +68,7 @@ def test_the_same_whatever_frames_come_together(frames: np.ndarray, first: int) 
     whole = beliefs_of([1] * 6, frames)
     belief = TrackBelief(IDS, 400)
     parts = [
-        belief([groups(7)] * len(some), gathered(*[1] * len(some)), some)
+        belief([groups(7)] * len(some), evidence(*[1] * len(some)), some)
         for some in (frames[:first], frames[first:])
     ]
     np.testing.assert_array_equal(np.concatenate(parts), whole)
@@ -77,9 +77,11 @@ def test_the_same_whatever_frames_come_together(frames: np.ndarray, first: int) 
 @given(said)
 def test_tracks_know_nothing_of_each_other(frames: np.ndarray) -> None:
     """Two tracks whose rows alternate, against each by itself."""
-    together = TrackBelief(IDS, 400)([groups(3, 9)] * 3, gathered(1, 2, 1, 2, 1, 2), frames)
+    recognise_together = TrackBelief(IDS, 400)(
+        [groups(3, 9)] * 3, evidence(1, 2, 1, 2, 1, 2), frames
+    )
     for k in range(2):
-        np.testing.assert_array_equal(together[k::2], beliefs_of([1] * 3, frames[k::2]))
+        np.testing.assert_array_equal(recognise_together[k::2], beliefs_of([1] * 3, frames[k::2]))
 
 
 def test_what_all_frames_say_is_believed_a_little_more_than_one_frame_says_it() -> None:
@@ -114,9 +116,9 @@ def test_a_new_chapter_forgets_until_the_old_one_goes_on(returns_to: int) -> Non
 def test_chapters_that_prove_to_be_one_share_their_opinion() -> None:
     opinions = Opinions(lambda: Opinion(np.zeros(IDS + 1)))
     for frame, chapter in enumerate((1, 1, 2, 1)):
-        opinions.now(7, chapter, frame).add(np.full(IDS + 1, 0.2))
-    assert opinions.of(7, 1) is opinions.of(7, 2)
-    assert opinions.of(7, 1).frames == 4
+        opinions.current(7, chapter, frame).add(np.full(IDS + 1, 0.2))
+    assert opinions.get(7, 1) is opinions.get(7, 2)
+    assert opinions.get(7, 1).frames == 4
 
 
 def test_what_cannot_come_back_is_forgotten() -> None:
@@ -124,12 +126,12 @@ def test_what_cannot_come_back_is_forgotten() -> None:
     belief = TrackBelief(IDS, 10)
     row = np.full((1, IDS + 1), 0.2)
     for chapter in range(100):
-        belief([groups(7)] * 3, gathered(chapter, chapter, chapter), row.repeat(3, axis=0))
+        belief([groups(7)] * 3, evidence(chapter, chapter, chapter), row.repeat(3, axis=0))
         assert len(belief._opinions._of) <= 5  # ten frames hold parts of five chapters at most
-    before = belief([groups(1)], gathered(200), np.eye(IDS + 1)[:1])
-    belief([groups(2)] * 10, gathered(*[300] * 10), row.repeat(10, axis=0))
-    again = belief([groups(1)], gathered(200), row)  # away for ten frames: still known
+    before = belief([groups(1)], evidence(200), np.eye(IDS + 1)[:1])
+    belief([groups(2)] * 10, evidence(*[300] * 10), row.repeat(10, axis=0))
+    again = belief([groups(1)], evidence(200), row)  # away for ten frames: still known
     assert again[0, 0] > 0.5
-    belief([groups(2)] * 11, gathered(*[300] * 11), row.repeat(11, axis=0))
-    np.testing.assert_allclose(belief([groups(1)], gathered(200), row), row)
+    belief([groups(2)] * 11, evidence(*[300] * 11), row.repeat(11, axis=0))
+    np.testing.assert_allclose(belief([groups(1)], evidence(200), row), row)
     assert before[0, 0] > 0.99

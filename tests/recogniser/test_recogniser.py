@@ -274,8 +274,8 @@ def still_log(landmark: int, frames: int, hidden=()) -> list[Frame]:
 
 
 def side_by_side(log: list[Frame], *presets: str) -> list[FrameResult]:
-    together = SideBySide([config.preset(name) for name in presets], log[0].fan, BASIN)
-    return list(together.recognise(log))
+    recognise_together = SideBySide([config.preset(name) for name in presets], log[0].fan, BASIN)
+    return list(recognise_together.recognise(log))
 
 
 def noted(log: list[Frame], drawn: list[Frame]) -> Iterator[Frame]:
@@ -332,8 +332,8 @@ def test_what_breaks_the_frames_off_is_raised_when_those_before_it_are_out(fault
     results = []
 
     def take() -> None:
-        together = SideBySide([config.preset("default")], log[0].fan, BASIN)
-        results.extend(result.index for result in together.recognise(breaking()))
+        recognise_together = SideBySide([config.preset("default")], log[0].fan, BASIN)
+        results.extend(result.index for result in recognise_together.recognise(breaking()))
 
     with pytest.raises(fault, match="power cut"):
         take()
@@ -351,11 +351,11 @@ def rows(result: FrameResult, method: str, renamed: str = "") -> list[tuple]:
 
 def test_each_preset_gives_side_by_side_what_it_gives_alone():
     log = still_log(3, 10)
-    together = side_by_side(log, "default", "paper", "offline")
-    assert [r.index for r in together] == list(range(10))
+    recognise_together = side_by_side(log, "default", "paper", "offline")
+    assert [r.index for r in recognise_together] == list(range(10))
     for name in ("default", "paper", "offline"):
         alone = side_by_side(log, name)
-        for one, all_of_them in zip(alone, together, strict=True):
+        for one, all_of_them in zip(alone, recognise_together, strict=True):
             assert rows(one, FRAMEWORK, "x") == rows(all_of_them, f"{FRAMEWORK}:{name}", "x")
             # offline judges default's candidates: their SMI is written once.
             single = [] if name == "offline" else rows(one, SMI, "x")
@@ -386,8 +386,8 @@ def alike(one: FrameResult, other: FrameResult, method: str = FRAMEWORK) -> None
 @pytest.mark.parametrize("name", ["default", "paper"])
 def test_a_single_preset_is_the_recogniser_itself(name):
     log = still_log(1, 2 * FRAMES_AT_ONCE + 3)
-    together = side_by_side(log, name)
-    for one, other in zip(run(log, config.preset(name)), together, strict=True):
+    recognise_together = side_by_side(log, name)
+    for one, other in zip(run(log, config.preset(name)), recognise_together, strict=True):
         check(other)
         alike(one, other)
         alike(one, other, SMI)
@@ -438,11 +438,11 @@ def with_lag(frames: int) -> config.Config:
 def test_lags_side_by_side_give_what_each_gives_alone():
     log = still_log(3, 24, hidden=range(12))
     lags = (3, 10)
-    together = list(SideBySide([*map(with_lag, lags)], log[0].fan, BASIN).recognise(log))
-    assert len(together) == len(log)
+    recognise_together = list(SideBySide([*map(with_lag, lags)], log[0].fan, BASIN).recognise(log))
+    assert len(recognise_together) == len(log)
     for lag in lags:
         alone = SideBySide([with_lag(lag)], log[0].fan, BASIN).recognise(log)
-        for one, both in zip(alone, together, strict=True):
+        for one, both in zip(alone, recognise_together, strict=True):
             assert rows(one, FRAMEWORK, "x") == rows(both, f"{FRAMEWORK}:lag{lag}", "x")
 
 

@@ -22,7 +22,7 @@ from tqdm import tqdm
 from sonarrec.config import Config
 from sonarrec.evaluation.counting.parts import score_all
 from sonarrec.evaluation.evaluate import Evaluation
-from sonarrec.evaluation.matching.fit import matched
+from sonarrec.evaluation.matching.fit import match_log
 from sonarrec.evaluation.matching.joined import join
 from sonarrec.geometry import polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
@@ -118,7 +118,8 @@ def score(folders: Sequence[Path]) -> Evaluation:
     Also of recordings without a landmark alone, which the command takes for a wrong truth.
     """
     cases = [
-        matched(folder, read_truth(folder / "gt.csv"), read_log(folder), None) for folder in folders
+        match_log(folder, read_truth(folder / "gt.csv"), read_log(folder), None)
+        for folder in folders
     ]
     joined = join([case.log for case in cases], [case.truth for case in cases], WHOLE)
     scored = score_all(joined)

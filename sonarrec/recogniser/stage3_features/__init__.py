@@ -31,8 +31,8 @@ class Beliefs:
 
 
 @dataclass(frozen=True, slots=True)
-class Gathered:
-    """What n objects are judged by."""
+class Evidence:
+    """What n objects are judged by, gathered along their tracks."""
 
     brightness: FloatArray
     """(n, L, ANGLES) shape matrices."""
@@ -41,21 +41,22 @@ class Gathered:
     frames: IntArray
     """(n,) frames since the object began, or came back."""
     chapters: IntArray
-    """(n,) of the track's life: where it comes back with another picture a new one begins. 0 in the
-    published measurement, which keeps no pictures."""
+    """(n,) the number of the chapter of the track's life. A track that comes back into view with
+    another picture begins a new chapter. 0 in the published measurement, which keeps no pictures.
+    """
 
 
 class Measurement(Protocol):
     """From the groups' shape matrices to beliefs. Frames come in the log's order."""
 
-    def gather(self, groups: Groups, grey: FloatArray, seen: BoolArray) -> Gathered:
+    def gather(self, groups: Groups, grey: FloatArray, seen: BoolArray) -> Evidence:
         """Take in a frame's matrices, (n, L, ANGLES) from ShapeSampler."""
         ...
 
-    def beliefs(self, groups: Sequence[Groups], gathered: Gathered) -> Beliefs:
+    def beliefs(self, groups: Sequence[Groups], evidence: Evidence) -> Beliefs:
         """Beliefs in the groups of some frames, one frame after another.
 
-        gathered: from `gather`, of all those groups.
+        evidence: from `gather`, of all those groups.
         """
         ...
 
@@ -63,8 +64,9 @@ class Measurement(Protocol):
 def settled(values: FloatArray) -> FloatArray:
     """Values rounded to the tables' six digits, so that a choice among them is the same everywhere.
 
-    Sums that are equal on paper differ in their last digits, and differently on each processor. Of
-    a disc half of which is seen, and which fits two IDs equally well, the first is taken.
+    Sums that are equal on paper differ in their last digits, and differently on each processor.
+    Rounded they are equal, and the first is taken: for example where half of a disc is seen and two
+    IDs fit it equally well.
     """
     return np.asarray(np.round(values, 6))
 

@@ -16,7 +16,7 @@ import numpy as np
 from sonarrec.config import Features
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.plane import Plane
-from sonarrec.recogniser.stage3_features import Beliefs, Gathered, likeliest
+from sonarrec.recogniser.stage3_features import Beliefs, Evidence, likeliest
 from sonarrec.recogniser.stage3_features.description import Describer
 from sonarrec.recogniser.stage3_features.opinions import TrackBelief
 from sonarrec.recogniser.stage3_features.shape_matrix import ShapeSampler
@@ -64,22 +64,22 @@ class AppearanceMeasurement:
         self._beam_sigma = np.radians(beam_width_deg / HALF_POWER)
         self._radius_m = landmarks.radius_m
 
-    def gather(self, groups: Groups, grey: FloatArray, seen: BoolArray) -> Gathered:
+    def gather(self, groups: Groups, grey: FloatArray, seen: BoolArray) -> Evidence:
         """The average along each track, how often its cells were seen, and in how many frames."""
         return self._matrix.step(groups, grey, seen)
 
-    def beliefs(self, groups: Sequence[Groups], gathered: Gathered) -> Beliefs:
+    def beliefs(self, groups: Sequence[Groups], evidence: Evidence) -> Beliefs:
         """See Measurement."""
         tracked = joined(groups)
         smear = self._smear(tracked.positions)
-        description = self._describe(gathered.brightness, gathered.count, tracked.existence, smear)
+        description = self._describe(evidence.brightness, evidence.count, tracked.existence, smear)
         of_frames = self._model.probabilities(description.features, smear)
-        probabilities = self._belief(groups, gathered, of_frames)
+        probabilities = self._belief(groups, evidence, of_frames)
         best, _ = likeliest(probabilities)
         at = (np.arange(len(best)), best)
         # A beam is HALF_POWER sigmas wide, a disc two radii.
         few_beams = smear * HALF_POWER * FEW_BEAMS > 2
-        earned = gathered.frames >= np.where(few_beams, FRAMES_OF_FEW_BEAMS, LEAST_FRAMES)
+        earned = evidence.frames >= np.where(few_beams, FRAMES_OF_FEW_BEAMS, LEAST_FRAMES)
         earned &= tracked.in_view
         return Beliefs(probabilities, description.turn[at], description.turn_sigma[at], earned)
 

@@ -1,4 +1,4 @@
-"""The beliefs of a track's frames pooled.
+"""Pools the beliefs of a track's frames.
 
 A track's picture (track_matrix.py) holds earlier frames already, so the beliefs of two frames are
 far from independent. To multiply them, as a Bayesian recursion does (Eq. 5 to 8), would count the
@@ -13,7 +13,7 @@ from typing import Generic, Self, TypeVar
 
 import numpy as np
 
-from sonarrec.recogniser.stage3_features import Gathered
+from sonarrec.recogniser.stage3_features import Evidence
 from sonarrec.records import FloatArray, Groups
 
 LEAST_BELIEF = 1e-2  # of a frame in the pool: no single frame rules an ID out for good
@@ -61,7 +61,7 @@ AnyOpinion = TypeVar("AnyOpinion", bound=Opinion)
 
 
 class Opinions(Generic[AnyOpinion]):
-    """The opinions of all tracks, chapter by chapter (see Gathered)."""
+    """The opinions of all tracks, chapter by chapter (see Evidence)."""
 
     def __init__(self, new: Callable[[], AnyOpinion]) -> None:
         self._new = new
@@ -69,11 +69,11 @@ class Opinions(Generic[AnyOpinion]):
         self._last_used: dict[tuple[int, int], int] = {}  # frame
         self._chapter: dict[int, int] = {}
 
-    def now(self, track: int, chapter: int, frame: int) -> AnyOpinion:
-        """The opinion that a frame of a track in this chapter is to be added to.
+    def current(self, track: int, chapter: int, frame: int) -> AnyOpinion:
+        """The opinion to which a frame of a track in this chapter is to be added.
 
-        Where an older chapter goes on, it and the one that it replaces share one opinion from then
-        on.
+        It is new where the chapter is. Where an older chapter goes on (see TrackMatrix), its
+        opinion and that of the chapter it replaces are joined into one from then on.
         """
         key = (track, chapter)
         if key not in self._of:
@@ -86,8 +86,8 @@ class Opinions(Generic[AnyOpinion]):
         self._chapter[track], self._last_used[key] = chapter, frame
         return opinion
 
-    def of(self, track: int, chapter: int) -> AnyOpinion:
-        """The opinion of a track in a chapter that `now` was asked for."""
+    def get(self, track: int, chapter: int) -> AnyOpinion:
+        """The opinion of a track in a chapter, which `current` has made before."""
         return self._of[track, chapter]
 
     def forget(self, before: int) -> None:
@@ -99,7 +99,7 @@ class Opinions(Generic[AnyOpinion]):
 
 
 class TrackBelief:
-    """Turns the beliefs of single frames into beliefs in their tracks."""
+    """Turns the beliefs of single frames into beliefs about their tracks."""
 
     def __init__(self, ids: int, remember_frames: int) -> None:
         """ids: K. remember_frames: a track that was away for longer does not come back."""
@@ -108,7 +108,7 @@ class TrackBelief:
         self._frame = 0
 
     def __call__(
-        self, groups: Sequence[Groups], gathered: Gathered, probabilities: FloatArray
+        self, groups: Sequence[Groups], evidence: Evidence, probabilities: FloatArray
     ) -> FloatArray:
         """(n, K + 1) beliefs in the n groups of some frames, one frame after another.
 
@@ -119,7 +119,7 @@ class TrackBelief:
         for group in groups:
             self._frame += 1
             for track in group.numbers.tolist():
-                opinion = self._opinions.now(track, int(gathered.chapters[i]), self._frame)
+                opinion = self._opinions.current(track, int(evidence.chapters[i]), self._frame)
                 opinion.add(probabilities[i])
                 so_far[i] = opinion.mean()
                 i += 1

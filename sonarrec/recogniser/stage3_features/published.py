@@ -14,7 +14,7 @@ import numpy as np
 
 from sonarrec.config import Features
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.recogniser.stage3_features import Beliefs, Gathered
+from sonarrec.recogniser.stage3_features import Beliefs, Evidence
 from sonarrec.recogniser.stage3_features.smi import Identification, without_none
 from sonarrec.records import BoolArray, FloatArray, Groups
 
@@ -137,15 +137,15 @@ class PublishedMeasurement:
         groups: Groups,  # noqa: ARG002
         grey: FloatArray,
         seen: BoolArray,
-    ) -> Gathered:
+    ) -> Evidence:
         """The frame's own matrices: nothing is gathered."""
         brightness = np.where(seen, grey, 0.0)
         n = len(grey)
-        return Gathered(brightness, seen.astype(float), np.ones(n, np.int64), np.zeros(n, np.int64))
+        return Evidence(brightness, seen.astype(float), np.ones(n, np.int64), np.zeros(n, np.int64))
 
-    def beliefs(self, groups: Sequence[Groups], gathered: Gathered) -> Beliefs:
+    def beliefs(self, groups: Sequence[Groups], evidence: Evidence) -> Beliefs:
         """See Measurement. What is no landmark is normalised away: 'none of these' has 0."""
-        single = self._identify(gathered.brightness, gathered.count > 0)
+        single = self._identify(evidence.brightness, evidence.count > 0)
         ends = np.cumsum([len(g.numbers) for g in groups])[:-1]
         measured = np.split(single.measurement(self._least_ring), ends)
         beliefs = [self._estimator.step(g, q) for g, q in zip(groups, measured, strict=True)]

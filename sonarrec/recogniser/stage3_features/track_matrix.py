@@ -11,7 +11,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from sonarrec.recogniser.stage3_features import Gathered
+from sonarrec.recogniser.stage3_features import Evidence
 from sonarrec.recogniser.stage3_features.shape_matrix import ANGLES, whole_steps
 from sonarrec.records import BoolArray, FloatArray, Groups, IntArray
 
@@ -58,7 +58,7 @@ class TrackMatrix:
         # Pictures of tracks that left, and of those that came back and have not earned theirs yet.
         self._before: dict[int, _Picture] = {}
 
-    def step(self, groups: Groups, grey: FloatArray, seen: BoolArray) -> Gathered:
+    def step(self, groups: Groups, grey: FloatArray, seen: BoolArray) -> Evidence:
         """Add a frame's matrices (n, L, ANGLES). Returns the averages of what is in view.
 
         Tracks that are neither in view nor remembered are forgotten.
@@ -91,7 +91,7 @@ class TrackMatrix:
         self._frames, self._chapters = frames, chapters
         self._take_up()
         count = _turned(count, -steps)
-        return Gathered(_turned(total, -steps) / np.maximum(count, 1e-9), count, frames, chapters)
+        return Evidence(_turned(total, -steps) / np.maximum(count, 1e-9), count, frames, chapters)
 
     def _take_up(self) -> None:
         """Give the tracks that came back their pictures from before they left, or drop these.

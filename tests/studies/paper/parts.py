@@ -57,7 +57,7 @@ class Parts:
         groups = followed.groups
         declare = self._config.features.declare
         found = identify(
-            followed.gathered.brightness, followed.gathered.count > 0, self._bands, self._turned
+            followed.evidence.brightness, followed.evidence.count > 0, self._bands, self._turned
         )
         made = self._estimates(
             CONTINUITY,

@@ -15,12 +15,12 @@ from click.testing import CliRunner
 
 from sonarrec.cli import main
 from sonarrec.recogniser import three_stages
-from sonarrec.recogniser.ahead import DEPTH, Ahead
+from sonarrec.recogniser.prefetch import DEPTH, Prefetcher
 from tests.support.batch import made, tables
 
 
 def test_the_same_in_the_same_order() -> None:
-    ahead = Ahead(range(1000))
+    ahead = Prefetcher(range(1000))
     assert [*ahead] == [*range(1000)]
     ahead.close()
 
@@ -30,7 +30,7 @@ def test_an_exception_comes_behind_the_items_before_it() -> None:
         yield from range(3)
         raise KeyError("three")
 
-    ahead = Ahead(breaks())
+    ahead = Prefetcher(breaks())
     items = iter(ahead)
     time.sleep(0.1)  # the thread is done long before
     assert [next(items) for _ in range(3)] == [0, 1, 2]
@@ -48,7 +48,7 @@ def test_only_a_few_wait_and_the_thread_ends_with_them() -> None:
             yield made[-1]
 
     before = threading.active_count()
-    ahead = Ahead(endless())
+    ahead = Prefetcher(endless())
     items = iter(ahead)
     assert [next(items) for _ in range(10)] == [*range(10)]
     time.sleep(0.1)
@@ -60,7 +60,7 @@ def test_only_a_few_wait_and_the_thread_ends_with_them() -> None:
 
 def test_of_one_behind_another_no_thread_is_left() -> None:
     before = threading.active_count()
-    with closing(Ahead(count())) as first, closing(Ahead(first)) as second:
+    with closing(Prefetcher(count())) as first, closing(Prefetcher(first)) as second:
         assert [*islice(second, 10)] == [*range(10)]
         assert threading.active_count() == before + 2
     assert threading.active_count() == before
@@ -76,7 +76,7 @@ def test_ctrl_c_as_the_thread_begins_leaves_none(monkeypatch: pytest.MonkeyPatch
 
     monkeypatch.setattr(threading.Thread, "start", stopped)
     before = threading.active_count()
-    with pytest.raises(KeyboardInterrupt), closing(Ahead(range(10 * DEPTH))) as ahead:
+    with pytest.raises(KeyboardInterrupt), closing(Prefetcher(range(10 * DEPTH))) as ahead:
         next(iter(ahead))
     assert threading.active_count() == before
 
@@ -95,8 +95,8 @@ def test_a_run_is_the_same_with_and_without(
         image.write_bytes(image.read_bytes()[:500] + b"?" + image.read_bytes()[501:])
     told = {}
     threads = []
-    make = Ahead._make
-    monkeypatch.setattr(Ahead, "_make", lambda *given: (threads.append(given), make(*given)))
+    make = Prefetcher._make
+    monkeypatch.setattr(Prefetcher, "_make", lambda *given: (threads.append(given), make(*given)))
     before = threading.active_count()
     for cores in (1, 2):
         monkeypatch.setattr(os, "sched_getaffinity", lambda _, n=cores: {*range(n)})

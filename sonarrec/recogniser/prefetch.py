@@ -1,4 +1,4 @@
-"""A few items made ahead in a thread: while one is worked on, the next are made."""
+"""Makes the next items of an iterable in a thread, while the caller works on one."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ import cv2
 
 T = TypeVar("T")
 DEPTH = 4
-"""How many items wait at most: images are large."""
+"""How many items may wait at most; few, since images are large."""
 START_S = 5.0
 """How long a thread takes at most from the call that starts it to its first line."""
 
 
-class Ahead(Generic[T]):
+class Prefetcher(Generic[T]):
     """One pass over an iterable, in order, whose items are made in another thread.
 
-    An exception that the iterable raises comes after the items before it. The thread begins with
-    the first item that is asked for. Call `close` in the end: a thread that still decodes while
-    Python ends makes the program abort.
+    An exception that the iterable raises is raised after the items before it. The thread starts
+    when the iteration does. Call `close` at the end: a thread that still decodes while Python exits
+    makes the program abort.
     """
 
     def __init__(self, items: Iterable[T]) -> None:
@@ -32,12 +32,12 @@ class Ahead(Generic[T]):
         for _ in range(DEPTH):
             self._room.put(None)
         self._begun: SimpleQueue[None] = SimpleQueue()
-        self._asked = self._closed = False
+        self._started = self._closed = False
         self._thread = Thread(target=self._make, args=(items,), daemon=True)
 
     def _make(self, items: Iterable[T]) -> None:
         self._begun.put(None)
-        cv2.ipp.setUseIPP(False)  # as in __init__.py: each thread has its own switch
+        cv2.ipp.setUseIPP(False)  # as in the package: each thread has its own switch
         last: BaseException | None = None
         try:
             left = iter(items)
@@ -55,7 +55,7 @@ class Ahead(Generic[T]):
         return not self._closed
 
     def __iter__(self) -> Iterator[T]:
-        self._asked = True
+        self._started = True
         self._thread.start()
         while isinstance(made := self._made.get(), tuple):
             self._room.put(None)
@@ -64,10 +64,10 @@ class Ahead(Generic[T]):
             raise made
 
     def close(self) -> None:
-        """End the thread, once the item in the making is done."""
+        """End the thread, after the item that it is making."""
         self._closed = True
         self._room.put(None)
-        if self._asked:
+        if self._started:
             # Ctrl-C may have come while the thread was being started: only one that runs is joined.
             with suppress(Empty):
                 self._begun.get(timeout=START_S)
