@@ -16,7 +16,7 @@ from pathlib import Path
 from sonarrec.readers.bag_folder import BagFolder, bag_files, is_bag_folder
 from sonarrec.readers.ddf.frames import DdfFrames
 from sonarrec.readers.images import ImageFiles, ImagePaths, is_image, natural_order
-from sonarrec.readers.oculus import OculusPings
+from sonarrec.readers.oculus.log import OculusPings
 from sonarrec.readers.packed import PACKINGS, unpacked
 from sonarrec.readers.raw import RawLog
 from sonarrec.readers.recording import Recording

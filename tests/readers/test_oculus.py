@@ -14,7 +14,7 @@ from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
 from sonarrec.readers import open_log
-from sonarrec.readers.oculus import OculusPings
+from sonarrec.readers.oculus.log import OculusPings
 from sonarrec.records import Frame, SonarrecError
 from tests.readers.test_ddf import as_fan
 from tests.support.logs import frames

@@ -1,0 +1,101 @@
+"""A raw stream or an `.oculus` log of an Oculus as a RawLog."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from sonarrec.readers.file_bytes import FileBytes
+from sonarrec.readers.oculus.framing import framing_of, messages
+from sonarrec.readers.oculus.pings import FULL_PING, SIMPLE_PING, Header, decoded, message_number
+from sonarrec.readers.raw import MAX_FRAME_BYTES, HeaderInfo, RawFrame, RawLog, UnusableError
+from sonarrec.records import SonarrecError, Stamps, number_of, shown
+
+_LOOKED_THROUGH = 2 * MAX_FRAME_BYTES  # for the first ping, in a file that may be of another kind
+
+
+class OculusPings(RawLog):
+    """The pings of a raw stream or of an `.oculus` log, in the order of the file."""
+
+    def __init__(self, path: Path) -> None:
+        """Raises SonarrecError where the file holds no ping that can be read."""
+        super().__init__()
+        self.polar = True
+        self._name = shown(path.name)
+        self._file = FileBytes(path)
+        try:
+            self._framing, self._start = framing_of(self._file, shown(path))
+            self.header_info = HeaderInfo(values=self._first_header(shown(path)))
+        except BaseException:
+            self._file.close()
+            raise
+
+    def _first_header(self, where: str) -> Header:
+        """The header of the first ping that can be read. where: names the file."""
+        problem = ""
+        for _, _, message, reason in self._read([], min(self._file.size, _LOOKED_THROUGH)):
+            if message is not None:
+                try:
+                    return decoded(message)[1]
+                except UnusableError as error:
+                    reason = str(error)
+            problem = problem or f" ({reason})"
+        raise SonarrecError(f"{where}: no ping of an Oculus can be read in it{problem}")
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def __iter__(self) -> Iterator[RawFrame]:
+        for number, (at, time_ns, message, problem) in enumerate(
+            self._read(self.faults, self._file.size)
+        ):
+            name = f"ping {number} at byte {at}"
+            if message is None or number in self.passed_over:
+                yield RawFrame(name, time_ns, None, problem or None)
+                continue
+            try:
+                ping, _ = decoded(message)
+            except UnusableError as error:
+                yield RawFrame(name, time_ns, None, str(error))
+                continue
+            stamps = Stamps(time_ns, None, ping.stamp_ns)
+            named = ping.stamp_ns if time_ns is None else time_ns
+            yield RawFrame(name, named, ping.pixels, None, ping.sonar, stamps)
+
+    def _read(
+        self, faults: list[str], limit: int
+    ) -> Iterator[tuple[int, int | None, bytes | None, str]]:
+        """Yield (place, time in ns, message, problem) of every ping; no message if it is damaged.
+
+        limit: where in the file to stop. faults: a line is added for what belongs to no ping, after
+        all is read.
+        """
+        passed_over = places = full = 0
+        for at, length, whole in messages(self._file, self._framing, self._start, limit):
+            if self._framing.length_at(self._file, at) is None:
+                passed_over += length
+                places += 1
+                continue
+            if not whole:
+                yield at, None, None, f"only {length} bytes of it are there"
+                continue
+            try:
+                message, time_ns = self._framing.contents(self._file.at(at, length))
+            except UnusableError as error:
+                yield at, None, None, str(error)
+                continue
+            number = message_number(message)
+            full += number == FULL_PING
+            if number == SIMPLE_PING:
+                yield at, time_ns, message, ""
+        if places:
+            faults.append(
+                f"{self._name}: {passed_over} bytes in {places} places belong to no message; "
+                "damaged, so pings may be missing there, or wrong before them"
+            )
+        if full:
+            faults.append(
+                f"{self._name}: {number_of(full, 'ping')} in the full format, which is not public, "
+                "cannot be read; let the sonar send simple results"
+            )
