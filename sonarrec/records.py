@@ -25,8 +25,6 @@ PART = ".part"
 """How the name of a folder of results ends while its run is not finished; no other ends so."""
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"})
 """How the names of images end; a folder that holds some is a log."""
-YEAR_2000_NS = 946_684_800 * 10**9
-"""Times from then on are dates; earlier ones are counted from some other beginning."""
 
 
 def printable(text: str) -> str:

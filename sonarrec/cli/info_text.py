@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sonarrec.records import YEAR_2000_NS, number_of
+from sonarrec.records import number_of
+from sonarrec.times import date_text, is_date
 
 if TYPE_CHECKING:
     from sonarrec.readers.info import Channel, Container, Images, LogInfo
@@ -157,6 +157,4 @@ def _origin_lines(images: Images) -> list[str]:
 
 def _moment(time_ns: int) -> str:
     """A time as a date if it is after 2000, else in seconds."""
-    if time_ns < YEAR_2000_NS:
-        return f"clock at {time_ns / 1e9:.3f} s"
-    return f"{datetime.fromtimestamp(time_ns // 10**9, UTC):%Y-%m-%d %H:%M:%S} UTC"
+    return f"{date_text(time_ns)} UTC" if is_date(time_ns) else f"clock at {time_ns / 1e9:.3f} s"

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sonarrec.records import YEAR_2000_NS
+from sonarrec.times import date_text, is_date
 
 if TYPE_CHECKING:
     from sonarrec.pipeline.run import Summary
@@ -27,7 +26,7 @@ def table(summary: Summary, folder: str) -> list[str]:
         if not shown:
             lines.append("no landmark declared")
             continue
-        dated = shown[0].start_ns >= YEAR_2000_NS
+        dated = is_date(shown[0].start_ns)
         wide = max(len(_end(s)) for s in shown) if dated else None
         times = f"{'from UTC':<22}  {'to UTC':<{wide}}" if wide else f"{'from s':>9} {'to s':>9}"
         lines.append(
@@ -45,7 +44,7 @@ def _row(s: Sighting, end_width: int | None) -> str:
     track = "-" if s.track is None else s.track
     times = f"{s.start_ns / 1e9:>9.2f} {s.end_ns / 1e9:>9.2f}"
     if end_width is not None:
-        times = f"{_utc(s.start_ns):<22}  {_end(s):<{end_width}}"
+        times = f"{date_text(s.start_ns, 2):<22}  {_end(s):<{end_width}}"
     return (
         f"{s.landmark:>8}  {track:>5}  {f'{s.first_frame}-{s.last_frame}':<11}  {times}"
         f"  {s.frames_declared:>8}  {s.best_score:>10.3f}  {_number(s.range_m, 2):>7}"
@@ -57,15 +56,9 @@ def _number(value: float, digits: int) -> str:
     return "-" if math.isnan(value) else f"{value:.{digits}f}"
 
 
-def _utc(time_ns: int) -> str:
-    """A date and time to a hundredth of a second."""
-    seconds, rest = divmod(time_ns, 10**9)
-    return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%d %H:%M:%S}.{rest // 10**7:02d}"
-
-
 def _end(s: Sighting) -> str:
     """The end of a pass, with the date if it differs from that of the start."""
-    start, end = _utc(s.start_ns), _utc(s.end_ns)
+    start, end = date_text(s.start_ns, 2), date_text(s.end_ns, 2)
     return end[11:] if end[:10] == start[:10] else end
 
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 
 import numpy as np
 
@@ -23,6 +22,7 @@ from sonarrec.drawing.pen import (
 )
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.records import ByteImage, Estimate, Fan, FloatArray
+from sonarrec.times import is_date, time_text
 
 AROUND = 1.15
 """Radius, in discs, at which truth is drawn: it must not hide under an estimate."""
@@ -183,10 +183,7 @@ def draw_strip(history: Sequence[Moment], landmarks: LandmarkSet, width: int) ->
 
 
 def _clock(timestamp_ns: int, *, short: bool = False) -> str:
-    """Seconds, or the time of day where they count from 1970. short: for a tick."""
-    seconds = timestamp_ns / 1e9
-    if seconds < 1e8:
-        return f"{seconds:.1f} s" if short else f"{seconds:.2f} s"
-    if short:
-        return f"{datetime.fromtimestamp(seconds, UTC):%H:%M:%S}"
-    return f"{datetime.fromtimestamp(seconds, UTC):%H:%M:%S.%f}"[:-4] + " UTC"
+    """The time of day where the time is a date, else seconds. short: for a tick of the axis."""
+    if is_date(timestamp_ns):
+        return time_text(timestamp_ns) if short else f"{time_text(timestamp_ns, 2)} UTC"
+    return f"{timestamp_ns / 1e9:.{1 if short else 2}f} s"

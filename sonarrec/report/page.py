@@ -7,7 +7,6 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from datetime import UTC, datetime
 from heapq import nlargest
 from importlib.resources import files
 from pathlib import Path
@@ -40,6 +39,7 @@ from sonarrec.report.settings import settings_tables
 from sonarrec.report.svg import STYLES, Axis, Chart, darkened, frames_a_bar, glyph
 from sonarrec.report.templates import filled
 from sonarrec.results.sightings import PASS_GAP
+from sonarrec.times import date_text, is_date, time_text
 
 MOST_TRACKS = 12
 MOST_SILENT = 40
@@ -79,8 +79,8 @@ class LogView:
     sightings_left: int
     measured: list[MeasuredColumn]
     """Columns with a value in any sighting."""
-    in_utc: bool
-    """Whether the log's times count from 1970."""
+    dated: bool
+    """Whether the log's times are dates."""
     tracks: list[TrackView]
     tracks_in_all: int
     silent: list[charts.Lane]
@@ -178,7 +178,7 @@ def render(
     return filled(
         "report.html",
         number=_number,
-        time_of_day=_time_of_day,
+        time_of_day=time_text,
         version=__version__,
         title=_title(logs, overview),
         contents=_contents(
@@ -326,7 +326,7 @@ def _log_view(log: ReportedLog, most_tracks: int) -> LogView:
         ),
         sightings_left=len(found[MOST_SIGHTINGS:]),
         measured=[m for m in MEASURED if any(m.value(s.sighting) for s in found)],
-        in_utc=stamps is not None and _is_utc(int(stamps[0])),
+        dated=stamps is not None and is_date(int(stamps[0])),
         tracks=[_track_view(log, track) for track in found_tracks.declared],
         tracks_in_all=found_tracks.declared_in_all,
         silent=charts.silent_lanes(log, found_tracks.silent),
@@ -342,9 +342,8 @@ def _facts(log: ReportedLog) -> Iterator[tuple[str, str]]:
     if log.clock == "s" and len(log.time) > 1:
         axis, period = charts.time_axis(log)
         yield "length", f"{axis.high - axis.low:,.1f} s at {1 / period:.3g} Hz"
-    if found.timestamp_ns is not None and _is_utc(int(found.timestamp_ns[0])):
-        start = datetime.fromtimestamp(int(found.timestamp_ns[0]) // 10**9, UTC)
-        yield "start", f"{start:%Y-%m-%d %H:%M:%S} UTC"
+    if found.timestamp_ns is not None and is_date(int(found.timestamp_ns[0])):
+        yield "start", f"{date_text(int(found.timestamp_ns[0]))} UTC"
     if found.fan is not None:
         yield "range window", f"{found.fan.range_min_m:g} to {found.fan.range_max_m:g} m"
         yield "tilt", f"{found.fan.tilt_deg:g} deg"
@@ -407,15 +406,6 @@ def _mistakes(
             shown.append(MistakeView(episode, in_words(episode, evaluation.joined), frames))
         found.append(Mistakes(method, count, shown, len(mine) - len(shown)))
     return found
-
-
-def _is_utc(timestamp_ns: int) -> bool:
-    """Whether a time counts from 1970, since it is years after that."""
-    return timestamp_ns > 10**17
-
-
-def _time_of_day(timestamp_ns: int) -> str:
-    return f"{datetime.fromtimestamp(timestamp_ns // 10**9, UTC):%H:%M:%S} UTC"
 
 
 def _span(first: int, last: int) -> str:

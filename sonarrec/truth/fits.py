@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.geometry import polar_from_plane
-from sonarrec.records import YEAR_2000_NS, BoolArray, IntArray, number_of
+from sonarrec.records import BoolArray, IntArray, number_of
+from sonarrec.times import is_date
 from sonarrec.truth.in_view import share_in_image
 from sonarrec.truth.match import SLACK_PX, ReadLog, Truth, match_times, pixels_apart
 from sonarrec.truth.table import TruthTable
@@ -56,7 +57,7 @@ def _hours_away(timestamp_ns: IntArray, at: IntArray) -> int | None:
     timestamp_ns: (F,) of frames. at: (R,) ns. Only times of a clock that meet frames to within
     10 us count, three or more: those of another log do not, unless both are counted from 0.
     """
-    if timestamp_ns.min() < YEAR_2000_NS or len(np.unique(at)) < 3:
+    if not is_date(int(timestamp_ns.min())) or len(np.unique(at)) < 3:
         return None
     for hours in sorted(range(-14, 15), key=abs):
         _, met, _ = match_times(timestamp_ns, at + hours * 3600 * 10**9, 1e-5)
