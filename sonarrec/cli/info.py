@@ -102,8 +102,8 @@ def info(
                 tables.append({"path": name, "error": str(error)})
                 tell([str(error)])
                 continue
-            useless += found.nothing
-            faulty += found.partly
+            useless += found.has_no_frame
+            faulty += found.has_problems
             tables.append(found.as_table())
             if not as_json:
                 say(*([""] if number else []), *lines(found))

@@ -1,4 +1,4 @@
-"""Frames through the recogniser, without files: `sonarrec.Recogniser`."""
+"""Runs frames through the recogniser without writing files: `sonarrec.Recogniser`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Presets = str | Config | Sequence[str | Config]
 
 
 class Recogniser:
-    """The landmarks in frames, without files: frames of a log in, their results out."""
+    """Recognises the landmarks in frames of a log, and gives their results; writes no files."""
 
     def __init__(
         self,
@@ -43,11 +43,11 @@ class Recogniser:
         self._model = None if model is None else read_model(Path(model)).model
 
     def recognise(self, frames: Iterable[Frame] | None = None) -> Iterator[FrameResult]:
-        """A FrameResult per Frame, in the frames' order; some frames later than they come.
+        """Yield a FrameResult for each Frame, in the frames' order, some frames later.
 
         frames: of one fan, by rising index; `pixels` are the fan image, (rows, columns) uint8, or
-        polar where a frame has `polar`. Default: the log's own. Every call begins anew: nothing is
-        remembered of the frames of another. Raises UsageError at an image that is not as the fan
+        polar where a frame has `polar`. Default: the log's own. Nothing is remembered from one call
+        to the next. Raises UsageError at an image that is not as the fan
         needs it, and at a frame that is not after the last.
         """
         if frames is None:
@@ -59,10 +59,10 @@ class Recogniser:
         if not begin:
             return
         if isinstance(self._source, Fan):
-            fan, told_deg = self._source, None
+            fan, stated_deg = self._source, None
         else:
-            fan, told_deg = begin[0].fan, self._source.beam_width_deg
-        configs, _ = with_beams(self._configs, told_deg, begin)
+            fan, stated_deg = begin[0].fan, self._source.beam_width_deg
+        configs, _ = with_beams(self._configs, stated_deg, begin)
         recogniser = SideBySide(configs, fan, self.landmarks, self._model)
         yield from recogniser.recognise(chain(begin, left))
 

@@ -1,4 +1,4 @@
-"""All that the run of one log needs, found and checked before anything is written."""
+"""Finds and checks all that the run of one log needs, before anything is written."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from sonarrec.results.run_file import LogOptions, RunFile, read_run, run_table, 
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """What a log is run with."""
+    """What the user wants a log to be run with."""
 
     configs: Sequence[Config]  # several: side by side, each under its own method name
     landmarks: str | Path | None = None  # a set by name or file; default: the earlier run's, basin
@@ -46,16 +46,16 @@ class RunOptions:
 
 @dataclass(frozen=True, slots=True)
 class PreparedRun:
-    """A log that was opened, with what recognises it and where its results go."""
+    """An opened log, with its recogniser and the folder of its results."""
 
     log: Log
-    frames: Iterator[Frame]  # those asked for; the first was read
+    frames: Iterator[Frame]  # those asked for; the first ones were read already
     frame_count: int | None  # how many, None where the log does not tell
     fan: Fan
     landmarks: LandmarkSet
     poses: PoseTable | None
     recogniser: SideBySide
-    table: dict[str, Any]  # run.toml to be
+    table: dict[str, Any]  # the run.toml to write
     folder: Path  # of the results
     notes: list[str]
 
@@ -64,7 +64,7 @@ class PreparedRun:
 def prepare(
     path: Path, out: Path, log_options: LogOptions, run_options: RunOptions, name: str | None
 ) -> Iterator[PreparedRun]:
-    """Open a log and make ready its run into `out`/<name>/, by default under its own name.
+    """Open a log and prepare its run into `out`/<name>/; name: default, the log's own.
 
     Raises SonarrecError for input or settings that cannot be used.
     """
@@ -121,7 +121,7 @@ def prepare(
 
 
 def digest_asked(earlier: RunFile, found: Source) -> tuple[int, str] | None:
-    """As `digest_of`; None where the earlier run does not tell one, for it takes long."""
+    """As `digest_of`; None, since it takes long, where the earlier run states none to compare."""
     return digest_of(found.path, found.files) if earlier.input.sha256 else None
 
 
@@ -172,7 +172,7 @@ def _results_of(log: Path, folder: Path) -> Path:
 
 
 def _count(log: Log, span: tuple[int, int | None]) -> int | None:
-    """How many frames lie in the span, None where the log does not tell."""
+    """How many frames lie in the span; None if the log does not say how many it has."""
     if log.frame_count is None:
         return None
     end = log.frame_count if span[1] is None else min(span[1], log.frame_count)
@@ -182,10 +182,10 @@ def _count(log: Log, span: tuple[int, int | None]) -> int | None:
 def _with_companions(
     source: Source, log_options: LogOptions, again: bool
 ) -> tuple[LogOptions, list[str]]:
-    """The options, with the poses that lie beside the log, and a note for each file that was
-    found and is not beside it, or was not asked for.
+    """The options with the poses that belong to the log, and notes on the files that were found.
 
-    again: the run of a run.toml is run again, with the poses it had.
+    There is a note on a geometry from a folder above the log, and on poses, since nobody named
+    them. again: the run of a run.toml is repeated, so only its own poses may be used.
     """
     path, notes = source.path, []
     geometry = source.beside(SONAR_FILE)

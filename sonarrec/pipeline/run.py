@@ -1,4 +1,4 @@
-"""One log through the recogniser and onto disk: `sonarrec run`."""
+"""Runs one log through the recogniser and writes its results: `sonarrec run`."""
 
 from __future__ import annotations
 
@@ -146,7 +146,8 @@ def process(
 ) -> Summary:
     """Run one log and write `out`/<name>/, by default under the log's own name.
 
-    The same results are not made again, and those of another log not replaced, but with overwrite.
+    Results that would be the same are not made again, and those of another log are not replaced,
+    except with overwrite.
     ahead: as in `recognise_together`, where there is a core for it. What the process writes to
     descriptor 2 meanwhile may be lost: see `decode_image`.
     Raises SonarrecError for input or settings that cannot be used.
@@ -188,7 +189,7 @@ def planned(
     name: str | None = None,
     overwrite: bool = False,
 ) -> ExistingResults:
-    """What `process` would find in the place of its results; nothing is written.
+    """What `process` would find where it puts its results; nothing is written.
 
     Raises SonarrecError as `process`.
     """
@@ -199,7 +200,7 @@ def planned(
 
 
 def _summary_of_existing(job: PreparedRun, existing: ExistingResults) -> Summary:
-    """The results that are there already."""
+    """The summary of results that are there already."""
     return Summary(
         job.folder,
         existing.frames,
@@ -220,7 +221,7 @@ def _recognise(
     *,
     ahead: bool,
 ) -> None:
-    """Every frame through the recogniser and into the tables, also those before an interrupt."""
+    """Recognise every frame and write the results, also those waiting when the run is stopped."""
     stamps = deque[Stamps]()  # of the frames whose results are waited for
     try:
         frames = _noted(job.frames, stamps, plausibility)
@@ -238,7 +239,7 @@ def _recognise(
 def _noted(
     frames: Iterable[Frame], stamps: deque[Stamps], plausibility: Plausibility
 ) -> Iterator[Frame]:
-    """The frames as they are, their times and what they show noted."""
+    """Pass the frames on; their times are added to `stamps`, their pictures to `plausibility`."""
     for frame in frames:
         stamps.append(frame.stamps)
         plausibility.look(frame)

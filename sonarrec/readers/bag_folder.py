@@ -76,8 +76,8 @@ def _numbers(part: str) -> re.Match[str] | None:
 
 def _listed(folder: Path) -> tuple[list[Path], dict[str, Any], list[str]]:
     """(parts in order, the table of metadata.yaml, lines about what is wrong with both)."""
-    told, problem = _metadata(folder / METADATA)
-    names = told.get("relative_file_paths")
+    metadata, problem = _metadata(folder / METADATA)
+    names = metadata.get("relative_file_paths")
     if isinstance(names, list) and names:
         # Old bags state them with the folder in front; nothing outside of it is read.
         listed = Counter(
@@ -91,7 +91,7 @@ def _listed(folder: Path) -> tuple[list[Path], dict[str, Any], list[str]]:
             for p, times in listed.items()
             if times > 1
         ]
-        return parts, told, lines
+        return parts, metadata, lines
     parts = _numbered(folder) or _stored(folder)
     lines = [] if problem is None else [f"{METADATA}: {problem}; the parts are read by their names"]
     numbers = [int(match[2]) for p in parts if (match := _numbers(p.name))]
@@ -122,22 +122,22 @@ def _metadata(file: Path) -> tuple[dict[str, Any], str | None]:
     try:
         if file.stat().st_size > _MAX_METADATA_BYTES:
             return {}, f"larger than {_MAX_METADATA_BYTES} bytes"
-        return _told(file.read_bytes())
+        return _parsed(file.read_bytes())
     except OSError as error:
         return {}, f"cannot be read ({error.strerror})"
 
 
 @lru_cache(maxsize=1)
-def _told(data: bytes) -> tuple[dict[str, Any], str | None]:
-    """As _metadata, of its bytes; kept, for a bag is looked at several times before it is read."""
+def _parsed(data: bytes) -> tuple[dict[str, Any], str | None]:
+    """As `_metadata`, from the file's bytes. Cached: it is asked for several times for each bag."""
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
     try:
-        told = YAML(typ="safe", pure=True).load(data.decode("utf-8"))
+        metadata = YAML(typ="safe", pure=True).load(data.decode("utf-8"))
     except (YAMLError, ValueError, TypeError, RecursionError):
         return {}, "cannot be read as YAML"
-    table = told.get("rosbag2_bagfile_information") if isinstance(told, dict) else None
+    table = metadata.get("rosbag2_bagfile_information") if isinstance(metadata, dict) else None
     return (table, None) if isinstance(table, dict) else ({}, "tells of no bag")
 
 
@@ -169,7 +169,7 @@ class BagFolder(Recording):
         self.chunks: Counter[str] = Counter()
         self.profile, self.library = "ros2", ""
         self.span: tuple[int, int] | None = None
-        files, self._told, self.faults = _listed(path)
+        files, self._metadata, self.faults = _listed(path)
         self._parts = [_Part(file) for file in files]
         for part in self._parts:
             self._look_into(part)
@@ -186,8 +186,8 @@ class BagFolder(Recording):
                 raise SonarrecError("this part of the bag is missing")
             log = self._open(part.path)
         except (SonarrecError, OSError) as error:
-            told = error.strerror if isinstance(error, OSError) else str(error)
-            text = str(told).removeprefix(f"{shown(part.path)}: ").partition("\n")[0]
+            reason = error.strerror if isinstance(error, OSError) else str(error)
+            text = str(reason).removeprefix(f"{shown(part.path)}: ").partition("\n")[0]
             part.faults = [f"{shown(part.path.name)}: {text}"]
             self.faults += part.faults
             return
@@ -205,7 +205,10 @@ class BagFolder(Recording):
             self.span = min(first, part.start), max(last, part.end)
 
     def _number_of(self, channel: Channel) -> int:
-        """The bag's number of a part's channel. A part may lack the definition that others have."""
+        """The bag's number for a part's channel, a new one where it has none yet.
+
+        Of one channel a part may lack the definition that other parts have.
+        """
         alike = ("topic", "schema", "message_encoding")
         for number, other in self.channels.items():
             if all(getattr(channel, name) == getattr(other, name) for name in alike):
@@ -222,9 +225,9 @@ class BagFolder(Recording):
         for part in self._parts:
             self.counts.update(part.found)
         damaged = [part for part in self._parts if not part.sound]
-        files = _counts(self._told.get("files"), "path", "message_count")
-        for number, told in self._told_counts().items():
-            short = told - self.counts[number]
+        files = _counts(self._metadata.get("files"), "path", "message_count")
+        for number, count in self._counts_in_metadata().items():
+            short = count - self.counts[number]
             if short <= 0 or short > _MAX_LOST:
                 continue
             shares = {
@@ -238,35 +241,35 @@ class BagFolder(Recording):
             else:
                 where = "; in which part cannot be known" if damaged else ""
                 self.fault(
-                    f"{METADATA} counts {number_of(told, 'message')} of "
-                    f"{self.channels[number].topic}, the parts hold {told - short}{where}, so "
+                    f"{METADATA} counts {number_of(count, 'message')} of "
+                    f"{self.channels[number].topic}, the parts hold {count - short}{where}, so "
                     "numbers of frames may be too low"
                 )
                 continue
-            self.counts[number] = told
+            self.counts[number] = count
 
-    def _told_counts(self) -> dict[int, int]:
+    def _counts_in_metadata(self) -> dict[int, int]:
         """Messages by channel, of the topics of which the bag has one channel."""
         by_topic: dict[str, list[int]] = {}
         for number, channel in self.channels.items():
             by_topic.setdefault(channel.topic, []).append(number)
-        rows = self._told.get("topics_with_message_count")
+        rows = self._metadata.get("topics_with_message_count")
         flat = [
             {"name": row["topic_metadata"].get("name"), "count": row.get("message_count")}
             for row in (rows if isinstance(rows, list) else [])
             if isinstance(row, dict) and isinstance(row.get("topic_metadata"), dict)
         ]
-        told = _counts(flat, "name", "count")
+        counts = _counts(flat, "name", "count")
         return {
-            numbers[0]: told[topic]
+            numbers[0]: counts[topic]
             for topic, numbers in by_topic.items()
-            if len(numbers) == 1 and topic in told
+            if len(numbers) == 1 and topic in counts
         }
 
     def messages(self, channels: Collection[int]) -> Iterator[Message]:
         """The messages of some channels in log-time order, those at one time by their parts.
 
-        Of the lost ones that are counted each comes without data, so that others keep their number.
+        Each lost one that metadata.yaml counts comes without data: so others keep their numbers.
         """
         end = 0
         for part in self._parts:  # one that cannot be read comes behind the one before it
@@ -322,11 +325,11 @@ class BagFolder(Recording):
             self.faults += [fault for fault in log.faults if fault not in part.faults]
 
     def close(self) -> None:
-        """Nothing stays open but what a pass is reading, which ends with it."""
+        """Nothing to do: a pass closes each part that it opens."""
 
 
 def _counts(rows: Any, name: str, count: str) -> dict[str, int]:
-    """Whole numbers by name, of a list of tables in metadata.yaml; what is none is left out."""
+    """Counts by name from a list of tables in metadata.yaml; tables without either are left out."""
     return {
         PurePosixPath(row[name]).name if name == "path" else row[name]: row[count]
         for row in (rows if isinstance(rows, list) else [])

@@ -1,4 +1,4 @@
-"""Pictures in false colour: which colour map a viewer or driver drew them in, and grey again.
+"""Finds the colour map in which a viewer or driver drew pictures, and turns them back to grey.
 
 The luminance of these maps does not rise with the level, or not in proportion: in `jet` the
 strongest echoes are as dark as the weakest.
@@ -41,7 +41,7 @@ _BITS = 6  # of each channel, in the table of colours
 
 def is_coloured(pixels: np.ndarray) -> bool:
     """Whether (rows, columns, 3 or more) uint8 BGR pixels are not those of a grey picture."""
-    some = _some(pixels)
+    some = _sample(pixels)
     return bool(len(some) and np.mean(np.ptp(some, axis=1) > _COLOURED) > _LEAST_COLOURED)
 
 
@@ -50,7 +50,7 @@ def find_map(images: Sequence[np.ndarray]) -> str | None:
 
     images: (rows, columns, 3 or more) uint8, BGR.
     """
-    colours = np.concatenate([_some(image) for image in images])
+    colours = np.concatenate([_sample(image) for image in images])
     if not len(colours):
         return None
     off = {name: _distances(_colours(name), colours).min(axis=1).mean() for name in MAPS}
@@ -58,15 +58,15 @@ def find_map(images: Sequence[np.ndarray]) -> str | None:
     return nearest if off[nearest] <= _NEAR else None
 
 
-def undone(pixels: np.ndarray, name: str) -> ByteImage:
+def map_levels(pixels: np.ndarray, name: str) -> ByteImage:
     """(rows, columns) uint8: the level of each BGR pixel's nearest colour in a map; 0 of black."""
     down = 8 - _BITS
     blue, green, red = (pixels[:, :, k].astype(np.int32) >> down for k in range(3))
     return np.asarray(_levels(name)[(blue << 2 * _BITS) | (green << _BITS) | red])
 
 
-def _some(image: np.ndarray) -> np.ndarray:
-    """(n, 3) pixels of an image, every so many, without black ones."""
+def _sample(image: np.ndarray) -> np.ndarray:
+    """(n, 3) about _SAMPLED pixels of an image, evenly spread, without the black ones."""
     colours = image[:, :, :3].reshape(-1, 3)
     colours = colours[:: max(1, len(colours) // _SAMPLED)].astype(np.int16)
     return np.asarray(colours[colours.max(axis=1) >= _BLACK])
@@ -79,7 +79,7 @@ def _colours(name: str) -> FloatArray:
 
 
 def _distances(table: FloatArray, colours: np.ndarray) -> FloatArray:
-    """(n, 256) of colours (n, 3) from those of a map, (256, 3)."""
+    """(n, 256) distances of (n, 3) colours from the (256, 3) colours of a map."""
     squared = (colours.astype(float) ** 2).sum(axis=1)[:, None] - 2 * colours @ table.T
     return np.asarray(np.sqrt(np.maximum(squared + (table**2).sum(axis=1), 0)))
 

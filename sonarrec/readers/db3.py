@@ -71,7 +71,7 @@ class Db3Recording(Recording):
 
 
 class _Database(Protocol):
-    """What is read of a database. channels, counts: as of a Recording."""
+    """What Db3Recording reads of a database. channels, counts, span: as of a Recording."""
 
     channels: dict[int, Channel]
     counts: Counter[int]
@@ -85,7 +85,7 @@ class _Database(Protocol):
 
 
 class _WholeDatabase:
-    """One that SQLite finds nothing wrong with, read by rosbags."""
+    """A database that SQLite finds nothing wrong with, read by rosbags."""
 
     def __init__(self, name: str) -> None:
         from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
@@ -97,8 +97,12 @@ class _WholeDatabase:
         reader.dbconn.limit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_FRAME_BYTES)
         self.channels = {c.id: _channel(c) for c in reader.connections}
         self.counts = Counter({c.id: int(c.msgcount) for c in reader.connections})
-        told = reader.metadata
-        self.span = (int(told.start_time), int(told.end_time) - 1) if told.message_count else None
+        metadata = reader.metadata
+        self.span = (
+            (int(metadata.start_time), int(metadata.end_time) - 1)
+            if metadata.message_count
+            else None
+        )
 
     def rows(self, channels: Collection[int]) -> Iterator[tuple[int, Any, Any]]:
         chosen = [c for c in self._reader.connections if c.id in channels]
@@ -110,9 +114,9 @@ class _WholeDatabase:
 
 
 class _CutDatabase:
-    """One whose end is missing: its rows in the order they were written, as far as they go.
+    """A database whose end is missing: the rows before that, in the order they were written.
 
-    By hand because rosbags counts all rows first, and SQLite gives up a file that is too short.
+    rosbags cannot serve: it counts all rows first, and SQLite refuses that for a file that is cut.
     """
 
     def __init__(self, name: str) -> None:
@@ -152,7 +156,7 @@ class _CutDatabase:
             return {}
 
     def _look(self) -> None:
-        """Note where each message is: 24 bytes of each."""
+        """Note place, channel and time of each message: 24 bytes each."""
         rows = self._db.execute("SELECT rowid, topic_id, timestamp FROM messages ORDER BY rowid")
         try:
             for place, channel, time in rows:
@@ -191,5 +195,5 @@ def _channel(connection: Any) -> Channel:
 
 def _line(error: BaseException) -> str:
     """What an error of the library says, without its names of files."""
-    told = str(error.__cause__ or error).partition("\n")[0]
-    return shown(told.rpartition(": ")[2] or type(error).__name__)[:200]
+    text = str(error.__cause__ or error).partition("\n")[0]
+    return shown(text.rpartition(": ")[2] or type(error).__name__)[:200]

@@ -26,7 +26,7 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 
-from sonarrec.readers.colour_maps import LUMINANCE, undone
+from sonarrec.readers.colour_maps import LUMINANCE, map_levels
 from sonarrec.readers.raw import UnusableError
 from sonarrec.records import ByteImage, SonarrecError
 from sonarrec.sonar import Sonar
@@ -84,7 +84,7 @@ def single_channel(pixels: np.ndarray, colour_map: str = LUMINANCE) -> np.ndarra
         if pixels.dtype not in (np.uint8, np.uint16, np.float32):
             raise UnusableError(f"{pixels.dtype} colour pixels are not supported")
         if colour_map != LUMINANCE and pixels.dtype == np.uint8:
-            return undone(pixels, colour_map)
+            return map_levels(pixels, colour_map)
         code = cv2.COLOR_BGR2GRAY if pixels.shape[2] == 3 else cv2.COLOR_BGRA2GRAY
         pixels = cv2.cvtColor(np.ascontiguousarray(pixels), code)
     if pixels.ndim != 2 or not pixels.size:

@@ -113,7 +113,7 @@ class LogInfo:
         return asdict(self)
 
     def fetched_from(self, origin: Origin) -> LogInfo:
-        """The same of a log that was fetched, with the server's names."""
+        """The same with the server's names, for a log that was fetched from there."""
 
         def renamed(lines: list[str]) -> list[str]:
             return [origin.with_server_names(line) for line in lines]
@@ -133,18 +133,18 @@ class LogInfo:
         return replace(self, path=origin.url, images=images, faults=renamed(self.faults))
 
     @property
-    def nothing(self) -> bool:
+    def has_no_frame(self) -> bool:
         """Whether not one frame can be used."""
         return not any(i.usable if self.checked else i.rows for i in self.images)
 
     @property
-    def partly(self) -> bool:
+    def has_problems(self) -> bool:
         """Whether something cannot be used."""
         return bool(self.faults) or any(i.problems for i in self.images)
 
 
 class _CountingLog(RawLog):
-    """A RawLog that keeps count of what passes through it."""
+    """A RawLog that counts the frames that pass through it, by size, type and time."""
 
     def __init__(self, raw: RawLog, observe: Observe | None) -> None:
         super().__init__()
@@ -175,7 +175,7 @@ class _CountingLog(RawLog):
             yield frame
 
     def close(self) -> None:
-        """Close what is watched."""
+        """Close the log."""
         self._raw.close()
 
     def rate_hz(self) -> float | None:
@@ -199,7 +199,7 @@ def describe(
 
     sonar, sonar_file: the geometry, as of `open_log`. topic: look at this channel alone.
     quick: look at the first frame only, in place of reading and checking every one.
-    observe: told at each frame how many there are, where that is known. up_to: the folder up to
+    observe: called at each frame with their number, None if unknown. up_to: the folder up to
     which sonar.toml is looked for.
     Raises SonarrecError where there is no log or its geometry cannot be read, UsageError for a
     topic that is not there.
@@ -235,7 +235,7 @@ def describe(
 
 
 def _size(file: Path) -> int:
-    """Bytes of a file; 0 of one that cannot be had, which is told as a frame that is not usable."""
+    """Size of a file in bytes; 0 if it cannot be read, which is reported as an unusable frame."""
     try:
         return file.stat().st_size
     except OSError:
@@ -284,7 +284,7 @@ def _images(
     lacks = [key for key in stated.missing() if key == "tilt_deg" or not raw.polar]
     complete = _with_stand_ins(stated, lacks)
     with Log(source.path, source.name, source.files, complete, raw, "log") as log:
-        used, problems, plausibility = _looked_through(
+        usable, problems, plausibility = _read_frames(
             log, None if raw.polar else (complete, where), quick
         )
     size = raw.sizes.most_common(1)
@@ -300,7 +300,7 @@ def _images(
     images = Images(
         topic=topic,
         frames=raw.frame_count if quick else raw.frames,
-        usable=None if quick else used,
+        usable=None if quick else usable,
         rows=size[0][0][0] if size else None,
         columns=size[0][0][1] if size else None,
         pixels=raw.pixels.most_common(1)[0][0] if size else None,
@@ -321,23 +321,24 @@ def _images(
     return images, raw.faults
 
 
-def _looked_through(
+def _read_frames(
     log: Log, geometry: tuple[Sonar, str] | None, quick: bool
 ) -> tuple[int, list[str], Plausibility]:
-    """(frames that can be used, a line for what cannot, what they show) of a log or its first.
+    """(how many frames can be used, a line for each that cannot, what they show).
 
-    geometry: to be complete, with its name; None where the log tells it.
+    quick: read the first frame only. geometry: to be completed, with its name; None where the log
+    states it.
     """
-    used, plausibility = 0, Plausibility()
+    usable, plausibility = 0, Plausibility()
     try:
         if geometry is not None:
             geometry[0].complete(geometry[1])
         for frame in islice(log, 1 if quick else None):
-            used += 1
+            usable += 1
             plausibility.look(frame)
     except SonarrecError as error:
-        return used, log.problems or [error.line], plausibility
-    return used, log.problems, plausibility
+        return usable, log.problems or [error.line], plausibility
+    return usable, log.problems, plausibility
 
 
 def _origin(key: str, flags: Sonar, stated: Sonar, where: str, raw: _CountingLog) -> str:
@@ -364,8 +365,10 @@ def _assumed(sonar: Sonar, fan: Fan, polar: bool, timed: int) -> dict[str, Any]:
 
 
 def _with_stand_ins(stated: Sonar, lacks: list[str]) -> Sonar:
-    """A geometry with something in place of what it lacks: which frames can be used does not
-    depend on it."""
+    """The geometry with some values in place of those it lacks.
+
+    Which frames can be used does not depend on these values.
+    """
     near = stated.range_min_m if stated.range_min_m is not None else 0.0
     values = {
         "range_min_m": 0.0,

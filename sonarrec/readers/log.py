@@ -1,4 +1,4 @@
-"""A log opened: one pass of Frames, and what of it could not be used."""
+"""An opened log: one pass over its Frames, and what of it could not be used."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ class Log:
     the geometry as file and flags state it. unusable: frames so far that could not be used.
     problems: one line for each thing that could not be used (at most MAX_PROBLEM_LINES, then a
     count), complete after the pass. beam_width_deg: as the first frame's message or header states
-    it; None where it does not. untimed: whether frames so far were taken as one a second, for
-    neither they nor the geometry tell their times.
+    it; None where it does not. untimed: whether frames so far were taken as one a second,
+    since neither they nor the geometry give their times.
     """
 
     def __init__(
@@ -54,12 +54,12 @@ class Log:
 
     @property
     def sonar(self) -> Sonar:
-        """The geometry as resolved: of polar messages that of the first ping once it was read."""
+        """The geometry in use: for polar messages that of the first ping, once it was read."""
         return self._make.sonar
 
     @property
     def order_from(self) -> str | None:
-        """Of a beam order that nobody told, whether it was "found" or "assumed"; else None."""
+        """ "found" or "assumed" for a beam order that nobody stated; else None."""
         return self._make.order_from
 
     @property
@@ -122,7 +122,7 @@ class Log:
         used = self.unusable = 0
         self._timed = 0, 0
         self.problems.clear()  # of an earlier pass
-        frames = _settled(self._raw)
+        frames = _of_one_size(self._raw)
         first = list(islice(frames, SETTLING_FRAMES))
         self._make.settle(first)
         stamped = [raw.stamps.header for raw in first if raw.pixels is not None]
@@ -133,10 +133,10 @@ class Log:
             if span[1] is not None and index >= span[1]:
                 return
             if (raw.pixels is None and raw.problem is None) or (used and index < span[0]):
-                continue  # told in the faults, with others, or not asked for
+                continue  # not asked for, or reported in the faults with others
             try:
                 pixels, fan, polar = self._make(raw)
-                stamp = self._named(index, raw)
+                stamp = self._time_of(index, raw)
             except UnusableError as error:
                 self.unusable += 1
                 if self.unusable <= MAX_PROBLEM_LINES:
@@ -158,7 +158,7 @@ class Log:
             reason = f" ({self.problems[0]})" if self.problems else ""
             raise SonarrecError(f"{shown(self.path)}: not one frame could be used{reason}")
 
-    def _named(self, index: int, raw: RawFrame) -> int:
+    def _time_of(self, index: int, raw: RawFrame) -> int:
         """The time that names a frame, ns. Raises UnusableError where the log has no such time."""
         stamps = raw.stamps
         named = {"log": raw.timestamp_ns, "publish": stamps.publish, "header": stamps.header}
@@ -206,8 +206,8 @@ def digest_of(log: Path, files: Sequence[Path]) -> tuple[int, str]:
     return size, digest.hexdigest()
 
 
-def _settled(frames: Iterable[RawFrame]) -> Iterator[RawFrame]:
-    """The frames; of the first few, those of an odd size cannot be used.
+def _of_one_size(frames: Iterable[RawFrame]) -> Iterator[RawFrame]:
+    """The frames, those among the first few that are of an odd size marked as unusable.
 
     The first frame that is used settles the size of the log: one that a driver sent before it had
     its settings must not cost all the others.

@@ -182,6 +182,6 @@ def _below(top: Path) -> Iterator[Path]:
 
 
 def _identity(folder: Path) -> tuple[int, int]:
-    """What a folder has under each of its names."""
-    told = folder.stat()
-    return told.st_dev, told.st_ino
+    """(device, inode) of a folder: the same under each name that links give it."""
+    status = folder.stat()
+    return status.st_dev, status.st_ino

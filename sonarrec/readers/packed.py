@@ -54,16 +54,17 @@ def unpacked(path: Path) -> Iterator[tuple[Path, str | None]]:
     handle, name = tempfile.mkstemp(prefix="sonarrec_", suffix=Path(path.stem).suffix)
     try:
         with os.fdopen(handle, "wb") as out:
-            problem = _written(path, unpack, out)
+            problem = _unpack_to(path, unpack, out)
         yield Path(name), problem
     finally:
         with suppress(OSError):  # a system that keeps open files: it stays in the temporary folder
             Path(name).unlink()
 
 
-def _written(
+def _unpack_to(
     path: Path, unpack: Callable[[BinaryIO, int], Iterator[bytes]], out: BinaryIO
 ) -> str | None:
+    """Write what a file unpacks to; returns what was wrong with it, None if nothing was."""
     import zstandard
 
     from sonarrec.readers.mcap.chunks import DamagedError

@@ -39,8 +39,8 @@ def _stderr_to(file: int) -> Iterator[None]:
 
 
 @cache
-def _heard() -> BinaryIO:
-    """Where the decoders' warnings go."""
+def _warnings_file() -> BinaryIO:
+    """The temporary file to which the decoders' warnings go."""
     return tempfile.TemporaryFile(prefix="sonarrec_", buffering=0)
 
 
@@ -127,7 +127,7 @@ def _tiff_holds_several(data: memoryview) -> bool:
 
 
 def _tiff_white_is_zero(data: memoryview) -> bool:
-    """Whether the lowest values of this are the brightest; False of anything but a TIFF."""
+    """Whether this is a TIFF whose lowest values are the brightest."""
     if data[:4].tobytes() not in _TIFFS:
         return False
     order, at, offset, length, entry_bytes = _TIFFS[data[:4].tobytes()]
@@ -156,15 +156,15 @@ def decode_image(data: bytes | memoryview | np.ndarray) -> np.ndarray:
         raise UnusableError("a TIFF of several images; one image a file is read")
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
-        heard = _heard()
-        with _stderr_to(heard.fileno()):
+        warnings = _warnings_file()
+        with _stderr_to(warnings.fileno()):
             image = cv2.imdecode(buffer, cv2.IMREAD_UNCHANGED)
         warning = b""
-        if heard.tell():
-            heard.seek(0)
-            warning = heard.read(4096)
-            heard.seek(0)
-            heard.truncate()
+        if warnings.tell():
+            warnings.seek(0)
+            warning = warnings.read(4096)
+            warnings.seek(0)
+            warnings.truncate()
     except cv2.error as error:
         if "CV_IO_MAX_IMAGE" in str(error):  # see sonarrec/__init__.py
             raise UnusableError("an image of more than 4096 x 4096 pixels") from None

@@ -34,7 +34,7 @@ def read_poses(path: Path) -> PoseTable:
     with its UTC offset. Rows may come in any order; of several at one time the first counts.
     Raises SonarrecError where the table cannot be used.
     """
-    # With pandas, which only runs with such a table need.
+    # It loads pandas, which only runs with such a table need.
     from sonarrec.files.tables import Kind, read_header, read_table
 
     kinds: dict[str, Kind] = dict.fromkeys(("yaw", "x", "y"), "place")

@@ -37,9 +37,9 @@ class RawFrame:
     """One frame as its log holds it.
 
     name: what to call it in a message. timestamp_ns: None where the log carries no time.
-    pixels, sonar: as of a Ping; pixels is None where it could not be read, and then `problem` says
-    why; without a problem it is one of many lost together, which the log's `faults` tell once, or
-    was passed over.
+    pixels, sonar: as of a Ping. pixels is None where they could not be read; then `problem` says
+    why. Without a problem the frame was passed over, or is one of many that were lost together,
+    for which the log's `faults` have one line.
     stamps: every time that the log keeps of it. white: the value that its file calls white, None
     for the largest of its type.
     """
@@ -55,7 +55,7 @@ class RawFrame:
 
 @dataclass(frozen=True, slots=True)
 class HeaderInfo:
-    """What the headers of a sonar's own file say of the log as a whole.
+    """What the headers of a sonar's own file say about the log as a whole.
 
     sonar: the part of its geometry that pings do not state (tilt, frame rate). values: all that is
     worth knowing, by its name and unit, None where the sonar measured none. notes: what of all this
@@ -75,8 +75,8 @@ class RawLog(ABC):
     where there are none. polar: its frames state their own geometry. header_info: of a
     sonar's own file.
     faults: lines about what is wrong with the log as a whole, complete after the pass.
-    passed_over: the numbers of frames that nobody asked for, which are given without their pixels
-    and without a problem; it may be set in the midst of the pass.
+    passed_over: the numbers of frames that nobody asked for; they are yielded without pixels and
+    without a problem. It may be set in the middle of the pass.
     """
 
     def __init__(self) -> None:
@@ -88,7 +88,7 @@ class RawLog(ABC):
         self.passed_over = range(0)
 
     def geometry(self, stated: Sonar) -> Sonar:
-        """What is stated, completed by the headers; an unstated layout is as the frames have it."""
+        """The stated geometry, completed by the headers, and by the layout of the frames."""
         sonar = self.header_info.sonar.updated(stated)
         usual = Sonar(layout="polar" if self.polar else "fan")
         return sonar if sonar.layout else sonar.updated(usual)

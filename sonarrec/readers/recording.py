@@ -12,9 +12,11 @@ from sonarrec.records import shown
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """One message. Times in ns; publish_time is None where the container keeps none. data: None
-    where it cannot be read, and `problem` says why; without a problem it is one of many lost
-    together, which the recording's faults tell once."""
+    """One message. Times in ns; publish_time is None where the container keeps none.
+
+    data is None where it cannot be read; then `problem` says why. Without a problem it is one of
+    many that were lost together, for which the recording's `faults` have one line.
+    """
 
     channel: int
     log_time: int
@@ -74,9 +76,10 @@ class Recording(ABC):
     def up_to_damage(
         self, messages: Iterator[Message], held: int, line: Callable[[Exception], str]
     ) -> Iterator[Message]:
-        """The messages that a library reads; what it raises, nowhere listed, is the damage.
+        """Yield the messages that a library reads, up to the damage: whatever it raises.
 
-        held: how many there should be. line: what an error of the library says.
+        Libraries do not list what they raise. held: how many messages there should be. line: makes
+        a line of an error.
         """
         read = 0
         try:

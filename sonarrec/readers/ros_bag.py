@@ -105,5 +105,5 @@ def _channel(connection: Any) -> Channel:
 
 
 def _line(error: BaseException) -> str:
-    told = str(error).partition("\n")[0]
-    return shown(told or type(error).__name__)[:200]
+    text = str(error).partition("\n")[0]
+    return shown(text or type(error).__name__)[:200]

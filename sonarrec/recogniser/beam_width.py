@@ -1,4 +1,4 @@
-"""How wide the sonar's beams are, where neither messages nor settings tell it.
+"""Finds how wide the sonar's beams are, where neither messages nor settings state it.
 
 One grain of speckle is as wide as a beam: on an even floor the picture's correlation along the
 bearing falls off as the beam pattern does. Along the range speckle changes from bin to bin, while
@@ -41,19 +41,19 @@ VARIANCE = 0.45
 
 
 def with_beams(
-    configs: Sequence[Config], told_deg: float | None, begin: Sequence[Frame]
+    configs: Sequence[Config], stated_deg: float | None, begin: Sequence[Frame]
 ) -> tuple[list[Config], list[str]]:
-    """The settings with the beams' width where it is to be found out, and a note on it.
+    """The settings, with the beams' width in those that leave it open, and a note on it.
 
-    told_deg: the width that the log states, None where it does not. begin: its first
+    stated_deg: the width that the log states, None where it does not. begin: its first
     FRAMES_FOR_BEAMS frames, at least one. No note where the width is the usual one.
     """
     needs = [not c.features.beam_width_deg and c.features.measurement != "single" for c in configs]
     if not any(needs):
         return list(configs), []
     fan = begin[0].fan
-    if told_deg is not None:
-        width, how = told_deg, "the log states"
+    if stated_deg is not None:
+        width, how = stated_deg, "the log states"
     else:
         width, measured = beam_width_deg(fan, [f.image for f in begin if f.fan == fan])
         how = "the first frames show" if measured else ""
@@ -68,7 +68,7 @@ def with_beams(
 
 
 def usual_beam_width_deg(fan: Fan) -> float:
-    """What sonars of the fan's field of view have: between two-way half-power points."""
+    """The usual width of sonars with the fan's field of view, between two-way half-power points."""
     view_deg = fan.bearing_max_deg - fan.bearing_min_deg
     return next(width for widest, width in USUAL_DEG if view_deg <= widest)
 

@@ -1,4 +1,4 @@
-"""Turns the stages' arrays, in working pixels, into Estimates; when an ID is declared."""
+"""Turns the stages' arrays, in working pixels, into Estimates, and decides what is declared."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class EstimateMaker:
         return self._estimates(method, batch.tracked, chapters, beliefs, scores, self._declare)
 
     def of_candidates(self, method: str, batch: Batch, found: Identification) -> list[Estimate]:
-        """SMI's estimates of a batch's candidates. It has no standard errors."""
+        """SMI's estimates of a batch's candidates, without standard errors."""
         n = len(batch.candidates)
         objects = Groups(
             numbers=batch.candidate_numbers,

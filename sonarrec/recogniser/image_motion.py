@@ -1,4 +1,4 @@
-"""The sonar's motion as its images show it: the pan where it stands, else surge, sway and yaw.
+"""Measures the sonar's motion in its images: the pan where it stands, else surge, sway and yaw.
 
 Most sonars stand on a tripod and pan. There the pan alone is measured, by correlation along the
 bearing, which is cheap and robust; a quick registration of what the pan does not explain shows when
@@ -95,9 +95,10 @@ class ImageMotion:
         self._pause = self._since_search = 0  # frames between searches, and since the last
 
     def step(self, image: ByteImage, seconds: float | None) -> Motion | None:
-        """The motion since the last image; under way, where it is not measured, by the last speed.
+        """The motion since the last image.
 
-        image: the working image. seconds: since the last one, None for the first, which has none.
+        Of a sonar under way it is that of the last speed where the images do not show it. image:
+        the working image. seconds: since the last image; None for the first, which has no motion.
         """
         before = self.pan.picture
         pan_deg, match = self.pan.step(image)
@@ -115,7 +116,7 @@ class ImageMotion:
         return pan_deg if match >= self._min_match else None
 
     def _standing(self, before: FloatImage, pan_deg: float, match: float, seconds: float) -> Motion:
-        """Of a sonar that stood so far."""
+        """The motion of a sonar that stood until now."""
         turn = math.radians(pan_deg)
         start = np.array([0.0, 0.0, turn])
         self._since_quick += 1
@@ -132,7 +133,7 @@ class ImageMotion:
                 self._evidence, self._under_way, self._pause = _Evidence.none(), 0, 0
                 if not crept:
                     self._keyframes.clear()
-                return self._went(found, seconds)
+                return self._accept(found, seconds)
             # It stands: pictures of this floor match no better.
             self._usual_match = match
             self._since_search = 0
@@ -150,7 +151,7 @@ class ImageMotion:
     def _quick_look(
         self, before: FloatImage, turn: float
     ) -> tuple[Registration | None, bool, bool]:
-        """A quick registration, and whether by a keyframe, and by all evidence, the sonar moves.
+        """(a quick registration, whether a keyframe shows motion, whether all evidence does).
 
         turn: the pan since the picture before, rad.
         """
@@ -164,7 +165,7 @@ class ImageMotion:
         return quick, crept, moves
 
     def _moving(self, before: FloatImage, match: float, seconds: float) -> Motion:
-        """Of a sonar under way."""
+        """The motion of a sonar that was under way."""
         assert self._speed is not None
         start = self._speed * seconds
         by_keyframe = self._keyframes.registered(self.pan.picture, start)
@@ -174,7 +175,7 @@ class ImageMotion:
             found = self._registered(before, start, searched=False)
             found = found or self._registered(before, start, searched=True)
         if found is not None:
-            motion = self._went(found, seconds)
+            motion = self._accept(found, seconds)
             self._under_way += 1
             evidence = self._evidence.add(found)
             if by_keyframe is not None:
@@ -204,15 +205,15 @@ class ImageMotion:
             return None
         return found if found.match >= (LEAST_SEARCHED if searched else LEAST_NEAR) else None
 
-    def _went(self, found: Registration, seconds: float) -> Motion:
-        """The motion of a sonar that is under way; its speed and place are kept."""
+    def _accept(self, found: Registration, seconds: float) -> Motion:
+        """The motion that a registration found; the speed and the place by it are kept."""
         self._keyframes.keep(self.pan.picture, found.motion)
         self._speed, self._lost = found.motion / seconds, 0
         return _motion(found)
 
 
 def unknown(seconds: float) -> Motion:
-    """Where nothing is measured, and all that is known is that vehicles are slow."""
+    """The motion where nothing is measured: none, with errors as large as slow vehicles move."""
     metres, degrees = UNKNOWN_M_S * seconds, UNKNOWN_DEG_S * seconds
     return Motion(0.0, 0.0, 0.0, degrees, metres, metres, known=False)
 

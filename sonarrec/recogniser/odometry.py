@@ -15,59 +15,59 @@ LEAST_COMPARED = 10
 
 
 class Odometry:
-    """The sonar's motion: from the table of poses where it tells it, else from the images."""
+    """The sonar's motion: from the table of poses where that has them, else from the images."""
 
     def __init__(self, plane: Plane, config: Continuity, poses: PoseTable | None = None) -> None:
         self._images = ImageMotion(plane, config.min_match) if config.motion == "image" else None
         self._poses = poses
         self._before_ns: int | None = None
         self._span: tuple[int, int] | None = None  # ns, of the frames
-        self._frames = self._untold = self._compared = self._differing = 0
+        self._frames = self._without_pose = self._compared = self._differing = 0
 
     def step(self, image: ByteImage, timestamp_ns: int) -> Motion | None:
-        """The motion since the last frame; None for the first, and where images are not looked at.
+        """The motion since the last frame. `known` is False where neither source gives it.
 
-        Where neither source tells it, it is not `known`. image: the working image. timestamp_ns: of
-        the frame.
+        None for the first frame, and where there is no pose and images are not looked at. image:
+        the working image. timestamp_ns: of the frame.
         """
         before, self._before_ns = self._before_ns, timestamp_ns
-        told = None
+        by_poses = None
         if self._poses is not None:
             self._frames += 1
-            self._untold += not self._poses.covers(timestamp_ns)
+            self._without_pose += not self._poses.covers(timestamp_ns)
             first, last = self._span or (timestamp_ns, timestamp_ns)
             self._span = min(first, timestamp_ns), max(last, timestamp_ns)
-            told = None if before is None else self._poses.motion(before, timestamp_ns)
+            by_poses = None if before is None else self._poses.motion(before, timestamp_ns)
         if self._images is None:
-            return told
-        if told is not None:
-            self._compare(told.pan_deg, self._images.turn(image))
-            return told
+            return by_poses
+        if by_poses is not None:
+            self._compare(by_poses.pan_deg, self._images.turn(image))
+            return by_poses
         return self._images.step(image, None if before is None else (timestamp_ns - before) / 1e9)
 
-    def _compare(self, told_deg: float, seen_deg: float | None) -> None:
-        """Count a turn that is told, and whether the images contradict it."""
-        if seen_deg is not None and max(abs(told_deg), abs(seen_deg)) >= LEAST_TURN_DEG:
+    def _compare(self, pose_deg: float, image_deg: float | None) -> None:
+        """Count a turn by the poses, and whether that by the images contradicts it."""
+        if image_deg is not None and max(abs(pose_deg), abs(image_deg)) >= LEAST_TURN_DEG:
             self._compared += 1
-            self._differing += abs(told_deg - seen_deg) > 0.5 * max(abs(told_deg), abs(seen_deg))
+            self._differing += abs(pose_deg - image_deg) > 0.5 * max(abs(pose_deg), abs(image_deg))
 
     def problems(self) -> list[str]:
-        """So far: what is wrong with the table, and which frames it has no pose for."""
+        """What is wrong with the table, and how many frames so far have no pose in it."""
         if self._poses is None:
             return []
-        if not self._untold:
+        if not self._without_pose:
             return list(self._poses.problems)
         assert self._span is not None
-        told = "{:.3f} to {:.3f} s".format(*(self._poses.at[[0, -1]] / 1e9))
+        covered = "{:.3f} to {:.3f} s".format(*(self._poses.at[[0, -1]] / 1e9))
         log = "{:.3f} to {:.3f} s".format(*(t / 1e9 for t in self._span))
         return [
             *self._poses.problems,
-            f"{self._poses.name}: no pose for {self._untold} of {self._frames} frames; it covers "
-            f"{told}, and the frames are from {log}",
+            f"{self._poses.name}: no pose for {self._without_pose} of {self._frames} frames; it "
+            f"covers {covered}, and the frames are from {log}",
         ]
 
     def notes(self) -> list[str]:
-        """What speaks against the table, so far: one line at most."""
+        """A line where the images of the frames so far contradict the table."""
         if self._compared < LEAST_COMPARED or self._differing <= self._compared / 2:
             return []
         assert self._poses is not None

@@ -89,7 +89,7 @@ class PanEstimator:
         return self._from_keyframe(before, view, pan_deg, match), match
 
     def _from_keyframe(self, before: _View, view: _View, pan_deg: float, match: float) -> float:
-        """The pan since the last view by the turn from a keyframe; without one that matches, as is.
+        """The pan since the last view, by the turn from a keyframe; `pan_deg` where none matches.
 
         pan_deg, match: from the last view to this one.
         """

@@ -184,7 +184,7 @@ class _Fit:
     def of(
         cls, floor: FloorCells, before: FloatImage, now: FloatImage, motion: FloatArray
     ) -> _Fit | None:
-        """None where the pictures have nothing in common."""
+        """Compare two pictures under a motion (3,); None where they have nothing in common."""
         row, column = floor.places.before(floor.ground, floor.bearing, motion.astype(np.float32))
         earlier = np.asarray(cv2.remap(before, column, row, cv2.INTER_LINEAR), np.float32)
         seen = np.asarray(cv2.remap(floor.seen, column, row, cv2.INTER_LINEAR))

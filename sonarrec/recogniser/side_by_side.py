@@ -66,19 +66,19 @@ class SideBySide:
         self._levels = Levels(landmarks.radius_m)
 
     def recognise(self, frames: Iterable[Frame], *, ahead: bool = False) -> Iterator[FrameResult]:
-        """The results in the log's order, each when it is final.
+        """Yield the results in the log's order, each when it is final.
 
-        An exception on the way is raised after the results of all frames before it, but for those
-        that wait to be revised: call `waiting` for these. ahead: as in `recognise_together`.
+        An exception on the way is raised after the results of all frames before it, except those
+        that still wait to be revised: call `waiting` for these. ahead: as in `recognise_together`.
         """
-        whole = self._levels.restored(self._unchanging.filled(frames))
-        for found in recognise_together([*self._recognisers.values()], whole, ahead=ahead):
+        frames = self._levels.restored(self._unchanging.filled(frames))
+        for found in recognise_together([*self._recognisers.values()], frames, ahead=ahead):
             results = self._of_each(dict(zip(self._recognisers, found, strict=True)))
             for hindsight, result in zip(self._hindsight, results, strict=True):
                 if hindsight is not None:
                     hindsight.learn(result)
             self._pending.append(results)
-            # Each at its own lag: so it says beside others what it says alone.
+            # Each at its own lag, so that a preset gives the same results beside others as alone.
             for i, hindsight in enumerate(self._hindsight):
                 if hindsight is not None and len(self._pending) > hindsight.lag:
                     _revise(self._pending[-1 - hindsight.lag], i, hindsight)
@@ -99,7 +99,7 @@ class SideBySide:
         return results
 
     def waiting(self) -> Iterator[FrameResult]:
-        """The results that still wait, revised by what is known now; for when the frames end."""
+        """Yield the results that still wait, revised by what is known now, when the frames end."""
         for i, hindsight in enumerate(self._hindsight):
             if hindsight is not None:
                 for results in [*self._pending][-hindsight.lag :]:
@@ -140,7 +140,7 @@ class SideBySide:
         return done
 
     def _final(self) -> FrameResult:
-        """The oldest frame that waits, its results put together."""
+        """The results of the oldest frame that waits, put together."""
         results = self._pending[0]
         self._pending.popleft()  # not before: Ctrl-C may come in between
         return replace(

@@ -117,18 +117,18 @@ class Surroundings:
         self._seen = np.maximum(self._sum(plane.inside.astype(np.float32)), np.float32(1e-3))
 
     def mean(self, values: npt.NDArray[Any]) -> FloatImage:
-        """Of (rows, columns) values, 0 outside the fan: their mean, on the coarse grid."""
+        """Local means, on the coarse grid, of (rows, columns) values that are 0 outside the fan."""
         return np.asarray(self._sum(values) / self._seen, np.float32)
 
     def fine(self, coarse: FloatArray) -> FloatImage:
-        """(rows, columns) of values on the coarse grid."""
+        """Values on the coarse grid interpolated to every pixel: (rows, columns)."""
         size = (coarse.shape[1] * COARSE, coarse.shape[0] * COARSE)
         rows, columns = self._shape
         fine = cv2.resize(coarse, size, interpolation=cv2.INTER_LINEAR)
         return np.asarray(fine[:rows, :columns], np.float32)
 
     def at(self, coarse: FloatImage, places: FloatArray) -> FloatArray:
-        """(n,) of what `fine` would give at the pixels nearest to (n, 2) places."""
+        """(n,) what `fine` would give at the pixels nearest to (n, 2) places."""
         if len(places) == 0:  # OpenCV refuses empty maps
             return np.empty(0)
         rows, columns = self._shape
@@ -165,15 +165,16 @@ class Detector(Protocol):
     """How well a landmark's circle fits at every pixel."""
 
     def __call__(self, image: ByteImage, relief: FloatImage, sigma: float) -> ScoreMaps:
-        """Of a working image.
+        """The score maps of a working image.
 
-        relief: (rows, columns) grey level over that of the surroundings. sigma: its deviation.
+        relief: (rows, columns) grey level over that of the surroundings. sigma: its standard
+        deviation.
         """
         ...
 
 
 class EdgeScore:
-    """The paper's: the share of the outline's pixels that lie on or near an edge."""
+    """The paper's score: the share of the outline's pixels that lie on or near an edge."""
 
     def __init__(self, config: Candidates, plane: Plane) -> None:
         self._config = config
@@ -210,7 +211,7 @@ class EdgeScore:
 
 
 class RingScore:
-    """The default: contrast of a bright ring over its surroundings, 1 for the full contrast."""
+    """The default score: a bright ring's contrast over its surroundings, 1 for full contrast."""
 
     def __init__(
         self,

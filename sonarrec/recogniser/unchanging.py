@@ -118,7 +118,7 @@ class Unchanging:
 
     def _judge(self) -> None:
         """Settle what is filled, and from where."""
-        drawn, away = self._found()
+        drawn, away = self._unchanging_pixels()
         if not drawn.any():
             self.share = 0.0
             return
@@ -135,7 +135,7 @@ class Unchanging:
         self._beside = place[nearest.ravel()[self._holes]]
         self.share = len(self._holes) / max(int(np.count_nonzero(~away)), 1)
 
-    def _found(self) -> tuple[BoolArray, BoolArray]:
+    def _unchanging_pixels(self) -> tuple[BoolArray, BoolArray]:
         """(rows, columns) what is drawn or dead; and what shows nothing anyway."""
         inside, change = self._inside, cv2.subtract(self._most, self._least)
         usual = _local_mean(change, inside & (self._most > BLACK))

@@ -14,7 +14,7 @@ import pytest
 
 from sonarrec.cli.options_log import COLOUR_MAPS
 from sonarrec.readers import open_log
-from sonarrec.readers.colour_maps import LUMINANCE, MAPS, find_map, is_coloured, undone
+from sonarrec.readers.colour_maps import LUMINANCE, MAPS, find_map, is_coloured, map_levels
 from sonarrec.sonar import ColourMap
 from tests.support.command import sonarrec
 
@@ -34,7 +34,7 @@ def test_the_maps_that_may_be_stated_are_those_there_are() -> None:
 def test_levels_come_back(name: str) -> None:
     """The table of colours has steps of 4, of which viridis takes one for a level or two."""
     levels = np.tile(np.arange(24, 256, dtype=np.uint8), (2, 1))  # black is black in any map
-    back = undone(cv2.applyColorMap(levels, MAPS[name]), name).astype(int)
+    back = map_levels(cv2.applyColorMap(levels, MAPS[name]), name).astype(int)
     assert np.abs(back - levels).max() <= 4
 
 
@@ -50,7 +50,7 @@ def test_the_map_is_found(name: str, quality: int | None) -> None:
         drawn = cv2.imdecode(data, cv2.IMREAD_COLOR)
     assert is_coloured(drawn)
     assert find_map([drawn]) == name
-    off = np.abs(undone(drawn, name).astype(int) - grey)[grey >= 24]
+    off = np.abs(map_levels(drawn, name).astype(int) - grey)[grey >= 24]
     assert np.median(off) <= (2 if quality is None else 6)
 
 
@@ -59,7 +59,7 @@ def test_the_maps_are_those_of_matplotlib(name: str) -> None:
     colours = mpl.colormaps[name](picture())[:, :, 2::-1]
     drawn = np.round(255 * colours).astype(np.uint8)
     assert find_map([drawn]) == name
-    assert np.median(np.abs(undone(drawn, name).astype(int) - picture())) <= 2
+    assert np.median(np.abs(map_levels(drawn, name).astype(int) - picture())) <= 2
 
 
 def test_grey_pictures_and_strange_colours_have_no_map() -> None:

@@ -256,7 +256,7 @@ def test_for_programs(tmp_path: Path) -> None:
     seen: list[int | None] = []
     found = describe(mcap_file(tmp_path / "log.mcap", MESSAGES), observe=seen.append)
     assert seen == [20] * 20
-    assert not found.partly
-    assert not found.nothing
+    assert not found.has_problems
+    assert not found.has_no_frame
     assert all(line == line.rstrip() for line in lines(found))
     assert json.loads(json.dumps(found.as_table()))["images"][0]["usable"] == 20

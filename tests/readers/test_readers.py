@@ -22,7 +22,7 @@ from hypothesis import strategies as st
 from sonarrec.geometry import PolarToFan
 from sonarrec.readers import open_log
 from sonarrec.readers.images import ImagePaths, natural_order
-from sonarrec.readers.log import MAX_PROBLEM_LINES, _settled
+from sonarrec.readers.log import MAX_PROBLEM_LINES, _of_one_size
 from sonarrec.readers.many import NamedLog, find_logs
 from sonarrec.readers.raw import RawFrame
 from sonarrec.records import Frame, SonarrecError, UsageError
@@ -229,7 +229,7 @@ def test_of_frames_before_a_span_only_the_first_are_decoded(
     decoded: list[bool] = []
 
     def noted(raws: Iterable[RawFrame]) -> Iterator[RawFrame]:
-        for raw in _settled(raws):
+        for raw in _of_one_size(raws):
             decoded.append(raw.pixels is not None)
             yield raw
 

@@ -1,4 +1,4 @@
-"""An averaged shape matrix described under every ID: the FEATURES that the model judges."""
+"""Describes an averaged shape matrix under every ID by the FEATURES that the model judges."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class _Bands:
 
     @property
     def contrast(self) -> FloatArray:
-        """(n,) the same, not so small that shares of it explode."""
+        """(n,) the ring's contrast, at least LEAST_CONTRAST, for features to be divided by."""
         return np.maximum(self.ring_over_gap, LEAST_CONTRAST)
 
 
