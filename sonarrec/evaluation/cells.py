@@ -53,7 +53,7 @@ class OperatingPoint:
     """FP."""
 
 
-def of(evaluation: Pooled, method: str, protocol: str) -> PooledScored:
+def scored_by(evaluation: Pooled, method: str, protocol: str) -> PooledScored:
     """One method under one protocol."""
     return next(s for s in evaluation.scored if (s.method, s.protocol) == (method, protocol))
 
@@ -91,7 +91,7 @@ def rates(evaluation: Pooled, summary: Summary) -> list[tuple[str, list[Operatin
             method,
             [
                 _operating_point(
-                    of(evaluation, method, protocol).count(),
+                    scored_by(evaluation, method, protocol).count(),
                     *(figure(summary.figure(protocol, method, n), n) for n in HEADLINE),
                 )
                 for protocol in protocols(evaluation)
@@ -104,7 +104,7 @@ def rates(evaluation: Pooled, summary: Summary) -> list[tuple[str, list[Operatin
 def rates_per_log(evaluation: Pooled) -> list[tuple[str, list[OperatingPoint]]]:
     """For each log the operating points of methods over all IDs, under the stricter protocol."""
     protocol = protocols(evaluation)[0]
-    counts = [of(evaluation, m, protocol).counts_per_log() for m in evaluation.methods]
+    counts = [scored_by(evaluation, m, protocol).counts_per_log() for m in evaluation.methods]
     return [
         (log, [_operating_point(per_log[i][-1]) for per_log in counts])
         for i, log in enumerate(evaluation.logs)
@@ -140,12 +140,12 @@ def figures(
 def differences(summary: Summary, protocol: str) -> list[tuple[str, list[Cell]]]:
     """For each two methods their differences in the metrics of TESTED."""
     rows: dict[str, list[Cell]] = {}
-    for d in tested(summary, protocol):
+    for d in tested_differences(summary, protocol):
         rows.setdefault(f"{d.b} minus {d.a}", []).append(difference(d))
     return list(rows.items())
 
 
-def tested(summary: Summary, protocol: str) -> list[Difference]:
+def tested_differences(summary: Summary, protocol: str) -> list[Difference]:
     """The differences in the metrics of TESTED."""
     found = (d for d in summary.differences if d.protocol == protocol)
     return [d for d in found if BY_NAME[d.name].tested]

@@ -71,7 +71,7 @@ def rates_of(case: Case, s: PooledScored) -> Iterable[UnitSums]:
 
 
 def waits(case: Case) -> Iterable[UnitSums]:
-    """Spread of the frames to a lasting ID, under every protocol."""
+    """Histograms of the frames to a lasting ID, under every protocol."""
     return wait_counts(case.pooled.outcomes, *_passes(case))
 
 
@@ -96,12 +96,12 @@ def switched(case: Case) -> Iterable[UnitSums]:
 
 
 def positions(case: Case) -> Iterable[UnitSums]:
-    """Spread of position errors, m."""
+    """Histograms of position errors, m."""
     return _errors(case, "position")
 
 
 def orientations(case: Case) -> Iterable[UnitSums]:
-    """Spread of orientation errors, deg."""
+    """Histograms of orientation errors, deg."""
     return _errors(case, "orientation")
 
 
@@ -127,12 +127,14 @@ def calibration(case: Case) -> Iterable[UnitSums]:
 
 def true_positive_rate(r: Rates) -> FloatArray:
     """TP / (TP + FN)."""
-    return ratio(r.made[:, 0], r.made[:, 0] + r.made[:, 3])
+    tp, _, _, fn = r.counts.T
+    return ratio(tp, tp + fn)
 
 
 def false_positive_rate(r: Rates) -> FloatArray:
     """FP / (FP + TN)."""
-    return ratio(r.made[:, 2], r.made[:, 2] + r.made[:, 1])
+    _, tn, fp, _ = r.counts.T
+    return ratio(fp, fp + tn)
 
 
 def auc(r: Rates) -> FloatArray:
@@ -196,7 +198,7 @@ class Metric:
     digits: int
     """After the decimal point."""
     counted: Callable[[Case], Iterable[UnitSums]]
-    """Counts the records that it is a function of."""
+    """Gives the sums of the records that it is a function of."""
     figure: Callable[[Any], FloatArray | None]
     """(R,) of a record of R rows; None if the method has no such figure."""
     tested: bool = False

@@ -68,7 +68,7 @@ def summary_screen(evaluation: Pooled, summary: Summary, details: bool = False) 
             lines.append(f"protocol {protocol}, all IDs{over}")
             lines += _figure_table(summary, protocol, evaluation.methods)
             lines.append("")
-    tested = cells.tested(summary, main)
+    tested = cells.tested_differences(summary, main)
     if any(not math.isnan(d.p) for d in tested):
         units = units_text(summary.units)
         lines.append(f"protocol {main}, differences; paired sign-flip test over {units}")

@@ -79,7 +79,7 @@ def episodes(evaluation: Evaluation, method: str, protocol: str) -> list[Episode
 
 def _false_claims(scored: Scored) -> pd.DataFrame:
     """A row per false claim; `which` is the claim, `at` its frame (indices into Joined)."""
-    false = scored.made[scored.made_effect[:, 2] > 0]
+    false = scored.declared_claim[scored.declared_effect[:, 2] > 0]
     return pd.DataFrame(
         {
             "kind": "claim",
@@ -93,7 +93,7 @@ def _false_claims(scored: Scored) -> pd.DataFrame:
 
 def _misses(joined: Joined, scored: Scored) -> pd.DataFrame:
     """A row per landmark in view that was not claimed; `which` is the truth."""
-    found = scored.truth[scored.made[scored.made_effect[:, 3] < 0]]
+    found = scored.truth[scored.declared_claim[scored.declared_effect[:, 3] < 0]]
     missed = np.setdiff1d(scored.positive, found)
     ids = len(joined.ids)
     best = np.zeros(len(joined.frame) * ids)

@@ -96,7 +96,7 @@ def _scored(pooled: Pooled, method: str | None) -> Iterator[tuple[str, str]]:
     if method not in pooled.methods:
         there = ", ".join(pooled.methods)
         raise UsageError(f"--method {method}: no log that is scored has it; there is {there}")
-    scored = cells.of(pooled, method, cells.protocols(pooled)[0])
+    scored = cells.scored_by(pooled, method, cells.protocols(pooled)[0])
     counts = [of_log[-1] for of_log in scored.counts_per_log()]
     mistakes = [count.fn + count.fp for count in counts]
     false = [count.fp for count in counts]

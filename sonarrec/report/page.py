@@ -398,7 +398,7 @@ def _mistakes(
 ) -> list[Mistakes]:
     found = []
     for method in sorted(pooled.methods, key=lambda m: m != tracker):
-        count = cells.of(pooled, method, cells.protocols(pooled)[0]).count()
+        count = cells.scored_by(pooled, method, cells.protocols(pooled)[0]).count()
         shown = []
         mine = wrong.get(method, [])  # the method may be in other logs only
         for episode in mine[:MOST_MISTAKES]:

@@ -233,7 +233,7 @@ def test_of_frames_before_a_span_only_the_first_are_decoded(
             decoded.append(raw.pixels is not None)
             yield raw
 
-    monkeypatch.setattr("sonarrec.readers.log._settled", noted)
+    monkeypatch.setattr("sonarrec.readers.log._of_one_size", noted)
     with open_log(path, sonar=sonar) as opened:
         some = list(opened.within((5, 7)))
     assert opened.problems == []

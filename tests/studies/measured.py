@@ -39,7 +39,7 @@ def errors(evaluation: Evaluation, found: Scored, folders: Sequence[Path]) -> Er
     """How far right claims are from the truth. evaluation: `simulated.score(folders)`; found: one
     method of it."""
     joined = evaluation.joined
-    right = found.made[found.made_effect[:, 0] > 0]
+    right = found.declared_claim[found.declared_effect[:, 0] > 0]
     claim, truth = found.claim[right], found.truth[right]
     told, true = joined.claim_position[claim].T, joined.truth_position[truth].T
     turn = joined.turn_deg[found.landmark_index[right]]

@@ -324,7 +324,7 @@ def _compared(counted: _CountedPairs, unit: UnitKind | None, **known: Any) -> Co
 
 def _rate_changes(old: UnitSums, new: UnitSums) -> Iterable[RateChange]:
     """The rates of MAIN that are known in the old or the new results."""
-    tp, tn, fp, fn = new.exact.made[0].tolist()
+    tp, tn, fp, fn = new.exact.counts[0].tolist()
     for name in MAIN:
         was, now = (BY_NAME[name].value(rate) for rate in (old, new))
         if not (math.isnan(was) and math.isnan(now)):

@@ -237,7 +237,7 @@ def orientation_errors(strict: Scored, joined: Joined, right: IntArray) -> Float
 
 def right_claims(scored: Scored) -> IntArray:
     """Indices of the claims that are declared and right."""
-    return scored.made[scored.made_effect[:, 0] > 0]
+    return scored.declared_claim[scored.declared_effect[:, 0] > 0]
 
 
 def positive_is_claimed(scored: Scored, joined: Joined) -> BoolArray:

@@ -75,30 +75,30 @@ class Parts:
     def __init__(self, store: Store | None = None, side: str = "") -> None:
         """store: may be shared with other Parts of another `side`."""
         self._store, self._side = store or Store(), side
-        self._given: list[Part] = []
-        self._used: dict[int, tuple[int, int]] = {}
+        self._parts: list[Part] = []
+        self._selected: dict[int, tuple[int, int]] = {}
 
     def put(self, part: Part) -> int:
         """Keep a part; returns its number."""
-        number = len(self._given)
+        number = len(self._parts)
         for key, array in part.blocks.items():
             self._store.put((self._side, key), number, array)
-        self._given.append(replace(part, blocks={}))
+        self._parts.append(replace(part, blocks={}))
         return number
 
-    def use(self, numbers: Sequence[int]) -> list[Part]:
+    def select(self, numbers: Sequence[int]) -> list[Part]:
         """Select the parts that count; the others are ignored from now on."""
-        used = [self._given[n] for n in numbers]
+        used = [self._parts[n] for n in numbers]
         logs = np.cumsum([0, *(len(part.logs) for part in used)]).tolist()
         units = np.cumsum([0, *(len(part.unit_log) for part in used)]).tolist()
-        self._used = {n: (logs[i], units[i]) for i, n in enumerate(numbers)}
+        self._selected = {n: (logs[i], units[i]) for i, n in enumerate(numbers)}
         return used
 
     def blocks(self, key: Hashable) -> Iterator[tuple[int, int, npt.NDArray[Any]]]:
         """(index of the first log, of the first pass unit, array) of each part that has the key."""
         for number, array in self._store.get((self._side, key)):
-            if number in self._used:
-                yield *self._used[number], array
+            if number in self._selected:
+                yield *self._selected[number], array
 
     def scores(
         self, protocol: str, method: str, ids: int, k: int | None
@@ -183,7 +183,7 @@ def pooled(
     parts: Parts, numbers: Sequence[int], names: Sequence[str], min_visible: float
 ) -> Pooled:
     """The evaluation of these parts, which have the same IDs. names: of their logs."""
-    used = parts.use(numbers)
+    used = parts.select(numbers)
     methods = in_order({method for part in used for method in part.methods})
     placed = all(part.placed for part in used)
     ids = used[0].ids
@@ -202,7 +202,7 @@ def pooled(
         replace(part.passes, log_index=part.passes.log_index + log, unit=part.passes.unit + unit)
         for part, log, unit in zip(used, first_log, first_unit, strict=False)
     ]
-    seen = [dict(zip(part.methods, part.estimates.tolist(), strict=True)) for part in used]
+    estimates = [dict(zip(part.methods, part.estimates.tolist(), strict=True)) for part in used]
     return Pooled(
         logs=tuple(names),
         ids=ids,
@@ -213,7 +213,7 @@ def pooled(
         positives=np.sum([part.positives for part in used], axis=0),
         ignored=sum(part.ignored for part in used),
         gates=tuple(sorted({gate for part in used for gate in part.gates})),
-        estimates=np.array([sum(s.get(m, 0) for s in seen) for m in methods]),
+        estimates=np.array([sum(n.get(m, 0) for n in estimates) for m in methods]),
         unit_log=np.concatenate(
             [part.unit_log + log for part, log in zip(used, first_log, strict=False)]
         ),

@@ -53,10 +53,10 @@ class Scored:
     """(n,) the truth of which it is a right claim, else -1."""
     effect: npt.NDArray[np.int8]
     """(n, 4) what it adds to TP, TN, FP, FN after the claims before it."""
-    made: IntArray
-    """(m,) indices of the declared claims."""
-    made_effect: npt.NDArray[np.int8]
-    """(m, 4) what these add if no others are made."""
+    declared_claim: IntArray
+    """(m,) which of the n claims are declared."""
+    declared_effect: npt.NDArray[np.int8]
+    """(m, 4) what these add to TP, TN, FP, FN if there are no other claims."""
 
     def count(self, k: int | None = None) -> Count:
         """The counts at the operating point: of the k-th ID, or the sum over all."""
@@ -98,8 +98,8 @@ class Scored:
     def declared_by(self, of_frame: IntArray, of_truth: IntArray, groups: int) -> IntArray:
         """(groups, K, 4) `declared`, split as in `base_by`."""
         counts = self.base_by(of_frame, of_truth, groups)
-        group = self.claims_by(of_frame, of_truth)[self.made]
-        np.add.at(counts, (group, self.landmark_index[self.made]), self.made_effect)
+        group = self.claims_by(of_frame, of_truth)[self.declared_claim]
+        np.add.at(counts, (group, self.landmark_index[self.declared_claim]), self.declared_effect)
         return counts
 
 
@@ -129,11 +129,13 @@ def score(joined: Joined, method: int, protocol: str) -> Scored:
     base[:, 1] = np.count_nonzero(negative, axis=0)
     base[:, 3] = np.bincount(joined.truth_landmark_index[positive], minlength=k)
     right, absent = truth >= 0, state[cell] == NEGATIVE
-    made = np.flatnonzero(joined.declared[mine])
-    made_effect = _effects(protocol, right[made], absent[made], spot[made])
+    declared_claim = np.flatnonzero(joined.declared[mine])
+    declared_effect = _effects(
+        protocol, right[declared_claim], absent[declared_claim], spot[declared_claim]
+    )
     landmark = joined.claim_landmark_index[mine]
     declared = base.copy()
-    np.add.at(declared, landmark[made], made_effect)
+    np.add.at(declared, landmark[declared_claim], declared_effect)
     return Scored(
         protocol=protocol,
         method=joined.methods[method],
@@ -149,8 +151,8 @@ def score(joined: Joined, method: int, protocol: str) -> Scored:
         frame_index=joined.claim_frame_index[mine],
         truth=truth,
         effect=_effects(protocol, right, absent, spot),
-        made=made,
-        made_effect=made_effect,
+        declared_claim=declared_claim,
+        declared_effect=declared_effect,
     )
 
 

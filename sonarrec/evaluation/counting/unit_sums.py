@@ -53,7 +53,7 @@ class UnitSums:
 class Rates:
     """Operating points and ROCs."""
 
-    made: FloatArray
+    counts: FloatArray
     """(R, 4) TP, TN, FP, FN at the operating point."""
     tpr: FloatArray
     fpr: FloatArray
