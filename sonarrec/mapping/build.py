@@ -60,8 +60,8 @@ class SiteMap:
 
 
 @dataclass(frozen=True, slots=True)
-class _Found:
-    """One log that can be mapped, and what is said of it if it is: as of a SiteMap."""
+class _ReadLog:
+    """One log that can be mapped, with its part of a SiteMap's notes and problems."""
 
     folder: Path
     recording: Recording
@@ -83,40 +83,23 @@ def make_map(
     """The map of the landmarks that a method declared.
 
     results: folders of single logs, or such that hold some. odometry: tables of poses, see
-    `poses_of_run`. drift: of told poses; default, they are exact. method: of estimates.csv,
+    `poses_of_run`. drift: of these poses; default, they are exact. method: of estimates.csv,
     default `framework` or the only one. landmarks, sonar: in place of what run.toml says.
     least_frames: with a declaration, over all passes; what has fewer is left out. Of several
     results of one recording the first counts. Raises SonarrecError where none of the logs can be
     used, or they have no frame in common.
     """
     folders = list(dict.fromkeys(log for one in results for log in find_logs(one)))
-    there: list[_Found] = []
-    problems: list[str] = []
-    landmark_set: LandmarkSet | None = None
-    for folder in folders:
-        try:
-            run = read_run(folder / "run.toml")
-            own = run.landmark_set(landmarks)
-            landmark_set = landmark_set or own
-            if own.as_table() != landmark_set.as_table():
-                raise SonarrecError(
-                    f"{folder}: landmark set {own.name!r}, not {landmark_set.name!r} as the others"
-                )
-            poses = poses_of_run(folder, run, odometry)
-            there.append(_found(folder, run, poses, drift or Drift(), own, method, sonar))
-        except SonarrecError as error:
-            if len(folders) == 1:
-                raise
-            problems.append(str(error))
-    if landmark_set is None or not there:
-        raise SonarrecError("\n".join(["no log can be mapped", *problems]))
+    read, landmark_set, problems = _read_logs(
+        folders, odometry, drift or Drift(), method, landmarks, sonar
+    )
     once = counted_once(
-        [one.folder for one in there],
-        [one.recording for one in there],
-        lambda i: there[i].log.path.frame,
+        [one.folder for one in read],
+        [one.recording for one in read],
+        lambda i: read[i].log.path.frame,
         "used",
     )
-    counted = [there[i] for i in once.kept]
+    counted = [read[i] for i in once.kept]
     logs = [one.log for one in counted]
     problems += [line for one in counted for line in one.problems] + once.unused
     notes = [line for one in counted for line in one.notes] + once.notes
@@ -136,7 +119,42 @@ def make_map(
     return SiteMap(landmark_set, kept, len(found) - len(kept), logs, problems, notes, ros_axes)
 
 
-def _found(
+def _read_logs(
+    folders: Sequence[Path],
+    odometry: Sequence[Path],
+    drift: Drift,
+    method: str | None,
+    landmarks: str | None,
+    sonar: Sonar | None,
+) -> tuple[list[_ReadLog], LandmarkSet, list[str]]:
+    """(the logs that can be mapped, their landmark set, a line for each other one).
+
+    Raises SonarrecError where there is none.
+    """
+    read: list[_ReadLog] = []
+    problems: list[str] = []
+    landmark_set: LandmarkSet | None = None
+    for folder in folders:
+        try:
+            run = read_run(folder / "run.toml")
+            own = run.landmark_set(landmarks)
+            landmark_set = landmark_set or own
+            if own.as_table() != landmark_set.as_table():
+                raise SonarrecError(
+                    f"{folder}: landmark set {own.name!r}, not {landmark_set.name!r} as the others"
+                )
+            poses = poses_of_run(folder, run, odometry)
+            read.append(_read_log(folder, run, poses, drift, own, method, sonar))
+        except SonarrecError as error:
+            if len(folders) == 1:
+                raise
+            problems.append(str(error))
+    if landmark_set is None or not read:
+        raise SonarrecError("\n".join(["no log can be mapped", *problems]))
+    return read, landmark_set, problems
+
+
+def _read_log(
     folder: Path,
     run: RunFile,
     poses: PoseTable | None,
@@ -144,7 +162,7 @@ def _found(
     landmarks: LandmarkSet,
     method: str | None,
     sonar: Sonar | None,
-) -> _Found:
+) -> _ReadLog:
     """One log with its passes along its path. Raises SonarrecError where it cannot be mapped."""
     path, notes = _path(folder, poses, drift)
     fan = run.fan(sonar)
@@ -160,7 +178,7 @@ def _found(
     log = MappedLog(name, path, seen, LogPasses(name, path, passes), fan, ros_axes)
     problems = [] if run.finished else [cut_short(str(folder), len(path.frame), "used")]
     problems += _left_out(folder, log)
-    return _Found(folder, recording(folder, run, len(seen.row)), log, notes, problems)
+    return _ReadLog(folder, recording(folder, run, len(seen.row)), log, notes, problems)
 
 
 def _left_out(folder: Path, log: MappedLog) -> Iterator[str]:

@@ -104,8 +104,7 @@ def write_overlay(
         rows = read_estimates(table, method, landmark_set, first.fan)
         history: deque[Moment] = deque(maxlen=STRIP_FRAMES)
         written = 0
-        annotations: FoxgloveFile | None = None
-        pictures: Sequence[VideoFile | ImageFolder] = ()
+        outputs: _Outputs | None = None
         with ExitStack() as stack:
             for frame, estimates in _with_estimates(chain([first], frames), rows, span[1]):
                 history.append(Moment(frame.index, frame.timestamp_ns, estimates))
@@ -113,16 +112,11 @@ def write_overlay(
                     observe(log.frame_count)
                 if frame.index < span[0]:
                     continue
-                if not written:  # an older overlay stays where there is nothing to write
-                    annotations, pictures = _open_targets(
-                        targets, stack, log, first, landmark_set, folder
-                    )
+                if outputs is None:  # an older overlay stays where there is nothing to write
+                    outputs = _open_outputs(targets, stack, log, first, landmark_set, folder)
+                outputs.write(frame, history, truth.get(frame.index, []), grid=grid)
                 written += 1
-                marks = truth.get(frame.index, [])
-                if annotations is not None:
-                    annotations.write(frame, estimates, trails(history), marks)
-                _write_pictures(pictures, frame, history, landmark_set, marks, grid)
-        problems += [*log.problems, *(annotations.problems() if annotations is not None else [])]
+        problems += [*log.problems, *(outputs.problems() if outputs is not None else [])]
     if not written:
         raise UsageError(f"{path}: no frame lies in --frames {span[0]}:{span[1] or ''}")
     made_of = run.input.topic
@@ -156,35 +150,47 @@ def _cut_short(folder: Path) -> str:
     return f"{folder}: the run was cut short; frames after {last_frame(folder)} have no results"
 
 
-def _write_pictures(
-    targets: Sequence[VideoFile | ImageFolder],
-    frame: Frame,
-    history: Sequence[Moment],
-    landmarks: LandmarkSet,
-    marks: Sequence[Mark],
-    grid: bool,
-) -> None:
-    """Write the frame drawn, above its strip; history: up to this frame."""
-    if not targets:
-        return
-    estimates, paths = history[-1].estimates, trails(history)
-    drawn = draw_frame(
-        frame.image, frame.fan, landmarks, estimates, paths=paths, truth=marks, grid=grid
-    )
-    picture = draw_picture(drawn, draw_strip(history, landmarks, max(drawn.shape[1], 512)))
-    for target in targets:
-        target.write(frame.index, picture)
+@dataclass(frozen=True, slots=True)
+class _Outputs:
+    """What frames are written to."""
+
+    annotations: FoxgloveFile | None
+    pictures: list[VideoFile | ImageFolder]
+    landmarks: LandmarkSet
+
+    def write(
+        self, frame: Frame, history: Sequence[Moment], marks: Sequence[Mark], *, grid: bool
+    ) -> None:
+        """Write the frame's annotations, and its picture above the strip of the frames before.
+
+        history: up to this frame. marks: its truth. grid: as of `write_overlay`.
+        """
+        estimates, paths = history[-1].estimates, trails(history)
+        if self.annotations is not None:
+            self.annotations.write(frame, estimates, paths, marks)
+        if not self.pictures:
+            return
+        drawn = draw_frame(
+            frame.image, frame.fan, self.landmarks, estimates, paths=paths, truth=marks, grid=grid
+        )
+        picture = draw_picture(drawn, draw_strip(history, self.landmarks, max(drawn.shape[1], 512)))
+        for target in self.pictures:
+            target.write(frame.index, picture)
+
+    def problems(self) -> list[str]:
+        """What could not be written, a line each."""
+        return [] if self.annotations is None else self.annotations.problems()
 
 
-def _open_targets(
+def _open_outputs(
     targets: Targets,
     stack: ExitStack,
     log: Log,
     first: Frame,
     landmarks: LandmarkSet,
     results: Path,
-) -> tuple[FoxgloveFile | None, list[VideoFile | ImageFolder]]:
-    """What frames are written to, closed with the stack."""
+) -> _Outputs:
+    """Open what frames are written to; it is closed with the stack."""
     annotations = None
     pictures: list[VideoFile | ImageFolder] = []
     for target in (targets.mcap, targets.video):
@@ -204,7 +210,7 @@ def _open_targets(
         pictures.append(stack.enter_context(video))
     if targets.images is not None:
         pictures.append(ImageFolder(targets.images))
-    return annotations, pictures
+    return _Outputs(annotations, pictures, landmarks)
 
 
 def _results_folder(path: Path, name: str, results: Path) -> Path:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import tomli_w
 
-from sonarrec.evaluation.cells import of
+from sonarrec.evaluation.cells import scored_by
 from sonarrec.evaluation.evaluate import evaluate_many
 from sonarrec.landmarks import load_landmarks
 from sonarrec.records import UsageError
@@ -239,7 +239,7 @@ def test_mistakes_are_told_as_all_logs_are_scored(tmp_path: Path) -> None:
     estimates["log11"] = [head, *(f"{n},framework,1,.9,1" for n in range(10, 20))]
     truth = [f"{log},{n},1,2.0,0" for log in estimates for n in range(10, 20)]
     out = plain_logs(tmp_path, estimates, truth)
-    count = of(evaluate_many(out, tmp_path / "gt.csv"), "framework", "paper").count()
+    count = scored_by(evaluate_many(out, tmp_path / "gt.csv"), "framework", "paper").count()
     assert (count.fp, count.fn) == (11, 0)
     page = tmp_path / "page.html"
     write_report(page, out, ground_truth=tmp_path / "gt.csv")

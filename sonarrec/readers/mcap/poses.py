@@ -39,23 +39,9 @@ def read_topic(path: Path, topic: str, time: Clock) -> PoseTable:
         raise UsageError(
             f"{shown(path)}: --odometry-topic names a channel of an MCAP or a ROS bag; this is none"
         )
-    at, rows, problems = [], [], []
     log = source.recording()
     try:
-        channels = _channels(log, topic)
-        for number, message in enumerate(log.messages(channels)):
-            try:
-                if message.data is None:
-                    if message.problem is None:
-                        continue  # it went with a damaged chunk, which the log itself tells
-                    raise UnusableError(message.problem)
-                decode, places = channels[message.channel]
-                fields = Fields(decode(message.data))
-                row = _pose(fields, places)
-                at.append(_stamp(message, fields, time))
-                rows.append(row)
-            except UnusableError as error:
-                problems.append(f"message {number} of {topic}: {error}, skipped")
+        at, rows, problems = _read_poses(log, topic, time)
     finally:
         log.close()
     if len(set(at)) < 2:
@@ -72,6 +58,28 @@ def read_topic(path: Path, topic: str, time: Clock) -> PoseTable:
     yaw = np.degrees(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y**2 + z**2)))
     table = pose_table(topic, {"topic": topic}, np.array(at, np.int64), -yaw, -left, ahead)
     return replace(table, problems=tuple(problems), axes="ahead, left")
+
+
+def _read_poses(
+    log: Recording, topic: str, time: Clock
+) -> tuple[list[int], list[list[float]], list[str]]:
+    """(times in ns, poses as of `_pose`, a line for each message that cannot be used)."""
+    at, rows, problems = [], [], []
+    channels = _channels(log, topic)
+    for number, message in enumerate(log.messages(channels)):
+        if message.data is None and message.problem is None:
+            continue  # lost with a damaged chunk, which the log's own faults report
+        try:
+            if message.data is None:
+                raise UnusableError(str(message.problem))
+            decode, places = channels[message.channel]
+            fields = Fields(decode(message.data))
+            row = _pose(fields, places)
+            at.append(_stamp(message, fields, time))
+            rows.append(row)
+        except UnusableError as error:
+            problems.append(f"message {number} of {topic}: {error}, skipped")
+    return at, rows, problems
 
 
 def _channels(log: Recording, topic: str) -> dict[int, tuple[Decode, tuple[str, ...]]]:
