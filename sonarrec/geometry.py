@@ -187,9 +187,10 @@ class Resampling:
         self._weights = np.zeros(shape, np.uint16)
 
     def fill(self, band: slice, column: FloatArray, row: FloatArray, seen: BoolArray) -> None:
-        """For some rows of what is made: where in the images each pixel lies, and whether it does.
+        """Set, for some rows of the resampled images, where in the images each pixel lies.
 
-        column, row: in pixels of the images. seen: bool. All (rows of the band, columns).
+        band: the rows. column, row: in pixels of the images. seen: whether they lie inside. All
+        (rows of the band, columns).
         """
         down, across = self._shrink
         self._columns[band], self._weights[band] = cv2.convertMaps(

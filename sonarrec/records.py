@@ -181,7 +181,7 @@ class PolarImages(Protocol):
 
 @dataclass(frozen=True)
 class Frame:
-    """One ping, in a fan.
+    """One ping, with the fan in which it lies.
 
     index: 0-based position in the log (unusable frames keep their number).
     timestamp_ns: time in ns; where the log carries none, as its index and the frame rate tell.
@@ -267,7 +267,7 @@ Record = TypeVar("Record", bound=_Dataclass)
 
 
 def joined(parts: Sequence[Record]) -> Record:
-    """One record whose every field holds the arrays of several, at least one, in a row."""
+    """One record of several (at least one): each field is the concatenation of theirs."""
     return type(parts[0])(
         *(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(parts[0]))
     )

@@ -206,7 +206,7 @@ class PingGeometry:
     beam_width_deg: float | None = None  # between half-power points; None: it does not say
 
     def as_sonar(self) -> Sonar:
-        """The same, as far as a user could state it."""
+        """The geometry as a Sonar, which holds what a user could state of it."""
         return Sonar(
             layout="polar",
             range_min_m=self.range_min_m,

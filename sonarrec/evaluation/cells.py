@@ -54,7 +54,7 @@ class OperatingPoint:
 
 
 def scored_by(evaluation: Pooled, method: str, protocol: str) -> PooledScored:
-    """One method under one protocol."""
+    """The scores of one method under one protocol."""
     return next(s for s in evaluation.scored if (s.method, s.protocol) == (method, protocol))
 
 

@@ -138,17 +138,20 @@ def false_positive_rate(r: Rates) -> FloatArray:
 
 
 def auc(r: Rates) -> FloatArray:
-    """As `curves.area`."""
+    """Area under the ROC, see `curves.area`."""
     return area(r.fpr, r.tpr)
 
 
 def partial_auc(r: Rates) -> FloatArray:
-    """As `curves.area`, over FPR 0 to PARTIAL_FPR."""
+    """Area under the ROC from FPR 0 to PARTIAL_FPR, see `curves.area`."""
     return area(r.fpr, r.tpr, PARTIAL_FPR)
 
 
 def tpr_at_fpr(most: float) -> Callable[[Rates], FloatArray]:
-    """As `curves.tpr_at`. most: one of FPR_POINTS, where resampled curves are dense."""
+    """TPR at an FPR of `most`, see `curves.tpr_at`.
+
+    most: one of FPR_POINTS, where resampled curves are dense.
+    """
     return lambda r: tpr_at(r.fpr, r.tpr, most)
 
 

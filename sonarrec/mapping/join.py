@@ -226,7 +226,7 @@ def _fused_turn(
 def _one_at_a_place(
     logs: Sequence[LogPasses], found: list[Landmark], disc_m: float
 ) -> list[Landmark]:
-    """Of landmarks that lie on each other, the one claimed most; the others become its `others`.
+    """The landmarks, of several in one place only that claimed most; the rest become its `others`.
 
     disc_m: nearer than this no two discs can lie.
     """

@@ -96,7 +96,7 @@ def _title(site: SiteMap) -> str:
 
 
 def _width(covariance: FloatArray) -> float:
-    """Of the 95 % ellipse across its widest."""
+    """The width, in m, of the 95 % ellipse where it is widest."""
     return float(np.ptp(ellipse(np.zeros(2), covariance), axis=0).max())
 
 

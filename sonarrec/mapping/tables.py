@@ -34,7 +34,9 @@ MOST_POINTS = 2_000
 
 @dataclass(frozen=True, slots=True)
 class Axes:
-    """From right and ahead of a sonar whose yaw is 0, where a map is made, to the poses' own axes.
+    """Turns what a map holds into the poses' own axes.
+
+    A map is made in the axes of a sonar whose yaw is 0: x to its right, y ahead.
 
     ros: x is ahead, y to the left and yaw counter-clockwise; else nothing changes.
     """
@@ -42,24 +44,24 @@ class Axes:
     ros: bool
 
     def place(self, place: FloatArray) -> FloatArray:
-        """(..., 2)."""
+        """(..., 2) places, m, in the poses' axes."""
         if not self.ros:
             return place
         return np.stack([place[..., 1], -place[..., 0]], axis=-1)
 
     def covariance(self, covariance: FloatArray) -> FloatArray:
-        """(2, 2)."""
+        """(2, 2) the covariance of a place, m^2, in the poses' axes."""
         if not self.ros:
             return covariance
         (xx, xy), (_, yy) = covariance
         return np.array([[yy, -xy], [-xy, xx]])
 
     def turn(self, turn_deg: float, period_deg: float) -> float:
-        """Counter-clockwise from the x axis, 0 to the period."""
+        """A landmark's turn in deg, counter-clockwise from the x axis, 0 to the period."""
         return (turn_deg - 90 * self.ros) % period_deg
 
     def yaw(self, yaw_deg: float) -> float:
-        """Of the sonar."""
+        """The sonar's yaw in deg, as the poses count it."""
         return -yaw_deg if self.ros else yaw_deg
 
 

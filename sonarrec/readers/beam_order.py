@@ -1,4 +1,4 @@
-"""In which order a ping holds its samples, where nobody states it: found by what resembles what."""
+"""Finds in which order a ping holds its samples, where nobody states it, by their resemblance."""
 
 from __future__ import annotations
 

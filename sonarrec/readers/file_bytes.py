@@ -1,4 +1,4 @@
-"""Bytes of a file at any place, however long the file: a little of it in memory at a time."""
+"""Reads bytes at any place of a file of any length, with little of it in memory at a time."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ _BLOCK = 2**20
 
 
 class FileBytes:
-    """A file opened for reading here and there. size: in bytes, as it was when it was opened."""
+    """A file opened for reading at any place. size: in bytes, when it was opened."""
 
     def __init__(self, path: Path) -> None:
         """Raises OSError where the file cannot be opened."""
@@ -23,7 +23,7 @@ class FileBytes:
         return self._file.read(min(count, self.size - offset))
 
     def find(self, mark: bytes, start: int, end: int) -> int | None:
-        """Where `mark` next begins at `start` or later and before `end`; None where nowhere."""
+        """The first place of `mark` at `start` or later and before `end`; None if there is none."""
         while start < end:
             block = self.at(start, min(_BLOCK, end - start) + len(mark) - 1)
             place = block.find(mark)

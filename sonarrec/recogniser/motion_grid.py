@@ -74,5 +74,8 @@ class MotionGrid:
 
 @lru_cache(maxsize=2)
 def motion_grid(cells: CellPlaces) -> MotionGrid:
-    """Kept for the next log: it takes as long as ten frames, and many logs are of one sonar."""
+    """The grid for pictures with these cells.
+
+    Cached: making it takes as long as ten frames, and many logs are of one sonar.
+    """
     return MotionGrid(cells)

@@ -41,7 +41,7 @@ Pair = tuple[FloatArray, FloatArray]
 
 
 class Plane(ABC):
-    """From a frame to the working image; places in it to slant range and bearing, and back."""
+    """Makes working images of frames, and converts places in them to slant range and bearing."""
 
     fan: Fan
     """The geometry of the images that it is made for."""
@@ -74,7 +74,7 @@ class Plane(ABC):
 
     @abstractmethod
     def _slant_per_pixel(self, position: FloatArray, distance: FloatArray) -> Values:
-        """By how many metres the slant range grows with one pixel away from the sonar.
+        """How many metres the slant range grows over one pixel away from the sonar.
 
         position: (n, 2) working pixels. distance: (n,) theirs from the apex, in pixels.
         """

@@ -87,7 +87,7 @@ class SideBySide:
         yield from self.waiting()
 
     def _of_each(self, found: Mapping[int, FrameResult]) -> list[FrameResult]:
-        """One frame's result of each configuration, from those of the recognisers."""
+        """One frame's results, one for each configuration. found: those of the recognisers."""
         results = []
         for i, whose in enumerate(self._whose):
             result = found[whose]
@@ -108,12 +108,12 @@ class SideBySide:
             yield self._final()
 
     def problems(self) -> list[str]:
-        """What is wrong with the poses, so far."""
+        """What is wrong with the poses of the frames so far, a line each."""
         each = (r.odometry.problems() for r in self._recognisers.values())
         return list(dict.fromkeys(chain.from_iterable(each)))
 
     def notes(self) -> list[str]:
-        """Where the frames contradict the poses, so far."""
+        """A line where the frames so far contradict the poses."""
         each = (r.odometry.notes() for r in self._recognisers.values())
         return list(dict.fromkeys(chain.from_iterable(each)))
 

@@ -265,7 +265,7 @@ def _first(lines: Sequence[str]) -> list[str]:
 
 
 def _json(shown: Sequence[ShownLog]) -> str:
-    """As JSON that is safe inside a script element."""
+    """The frames as JSON that is safe inside a script element."""
     text = json.dumps([asdict(log) for log in shown], separators=(",", ":"), allow_nan=False)
     return text.replace("<", "\\u003c")
 

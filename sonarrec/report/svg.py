@@ -76,7 +76,7 @@ class Axis:
     high: float
 
     def share(self, values: FloatArray | float) -> FloatArray:
-        """0 at low, 1 at high."""
+        """Where values lie on the axis: 0 at low, 1 at high."""
         return np.asarray((np.asarray(values, dtype=float) - self.low) / (self.high - self.low))
 
     def ticks(self, most: int = 6) -> list[Tick]:

@@ -88,7 +88,7 @@ def estimates_of(folder: Path) -> Path:
 
 
 def part_of(folder: Path) -> Path:
-    """Where a run writes before it takes the place of `folder`, or of what that is a link to."""
+    """The folder that a run writes; at its end it replaces `folder`, or what that links to."""
     place = _place(folder)
     return place.with_name(place.name + PART)
 

@@ -65,7 +65,7 @@ class Shoal:
         self._mill = rng.uniform(0, 2 * np.pi, (n, 2))
 
     def at(self, time_s: float) -> Fishes:
-        """Where they are."""
+        """Where the fish are at a time."""
         weave = 2 * np.pi * time_s / self._period + self._phase
         ahead = np.column_stack([np.sin(self._heading), np.cos(self._heading)])
         right = np.column_stack([ahead[:, 1], -ahead[:, 0]])

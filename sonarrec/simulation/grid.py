@@ -85,7 +85,7 @@ class PolarGrid:
         self._deg_per_m = math.degrees(2 / (sonar.range_min_m + sonar.range_max_m))
 
     def _within(self, azimuth_deg: FloatArray | float) -> FloatArray:
-        """The same azimuths, as the columns count them: up to half a turn from their middle."""
+        """The azimuths shifted by whole turns to within half a turn of the columns' middle."""
         middle = self._first_deg + (self.shape[1] - 1) * STEP_DEG / 2
         return np.asarray(azimuth_deg - 360 * np.rint((np.asarray(azimuth_deg) - middle) / 360))
 
@@ -118,7 +118,7 @@ class PolarGrid:
         return self._index(slant, (azimuth - self._first_deg) / STEP_DEG)
 
     def index_from_origin(self, ground: FloatArray, azimuth_deg: FloatArray) -> np.ndarray:
-        """The same of ground ranges (bins, 1) and azimuths as `azimuths` has them."""
+        """As `index`, for ground ranges (bins, 1) from the origin and azimuths as of `azimuths`."""
         column = (azimuth_deg - self._first_deg) / STEP_DEG
         return self._index(np.hypot(ground, self._height_m), column[None, :])
 

@@ -13,7 +13,7 @@ from sonarrec.simulation.scene import Scene
 
 
 def within_a_turn(bearing_deg: FloatArray | float) -> FloatArray:
-    """The same bearings, -180 to 180 deg: a vehicle may have turned right round."""
+    """The bearings shifted by whole turns to -180 to 180 deg: a vehicle may have turned round."""
     return np.asarray(bearing_deg - 360 * np.rint(np.asarray(bearing_deg) / 360))
 
 

@@ -253,7 +253,9 @@ def _from_origin(pose: Pose, ground: float, bearing_deg: float) -> tuple[float, 
 
 @dataclass(frozen=True, slots=True)
 class _Looks:
-    """Of what lies on a scene's floor: dB over it, and in which nearest share of the window."""
+    """How what lies on a floor looks: dB over the floor; and how much of the window it lies in.
+
+    share: of the range window, its nearest part."""
 
     bright: float
     plate: float
@@ -263,7 +265,7 @@ class _Looks:
 def _landmarks(
     kind: str, discs: LandmarkSet, floor: _Floor, looks: _Looks, rng: np.random.Generator
 ) -> list[PlacedLandmark]:
-    """As many as the kind has, where there is room for them."""
+    """The landmarks of a scene of this kind, as many as find room."""
     count = 0 if kind == "no_landmark" else int(rng.integers(3, 5))
     if kind in _SYMBOLIC:
         count = 2

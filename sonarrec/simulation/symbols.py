@@ -48,7 +48,7 @@ def symbol(
 
 
 def _at(picture: BoolArray, x: FloatArray, y: FloatArray) -> BoolArray:
-    """Of a square picture of the symbol's circle."""
+    """Look up a square picture of the symbol's circle at x and y, in radii."""
     place = [np.clip((v + 1) / 2 * len(picture), 0, len(picture) - 1).astype(int) for v in (-y, x)]
     return np.asarray(picture[place[0], place[1]])
 

@@ -203,7 +203,7 @@ def _frame_numbers(
 def _frames_of_images(
     images: Sequence[str], log_names: Sequence[str]
 ) -> tuple[str, FrameNumbers, str]:
-    """As _frame_numbers, for images by name.
+    """As `_frame_numbers`, for images that are named.
 
     An image is found by its name in the log, whatever its folder; by its name without suffix where
     one image of the log has that. Where the log has no names, those of 19 digits are times, as in a

@@ -126,7 +126,10 @@ def match_truth(table: TruthTable, log: ReadLog, tolerance_s: float | None = Non
 
 
 def _tolerance_ns(timestamp_ns: IntArray, tolerance_s: float | None) -> float:
-    """As stated, else half the median time between frames, whose times are (F,), in any order."""
+    """The tolerance as stated; else half the median time between frames.
+
+    timestamp_ns: (F,) of the frames, in any order.
+    """
     if tolerance_s is not None:
         return tolerance_s * 1e9
     if len(timestamp_ns) < 2:

@@ -83,7 +83,7 @@ class TruthTable:
         return np.flatnonzero(self.log == name)
 
     def digest_of(self, rows: IntArray) -> str:
-        """Of all that some rows say, so that copies of a truth are known."""
+        """A digest of all that some rows say, by which copies of a truth are recognised."""
         kind, *position = self.position or (None,)
         digest = hashlib.sha256(f"{self.key} {kind}".encode())
         for column in (self.at, self.landmark, self.visible, *position, self.orientation):

@@ -90,8 +90,11 @@ def _run(folder: Path) -> RunFile:
     return read_run(folder / "run.toml")
 
 
-def _sha256(folder: Path) -> tuple[str, str | None] | None:
-    """As `Input.recording`; None also if run.toml cannot be read, which is reported later."""
+def _recording_of(folder: Path) -> tuple[str, str | None] | None:
+    """SHA-256 and topic as of `Input.recording`; None also if run.toml cannot be read.
+
+    That is reported later.
+    """
     with suppress(SonarrecError):
         return _run(folder).input.recording
     return None
@@ -142,11 +145,11 @@ def _pair_up(old: Path, new: Path) -> tuple[list[Folders], list[str]]:
     of_digest: dict[tuple[str, str | None], list[Path]] = {}
     for folder in before:
         of_name.setdefault(_name(folder), []).append(folder)
-        if (digest := _sha256(folder)) is not None:
+        if (digest := _recording_of(folder)) is not None:
             of_digest.setdefault(digest, []).append(folder)
     pairs = []
     for folder in after:
-        digest = _sha256(folder)
+        digest = _recording_of(folder)
         same = [] if digest is None else of_digest.get(digest, [])
         # Links that lead to folders of one name are paired by the names of the links.
         named = sorted(of_name.get(_name(folder), []), key=lambda f: f.name != folder.name)

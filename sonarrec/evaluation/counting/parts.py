@@ -53,7 +53,7 @@ class PassTable:
 
 @dataclass(frozen=True, slots=True)
 class ScoredPart:
-    """One method under one protocol: L logs, K IDs."""
+    """The counts of one method under one protocol: L logs, K IDs."""
 
     protocol: str
     method: str

@@ -28,7 +28,7 @@ from sonarrec.results.read import in_order
 
 @dataclass(frozen=True, slots=True)
 class PooledScored:
-    """One method under one protocol over all logs: L logs, K IDs."""
+    """The counts of one method under one protocol over all logs: L logs, K IDs."""
 
     protocol: str
     method: str
@@ -135,7 +135,7 @@ class Pooled(Totals):
     """Input that could not be used, one line each."""
 
     def units(self, kind: UnitKind | None = None) -> PooledUnits:
-        """As `passes.find_units`."""
+        """The independent units of a kind; see `passes.find_units`."""
         kind = kind or ("log" if len(self.logs) >= LOGS_ENOUGH else "pass")
         if kind == "log":
             return PooledUnits(kind, len(self.logs), self.unit_log)

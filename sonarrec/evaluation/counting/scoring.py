@@ -22,7 +22,9 @@ NEGATIVE, POSITIVE, IGNORED = 0, 1, 2
 
 @dataclass(frozen=True, slots=True)
 class Scored:
-    """One method under one protocol: K IDs, P positives, n claims that count, m of them declared.
+    """The scores of one method under one protocol.
+
+    There are K IDs, P positives and n claims that count, m of them declared.
 
     Claims stand by falling score.
     """

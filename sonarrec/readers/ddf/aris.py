@@ -155,5 +155,5 @@ def in_beam_order(samples: np.ndarray, pings: int) -> np.ndarray:
 
 
 def _nanoseconds(microseconds: int) -> int | None:
-    """None of zero, which is no time."""
+    """Nanoseconds from microseconds; None for zero, which means no time."""
     return int(microseconds) * 1000 if 0 < microseconds < 2**53 else None

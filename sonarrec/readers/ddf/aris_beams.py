@@ -1,4 +1,4 @@
-"""Where the beams of ARIS sonars point: the maker's tables, a composite of several lenses each.
+"""The bearings of the beams of ARIS sonars: the maker's tables, each for several lenses.
 
 From the beam-width metrics of Sound Metrics' aris-file-sdk (MIT licence, (c) Sound Metrics).
 """

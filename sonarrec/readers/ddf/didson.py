@@ -77,11 +77,11 @@ class Didson:
         self.frame_header = header_dtype(FRAME_HEADER, frame_bytes)
 
     def shape(self, file: np.void, frame: np.void | None) -> tuple[int, int]:  # noqa: ARG002
-        """By the header of the file alone."""
+        """(samples, beams), from the header of the file alone."""
         return int(file["SamplesPerBeam"]) or _SAMPLES, int(file["NumBeams"])
 
     def geometry(self, file: np.void, frame: np.void, shape: tuple[int, int]) -> PingGeometry:
-        """Window by its codes, bearings by the standard lens."""
+        """The window from its codes, the bearings from the standard lens."""
         beams = shape[1]
         if beams not in (48, 96):
             raise UnusableError(f"{beams} beams, not 48 or 96")
@@ -100,7 +100,7 @@ class Didson:
         )
 
     def pixels(self, frame: np.void, samples: np.ndarray) -> np.ndarray:  # noqa: ARG002
-        """As stored."""
+        """The samples as stored."""
         return samples
 
     def times(self, frame: np.void) -> tuple[int | None, int | None]:

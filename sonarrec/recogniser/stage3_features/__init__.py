@@ -47,7 +47,7 @@ class Evidence:
 
 
 class Measurement(Protocol):
-    """From the groups' shape matrices to beliefs. Frames come in the log's order."""
+    """Turns the groups' shape matrices into beliefs. Frames must come in the log's order."""
 
     def gather(self, groups: Groups, grey: FloatArray, seen: BoolArray) -> Evidence:
         """Take in a frame's matrices, (n, L, ANGLES) from ShapeSampler."""

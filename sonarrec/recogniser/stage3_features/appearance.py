@@ -69,7 +69,7 @@ class AppearanceMeasurement:
         return self._matrix.step(groups, grey, seen)
 
     def beliefs(self, groups: Sequence[Groups], evidence: Evidence) -> Beliefs:
-        """See Measurement."""
+        """The beliefs, as of Measurement."""
         tracked = joined(groups)
         smear = self._smear(tracked.positions)
         description = self._describe(evidence.brightness, evidence.count, tracked.existence, smear)

@@ -177,8 +177,10 @@ class ExpectedSymbols:
 
 @lru_cache(maxsize=2)
 def expected_symbols(landmarks: LandmarkSet, alike: float) -> ExpectedSymbols:
-    """Those on the lines of the set's shape matrices; shared by logs and presets that ask for the
-    same. alike: as ExpectedSymbols."""
+    """The expected symbols of a set on the lines of its shape matrices. alike: as ExpectedSymbols.
+
+    Cached: logs and presets with the same set share them.
+    """
     sampler = ShapeSampler(landmarks, (1.0, 1.0))  # where the lines lie does not depend on the axes
     return ExpectedSymbols(landmarks, sampler.radii, sampler.bands, alike)
 
