@@ -17,7 +17,7 @@ from threading import Lock, Thread, Timer
 from time import monotonic
 from typing import IO, Any
 
-from sonarrec.batch.task import GRACE_S, Outcome, Task, do
+from sonarrec.batch.task import GRACE_S, Outcome, Task, run_task
 from sonarrec.records import FrameResult, SonarrecError
 from sonarrec.remote.fetch import fetch_ahead
 
@@ -190,7 +190,7 @@ def run_here(tasks: list[Task], watch: Watch) -> None:
                 _fetch_next(tasks[i + 1 :])
 
         watch.begun(i)
-        watch.ended(i, do(task, observe, partial(watch.fetching, i)))
+        watch.ended(i, run_task(task, observe, partial(watch.fetching, i)))
 
 
 def _fetch_next(tasks: list[Task]) -> None:

@@ -85,8 +85,8 @@ class Outcome:
         return problems[0] + more if problems else ""
 
 
-def plan(task: Task) -> str:
-    """What `do` would do, and why; writes nothing. Raises SonarrecError as `do` would."""
+def plan_task(task: Task) -> str:
+    """What `run_task` would do, and why; writes nothing. Raises SonarrecError as that would."""
     with _at_hand(task, upload=False) as (path, log_options, _):
         folder = Path(task.out) / task.name
         existing = planned(
@@ -99,7 +99,9 @@ def plan(task: Task) -> str:
     return "done anew (it was stopped before its end)" if part_of(folder).exists() else "new"
 
 
-def do(task: Task, observe: Observe | None = None, fetching: Progress = no_progress) -> Outcome:
+def run_task(
+    task: Task, observe: Observe | None = None, fetching: Progress = no_progress
+) -> Outcome:
     """Run a task in this process. A fault of the input becomes an outcome; a bug raises.
 
     fetching: called as the bytes of a log on a server arrive.

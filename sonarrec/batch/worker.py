@@ -13,7 +13,7 @@ from threading import Thread
 from time import monotonic, sleep
 from typing import IO
 
-from sonarrec.batch.task import GRACE_S, Outcome, Task, do
+from sonarrec.batch.task import GRACE_S, Outcome, Task, run_task
 from sonarrec.records import FrameResult, SonarrecError
 
 REPORT_EVERY_S = 0.2
@@ -57,7 +57,7 @@ def _done(task: Task, pipe: IO[bytes]) -> Outcome:
             pipe.flush()
 
     try:
-        return do(task, observe)
+        return run_task(task, observe)
     except MemoryError:
         return Outcome("failed", error=SonarrecError(f"{task.path}: not enough memory"))
 

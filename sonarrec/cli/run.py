@@ -339,12 +339,12 @@ def _again(tasks: list[Task], out: Path, box: Outbox | None) -> tuple[list[Task]
 
 
 def _plan(tasks: list[Task]) -> None:
-    from sonarrec.batch.task import plan
+    from sonarrec.batch.task import plan_task
 
     faults = 0
     for task in tasks:
         try:
-            what = plan(task)
+            what = plan_task(task)
         except SonarrecError as error:
             faults += 1
             what = f"fails ({error})"

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from sonarrec.records import Origin, SonarrecError, shown
 from sonarrec.remote.cache import Cache, Entry, NoRoomError, key_of
-from sonarrec.remote.find import RemoteLog, meant, relative, wanted
+from sonarrec.remote.find import RemoteLog, relative, wanted, with_literal_name
 from sonarrec.remote.urls import Url, parse_url
 from sonarrec.results.folders import ESTIMATES, TABLES
 
@@ -63,7 +63,7 @@ def fetched(
     Raises SonarrecError if it cannot be fetched. In a SonarrecError raised inside, paths of the
     cache are replaced by those of the server.
     """
-    log = log if isinstance(log, RemoteLog) else RemoteLog(meant(parse_url(log)))
+    log = log if isinstance(log, RemoteLog) else RemoteLog(with_literal_name(parse_url(log)))
     with hold(log, cache, progress, stop or threading.Event()) as found, found.origin.translated():
         yield found
 

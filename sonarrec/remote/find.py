@@ -65,7 +65,7 @@ def find(text: str, *, recursive: bool = False) -> list[RemoteLog]:
     """
     url = parse_url(text)
     try:
-        return _found(meant(url), recursive)
+        return _found(with_literal_name(url), recursive)
     except SonarrecError as error:
         if isinstance(error, UsageError) and not isinstance(error, MissingError):
             raise
@@ -124,7 +124,7 @@ def _below(store: Store, folder: Url, recursive: bool) -> Iterator[Url]:
             yield from below
 
 
-def meant(url: Url) -> Url:
+def with_literal_name(url: Url) -> Url:
     """The URL, with * ? [ taken as literal if a file or folder of that name exists.
 
     Raises SonarrecError if the server cannot be read.
@@ -192,7 +192,7 @@ def beside(text: str, name: str) -> tuple[Item | None, int | None]:
 
     if HIDDEN in text:
         raise SonarrecError(f"{text}: run.toml does not keep the secret that gives access there")
-    log = RemoteLog(meant(parse_url(text)))
+    log = RemoteLog(with_literal_name(parse_url(text)))
     store = Store(log.url)
     size = _bytes(log.url, store)
     found = (store.companion(place) for place in _companions(log, (name,)))

@@ -19,7 +19,7 @@ from click.testing import CliRunner
 
 from sonarrec.batch.cluster import run_on_cluster
 from sonarrec.batch.processes import Watch
-from sonarrec.batch.task import Outcome, Task, do
+from sonarrec.batch.task import Outcome, Task, run_task
 from sonarrec.cli import main
 from sonarrec.config import preset
 from sonarrec.pipeline.prepare import RunOptions
@@ -148,7 +148,7 @@ def test_a_worker_in_another_folder_finds_the_geometry_above_the_log(
         "campaign/day1/dive", "dive", "out", log_options, RunOptions([preset("default")])
     ).absolute()
     monkeypatch.chdir(log.parent)
-    assert do(task).error is None
+    assert run_task(task).error is None
     assert (tmp_path / "out" / "dive" / "run.toml").is_file()
 
 

@@ -92,12 +92,12 @@ def find_units(joined: Joined, passes: Passes, kind: UnitKind | None = None) -> 
     return replace(
         units,
         count=min(units.count, MOST_UNITS),
-        of_frame=fewer(units.of_frame, units.count),
-        of_truth=fewer(units.of_truth, units.count),
+        of_frame=merged_units(units.of_frame, units.count),
+        of_truth=merged_units(units.of_truth, units.count),
     )
 
 
-def fewer(unit: IntArray, count: int) -> IntArray:
+def merged_units(unit: IntArray, count: int) -> IntArray:
     """Numbers of `count` units, merged to at most MOST_UNITS."""
     return unit * MOST_UNITS // count if count > MOST_UNITS else unit
 

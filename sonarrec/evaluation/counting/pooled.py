@@ -18,7 +18,7 @@ import numpy.typing as npt
 from sonarrec.evaluation.counting.behaviour import PassOutcomes, Switches
 from sonarrec.evaluation.counting.curves import Count, Curve
 from sonarrec.evaluation.counting.parts import Part, PassTable, ScoredPart, Totals
-from sonarrec.evaluation.counting.passes import LOGS_ENOUGH, MOST_UNITS, UnitKind, fewer
+from sonarrec.evaluation.counting.passes import LOGS_ENOUGH, MOST_UNITS, UnitKind, merged_units
 from sonarrec.evaluation.counting.scoring import PROTOCOLS
 from sonarrec.evaluation.counting.store import Store, summed
 from sonarrec.evaluation.counting.unit_sums import Claims, Values
@@ -140,7 +140,7 @@ class Pooled(Totals):
         if kind == "log":
             return PooledUnits(kind, len(self.logs), self.unit_log)
         count = len(self.unit_log)
-        return PooledUnits(kind, min(count, MOST_UNITS), fewer(np.arange(count), count))
+        return PooledUnits(kind, min(count, MOST_UNITS), merged_units(np.arange(count), count))
 
     def sums(self, key: tuple[str, ...], units: PooledUnits) -> IntArray:
         """(U, ...) sums of blocks that are by pass units; zeros (U, K, 4) if there are none."""

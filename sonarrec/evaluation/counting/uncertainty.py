@@ -146,18 +146,18 @@ def _student(z: float, freedom: int) -> float:
     )
 
 
-def _alike(drawn: FloatArray, figure: FloatArray) -> bool:
+def _all_equal(drawn: FloatArray, figure: FloatArray) -> bool:
     """Whether the (draws,) replicates are all the same. figure: values that give their scale."""
     known = drawn[~np.isnan(drawn)]
-    return not len(known) or float(known.max()) <= float(known.min()) + _same(figure)
+    return not len(known) or float(known.max()) <= float(known.min()) + _tolerance(figure)
 
 
-def _same(figure: FloatArray) -> float:
+def _tolerance(figure: FloatArray) -> float:
     """The largest difference at which such figures, (n,), count as equal."""
     return SAME * float(np.abs(figure[np.isfinite(figure)]).max(initial=0))
 
 
-def _less(b: FloatArray, a: FloatArray) -> FloatArray:
+def _difference(b: FloatArray, a: FloatArray) -> FloatArray:
     """b - a; 0 if both are infinite."""
     return np.asarray(np.subtract(b, a, out=np.zeros_like(b), where=b != a))
 
@@ -165,16 +165,16 @@ def _less(b: FloatArray, a: FloatArray) -> FloatArray:
 def replicates(tally: Tally, weights: FloatArray) -> FloatArray:
     """(draws, figures) the figures of a tally for each row of `bootstrap_weights`.
 
-    Where no figure has cases in MIN_UNITS, nothing is said of them: all are those of the first row.
+    Where no figure has cases in MIN_UNITS they get no intervals: all rows are then the first.
     """
-    if _said(tally.cases):
+    if _has_enough_units(tally.cases):
         return tally.figures(weights @ tally.sums)
     first = tally.figures(weights[:1] @ tally.sums)
     return np.broadcast_to(first, (len(weights), first.shape[1]))
 
 
-def _said(cases: Sequence[int]) -> bool:
-    """Whether anything is said of figures with so many units that have a case."""
+def _has_enough_units(cases: Sequence[int]) -> bool:
+    """Whether figures get intervals. cases: how many units have a case of each."""
     return max(cases, default=0) >= MIN_UNITS
 
 
@@ -188,7 +188,7 @@ def intervals(tally: Tally, drawn: FloatArray) -> list[Figure]:
             note = "0/0: nothing to measure"
         elif units < MIN_UNITS:
             note = f"cases in {units} of the {MIN_UNITS} units needed: no interval"
-        elif _alike(drawn[:, i], drawn[:, i]):
+        elif _all_equal(drawn[:, i], drawn[:, i]):
             # Resampling equal units gives zero width, which would look like certainty.
             note = f"alike in all {units} units: no interval"
         else:
@@ -209,14 +209,14 @@ def differences(a: Tally, b: Tally, weights: FloatArray, tosses: FloatArray) -> 
     if a.names != b.names:
         names = [name for name in a.names if name in b.names]
         a, b = _only(a, names), _only(b, names)
-    if not _said([min(pair) for pair in zip(a.cases, b.cases, strict=True)]):
+    if not _has_enough_units([min(pair) for pair in zip(a.cases, b.cases, strict=True)]):
         tosses = tosses[:1]
     total_a, total_b = a.sums.sum(axis=0), b.sums.sum(axis=0)
     swapped = tosses @ (b.sums - a.sums)
     drawn_a, drawn_b = replicates(a, weights), replicates(b, weights)
     tossed_a, tossed_b = a.figures(total_a + swapped), b.figures(total_b - swapped)
-    drawn, tossed = _less(drawn_b, drawn_a), _less(tossed_b, tossed_a)
-    seen = _less(b.figures(total_b[None]), a.figures(total_a[None]))[0]
+    drawn, tossed = _difference(drawn_b, drawn_a), _difference(tossed_b, tossed_a)
+    seen = _difference(b.figures(total_b[None]), a.figures(total_a[None]))[0]
     found = []
     for i, name in enumerate(a.names):
         units = min(a.cases[i], b.cases[i])
@@ -226,10 +226,10 @@ def differences(a: Tally, b: Tally, weights: FloatArray, tosses: FloatArray) -> 
         elif units < MIN_UNITS:
             note = f"cases in {units} of the {MIN_UNITS} units needed: no test"
         else:
-            least = abs(seen[i]) - _same(np.append(tossed_a[:, i], tossed_b[:, i]))
+            least = abs(seen[i]) - _tolerance(np.append(tossed_a[:, i], tossed_b[:, i]))
             p = float(np.mean(~(np.abs(tossed[:, i]) < least)))
             of = np.append(drawn_a[:, i], drawn_b[:, i])
-            note = "alike in every unit" if _alike(drawn[:, i], of) else ""
+            note = "alike in every unit" if _all_equal(drawn[:, i], of) else ""
             if not note:
                 low, high = interval(drawn[:, i], units)
         labels = (a.protocol, a.method, b.method, a.landmark_text, name)
