@@ -63,7 +63,7 @@ class Levels:
 
     def __init__(self, radius_m: float) -> None:
         self._sigma_m = SURROUNDINGS * radius_m
-        self._fan: Fan | None = None
+        self._shown_of: tuple[Fan, tuple[int, ...]] | None = None
         self._shown: ByteImage = np.empty((0, 0), np.uint8)  # of the pixels counted, the fan's
         self.seen = self.saturated = self.equalised = 0
 
@@ -88,8 +88,8 @@ class Levels:
 
     def _counts(self, frame: Frame) -> IntArray:
         """(256,) how many of some pixels within the fan have each level."""
-        if frame.fan is not self._fan:
-            self._fan = frame.fan
+        if (frame.fan, frame.pixels.shape) != self._shown_of:
+            self._shown_of = frame.fan, frame.pixels.shape
             shown = np.full(frame.pixels.shape, 255, np.uint8)
             if frame.polar is None:
                 shown = fan_mask(frame.fan)

@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 from scipy.stats import kstest, norm
 
-from sonarrec.geometry import fan_mask
+from sonarrec.geometry import PolarToFan, fan_mask
 from sonarrec.readers import open_log
 from sonarrec.recogniser.levels import LIFTS, MEAN, OF_GAUSSIAN, SPREAD, Levels
 from sonarrec.records import Fan, Frame
+from sonarrec.sonar import Sonar
 from tests.support.command import sonarrec
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
@@ -108,6 +109,21 @@ def outline() -> np.ndarray:
     x = np.concatenate([far_x, near_x[::-1]]) + FAN.apex_column
     y = np.concatenate([far_y, near_y[::-1]]) + FAN.apex_row
     return np.rint(np.stack([x, y], axis=1)).astype(np.int32)
+
+
+def test_images_may_change_their_size() -> None:
+    """Polar ones of one fan, from a sonar that is switched to more beams."""
+    sonar = Sonar(
+        layout="polar", range_min_m=0.75, range_max_m=1.9, field_of_view_deg=40.0, tilt_deg=20.0
+    )
+    levels = Levels(RADIUS_M)
+    saturated = np.clip(disc(10) + 90, 1, 255).astype(np.uint8)
+    for shape in ((230, 96), (230, 48), (200, 96)):
+        polar = PolarToFan(sonar.complete("test"), *shape)
+        picture = Frame(0, 0, saturated[: shape[0], : shape[1]], FAN, polar=polar)
+        (after,) = levels.restored([picture])
+        assert after.pixels.shape == shape
+    assert levels.saturated == levels.seen == 3
 
 
 def test_the_highest_level_may_be_another_and_smeared_by_jpeg() -> None:
