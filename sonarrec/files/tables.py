@@ -58,10 +58,12 @@ _OPTIONS: dict[str, Any] = {
     "na_values": ["", "nan"],
     "low_memory": False,
 }
-_AT_ONCE = 16_384
+_AT_ONCE = 262_144
 """Characters read from a file at a time."""
 _BLANK = ", \t\r\n"
 """A line of these alone is no row: spreadsheets end a table with lines such as ",,,"."""
+_BESIDE_BLANK = ("\r", " ", "\t", "\n\n", "\n,")
+"""Text with a blank line in it, and a line's end before it, has one of these; searching is fast."""
 _PLACES: tuple[Kind, ...] = ("place", "blank or place")
 _TEXTS: tuple[Kind, ...] = ("text", "blank or text")
 _WITH_OFFSET = r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d.*(?:Z|[+-]\d\d(?::?\d\d)?)"
@@ -170,8 +172,11 @@ class _NonBlankLines(io.TextIOBase):
 
     def read(self, _size: int | None = -1, /) -> str:
         """Some whole lines; "" at the end."""
-        while lines := self._file.readlines(_AT_ONCE):
-            if text := "".join([line for line in lines if line.strip(_BLANK)]):
+        while text := self._file.read(_AT_ONCE) + self._file.readline():
+            if any(mark in f"\n{text}" for mark in _BESIDE_BLANK):
+                lines = io.StringIO(text, newline="")
+                text = "".join([line for line in lines if line.strip(_BLANK)])
+            if text:
                 return text
         return ""
 
