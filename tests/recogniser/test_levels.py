@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -18,8 +17,8 @@ from sonarrec.recogniser.levels import LIFTS, MEAN, OF_GAUSSIAN, SPREAD, Levels
 from sonarrec.records import Fan, Frame
 from sonarrec.sonar import Sonar
 from tests.support.command import sonarrec
+from tests.support.on_record import SAMPLES, check_nearly_as_on_record
 
-SAMPLES = Path(__file__).parents[2] / "sample_data"
 FAN = Fan(
     rows=256,
     columns=300,
@@ -153,14 +152,6 @@ def test_the_levels_of_an_equalised_picture_are_a_gaussian_s_again() -> None:
     assert not after.pixels[~fan].any()
 
 
-def claims(results: Path) -> set[tuple[int, int]]:
-    """(frame, landmark) of what the framework declares in estimates.csv."""
-    with (results / "estimates.csv").open(encoding="utf-8") as file:
-        rows = [*csv.DictReader(file)]
-    named = (r for r in rows if r["method"] == "framework" and r["declared"] == "1")
-    return {(int(r["frame"]), int(r["landmark"])) for r in named}
-
-
 def saturate(pictures: list[np.ndarray]) -> list[np.ndarray]:
     gain = 255 / np.quantile(np.concatenate([p[p > 8] for p in pictures[::10]]), 0.9)
     return [cv2.convertScaleAbs(p, alpha=gain) for p in pictures]
@@ -189,6 +180,4 @@ def test_landmarks_are_recognised_and_a_note_tells(
     for index, picture in enumerate(pictures):
         cv2.imwrite(str(log / f"{index:06d}.png"), picture)
     assert note in sonarrec("run", log, "-o", tmp_path / "out").stderr
-    clean, found = claims(SAMPLES / "regression" / sample), claims(tmp_path / "out" / sample)
-    assert len(clean & found) > 0.95 * len(clean)
-    assert len(found - clean) < 0.02 * len(clean)
+    check_nearly_as_on_record(tmp_path / "out" / sample, sample)

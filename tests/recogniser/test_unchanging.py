@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -15,8 +14,8 @@ from sonarrec.readers import open_log
 from sonarrec.recogniser.unchanging import AHEAD, MOST_BYTES_AHEAD, Unchanging
 from sonarrec.records import Fan, Frame
 from tests.support.command import sonarrec
+from tests.support.on_record import SAMPLES, check_nearly_as_on_record
 
-SAMPLE = Path(__file__).parents[2] / "sample_data" / "pan"
 FAN = Fan(
     rows=200,
     columns=240,
@@ -88,7 +87,7 @@ def test_what_is_drawn_is_filled_and_the_rest_left_alone(level: int, most: float
 
 
 def test_dead_beams_of_polar_images_are_filled_from_their_neighbours() -> None:
-    with open_log(SAMPLE.parent / "polar") as log:
+    with open_log(SAMPLES / "polar") as log:
         whole = list(log)
     dead = np.zeros(whole[0].pixels.shape[1], bool)
     dead[[5, 30, 31, 32, 70]] = True
@@ -178,20 +177,12 @@ def test_large_images_are_not_hoarded(shape: tuple[int, int], ahead: int) -> Non
     assert read == AHEAD + 5
 
 
-def claims(results: Path) -> set[tuple[int, int]]:
-    """(frame, landmark) of what the framework declares in estimates.csv."""
-    with (results / "estimates.csv").open(encoding="utf-8") as file:
-        rows = [*csv.DictReader(file)]
-    named = (r for r in rows if r["method"] == "framework" and r["declared"] == "1")
-    return {(int(r["frame"]), int(r["landmark"])) for r in named}
-
-
 def test_landmarks_are_recognised_under_a_grid_and_the_note_tells(tmp_path: Path) -> None:
     """A white grid over the sample log: the same landmarks as on record, in all but few frames."""
     log = tmp_path / "pan"
     log.mkdir()
-    (log / "sonar.toml").write_bytes((SAMPLE / "sonar.toml").read_bytes())
-    with open_log(SAMPLE) as recording:
+    (log / "sonar.toml").write_bytes((SAMPLES / "pan" / "sonar.toml").read_bytes())
+    with open_log(SAMPLES / "pan") as recording:
         for frame in recording:
             image, fan = frame.image.copy(), frame.fan
             apex = (round(fan.apex_column), round(fan.apex_row))
@@ -203,6 +194,4 @@ def test_landmarks_are_recognised_under_a_grid_and_the_note_tells(tmp_path: Path
     told = sonarrec("run", log, "-o", tmp_path / "out").stderr
     assert f"{log}: " in told
     assert "% of the picture never changes" in told
-    clean, gridded = claims(SAMPLE.parent / "regression" / "pan"), claims(tmp_path / "out" / "pan")
-    assert len(clean & gridded) > 0.95 * len(clean)
-    assert len(gridded - clean) < 0.02 * len(clean)
+    check_nearly_as_on_record(tmp_path / "out" / "pan", "pan")
