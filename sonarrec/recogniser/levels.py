@@ -19,13 +19,13 @@ import cv2
 import numpy as np
 
 from sonarrec.geometry import fan_mask
+from sonarrec.recogniser.unchanging import BLACK
 from sonarrec.records import ByteImage, Fan, FloatImage, Frame, IntArray
 
 # A picture is saturated if this share of its echoes is at the highest levels beyond what the next
 # ones lead to expect: else it is merely bright. JPEG spreads the highest level over a few.
 LEAST_SHARE = 0.02
 HIGHEST, NEXT = 4, 8  # grey levels
-BLACK = 8  # no echo
 SAMPLED = 4  # every so many rows and columns are counted
 # Standard deviation, in disc radii, of the surroundings in which saturated pixels are counted.
 SURROUNDINGS = 0.065

@@ -38,7 +38,7 @@ LEAST_SPOT = 30  # pixels that touch: fewer are still by chance
 # What stays dark is a dead beam where it runs through this share of the rows, and is narrower than
 # so many pixels; else it is a shadow, or lies out of sight.
 LEAST_BEAM, WIDEST = 0.35, 13
-BLACK = 8  # no echo
+BLACK = 8  # up to this level there is no echo
 # Where echoes are few a pixel stays dark by chance: with at most this one, as far as those about it
 # that do change tell.
 CHANCE = 1e-3
