@@ -11,7 +11,17 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sonarrec.cli.endings import PARTLY, leave, say, tell
-from sonarrec.cli.groups import BATCH, FILE, INPUT, OUTPUT, SCORING, command, file_names, option
+from sonarrec.cli.groups import (
+    BATCH,
+    FILE,
+    INPUT,
+    OUTPUT,
+    SCORING,
+    FiniteRange,
+    command,
+    file_names,
+    option,
+)
 from sonarrec.cli.options import ground_truth_option, out_option, quiet_option, scoring_options
 from sonarrec.cli.options_remote import ANY_OR_URL, FILE_OR_URL, CacheChoice, cache_options
 from sonarrec.records import UsageError
@@ -49,7 +59,7 @@ if TYPE_CHECKING:
     SCORING,
     "--fail-on-regression",
     "band",
-    type=click.FloatRange(0, 1),
+    type=FiniteRange(0, 1),
     metavar="BAND",
     help="With --compare: exit with 1 if a rate is worse by more than BAND and more than two "
     "frames.",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from functools import partial, wraps
 from itertools import pairwise
@@ -23,6 +24,15 @@ class _Local(click.Path):
         from sonarrec.remote.urls import local
 
         return super().convert(local(value), *context)
+
+
+class FiniteRange(click.FloatRange):
+    """A number within bounds. nan is refused, which no bound shuts out, and infinity."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if not math.isfinite(float(number := super().convert(value, param, ctx))):
+            self.fail(f"{value} is not a finite number", param, ctx)
+        return number
 
 
 NEW_FILE = _Local(dir_okay=False, path_type=Path)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sonarrec.cli.groups import BACKGROUND, Decorator, as_one, file_names, option
+from sonarrec.cli.groups import BACKGROUND, Decorator, FiniteRange, as_one, file_names, option
 from sonarrec.cli.options_log import LogChoice, flags_of, odometry_options
 from sonarrec.records import UsageError
 
@@ -25,7 +25,7 @@ _LAYING = {
     "plate": option(
         BACKGROUND,
         "--plate",
-        type=click.FloatRange(-MOST_DB, MOST_DB),
+        type=FiniteRange(-MOST_DB, MOST_DB),
         metavar="DB",
         help="The same for the plate between ring and sectors; negative if it is darker than the "
         "floor.  [default: -6]",
@@ -46,7 +46,7 @@ _LAYING = {
     "beam_width": option(
         BACKGROUND,
         "--beam-width",
-        type=click.FloatRange(0, 5),
+        type=FiniteRange(0, 5),
         metavar="DEG",
         help="Width of the beams that smear the discs.  [default: as in `sonarrec run`]",
     ),

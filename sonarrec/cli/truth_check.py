@@ -8,7 +8,16 @@ from pathlib import Path
 import click
 
 from sonarrec.cli.endings import end, say, tell
-from sonarrec.cli.groups import FILE, NEW_FILE, OUTPUT, SCORING, command, file_names, option
+from sonarrec.cli.groups import (
+    FILE,
+    NEW_FILE,
+    OUTPUT,
+    SCORING,
+    FiniteRange,
+    command,
+    file_names,
+    option,
+)
 from sonarrec.cli.options import landmarks_option, quiet_option
 from sonarrec.cli.options_log import LogChoice, log_options
 from sonarrec.records import number_of
@@ -25,7 +34,7 @@ _MOST_LINES = 20  # printed for one kind of fault
     SCORING,
     "--max-pan",
     "max_pan_deg",
-    type=click.FloatRange(min=0, min_open=True),
+    type=FiniteRange(min=0, min_open=True),
     default=5.0,
     show_default=True,
     metavar="DEG",

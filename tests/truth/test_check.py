@@ -353,6 +353,7 @@ def test_passes_are_parted_and_limited(tmp_path: Path) -> None:
     ("arguments", "said", "code"),
     [
         (("--max-pan", "0"), "--max-pan", 2),
+        (("--max-pan", "nan"), "nan is not a finite number", 2),
         (("--landmarks", "nowhere"), "no landmark set 'nowhere'", 2),
         (("--sheet", "/dev/null/folder.png"), "/dev/null is not a folder", 2),
     ],
