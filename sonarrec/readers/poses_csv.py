@@ -20,9 +20,9 @@ LOOK_ALIKE = (
 )
 """Names in lower case that others give to positions. Without x and y a sonar only turns: a wrong
 motion, where it moved."""
-# No table has its rows hours apart (10,000 s), nor 2,000 of them a second; rows between the two
-# are in microseconds.
-SECONDS_BELOW = 10_000
+# Rows of a steady pan may be half a minute apart, and nobody writes 2,000 a second; what lies
+# between the two is in milliseconds or microseconds.
+SECONDS_BELOW = 50
 NANOSECONDS_FROM = 500_000
 
 
@@ -65,7 +65,7 @@ def read_poses(path: Path) -> PoseTable:
         if SECONDS_BELOW <= step < NANOSECONDS_FROM:
             raise SonarrecError(
                 f"{path}: timestamp must be seconds or nanoseconds; rows {step:g} apart are "
-                "neither (microseconds?); nanoseconds so near each other go into timestamp_ns"
+                "neither (milliseconds or microseconds?); name nanoseconds timestamp_ns"
             )
         seconds = step < SECONDS_BELOW
         at = np.rint(at * 1e9 if seconds else at)

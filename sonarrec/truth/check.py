@@ -14,7 +14,7 @@ from sonarrec.readers.find import find_log
 from sonarrec.readers.log import Log
 from sonarrec.records import Fan, FloatArray, IntArray, SonarrecError, number_of
 from sonarrec.results.folders import possible_names
-from sonarrec.truth.fits import columns_not_read
+from sonarrec.truth.fits import columns_not_read, in_other_unit, unit_of_times
 from sonarrec.truth.in_view import share_in_image
 from sonarrec.truth.match import SLACK_PX, match_times, pixels_apart
 from sonarrec.truth.table import TruthTable, read_rows, repeated_rows
@@ -148,6 +148,10 @@ def _matched(
         known = np.isin(at, numbers)
         frames = np.where(known, at, -1)
     else:
+        unit = unit_of_times(stamps, at)
+        if unit is not None:
+            fault = Fault(int(line[0]), "frame", in_other_unit(unit, log.name))
+            return np.full(len(at), -1), [fault]
         nearest, known, kept = match_times(stamps, at)
         # Of truth denser than the frames, the nearest counts, as in scoring.
         frames = np.where(kept, numbers[nearest], -1)

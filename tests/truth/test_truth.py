@@ -159,6 +159,22 @@ def test_times_of_another_zone_are_told_as_that(case: Path) -> None:
     assert failure(run(case)).endswith("is this the truth of another log?")
 
 
+@pytest.mark.parametrize(
+    ("unit_ns", "unit"), [(10**9, "seconds"), (10**6, "milliseconds"), (10**3, "microseconds")]
+)
+@pytest.mark.parametrize("start_s", [0, 1_714_564_800])
+def test_times_of_another_unit_are_told_as_that(
+    case: Path, start_s: int, unit_ns: int, unit: str
+) -> None:
+    """From 0 they would all fall on the first frame."""
+    frames = (start_s + np.arange(6)) * 10**9
+    rows = "".join(f"{n},{at}\n" for n, at in enumerate(frames))
+    (case / "out" / "frames.csv").write_text("frame,timestamp_ns\n" + rows)
+    times = "".join(f"{at // unit_ns},1\n" for at in frames)
+    (case / "gt.csv").write_text("timestamp_ns,landmark\n" + times)
+    assert f"fit the frames of out only if they are {unit}" in failure(run(case))
+
+
 def test_denser_truth_shows_a_landmark_once_per_frame(case: Path) -> None:
     stamps(case, *range(950, 1800, 10))
     truth = matched(case, 0.1)
