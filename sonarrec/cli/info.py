@@ -63,10 +63,10 @@ def info(
     """Show what is in LOG, whether it is complete, and how `run` would read it.
 
     LOG is an MCAP file, a bag of ROS 1 or 2, a folder of images, a video, a sonar's own file (ARIS,
-    DIDSON, Oculus), a folder of logs, or a quoted glob of these. Every frame is read and every
-    checksum compared to see how many frames can be used; --quick leaves that out. An incomplete
-    geometry is reported but is not a fault. Exit code 3: part of the log cannot be used; 1: none of
-    it can. LOG may be on a server (`sonarrec help remote`).
+    DIDSON, Oculus, Gemini), a folder of logs, or a quoted glob of these. Every frame is read and
+    every checksum compared to see how many frames can be used; --quick leaves that out. An
+    incomplete geometry is reported but is not a fault. Exit code 3: part of the log cannot be used;
+    1: none of it can. LOG may be on a server (`sonarrec help remote`).
 
     --preview draws range rings, bearings, the near edge of the stated floor and three discs of the
     landmark set onto the first usable frame, so that a wrong geometry is easy to see.

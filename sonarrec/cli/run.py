@@ -166,11 +166,11 @@ def run(
     """Recognise landmarks in LOG, frame by frame.
 
     LOG is an MCAP file, a bag of ROS 1 or 2, a folder of images, a video, a sonar's own file
-    (.aris, .ddf, .oculus, .raw), a folder of logs, or a quoted glob of these. The sonar's geometry
-    comes from sonar.toml beside LOG (NAME.sonar.toml for one file), from --sonar, or from the
-    flags below; polar messages and sonars' own files state theirs, mostly without tilt and height.
-    Several logs are processed in parallel; one that cannot be used does not stop the others. LOG
-    and OUT may be on a server (`sonarrec help remote`).
+    (.aris, .ddf, .oculus, .raw, .glf), a folder of logs, or a quoted glob of these. The sonar's
+    geometry comes from sonar.toml beside LOG (NAME.sonar.toml for one file), from --sonar, or from
+    the flags below; polar messages and sonars' own files state theirs, mostly without tilt and
+    height. Several logs are processed in parallel; one that cannot be used does not stop the
+    others. LOG and OUT may be on a server (`sonarrec help remote`).
 
     Logs whose results are up to date are skipped; other results are replaced when the new ones are
     finished. A run that is stopped leaves its results so far in OUT/<log name>.part.

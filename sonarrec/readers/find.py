@@ -15,6 +15,7 @@ from pathlib import Path
 
 from sonarrec.readers.bag_folder import BagFolder, bag_files, is_bag_folder
 from sonarrec.readers.ddf.frames import DdfFrames
+from sonarrec.readers.gemini.log import GeminiPings
 from sonarrec.readers.images import ImageFiles, ImagePaths, is_image, natural_order
 from sonarrec.readers.oculus.log import OculusPings
 from sonarrec.readers.packed import PACKINGS, unpacked
@@ -92,6 +93,7 @@ READERS = (
     Reader("ARIS", frozenset({".aris"}), lambda files: DdfFrames(files[0])),
     Reader("DIDSON", frozenset({".ddf"}), lambda files: DdfFrames(files[0])),
     Reader("Oculus", frozenset({".oculus", ".raw"}), lambda files: OculusPings(files[0])),
+    Reader("Gemini", frozenset({".glf"}), lambda files: GeminiPings(files[0])),
 )
 _LOG_ENDINGS = tuple(e for r in READERS if r is not _IMAGES for e in r.endings)
 

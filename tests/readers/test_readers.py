@@ -30,7 +30,7 @@ from sonarrec.simulation.mcap_writer import SCHEMAS, McapImageWriter, is_polar
 from sonarrec.sonar import Sonar, load_sonar
 from tests.support.bags import bag, messages, ros1_bag, split_bag
 from tests.support.logs import PERIOD_NS, SONAR_TOML, cdr_image, frames, image_folder, mcap_file
-from tests.support.sonar_files import aris_file, oculus_ping
+from tests.support.sonar_files import aris_file, gemini_log, gemini_record, oculus_ping
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
 Maker = Callable[[Path, list[np.ndarray]], Path]
@@ -211,10 +211,16 @@ def oculus(path: Path, images: list[np.ndarray]) -> Path:
     return path / "log.raw"
 
 
+def gemini(path: Path, images: list[np.ndarray]) -> Path:
+    records = [gemini_record(k, image) for k, image in enumerate(images)]
+    return gemini_log(path / "log.glf", records)
+
+
 OF_EACH_READER = {
     **{name: SAME_FRAMES[name] for name in ("png", "avi", "bag, db3", "bag, ROS 1", "mcap.zst")},
     "aris": aris,
     "oculus": oculus,
+    "gemini": gemini,
 }
 
 
@@ -224,7 +230,7 @@ def test_of_frames_before_a_span_only_the_first_are_decoded(
 ) -> None:
     """What a span gives is what the whole log gives of these frames."""
     path = make(tmp_path, frames(8))
-    sonar = {"tilt_deg": 20.0} if path.suffix in (".aris", ".raw") else None
+    sonar = {"tilt_deg": 20.0} if path.suffix in (".aris", ".raw", ".glf") else None
     whole, _ = read(path, sonar=sonar)
     decoded: list[bool] = []
 

@@ -18,6 +18,7 @@ import sys
 import tempfile
 import time
 import traceback
+import zipfile
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -33,7 +34,14 @@ from sonarrec.simulation.mcap_writer import SCHEMAS, McapImageWriter
 from sonarrec.sonar import Sonar
 from tests.support.logs import SONAR_TOML
 from tests.support.messages import WRITERS
-from tests.support.sonar_files import aris_file, didson_file, oculus_log, oculus_ping
+from tests.support.sonar_files import (
+    aris_file,
+    didson_file,
+    gemini_log,
+    gemini_record,
+    oculus_log,
+    oculus_ping,
+)
 
 LIMIT_S = 10
 LIMIT_MB = 400
@@ -226,11 +234,21 @@ def write_oculus(path: Path, images: list[np.ndarray], rng: random.Random) -> No
     )
 
 
+def write_gemini(path: Path, images: list[np.ndarray], rng: random.Random) -> None:
+    version, compression = rng.choice((2, 3)), rng.randrange(2)
+    records = [
+        gemini_record(k, image, version=version, compression=compression)
+        for k, image in enumerate(images)
+    ]
+    gemini_log(path, records, rng.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)))
+
+
 WriteSonar = Callable[[Path, list[np.ndarray], random.Random], None]
 SONARS: dict[str, tuple[WriteSonar, int]] = {  # and how often a header comes, in bytes
     "aris": (write_aris, 1024 + 48 * ROWS),
     "ddf": (write_didson, 256 + 96 * ROWS),
     "raw": (write_oculus, 202 + 6 + COLUMNS * (ROWS + 2)),
+    "glf": (write_gemini, 93 + COLUMNS * (ROWS + 8)),
     "oculus": (write_oculus, 40 + 202 + 6 + COLUMNS * (ROWS + 2)),
 }
 

@@ -1,4 +1,4 @@
-"""Writes the sonars' own files: ARIS, DIDSON and Oculus.
+"""Writes the sonars' own files: ARIS, DIDSON, Oculus and Gemini.
 
 Headers are packed field after field in the order of their descriptions, not by offsets, and by
 nothing of the package's.
@@ -7,6 +7,7 @@ nothing of the package's.
 from __future__ import annotations
 
 import struct
+import zipfile
 import zlib
 from pathlib import Path
 from typing import Any
@@ -192,3 +193,59 @@ def _item(kind: int, time_s: float, compression: int, size: int, payload: bytes)
     return struct.pack(
         "<2I2H4xdH2x2I4x", 0xAABBCCDD, 40, kind, 1, time_s, compression, size, len(payload)
     ) + payload  # fmt: skip
+
+
+GEMINI_START_S = 1_390_000_000.0
+"""Of a log, in seconds since 1980."""
+
+
+def gemini_record(
+    number: int,
+    image: np.ndarray,
+    *,
+    version: int = 3,
+    compression: int = 0,
+    device: int = 1194,
+    bearings: np.ndarray | None = None,
+    first_bin: int = 0,
+    bins_hz: int = 46_560,
+    speed: float = 1490.0,
+    upside_down: bool = False,
+    zoomed: bool = False,
+) -> bytes:
+    """A record of one image: (ranges, beams), eight a second.
+
+    bearings: (beams,) radians, by default from -.5 to .5. compression: 0 zlib, 1 none, 2 H.264;
+    without a field of its own before version 3.
+    """
+    ranges, beams = image.shape
+    table = np.linspace(-0.5, 0.5, beams) if bearings is None else bearings
+    samples = image.tobytes() if compression else zlib.compress(image.tobytes())
+    body = struct.pack("<2H", 1, 0xEFEF)
+    body += struct.pack("<HIIHII", version, first_bin, first_bin + ranges, 0, 0, beams)
+    body += struct.pack("<H", compression) if version >= 3 else b""
+    body += struct.pack("<I", len(samples)) + samples + table.astype("<f8").tobytes()
+    state = 0x2000 if upside_down else 0
+    sent_s = GEMINI_START_S + number / 8 - 0.03125
+    body += struct.pack("<IIfdHfh", state, bins_hz, 120.0, sent_s, 0x100, speed, 57)
+    body += struct.pack("<3B?", 1, 2, 4, zoomed)
+    body += struct.pack("<HdH", 7, 2.0, 0xDEDE) if zoomed else struct.pack("<H", 0xDEDE)
+    return gemini_message(0, body, number, device)
+
+
+def gemini_message(kind: int, body: bytes, number: int = 0, device: int = 1194) -> bytes:
+    """Any record of a Gemini's log."""
+    time_s = GEMINI_START_S + number / 8
+    return struct.pack("<cBIdB3H", b"*", 1, 21 + len(body), time_s, kind, device, 0, 0) + body
+
+
+GEMINI_STATUS = gemini_message(3, bytes(218))
+
+
+def gemini_log(path: Path, records: list[bytes], method: int = zipfile.ZIP_DEFLATED) -> Path:
+    """A `.glf` of records; not compressed again, as those of the maker."""
+    level = 0 if method == zipfile.ZIP_DEFLATED else None
+    with zipfile.ZipFile(path, "w", method, compresslevel=level) as archive:
+        archive.writestr("log_2024.cfg", "<log><logHeader></logHeader></log>")
+        archive.writestr("data_2024.dat", b"".join(records) + b"\xde\xde")
+    return path

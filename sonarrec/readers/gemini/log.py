@@ -1,0 +1,73 @@
+"""A `.glf` of a Gemini as a RawLog."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from sonarrec.readers.gemini.archive import pieces, records
+from sonarrec.readers.gemini.pings import Header, decoded, device_of, time_ns
+from sonarrec.readers.raw import HeaderInfo, RawFrame, RawLog, UnusableError
+from sonarrec.records import SonarrecError, Stamps, number_of, shown
+
+_NOTES = (
+    "left and right are as free readers show them; see that a landmark lies on its side",
+    "times are those of the recording computer, whose time zone is not told; taken as UTC",
+)
+
+
+class GeminiPings(RawLog):
+    """The images of one sonar, the first in the file, in the order of the file."""
+
+    def __init__(self, path: Path) -> None:
+        """Raises SonarrecError where the file holds no image that can be read."""
+        super().__init__()
+        self.polar = True
+        self._path, self._name = path, shown(path.name)
+        self._device, header = self._first()
+        self.header_info = HeaderInfo(values=header, notes=_NOTES)
+
+    def _first(self) -> tuple[int, Header]:
+        """The number of the first sonar, and the header of its first image that can be read."""
+        problem = ""
+        try:
+            for _, record, reason in records(pieces(self._path)):
+                if record is not None:
+                    try:
+                        return device_of(record), decoded(record)[1]
+                    except UnusableError as error:
+                        reason = str(error)
+                problem = problem or f" ({reason})"
+        except UnusableError as error:
+            problem = problem or f" ({error})"
+        raise SonarrecError(f"{shown(self._path)}: no image of a Gemini can be read in it{problem}")
+
+    def __iter__(self) -> Iterator[RawFrame]:
+        number, others = 0, 0
+        try:
+            for place, record, problem in records(pieces(self._path)):
+                if record is not None and device_of(record) != self._device:
+                    others += 1
+                    continue
+                yield self._frame(number, place, record, problem)
+                number += 1
+        except UnusableError as error:
+            self.faults.append(f"{self._name}: {error}; what comes before is read")
+        if others:
+            self.faults.append(
+                f"{self._name}: {number_of(others, 'image')} of other sonars than device "
+                f"{self._device} are not read; record one sonar to a file"
+            )
+
+    def _frame(self, number: int, place: int, record: bytes | None, problem: str) -> RawFrame:
+        name = f"image {number} at byte {place}"
+        logged = None if record is None else time_ns(record)
+        if record is None or number in self.passed_over:
+            return RawFrame(name, logged, None, problem or None)
+        try:
+            ping, _ = decoded(record)
+        except UnusableError as error:
+            return RawFrame(name, logged, None, str(error))
+        stamps = Stamps(logged, None, ping.stamp_ns)
+        named = ping.stamp_ns if logged is None else logged
+        return RawFrame(name, named, ping.pixels, None, ping.sonar, stamps)
