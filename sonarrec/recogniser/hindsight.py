@@ -14,10 +14,7 @@ from sonarrec.recogniser.stage3_features import likeliest
 from sonarrec.recogniser.stage3_features.opinions import NOW, SO_FAR, Opinion, Opinions
 from sonarrec.records import Estimate, FloatArray, FrameResult
 
-# Least mean belief of a track's frames in the ID that all of them are given. Chosen on tuning seeds
-# (2200 to 2207 of all kinds, 2300 to 2303): with less, hindsight claims more falsely than the
-# frames themselves do.
-LEAST_BORNE_OUT = 0.7
+LEAST_BORNE_OUT = 0.5  # least mean belief of a track's frames in the ID that all of them are given
 
 
 @dataclass
@@ -43,7 +40,7 @@ class _Opinion(Opinion):
             self.turns[landmark] = max(turn, self.turns.get(landmark, turn))
 
     def borne_out(self, landmark_index: int) -> bool:
-        """Whether the frames, each counting the same, believed enough in this ID."""
+        """Whether the frames, each counting the same, mostly believed in this ID."""
         return bool(self.beliefs_sum[landmark_index] >= LEAST_BORNE_OUT * self.frames)
 
 
@@ -54,7 +51,7 @@ class Hindsight:
     (see Opinion). The last frame's belief would not do: a track is known badly as it leaves the
     view, and where it is mistaken for another on its return.
 
-    Where the frames believe too little in the pool's ID, they stay as they were. An ID is never
+    Where most frames do not believe in the pool's ID, they stay as they were. An ID is never
     declared in a frame where too little of its object is in view. Where a track comes back with
     another picture, another object has taken up its number: so a belief holds for one chapter of a
     track alone (see Evidence).
