@@ -11,9 +11,8 @@ import time
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import dask
-import distributed
 import pytest
 from click.testing import CliRunner
 
@@ -25,6 +24,9 @@ from sonarrec.config import preset
 from sonarrec.pipeline.prepare import RunOptions
 from sonarrec.results.run_file import LogOptions
 from tests.support.batch import SAMPLE, command, environment, made, rows, tables
+
+if TYPE_CHECKING:
+    from distributed import LocalCluster  # by those who need it: to load it takes long
 
 
 def wait_for(port: int) -> None:
@@ -115,7 +117,7 @@ def test_a_scheduler_that_dies_is_told_for_each_log_that_waits(
 class Awaited(Watch):
     """A cluster without a worker, until somebody says so."""
 
-    def __init__(self, cluster: distributed.LocalCluster) -> None:
+    def __init__(self, cluster: LocalCluster) -> None:
         self.cluster, self.notes, self.ends = cluster, list[str](), list[Outcome]()
 
     def note(self, line: str) -> None:
@@ -130,7 +132,9 @@ def test_a_cluster_without_a_worker_is_told(tmp_path: Path) -> None:
     task = Task(
         str(tmp_path / "none.mcap"), "none", str(tmp_path / "out"), LogOptions(), RunOptions(())
     )
-    with distributed.LocalCluster(n_workers=0, dashboard_address=None) as empty:
+    from distributed import LocalCluster
+
+    with LocalCluster(n_workers=0, dashboard_address=None) as empty:
         watch = Awaited(empty)
         run_on_cluster([task], empty.scheduler_address, watch)
     told = f"{empty.scheduler_address}: there is no worker yet; the logs wait for one"
@@ -194,6 +198,8 @@ def test_what_lacks_its_certificates_is_refused_at_once(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """As an address that is none."""
+    import dask
+
     monkeypatch.setattr("distributed.Client", None)
     words = ["run", str(SAMPLE), "--scheduler", address, "-o", str(tmp_path / "out")]
     with dask.config.set({f"distributed.comm.{k}": v for k, v in variables.items()}):

@@ -7,9 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import boto3
 import pytest
-from moto.server import ThreadedMotoServer
 
 from sonarrec.remote import store
 from sonarrec.remote.cache import Cache
@@ -28,6 +26,8 @@ def cache(tmp_path: Path) -> Cache:
 @pytest.fixture(scope="session")
 def s3_server() -> Iterator[dict[str, str]]:
     """A server that speaks S3, and what has to be in the environment to reach it."""
+    from moto.server import ThreadedMotoServer  # by those who need it: to load it takes long
+
     server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
     server.start()
     host, port = server.get_host_and_port()
@@ -48,6 +48,8 @@ def s3(s3_server: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> Iterator[A
         monkeypatch.delenv(name)
     for name, value in s3_server.items():
         monkeypatch.setenv(name, value)
+    import boto3
+
     client = boto3.client("s3")
     client.create_bucket(Bucket="dives")
     yield client
