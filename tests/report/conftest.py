@@ -2,11 +2,37 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
+from unittest.mock import patch
 
+import numpy as np
 import pytest
 
+from sonarrec.records import ByteImage
+from sonarrec.report import frames, pictures, site_page
 from tests.support.command import SAMPLE, sonarrec
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _encoded_once() -> Iterator[None]:
+    """A process encodes each picture once: it takes longest, and most pages show the sample."""
+    as_webp = pictures.as_webp
+
+    @cache
+    def encoded(data: bytes, shape: tuple[int, ...], quality: int) -> str:
+        return as_webp(np.frombuffer(data, np.uint8).reshape(shape), quality)
+
+    def once(image: ByteImage, quality: int) -> str:
+        return encoded(image.tobytes(), image.shape, quality)
+
+    with (
+        patch.object(frames, "as_webp", once),
+        patch.object(pictures, "as_webp", once),
+        patch.object(site_page, "as_webp", once),
+    ):
+        yield
 
 
 @pytest.fixture(scope="session")
