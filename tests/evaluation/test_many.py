@@ -6,7 +6,9 @@ import json
 import os
 import shutil
 import tracemalloc
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from functools import partial
 from hashlib import sha256
 from pathlib import Path
 
@@ -17,12 +19,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sonarrec.cli import main
-from sonarrec.evaluation import survey
+from sonarrec.evaluation import summary, survey
+from sonarrec.evaluation.compare import compare as comparison
 from sonarrec.evaluation.compare.compare import compare
 from sonarrec.evaluation.counting import store
 from sonarrec.evaluation.counting.passes import UnitKind
 from sonarrec.evaluation.counting.pooled import Pooled
 from sonarrec.evaluation.counting.store import Store, ranked, summed
+from sonarrec.evaluation.counting.uncertainty import bootstrap_weights, coin_tosses
 from sonarrec.evaluation.evaluate import evaluate_many, evaluate_whole
 from sonarrec.evaluation.matching.pairs import Pair, read_pairs
 from sonarrec.evaluation.summary import summarise
@@ -38,7 +42,7 @@ FLOATS = st.lists(
 @pytest.fixture(scope="module")
 def pairs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Twelve logs, in one of which a method is missing and another program's is there."""
-    table = make_logs(tmp_path_factory.mktemp("many") / "made", 12, 400, 4)
+    table = make_logs(tmp_path_factory.mktemp("many") / "made", 12, 250, 4)
     odd = table.parent / "out" / "log0005"
     text = (odd / "estimates.csv").read_text(encoding="utf-8")
     (odd / "estimates.csv").unlink()
@@ -50,16 +54,25 @@ def pairs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return table
 
 
+@pytest.fixture
+def few_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Intervals and tests from fewer draws, where it is told only whether two ways are the same."""
+    for module in (summary, comparison):
+        monkeypatch.setattr(module, "bootstrap_weights", partial(bootstrap_weights, draws=100))
+        monkeypatch.setattr(module, "coin_tosses", partial(coin_tosses, flips=255))
+
+
 def files(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_all_at_once_or_one_at_a_time_is_the_same(
     tmp_path: Path, pairs: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """All logs on one axis of frames, as `evaluate_whole` joins them, are the independent way."""
     rows = read_pairs(pairs)
-    units: dict[UnitKind, int] = {"log": 12, "pass": 12 * 3}
+    units: dict[UnitKind, int] = {"log": 12, "pass": 12 * 2}
 
     def write(name: str, found: Pooled) -> None:
         for unit in units:
@@ -78,6 +91,7 @@ def test_all_at_once_or_one_at_a_time_is_the_same(
         assert told["units"] == many
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_the_same_bytes_however_many_processes(tmp_path: Path, pairs: Path) -> None:
     made = {}
     for jobs in ("1", "3"):  # of 12 logs: more than the three have ahead
@@ -98,49 +112,68 @@ BROKEN = {
 }
 
 
-def broken(folder: Path, name: str) -> str:
-    """Break a file of some results; how the line on it begins."""
+@contextmanager
+def broken(folder: Path, name: str) -> Iterator[str]:
+    """Breaks a file of some results meanwhile; how the line on it begins."""
     text, told = BROKEN[name]
-    (folder / name).unlink(missing_ok=True)
+    kept = (folder / name).rename(folder / "kept")
     (folder / name).write_text(text, encoding="utf-8")
-    return f"{folder}{os.sep}{told}"
+    try:
+        yield f"{folder}{os.sep}{told}"
+    finally:
+        kept.rename(folder / name)
 
 
+@pytest.fixture(scope="module")
+def sides(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path]:
+    """Old and new results of three short logs, and a table of pairs."""
+    return make_sides(tmp_path_factory.mktemp("sides") / "made", 3, 50, 2)
+
+
+@pytest.fixture(scope="module")
+def four(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A table of pairs of four short logs."""
+    return make_logs(tmp_path_factory.mktemp("four") / "made", 4, 50, 2)
+
+
+@pytest.mark.usefixtures("few_draws")
 @pytest.mark.parametrize(
     ("name", "jobs"),
     [("estimates.csv", "1"), ("frames.csv", "1"), ("run.toml", "1"), ("run.toml", "2")],
 )
-def test_a_log_that_cannot_be_read_is_left_out(tmp_path: Path, name: str, jobs: str) -> None:
+def test_a_log_that_cannot_be_read_is_left_out(
+    tmp_path: Path, four: Path, name: str, jobs: str
+) -> None:
     """The first, whose IDs' order the others would follow. Without any other it is one line. By
     what name it cannot be read is settled before it reaches another process: one has it there."""
-    pairs = make_logs(tmp_path / "made", 4, 50, 2)
-    head, first, *others = pairs.read_text(encoding="utf-8").splitlines()
-    pairs.write_text("\n".join([head, *others, ""]), encoding="utf-8")
-    ours = tmp_path / "made" / "evaluation"
-    tables = ("confusion.csv", "roc.csv", "figures.csv", "per_log.csv")
-    done = CliRunner().invoke(main, ["evaluate", "--pairs", str(pairs), "-j", "1"])
+    head, _, *others = four.read_text(encoding="utf-8").splitlines()
+    less = tmp_path / "pairs.csv"
+    less.write_text("\n".join([head, *others, ""]), encoding="utf-8")
+    done = CliRunner().invoke(main, ["evaluate", "--pairs", str(less), "-j", "1"])
     assert done.exit_code == 0, done.output
-    without = [files(ours)[table] for table in tables]
-    shutil.rmtree(ours)
-    pairs.write_text("\n".join([head, first, *others, ""]), encoding="utf-8")
-    told = broken(tmp_path / "made" / "out" / "log0000", name)
-    done = CliRunner().invoke(main, ["evaluate", "--pairs", str(pairs), "-j", jobs])
-    assert done.exit_code == 3
-    assert done.stderr.startswith(f"sonarrec: {told}")
-    assert done.stderr.endswith("; log0000 is not scored\n")
-    assert done.stderr.count("\n") == 1
-    assert [files(ours)[table] for table in tables] == without
-    assert evaluate_whole(read_pairs(pairs)).unused == evaluate_many(read_pairs(pairs)).unused
-    shutil.rmtree(ours)
-    for n in (1, 2, 3):
-        broken(tmp_path / "made" / "out" / f"log000{n}", name)
-    done = CliRunner().invoke(main, ["evaluate", "--pairs", str(pairs), "-j", jobs])
+    words = ["evaluate", "--pairs", str(four), "-j", jobs, "-o", str(tmp_path / "found")]
+    with ExitStack() as broke:
+        told = broke.enter_context(broken(four.parent / "out" / "log0000", name))
+        done = CliRunner().invoke(main, words)
+        assert done.exit_code == 3
+        assert done.stderr.startswith(f"sonarrec: {told}")
+        assert done.stderr.endswith("; log0000 is not scored\n")
+        assert done.stderr.count("\n") == 1
+        for table in ("confusion.csv", "roc.csv", "figures.csv", "per_log.csv"):
+            without = (tmp_path / "evaluation" / table).read_bytes()
+            assert (tmp_path / "found" / table).read_bytes() == without
+        assert evaluate_whole(read_pairs(four)).unused == evaluate_many(read_pairs(four)).unused
+        shutil.rmtree(tmp_path / "found")
+        for n in (1, 2, 3):
+            broke.enter_context(broken(four.parent / "out" / f"log000{n}", name))
+        done = CliRunner().invoke(main, words)
     assert done.exit_code == 1
     assert done.output.startswith(f"sonarrec: {told}")
     assert done.output.count("\n") == 1
-    assert not ours.exists()
+    assert not (tmp_path / "found").exists()
 
 
+@pytest.mark.usefixtures("few_draws")
 @pytest.mark.parametrize(
     ("name", "side", "jobs"),
     [
@@ -149,36 +182,37 @@ def test_a_log_that_cannot_be_read_is_left_out(tmp_path: Path, name: str, jobs: 
     ],
 )
 def test_a_log_that_cannot_be_read_is_not_compared(
-    tmp_path: Path, name: str, side: str, jobs: str
+    tmp_path: Path, sides: tuple[Path, Path, Path], name: str, side: str, jobs: str
 ) -> None:
     """The first, on either side. Without any other it is one line."""
-    old, new, pairs = make_sides(tmp_path / "made", 3, 50, 2)
-    sides = ["--pairs", str(pairs), "--compare", str(old), str(new)]
+    old, new, pairs = sides
+    words = ["--pairs", str(pairs), "--compare", str(old), str(new)]
     both = old / "log0000", new / "log0000"
     for folder in both:
         folder.rename(folder.parent.parent / f"{folder.parent.name}0")
-    done = CliRunner().invoke(main, ["evaluate", *sides, "-o", str(tmp_path / "without")])
-    assert done.exit_code == 0, done.output
+    done = CliRunner().invoke(main, ["evaluate", *words, "-o", str(tmp_path / "without")])
     for folder in both:
         (folder.parent.parent / f"{folder.parent.name}0").rename(folder)
-    told = broken(tmp_path / "made" / side / "log0000", name)
+    assert done.exit_code == 0, done.output
     out = tmp_path / "found"
-    done = CliRunner().invoke(main, ["evaluate", *sides, "-o", str(out), "-j", jobs, "-q"])
-    assert done.exit_code == 3, done.output
-    assert done.stderr.startswith(f"sonarrec: {told}")
-    assert done.stderr.endswith("; log0000 is not compared\n")
-    assert done.stderr.count("\n") == 1
-    for table in ("compare.csv", "changes.csv"):
-        assert (out / table).read_bytes() == (tmp_path / "without" / table).read_bytes()
-    found, less = (
-        json.loads((f / "compare.json").read_text()) for f in (out, out.parent / "without")
-    )
-    assert found | {"unused": []} == less
-    page = CliRunner().invoke(main, ["report", *sides, "-o", str(out / "compare.html"), "-q"])
-    assert (page.exit_code, page.stderr) == (3, done.stderr)
-    for n in (1, 2):
-        broken(tmp_path / "made" / side / f"log000{n}", name)
-    done = CliRunner().invoke(main, ["evaluate", *sides, "-j", jobs])
+    with ExitStack() as broke:
+        told = broke.enter_context(broken(pairs.parent / side / "log0000", name))
+        done = CliRunner().invoke(main, ["evaluate", *words, "-o", str(out), "-j", jobs, "-q"])
+        assert done.exit_code == 3, done.output
+        assert done.stderr.startswith(f"sonarrec: {told}")
+        assert done.stderr.endswith("; log0000 is not compared\n")
+        assert done.stderr.count("\n") == 1
+        for table in ("compare.csv", "changes.csv"):
+            assert (out / table).read_bytes() == (tmp_path / "without" / table).read_bytes()
+        found, less = (
+            json.loads((f / "compare.json").read_text()) for f in (out, tmp_path / "without")
+        )
+        assert found | {"unused": []} == less
+        page = CliRunner().invoke(main, ["report", *words, "-o", str(out / "compare.html"), "-q"])
+        assert (page.exit_code, page.stderr) == (3, done.stderr)
+        for n in (1, 2):
+            broke.enter_context(broken(pairs.parent / side / f"log000{n}", name))
+        done = CliRunner().invoke(main, ["evaluate", *words, "-j", jobs])
     assert done.exit_code == 1
     assert done.output.startswith(f"sonarrec: {told}")
     assert done.output.count("\n") == 1
@@ -239,15 +273,15 @@ def peak_mb(call: Callable[[], object]) -> float:
 @pytest.fixture
 def on_disk(monkeypatch: pytest.MonkeyPatch) -> None:
     """Already of a few logs the store lies there."""
-    monkeypatch.setattr(store, "IN_MEMORY", 100_000)
+    monkeypatch.setattr(store, "IN_MEMORY", 50_000)
 
 
-@pytest.mark.usefixtures("on_disk")
+@pytest.mark.usefixtures("on_disk", "few_draws")
 def test_memory_of_a_comparison_does_not_grow_with_the_logs(tmp_path: Path) -> None:
-    """Six logs and 15. What was read of a log is twice that of
-    `test_memory_does_not_grow_with_the_logs`: were it kept, nine more would be 9 MB."""
+    """Four logs and 13. What was read of a log is twice that of
+    `test_memory_does_not_grow_with_the_logs`: were it kept, nine more would be 4.5 MB."""
 
-    old, new, table = make_sides(tmp_path / "made", 15, 1000, 2)
+    old, new, table = make_sides(tmp_path / "made", 13, 500, 2)
     pairs = read_pairs(table)
 
     def peak(logs: int) -> float:
@@ -256,7 +290,7 @@ def test_memory_of_a_comparison_does_not_grow_with_the_logs(tmp_path: Path) -> N
         assert len(found[0].logs) == logs
         return peak
 
-    assert peak(15) - peak(6) < 1
+    assert peak(13) - peak(4) < 1
 
 
 def test_a_log_without_any_estimate_counts_as_nothing_claimed(tmp_path: Path) -> None:
@@ -303,14 +337,14 @@ def test_ids_in_another_order_are_put_in_that_of_the_first(tmp_path: Path) -> No
     assert files(tmp_path / "a") == files(tmp_path / "b")
 
 
-@pytest.mark.usefixtures("on_disk")
+@pytest.mark.usefixtures("on_disk", "few_draws")
 def test_memory_does_not_grow_with_the_logs(tmp_path: Path) -> None:
-    """Six logs and 15. What may grow is what a log leaves behind for good: its name, counts and
+    """Four logs and 13. What may grow is what a log leaves behind for good: its name, counts and
     passes (a few kB), and its row in the sums by unit (20 tables of 600 numbers a row, some 50 kB,
-    .5 MB in all). What was read of a log is 4,000 estimates of 17 numbers, .5 MB: were it kept,
-    nine more would be 4.5 MB. `make scoring` measures whole commands over a thousand logs."""
-    pairs = read_pairs(make_logs(tmp_path / "made", 15, 1000, 2))
-    few, many = (peak_mb(lambda n=n: summarise(evaluate_many(pairs[:n], jobs=1))) for n in (6, 15))  # type: ignore[misc]
+    .5 MB in all). What was read of a log is 2,000 estimates of 17 numbers, .25 MB: were it kept,
+    nine more would be 2.2 MB. `make scoring` measures whole commands over a thousand logs."""
+    pairs = read_pairs(make_logs(tmp_path / "made", 13, 500, 2))
+    few, many = (peak_mb(lambda n=n: summarise(evaluate_many(pairs[:n], jobs=1))) for n in (4, 13))  # type: ignore[misc]
     assert many - few < 1
 
 
