@@ -4,7 +4,8 @@ import csv
 import dataclasses
 import math
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from functools import cache
 from pathlib import Path
 from threading import Thread
 
@@ -51,7 +52,7 @@ def truth(frame: int, least_visible: float = 0.9) -> dict[int, tuple[float, floa
         }
 
 
-def run(log: list[Frame], settings: config.Config, landmarks=BASIN) -> list[FrameResult]:
+def run(log: Sequence[Frame], settings: config.Config, landmarks=BASIN) -> list[FrameResult]:
     recogniser = ThreeStages(settings, log[0].fan, landmarks)
     return [recogniser.step(frame) for frame in log]
 
@@ -137,22 +138,23 @@ def test_odd_frames_in_the_middle_of_a_log_are_no_trouble(name):
             check(result)
 
 
+@cache
 def drawn_log(
-    landmark_sectors, frames: int = 24, radius_m: float = 0.15, bearing_step: float = -0.5, fan=None
-) -> list[Frame]:
+    landmark_sectors, frames: int = 24, radius_m: float = 0.15, rows: int = 400
+) -> tuple[Frame, ...]:
     """One disc at 2.2 m while the sonar turns to the right; new speckle in every frame."""
-    fan = fan or make_fan(400)
+    fan = make_fan(rows)
     rng = np.random.default_rng(7)
     log = []
     for i in range(frames):
-        bearing = 5.0 + bearing_step * i
+        bearing = 5.0 - 0.5 * i
         pattern = disc_pattern(landmark_sectors, 0.4)
         disc, seen = draw_on_floor(fan, 2.2, bearing, radius_m, pattern)
         plate, _ = draw_on_floor(
             fan, 2.2, bearing, radius_m, lambda x, y: (np.hypot(x, y) <= 1) * 1.0
         )
         log.append(Frame(i, i * 250_000_000, speckled(disc, seen, rng, dark=plate), fan))
-    return log
+    return tuple(log)
 
 
 @pytest.mark.parametrize("landmark", sorted(SECTORS))
@@ -200,9 +202,9 @@ NUMBERS = [
 @pytest.mark.parametrize("name", ["default", "paper"])  # offline is default with another lag
 @pytest.mark.parametrize("value", [0, 1, 2])
 def test_extreme_settings_are_refused_or_run(name, value):
-    log = drawn_log(SECTORS[1], 3, fan=make_fan(160))
+    log = drawn_log(SECTORS[1], 2, rows=160)
     black = np.zeros_like(log[-1].image)
-    log += [dataclasses.replace(log[-1], index=3, pixels=black)]
+    log += (dataclasses.replace(log[-1], index=2, pixels=black),)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for section, key in NUMBERS:
@@ -258,7 +260,8 @@ def test_odd_geometry_is_told_in_one_line_or_recognises_nothing(name, sonar, sha
 # --- Side by side, and in hindsight ---------------------------------------------------------------
 
 
-def still_log(landmark: int, frames: int, hidden=()) -> list[Frame]:
+@cache
+def still_log(landmark: int, frames: int, hidden=()) -> tuple[Frame, ...]:
     """A still sonar and one speckled disc; where hidden, its symbol is covered by a blank one."""
     fan = make_fan(512)
     rng = np.random.default_rng(landmark)
@@ -270,15 +273,15 @@ def still_log(landmark: int, frames: int, hidden=()) -> list[Frame]:
             fan, 2.2, -4.0, BASIN.radius_m, lambda x, y: (np.hypot(x, y) <= 1) * 1.0
         )
         log.append(Frame(i, i * 250_000_000, speckled(disc, seen, rng, dark=plate), fan))
-    return log
+    return tuple(log)
 
 
-def side_by_side(log: list[Frame], *presets: str) -> list[FrameResult]:
+def side_by_side(log: Sequence[Frame], *presets: str) -> list[FrameResult]:
     recognise_together = SideBySide([config.preset(name) for name in presets], log[0].fan, BASIN)
     return list(recognise_together.recognise(log))
 
 
-def noted(log: list[Frame], drawn: list[Frame]) -> Iterator[Frame]:
+def noted(log: Sequence[Frame], drawn: list[Frame]) -> Iterator[Frame]:
     """The frames, each put down in `drawn` as it is asked for."""
     for frame in log:
         drawn.append(frame)
@@ -323,7 +326,7 @@ def test_a_thread_says_the_same_to_the_bit(ahead: bool):
 
 @pytest.mark.parametrize("fault", [ValueError, KeyboardInterrupt])
 def test_what_breaks_the_frames_off_is_raised_when_those_before_it_are_out(fault):
-    log = still_log(1, FRAMES_AT_ONCE + 3)
+    log = still_log(2, FRAMES_AT_ONCE + 3)
 
     def breaking() -> Iterator[Frame]:
         yield from log
@@ -385,7 +388,7 @@ def alike(one: FrameResult, other: FrameResult, method: str = FRAMEWORK) -> None
 
 @pytest.mark.parametrize("name", ["default", "paper"])
 def test_a_single_preset_is_the_recogniser_itself(name):
-    log = still_log(1, 2 * FRAMES_AT_ONCE + 3)
+    log = still_log(2, 2 * FRAMES_AT_ONCE + 3)
     recognise_together = side_by_side(log, name)
     for one, other in zip(run(log, config.preset(name)), recognise_together, strict=True):
         check(other)
@@ -448,7 +451,7 @@ def test_lags_side_by_side_give_what_each_gives_alone():
 
 def test_numbers_that_jump_change_nothing_in_hindsight():
     """As those of a log do of which many frames in a row cannot be used."""
-    log = still_log(1, 24, hidden=range(8))
+    log = still_log(1, 30, hidden=range(8))[:24]
     jumping = [dataclasses.replace(f, index=f.index + 600 * (f.index > 11)) for f in log]
     for one, other in zip(
         side_by_side(log, "offline"), side_by_side(jumping, "offline"), strict=True
