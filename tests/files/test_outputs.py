@@ -15,7 +15,9 @@ import pytest
 from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
+from sonarrec.evaluation.plots import draw_roc
 from sonarrec.files.outputs import marked, replaced, write_csv, write_text, writing
+from sonarrec.mapping.picture import draw_map
 from sonarrec.records import SonarrecError
 
 SAMPLE = Path(__file__).parents[2] / "sample_data"
@@ -329,12 +331,13 @@ def test_what_cannot_be_replaced_is_written_in_place(
     ("line", "names"),
     [(EVALUATE, ["evaluation/roc.png"]), (f"map {TABLES}", ["map/map.png", "map/map.geojson"])],
 )
-@pytest.mark.usefixtures("pictures")
 def test_outputs_of_earlier_versions_are_written_again(
-    work: Path, line: str, names: list[str]
+    work: Path, line: str, names: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Which bore no mark."""
     assert sonarrec(f"{line} -q").exit_code == 0
+    monkeypatch.setattr("sonarrec.evaluation.write.draw_roc", draw_roc)  # as users have them
+    monkeypatch.setattr("sonarrec.mapping.write.draw_map", draw_map)
     for name in names:
         (work / TABLES / name).write_bytes(b"as it was")
     assert sonarrec(f"{line} -q").exit_code == 0
