@@ -182,10 +182,10 @@ def test_help_prints_where_the_terminal_has_ascii_only(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("after", ["2>&-", ">&-", ">&- 2>&-", "2>/dev/full"])
 def test_closed_streams_cost_no_result(tmp_path: Path, after: str) -> None:
-    log = str(SAMPLE / "00000*.png")
+    log = str(SAMPLE / "00000[0-2].png")
     assert sonarrec(tmp_path, "run", log, "-o", "o", after=after).returncode == 0
     tables = tmp_path / "o" / "pan"
-    assert len((tables / "frames.csv").read_text().splitlines()) == 11
+    assert len((tables / "frames.csv").read_text().splitlines()) == 4
     assert (tables / "estimates.csv").read_text().startswith("frame,timestamp_ns,method")
     assert sonarrec(tmp_path, "info", log, after=after).returncode == 0
     made = sonarrec(tmp_path, "overlay", str(SAMPLE), "o", "--mcap", "o.mcap", after=after)
@@ -204,7 +204,7 @@ def test_a_list_from_a_closed_stdin_names_no_log(tmp_path: Path) -> None:
     "words", [["run"], ["run", "--json"], ["info"], ["info", "--json"], ["help", "run"]]
 )
 def test_a_full_stdout_is_one_line(tmp_path: Path, words: list[str]) -> None:
-    log = [] if words[0] == "help" else [str(SAMPLE / "00000*.png")]
+    log = [] if words[0] == "help" else [str(SAMPLE / "00000[0-2].png")]
     done = sonarrec(tmp_path, *words, *log, after=">/dev/full")
     assert done.returncode == 1
     assert done.stderr == b"sonarrec: stdout: cannot be written (No space left on device)\n"
