@@ -29,8 +29,8 @@ IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".
 
 def printable(text: str) -> str:
     """The text with what a terminal would obey, or could not show, written as escapes."""
-    shown = (c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
-    return text if text.isprintable() else "".join(shown)
+    escaped = (c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    return text if text.isprintable() else "".join(escaped)
 
 
 class SonarrecError(Exception):
@@ -59,13 +59,14 @@ def number_of(count: int, noun: str, ending: str = "s") -> str:
     return f"{count} {noun}{'' if count == 1 else ending}"
 
 
-def shown(name: object) -> str:
-    """A file's name as text for a line or a table: bytes that are no UTF-8 become \\xe9."""
+def name_as_text(name: object) -> str:
+    """A file's name as valid Unicode, for messages and tables: bytes that are no UTF-8 become "
+    "\\xe9."""
     return str(name).encode(errors="surrogateescape").decode(errors="backslashreplace")
 
 
-def unshown(text: str) -> str:
-    """The file's name that `shown` gave a text for."""
+def name_from_text(text: str) -> str:
+    """The file's name of which `name_as_text` made this text."""
     name = re.sub(rb"\\x([89a-f][0-9a-f])", lambda byte: bytes([int(byte[1], 16)]), text.encode())
     return name.decode(sys.getfilesystemencoding(), errors="surrogateescape")
 

@@ -11,7 +11,7 @@ from typing import Literal
 
 from sonarrec.pipeline.prepare import RunOptions
 from sonarrec.pipeline.run import Observe, Summary, planned, process
-from sonarrec.records import SonarrecError, shown
+from sonarrec.records import SonarrecError, name_as_text
 from sonarrec.remote.fetch import Progress, fetched, no_progress
 from sonarrec.remote.run import RemotePlaces
 from sonarrec.results.folders import part_of
@@ -160,4 +160,4 @@ def _at_hand(
         except OSError as error:
             if error.filename is None:  # not a fault of the input
                 raise
-            raise SonarrecError(f"{shown(error.filename)}: {error.strerror}") from None
+            raise SonarrecError(f"{name_as_text(error.filename)}: {error.strerror}") from None

@@ -25,7 +25,7 @@ from sonarrec.cli.simulate import simulate
 from sonarrec.cli.site import site
 from sonarrec.cli.status import status
 from sonarrec.cli.truth import truth
-from sonarrec.records import SonarrecError, UsageError, printable, shown
+from sonarrec.records import SonarrecError, UsageError, name_as_text, printable
 
 UNWRITTEN = {errno.ENOSPC, errno.EFBIG, errno.EDQUOT, errno.EIO, errno.EBADF}
 
@@ -47,7 +47,7 @@ class _Program(click.Group):
             ctx.exit(INTERRUPTED)
         except OSError as error:
             if error.filename is not None:  # usually a folder without permission
-                tell([f"{printable(shown(error.filename))}: {error.strerror}"])
+                tell([f"{printable(name_as_text(error.filename))}: {error.strerror}"])
                 ctx.exit(1)
             if error.errno not in UNWRITTEN:
                 raise

@@ -9,7 +9,7 @@ from typing import NoReturn
 
 import click
 
-from sonarrec.records import printable, shown
+from sonarrec.records import name_as_text, printable
 
 FAILED = 1  # nothing could be used
 MISUSED = 2  # an option is invalid, or an input does not exist
@@ -46,7 +46,7 @@ def begun(*places: Path) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt as error:
-        if left := ", ".join(shown(place) for place in places if place.exists()):
+        if left := ", ".join(name_as_text(place) for place in places if place.exists()):
             error.add_note(f"the output so far is in {left}; remove it to start again")
         raise
 

@@ -126,7 +126,7 @@ def info(
 def _name(log: NamedLog | RemoteLog) -> str:
     from sonarrec.readers.many import NamedLog
 
-    return log.path if isinstance(log, NamedLog) else log.shown
+    return log.path if isinstance(log, NamedLog) else log.redacted_url
 
 
 def _at_hand(
@@ -138,7 +138,7 @@ def _at_hand(
 
     if isinstance(log, NamedLog):
         return log.path, log.up_to, None
-    with fetching(quiet, log.shown) as came:
+    with fetching(quiet, log.redacted_url) as came:
         found = held.enter_context(fetched(log, cache.cache(), came))
     return str(found.path), found.up_to, found.origin
 

@@ -10,7 +10,7 @@ from typing import IO, TYPE_CHECKING, Any
 import click
 
 from sonarrec.cli.groups import FILE, GEOMETRY, INPUT, PIXELS, Decorator, as_one, option
-from sonarrec.records import Clock, UsageError, shown
+from sonarrec.records import Clock, UsageError, name_as_text
 
 if TYPE_CHECKING:
     from sonarrec.results.run_file import LogOptions
@@ -170,8 +170,8 @@ def _lines(listed: IO[str]) -> Iterator[str]:
     for line in listed:
         if "\0" in line:
             raise UsageError(
-                f"--from-file {shown(listed.name)}: not a list of logs, which is UTF-8 text with "
-                "one LOG per line; to run a single log leave out --from-file"
+                f"--from-file {name_as_text(listed.name)}: not a list of logs, which is UTF-8 text "
+                "with one LOG per line; to run a single log leave out --from-file"
             )
         yield line
 

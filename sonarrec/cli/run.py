@@ -42,7 +42,7 @@ from sonarrec.cli.options_log import (
     odometry_options,
 )
 from sonarrec.cli.options_remote import FOLDER_OR_URL, CacheChoice, cache_options
-from sonarrec.records import SonarrecError, UsageError, number_of, shown
+from sonarrec.records import SonarrecError, UsageError, name_as_text, number_of
 
 if TYPE_CHECKING:
     from sonarrec.batch.processes import Watch
@@ -247,8 +247,8 @@ def _unquoted(logs: Sequence[NamedLog | RemoteLog]) -> Iterator[str]:
     for folder, count in Counter(f.parent for f in files if names_an_image(f.name)).items():
         if count > 1:
             yield (
-                f"{shown(folder)}: {count} of its images are each run as a log of one frame; "
-                "give the folder, or quote the glob, to run them as one log"
+                f"{name_as_text(folder)}: {count} of its images are each run as a log of one "
+                "frame; give the folder, or quote the glob, to run them as one log"
             )
 
 
@@ -323,7 +323,9 @@ def _tasks(
         places = None
         if remote or box:
             places = RemotePlaces(cache.cache(), remote, box.url if box else None)
-        path, up_to = (one.shown, None) if isinstance(one, RemoteLog) else (one.path, one.up_to)
+        path, up_to = (
+            (one.redacted_url, None) if isinstance(one, RemoteLog) else (one.path, one.up_to)
+        )
         known = replace(log_options, up_to=up_to)
         tasks.append(Task(path, name, str(out), known, run_options, overwrite, places))
     return tasks
@@ -380,7 +382,7 @@ def _stoppable(folders: Sequence[Path]) -> Iterator[None]:
     except KeyboardInterrupt as error:
         from sonarrec.results.folders import part_of
 
-        parts = ", ".join(shown(part_of(f)) for f in folders if part_of(f).is_dir())
+        parts = ", ".join(name_as_text(part_of(f)) for f in folders if part_of(f).is_dir())
         kept = f"; the frames so far are in {parts}" if parts else ""
         tell([f"stopped{kept}"])
         leave(TERMINATED if isinstance(error, _Terminated) else INTERRUPTED)

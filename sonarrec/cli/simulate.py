@@ -12,7 +12,7 @@ from sonarrec.cli.groups import ANY, INPUT, OUTPUT, command, file_names, option
 from sonarrec.cli.options import out_option, quiet_option
 from sonarrec.cli.options_background import LayoutChoice, laying_options
 from sonarrec.cli.options_log import LogChoice, log_options
-from sonarrec.records import UsageError, number_of, shown
+from sonarrec.records import UsageError, name_as_text, number_of
 
 
 @command(short_help="Render a recording with ground truth.")
@@ -141,7 +141,7 @@ def simulate(
             compression=compression or "zstd",
         )
     if not quiet:
-        say(f"{shown(out)}: {number_of(scene.frames, 'frame')} of scene {scene.name!r}")
+        say(f"{name_as_text(out)}: {number_of(scene.frames, 'frame')} of scene {scene.name!r}")
 
 
 def _number(frames: str) -> int:
@@ -196,5 +196,5 @@ def _lay(
         count = number_of(layout.landmarks, "landmark")
         fakes = number_of(len(layout.discs) - layout.landmarks, "fake")
         for db, folder in folders.items():
-            say(f"{shown(folder)}: {frames}, {count} and {fakes} at {db:g} dB")
+            say(f"{name_as_text(folder)}: {frames}, {count} and {fakes} at {db:g} dB")
     end(background.problems)

@@ -21,7 +21,7 @@ from sonarrec.cli.options import (
 )
 from sonarrec.cli.options_background import LayoutChoice, laying_options
 from sonarrec.cli.options_log import LogChoice, log_options
-from sonarrec.records import number_of, shown
+from sonarrec.records import name_as_text, number_of
 
 if TYPE_CHECKING:
     from sonarrec.report.site_results import Site
@@ -124,7 +124,8 @@ def site(
 
 def _lines(found: Site, page: Path, layouts: int) -> Iterator[str]:
     """The lines to print: one for each contrast, then the answer."""
-    yield f"{shown(page)}: {number_of(found.frames, 'frame')}, {number_of(layouts, 'layout')}"
+    extent = f"{number_of(found.frames, 'frame')}, {number_of(layouts, 'layout')}"
+    yield f"{name_as_text(page)}: {extent}"
     for one in found.contrasts:
         rate = one.found.tpr
         false = one.found.false_per_100.value

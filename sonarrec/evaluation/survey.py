@@ -18,7 +18,7 @@ from sonarrec.evaluation.counting.parts import Part, part_of
 from sonarrec.evaluation.matching.fit import MatchedLog, TruthCheck, check_fit, match_log
 from sonarrec.evaluation.matching.joined import join
 from sonarrec.evaluation.matching.options import ScoringOptions
-from sonarrec.records import SonarrecError, shown
+from sonarrec.records import SonarrecError, name_as_text
 from sonarrec.results.counted_once import Recording, TruthOf, recording
 from sonarrec.results.folders import estimates_of
 from sonarrec.results.read import read_log
@@ -85,7 +85,7 @@ def survey(reading: LogToScore, *, whole: bool = False) -> SurveyedLog | Unreada
         table = truth_table(reading.ground_truth)
         log = read_log(reading.folder, options.landmarks, options.sonar)
     except SonarrecError as fault:  # the other logs can be scored
-        return UnreadableLog(reading.log or shown(reading.folder.resolve().name), fault)
+        return UnreadableLog(reading.log or name_as_text(reading.folder.resolve().name), fault)
     log = log if reading.log is None else replace(log, name=reading.log)
     case: MatchedLog | None = None
     found: TruthCheck | None = None

@@ -20,7 +20,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Literal
 
-from sonarrec.records import IMAGE_SUFFIXES, SonarrecError, UsageError, shown
+from sonarrec.records import IMAGE_SUFFIXES, SonarrecError, UsageError, name_as_text
 
 Kind = Literal[
     "report", "comparison", "picture", "overlay", "video", "model", "table", "JSON", "graph"
@@ -55,10 +55,10 @@ def check_output(
         images = glob.has_magic(str(place)) and not place.exists()  # a glob of images
         log = place.parent if images else place
         if _same(path, place) or _same(path, log):
-            raise UsageError(f"{shown(path)}: this command reads it; write somewhere else")
+            raise UsageError(f"{name_as_text(path)}: this command reads it; write somewhere else")
         if kind == "picture" and log.is_dir() and _same(path.parent, log):
             raise UsageError(
-                f"{shown(path)}: it would become part of the recording; write somewhere else"
+                f"{name_as_text(path)}: it would become part of the recording; write somewhere else"
             )
     if not path.exists():
         _check_folder(path)
@@ -69,7 +69,7 @@ def check_output(
         ours = is_output(path, kind, header)
     if not ours:
         raise UsageError(
-            f"{shown(path)}: exists and is no {kind} of sonarrec, so it is not overwritten; "
+            f"{name_as_text(path)}: exists and is no {kind} of sonarrec, so it is not overwritten; "
             "choose another name, or remove it first"
         )
 
@@ -78,9 +78,9 @@ def _check_folder(path: Path) -> None:
     """Raise UsageError if the folder of a new file can neither be written nor created."""
     above = next(place for place in path.parents if place.exists())
     if not above.is_dir():
-        raise UsageError(f"{shown(path)}: {shown(above)} is not a folder")
+        raise UsageError(f"{name_as_text(path)}: {name_as_text(above)} is not a folder")
     if not os.access(above, os.W_OK | os.X_OK):
-        raise UsageError(f"{shown(path)}: no permission to write in {shown(above)}")
+        raise UsageError(f"{name_as_text(path)}: no permission to write in {name_as_text(above)}")
 
 
 def _same(one: Path, other: Path) -> bool:
@@ -108,8 +108,8 @@ def check_no_recording(folder: Path, ours: Iterable[str]) -> None:
             other = next((file for file in images if not is_output(file, "picture")), None)
         if other is not None:
             raise UsageError(
-                f"{shown(folder)}: holds {shown(other.name)}, so it may be a recording; "
-                "write somewhere else"
+                f"{name_as_text(folder)}: holds {name_as_text(other.name)}, so it may be a "
+                "recording; write somewhere else"
             )
 
 
@@ -147,7 +147,7 @@ def writing(place: object) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        where = shown(error.filename or place)
+        where = name_as_text(error.filename or place)
         raise SonarrecError(f"{where}: cannot be written ({error.strerror})") from None
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from sonarrec.files.outputs import replaced
-from sonarrec.records import SonarrecError, shown
+from sonarrec.records import SonarrecError, name_as_text
 
 PARQUET = ".parquet"
 ROWS = 50_000
@@ -88,4 +88,4 @@ def read_parts(path: Path, rows: int | None) -> tuple[list[str], Iterator[Any]]:
 
 def _unreadable(path: Path, error: Exception) -> SonarrecError:
     why = " ".join(str(error).split())[:200]
-    return SonarrecError(f"{shown(path)}: not a readable Parquet table ({why})")
+    return SonarrecError(f"{name_as_text(path)}: not a readable Parquet table ({why})")

@@ -19,7 +19,7 @@ from sonarrec.files.outputs import OVERLAY_LIBRARY, writing
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.overlay import detections
 from sonarrec.readers.mcap.foxglove_schemas import json_schema
-from sonarrec.records import Estimate, FloatArray, Frame, SonarrecError, number_of, shown
+from sonarrec.records import Estimate, FloatArray, Frame, SonarrecError, name_as_text, number_of
 
 ANNOTATIONS_TOPIC = "/sonarrec/annotations"
 FAN_TOPIC = "/sonarrec/fan"
@@ -78,8 +78,8 @@ class FoxgloveFile:
             return []
         frames = number_of(self._untimed, "frame")
         return [
-            f"{shown(self._path)}: {frames} without {DETECTIONS_TOPIC}, as ROS 2 has times from "
-            "1901 to 2038 only; all else is there"
+            f"{name_as_text(self._path)}: {frames} without {DETECTIONS_TOPIC}, as ROS 2 has times "
+            "from 1901 to 2038 only; all else is there"
         ]
 
     def _channel(self, topic: str, message: str) -> int:

@@ -20,7 +20,7 @@ from sonarrec.readers.poses_csv import POSES_FILE, read_poses
 from sonarrec.recogniser.beam_width import FRAMES_FOR_BEAMS, with_beams
 from sonarrec.recogniser.side_by_side import SideBySide
 from sonarrec.recogniser.stage3_features.model import ModelFile, model_from_table, read_model
-from sonarrec.records import Fan, Frame, SonarrecError, UsageError, shown
+from sonarrec.records import Fan, Frame, SonarrecError, UsageError, name_as_text
 from sonarrec.results.folders import MADE, MADE_BY, check_name
 from sonarrec.results.run_file import LogOptions, RunFile, read_run, run_table, span_text
 
@@ -83,7 +83,7 @@ def prepare(
         frames = log.within(span)
         first = next(frames, None)  # raises where there is no usable frame at all
         if first is None:
-            raise UsageError(f"{shown(path)}: no frame lies in --frames {span_text(span)}")
+            raise UsageError(f"{name_as_text(path)}: no frame lies in --frames {span_text(span)}")
         begin = [first, *islice(frames, FRAMES_FOR_BEAMS - 1)]
         configs, beams = with_beams(run_options.configs, log.beam_width_deg, begin)
         recogniser = SideBySide(
@@ -92,10 +92,10 @@ def prepare(
         folder = _results_of(path, out / (name or log.name))
         if folder.name in MADE:
             notes.append(
-                f"{shown(folder)}: `sonarrec {MADE_BY[folder.name]} {shown(out)}` writes into this "
-                "folder, too; give it an --out, or rename the log"
+                f"{name_as_text(folder)}: `sonarrec {MADE_BY[folder.name]} {name_as_text(out)}` "
+                "writes into this folder, too; give it an --out, or rename the log"
             )
-        source = (shown(log.name), *(digest or log.digest_source()))
+        source = (name_as_text(log.name), *(digest or log.digest_source()))
         table = run_table(
             configs, recogniser.methods, log.stated, first.fan, landmarks, source, log.reading()
         )
@@ -116,7 +116,7 @@ def prepare(
             recogniser,
             table,
             folder,
-            [*notes, *more, *(f"{shown(log.path)}: {line}" for line in beams)],
+            [*notes, *more, *(f"{name_as_text(log.path)}: {line}" for line in beams)],
         )
 
 
@@ -132,7 +132,7 @@ def is_same_log(
 
     digest: of `digest_asked`; without one the name serves.
     """
-    name = shown(found.name)
+    name = name_as_text(found.name)
     alike = earlier.input.name == name
     if digest is None:
         return alike, []
@@ -148,7 +148,7 @@ def _where(path: Path, folder: Path, log_options: LogOptions) -> dict[str, str]:
     if log_options.origin is not None:
         return {**dict.fromkeys(("path", "place"), log_options.origin.url), **frames}
     place = os.path.relpath(path.resolve(), folder.resolve())
-    return {"path": shown(path), "place": shown(place), **frames}
+    return {"path": name_as_text(path), "place": name_as_text(place), **frames}
 
 
 def _results_of(log: Path, folder: Path) -> Path:
@@ -159,14 +159,16 @@ def _results_of(log: Path, folder: Path) -> Path:
     try:
         itself = folder.resolve() == log.resolve()
     except OSError as error:  # the current folder is gone
-        raise SonarrecError(f"{shown(folder)}: cannot be written ({error.strerror})") from None
+        raise SonarrecError(
+            f"{name_as_text(folder)}: cannot be written ({error.strerror})"
+        ) from None
     if itself:
-        raise UsageError(f"{shown(folder)}: this is the log itself; choose another --out")
+        raise UsageError(f"{name_as_text(folder)}: this is the log itself; choose another --out")
     check_name(folder)
     if folder.exists() and not folder.is_dir():
         raise SonarrecError(
-            f"{shown(folder)}: a file is where the folder of the results would be; move it away, "
-            "or choose another --out"
+            f"{name_as_text(folder)}: a file is where the folder of the results would be; move it "
+            "away, or choose another --out"
         )
     return folder
 

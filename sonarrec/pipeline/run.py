@@ -21,8 +21,8 @@ from sonarrec.records import (
     FrameResult,
     SonarrecError,
     Stamps,
+    name_as_text,
     number_of,
-    shown,
 )
 from sonarrec.remote.find import RemoteLog
 from sonarrec.remote.urls import local
@@ -250,7 +250,7 @@ def _notes(job: PreparedRun, writer: ResultsWriter, plausibility: Plausibility) 
     """What is worth knowing of a run at its end, a line each."""
     yield from job.log.notes
     yield from job.recogniser.notes()
-    path = shown(job.log.path)
+    path = name_as_text(job.log.path)
     doubts = _doubts(job, writer, plausibility)
     if doubts:
         look = f"`sonarrec info {path} --preview FILE.png`, with the same geometry"

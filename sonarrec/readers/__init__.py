@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 from sonarrec.readers.find import Source, find_log
 from sonarrec.readers.log import Log
-from sonarrec.records import Clock, SonarrecError, UsageError, shown
+from sonarrec.records import Clock, SonarrecError, UsageError, name_as_text
 from sonarrec.sonar import Sonar, sonar_from
 
 
@@ -39,11 +39,11 @@ def open_log(
     source.check_topic(topic, path)
     if time not in get_args(Clock):
         raise UsageError(
-            f"{shown(path)}: time is {time!r}, not one of {', '.join(get_args(Clock))}"
+            f"{name_as_text(path)}: time is {time!r}, not one of {', '.join(get_args(Clock))}"
         )
     if time != "log" and not source.reader.has_topics:
         raise UsageError(
-            f"{shown(path)}: --time chooses a clock of an MCAP or a ROS bag; this is none"
+            f"{name_as_text(path)}: --time chooses a clock of an MCAP or a ROS bag; this is none"
         )
     file = None if sonar_file is None else Path(sonar_file)
     resolved, where = source.stated_sonar(sonar_from(sonar), file)

@@ -19,7 +19,7 @@ from typing import Any
 from sonarrec.readers.images import natural_order
 from sonarrec.readers.packed import PACKINGS
 from sonarrec.readers.recording import Channel, Message, Recording
-from sonarrec.records import SonarrecError, number_of, shown
+from sonarrec.records import SonarrecError, name_as_text, number_of
 
 METADATA = "metadata.yaml"
 _ENDINGS = tuple(suffix + end for suffix in (".mcap", ".db3") for end in ("", *PACKINGS))
@@ -85,9 +85,11 @@ def _listed(folder: Path) -> tuple[list[Path], dict[str, Any], list[str]]:
         )
         parts = list(listed)
         more = [p for p in _stored(folder) if p not in parts and _follows(p, parts)]
-        lines = [f"{shown(p.name)}: {METADATA} does not list it, so it is not read" for p in more]
+        lines = [
+            f"{name_as_text(p.name)}: {METADATA} does not list it, so it is not read" for p in more
+        ]
         lines += [
-            f"{shown(p.name)}: {METADATA} lists it {times} times; it is read once"
+            f"{name_as_text(p.name)}: {METADATA} lists it {times} times; it is read once"
             for p, times in listed.items()
             if times > 1
         ]
@@ -175,7 +177,7 @@ class BagFolder(Recording):
             self._look_into(part)
         if not any(part.numbers for part in self._parts):
             reason = f" ({self.faults[0]})" if self.faults else ""
-            raise SonarrecError(f"{shown(path)}: no part of this bag can be read{reason}")
+            raise SonarrecError(f"{name_as_text(path)}: no part of this bag can be read{reason}")
         self.whole = all(part.sound for part in self._parts)
         self._count()
 
@@ -187,8 +189,8 @@ class BagFolder(Recording):
             log = self._open(part.path)
         except (SonarrecError, OSError) as error:
             reason = error.strerror if isinstance(error, OSError) else str(error)
-            text = str(reason).removeprefix(f"{shown(part.path)}: ").partition("\n")[0]
-            part.faults = [f"{shown(part.path.name)}: {text}"]
+            text = str(reason).removeprefix(f"{name_as_text(part.path)}: ").partition("\n")[0]
+            part.faults = [f"{name_as_text(part.path.name)}: {text}"]
             self.faults += part.faults
             return
         log.close()
@@ -303,7 +305,7 @@ class BagFolder(Recording):
             gone = part.found[number] + part.lost[number] - passed[number]
             if part.lost[number]:
                 self.faults.append(
-                    f"{shown(part.path.name)}: {number_of(gone, 'message')} of "
+                    f"{name_as_text(part.path.name)}: {number_of(gone, 'message')} of "
                     f"{self.channels[number].topic} lost, by the counts in {METADATA}"
                 )
             for _ in range(gone if gone <= _MAX_LOST else 0):
@@ -313,7 +315,7 @@ class BagFolder(Recording):
         try:
             log = self._open(part.path)
         except (SonarrecError, OSError):  # it was there before
-            self.faults.append(f"{shown(part.path.name)}: cannot be read any more")
+            self.faults.append(f"{name_as_text(part.path.name)}: cannot be read any more")
             return
         try:
             for message in log.messages(wanted):

@@ -15,7 +15,7 @@ import numpy as np
 
 from sonarrec.readers.raw import MAX_FRAME_BYTES
 from sonarrec.readers.recording import Channel, Message, Recording
-from sonarrec.records import SonarrecError, shown
+from sonarrec.records import SonarrecError, name_as_text
 
 
 class Db3Recording(Recording):
@@ -40,7 +40,7 @@ class Db3Recording(Recording):
                 self._database = _CutDatabase(name)
             except (sqlite3.Error, TypeError, ValueError, OverflowError):
                 raise SonarrecError(
-                    f"{shown(path)}: not a database of a ROS 2 bag ({whole})"
+                    f"{name_as_text(path)}: not a database of a ROS 2 bag ({whole})"
                 ) from None
             self.fault(f"cut short or damaged ({whole}); what is whole before that is read")
         self.channels, self.counts = self._database.channels, self._database.counts
@@ -48,8 +48,8 @@ class Db3Recording(Recording):
         log = path.with_name(f"{path.name}-wal")
         if log.exists() and log.stat().st_size:
             self.fault(
-                f"what its recorder left in {shown(log.name)} is not read; "
-                f"`sqlite3 {shown(path.name)} .tables` merges it"
+                f"what its recorder left in {name_as_text(log.name)} is not read; "
+                f"`sqlite3 {name_as_text(path.name)} .tables` merges it"
             )
 
     def messages(self, channels: Collection[int]) -> Iterator[Message]:
@@ -196,4 +196,4 @@ def _channel(connection: Any) -> Channel:
 def _line(error: BaseException) -> str:
     """What an error of the library says, without its names of files."""
     text = str(error.__cause__ or error).partition("\n")[0]
-    return shown(text.rpartition(": ")[2] or type(error).__name__)[:200]
+    return name_as_text(text.rpartition(": ")[2] or type(error).__name__)[:200]

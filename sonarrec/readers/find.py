@@ -22,7 +22,14 @@ from sonarrec.readers.packed import PACKINGS, unpacked
 from sonarrec.readers.raw import RawLog
 from sonarrec.readers.recording import Recording
 from sonarrec.readers.video import VIDEO_SUFFIXES, VideoFrames
-from sonarrec.records import IMAGE_SUFFIXES, PART, MissingError, SonarrecError, UsageError, shown
+from sonarrec.records import (
+    IMAGE_SUFFIXES,
+    PART,
+    MissingError,
+    SonarrecError,
+    UsageError,
+    name_as_text,
+)
 from sonarrec.sonar import Sonar, load_sonar
 
 SONAR_FILE = "sonar.toml"
@@ -125,7 +132,8 @@ class Source:
         """Raises UsageError, which names the log as given, where none can be chosen."""
         if topic is not None and not self.reader.has_topics:
             raise UsageError(
-                f"{shown(where)}: --topic chooses a channel of an MCAP or a ROS bag; this is none"
+                f"{name_as_text(where)}: --topic chooses a channel of an MCAP or a ROS bag; this "
+                "is none"
             )
 
     def open(self, topic: str | None = None) -> RawLog:
@@ -137,7 +145,9 @@ class Source:
         try:
             return self.reader.open(self.files)
         except OSError as error:
-            raise SonarrecError(f"{shown(self.path)}: cannot be read ({error.strerror})") from None
+            raise SonarrecError(
+                f"{name_as_text(self.path)}: cannot be read ({error.strerror})"
+            ) from None
 
     def recording(self) -> Recording:
         """Open it as messages on channels. Raises SonarrecError where it cannot be read."""
@@ -161,14 +171,14 @@ class Source:
             stated = replace(stated, field_of_view_deg=None)
         stated = stated.updated(flags)
         stated.check_flags(flags)
-        return stated, shown(file or self.path)
+        return stated, name_as_text(file or self.path)
 
 
 def open_recording(path: Path) -> Recording:
     """Open one file of messages. Raises SonarrecError where it is none or cannot be read."""
     reader = _reader_of(path)
     if reader.recording is None:
-        raise SonarrecError(f"{shown(path)}: no file of messages")
+        raise SonarrecError(f"{name_as_text(path)}: no file of messages")
     return _recording(reader, path)
 
 
@@ -180,7 +190,7 @@ def _recording(reader: Reader, path: Path) -> Recording:
         with unpacked(path) as (at, problem):
             recording = reader.recording(path, at)
     except OSError as error:
-        raise SonarrecError(f"{shown(path)}: cannot be read ({error.strerror})") from None
+        raise SonarrecError(f"{name_as_text(path)}: cannot be read ({error.strerror})") from None
     if problem is not None:
         recording.fault(problem)
     return recording
@@ -196,7 +206,9 @@ def find_log(path: str | Path, up_to: Path | None = None) -> Source:
     try:
         return _found(path, up_to)
     except OSError as error:  # a name beyond every limit, a folder without permission
-        raise SonarrecError(f"{shown(path)[:200]}: cannot be read ({error.strerror})") from None
+        raise SonarrecError(
+            f"{name_as_text(path)[:200]}: cannot be read ({error.strerror})"
+        ) from None
 
 
 def companion(log: Path, name: str, up_to: Path | None = None) -> Path | None:
@@ -277,13 +289,13 @@ def _found(path: Path, up_to: Path | None) -> Source:
         files = [path]
         name = log_name(path)
     elif path.exists():  # a device, a pipe
-        raise UsageError(f"{shown(path)}: neither a file nor a folder")
+        raise UsageError(f"{name_as_text(path)}: neither a file nor a folder")
     elif path.is_symlink():
-        raise SonarrecError(f"{shown(path)}: a link to a file that is not there")
+        raise SonarrecError(f"{name_as_text(path)}: a link to a file that is not there")
     else:
         server = re.match(r"[A-Za-z][A-Za-z0-9+.-]+:/", str(path))
         only = "; from servers only run, info, evaluate and report read" if server else ""
-        raise MissingError(f"{shown(path)}: no such file or folder{only}")
+        raise MissingError(f"{name_as_text(path)}: no such file or folder{only}")
     reader = reader or _reader_of(path)
     return Source(path, results_name(name), files, reader, up_to)
 
@@ -291,7 +303,7 @@ def _found(path: Path, up_to: Path | None) -> Source:
 def results_name(name: str) -> str:
     """What results of a log of this name are called: a name that the disk takes, and no part's."""
     try:
-        os.fsencode(text := shown(name))
+        os.fsencode(text := name_as_text(name))
     except UnicodeEncodeError:  # a locale without the letter: the bytes as they are
         text = name
     if text.endswith(PART):  # else the run of a log without the ending would replace them
@@ -303,16 +315,16 @@ def _glob_images(pattern: Path) -> Sequence[Path]:
     """The images that match, else the one log that does."""
     found = matches(pattern)
     if not found:
-        raise MissingError(f"{shown(pattern)}: no file matches this pattern")
+        raise MissingError(f"{name_as_text(pattern)}: no file matches this pattern")
     logs = sorted(filter(is_log_file, found), key=natural_order)
     files = logs or ImagePaths(filter(is_image, found))
     if len(logs) > 1:
         raise SonarrecError(
-            f"{shown(pattern)}: matches {len(logs)} logs, {shown(logs[0].name)} the first; "
-            "open each by itself"
+            f"{name_as_text(pattern)}: matches {len(logs)} logs, {name_as_text(logs[0].name)} the "
+            "first; open each by itself"
         )
     if not files:
-        raise SonarrecError(f"{shown(pattern)}: matches no image, video, MCAP or ROS bag")
+        raise SonarrecError(f"{name_as_text(pattern)}: matches no image, video, MCAP or ROS bag")
     return files
 
 
@@ -321,16 +333,16 @@ def _folder_images(folder: Path) -> ImagePaths:
         return files
     entries = list(folder.iterdir())
     if not entries:
-        raise SonarrecError(f"{shown(folder)}: the folder is empty")
+        raise SonarrecError(f"{name_as_text(folder)}: the folder is empty")
     logs = sorted(filter(is_log_file, entries), key=natural_order)
     if logs:
         raise SonarrecError(
-            f"{shown(folder)}: a folder of {len(logs)} logs, {shown(logs[0].name)} the first; open "
-            "each by itself"
+            f"{name_as_text(folder)}: a folder of {len(logs)} logs, {name_as_text(logs[0].name)} "
+            "the first; open each by itself"
         )
     hint = next((h for e in sorted(entries) if (h := _hint(e))), None)
     raise SonarrecError(
-        f"{shown(folder)}: no log and no image in this folder "
+        f"{name_as_text(folder)}: no log and no image in this folder "
         f"({', '.join(sorted(IMAGE_SUFFIXES))}); "
         + (hint or "--recursive looks into the folders below")
     )
@@ -341,19 +353,19 @@ def _hint(path: Path) -> str | None:
     tool = _UNPACK.get(path.suffix.lower())
     if tool is None:
         return None
-    return f"this compressed file is not read; unpack it first: {tool} {shown(path.name)}"
+    return f"this compressed file is not read; unpack it first: {tool} {name_as_text(path.name)}"
 
 
 def _reader_of(path: Path) -> Reader:
     for reader in READERS:
         if reader.ending(path.name) is not None:
             if reader is not _IMAGES and not path.stat().st_size:
-                raise SonarrecError(f"{shown(path)}: the file is empty (zero bytes)")
+                raise SonarrecError(f"{name_as_text(path)}: the file is empty (zero bytes)")
             return reader
     if (hint := _hint(path)) is not None:
-        raise SonarrecError(f"{shown(path)}: {hint}")
+        raise SonarrecError(f"{name_as_text(path)}: {hint}")
     known = ", ".join(s for reader in READERS for s in sorted(reader.suffixes))
     raise SonarrecError(
-        f"{shown(path)}: not a kind of log this program reads "
+        f"{name_as_text(path)}: not a kind of log this program reads "
         f"(a folder of images or a ROS 2 bag, or a file: {known})"
     )

@@ -13,7 +13,7 @@ import numpy as np
 
 from sonarrec.readers.pixels import decode_image, pgm_maxval
 from sonarrec.readers.raw import RawFrame, RawLog, UnusableError
-from sonarrec.records import IMAGE_SUFFIXES, shown
+from sonarrec.records import IMAGE_SUFFIXES, name_as_text
 
 MAX_FILE_BYTES = 2**27  # an image of 4096 x 4096 pixels of eight bytes
 
@@ -107,7 +107,7 @@ class ImageFiles(RawLog):
 
     def __iter__(self) -> Iterator[RawFrame]:
         for number, file in enumerate(self.files):
-            name, timestamp_ns = shown(file.name), int(file.stem) if self._stamped else None
+            name, timestamp_ns = name_as_text(file.name), int(file.stem) if self._stamped else None
             if number in self.passed_over:
                 yield RawFrame(name, timestamp_ns, None)
                 continue

@@ -14,7 +14,7 @@ from sonarrec.readers.find import Source, find_log
 from sonarrec.readers.log import Log
 from sonarrec.readers.plausible import Plausibility
 from sonarrec.readers.raw import RawFrame, RawLog
-from sonarrec.records import Fan, Origin, SonarrecError, UsageError, shown
+from sonarrec.records import Fan, Origin, SonarrecError, UsageError, name_as_text
 from sonarrec.sonar import Sonar, sonar_from_table
 
 Observe = Callable[[int | None], None]
@@ -216,14 +216,14 @@ def describe(
         topics = sorted({c.topic for c in container.channels if c.images})
         if topic is not None and topic not in topics:
             there = ", ".join(map(str, topics)) or "none"
-            raise UsageError(f"{shown(path)}: no image channel {topic!r}; there is {there}")
+            raise UsageError(f"{name_as_text(path)}: no image channel {topic!r}; there is {there}")
     images = []
     for each in [topic] if topic is not None else topics:
         found, more = _images(source, stated, flags, where, each, quick, observe)
         images.append(found)
         faults += [fault for fault in more if fault not in faults]
     return LogInfo(
-        path=shown(source.path),
+        path=name_as_text(source.path),
         kind="images" if source.reader.kind == "image" else source.reader.kind,
         files=len(source.files),
         size_bytes=sum(_size(file) for file in source.files),

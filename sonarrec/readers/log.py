@@ -14,7 +14,7 @@ from sonarrec.readers.colour_maps import LUMINANCE
 from sonarrec.readers.frame_maker import FrameMaker
 from sonarrec.readers.images import MAX_FILE_BYTES, is_image
 from sonarrec.readers.raw import RawFrame, RawLog, UnusableError
-from sonarrec.records import Clock, Fan, Frame, SonarrecError, number_of, shown
+from sonarrec.records import Clock, Fan, Frame, SonarrecError, name_as_text, number_of
 from sonarrec.sonar import Sonar
 
 MAX_PROBLEM_LINES = 20
@@ -46,7 +46,7 @@ class Log:
         self._raw = raw
         self._time = time
         origin = "headers" if raw.header_info.values else "messages"
-        self._make = FrameMaker(stated, shown(path), origin)
+        self._make = FrameMaker(stated, name_as_text(path), origin)
         self.beam_width_deg: float | None = None
         self.untimed = False
         self._timed = 0, 0  # number and time of the last frame that carried one
@@ -96,7 +96,7 @@ class Log:
         notes = list(self._raw.header_info.notes)
         if self._unset:
             notes.append("the header stamps of its first frames are 0; --time log is used instead")
-        return [f"{shown(self.path)}: {note}" for note in notes] + self._make.notes
+        return [f"{name_as_text(self.path)}: {note}" for note in notes] + self._make.notes
 
     def __enter__(self) -> Log:
         return self
@@ -156,7 +156,7 @@ class Log:
         self.problems.extend(dict.fromkeys(self._raw.faults))  # some are told in each pass
         if not used:
             reason = f" ({self.problems[0]})" if self.problems else ""
-            raise SonarrecError(f"{shown(self.path)}: not one frame could be used{reason}")
+            raise SonarrecError(f"{name_as_text(self.path)}: not one frame could be used{reason}")
 
     def _time_of(self, index: int, raw: RawFrame) -> int:
         """The time that names a frame, ns. Raises UnusableError where the log has no such time."""
@@ -202,7 +202,9 @@ def digest_of(log: Path, files: Sequence[Path]) -> tuple[int, str]:
         except OSError as error:
             if several:  # it was told when its frame's turn came
                 continue
-            raise SonarrecError(f"{shown(path)}: cannot be read ({error.strerror})") from None
+            raise SonarrecError(
+                f"{name_as_text(path)}: cannot be read ({error.strerror})"
+            ) from None
     return size, digest.hexdigest()
 
 

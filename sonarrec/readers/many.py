@@ -11,7 +11,7 @@ from pathlib import Path
 from sonarrec.readers.bag_folder import is_bag_folder
 from sonarrec.readers.find import is_log_file, matches
 from sonarrec.readers.images import is_image, natural_order
-from sonarrec.records import UsageError, shown
+from sonarrec.records import UsageError, name_as_text
 
 RESULTS = frozenset({"frames.csv", "evaluation.json", "map.csv"})
 """A folder with one of these holds results, and its pictures are no logs."""
@@ -150,9 +150,10 @@ def _in_folder(folder: Path) -> list[Path]:
     logs.sort(key=natural_order)
     if image is not None and logs:
         raise UsageError(
-            f"{shown(folder)}: holds images and other logs ({len(logs)}, {shown(logs[0].name)} the "
-            f"first); choose with a quoted glob, as '{shown(folder)}/*{image.suffix}' or "
-            f"'{shown(folder)}/*{logs[0].suffix}'"
+            f"{name_as_text(folder)}: holds images and other logs ({len(logs)}, "
+            f"{name_as_text(logs[0].name)} the first); choose with a quoted glob, as "
+            f"'{name_as_text(folder)}/*{image.suffix}' or "
+            f"'{name_as_text(folder)}/*{logs[0].suffix}'"
         )
     return [folder] if image is not None else [*logs, *bags]
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from sonarrec.records import shown
+from sonarrec.records import name_as_text
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +71,7 @@ class Recording(ABC):
 
     def fault(self, text: str) -> None:
         """Add a line about what is wrong."""
-        self.faults.append(f"{shown(self.path.name)}: {text}")
+        self.faults.append(f"{name_as_text(self.path.name)}: {text}")
 
     def up_to_damage(
         self, messages: Iterator[Message], held: int, line: Callable[[Exception], str]

@@ -13,7 +13,7 @@ import lz4.frame
 
 from sonarrec.readers.raw import MAX_FRAME_BYTES
 from sonarrec.readers.recording import Channel, Message, Recording
-from sonarrec.records import SonarrecError, shown
+from sonarrec.records import SonarrecError, name_as_text
 
 MAX_CHUNK_BYTES = 2**27  # inflated; it is held in memory. A recorder's own limit is below 1 MB
 
@@ -47,7 +47,7 @@ class RosBag(Recording):
         except Exception as error:  # what a damaged bag raises is nowhere listed
             hint = "; `rosbag reindex` mends it" if "not indexed" in str(error) else ""
             raise SonarrecError(
-                f"{shown(path)}: not a whole bag of ROS 1 ({_line(error)}){hint}"
+                f"{name_as_text(path)}: not a whole bag of ROS 1 ({_line(error)}){hint}"
             ) from None
         self.profile, self.library = "ros1", ""
 
@@ -106,4 +106,4 @@ def _channel(connection: Any) -> Channel:
 
 def _line(error: BaseException) -> str:
     text = str(error).partition("\n")[0]
-    return shown(text or type(error).__name__)[:200]
+    return name_as_text(text or type(error).__name__)[:200]

@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 
 from sonarrec.readers.raw import RawFrame, RawLog
-from sonarrec.records import SonarrecError, shown
+from sonarrec.records import SonarrecError, name_as_text
 
 VIDEO_SUFFIXES = frozenset({".avi", ".mp4", ".mkv"})
 
@@ -23,7 +23,7 @@ def opencv_name(path: Path) -> str:
         str(path).encode()
     except UnicodeEncodeError:
         raise SonarrecError(
-            f"{shown(path)}: the name of a video must be UTF-8; choose another one"
+            f"{name_as_text(path)}: the name of a video must be UTF-8; choose another one"
         ) from None
     return str(path) if path.is_absolute() else f".{os.sep}{path}"
 
@@ -40,7 +40,7 @@ class VideoFrames(RawLog):
         self._video = cv2.VideoCapture(name)
         if not self._video.isOpened():
             raise SonarrecError(
-                f"{shown(path)}: does not open as a video (damaged, or an unknown codec)"
+                f"{name_as_text(path)}: does not open as a video (damaged, or an unknown codec)"
             )
         count = self._video.get(cv2.CAP_PROP_FRAME_COUNT)
         self.frame_count = round(count) if 0 < count < 1e9 else None
@@ -68,7 +68,7 @@ class VideoFrames(RawLog):
         held = max(self.frame_count or 0, self._packets())
         if index < held:
             self.faults.append(
-                f"{shown(self._path.name)}: {index} of {held} frames could be read; "
+                f"{name_as_text(self._path.name)}: {index} of {held} frames could be read; "
                 "cut short or damaged, so the numbers of later frames may be wrong"
             )
 

@@ -21,7 +21,7 @@ from typing import Any
 
 from sonarrec.files.locks import is_there, locked
 from sonarrec.files.outputs import write_text
-from sonarrec.records import SonarrecError, UsageError, shown
+from sonarrec.records import SonarrecError, UsageError, name_as_text
 
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12}
 _POLL_S = 0.2
@@ -111,8 +111,8 @@ class Cache:
                 continue
             except OSError as error:
                 raise SonarrecError(
-                    f"{shown(self.folder)}: cannot be written ({error.strerror}); choose another "
-                    "--cache"
+                    f"{name_as_text(self.folder)}: cannot be written ({error.strerror}); choose "
+                    "another --cache"
                 ) from None
             if locked(file, alone=alone) and is_there(file, entry.folder / "lock"):
                 break
@@ -149,7 +149,7 @@ class Cache:
             if sum(sizes.values()) + wanted > self.limit:
                 raise NoRoomError(
                     f"{about['url']}: {_size(wanted)} do not fit beside the logs in use in "
-                    f"{shown(self.folder)} (at most {_size(self.limit)}); give a larger "
+                    f"{name_as_text(self.folder)} (at most {_size(self.limit)}); give a larger "
                     "--cache-size"
                 )
             entry.write(about)
@@ -168,7 +168,8 @@ def only_one(lock: Path, what: str) -> Iterator[None]:
         file = lock.open("ab")
     except OSError as error:
         raise SonarrecError(
-            f"{shown(lock.parent)}: cannot be written ({error.strerror}); choose another --cache"
+            f"{name_as_text(lock.parent)}: cannot be written ({error.strerror}); choose another "
+            "--cache"
         ) from None
     with file:
         if not locked(file, alone=True):

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sonarrec.records import Origin, SonarrecError, shown
+from sonarrec.records import Origin, SonarrecError, name_as_text
 from sonarrec.remote.cache import Cache, Entry, NoRoomError, key_of
 from sonarrec.remote.find import RemoteLog, relative, wanted, with_literal_name
 from sonarrec.remote.urls import Url, parse_url
@@ -76,8 +76,8 @@ def hold(
     from sonarrec.remote.store import Store
 
     root, name, items = wanted(log, Store(log.url, stop))
-    with _kept(log.url.shown, root, items, cache, progress, stop, wait) as entry:
-        origin = Origin(log.url.shown, str(entry.files), root.place.rstrip("/"))
+    with _kept(log.url.redacted, root, items, cache, progress, stop, wait) as entry:
+        origin = Origin(log.url.redacted, str(entry.files), root.place.rstrip("/"))
         yield CachedCopy(entry.files / name, origin, entry.files if log.up_to else None)
 
 
@@ -111,8 +111,8 @@ def _found(
     url: Url, root: Url, items: Sequence[Item], cache: Cache, unused: Sequence[str] = ()
 ) -> Iterator[CachedCopy]:
     """These files, which lie below `root`; otherwise as `fetched`."""
-    with _kept(url.shown, root, items, cache, no_progress, threading.Event(), True) as entry:
-        origin = Origin(url.shown, str(entry.files), root.place.rstrip("/"))
+    with _kept(url.redacted, root, items, cache, no_progress, threading.Event(), True) as entry:
+        origin = Origin(url.redacted, str(entry.files), root.place.rstrip("/"))
         with origin.translated():
             yield CachedCopy(entry.files / relative(url, root), origin, None, tuple(unused))
 
@@ -135,12 +135,12 @@ def fetched_results(text: str, cache: Cache) -> Iterator[CachedCopy]:
     found = [(folder, *_finished(store, folder)) for folder in folders]
     items = [item for _, finished, _ in found for item in finished]
     unused = [
-        f"{folder.shown}: left out because its upload is not finished (it has no run.toml)"
+        f"{folder.redacted}: left out because its upload is not finished (it has no run.toml)"
         for folder, _, unfinished in found
         if unfinished
     ]
     if not items:
-        why = unused[0] if unused else f"{url.shown}: holds no results of `sonarrec run`"
+        why = unused[0] if unused else f"{url.redacted}: holds no results of `sonarrec run`"
         raise SonarrecError(why)
     with _found(url, url.parent, store.described(items), cache, unused) as there:
         yield there
@@ -167,7 +167,7 @@ def _kept(
     wait: bool,
 ) -> Iterator[Entry]:
     """The entry with exactly these files, held; it is fetched if it is missing or has changed."""
-    key = key_of(f"{url.rstrip('/')} {root.shown}")
+    key = key_of(f"{url.rstrip('/')} {root.redacted}")
     # A dict, since a glob or an index page may name a file twice.
     names = {relative(item.url, root): item for item in items}
     renewed = False
@@ -187,8 +187,8 @@ def _kept(
             stop.wait(1.0)
         except OSError as error:  # the disk is full
             raise SonarrecError(
-                f"{shown(cache.folder)}: cannot be written ({error.strerror}); choose another "
-                "--cache"
+                f"{name_as_text(cache.folder)}: cannot be written ({error.strerror}); choose "
+                "another --cache"
             ) from None
 
 

@@ -46,9 +46,9 @@ class RemoteLog:
         return Path("/", host, url.path.strip("/"))
 
     @property
-    def shown(self) -> str:
+    def redacted_url(self) -> str:
         """The URL for messages and files, without its secrets."""
-        return self.url.shown
+        return self.url.redacted
 
     @property
     def name(self) -> str:
@@ -114,7 +114,7 @@ def _below(store: Store, folder: Url, recursive: bool) -> Iterator[Url]:
         return
     if any(map(names_an_image, names)):
         if any(map(names_a_log, names)):
-            raise UsageError(f"{folder.shown}: holds images and other logs; choose with a glob")
+            raise UsageError(f"{folder.redacted}: holds images and other logs; choose with a glob")
         yield folder
         return
     yield from (item.url for item in files if names_a_log(item.url.name))
@@ -173,7 +173,7 @@ def wanted(log: RemoteLog, store: Store) -> tuple[Url, str, list[Item]]:
             kept = (*COMPANIONS, METADATA)
             items = [i for i in files if _belongs(i.url.name, kept)]
         if not any(names_a_log(i.url.name) or names_an_image(i.url.name) for i in items):
-            raise SonarrecError(f"{url.shown}: no log and no image here")
+            raise SonarrecError(f"{url.redacted}: no log and no image here")
         items = store.described(items)
     there = {str(item.url) for item in items}
     for place in _companions(log, COMPANIONS):
@@ -246,5 +246,5 @@ def relative(url: Url, root: Url) -> str:
     parts = PurePosixPath(relative).parts
     leads_away = not parts or {".", ".."} & set(relative.split("/")) or "\\" in relative
     if leads_away or (_WINDOWS_REFUSES if WINDOWS else _ALL_REFUSE).search(relative):
-        raise SonarrecError(f"{url.shown}: this name cannot be used for a local file")
+        raise SonarrecError(f"{url.redacted}: this name cannot be used for a local file")
     return relative

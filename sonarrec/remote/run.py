@@ -81,7 +81,7 @@ class RemoteFiles:
         if item.url not in self._beside:
             place = Path(self._held.enter_context(TemporaryDirectory(prefix="sonarrec-")))
             Store(item.url).fetch(item, place / item.url.name)
-            origin = Origin(item.url.shown, str(place), item.url.parent.place)
+            origin = Origin(item.url.redacted, str(place), item.url.parent.place)
             self._held.enter_context(origin.translated())
             self._origins.append(origin)
             self._beside[item.url] = place / item.url.name

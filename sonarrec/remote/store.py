@@ -20,7 +20,7 @@ from email.utils import parsedate_to_datetime
 from pathlib import Path
 from typing import Any, TypeVar
 
-from sonarrec.records import MissingError, SonarrecError, UsageError, shown
+from sonarrec.records import MissingError, SonarrecError, UsageError, name_as_text
 from sonarrec.remote.urls import Url, unquoted
 
 try:
@@ -88,13 +88,15 @@ class Store:
         self._stop = stop or threading.Event()
         self._url = url
         if fsspec is None:
-            raise SonarrecError(f"{url.shown}: fsspec is not installed; {_INSTALL}")
+            raise SonarrecError(f"{url.redacted}: fsspec is not installed; {_INSTALL}")
         self._streams = False
         with self._translated(url):
             try:
                 self._fs: Any = self._filesystem(url)
             except ImportError as error:
-                raise SonarrecError(f"{url.shown}: {error.name} is missing; {_INSTALL}") from None
+                raise SonarrecError(
+                    f"{url.redacted}: {error.name} is missing; {_INSTALL}"
+                ) from None
 
     @staticmethod
     def _filesystem(url: Url) -> Any:
@@ -135,7 +137,7 @@ class Store:
                 given = {"refresh": True} if url.scheme == "s3" else {}
                 found = self._fs.info(self._path(url), **given)
             if found.get("type") == "directory":
-                raise MissingError(f"{url.shown}: is a folder, not a file")
+                raise MissingError(f"{url.redacted}: is a folder, not a file")
             return _item(url, found)
 
         return self._retried(ask, url)
@@ -219,7 +221,8 @@ class Store:
             os.replace(part, to)  # noqa: PTH105
         except OSError as error:
             raise SonarrecError(
-                f"{shown(part)}: cannot be written ({error.strerror}); choose another --cache"
+                f"{name_as_text(part)}: cannot be written ({error.strerror}); choose another "
+                "--cache"
             ) from None
         return item
 
@@ -282,7 +285,7 @@ class Store:
             progress(-size)
             if changed:
                 raise SonarrecError(
-                    f"{item.url.shown}: changed while it was fetched; run the command again"
+                    f"{item.url.redacted}: changed while it was fetched; run the command again"
                 )
             raise BrokenError("its checksum differs from the server's")
 
@@ -348,7 +351,7 @@ class Store:
                 if tried == RETRIES:
                     url = url or self._url
                     raise SonarrecError(
-                        f"{url.shown}: failed, also in {RETRIES} retries ({error})"
+                        f"{url.redacted}: failed, also in {RETRIES} retries ({error})"
                     ) from None
                 self._stop.wait(max(PAUSE_S * 2**tried, min(error.after_s, LONGEST_PAUSE_S)))
                 self._stopped()
@@ -368,7 +371,7 @@ class Store:
                 error = cause if isinstance(cause, Exception) else error
             status = getattr(error, "status", None)
             if isinstance(error, FileNotFoundError | NotADirectoryError) or status in (404, 410):
-                raise MissingError(f"{url.shown}: does not exist") from None
+                raise MissingError(f"{url.redacted}: does not exist") from None
             text = getattr(error, "message", None) or str(error) or type(error).__name__
             if status == 0:  # endless redirects; aiohttp states nothing else
                 status, text = None, type(error).__name__
@@ -376,7 +379,7 @@ class Store:
             text = " ".join(url.hide(text).split())[:300]
             if isinstance(error, PermissionError) or status in (401, 403, 407) or _no_key(error):
                 raise RefusedError(
-                    f"{url.shown}: no access ({text}); `sonarrec help remote` says where "
+                    f"{url.redacted}: no access ({text}); `sonarrec help remote` says where "
                     "credentials are searched"
                 ) from None
             raise BrokenError(text, _retry_after_s(error)) from None
@@ -386,7 +389,7 @@ def writable(url: Url) -> Url:
     """The URL itself. Raises UsageError if results cannot be written there."""
     if url.is_web:
         raise UsageError(
-            f"{url.shown}: results cannot be written to a web server; give a local --out, "
+            f"{url.redacted}: results cannot be written to a web server; give a local --out, "
             "or s3://, gs://, sftp://"
         )
     return url

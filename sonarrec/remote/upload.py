@@ -35,8 +35,8 @@ class Outbox:
     def __init__(self, out: Url, cache: Cache) -> None:
         """Raises UsageError if nothing can be written there."""
         self.url = writable(out)
-        self.folder = cache.folder / "out" / key_of(self.url.shown)
-        self.origin = Origin(self.url.shown, str(self.folder), self.url.shown.rstrip("/"))
+        self.folder = cache.folder / "out" / key_of(self.url.redacted)
+        self.origin = Origin(self.url.redacted, str(self.folder), self.url.redacted.rstrip("/"))
 
     @contextmanager
     def results(self, name: str, *, upload: bool = True) -> Iterator[None]:
@@ -47,7 +47,7 @@ class Outbox:
         new results stay in `folder`.
         """
         made, there = self.folder / name, self.url.child(name)
-        with only_one(self.folder / f".{name}.upload", there.shown):
+        with only_one(self.folder / f".{name}.upload", there.redacted):
             with self.origin.translated():
                 store = Store(there)
                 if not _is_whole(made):
@@ -140,7 +140,7 @@ def uploaded(out: str, name: str = "") -> Iterator[tuple[Path, Origin]]:
     with tempfile.TemporaryDirectory(prefix="sonarrec-") as temporary:
         folder = Path(temporary)
         place = folder / name if name else folder
-        origin = Origin(url.shown, str(place), url.shown.rstrip("/"))
+        origin = Origin(url.redacted, str(place), url.redacted.rstrip("/"))
         with origin.translated():
             yield place, origin
         store = Store(url)

@@ -1,4 +1,4 @@
-"""URLs of logs and results: parsed, built, and shown without their secrets."""
+"""URLs of logs and results: parsed, built, and written without their secrets."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import PurePosixPath
 from typing import TypeVar
 from urllib.parse import quote, unquote, urlsplit
 
-from sonarrec.records import UsageError, shown
+from sonarrec.records import UsageError, name_as_text
 
 Place = TypeVar("Place")
 SCHEMES = ("s3", "gs", "https", "http", "sftp")
@@ -60,7 +60,7 @@ class Url:
         return replace(self, path=f"{self.path.rstrip('/')}/{relative}".lstrip(_no_root(self)))
 
     @property
-    def shown(self) -> str:
+    def redacted(self) -> str:
         """The URL for messages and files: the password and keys in the query are hidden."""
         scheme, _, rest = self.front.partition("://")
         user, at, host = rest.rpartition("@")
@@ -68,8 +68,10 @@ class Url:
             name, colon, _ = user.partition(":")
             # A web user without a password is a token.
             user = f"{name}:{HIDDEN}" if colon else HIDDEN if self.is_web else name
-        query = "&".join(_shown_pair(pair) for pair in self.query.removeprefix("?").split("&"))
-        return shown(f"{scheme}://{user}{at}{host}{self._readable()}{'?' * bool(query)}{query}")
+        query = "&".join(_redacted_pair(pair) for pair in self.query.removeprefix("?").split("&"))
+        return name_as_text(
+            f"{scheme}://{user}{at}{host}{self._readable()}{'?' * bool(query)}{query}"
+        )
 
     def _readable(self) -> str:
         """The path; for a web URL, with characters of special meaning quoted."""
@@ -82,12 +84,12 @@ class Url:
 
     @property
     def place(self) -> str:
-        """`shown` without a query."""
-        return replace(self, query="").shown
+        """`redacted` without a query."""
+        return replace(self, query="").redacted
 
     def hide(self, text: str) -> str:
         """A text such as an error message without this URL's secrets."""
-        text = text.replace(str(self), self.shown)
+        text = text.replace(str(self), self.redacted)
         for secret in sorted(self._secrets(), key=len, reverse=True):
             text = text.replace(secret, HIDDEN)
         return text
@@ -123,7 +125,7 @@ def _no_root(url: Url) -> str:
     return "/" if url.scheme in ("s3", "gs") else ""
 
 
-def _shown_pair(pair: str) -> str:
+def _redacted_pair(pair: str) -> str:
     key, equals, _ = pair.partition("=")
     return f"{key}={HIDDEN}" if equals and _SECRET.search(key) else pair
 
@@ -137,8 +139,8 @@ def local(place: Place) -> Place:
     """The place itself. Raises UsageError if it is on a server."""
     if is_url(place):
         raise UsageError(
-            f"{parse_url(place).shown}: a local path is needed here; `sonarrec help remote` says "
-            "which commands take URLs"
+            f"{parse_url(place).redacted}: a local path is needed here; `sonarrec help remote` "
+            "says which commands take URLs"
         )
     return place
 

@@ -14,7 +14,7 @@ from sonarrec.evaluation.compare.screen import outcome, settings_lines
 from sonarrec.evaluation.counting.uncertainty import LEVEL, MIN_UNITS, Difference
 from sonarrec.evaluation.metrics import BY_NAME, MAIN
 from sonarrec.files.outputs import write_page
-from sonarrec.records import shown
+from sonarrec.records import name_as_text
 from sonarrec.report.templates import filled
 
 MOST = 10
@@ -82,8 +82,8 @@ def render(found: Comparison) -> str:
     return filled(
         "compare.html",
         version=__version__,
-        old=shown(found.old),
-        new=shown(found.new),
+        old=name_as_text(found.old),
+        new=name_as_text(found.new),
         found=found,
         level=f"{LEVEL:.0%}",
         least=MIN_UNITS,

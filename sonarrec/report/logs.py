@@ -17,7 +17,7 @@ from sonarrec.records import (
     SonarrecError,
     UsageError,
     follows,
-    shown,
+    name_as_text,
 )
 from sonarrec.results.read import LogResults, read_log
 from sonarrec.results.run_file import RunFile, read_run
@@ -110,7 +110,7 @@ def read_logs(
             found = read_log(folder, options.landmarks, options.sonar)
             every = list(read_sightings(folder, options.landmarks, options.sonar))
         except SonarrecError as error:
-            unread.append((name or shown(folder.resolve().name), error))
+            unread.append((name or name_as_text(folder.resolve().name), error))
             continue
         found = found if name is None else replace(found, name=name)
         matched = None if truth is None else match_truth(truth, found, options.tolerance_s)

@@ -13,7 +13,7 @@ from sonarrec.batch import logs_table
 from sonarrec.evaluation import cells
 from sonarrec.evaluation.counting.pooled import Pooled
 from sonarrec.evaluation.matching.options import ScoringOptions
-from sonarrec.records import SonarrecError, UsageError, number_of, shown
+from sonarrec.records import SonarrecError, UsageError, name_as_text, number_of
 from sonarrec.report.logs import follows_by_default
 from sonarrec.results.run_file import read_run
 from sonarrec.results.sightings_file import read_sightings
@@ -47,7 +47,7 @@ def outliers(
     Raises UsageError if no scored log has the method.
     """
     found: dict[str, list[str]] = {}
-    where = {shown(folder.resolve().name): folder for folder in folders}
+    where = {name_as_text(folder.resolve().name): folder for folder in folders}
     if pooled is not None:
         where = dict(zip(pooled.logs, pooled.folders, strict=True))
         remarks = [*_unfinished(where, place), *_scored(pooled, method)]

@@ -11,7 +11,7 @@ from pathlib import Path
 from sonarrec.readers import open_log
 from sonarrec.readers.find import find_log, log_name, names_a_log, results_name
 from sonarrec.readers.log import Log
-from sonarrec.records import SonarrecError, UsageError, shown
+from sonarrec.records import SonarrecError, UsageError, name_as_text
 from sonarrec.report.logs import ReportedLog
 from sonarrec.results.run_file import LogOptions
 from sonarrec.results.same_log import check_same_log
@@ -74,7 +74,11 @@ def _names(log: ReportedLog) -> set[str]:
 
 def _called(path: Path) -> set[str]:
     """Possible names of a recording in run.toml: its file, the target of a link, or its results."""
-    return {shown(path.name), shown(path.resolve().name), results_name(log_name(path))}
+    return {
+        name_as_text(path.name),
+        name_as_text(path.resolve().name),
+        results_name(log_name(path)),
+    }
 
 
 def _inside(folder: Path) -> dict[str, list[Path]]:
@@ -103,7 +107,7 @@ def _same(
             with open_recording(path, log, sonar, topic) as recording:
                 check_same_log(recording, log.folder, log.run)
         except SonarrecError as error:
-            problem = f"{shown(path)} is not the log of {log.results.name} ({error})"
+            problem = f"{name_as_text(path)} is not the log of {log.results.name} ({error})"
         else:
             return path, ""
     return None, problem

@@ -15,7 +15,7 @@ from typing import IO
 
 from sonarrec.files.locks import is_there, locked
 from sonarrec.files.outputs import Kind, is_output
-from sonarrec.records import PART, SonarrecError, UsageError, number_of, shown
+from sonarrec.records import PART, SonarrecError, UsageError, name_as_text, number_of
 
 LONGEST_NAME = 255
 """Bytes of a file name, on common file systems."""
@@ -102,8 +102,8 @@ def check_name(folder: Path) -> None:
     over = len(os.fsencode(_lock_file(folder).name)) - LONGEST_NAME
     if over > 0:
         raise SonarrecError(
-            f"{shown(folder)}: its name is {number_of(over, 'byte')} too long for results; shorten "
-            "the log's name"
+            f"{name_as_text(folder)}: its name is {number_of(over, 'byte')} too long for results; "
+            "shorten the log's name"
         )
 
 

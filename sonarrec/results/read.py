@@ -19,8 +19,8 @@ from sonarrec.records import (
     IntArray,
     MissingError,
     SonarrecError,
+    name_as_text,
     printable,
-    shown,
 )
 from sonarrec.results.columns import (
     ESTIMATES_HEADER,
@@ -151,7 +151,7 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
     methods = _methods(run, names)
     renumber = np.array([methods.index(m) for m in names], dtype=np.int64)
     return LogResults(
-        name=shown(folder.resolve().name),
+        name=name_as_text(folder.resolve().name),
         landmarks=landmark_set,
         fan=fan,
         frame=frame,

@@ -16,7 +16,7 @@ import tomli_w
 from sonarrec.files.outputs import replaced
 from sonarrec.files.parquet import convert
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import NO_STAMPS, FrameResult, SonarrecError, Stamps, number_of, shown
+from sonarrec.records import NO_STAMPS, FrameResult, SonarrecError, Stamps, name_as_text, number_of
 from sonarrec.results.columns import FRAME_COLUMNS, SIGHTING_COLUMNS, estimate_columns
 from sonarrec.results.folders import exchange, lock, part_of, release, restore
 from sonarrec.results.sightings import Sighting, Sightings
@@ -119,9 +119,9 @@ class ResultsWriter:
             raise
 
     def _unwritable(self, error: OSError) -> SonarrecError:
-        where = f": {shown(error.filename)}" if error.filename else ""
+        where = f": {name_as_text(error.filename)}" if error.filename else ""
         return SonarrecError(
-            f"{shown(self._folder)}: cannot write results here ({error.strerror}{where}); "
+            f"{name_as_text(self._folder)}: cannot write results here ({error.strerror}{where}); "
             "choose another --out"
         )
 
@@ -158,7 +158,7 @@ class ResultsWriter:
         self._run["input"]["frames_processed"] = self.frames
         self._run["input"]["frames_unusable"] = unusable
         self._run["input"]["candidates"] = self.candidates
-        self._run["input"]["problems"] = [shown(problem) for problem in problems]
+        self._run["input"]["problems"] = [name_as_text(problem) for problem in problems]
         try:
             self._seen(self._gathered.rest())
             self._sightings.close(sync=True)
@@ -174,7 +174,7 @@ class ResultsWriter:
     def _fault(self, error: OSError) -> SonarrecError:
         self.full = True
         return SonarrecError(
-            f"{shown(self._part)}: cannot write results ({error.strerror}); it holds the "
+            f"{name_as_text(self._part)}: cannot write results ({error.strerror}); it holds the "
             f"{number_of(self.frames, 'frame')} before"
         )
 

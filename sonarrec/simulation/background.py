@@ -37,7 +37,7 @@ from sonarrec.records import (
     Motion,
     SonarrecError,
     UsageError,
-    shown,
+    name_as_text,
 )
 from sonarrec.simulation.composite import Composer, LaidDisc, seen_from
 from sonarrec.simulation.layout import check_room, lay_out
@@ -113,7 +113,7 @@ def survey(
     Raises SonarrecError where the recording cannot be used, or has no room for a disc in view.
     """
     with open_() as log:
-        where = shown(log.path)
+        where = name_as_text(log.path)
         odometry: Odometry | None = None
         path: list[Pose] = []
         stamps: list[int] = []

@@ -11,7 +11,7 @@ import numpy as np
 
 from sonarrec.drawing.pen import Colour, disc_outline, landmark_colours
 from sonarrec.files.outputs import plain, write_figure, writing
-from sonarrec.records import ByteImage, FloatArray, Frame, IntArray, number_of, shown
+from sonarrec.records import ByteImage, FloatArray, Frame, IntArray, name_as_text, number_of
 from sonarrec.truth.check import CheckedTruth
 
 TILES = 8
@@ -147,7 +147,7 @@ def _draw(
     faults: dict[int, list[str]] = {}
     for fault in truth.faults:
         faults.setdefault(fault.line, []).append(fault.kind)
-    title = f"{plain(shown(truth.path.name))}: {truth.summary()}"
+    title = f"{plain(name_as_text(truth.path.name))}: {truth.summary()}"
     axes.text(_GAP, 24, title, color=_INK, fontsize=12, va="center")
     legend = "outline: the disc as the truth puts it; below: frame, visible; found wrong in red"
     axes.text(_GAP, 46, legend, color=_INK, fontsize=8, va="center", alpha=0.8)

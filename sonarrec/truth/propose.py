@@ -10,7 +10,15 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.geometry import ground_range, pixel_from_polar, polar_from_plane
-from sonarrec.records import Fan, FloatArray, SonarrecError, UsageError, follows, number_of, shown
+from sonarrec.records import (
+    Fan,
+    FloatArray,
+    SonarrecError,
+    UsageError,
+    follows,
+    name_as_text,
+    number_of,
+)
 from sonarrec.results.folders import estimates_of
 from sonarrec.results.read import LogResults, find_logs, not_whole, read_log
 from sonarrec.results.sightings import check_follows
@@ -85,7 +93,7 @@ def _proposed(
             unread.append(error)
             if len(unread) == len(folders):
                 raise unread[0] from None
-            told.problems.append(f"{error}; {shown(folder.resolve().name)} is not used")
+            told.problems.append(f"{error}; {name_as_text(folder.resolve().name)} is not used")
             continue
         if log.fan is None:
             raise SonarrecError(

@@ -87,8 +87,8 @@ def test_names_with_wildcards_are_names(sonarrec: Sonarrec, s3: Any, day: Path) 
     for name in ODD:
         upload(s3, day / "a.mcap", f"day/{name}.mcap")
     names = {f"s3://dives/day/{name}.mcap" for name in ("a", "b", *ODD)}
-    assert {log.url.shown for log in find("s3://dives/day/")} == names
-    assert {log.url.shown for log in find("s3://dives/day/*.mcap")} == names
+    assert {log.url.redacted for log in find("s3://dives/day/")} == names
+    assert {log.url.redacted for log in find("s3://dives/day/*.mcap")} == names
     for name in ODD:
         assert [log.name for log in find(f"s3://dives/day/{name}.mcap")] == [name]
     far = sonarrec("run", "s3://dives/day/", "--frames", ":2", "-q")
@@ -187,7 +187,7 @@ def test_a_partial_upload_is_no_result_and_is_finished_by_the_next_run(
 
     def breaks(self: store.Store, file: Path, url: Any) -> None:
         if url.name == "frames.csv":
-            raise store.SonarrecError(f"{url.shown}: failed, also in 3 retries")
+            raise store.SonarrecError(f"{url.redacted}: failed, also in 3 retries")
         put(self, file, url)
 
     with monkeypatch.context() as patched:

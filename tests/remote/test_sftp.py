@@ -59,7 +59,7 @@ def test_truth_is_found_beside_a_log(url: str, disk: Path, monkeypatch: pytest.M
         beside(f"{url}/dives/none.mcap", "gt.csv")
     # As run.toml has it, without the password: this is told, and not tried.
     with pytest.raises(SonarrecError, match="toml does not keep the secret"):
-        beside(parse_url(f"{url}/dives/a.mcap").shown, "gt.csv")
+        beside(parse_url(f"{url}/dives/a.mcap").redacted, "gt.csv")
     monkeypatch.setitem(fsspec.config.conf, "sftp", {"password": PASSWORD})
     item, _ = beside(f"{url.replace(f':{PASSWORD}', '')}/dives/a.mcap", "gt.csv")
     assert item is not None

@@ -23,7 +23,7 @@ from sonarrec.remote.urls import is_url, parse_url
     ],
 )
 def test_secrets_are_hidden(url: str, shown: str) -> None:
-    assert parse_url(url).shown == shown
+    assert parse_url(url).redacted == shown
     assert str(parse_url(url)).replace("%20", " ") == url
 
 
@@ -65,7 +65,7 @@ def test_a_web_server_is_asked_for_what_was_written(path: str) -> None:
     text = f"https://h/o/{path}?alt=media"
     url = parse_url(text)
     assert str(url) == text
-    assert str(parse_url(url.shown)) == text
+    assert str(parse_url(url.redacted)) == text
     assert str(url.parent) == "https://h/o?alt=media"
     assert str(url.parent.child(url.name)) == text
 

@@ -19,7 +19,7 @@ from mcap.reader import make_reader
 from sonarrec.cli import main
 from sonarrec.geometry import pixel_from_polar
 from sonarrec.landmarks import load_landmarks
-from sonarrec.records import SonarrecError, shown
+from sonarrec.records import SonarrecError, name_as_text
 from sonarrec.simulation import simulate
 from sonarrec.simulation.motion import Pose, sweep_deg
 from sonarrec.simulation.plane import FLAT
@@ -606,9 +606,9 @@ def test_ctrl_c_says_what_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 def test_a_name_that_is_not_utf8(tmp_path: Path) -> None:
     out = tmp_path / os.fsdecode(b"basin\xe9")
     done = sonarrec("simulate", "--scene", "basin", "--frames", "1", "-o", out)
-    assert done.stdout == f"{shown(out)}: 1 frame of scene 'basin'\n"
+    assert done.stdout == f"{name_as_text(out)}: 1 frame of scene 'basin'\n"
     told = sonarrec("simulate", "--background", out, "--count", "1", "-o", f"{out}_laid").stdout
-    assert told.startswith(f"{shown(out)}_laid: 1 frame, 1 landmark")
+    assert told.startswith(f"{name_as_text(out)}_laid: 1 frame, 1 landmark")
     assert len(list(Path(f"{out}_laid").glob("*.png"))) == 1
 
 

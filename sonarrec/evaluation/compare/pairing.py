@@ -19,7 +19,7 @@ from sonarrec.evaluation.matching.pairs import (
     truth_by_folder,
 )
 from sonarrec.files.tables import read_header
-from sonarrec.records import IntArray, SonarrecError, number_of, shown
+from sonarrec.records import IntArray, SonarrecError, name_as_text, number_of
 from sonarrec.results.counted_once import Recording, counted_once, recording
 from sonarrec.results.folders import estimates_of
 from sonarrec.results.read import find_logs, read_frames, read_log
@@ -101,7 +101,7 @@ def _recording_of(folder: Path) -> tuple[str, str | None] | None:
 
 
 def _name(folder: Path) -> str:
-    return shown(folder.resolve().name)
+    return name_as_text(folder.resolve().name)
 
 
 def _recording(folder: Path, landmarks: str | None) -> Recording:

@@ -11,7 +11,7 @@ from pathlib import Path
 from sonarrec.files.tables import line_numbers, read_header, read_table
 from sonarrec.readers.find import Source, find_log, log_name
 from sonarrec.readers.images import MAX_FILE_BYTES, is_image
-from sonarrec.records import MissingError, SonarrecError, UsageError, number_of, unshown
+from sonarrec.records import MissingError, SonarrecError, UsageError, name_from_text, number_of
 from sonarrec.remote.urls import is_url
 from sonarrec.results.read import find_logs
 from sonarrec.results.run_file import Input, read_run
@@ -168,9 +168,9 @@ def _log_at(path: str, folder: Path, place: str | None) -> Source:
 
     In both, bytes that are not UTF-8 are escaped. Raises MissingError if there is no log.
     """
-    places = [path, unshown(path)]
+    places = [path, name_from_text(path)]
     if place is not None:  # the path is relative to the folder that `run` was called in
-        places.append(str((folder.resolve() / unshown(place)).resolve()))
+        places.append(str((folder.resolve() / name_from_text(place)).resolve()))
     for each in places:
         with suppress(MissingError):
             return find_log(each)

@@ -18,7 +18,7 @@ from sonarrec.readers.ddf.aris import Aris
 from sonarrec.readers.ddf.didson import Didson
 from sonarrec.readers.file_bytes import FileBytes
 from sonarrec.readers.raw import MAX_FRAME_BYTES, HeaderInfo, RawFrame, RawLog, UnusableError
-from sonarrec.records import SonarrecError, Stamps, number_of, shown
+from sonarrec.records import SonarrecError, Stamps, name_as_text, number_of
 from sonarrec.sonar import PingGeometry
 
 _VERSION_AT = 12  # in a frame's header
@@ -68,10 +68,10 @@ class DdfFrames(RawLog):
         """Raises SonarrecError where the file is no DDF, or holds not one whole frame."""
         super().__init__()
         self.polar = True
-        self._name = shown(path.name)
+        self._name = name_as_text(path.name)
         self._file = FileBytes(path)
         try:
-            self._open(shown(path))
+            self._open(name_as_text(path))
         except BaseException:
             self._file.close()
             raise

@@ -21,7 +21,7 @@ from sonarrec.readers.gemini.pings import (
     zoomed,
 )
 from sonarrec.readers.raw import UnusableError
-from sonarrec.records import SonarrecError, shown
+from sonarrec.records import SonarrecError, name_as_text
 
 _PIECE = 2**20  # bytes
 _ENTRY_MARK, _ENTRY_BYTES = b"PK\x03\x04", 30  # before a file in a ZIP
@@ -40,7 +40,7 @@ def pieces(path: Path) -> Iterator[bytes]:
     """
     file = FileBytes(path)
     try:
-        method, at = _find_dat(file, shown(path))
+        method, at = _find_dat(file, name_as_text(path))
         inflater = zlib.decompressobj(-zlib.MAX_WBITS)
         while piece := file.at(at, _PIECE):
             at += len(piece)

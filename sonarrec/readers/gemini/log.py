@@ -8,7 +8,7 @@ from pathlib import Path
 from sonarrec.readers.gemini.archive import pieces, records
 from sonarrec.readers.gemini.pings import Header, decoded, device_of, time_ns
 from sonarrec.readers.raw import HeaderInfo, RawFrame, RawLog, UnusableError
-from sonarrec.records import SonarrecError, Stamps, number_of, shown
+from sonarrec.records import SonarrecError, Stamps, name_as_text, number_of
 
 _NOTES = (
     "left and right are as free readers show them; see that a landmark lies on its side",
@@ -23,7 +23,7 @@ class GeminiPings(RawLog):
         """Raises SonarrecError where the file holds no image that can be read."""
         super().__init__()
         self.polar = True
-        self._path, self._name = path, shown(path.name)
+        self._path, self._name = path, name_as_text(path.name)
         self._device, header = self._first()
         self.header_info = HeaderInfo(values=header, notes=_NOTES)
 
@@ -40,7 +40,9 @@ class GeminiPings(RawLog):
                 problem = problem or f" ({reason})"
         except UnusableError as error:
             problem = problem or f" ({error})"
-        raise SonarrecError(f"{shown(self._path)}: no image of a Gemini can be read in it{problem}")
+        raise SonarrecError(
+            f"{name_as_text(self._path)}: no image of a Gemini can be read in it{problem}"
+        )
 
     def __iter__(self) -> Iterator[RawFrame]:
         number, others = 0, 0

@@ -8,7 +8,7 @@ from sonarrec.readers.mcap.fields import DefinitionError
 from sonarrec.readers.mcap.messages import READABLE, Decoder, decoder_for
 from sonarrec.readers.raw import RawFrame, RawLog, UnusableError
 from sonarrec.readers.recording import Recording
-from sonarrec.records import SonarrecError, Stamps, UsageError, shown
+from sonarrec.records import SonarrecError, Stamps, UsageError, name_as_text
 
 
 def image_decoders(log: Recording) -> dict[int, Decoder]:
@@ -82,17 +82,17 @@ def _choose(log: Recording, topic: str | None) -> dict[int, Decoder]:
         )
         damage = f" ({log.faults[0]})" if log.faults else ""
         raise SonarrecError(
-            f"{shown(log.path)}: no image channel; it holds {', '.join(there) or 'no channel'}, "
-            f"and this reads {READABLE}{damage}"
+            f"{name_as_text(log.path)}: no image channel; it holds "
+            f"{', '.join(there) or 'no channel'}, and this reads {READABLE}{damage}"
         )
     if topic is None and len(topics) > 1:
         raise UsageError(
-            f"{shown(log.path)}: several image channels; choose one with --topic: "
+            f"{name_as_text(log.path)}: several image channels; choose one with --topic: "
             + ", ".join(topics)
         )
     if topic is not None and topic not in topics:
         raise UsageError(
-            f"{shown(log.path)}: no image channel {topic!r}; there is {', '.join(topics)}"
+            f"{name_as_text(log.path)}: no image channel {topic!r}; there is {', '.join(topics)}"
         )
     chosen = topic or topics[0]
     return {c: d for c, d in decoders.items() if log.channels[c].topic == chosen}

@@ -26,7 +26,7 @@ from sonarrec.readers.mcap.in_chunk import (
 from sonarrec.readers.mcap.salvage import CHUNK, MESSAGE_HEAD, McapFile
 from sonarrec.readers.raw import MAX_FRAME_BYTES
 from sonarrec.readers.recording import Message
-from sonarrec.records import SonarrecError, number_of, shown
+from sonarrec.records import SonarrecError, name_as_text, number_of
 
 
 def _rising(places: Iterable[Place]) -> Iterator[Place]:
@@ -76,7 +76,9 @@ class MessageReader:
                 yield self._next()
             self._tell_what_is_wrong()
         except OSError as error:
-            raise SonarrecError(f"{shown(log.path)}: cannot be read ({error.strerror})") from None
+            raise SonarrecError(
+                f"{name_as_text(log.path)}: cannot be read ({error.strerror})"
+            ) from None
 
     def _next(self) -> Message:
         place, run, contents = self._runs[0]

@@ -16,7 +16,7 @@ from sonarrec.readers.mcap.fields import DefinitionError, Fields
 from sonarrec.readers.mcap.messages import message_type
 from sonarrec.readers.raw import UnusableError
 from sonarrec.readers.recording import Message, Recording
-from sonarrec.records import Clock, SonarrecError, UsageError, number_of, shown
+from sonarrec.records import Clock, SonarrecError, UsageError, name_as_text, number_of
 
 # Where the pose is inside each message.
 POSES = {
@@ -37,7 +37,8 @@ def read_topic(path: Path, topic: str, time: Clock) -> PoseTable:
     source = find_log(path)
     if not source.reader.has_topics:
         raise UsageError(
-            f"{shown(path)}: --odometry-topic names a channel of an MCAP or a ROS bag; this is none"
+            f"{name_as_text(path)}: --odometry-topic names a channel of an MCAP or a ROS bag; this "
+            "is none"
         )
     log = source.recording()
     try:
@@ -48,7 +49,7 @@ def read_topic(path: Path, topic: str, time: Clock) -> PoseTable:
         if len(at) > 1:
             problems = [f"all have the {time} time {at[0]} ns"]
         raise SonarrecError(
-            f"{shown(path)}: {topic} has fewer than two poses that can be read"
+            f"{name_as_text(path)}: {topic} has fewer than two poses that can be read"
             + (f" ({problems[0]})" if problems else "")
         )
     if len(problems) > MAX_PROBLEM_LINES:
@@ -96,14 +97,14 @@ def _channels(log: Recording, topic: str) -> dict[int, tuple[Decode, tuple[str, 
                 )
             except DefinitionError as error:
                 raise SonarrecError(
-                    f"{shown(log.path)}: the definition of {topic} cannot be used ({error})"
+                    f"{name_as_text(log.path)}: the definition of {topic} cannot be used ({error})"
                 ) from None
             if decode is not None:
                 chosen[number] = decode, POSES[kind]
     if not chosen:
         topics = sorted({c.topic for c in poses.values()} - {topic})
         there = f"there is {', '.join(topics)}" if topics else f"this reads {', '.join(POSES)}"
-        raise UsageError(f"{shown(log.path)}: no pose topic {topic!r}; {there}")
+        raise UsageError(f"{name_as_text(log.path)}: no pose topic {topic!r}; {there}")
     return chosen
 
 

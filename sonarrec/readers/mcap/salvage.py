@@ -29,7 +29,7 @@ from sonarrec.readers.mcap.chunks import (
     pieces_of,
     read_chunk_head,
 )
-from sonarrec.records import SonarrecError, shown
+from sonarrec.records import SonarrecError, name_as_text
 
 MAGIC = b"\x89MCAP0\r\n"
 MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
@@ -112,7 +112,7 @@ class McapFile:
 
     def fault(self, text: str) -> None:
         """Add a line about what is wrong."""
-        self.faults.append(f"{shown(self.path.name)}: {text}")
+        self.faults.append(f"{name_as_text(self.path.name)}: {text}")
 
     def data_are_sound(self) -> bool:
         """Whether all before the summary keeps its checksum, if there is one. Reads all of it."""
@@ -126,7 +126,7 @@ class McapFile:
         self.file.seek(0)
         if self.file.read(len(MAGIC)) != MAGIC:
             raise SonarrecError(
-                f"{shown(self.path)}: not an MCAP file (it does not begin like one)"
+                f"{name_as_text(self.path)}: not an MCAP file (it does not begin like one)"
             )
         stop = self._scan_from(len(MAGIC))
         while not self.whole:

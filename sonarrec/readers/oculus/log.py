@@ -9,7 +9,7 @@ from sonarrec.readers.file_bytes import FileBytes
 from sonarrec.readers.oculus.framing import framing_of, messages
 from sonarrec.readers.oculus.pings import FULL_PING, SIMPLE_PING, Header, decoded, message_number
 from sonarrec.readers.raw import MAX_FRAME_BYTES, HeaderInfo, RawFrame, RawLog, UnusableError
-from sonarrec.records import SonarrecError, Stamps, number_of, shown
+from sonarrec.records import SonarrecError, Stamps, name_as_text, number_of
 
 _LOOKED_THROUGH = 2 * MAX_FRAME_BYTES  # for the first ping, in a file that may be of another kind
 
@@ -21,11 +21,11 @@ class OculusPings(RawLog):
         """Raises SonarrecError where the file holds no ping that can be read."""
         super().__init__()
         self.polar = True
-        self._name = shown(path.name)
+        self._name = name_as_text(path.name)
         self._file = FileBytes(path)
         try:
-            self._framing, self._start = framing_of(self._file, shown(path))
-            self.header_info = HeaderInfo(values=self._first_header(shown(path)))
+            self._framing, self._start = framing_of(self._file, name_as_text(path))
+            self.header_info = HeaderInfo(values=self._first_header(name_as_text(path)))
         except BaseException:
             self._file.close()
             raise
