@@ -39,9 +39,9 @@ from sonarrec.truth.fits import (
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import TruthTable, read_truth
 
-# Parts of the tracks, each left out once in turn. With fewer tracks of landmarks, or of others, the
-# model is not measured.
 FOLDS = 5
+"""Parts of the tracks; each is left out once, to measure the model on it. With fewer tracks of
+landmarks, or of others, the model is not measured."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,13 +123,11 @@ def learn(
             "single frames by the published model and learns nothing"
         )
     table = _truth_with_places(ground_truth, len(paths))
-    parts: list[Samples] = []
     names: list[str] = []
-    learned: list[str] = []
+    lessons: list[_Lesson] = []
     misfits: list[str] = []
     problems: list[str] = []
     notes = columns_not_read(table)
-    rows = frames = 0
     for path in paths:
         with open_log(
             path, sonar=sonar, sonar_file=sonar_file, topic=topic, time=time or "log"
@@ -146,42 +144,68 @@ def learn(
             misfits.append(fault)
             problems.append(f"{fault}; nothing is learned from {log.name}")
             continue
-        notes += pixels_elsewhere(table, tracks, "teach")
-        notes += as_proposed(table, log.name, "they teach what the program takes for true already")
-        learned.append(log.name)
-        rows += truth.rows
-        frames += len(tracks.frame)
-        if not truth.rows:
-            notes.append(
-                f"{log.name}: no row in the ground truth, so it is taken to hold no landmark"
-            )
-        if truth.unprocessed:
-            problems.append(
-                f"{ground_truth}: {truth.unprocessed} of {truth.rows} rows lie on no frame that "
-                f"was read of {log.name}; they teach nothing"
-            )
-        parts.append(_labelled(tracks, truth))
-    if not rows:
+        lesson = _lesson(table, tracks, truth)
+        notes += lesson.notes
+        problems += lesson.problems
+        lessons.append(lesson)
+    if not any(lesson.rows for lesson in lessons):
         why = without_rows(ground_truth, len(table.at), names, "it shows no landmark")
         raise SonarrecError(misfits[0] if misfits else why)
+    parts = [lesson.samples for lesson in lessons]
     prior = None if from_scratch else built_in_model()
     model = fit(parts, prior)
     seen = _seen(parts, landmarks)
     before, after = _left_out(parts, prior)
-    notes += _not_taught(landmarks, seen, before, after)
     return LearningReport(
-        model, landmarks, tuple(learned), frames, seen, before, after, problems, notes
+        model=model,
+        landmarks=landmarks,
+        logs=tuple(lesson.log for lesson in lessons),
+        frames=sum(lesson.frames for lesson in lessons),
+        seen=seen,
+        before=before,
+        after=after,
+        problems=problems,
+        notes=[*notes, *_not_taught(landmarks, seen, before, after)],
     )
+
+
+@dataclass(frozen=True, slots=True)
+class _Lesson:
+    """What one log teaches. log: its name. frames: how many were read. rows: of truth for it."""
+
+    log: str
+    samples: Samples
+    frames: int
+    rows: int
+    problems: list[str]
+    notes: list[str]
+
+
+def _lesson(table: TruthTable, tracks: Tracks, truth: Truth) -> _Lesson:
+    """What a log teaches whose truth fits it. tracks: of the log. truth: its rows of the table."""
+    log = tracks.name
+    problems = []
+    notes = pixels_elsewhere(table, tracks, "teach")
+    notes += as_proposed(table, log, "they teach what the program takes for true already")
+    if not truth.rows:
+        notes.append(f"{log}: no row in the ground truth, so it is taken to hold no landmark")
+    if truth.unprocessed:
+        problems.append(
+            f"{table.path}: {truth.unprocessed} of {truth.rows} rows lie on no frame that "
+            f"was read of {log}; they teach nothing"
+        )
+    samples = _labelled(tracks, truth)
+    return _Lesson(log, samples, len(tracks.frame), truth.rows, problems, notes)
 
 
 def _tracks_of(
     log: Log, config: Config, landmarks: LandmarkSet, observe: Callable[[], object] | None
 ) -> tuple[Tracks, list[str]]:
-    """A log's tracks, described, and a note where its beams are not of the usual width."""
-    left = iter(log)
-    begin = [*islice(left, FRAMES_FOR_BEAMS)]
+    """A log's tracks, described, and a note if its beams have not the usual width."""
+    rest = iter(log)
+    begin = [*islice(rest, FRAMES_FOR_BEAMS)]
     (own,), beams = with_beams([config], log.beam_width_deg, begin)
-    frames = _counted(chain(begin, left), observe)
+    frames = _observed(chain(begin, rest), observe)
     notes = [f"{log.name}: {line}" for line in beams]
     return describe(frames, own, landmarks, name=log.name), notes
 
@@ -223,8 +247,8 @@ def _not_taught(
         )
 
 
-def _counted(frames: Iterable[Frame], observe: Callable[[], object] | None) -> Iterator[Frame]:
-    """The frames, each told to `observe`."""
+def _observed(frames: Iterable[Frame], observe: Callable[[], object] | None) -> Iterator[Frame]:
+    """The frames; `observe` is called before each."""
     for frame in frames:
         if observe is not None:
             observe()
@@ -234,8 +258,8 @@ def _counted(frames: Iterable[Frame], observe: Callable[[], object] | None) -> I
 def _labelled(tracks: Tracks, truth: Truth) -> Samples:
     """What one log teaches.
 
-    People label only the frames that they care for. So a track that is on a landmark in one frame
-    is in no other frame taken for "none of these".
+    People label only the frames that they care for. So if a track shows a landmark in one frame,
+    its frames without a label are left out: they do not count as "none of these".
     """
     assert truth.position is not None
     samples = label(tracks, truth.frame_index, truth.landmark_index, truth.position)
@@ -246,8 +270,8 @@ def _labelled(tracks: Tracks, truth: Truth) -> Samples:
 def _seen(parts: Sequence[Samples], landmarks: LandmarkSet) -> tuple[tuple[int, int], ...]:
     """(frames, tracks) of each ID, then of 'none of these'."""
     counts = []
-    for what in range(len(landmarks.ids) + 1):
-        tracks = [p.track[p.label == what] for p in parts]
+    for label_index in range(len(landmarks.ids) + 1):
+        tracks = [p.track[p.label == label_index] for p in parts]
         counts.append((sum(map(len, tracks)), sum(len(np.unique(t)) for t in tracks)))
     return tuple(counts)
 
@@ -257,7 +281,8 @@ def _left_out(
 ) -> tuple[float | None, float | None]:
     """Mean log likelihood by the built-in model and by models learned from the other tracks.
 
-    The tracks fall into FOLDS parts, landmarks and others apart, so that each part has of both.
+    The tracks are dealt into FOLDS parts; tracks of landmarks and others are dealt separately, so
+    that every part has both. None, None with fewer than FOLDS tracks of either.
     """
     folds = []
     count = np.zeros(2, np.int64)  # of other tracks, of landmarks' tracks
@@ -277,16 +302,16 @@ def _left_out(
     before, after = [], []
     for k in range(FOLDS):
         taught = [_part(p, fold != k) for p, fold in zip(parts, folds, strict=True)]
-        held = [_part(p, fold == k) for p, fold in zip(parts, folds, strict=True)]
+        left_out = [_part(p, fold == k) for p, fold in zip(parts, folds, strict=True)]
         learned = fit(taught, prior)
-        before += [_log_likelihood(built_in, p) for p in held]
-        after += [_log_likelihood(learned, p) for p in held]
+        before += [_log_likelihood(built_in, p) for p in left_out]
+        after += [_log_likelihood(learned, p) for p in left_out]
     return float(np.concatenate(before).mean()), float(np.concatenate(after).mean())
 
 
-def _part(samples: Samples, chosen: BoolArray) -> Samples:
-    """The (n,) chosen ones."""
-    return Samples(*(getattr(samples, f.name)[chosen] for f in fields(Samples)))
+def _part(samples: Samples, mask: BoolArray) -> Samples:
+    """The samples that an (n,) mask chooses."""
+    return Samples(*(getattr(samples, f.name)[mask] for f in fields(Samples)))
 
 
 def _log_likelihood(model: AppearanceModel, samples: Samples) -> FloatArray:

@@ -115,47 +115,64 @@ def existing_results(folder: Path, table: dict[str, Any]) -> ExistingResults:
         )
     if len(present) <= len(TABLES):
         return ExistingResults()
-    there = read_toml(path)
-    source = there.get("input")
-    if not there.get("finished") or not isinstance(source, dict):
+    recorded = read_toml(path)
+    old_input = recorded.get("input")
+    if not recorded.get("finished") or not isinstance(old_input, dict):
         return ExistingResults()
     coming = json.loads(json.dumps(table))  # tuples become lists, as in a file that is read
-    mine = coming["input"]
-    # Earlier versions kept no place, only the path, which may be relative.
-    where = "place" if "place" in source else "path"
-    if source.get("sha256") != mine["sha256"] and source.get(where, mine[where]) != mine[where]:
-        raise SonarrecError(
-            f"{folder}: holds the results of another log ({source.get('path')}); choose another "
-            "--out, or give --overwrite"
-        )
-    if source.get("topic", mine.get("topic")) != mine.get("topic"):
-        raise SonarrecError(
-            f"{folder}: holds the results of topic {source['topic']} of this log; choose another "
-            "--out, or give --overwrite"
-        )
+    new_input = coming["input"]
+    _check_same_input(folder, old_input, new_input)
+    # What only a finished run states, where it ran and what its log was called do not count.
     coming.pop("ran_on")
-    alike = {k: v for k, v in there.items() if k not in ("finished", "ran_on")} | {
-        "input": {k: v for k, v in source.items() if k not in _OF_THE_END}
-        | {key: mine[key] for key in ("path", "place")}
+    before = {k: v for k, v in recorded.items() if k not in ("finished", "ran_on")} | {
+        "input": {k: v for k, v in old_input.items() if k not in _OF_THE_END}
+        | {key: new_input[key] for key in ("path", "place")}
     }
-    if alike == coming:
-
-        def stated(key: str, default: Any = 0) -> Any:
-            return checked(source.get(key, default), _OF_THE_END[key], f"{path}: input.{key}")
-
-        return ExistingResults(
-            True,
-            stated("frames_processed"),
-            stated("frames_unusable"),
-            stated("candidates"),
-            list(stated("problems", ())),
-        )
-    if source.get("sha256") != mine["sha256"]:
+    if before == coming:
+        return _finished_results(path, old_input)
+    if old_input.get("sha256") != new_input["sha256"]:
         return ExistingResults(reason="the log has changed")
-    before, after = dict(flat(alike)), dict(flat(coming))
-    keys = [key for key in {**after, **before} if before.get(key) != after.get(key)]
+    return ExistingResults(reason=_other_settings(before, coming))
+
+
+def _check_same_input(folder: Path, old: Mapping[str, Any], new: Mapping[str, Any]) -> None:
+    """Raise SonarrecError if [input] of results and of a run name different logs or topics."""
+    # Earlier versions kept no place, only the path, which may be relative.
+    where = "place" if "place" in old else "path"
+    if old.get("sha256") != new["sha256"] and old.get(where, new[where]) != new[where]:
+        raise SonarrecError(
+            f"{folder}: holds the results of another log ({old.get('path')}); choose another "
+            "--out, or give --overwrite"
+        )
+    if old.get("topic", new.get("topic")) != new.get("topic"):
+        raise SonarrecError(
+            f"{folder}: holds the results of topic {old['topic']} of this log; choose another "
+            "--out, or give --overwrite"
+        )
+
+
+def _finished_results(path: Path, recorded_input: Mapping[str, Any]) -> ExistingResults:
+    """Up-to-date results, with the counts of [input] in their run.toml at `path`."""
+
+    def value(key: str, default: Any = 0) -> Any:
+        found = recorded_input.get(key, default)
+        return checked(found, _OF_THE_END[key], f"{path}: input.{key}")
+
+    return ExistingResults(
+        up_to_date=True,
+        frames=value("frames_processed"),
+        unusable=value("frames_unusable"),
+        candidates=value("candidates"),
+        problems=list(value("problems", ())),
+    )
+
+
+def _other_settings(before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
+    """Which keys of two run.toml differ; the first three are named."""
+    old, new = dict(flat(before)), dict(flat(after))
+    keys = [key for key in {**new, **old} if old.get(key) != new.get(key)]
     more = f" and {len(keys) - 3} more" if len(keys) > 3 else ""
-    return ExistingResults(reason=f"other settings: {', '.join(keys[:3])}{more}")
+    return f"other settings: {', '.join(keys[:3])}{more}"
 
 
 def flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -261,11 +278,11 @@ class RunFile:
     odometry: Mapping[str, Any]  # empty: none was used
     model: Mapping[str, Any] | None  # the appearance model; None: built in
 
-    def landmark_set(self, given: str | Path | None = None) -> LandmarkSet:
-        """The set given by name or file, else the run's, else `basin`."""
-        if given is None and "landmarks" in self.table:
+    def landmark_set(self, choice: str | Path | None = None) -> LandmarkSet:
+        """The set that the user chose by name or file, else the run's, else `basin`."""
+        if choice is None and "landmarks" in self.table:
             return landmarks_from_table(self.table["landmarks"], f"{self.path}: [landmarks]")
-        return load_landmarks(given or "basin")
+        return load_landmarks(choice or "basin")
 
     def sonar(self) -> Sonar:
         """The geometry as it was stated for the run."""
@@ -342,25 +359,26 @@ def read_run(path: Path | None) -> RunFile:
     for name in _SHAPES.keys() & table.keys():
         checked(table[name], _SHAPES[name], f"{path}: {name}")
 
-    def stated(name: str, known: Mapping[str, Any]) -> dict[str, Any]:
-        found = table.get(name, {})
+    def known_keys(name: str, types: Mapping[str, Any]) -> dict[str, Any]:
+        """The keys of the table `name` that have a type here, each checked against it."""
+        section = table.get(name, {})
         return {
-            key: checked(found[key], known[key], f"{path}: {name}.{key}")
-            for key in known
-            if key in found
+            key: checked(section[key], types[key], f"{path}: {name}.{key}")
+            for key in types
+            if key in section
         }
 
-    stated("sonar", types_of(Sonar))
+    known_keys("sonar", types_of(Sonar))
     size = {"rows": AtLeastOne, "columns": AtLeastOne}
-    stated("fan", types_of(Sonar) | size | dict.fromkeys(_EDGES, Finite))
-    stated("odometry", types_of(Input))
+    known_keys("fan", types_of(Sonar) | size | dict.fromkeys(_EDGES, Finite))
+    known_keys("odometry", types_of(Input))
     configs = table.get("config", [])
     return RunFile(
         path=path,
         table=table,
         finished=table.get("finished", True),
-        methods=stated("program", {"methods": tuple[str, ...]}).get("methods"),
-        input=Input(**stated("input", types_of(Input))),
+        methods=known_keys("program", {"methods": tuple[str, ...]}).get("methods"),
+        input=Input(**known_keys("input", types_of(Input))),
         configs=tuple(configs) if isinstance(configs, list) else (configs,),
         odometry=table.get("odometry", {}),
         model=table.get("model"),
