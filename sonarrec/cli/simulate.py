@@ -187,14 +187,14 @@ def _lay(
             step,
         )
     notes = list(background.notes)
-    if laying.count is not None and layout.landmarks < laying.count:
+    if laying.count is not None and layout.landmark_count < laying.count:
         wanted = number_of(laying.count, "landmark")
-        notes.append(f"there was room for only {layout.landmarks} of {wanted}")
+        notes.append(f"there was room for only {layout.landmark_count} of {wanted}")
     tell(background.problems, notes)
     if not quiet:
         frames = number_of(len(background.path), "frame")
-        count = number_of(layout.landmarks, "landmark")
-        fakes = number_of(len(layout.discs) - layout.landmarks, "fake")
+        count = number_of(layout.landmark_count, "landmark")
+        fakes = number_of(len(layout.discs) - layout.landmark_count, "fake")
         for db, folder in folders.items():
             say(f"{name_as_text(folder)}: {frames}, {count} and {fakes} at {db:g} dB")
     end(background.problems)

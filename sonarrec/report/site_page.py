@@ -61,8 +61,8 @@ def render(site: Site) -> str:
         over_range=_over_range(site.contrasts),
         false_claims=_false(site.contrasts),
         pictures=[_picture(one) for one in site.shown],
-        landmarks=sum(layout.landmarks for layout in site.layouts),
-        fakes=sum(len(layout.discs) - layout.landmarks for layout in site.layouts),
+        landmarks=sum(layout.landmark_count for layout in site.layouts),
+        fakes=sum(len(layout.discs) - layout.landmark_count for layout in site.layouts),
     )
 
 

@@ -195,7 +195,7 @@ def as_document(site: Site) -> dict[str, Any]:
     )
     return {
         **{name: getattr(site, name) for name in stated},
-        "layouts": [{"seed": one.seed, "landmarks": one.landmarks} for one in site.layouts],
+        "layouts": [{"seed": one.seed, "landmarks": one.landmark_count} for one in site.layouts],
         "claims_per_100_as_it_is": round(site.empty, 4),
         "summary": list(site.sentences),
         "notes": list(site.notes),

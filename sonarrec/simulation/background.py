@@ -1,14 +1,15 @@
 """`sonarrec simulate --background`: landmarks laid into a recording that holds none.
 
-The recording is read once for the sonar's path and for where echoes are, and once for each layout
-of discs that is laid into it; only one frame is held at a time. `composite` has the physics.
+The recording is read once to find the sonar's path and where echoes are, then once for each layout
+of discs. Only one frame is held in memory at a time. `composite` has the physics.
 """
 
 from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, fields, replace
 from itertools import chain, islice
 from pathlib import Path
@@ -52,13 +53,14 @@ OpenLog = Callable[[], Log]
 
 @dataclass(frozen=True, slots=True)
 class Background:
-    """What the first pass found out of a recording.
+    """What the first pass found out about a recording.
 
-    where: names it. path: the sonar's pose in every frame used, the first at the origin. lit:
-    (fan.rows, fan.columns) where at least half of the frames show an echo. unknown: frames whose
-    motion neither images nor poses told; the sonar is taken to have stood still. has_poses: whether
-    poses told the motion. beam_width_deg: of its beams, as a run takes it. dynamic_range_db: from
-    black to white. problems: a line for each thing that could not be used.
+    where: the recording's name for messages. path: the sonar's pose in every frame used; the first
+    is at the origin. lit: (fan.rows, fan.columns) where at least half of the frames show an echo.
+    unknown: number of frames whose motion neither images nor poses told; there the sonar is taken
+    to have stood still. has_poses: whether the motion comes from poses. beam_width_deg: width of
+    its beams, as `sonarrec run` takes it. dynamic_range_db: from black to white. problems: one line
+    for each thing that could not be used.
     """
 
     where: str
@@ -86,15 +88,60 @@ class Background:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Discs on the floor of a recording. seed: that they were drawn by."""
+    """Discs on the floor of a recording. seed: of the random numbers that placed them."""
 
     discs: tuple[LaidDisc, ...]
     seed: int
 
     @property
-    def landmarks(self) -> int:
-        """How many are landmarks; the others are fakes."""
+    def landmark_count(self) -> int:
+        """How many of the discs are landmarks; the others are fakes."""
         return sum(disc.kind == "landmark" for disc in self.discs)
+
+
+class _Survey:
+    """What the first pass over a recording gathers, frame by frame.
+
+    path: the sonar's pose in each frame so far. stamps: their times, ns. unknown: of these frames
+    how many have no known motion. The first frame has none and does not count.
+    """
+
+    def __init__(
+        self,
+        first: Frame,
+        where: str,
+        landmarks: LandmarkSet,
+        config: Config,
+        poses: PoseTable | None,
+    ) -> None:
+        """Raises SonarrecError if a disc has no room in the fan of the first frame."""
+        check_room(first.fan, landmarks, where)
+        choice, radius = config.candidates, landmarks.radius_m
+        self._fan = first.fan
+        self._plane = working_plane(choice.plane, first.fan, radius, choice.disc_radius_px)
+        self._echoes = np.zeros(first.image.shape, dtype=np.int64)
+        self.odometry = Odometry(self._plane, config.continuity, poses)
+        self.path: list[Pose] = []
+        self.stamps: list[int] = []
+        self.unknown = 0
+
+    def add(self, frame: Frame) -> None:
+        """Take in the next frame."""
+        image = self._plane.warp(frame.pixels, frame.polar)
+        motion = self.odometry.step(image, frame.timestamp_ns)
+        self.unknown += (motion is None or not motion.known) and bool(self.path)
+        before = self.path[-1] if self.path else None
+        self.path.append(_moved(before, motion, floor_depth(self._fan)))
+        self.stamps.append(frame.timestamp_ns)
+        self._echoes += frame.image > 0
+
+    def lit(self) -> BoolArray:
+        """(fan.rows, fan.columns) where at least half of the frames show an echo."""
+        return self._echoes * 2 >= len(self.path)
+
+    def period_ns(self) -> float:
+        """Median time from frame to frame, ns; 0 with a single frame."""
+        return float(np.median(np.diff(self.stamps))) if len(self.stamps) > 1 else 0.0
 
 
 def survey(
@@ -105,58 +152,43 @@ def survey(
     span: Span = (0, None),
     step: Callable[..., None] | None = None,
 ) -> Background:
-    """Read a recording for its path.
+    """Read a recording once, for the sonar's path.
 
-    config: by which the motion is measured, and which may state the beams' width. poses: where they
-    tell the motion, it is not measured in the images. step: called after each frame with the number
-    of frames, None where unknown.
-    Raises SonarrecError where the recording cannot be used, or has no room for a disc in view.
+    config: says how the motion is measured; it may state the beam width. poses: if given, the
+    motion is taken from them, not measured between the images. step: called after each frame with
+    the number of frames, or None if that is unknown.
+    Raises SonarrecError if the recording cannot be used or has no room for a disc in view.
     """
     with open_() as log:
         where = name_as_text(log.path)
-        odometry: Odometry | None = None
-        path: list[Pose] = []
-        stamps: list[int] = []
-        echoes = np.zeros(0)
-        unknown = 0
         frames = log.within(span)
         begin = [*islice(frames, FRAMES_FOR_BEAMS)]
+        if not begin:
+            raise UsageError(f"{where}: no frame lies in --frames {span[0]}:{span[1] or ''}")
+        fan = begin[0].fan
+        gathered = _Survey(begin[0], where, landmarks, config, poses)
         for frame in chain(begin, frames):
-            if odometry is None:
-                fan = frame.fan
-                check_room(fan, landmarks, where)
-                choice, radius = config.candidates, landmarks.radius_m
-                plane = working_plane(choice.plane, fan, radius, choice.disc_radius_px)
-                odometry = Odometry(plane, config.continuity, poses)
-                echoes = np.zeros(frame.image.shape, dtype=np.int64)
-            motion = odometry.step(plane.warp(frame.pixels, frame.polar), frame.timestamp_ns)
-            unknown += (motion is None or not motion.known) and bool(path)
-            path.append(_moved(path[-1] if path else None, motion, floor_depth(fan)))
-            stamps.append(frame.timestamp_ns)
-            echoes += frame.image > 0
+            gathered.add(frame)
             if step:
                 step(log.frame_count)
-        if odometry is None:
-            raise UsageError(f"{where}: no frame lies in --frames {span[0]}:{span[1] or ''}")
-        stated = log.dynamic_range_db
-        rate = log.sonar.frame_rate_hz
+        stated_db, stated_hz = log.dynamic_range_db, log.sonar.frame_rate_hz
         (own,), beams = with_beams([config], log.beam_width_deg, begin)
-        notes = [*log.notes, *odometry.notes(), *(f"{where}: {line}" for line in beams)]
-        problems = [*log.problems, *odometry.problems()]
-    usual = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
-    notes += _doubts(where, stated, unknown, len(path))
+        notes = [*log.notes, *gathered.odometry.notes(), *(f"{where}: {line}" for line in beams)]
+        problems = [*log.problems, *gathered.odometry.problems()]
+    notes += _doubts(where, stated_db, gathered.unknown, len(gathered.path))
+    period_ns = gathered.period_ns()
     return Background(
         where=where,
         open=open_,
         span=span,
         fan=fan,
-        path=tuple(path),
-        lit=echoes * 2 >= len(path),
-        rate_hz=1e9 / usual if usual > 0 else rate or 1.0,
-        unknown=unknown,
+        path=tuple(gathered.path),
+        lit=gathered.lit(),
+        rate_hz=1e9 / period_ns if period_ns > 0 else stated_hz or 1.0,
+        unknown=gathered.unknown,
         has_poses=poses is not None,
         beam_width_deg=own.features.beam_width_deg or usual_beam_width_deg(fan),
-        dynamic_range_db=stated or DYNAMIC_RANGE_DB,
+        dynamic_range_db=stated_db or DYNAMIC_RANGE_DB,
         notes=tuple(notes),
         problems=tuple(problems),
     )
@@ -165,9 +197,9 @@ def survey(
 def poses_of(
     path: str | Path, odometry: Path | None, topic: str | None, time: Clock = "log"
 ) -> PoseTable | None:
-    """The poses of a table, or of a topic of the recording, else of the poses.csv beside it.
+    """The poses from a topic of the recording, a table, or else the poses.csv beside it.
 
-    Raises SonarrecError where they cannot be used.
+    None if there are none. Raises SonarrecError if they cannot be used.
     """
     if topic is not None:
         from sonarrec.readers.mcap.poses import read_topic  # with its decompressors, where needed
@@ -180,14 +212,15 @@ def poses_of(
 def draw_layout(
     background: Background, landmarks: LandmarkSet, seed: int, count: int | None = None
 ) -> Layout:
-    """Discs at random on the floor that the recording shows; the same seed gives the same.
+    """Lay discs at random places of the floor that the recording shows.
 
-    count: as layout.lay_out. Raises SonarrecError where not one landmark finds room.
+    count: see `layout.lay_out`. The same seed gives the same layout. Raises SonarrecError if there
+    is room for no landmark.
     """
     rng = np.random.default_rng([seed, 17])
     fan, path, lit = background.fan, background.path, background.lit
     layout = Layout(tuple(lay_out(fan, path, lit, landmarks, rng, count)), seed)
-    if not layout.landmarks:
+    if not layout.landmark_count:
         raise SonarrecError(
             f"{background.where}: no place on the floor shows echoes over a whole disc of radius_m "
             f"= {landmarks.radius_m:g}; see whether the geometry is right: sonarrec info --preview"
@@ -197,7 +230,7 @@ def draw_layout(
 
 @dataclass(frozen=True, slots=True)
 class ComposedFrame:
-    """One frame with discs. images: by contrast (dB). truth: of gt.csv, in the layout's order."""
+    """One frame with discs. images: by contrast (dB). truth: rows of gt.csv, in layout order."""
 
     index: int
     images: dict[float, ByteImage]
@@ -212,9 +245,10 @@ def compose(
     plate_db: float,
     beam_width_deg: float,
 ) -> Iterator[ComposedFrame]:
-    """The recording's frames with the discs of a layout, at each contrast.
+    """Yield the recording's frames with the discs of a layout, at each contrast.
 
-    contrasts, plate_db: of ring and sectors, and of the plate, over the floor, dB.
+    contrasts: levels of ring and sectors above the floor, dB. plate_db: the same of the plate
+    between them.
     """
     fan = background.fan
     composer = Composer(fan, landmarks, background.dynamic_range_db, beam_width_deg)
@@ -222,8 +256,8 @@ def compose(
         pose = background.path[frame.index]
         surface = composer.surface(frame.image)
         shapes = [composer.footprint(disc, pose) for disc in layout.discs]
-        there = [shape for shape in shapes if shape is not None]
-        images = {db: composer.lay(frame.image, surface, there, db, plate_db) for db in contrasts}
+        in_view = [shape for shape in shapes if shape is not None]
+        images = {db: composer.lay(frame.image, surface, in_view, db, plate_db) for db in contrasts}
         yield ComposedFrame(
             frame.index, images, truth_of(background, layout, landmarks, frame.index)
         )
@@ -232,14 +266,14 @@ def compose(
 def truth_of(
     background: Background, layout: Layout, landmarks: LandmarkSet, frame: int
 ) -> tuple[LandmarkTruth, ...]:
-    """The landmarks of which something shows in a frame, in the layout's order."""
+    """The landmarks that are at least partly in view in a frame, in the layout's order."""
     pose = background.path[frame]
     rows = (_truth(disc, pose, background.fan, landmarks) for disc in layout.discs)
     return tuple(row for row in rows if row is not None)
 
 
 def check_free(folders: Sequence[Path]) -> None:
-    """Raises SonarrecError where one of the folders holds anything."""
+    """Raise SonarrecError if one of the folders exists and is not empty."""
     for folder in folders:
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise SonarrecError(f"{folder}: already exists and is not empty; choose another --out")
@@ -256,55 +290,67 @@ def write_backgrounds(
 ) -> None:
     """Write a recording for each contrast: NNNNNN.png, sonar.toml, gt.csv and background.toml.
 
-    folders: by contrast (dB); none may hold anything. Where poses told the motion, poses.csv; of
-    another landmark set than basin, landmarks.toml. step: called after each frame. Raises
-    SonarrecError where a folder is in use or cannot be written.
+    poses.csv is written too if the motion comes from poses, and landmarks.toml if the set is not
+    basin. folders: by contrast (dB); they must be empty or new. step: called after each frame.
+    Raises SonarrecError if a folder is in use or cannot be written.
     """
-    import tomli_w  # only writers of TOML need it
-
     check_free([*folders.values()])
     with writing(", ".join(map(str, folders.values()))):
-        truth: list[list[Any]] = []
         for folder in folders.values():
             folder.mkdir(parents=True, exist_ok=True)
-        tables = {
-            db: (folder / "gt.csv").open("w", newline="", encoding="utf-8")
-            for db, folder in folders.items()
-        }
-        try:
-            writers = [csv.writer(file, lineterminator="\n") for file in tables.values()]
-            for writer in writers:
-                writer.writerow(["frame", *(f.name for f in fields(LandmarkTruth))])
-            for one in compose(background, layout, landmarks, [*folders], plate_db, beam_width_deg):
-                for db, folder in folders.items():
-                    write_image(folder / f"{one.index:06d}.png", one.images[db])
-                truth = [[one.index, *asdict(row).values()] for row in one.truth]
-                for writer in writers:
-                    writer.writerows(truth)
-                if step:
-                    step()
-        finally:
-            for file in tables.values():
-                file.close()
+        frames = compose(background, layout, landmarks, [*folders], plate_db, beam_width_deg)
+        _write_frames(frames, folders, step)
         for db, folder in folders.items():
-            if background.has_poses:
-                _write_poses(folder / "poses.csv", background)
-            if landmarks != load_landmarks("basin"):
-                text = tomli_w.dumps(landmarks.as_table())
-                (folder / "landmarks.toml").write_text(text, encoding="utf-8", newline="")
-            document = _told(background, layout, landmarks, db, plate_db, beam_width_deg)
-            (folder / "background.toml").write_text(
-                tomli_w.dumps(document), encoding="utf-8", newline=""
+            document = _background_table(
+                background, layout, landmarks, db, plate_db, beam_width_deg
             )
-            # Last: a folder without geometry is not taken for a whole recording.
-            sonar = {"sonar": _sonar(background).as_table()}
-            (folder / "sonar.toml").write_text(tomli_w.dumps(sonar), encoding="utf-8", newline="")
+            _write_companions(folder, background, landmarks, document)
 
 
-def _doubts(where: str, stated: float | None, unknown: int, frames: int) -> list[str]:
-    """What is assumed of a recording. stated: its dynamic range, dB. unknown: see Background."""
+def _write_frames(
+    frames: Iterable[ComposedFrame], folders: Mapping[float, Path], step: Callable[[], None] | None
+) -> None:
+    """Write the images and gt.csv of every contrast, frame by frame. Raises OSError."""
+    with ExitStack() as stack:
+        tables = []
+        for folder in folders.values():
+            file = (folder / "gt.csv").open("w", newline="", encoding="utf-8")
+            tables.append(csv.writer(stack.enter_context(file), lineterminator="\n"))
+        for table in tables:
+            table.writerow(["frame", *(f.name for f in fields(LandmarkTruth))])
+        for frame in frames:
+            for db, folder in folders.items():
+                write_image(folder / f"{frame.index:06d}.png", frame.images[db])
+            for table in tables:
+                table.writerows([frame.index, *asdict(row).values()] for row in frame.truth)
+            if step:
+                step()
+
+
+def _write_companions(
+    folder: Path, background: Background, landmarks: LandmarkSet, document: Mapping[str, Any]
+) -> None:
+    """Write what lies beside the images. document: background.toml. Raises OSError."""
+    import tomli_w  # only writers of TOML need it
+
+    documents = {"background": document, "sonar": {"sonar": _sonar(background).as_table()}}
+    if landmarks != load_landmarks("basin"):
+        documents = {"landmarks": landmarks.as_table(), **documents}
+    if background.has_poses:
+        _write_poses(folder / "poses.csv", background)
+    # sonar.toml comes last: a folder without geometry is not taken for a whole recording.
+    for name, table in documents.items():
+        text = tomli_w.dumps(table)
+        (folder / f"{name}.toml").write_text(text, encoding="utf-8", newline="")
+
+
+def _doubts(where: str, stated_db: float | None, unknown: int, frames: int) -> list[str]:
+    """Notes on what is assumed about a recording.
+
+    stated_db: its dynamic range, None if it states none. unknown: see Background. frames: in all.
+    """
     doubts = []
-    if stated is None:
+    if stated_db is None:
         doubts.append(
             f"{where}: grey is taken as {DYNAMIC_RANGE_DB:g} dB from black to white; state "
             "dynamic_range_db where the sonar's is another, for contrasts go by it"
@@ -318,7 +364,10 @@ def _doubts(where: str, stated: float | None, unknown: int, frames: int) -> list
 
 
 def _moved(before: Pose | None, motion: Motion | None, height_m: float) -> Pose:
-    """The pose after a motion as the recogniser has it: carried first, then turned."""
+    """The pose after a motion. The motion first carries the sonar, then turns it.
+
+    before: None at the first frame, which is the origin.
+    """
     if before is None:
         return Pose(0.0, height_m, 0.0, 0.0)
     if motion is None:
@@ -334,7 +383,7 @@ def _moved(before: Pose | None, motion: Motion | None, height_m: float) -> Pose:
 
 
 def _truth(disc: LaidDisc, pose: Pose, fan: Fan, landmarks: LandmarkSet) -> LandmarkTruth | None:
-    """The row of gt.csv, None of a fake and where nothing shows."""
+    """The row of gt.csv; None for a fake and for a landmark that is out of view."""
     if disc.kind != "landmark":
         return None
     share = round(visible_share(fan, pose, disc.x_m, disc.y_m, landmarks.radius_m), 4)
@@ -347,7 +396,7 @@ def _truth(disc: LaidDisc, pose: Pose, fan: Fan, landmarks: LandmarkSet) -> Land
 
 
 def _sonar(background: Background) -> Sonar:
-    """The geometry of what is written: fan images whose grey is settled."""
+    """The geometry of the images written: fans, with the reader's grey levels."""
     fan = background.fan
     low, high = fan.bearing_min_deg, fan.bearing_max_deg
     even = math.isclose(-low, high, abs_tol=1e-9)
@@ -377,7 +426,7 @@ def _write_poses(path: Path, background: Background) -> None:
     write_csv(path, ["timestamp_ns", "yaw", "x", "y"], rows)
 
 
-def _told(
+def _background_table(
     background: Background,
     layout: Layout,
     landmarks: LandmarkSet,
@@ -385,7 +434,7 @@ def _told(
     plate_db: float,
     beam_width_deg: float,
 ) -> dict[str, Any]:
-    """background.toml: how the recording was made, and where every disc lies."""
+    """The tables of background.toml: how the recording was made, and where every disc lies."""
     first, end = background.span
     return {
         "background": {
