@@ -145,12 +145,12 @@ def evaluate(
     with ExitStack() as held:  # outputs are uploaded as it closes, so leave() comes after it
         remote = RemoteFiles(held, cache.cache)
         truth = remote.file(ground_truth) if pairs is None else read_pairs(pairs)
-        shown = _PrintOptions(details, as_json, quiet)
+        printing = _PrintOptions(details, as_json, quiet)
         if compare is not None:
-            code = _compare(compare, truth, out, band, unit, jobs, shown, scoring, remote)
+            code = _compare(compare, truth, out, band, unit, jobs, printing, scoring, remote)
         else:
             results = results or Path("sonarrec_out")
-            code = _score(results, truth, pairs, out, unit, jobs, det, shown, scoring, remote)
+            code = _score(results, truth, pairs, out, unit, jobs, det, printing, scoring, remote)
     if code:
         leave(code)
 
@@ -176,7 +176,7 @@ def _score(
     unit: Any,
     jobs: int | None,
     det: bool,
-    shown: _PrintOptions,
+    printing: _PrintOptions,
     scoring: ScoringOptions,
     remote: RemoteFiles,
 ) -> int:
@@ -200,12 +200,12 @@ def _score(
     summary = summarise(found, unit)
     written = write.write_evaluation(folder, found, summary, det)
     unused, notes = [*remote.unused, *found.unused], [*found.notes, *summary.notes]
-    tell(unused, shown.on_stderr(notes))
-    if shown.as_json:
+    tell(unused, printing.on_stderr(notes))
+    if printing.as_json:
         click.echo(write.json_text(write.as_json(found, summary)), nl=False)
-    elif not shown.quiet:
+    elif not printing.quiet:
         click.echo(tabulate.screen(found))
-        click.echo(tabulate.summary_screen(found, summary, shown.details))
+        click.echo(tabulate.summary_screen(found, summary, printing.details))
         for note in notes:
             say(f"note: {note}")
         say(f"{remote.with_server_names(str(folder))}: {', '.join(written)}")
@@ -219,7 +219,7 @@ def _compare(
     band: float | None,
     unit: Any,
     jobs: int | None,
-    shown: _PrintOptions,
+    printing: _PrintOptions,
     scoring: ScoringOptions,
     remote: RemoteFiles,
 ) -> int:
@@ -232,11 +232,11 @@ def _compare(
     folder = remote.output(out or inside(sides[1], "evaluation"))
     written = write_comparison(folder, found)
     unused = [*remote.unused, *found.unused]
-    tell(unused, shown.on_stderr(found.notes))
-    if shown.as_json:
+    tell(unused, printing.on_stderr(found.notes))
+    if printing.as_json:
         for piece in comparison_json(found):
             click.echo(piece, nl=False)
-    elif not shown.quiet:
+    elif not printing.quiet:
         click.echo(screen(found))
         for note in found.notes:
             say(f"note: {note}")

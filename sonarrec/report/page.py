@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass, field
 from heapq import nlargest
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 from sonarrec import __version__
 from sonarrec.drawing.pen import landmark_colours
@@ -20,6 +21,7 @@ from sonarrec.evaluation.counting.reliability import FEW
 from sonarrec.evaluation.evaluate import Evaluation
 from sonarrec.evaluation.plots import COLOURS
 from sonarrec.evaluation.summary import over_units, summarise, units_text
+from sonarrec.landmarks import LandmarkSet
 from sonarrec.records import number_of
 from sonarrec.report import charts
 from sonarrec.report.frames import ShownLog
@@ -166,11 +168,9 @@ def render(
     ground truth. wrong: the mistakes of each method. unused: one line for each part of the input
     that could not be used.
     """
-    script = (files("sonarrec.report") / "report.js").read_text(encoding="utf-8")
     landmarks = logs[0].results.landmarks
     most_tracks = MOST_TRACKS if len(logs) == 1 else max(1, 2 * MOST_TRACKS // len(logs))
     methods = pooled.methods if pooled else logs[0].results.methods
-    colours = list(landmark_colours(landmarks.ids).values())
     scores = None
     if evaluation is not None and pooled is not None:
         scores = _scores(logs[0].tracker, evaluation, pooled, wrong)
@@ -190,32 +190,53 @@ def render(
         ),
         few=FEW,
         pass_gap=PASS_GAP,
-        light_colours=[darkened(colour) for colour in colours],
-        dark_colours=["#{:02x}{:02x}{:02x}".format(*colour) for colour in colours],
-        method_colours=[COLOURS[n % len(COLOURS)] for n in range(len(methods))],
         landmarks=landmarks,
-        glyphs=[glyph(landmarks, k) for k in range(len(landmarks.ids))],
         methods=methods,
-        line_styles=STYLES,
+        **_styles(landmarks, methods),
         logs=[_log_view(log, most_tracks) for log in logs],
         tracker=logs[0].tracker,
         truth=None if truth is None else truth.name,
         evaluation=evaluation,
         scores=scores,
-        surest=[p for p in drawn.pictures if p.request.group == "surest"],
-        rarest=[p for p in drawn.pictures if p.request.group == "rarest"],
-        mistake_pictures=[p for p in drawn.pictures if p.request.group == "mistake"],
         unused=_first(unused),
         overview=overview,
         most_outliers=MOST_RATES,
         pooled=pooled,
-        held={shown.name: n for n, shown in enumerate(drawn.shown)},
-        shown=drawn.shown,
-        shown_json=_json(drawn.shown),
-        script=script,
-        script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
+        **_images(drawn),
+        **_script(),
         map_picture=map_picture,
     )
+
+
+def _styles(landmarks: LandmarkSet, methods: Sequence[str]) -> dict[str, Any]:
+    """Variables of the template: how landmarks and methods are drawn."""
+    colours = list(landmark_colours(landmarks.ids).values())
+    return {
+        "light_colours": [darkened(colour) for colour in colours],
+        "dark_colours": ["#{:02x}{:02x}{:02x}".format(*colour) for colour in colours],
+        "glyphs": [glyph(landmarks, k) for k in range(len(landmarks.ids))],
+        "method_colours": [COLOURS[n % len(COLOURS)] for n in range(len(methods))],
+        "line_styles": STYLES,
+    }
+
+
+def _images(drawn: RecordingImages) -> dict[str, Any]:
+    """Variables of the template: pictures of the recordings, and their frames in the player."""
+    return {
+        "surest": [p for p in drawn.pictures if p.request.group == "surest"],
+        "rarest": [p for p in drawn.pictures if p.request.group == "rarest"],
+        "mistake_pictures": [p for p in drawn.pictures if p.request.group == "mistake"],
+        "held": {shown.name: n for n, shown in enumerate(drawn.shown)},
+        "shown": drawn.shown,
+        "shown_json": _json(drawn.shown),
+    }
+
+
+def _script() -> dict[str, str]:
+    """Variables of the template: the page's script, and the hash by which the page allows it."""
+    script = (files("sonarrec.report") / "report.js").read_text(encoding="utf-8")
+    digest = hashlib.sha256(script.encode()).digest()
+    return {"script": script, "script_hash": base64.b64encode(digest).decode()}
 
 
 def _title(logs: Sequence[ReportedLog], overview: LogsOverview) -> str:

@@ -35,9 +35,9 @@ from sonarrec.simulation.background import (
     write_backgrounds,
 )
 
-RANGE_STEPS = 5
-MIN_VISIBLE = 0.9
-LOOKED_AT = 100  # frames; one of them is shown
+RANGE_STEPS = 5  # into which the range window is divided
+MIN_VISIBLE = 0.9  # share of a disc that must be in view for a landmark to count
+FRAMES_TRIED = 100  # for the example that is drawn
 Step = Callable[[str], None]
 """Called after each frame with what is being done."""
 
@@ -79,24 +79,16 @@ def assess(
     """
     background, landmarks, run_options = setup.background, setup.landmarks, setup.run_options
     drawn = [draw_layout(background, landmarks, seed + n, count) for n in range(layouts)]
-    claims = 0
-
-    def claimed(result: FrameResult, _: int | None) -> None:
-        nonlocal claims
-        claims += len(_declared(result))
-        step("recording as it is")
-
-    results = out / "results"
-    process(log, results, log_options, run_options, claimed, name="as_it_is", overwrite=True)
+    claims = _claims_as_it_is(log, log_options, out / "results", run_options, step)
     pairs: dict[float, list[Pair]] = {db: [] for db in contrasts}
-    shown: list[ExampleFrame] = []
+    examples: list[ExampleFrame] = []
     for number, layout in enumerate(drawn, 1):
         doing = f"layout {number} of {layouts}"
-        for db, pair, picture in _run_layout(setup, layout, contrasts, out, number, doing, step):
+        for db, pair, example in _run_layout(setup, layout, contrasts, out, number, doing, step):
             pairs[db].append(pair)
             if number == 1:
-                shown.append(picture)
-    found = _scored(background, pairs)
+                examples.append(example)
+    results = _scored(background, pairs)
     return Site(
         log=background.where,
         frames=len(background.path),
@@ -108,12 +100,27 @@ def assess(
         preset=run_options.configs[0].preset,
         seed=seed,
         layouts=tuple(drawn),
-        contrasts=tuple(found),
+        contrasts=tuple(results),
         empty=100 * claims / len(background.path),
-        sentences=tuple(sentences(found, claims, len(background.path))),
-        shown=tuple(shown),
+        sentences=tuple(sentences(results, claims, len(background.path))),
+        shown=tuple(examples),
         notes=(*background.problems, *background.notes),
     )
+
+
+def _claims_as_it_is(
+    log: Path, log_options: LogOptions, results: Path, run_options: RunOptions, step: Step
+) -> int:
+    """Run the recording unchanged, and count the IDs that are declared though there are none."""
+    claims = 0
+
+    def observe(result: FrameResult, _: int | None) -> None:
+        nonlocal claims
+        claims += len(_declared(result))
+        step("recording as it is")
+
+    process(log, results, log_options, run_options, observe, name="as_it_is", overwrite=True)
+    return claims
 
 
 def _run_layout(
@@ -125,7 +132,10 @@ def _run_layout(
     doing: str,
     step: Step,
 ) -> Iterator[tuple[float, Pair, ExampleFrame]]:
-    """Lay one layout at every contrast and run each: (contrast, results with truth, picture)."""
+    """Lay one layout into the recording at every contrast, and run each.
+
+    Yields (contrast in dB, results with truth, example).
+    """
     background, landmarks = setup.background, setup.landmarks
     under = out / "recordings" / f"layout_{number}"
     folders = {db: under / f"contrast_{db:g}" for db in contrasts}
@@ -146,23 +156,23 @@ def _run_layout(
     run_options = replace(setup.run_options, configs=configs)
     shown_frame = _most_landmarks(background, layout, landmarks)
     for db, folder in folders.items():
-        seen: list[Estimate] = []
+        declared: list[Estimate] = []
 
         def observe(
-            result: FrameResult, _: int | None, db: float = db, seen: list[Estimate] = seen
+            result: FrameResult, _: int | None, db: float = db, declared: list[Estimate] = declared
         ) -> None:
             if result.index == shown_frame:
-                seen.extend(_declared(result))
+                declared.extend(_declared(result))
             step(f"{doing}, {db:g} dB")
 
         name = f"layout_{number}_contrast_{db:g}"
         own = LogOptions(sonar_file=folder / "sonar.toml")  # not the geometry of an earlier run
         process(folder, out / "results", own, run_options, observe, name=name, overwrite=True)
-        picture = _picture(background, layout, landmarks, folder, shown_frame, db, seen)
+        example = _example(background, layout, landmarks, folder, shown_frame, db, declared)
         if not setup.keep:
             for image in folder.glob("*.png"):
                 image.unlink()
-        yield db, Pair(out / "results" / name, folder / "gt.csv"), picture
+        yield db, Pair(out / "results" / name, folder / "gt.csv"), example
 
 
 def _declared(result: FrameResult) -> list[Estimate]:
@@ -170,27 +180,30 @@ def _declared(result: FrameResult) -> list[Estimate]:
 
 
 def _scored(background: Background, pairs: dict[float, list[Pair]]) -> list[ContrastResults]:
+    """Score the runs at each contrast (dB), over RANGE_STEPS equal parts of the floor in view."""
     fan = background.fan
     nearest = max(fan.range_min_m, STEEPEST * floor_depth(fan))
     edges = np.linspace(nearest, fan.range_max_m, RANGE_STEPS + 1).tolist()
-    found = []
-    for db, rows in pairs.items():
-        scored = evaluate_whole(rows, options=ScoringOptions(min_visible=MIN_VISIBLE))
-        one = recognition_rates(scored, FRAMEWORK, edges)
+    results = []
+    for db, runs in pairs.items():
+        scored = evaluate_whole(runs, options=ScoringOptions(min_visible=MIN_VISIBLE))
+        rates = recognition_rates(scored, FRAMEWORK, edges)
         near = far = math.nan
-        for each in (r for r in one.by_range if r.tpr.cases):
-            if each.tpr.value < ENOUGH:
+        for step in (r for r in rates.by_range if r.tpr.cases):
+            if step.tpr.value < ENOUGH:
                 break
-            near, far = (each.near_m if math.isnan(near) else near), each.far_m
-        found.append(ContrastResults(db, one, near, far))
-    return found
+            near, far = (step.near_m if math.isnan(near) else near), step.far_m
+        results.append(ContrastResults(db, rates, near, far))
+    return results
 
 
 def _most_landmarks(background: Background, layout: Layout, landmarks: LandmarkSet) -> int:
-    """The frame, of LOOKED_AT, that shows the most whole landmarks; of several the last."""
+    """The frame, of FRAMES_TRIED, that shows the most whole landmarks; of several the last."""
     frames = len(background.path)
     # Late in the recording: the recogniser needs some frames first.
-    tried = np.unique(np.linspace(min(10, frames - 1), frames - 1, LOOKED_AT).astype(int)).tolist()
+    tried = np.unique(
+        np.linspace(min(10, frames - 1), frames - 1, FRAMES_TRIED).astype(int)
+    ).tolist()
 
     def whole(frame: int) -> int:
         rows = truth_of(background, layout, landmarks, frame)
@@ -199,7 +212,7 @@ def _most_landmarks(background: Background, layout: Layout, landmarks: LandmarkS
     return int(max(tried, key=lambda frame: (whole(frame), frame)))
 
 
-def _picture(
+def _example(
     background: Background,
     layout: Layout,
     landmarks: LandmarkSet,

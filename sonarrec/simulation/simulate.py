@@ -1,9 +1,9 @@
 """The acoustic simulator: recordings with known truth.
 
-The world is sampled on a grid of scatterers fixed to the floor: a polar one, or squares where the
-sonar is on a vehicle. A beam is the sum over scatterers of reflectivity times beam pattern,
-coherent, so speckle and its behaviour under motion follow from the geometry. One matrix holds main
-lobes, side lobes and leaks between beams.
+The floor is a grid of scatterers: a polar grid, or squares if the sonar is on a vehicle. The echo
+of a beam is the coherent sum over all scatterers of reflectivity times beam pattern. So speckle,
+and how it behaves when the sonar moves, follow from the geometry. One matrix holds the main lobes,
+the side lobes and the leaks between beams.
 """
 
 from __future__ import annotations
@@ -46,14 +46,17 @@ from sonarrec.simulation.things import object_radius
 from sonarrec.simulation.world import View, World
 from sonarrec.sonar import Geometry, Sonar
 
+COMPANIONS = ("gt.csv", "scene.toml", "sonar.toml", "landmarks.toml")
+"""Files written beside the frames."""
+
 
 @dataclass(frozen=True, slots=True)
 class LandmarkTruth:
-    """One landmark of which something shows in a frame: a row of gt.csv.
+    """A landmark that is at least partly in view of a frame: a row of gt.csv.
 
     x_px, y_px: centre in fan pixels. range_m: slant range. bearing_deg: positive to the right.
-    visible: share of the floor disc's area in the fan image, 0 to 1. orientation_deg: where the
-    first sector begins, counter-clockwise from the image's right, seen from above.
+    visible: share of the disc's area that is inside the fan image, 0 to 1. orientation_deg: where
+    the first sector begins, counter-clockwise from the image's right, seen from above.
     """
 
     landmark: int
@@ -67,7 +70,7 @@ class LandmarkTruth:
 
 @dataclass(frozen=True, slots=True)
 class DistractorTruth:
-    """Any other object of which something shows, or would without occlusion; as LandmarkTruth."""
+    """Any other object in view, even if something hides it. The fields are as in LandmarkTruth."""
 
     kind: str
     x_px: float
@@ -80,10 +83,11 @@ class DistractorTruth:
 
 @dataclass(frozen=True, slots=True)
 class SimulatedFrame:
-    """One simulated ping. image: uint8, (fan.rows, fan.columns), or (range bins, beams) if polar.
+    """One simulated ping.
 
-    truth, distractors: in the scene's order. fan: the geometry as sonar.toml states it.
-    pan_deg: the true pan, yaw jitter included.
+    image: uint8, (fan.rows, fan.columns), or (range bins, beams) if polar. fan: the geometry as
+    sonar.toml states it. pan_deg: the true pan, yaw jitter included. truth, distractors: what is in
+    view, in the scene's order.
     """
 
     index: int
@@ -96,7 +100,7 @@ class SimulatedFrame:
 
 
 def _signal_gain_db(scene: Scene, rng: np.random.Generator) -> FloatArray:
-    """(frames,) gain of the echoes: frames that fade alone, and bursts of them."""
+    """(frames,) gain of the echoes, dB: single frames fade, and bursts of frames."""
     fading, frames = scene.fading, scene.frames
     depths, singles, starts, bursts = rng.spawn(4)
     depth = fading.depth_db * depths.gamma(4.0, 0.25, frames)
@@ -119,9 +123,10 @@ def visible_share(
     plane: Plane = FLAT,
     lean: tuple[float, float] = (0.0, 0.0),
 ) -> float:
-    """Share of a floor disc's area in the fan image.
+    """Share of a disc's area that is inside the fan image, 0 to 1.
 
-    lean: how far it leans and towards which azimuth, deg; its lower edge touches the floor.
+    x_m, y_m: its centre on the floor. lean: by how much the disc leans and the azimuth towards
+    which it does, deg; its lower edge touches the floor.
     """
     if _aside(fan, pose, x_m, y_m, 2 * radius_m, plane):
         return 0.0
@@ -131,8 +136,10 @@ def visible_share(
 
 
 def _aside(fan: Fan, pose: Pose, x_m: float, y_m: float, reach_m: float, plane: Plane) -> bool:
-    """Whether all within reach_m of a place of the floor is surely out of view; told of a level
-    sonar over level floor only."""
+    """Whether everything within reach_m of a place on the floor is certainly out of view.
+
+    Always False if the sonar rolls or the floor slopes.
+    """
     if pose.roll_deg or plane.slope_deg:
         return False
     dx, dy = x_m - pose.x_m, y_m - pose.y_m
@@ -149,7 +156,10 @@ def _aside(fan: Fan, pose: Pose, x_m: float, y_m: float, reach_m: float, plane: 
 def _disc(
     radius_m: float, lean: tuple[float, float]
 ) -> tuple[FloatArray, FloatArray, FloatArray | float]:
-    """Points of a disc, right and ahead of its middle and up, m. lean: as of `visible_share`."""
+    """Points of a disc: to the right of its centre, ahead of it, and up, m.
+
+    lean: as in `visible_share`.
+    """
     dx, dy = points_on_disc(radius_m, 2000)
     up: FloatArray | float = 0.0
     if lean[0]:
@@ -164,7 +174,7 @@ def _disc(
 def _truth(
     scene: Scene, fan: Fan, pose: Pose, fishes: Fishes | None
 ) -> tuple[tuple[LandmarkTruth, ...], tuple[DistractorTruth, ...]]:
-    """What shows in a frame, to the digits that gt.csv carries."""
+    """Landmarks and distractors in view of a frame, rounded to the digits of gt.csv."""
     radius = scene.landmark_set.radius_m
     plane = Plane.of(scene)
     things: list[tuple[PlacedLandmark | PlacedObject, float]]
@@ -196,7 +206,11 @@ def _truth(
 def truth_row(
     fan: Fan, seen: tuple[FloatArray | float, FloatArray | float], share: float, turn_deg: float
 ) -> tuple[float, float, float, float, float, float]:
-    """What a row of truth says of a thing after its name. seen: slant range and bearing."""
+    """The fields of a row of truth after the thing's name, rounded.
+
+    seen: (slant range in m, bearing in deg). share: the part of it in view, 0 to 1. turn_deg: its
+    orientation.
+    """
     slant, bearing = (float(value) for value in seen)
     column, row = pixel_from_polar(fan, slant, bearing)
     return (
@@ -211,10 +225,10 @@ def truth_row(
 
 @dataclass(frozen=True, slots=True)
 class _Fading:
-    """How the echoes come and go from frame to frame.
+    """How the echoes fade from frame to frame.
 
-    time_s, signal_db, drift_db: (frames,) the frames' times, gain of the echoes, and of all that is
-    received. object_db, afterglow_db: (frames, things), landmarks first. patches: (frames,
+    time_s: (frames,). signal_db: (frames,) gain of the echoes. drift_db: (frames,) gain of echoes
+    and noise. object_db, afterglow_db: (frames, things), landmarks first. patches: (frames,
     World.PATCHES), standard normal.
     """
 
@@ -227,8 +241,8 @@ class _Fading:
 
     @classmethod
     def of(cls, scene: Scene) -> _Fading:
-        """The fading of a scene; that of fewer frames is the beginning of that of more."""
-        # So each process has a generator of its own.
+        """Draw the fading of a scene. With fewer frames it is the beginning of the same fading."""
+        # That is why each process has a generator of its own.
         signal, objects, patches, glow, glow_changes, drift = np.random.default_rng(
             [scene.seed, 5]
         ).spawn(6)
@@ -251,10 +265,10 @@ class _Fading:
 
 
 class _Reception:
-    """From the scatterers in view to the power that the sonar receives."""
+    """Turns the scatterers in view into the power that the sonar receives."""
 
     def __init__(self, scene: Scene, receiver: Receiver, range_m: FloatArray) -> None:
-        """range_m: (bins,) slant ranges of the middles of the range bins."""
+        """range_m: (bins,) slant ranges of the centres of the range bins."""
         self._scene, self._receiver = scene, receiver
         self._rng = np.random.default_rng([scene.seed, 4])
         self._noise = np.float32(10 ** (-scene.noise.snr_db / 20) / math.sqrt(2))
@@ -264,7 +278,7 @@ class _Reception:
         self._late = Multipath(scene, range_m)
 
     def power(self, view: View, pose: Pose, time_s: float, signal_db: float) -> np.ndarray:
-        """(bins, beams) float32 power of the next frame. signal_db: gain of its echoes."""
+        """(bins, beams) float32 power of the next frame. signal_db: gain of its echoes, dB."""
         scene, receiver = self._scene, self._receiver
         patterns = receiver.patterns(view.azimuth_deg, pose.pan_deg)
         strength = vertical_pattern(scene, view.depression_deg, view.sine, pose.pitch_deg)
@@ -304,17 +318,18 @@ def render(
 ) -> Iterator[SimulatedFrame]:
     """Render the scene's frames in order. The same scene gives the same bytes.
 
-    path: the sonar's pose in every frame, in place of the scene's motion: a vehicle's. ground: the
-    scene whose window and sweep, seen from the floor's origin, hold all the floor that the path
-    shows; default, the scene itself. Raises SonarrecError where the scene contradicts itself.
+    path: the sonar's pose in every frame, such as a vehicle's; replaces the scene's motion.
+    ground: a scene whose range window and sweep, seen from the floor's origin, cover all the floor
+    that the path shows; default: the scene itself. Raises SonarrecError if the scene contradicts
+    itself.
     """
     check_scene(scene, scene.name)
     fan, sonar = scene_fan(scene), scene.sonar
     path = poses(scene) if path is None else path
-    seen = ground or scene
+    floor_scene = ground or scene
     roams = ground is None and travels(scene.motion)
-    grid = SquareGrid(scene, path) if roams else PolarGrid(seen)
-    world = World(seen, np.random.default_rng([scene.seed, 1]), grid)
+    grid = SquareGrid(scene, path) if roams else PolarGrid(floor_scene)
+    world = World(floor_scene, np.random.default_rng([scene.seed, 1]), grid)
     receiver = Receiver(scene, np.random.default_rng([scene.seed, 3]))
     bin_m = fan.window_m / sonar.range_bins
     range_m = sonar.range_min_m + (np.arange(sonar.range_bins) + 0.5) * bin_m
@@ -357,8 +372,8 @@ def simulate(
     """Render a recording with known truth into `out`, and return it.
 
     scene: the name of a built-in one, a TOML file or a Scene. out: a new folder, or NAME.mcap.
-    seed, frames: in place of the scene's own. image_format: "png" or "mcap". Raises SonarrecError
-    where the scene cannot be used or `out` cannot be written or is in use.
+    seed, frames: replace those of the scene. image_format: "png" or "mcap". Raises SonarrecError
+    if the scene cannot be used, or if `out` cannot be written or is in use.
     """
     chosen = scene if isinstance(scene, Scene) else load_scene(str(scene))
     chosen = replace(
@@ -381,62 +396,77 @@ def write_recording(
 ) -> None:
     """Write frames, sonar.toml, gt.csv and scene.toml.
 
-    out: a folder, which must not hold a recording yet; PNG frames are NNNNNN.png in it, an MCAP
-    is frames.mcap. Where `out` itself ends in .mcap it is the file, and its companions are
-    NAME.sonar.toml, NAME.gt.csv and NAME.scene.toml beside it. progress: called with the number
-    of frames done. schema, compression: of an MCAP, see McapImageWriter; where the schema holds
-    polar pings, sonar.toml says only what they do not tell. Raises SonarrecError where `out`
-    cannot be written or is in use.
+    out: an empty or new folder for NNNNNN.png or frames.mcap; or a file NAME.mcap, beside which
+    NAME.sonar.toml, NAME.gt.csv and NAME.scene.toml are written. progress: called after each frame
+    with the number of frames done. schema, compression: of an MCAP, see McapImageWriter. If
+    messages of the schema state the sonar's geometry, sonar.toml states only the rest. Raises
+    SonarrecError if `out` cannot be written or is in use.
     """
-    from sonarrec.simulation.mcap_writer import check_schema, is_polar
+    from sonarrec.simulation.mcap_writer import check_schema
 
     if image_format not in ("png", "mcap"):
         raise SonarrecError(f'image format must be "png" or "mcap", not {image_format!r}')
-    single = out.suffix == ".mcap"
-    if single and image_format != "mcap":
+    single_file = out.suffix == ".mcap"
+    if single_file and image_format != "mcap":
         raise UsageError(f"{out}: a name ending in .mcap needs --format mcap")
     sonar = scene_sonar(scene)
-    stated, polar = sonar, sonar.layout == "polar"
+    polar = sonar.layout == "polar"
     if image_format == "mcap":
         check_schema(schema, compression, polar)
-        if is_polar(schema):
-            stated = Sonar(
-                tilt_deg=sonar.tilt_deg, height_m=sonar.height_m, frame_rate_hz=sonar.frame_rate_hz
-            )
-    folder, prefix = (out.parent, f"{out.stem}.") if single else (out, "")
-    companions = ("gt.csv", "scene.toml", "sonar.toml", "landmarks.toml")
-    for path in (out, *(folder / f"{prefix}{name}" for name in companions)):
-        if path.is_file() or (path.is_dir() and (single or any(path.iterdir()))):
-            raise SonarrecError(f"{path}: already exists and is not empty; choose another --out")
+    folder, prefix = (out.parent, f"{out.stem}.") if single_file else (out, "")
+    _check_free(out, [folder / f"{prefix}{name}" for name in COMPANIONS])
     frames = render(scene)
     # A scene that cannot be rendered leaves no folder behind.
     frames = chain([next(frames)], frames)
     if image_format == "mcap":
-        complete = sonar.complete(scene.name) if polar else None
-        file_name = out if single else out / "frames.mcap"
-        written = _to_mcap(frames, file_name, schema, compression, complete)
+        geometry = sonar.complete(scene.name) if polar else None
+        file_name = out if single_file else out / "frames.mcap"
+        frames = _to_mcap(frames, file_name, schema, compression, geometry)
+        sonar = _stated_beside(sonar, schema)
     else:
-        written = _to_png(frames, out)
+        frames = _to_png(frames, out)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with (folder / f"{prefix}gt.csv").open("w", newline="", encoding="utf-8") as file:
             table = csv.writer(file, lineterminator="\n")
             table.writerow(["frame", *(f.name for f in fields(LandmarkTruth))])
-            for frame in written:
+            for frame in frames:
                 table.writerows([frame.index, *asdict(row).values()] for row in frame.truth)
                 if progress:
                     progress(frame.index + 1)
         # Last: a folder without geometry is not taken for a whole recording.
-        _describe(scene, stated, folder, prefix)
+        _describe(scene, sonar, folder, prefix)
     except OSError as error:
         raise SonarrecError(f"{out}: cannot be written ({error.strerror})") from None
 
 
-def _describe(scene: Scene, stated: Sonar, folder: Path, prefix: str) -> None:
-    """Write scene.toml, sonar.toml and, of another set than the built-in, landmarks.toml."""
+def _check_free(out: Path, companions: Sequence[Path]) -> None:
+    """Raise SonarrecError if `out` or a file beside it exists.
+
+    Empty folders may exist, unless `out` is a single file.
+    """
+    single_file = out.suffix == ".mcap"
+    for path in (out, *companions):
+        if path.is_file() or (path.is_dir() and (single_file or any(path.iterdir()))):
+            raise SonarrecError(f"{path}: already exists and is not empty; choose another --out")
+
+
+def _stated_beside(sonar: Sonar, schema: str) -> Sonar:
+    """What sonar.toml beside an MCAP states: only what messages of this schema do not."""
+    from sonarrec.simulation.mcap_writer import is_polar
+
+    if not is_polar(schema):
+        return sonar
+    return Sonar(
+        tilt_deg=sonar.tilt_deg, height_m=sonar.height_m, frame_rate_hz=sonar.frame_rate_hz
+    )
+
+
+def _describe(scene: Scene, sonar: Sonar, folder: Path, prefix: str) -> None:
+    """Write scene.toml, sonar.toml and, if the landmark set is not basin, landmarks.toml."""
     import tomli_w  # only writers of TOML need it
 
-    documents = {"scene": scene_table(scene), "sonar": {"sonar": stated.as_table()}}
+    documents = {"scene": scene_table(scene), "sonar": {"sonar": sonar.as_table()}}
     if scene.landmark_set != load_landmarks("basin"):
         documents["landmarks"] = scene.landmark_set.as_table()
     for name, document in documents.items():
@@ -445,14 +475,14 @@ def _describe(scene: Scene, stated: Sonar, folder: Path, prefix: str) -> None:
 
 
 def _to_png(frames: Iterator[SimulatedFrame], folder: Path) -> Iterator[SimulatedFrame]:
-    """The frames, each once it is NNNNNN.png in the folder."""
+    """Write each frame as NNNNNN.png into the folder, and yield it."""
     for frame in frames:
         write_image(folder / f"{frame.index:06d}.png", frame.image)
         yield frame
 
 
 def write_image(path: Path, image: ByteImage) -> None:
-    """An image as a PNG. Raises OSError."""
+    """Write an image as a PNG. Raises OSError."""
     # Not by imwrite, which dies of names that are not UTF-8.
     path.write_bytes(cv2.imencode(".png", image)[1].tobytes())
 
@@ -464,7 +494,10 @@ def _to_mcap(
     compression: str,
     sonar: Geometry | None,
 ) -> Iterator[SimulatedFrame]:
-    """The frames, each once it is a message of the file. sonar: of polar pings."""
+    """Write each frame as a message of an MCAP, and yield it.
+
+    sonar: the geometry for polar pings; None for fan images.
+    """
     from sonarrec.simulation.mcap_writer import McapImageWriter
 
     with McapImageWriter(path, schema=schema, compression=compression, sonar=sonar) as writer:
