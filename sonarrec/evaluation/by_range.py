@@ -73,10 +73,12 @@ def recognition_rates(
     for near, far in pairwise(edges_m):
         here = (range_m >= near) & ((range_m < far) | (far == edges_m[-1]))
         steps.append(RangeRate(near, far, _rate(right[here], unit[here], count)))
-    return RecognitionRates(_rate(right, unit, count), tuple(steps), _false(evaluation, scored))
+    return RecognitionRates(
+        _rate(right, unit, count), tuple(steps), _false_claims(evaluation, scored)
+    )
 
 
-def _false(evaluation: Evaluation, scored: Scored) -> Rate:
+def _false_claims(evaluation: Evaluation, scored: Scored) -> Rate:
     joined = evaluation.joined
     units = find_units(joined, find_passes(joined), "pass")
     wrong = scored.frame_index[scored.declared_claim[scored.declared_effect[:, 2] > 0]]

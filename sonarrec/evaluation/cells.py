@@ -131,9 +131,9 @@ def figures(
     """
     rows = []
     for metric in METRICS:
-        found = [summary.figure(protocol, m, metric.name) for m in methods]
-        if metric.name not in beside and any(found):
-            rows.append((metric.label, [figure(one, metric.name) for one in found]))
+        of_methods = [summary.figure(protocol, m, metric.name) for m in methods]
+        if metric.name not in beside and any(of_methods):
+            rows.append((metric.label, [figure(one, metric.name) for one in of_methods]))
     return rows
 
 
@@ -147,15 +147,15 @@ def differences(summary: Summary, protocol: str) -> list[tuple[str, list[Cell]]]
 
 def tested_differences(summary: Summary, protocol: str) -> list[Difference]:
     """The differences in the metrics of TESTED."""
-    found = (d for d in summary.differences if d.protocol == protocol)
-    return [d for d in found if BY_NAME[d.name].tested]
+    of_protocol = (d for d in summary.differences if d.protocol == protocol)
+    return [d for d in of_protocol if BY_NAME[d.name].tested]
 
 
-def figure(found: Figure | None, name: str) -> Cell:
+def figure(summary_figure: Figure | None, name: str) -> Cell:
     """A figure of the metric of this name; a dash if there is none."""
-    if found is None:
+    if summary_figure is None:
         return NONE
-    return cell(found.value, found.low, found.high, BY_NAME[name].digits)
+    return cell(summary_figure.value, summary_figure.low, summary_figure.high, BY_NAME[name].digits)
 
 
 def difference(d: Difference) -> Cell:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.evaluation.counting.parts import part_of, score_all
-from sonarrec.evaluation.counting.pooled import Parts, Pooled, pooled
+from sonarrec.evaluation.counting.pooled import Parts, Pooled, pool
 from sonarrec.evaluation.counting.scoring import Scored
 from sonarrec.evaluation.matching.fit import TruthCheck, left_out, of_other_logs, scorable_logs
 from sonarrec.evaluation.matching.joined import Joined, join
@@ -18,9 +18,9 @@ from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import (
     FindBeside,
     Pair,
-    found_beside,
-    found_where,
-    of_one_log,
+    find_truths_beside,
+    truth_note,
+    usable_pairs,
 )
 from sonarrec.evaluation.survey import LogToScore, SurveyedLog, UnreadableLog, map_logs, survey
 from sonarrec.records import IntArray, SonarrecError, printable
@@ -50,8 +50,8 @@ class Evaluation:
         """The same as counts, without frames and claims."""
         parts = Parts()
         number = parts.put(part_of(self.joined, self.scored))
-        found = pooled(parts, [number], self.joined.logs, self.min_visible)
-        return replace(found, folders=self.folders, notes=self.notes, unused=self.unused)
+        result = pool(parts, [number], self.joined.logs, self.min_visible)
+        return replace(result, folders=self.folders, notes=self.notes, unused=self.unused)
 
 
 def evaluate(
@@ -78,7 +78,7 @@ def evaluate(
     Protocol "strict": a claim belongs to the truth of its ID that is nearest in that frame, if
     its centre is within half a disc diameter of it in the fan plane. The first claim of a
     positive (the one of highest score) is TP; every further one, and every claim that belongs to
-    no truth, is FP. A positive without a claim is FN, also where its ID is claimed find_beside
+    no truth, is FP. A positive without a claim is FN, even if its ID is claimed elsewhere
     (FN and FP). Claims of a partly visible landmark are not counted. TN: a frame and ID of which
     nothing shows and which is not claimed. So an FP replaces a TN the first time an absent ID is
     claimed in a frame, and is an entry of its own otherwise: FPR = FP / (FP + TN) stays within
@@ -95,35 +95,37 @@ def evaluate_whole(
     ground_truth: str | Path | None = None,
     options: ScoringOptions = DEFAULT,
     *,
-    some: bool = False,
+    subset: bool = False,
 ) -> Evaluation:
     """As `evaluate`. results: a folder, or pairs of a log's results and its truth.
 
-    Logs of equal name get the names of their folders as given. some: these are a few of the logs
+    Logs of equal name get the names of their folders as given. subset: these are a few of the logs
     that `evaluate_many` scored, so it is no fault if none of them has a row in its truth, or a
     method.
     """
     inputs = _inputs(results, ground_truth, options)
-    found = _select_logs(inputs, (survey(r, whole=True) for r in inputs.readings), some)
-    logs = [found.logs[i] for i in found.scored]
-    if not some:
-        _check_methods(logs, found.names)
+    selection = _select_logs(inputs, (survey(r, whole=True) for r in inputs.readings), subset)
+    logs = [selection.logs[i] for i in selection.scored]
+    if not subset:
+        _check_methods(logs, selection.names)
     cases = [log.case for log in logs if log.case is not None]
-    named = [replace(case.log, name=name) for case, name in zip(cases, found.names, strict=True)]
-    joined = join(named, [case.truth for case in cases], options.min_visible)
+    matched_logs = [
+        replace(case.log, name=name) for case, name in zip(cases, selection.names, strict=True)
+    ]
+    joined = join(matched_logs, [case.truth for case in cases], options.min_visible)
     estimates = np.bincount(joined.method_index, minlength=len(joined.methods))
     positives = np.bincount(
         joined.truth_landmark_index[joined.truth_positive], minlength=len(joined.ids)
     )
     facts = joined.methods, joined.placed, estimates, joined.ids, positives
-    notes = [*found.notes, *_notes(logs, found.names, *facts)]
+    notes = [*selection.notes, *_notes(logs, selection.names, *facts)]
     return Evaluation(
         joined=joined,
         folders=tuple(log.folder for log in logs),
         scored=score_all(joined),
         min_visible=options.min_visible,
         notes=tuple(map(printable, notes)),
-        unused=tuple(map(printable, found.unused)),
+        unused=tuple(map(printable, selection.unused)),
     )
 
 
@@ -144,34 +146,36 @@ def evaluate_many(
     parts = Parts()
     numbers: dict[int, int] = {}
 
-    def counted() -> Iterable[SurveyedLog | UnreadableLog]:
+    def surveyed_logs() -> Iterable[SurveyedLog | UnreadableLog]:
         ids: tuple[int, ...] = ()
-        read = 0
+        count = 0
         surveyed = map_logs(survey, inputs.readings, jobs)
-        for reading, one in zip(inputs.readings, surveyed, strict=True):
-            if isinstance(one, SurveyedLog):
-                ids = ids or one.ids
-                if one.ids != ids and set(one.ids) == set(ids):  # count in the first log's order
-                    one = survey(replace(reading, ids=ids))
-            if isinstance(one, UnreadableLog):
-                yield one
+        for reading, log in zip(inputs.readings, surveyed, strict=True):
+            if isinstance(log, SurveyedLog):
+                ids = ids or log.ids
+                if log.ids != ids and set(log.ids) == set(ids):  # count in the first log's order
+                    log = survey(replace(reading, ids=ids))
+            if isinstance(log, UnreadableLog):
+                yield log
                 continue
-            if one.part is not None:
-                numbers[read] = parts.put(one.part)
-            read += 1
-            yield replace(one, part=None)
+            if log.part is not None:
+                numbers[count] = parts.put(log.part)
+            count += 1
+            yield replace(log, part=None)
 
-    found = _select_logs(inputs, counted())
-    result = pooled(parts, [numbers[i] for i in found.scored], found.names, options.min_visible)
-    logs = [found.logs[i] for i in found.scored]
-    _check_methods(logs, found.names)
+    selection = _select_logs(inputs, surveyed_logs())
+    result = pool(
+        parts, [numbers[i] for i in selection.scored], selection.names, options.min_visible
+    )
+    logs = [selection.logs[i] for i in selection.scored]
+    _check_methods(logs, selection.names)
     facts = result.methods, result.placed, result.estimates, result.ids, result.positives
-    notes = [*found.notes, *_notes(logs, found.names, *facts)]
+    notes = [*selection.notes, *_notes(logs, selection.names, *facts)]
     return replace(
         result,
         folders=tuple(log.folder for log in logs),
         notes=tuple(map(printable, notes)),
-        unused=tuple(map(printable, found.unused)),
+        unused=tuple(map(printable, selection.unused)),
     )
 
 
@@ -197,14 +201,14 @@ def _inputs(
     """The logs to read and their truth; the arguments are those of `evaluate_many`."""
     options.check()
     if not isinstance(results, str | Path):
-        pairs, unused = of_one_log(results)
+        pairs, unused = usable_pairs(results)
         readings = [LogToScore(p.results, p.ground_truth, options, p.log) for p in pairs]
         return _Inputs(readings, [], unused)
     folders = find_logs(Path(results))
     if ground_truth is None:  # each log with the truth beside it
-        pairs, without = found_beside(folders, find_beside)
+        pairs, without = find_truths_beside(folders, find_beside)
         readings = [LogToScore(p.results, p.ground_truth, options) for p in pairs]
-        return _Inputs(readings, list(map(found_where, pairs)), without)
+        return _Inputs(readings, list(map(truth_note, pairs)), without)
     path = Path(ground_truth)
     readings = [LogToScore(folder, path, options) for folder in folders]
     return _Inputs(readings, [], [], read_truth(path), Path(results))
@@ -225,19 +229,19 @@ class _LogSelection:
 
 
 def _select_logs(
-    inputs: _Inputs, surveyed: Iterable[SurveyedLog | UnreadableLog], some: bool = False
+    inputs: _Inputs, surveyed: Iterable[SurveyedLog | UnreadableLog], subset: bool = False
 ) -> _LogSelection:
-    """Decide which logs are scored. some: as in `evaluate_whole`.
+    """Decide which logs are scored. subset: as in `evaluate_whole`.
 
     Raises SonarrecError if none can be read, or if they cannot be scored together.
     """
     logs: list[SurveyedLog] = []
     unread: list[UnreadableLog] = []
-    for one in surveyed:
-        if isinstance(one, SurveyedLog):
-            logs.append(one)
+    for log in surveyed:
+        if isinstance(log, SurveyedLog):
+            logs.append(log)
         else:
-            unread.append(one)
+            unread.append(log)
     if not logs:
         raise unread[0].error
 
@@ -247,30 +251,30 @@ def _select_logs(
     folders, recordings = [log.folder for log in logs], [log.recording for log in logs]
     truths = [log.ground_truth for log in logs]
     once = counted_once(folders, recordings, frames, "scored", truths)
-    kept = [logs[i] for i in once.kept]
-    others = [log.name for log in unread]
-    _check_names(inputs, [*(log.name for log in kept), *others])
-    faults = [UnreadableLog(log.name, log.error) for log in kept if log.error is not None]
-    if len(faults) == len(kept):
+    counted = [logs[i] for i in once.kept]
+    unread_names = [log.name for log in unread]
+    _check_names(inputs, [*(log.name for log in counted), *unread_names])
+    faults = [UnreadableLog(log.name, log.error) for log in counted if log.error is not None]
+    if len(faults) == len(counted):
         raise faults[0].error
     matching = [i for i in once.kept if logs[i].error is None]
     cases = [case for i in matching if (case := logs[i].truth_check) is not None]
-    found = scorable_logs(cases, some)
-    used = [matching[i] for i in found.usable]
-    first = logs[used[0]]
-    for i in used:
+    scorable = scorable_logs(cases, subset)
+    scored = [matching[i] for i in scorable.usable]
+    first = logs[scored[0]]
+    for i in scored:
         if set(logs[i].ids) != set(first.ids):
             raise other_ids(first.name, logs[i].name)
     return _LogSelection(
         logs,
-        used,
-        distinct_names([(logs[i].name, logs[i].folder) for i in used]),
-        [*inputs.notes, *once.notes, *found.notes],
+        scored,
+        distinct_names([(logs[i].name, logs[i].folder) for i in scored]),
+        [*inputs.notes, *once.notes, *scorable.notes],
         [
             *inputs.unused,
-            *(one.message() for one in [*unread, *faults]),
-            *found.unused,
-            *_left_out(inputs, logs, others, [cases[i] for i in found.usable]),
+            *(log.message() for log in [*unread, *faults]),
+            *scorable.unused,
+            *_left_out(inputs, logs, unread_names, [cases[i] for i in scorable.usable]),
             *once.unused,
         ],
     )

@@ -77,11 +77,11 @@ def draw_roc(path: Path, scored: Sequence[PooledScored]) -> None:
     The FPR axis ends a little beyond the worst operating point; roc.csv has the whole curve.
     """
     looks = _looks(scored)
-    shown = {p: roc([s for s in scored if s.protocol == p]) for p in _protocols(scored)}
-    right = max(one.fpr_end for one in shown.values())
-    figure = _figure(5.2 * len(shown), 5.6)
-    panels = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]
-    for axes, (protocol, one) in zip(panels, shown.items(), strict=True):
+    charts = {p: roc([s for s in scored if s.protocol == p]) for p in _protocols(scored)}
+    right = max(one.fpr_end for one in charts.values())
+    figure = _figure(5.2 * len(charts), 5.6)
+    panels = figure.subplots(1, len(charts), sharey=True, squeeze=False)[0]
+    for axes, (protocol, one) in zip(panels, charts.items(), strict=True):
         for line in one.lines:
             colour, style = looks[line.method]
             axes.plot(line.fpr, line.tpr, style, color=colour, lw=1.8, zorder=3)
@@ -109,16 +109,16 @@ def _dot(axes: Any, point: Point, marker: str, **look: Any) -> None:
 def draw_roc_by_id(path: Path, scored: Sequence[PooledScored]) -> None:
     """Draw the ROC of every ID that is ever in view, and their macro average, as a PNG."""
     protocols, looks = _protocols(scored), _looks(scored)
-    seen = [k for k in range(len(scored[0].ids)) if not np.isnan(scored[0].count(k).tpr)]
-    shown = {p: [s for s in scored if s.protocol == p] for p in protocols}
-    charts = {(p, k): roc(some, k) for p, some in shown.items() for k in seen}
+    ids_in_view = [k for k in range(len(scored[0].ids)) if not np.isnan(scored[0].count(k).tpr)]
+    by_protocol = {p: [s for s in scored if s.protocol == p] for p in protocols}
+    charts = {(p, k): roc(some, k) for p, some in by_protocol.items() for k in ids_in_view}
     right = max((one.fpr_end for one in charts.values()), default=fpr_end(()))
-    rows, columns = len(protocols), len(seen) + 1
+    rows, columns = len(protocols), len(ids_in_view) + 1
     width, height = max(2.6 * columns, 5.2), 2.7 * rows + 0.5
     figure = _laid_out(width, height, left=0.75, bottom=0.65, hspace=0.22)
     panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    for row, (protocol, some) in zip(panels, shown.items(), strict=True):
-        for axes, k in zip(row, seen, strict=False):
+    for row, (protocol, some) in zip(panels, by_protocol.items(), strict=True):
+        for axes, k in zip(row, ids_in_view, strict=False):
             for line in charts[protocol, k].lines:
                 colour, style = looks[line.method]
                 axes.plot(line.fpr, line.tpr, style, color=colour, lw=1.6)
@@ -126,10 +126,10 @@ def draw_roc_by_id(path: Path, scored: Sequence[PooledScored]) -> None:
                 axes.plot(line.at.fpr, line.at.tpr, "o", **dot)
         for s in some:
             colour, style = looks[s.method]
-            fpr, tpr = macro_curve(s.curve(k) for k in seen)
+            fpr, tpr = macro_curve(s.curve(k) for k in ids_in_view)
             row[-1].plot(fpr, tpr, style, color=colour, lw=1.6, label=plain(s.method))
         for axes, name in zip(
-            row, [*(f"ID.{scored[0].ids[k]}" for k in seen), "macro"], strict=True
+            row, [*(f"ID.{scored[0].ids[k]}" for k in ids_in_view), "macro"], strict=True
         ):
             axes.set(title=f"{name}, {protocol}", xlim=(0, right), ylim=(0, 1.03))
             axes.grid(color="0.9")
@@ -147,13 +147,13 @@ def draw_det(path: Path, scored: Sequence[PooledScored]) -> None:
     figure = _figure(5.2 * len(protocols), 5.6)
     panels = figure.subplots(1, len(protocols), squeeze=False)[0]
     for axes, protocol in zip(panels, protocols, strict=True):
-        shown = roc([s for s in scored if s.protocol == protocol], corners=400)
-        for line in shown.lines:
+        chart = roc([s for s in scored if s.protocol == protocol], corners=400)
+        for line in chart.lines:
             colour, style = looks[line.method]
             x, y = _deviates(line.fpr), _deviates(1 - line.tpr)
             axes.plot(x, y, style, color=colour, lw=1.8, label=plain(line.method))
             axes.plot(*_det(line.at), "o", color=colour, mec="black", ms=8)
-        for point, marker in zip(shown.published, MARKERS, strict=False):
+        for point, marker in zip(chart.published, MARKERS, strict=False):
             label = f"published {point.name}"
             axes.plot(*_det(point), marker, color="none", mec="black", ms=12, label=label)
         at, names = _deviates(np.array(ticks)), [f"{100 * t:g} %" for t in ticks]

@@ -68,9 +68,9 @@ def summarise(evaluation: Evaluation | Pooled, unit: UnitKind | None = None) -> 
 
     unit: what counts as independent; by default passes, or logs if there are ten or more.
     """
-    found = evaluation if isinstance(evaluation, Pooled) else evaluation.pooled()
-    units = found.units(unit)
-    case = metrics.Case(found, units)
+    pooled = evaluation if isinstance(evaluation, Pooled) else evaluation.pooled()
+    units = pooled.units(unit)
+    case = metrics.Case(pooled, units)
     rng = np.random.default_rng(SEED)
     weights = bootstrap_weights(units.count, rng)
     tosses = coin_tosses(units.count, rng)
@@ -95,7 +95,7 @@ def summarise(evaluation: Evaluation | Pooled, unit: UnitKind | None = None) -> 
             alike[tally.protocol, kind].append(tally)
     return Summary(
         units=units,
-        passes=found.passes,
+        passes=pooled.passes,
         figures=tuple(figures),
         differences=tuple(
             difference
@@ -103,10 +103,10 @@ def summarise(evaluation: Evaluation | Pooled, unit: UnitKind | None = None) -> 
             for a, b in combinations(group, 2)
             for difference in differences(a, b, weights, tosses)
         ),
-        outcomes=found.outcomes,
-        switches=found.switches,
+        outcomes=pooled.outcomes,
+        switches=pooled.switches,
         reliability=tuple(curves),
-        notes=_notes(found, units, figures),
+        notes=_notes(pooled, units, figures),
     )
 
 
@@ -122,7 +122,7 @@ def over_units(summary: Summary) -> str:
     return f"; {LEVEL:.0%} intervals over {units_text(summary.units)}"
 
 
-def _notes(found: Pooled, units: PooledUnits, figures: list[Figure]) -> tuple[str, ...]:
+def _notes(pooled: Pooled, units: PooledUnits, figures: list[Figure]) -> tuple[str, ...]:
     """Notes on missing intervals and figures, a line each."""
     if units.count < MIN_UNITS:
         kind = {"pass": "pass of a landmark", "log": "log"}[units.kind]
@@ -132,7 +132,7 @@ def _notes(found: Pooled, units: PooledUnits, figures: list[Figure]) -> tuple[st
             f"with fewer than {MIN_UNITS} no difference can be distinguished from chance",
         )
     notes = []
-    protocol = "strict" if found.placed else "paper"
+    protocol = "strict" if pooled.placed else "paper"
     for figure in figures:
         facts = (figure.protocol, figure.landmark_text, figure.name, figure.value)
         if facts == (protocol, "total", "fpr", 0):
@@ -141,6 +141,6 @@ def _notes(found: Pooled, units: PooledUnits, figures: list[Figure]) -> tuple[st
                 f"{figure.method}: no false claim in {units_text(units, figure.units)}, so with "
                 f"{LEVEL:.0%} confidence fewer than {most} of them have one"
             )
-    if found.placed and not found.timed:
+    if pooled.placed and not pooled.timed:
         notes.append("claims per minute are not given: frames.csv has no timestamp_ns")
     return tuple(map(printable, notes))

@@ -52,9 +52,9 @@ class UnreadableLog:
     name: str
     error: SonarrecError
 
-    def message(self, done: str = "scored") -> str:
-        """A message. done: what is done with other logs."""
-        return f"{self.error}; {self.name} is not {done}"
+    def message(self, action: str = "scored") -> str:
+        """A message. action: what is done with other logs."""
+        return f"{self.error}; {self.name} is not {action}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,15 +88,15 @@ def survey(reading: LogToScore, *, whole: bool = False) -> SurveyedLog | Unreada
         return UnreadableLog(reading.log or name_as_text(reading.folder.resolve().name), fault)
     log = log if reading.log is None else replace(log, name=reading.log)
     case: MatchedLog | None = None
-    found: TruthCheck | None = None
+    truth_check: TruthCheck | None = None
     error: SonarrecError | None = None
     try:
         case = match_log(reading.folder, table, log, options.tolerance_s)
-        found = check_fit(case)
+        truth_check = check_fit(case)
     except SonarrecError as fault:  # raised later, unless the log is a copy of another
         error = fault
     part = None
-    if case is not None and found is not None and found.fault is None and not whole:
+    if case is not None and truth_check is not None and truth_check.fault is None and not whole:
         part = part_of(join([log], [case.truth], options.min_visible, reading.ids))
     rows = table.rows_of(log.name)
     return SurveyedLog(
@@ -107,7 +107,7 @@ def survey(reading: LogToScore, *, whole: bool = False) -> SurveyedLog | Unreada
         methods=log.methods,
         recording=recording(reading.folder, log.run, len(log.frame_index)),
         between=0 if case is None else case.truth.between,
-        truth_check=found,
+        truth_check=truth_check,
         error=error,
         case=case if whole else None,
         part=part,

@@ -209,16 +209,16 @@ def as_json(evaluation: Pooled, summary: Summary) -> dict[str, Any]:
 
 def _named_counts(names: Sequence[str], counts: Sequence[Count]) -> dict[str, Any]:
     return {
-        name: {key: known(v) for key, v in zip(COUNTS, _counts(count), strict=True)}
+        name: {key: finite_or_none(v) for key, v in zip(COUNTS, _counts(count), strict=True)}
         for name, count in zip(names, counts, strict=True)
     }
 
 
 def as_record(fields: dict[str, Any]) -> dict[str, Any]:
     """The fields of a figure or a rate for JSON, null in place of NaN and infinity."""
-    return {key.removesuffix("_text"): known(value) for key, value in fields.items()}
+    return {key.removesuffix("_text"): finite_or_none(value) for key, value in fields.items()}
 
 
-def known(value: Any) -> Any:
+def finite_or_none(value: Any) -> Any:
     """The value; None in place of NaN and infinity, which JSON does not have."""
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -143,7 +143,7 @@ def _choose(
     folders = outliers_first(pooled.folders, found)[:MOST_LOGS]
     row_of = {row.results: row for row in reversed(truth)}  # the first row of a log named twice
     truth = [row_of[folder] for folder in folders]
-    evaluation = evaluate_whole(truth, None, options, some=True)
+    evaluation = evaluate_whole(truth, None, options, subset=True)
     return _ChosenLogs(folders, truth, found, evaluation, pooled)
 
 

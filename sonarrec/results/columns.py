@@ -20,13 +20,13 @@ Part = TypeVar("Part")
 class Column(Generic[Part]):
     """One column.
 
-    written: makes the cell from a frame's result and the part of it that the row is about.
+    cell: makes the cell from a frame's result and the part of it that the row is about.
     kind: what a cell must be when it is read back; None: the column is not read. needed: tables of
     other programs must have the column too.
     """
 
     name: str
-    written: Callable[[FrameResult, Part], object]
+    cell: Callable[[FrameResult, Part], object]
     kind: Kind | None = None
     needed: bool = False
 
@@ -39,12 +39,12 @@ FRAME_COLUMNS: tuple[Column[Stamps], ...] = (
     Column("log_time_ns", lambda _, s: s.log),
     Column("publish_time_ns", lambda _, s: s.publish),
     Column("header_stamp_ns", lambda _, s: s.header),
-    Column("dx_m", lambda r, _: _moved(r, "right_m", 5)),
-    Column("dy_m", lambda r, _: _moved(r, "ahead_m", 5)),
-    Column("dyaw_deg", lambda r, _: _moved(r, "pan_deg", 4)),
-    Column("dx_sigma_m", lambda r, _: _unsure(r, "right_sigma_m", 5)),
-    Column("dy_sigma_m", lambda r, _: _unsure(r, "ahead_sigma_m", 5)),
-    Column("dyaw_sigma_deg", lambda r, _: _unsure(r, "pan_sigma_deg", 4)),
+    Column("dx_m", lambda r, _: _motion_text(r, "right_m", 5)),
+    Column("dy_m", lambda r, _: _motion_text(r, "ahead_m", 5)),
+    Column("dyaw_deg", lambda r, _: _motion_text(r, "pan_deg", 4)),
+    Column("dx_sigma_m", lambda r, _: _motion_sigma_text(r, "right_sigma_m", 5)),
+    Column("dy_sigma_m", lambda r, _: _motion_sigma_text(r, "ahead_sigma_m", 5)),
+    Column("dyaw_sigma_deg", lambda r, _: _motion_sigma_text(r, "pan_sigma_deg", 4)),
 )
 FRAMES_HEADER = "frame,timestamp_ns"
 ESTIMATES_HEADER = "frame,method,range_m,bearing_deg,landmark,score,declared"
@@ -78,15 +78,15 @@ def estimate_columns(ids: Sequence[int]) -> tuple[Column[Estimate], ...]:
     )
 
 
-def _moved(result: FrameResult, name: str, digits: int) -> str:
+def _motion_text(result: FrameResult, name: str, digits: int) -> str:
     """A component of the motion since the previous frame; empty if there is none."""
     return "" if result.motion is None else f"{getattr(result.motion, name):.{digits}f}"
 
 
-def _unsure(result: FrameResult, name: str, digits: int) -> str:
+def _motion_sigma_text(result: FrameResult, name: str, digits: int) -> str:
     """A standard error of the motion; empty if poses give the motion."""
     motion = result.motion
-    return "" if motion is None or not motion.pan_sigma_deg else _moved(result, name, digits)
+    return "" if motion is None or not motion.pan_sigma_deg else _motion_text(result, name, digits)
 
 
 def belief_names(ids: Sequence[int]) -> list[str]:
@@ -110,20 +110,20 @@ class SightingColumn:
     digits: int | None = None
     blank: bool = False
 
-    def written(self, sighting: Sighting) -> object:
+    def cell(self, sighting: Sighting) -> object:
         """The cell."""
         value = getattr(sighting, self.name)
         if self.digits is None:
             return value
         return "" if math.isnan(value) else f"{value:.{self.digits}f}"
 
-    def read(self, cell: str) -> object:
+    def value(self, text: str) -> object:
         """The value of a cell. Raises ValueError if the cell is invalid."""
         if self.name == "method":
-            return cell
-        if self.blank and not cell:
+            return text
+        if self.blank and not text:
             return None if self.digits is None else math.nan
-        return int(cell) if self.digits is None else float(cell)
+        return int(text) if self.digits is None else float(text)
 
 
 SIGHTING_COLUMNS = (

@@ -44,7 +44,7 @@ def counted_once(
     folders: Sequence[Path],
     recordings: Sequence[Recording],
     frames: Callable[[int], IntArray],
-    done: str,
+    action: str,
     truths: Sequence[TruthOf] | None = None,
 ) -> CountedOnce:
     """Keep the first results of each recording; copies would count as independent logs.
@@ -52,28 +52,28 @@ def counted_once(
     Results of different frames of one recording all count.
 
     recordings: from `recording`. frames: gives the frame numbers of the i-th results; it is called
-    only if two have one recording. done: what a command does with the results, such as "scored".
+    only if two have one recording. action: what a command does with the results, such as "scored".
     truths: the truth of each, if there is any; that of copies is not used.
     """
-    found = CountedOnce([], [], [])
+    selection = CountedOnce([], [], [])
     first: dict[Recording, list[int]] = defaultdict(list)
     for i, folder in enumerate(folders):
-        others = first[recordings[i]]
-        twin = next((k for k in others if np.intersect1d(frames(k), frames(i)).size), None)
+        counted = first[recordings[i]]
+        twin = next((k for k in counted if np.intersect1d(frames(k), frames(i)).size), None)
         if twin is None:
-            found.kept.append(i)
-            others.append(i)
+            selection.kept.append(i)
+            counted.append(i)
             continue
         digest = recordings[i][0]
         by = f"SHA-256 {digest[:12]}..." if digest else "by its tables"
         line = f"{folder}: the same log as {folders[twin]} ({by}), which counts once"
         if _tables(folder) != _tables(folders[twin]):
-            found.unused.append(f"{line}; these other results of it are not {done}")
-        elif truths is not None and (lost := _not_used(truths[i], truths[twin])):
-            found.unused.append(f"{line}; {lost}")
+            selection.unused.append(f"{line}; these other results of it are not {action}")
+        elif truths is not None and (message := _unused_truth(truths[i], truths[twin])):
+            selection.unused.append(f"{line}; {message}")
         else:
-            found.notes.append(line)
-    return found
+            selection.notes.append(line)
+    return selection
 
 
 def recording(folder: Path, run: RunFile, estimates: int) -> Recording:
@@ -92,7 +92,7 @@ def _tables(folder: Path) -> str:
     return _digest([folder / "frames.csv", estimates_of(folder)])
 
 
-def _not_used(truth: TruthOf, first: TruthOf) -> str | None:
+def _unused_truth(truth: TruthOf, first: TruthOf) -> str | None:
     """A message on a truth that is not used; None if it equals the one that is used."""
     if truth.digest == first.digest:
         return None

@@ -48,7 +48,7 @@ def folder_names(logs: Sequence[tuple[str, Path]]) -> list[str]:
     """
     depth = [0] * len(logs)
     while True:
-        names = [_named(*log, n) for log, n in zip(logs, depth, strict=True)]
+        names = [_name_at_depth(*log, n) for log, n in zip(logs, depth, strict=True)]
         alike: dict[str, list[int]] = defaultdict(list)
         for i, name in enumerate(names):
             alike[name].append(i)
@@ -69,10 +69,10 @@ def folder_names(logs: Sequence[tuple[str, Path]]) -> list[str]:
 
 def possible_names(name: str, place: Path) -> list[str]:
     """Every name that `folder_names` may give to a log, depending on the other logs."""
-    return [_named(name, place, depth) for depth in range(len(place.parents))]
+    return [_name_at_depth(name, place, depth) for depth in range(len(place.parents))]
 
 
-def _named(name: str, place: Path, depth: int) -> str:
+def _name_at_depth(name: str, place: Path, depth: int) -> str:
     folders = place.parent.parts[1:]  # without the root
     return "-".join([*folders[len(folders) - min(depth, len(folders)) :], name])
 
@@ -125,10 +125,10 @@ def lock(folder: Path) -> IO[bytes]:
         file.close()  # its holder ended and deleted it at this moment
 
 
-def release(folder: Path, held: IO[bytes]) -> None:
+def release(folder: Path, lock_file: IO[bytes]) -> None:
     """Unlock `folder`."""
     _lock_file(folder).unlink(missing_ok=True)
-    held.close()
+    lock_file.close()
 
 
 def _lock_file(folder: Path) -> Path:
@@ -188,10 +188,10 @@ def _clear(old: Path, place: Path) -> None:
 
     Raises OSError if that fails.
     """
-    for name, made in MADE.items():
+    for name, names in MADE.items():
         folder = old / name
         if folder.is_dir() and not folder.is_symlink():
-            _take_over(folder, place / name, made)
+            _take_over(folder, place / name, names)
     pages = (name for name, kind in PAGES.items() if is_output(old / name, kind))
     _take_over(old, place, {*OURS, *pages})
 

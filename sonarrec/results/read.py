@@ -89,8 +89,8 @@ def find_logs(results: Path) -> list[Path]:
         return [results]
     if not results.is_dir():
         part = part_of(results)
-        left = (part / "frames.csv").is_file()
-        hint = f"; a run that did not finish left {part}" if left else ""
+        has_frames = (part / "frames.csv").is_file()
+        hint = f"; a run that did not finish left {part}" if has_frames else ""
         raise MissingError(
             f"{results}: no such results folder; `sonarrec run LOG` writes one{hint}"
         )
@@ -99,25 +99,25 @@ def find_logs(results: Path) -> list[Path]:
     linked = {part_of(p) for p in results.iterdir() if p.is_symlink() and p not in logs}
     logs |= {part for part in linked if (part / "frames.csv").is_file()}
     finished = {part_of(log) for log in logs}  # parts beside finished results are not needed
-    found = sorted(logs - finished)
-    if not found:
+    folders = sorted(logs - finished)
+    if not folders:
         raise SonarrecError(
             f"{results}: no results here (no frames.csv, nor a folder that holds one); "
             "give the folder that `sonarrec run` wrote"
         )
-    return found
+    return folders
 
 
-def not_whole(log: LogResults, done: str) -> list[str]:
+def not_whole(log: LogResults, action: str) -> list[str]:
     """A line for each part of the results that cannot be used.
 
-    done: what a command does with the rest, such as "scored".
+    action: what a command does with the rest, such as "scored".
     """
-    lines = [] if log.finished else [cut_short(log.name, len(log.frame), done)]
+    lines = [] if log.finished else [cut_short(log.name, len(log.frame), action)]
     if log.strays:
         lines.append(
             f"{log.name}: {log.strays} estimates lie on frames that frames.csv does not list; "
-            f"they are not {done}"
+            f"they are not {action}"
         )
     return lines
 
@@ -172,13 +172,13 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
     )
 
 
-def _methods(run: RunFile, there: list[str]) -> list[str]:
-    """The methods of a run: those with estimates (`there`), and those without any."""
+def _methods(run: RunFile, present: list[str]) -> list[str]:
+    """The methods of a run: those with estimates (`present`), and those without any."""
     expected = run.methods or ()
     if run.methods is None and run.table:  # written by an earlier version
-        several = len(run.configs) > 1 or any(":" in name for name in there)
+        several = len(run.configs) > 1 or any(":" in name for name in present)
         expected = () if several else METHODS
-    return list(dict.fromkeys((*expected, *there)))
+    return list(dict.fromkeys((*expected, *present)))
 
 
 def read_frames(folder: Path) -> Table:

@@ -214,14 +214,14 @@ def span_text(span: tuple[int, int | None]) -> str:
     return f"{span[0]}:{'' if span[1] is None else span[1]}"
 
 
-def cut_short(name: str, frames: int, done: str) -> str:
+def cut_short(name: str, frames: int, action: str) -> str:
     """A message on results whose run.toml says that they are not finished.
 
-    frames: how many they hold. done: what a command does with these.
+    frames: how many they hold. action: what a command does with these.
     """
     return (
         f"{name}: the run was cut short (run.toml says finished = false); "
-        f"only {number_of(frames, 'frame')} could be {done}"
+        f"only {number_of(frames, 'frame')} could be {action}"
     )
 
 
@@ -318,13 +318,13 @@ class RunFile:
         """The span of frames that the run was limited to; None if not stated."""
         return None if self.input.frames is None else frame_span(self.input.frames)
 
-    def fan(self, given: Sonar | None = None) -> Fan | None:
+    def fan(self, override: Sonar | None = None) -> Fan | None:
         """The fan that pixel positions refer to; None if its scale or apex is not stated."""
-        known = {f.name for f in fields(Sonar)}
+        sonar_keys = {f.name for f in fields(Sonar)}
         # [fan] describes the images that pixels refer to, even if the recording was polar.
         table = {**self.table.get("sonar", {}), **self.table.get("fan", {})}
-        table = {key: value for key, value in table.items() if key in known}
-        sonar = sonar_from_table(table, str(self.path)).updated(given or Sonar())
+        table = {key: value for key, value in table.items() if key in sonar_keys}
+        sonar = sonar_from_table(table, str(self.path)).updated(override or Sonar())
         if sonar.metres_per_pixel is None or sonar.apex_px is None:
             return None
         geometry = sonar.complete(str(self.path) if self.table else "command line")
@@ -335,7 +335,7 @@ class RunFile:
         columns = size.get("columns", math.ceil(sonar.apex_px[0]) + room)
         fan = fan_for_image(geometry, int(rows), int(columns))
         edges = {key: size[key] for key in _EDGES if key in size}
-        if given is not None and (given.field_of_view_deg or given.bearings_deg):
+        if override is not None and (override.field_of_view_deg or override.bearings_deg):
             edges = {}
         return replace(fan, **edges)  # a field of view alone is symmetric
 

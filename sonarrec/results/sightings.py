@@ -118,7 +118,7 @@ class _Pass:
         ):
             self.means[name].add(value)
 
-    def ended(self) -> Sighting:
+    def as_sighting(self) -> Sighting:
         """The pass as a row of sightings.csv."""
         mean = {name: mean.value() for name, mean in self.means.items()}
         return Sighting(
@@ -164,8 +164,8 @@ class Sightings:
     def add(self, frame: int, timestamp_ns: int, estimates: Iterable[Estimate]) -> list[Sighting]:
         """Add the next frame; returns the passes that ended before it, in order of their ends."""
         ended = [p for p in self._open.values() if frame - p.last_frame > PASS_GAP]
-        for one in ended:
-            del self._open[one.method, one.landmark, one.track]
+        for pass_ in ended:
+            del self._open[pass_.method, pass_.landmark, pass_.track]
         for e in estimates:
             if not e.declared:
                 continue
@@ -176,7 +176,7 @@ class Sightings:
             self._open[key].add(frame, timestamp_ns, e, self._place(timestamp_ns, e))
         return _in_order(ended)
 
-    def rest(self) -> list[Sighting]:
+    def close_all(self) -> list[Sighting]:
         """End and return the open passes."""
         ended = [*self._open.values()]
         self._open.clear()
@@ -184,15 +184,15 @@ class Sightings:
 
     def _place(self, timestamp_ns: int, estimate: Estimate) -> tuple[float, float]:
         """(x, y) on the floor in the frame of the poses, m; NaN if not known."""
-        found = None
+        place = None
         if self._fan is not None and self._poses is not None:
             away = float(ground_range(self._fan, estimate.range_m))
             bearing = math.radians(estimate.bearing_deg)
-            found = self._poses.place(
+            place = self._poses.place(
                 timestamp_ns, away * math.sin(bearing), away * math.cos(bearing)
             )
-        return found or (math.nan, math.nan)
+        return place or (math.nan, math.nan)
 
 
 def _in_order(passes: list[_Pass]) -> list[Sighting]:
-    return [p.ended() for p in sorted(passes, key=lambda p: (p.last_frame, p.first_frame))]
+    return [p.as_sighting() for p in sorted(passes, key=lambda p: (p.last_frame, p.first_frame))]

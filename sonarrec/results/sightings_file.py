@@ -34,7 +34,7 @@ def read_sightings(
     run, path = read_run(folder / "run.toml"), folder / "sightings.csv"
     if run.finished and path.is_file():
         return sightings_in(path)
-    return _computed(folder, run, landmarks, sonar)
+    return _compute_sightings(folder, run, landmarks, sonar)
 
 
 def sightings_in(path: Path) -> Iterator[Sighting]:
@@ -44,7 +44,7 @@ def sightings_in(path: Path) -> Iterator[Sighting]:
         with path.open(newline="", encoding="utf-8-sig") as file:
             for row in csv.DictReader(file):
                 line += 1
-                values: dict[str, Any] = {c.name: c.read(row[c.name]) for c in SIGHTING_COLUMNS}
+                values: dict[str, Any] = {c.name: c.value(row[c.name]) for c in SIGHTING_COLUMNS}
                 yield Sighting(**values)
     except OSError as error:
         raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
@@ -54,7 +54,7 @@ def sightings_in(path: Path) -> Iterator[Sighting]:
         raise SonarrecError(f"{path} line {line}: no sighting ({error})") from None
 
 
-def _computed(
+def _compute_sightings(
     folder: Path, run: RunFile, landmarks: str | None, sonar: Sonar | None
 ) -> Iterator[Sighting]:
     from sonarrec.results.read import read_frames  # imports pandas, which a run does not need
@@ -62,38 +62,38 @@ def _computed(
     frames = read_frames(folder)
     times = frames.get("timestamp_ns", np.zeros(len(frames["frame"]), dtype=np.int64))
     time_of = dict(zip(frames["frame"].tolist(), times.tolist(), strict=True))
-    own = run.landmark_set(landmarks)
+    landmark_set = run.landmark_set(landmarks)
 
     def declared() -> Iterator[tuple[int, Estimate]]:
-        return (e for e in _declared(folder, run, landmarks, sonar) if e[0] in time_of)
+        return (e for e in _declared_estimates(folder, run, landmarks, sonar) if e[0] in time_of)
 
-    found = _passes(Sightings(own), declared(), time_of)
-    if found is None:  # a table of another program, which must be sorted in memory
-        found = _passes(Sightings(own), sorted(declared(), key=itemgetter(0)), time_of)
-    return iter(found or ())
+    sightings = _passes(Sightings(landmark_set), declared(), time_of)
+    if sightings is None:  # a table of another program, which must be sorted in memory
+        sightings = _passes(Sightings(landmark_set), sorted(declared(), key=itemgetter(0)), time_of)
+    return iter(sightings or ())
 
 
 def _passes(
     gathered: Sightings, declared: Iterable[tuple[int, Estimate]], time_of: Mapping[int, int]
 ) -> list[Sighting] | None:
     """The passes of (frame, estimate) pairs; None if the frames are not in order."""
-    found, last = list[Sighting](), -1
+    sightings, last = list[Sighting](), -1
     for frame, group in groupby(declared, key=itemgetter(0)):
         if frame < last:
             return None
-        found += gathered.add(frame, time_of[frame], (e for _, e in group))
+        sightings += gathered.add(frame, time_of[frame], (e for _, e in group))
         last = frame
-    return [*found, *gathered.rest()]
+    return [*sightings, *gathered.close_all()]
 
 
-def _declared(
+def _declared_estimates(
     folder: Path, run: RunFile, landmarks: str | None, sonar: Sonar | None
 ) -> Iterator[tuple[int, Estimate]]:
     """(frame, estimate) of every declared row of estimates.csv."""
     from sonarrec.results.read import estimate_tables  # imports pandas, as above
     from sonarrec.results.stream import estimates_in
 
-    own, fan = run.landmark_set(landmarks), run.fan(sonar)
-    for _, table in estimate_tables(estimates_of(folder), own, ROWS):
+    landmark_set, fan = run.landmark_set(landmarks), run.fan(sonar)
+    for _, table in estimate_tables(estimates_of(folder), landmark_set, ROWS):
         declared = np.flatnonzero(table["declared"])
-        yield from ((frame, e) for _, frame, e in estimates_in(table, declared, own, fan))
+        yield from ((frame, e) for _, frame, e in estimates_in(table, declared, landmark_set, fan))

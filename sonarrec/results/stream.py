@@ -21,7 +21,7 @@ ROWS = 500
 SIGMAS = ("range_sigma_m", "bearing_sigma_deg", "orientation_sigma_deg")
 
 
-def choose_method(path: Path, wanted: str | None) -> str:
+def choose_method(path: Path, choice: str | None) -> str:
     """The method to show: the one wanted, else the framework, else the only one there is.
 
     A table without rows counts as having every method. Raises UsageError if the method is missing
@@ -30,21 +30,23 @@ def choose_method(path: Path, wanted: str | None) -> str:
     tables = read_tables(
         path, {"method": "text"}, needed(estimate_columns(())), ESTIMATES_HEADER, ROWS
     )
-    usual = wanted or "framework"
-    found: set[str] = set()
+    usual = choice or "framework"
+    names: set[str] = set()
     for _, table in tables:
-        found |= {str(name) for name in table["method"].unique()}
-        if usual in found:
+        names |= {str(name) for name in table["method"].unique()}
+        if usual in names:
             return usual  # usually in the first rows
-    if not found:
+    if not names:
         return usual
-    there = sorted(found)
-    if wanted is not None:
-        raise UsageError(f"{path}: no method {wanted!r}; there is {', '.join(there)}")
-    ours = [name for name in there if name.startswith("framework")] or there
-    if len(ours) > 1:
-        raise UsageError(f"{path}: choose one of the methods with --method: {', '.join(ours)}")
-    return ours[0]
+    methods = sorted(names)
+    if choice is not None:
+        raise UsageError(f"{path}: no method {choice!r}; there is {', '.join(methods)}")
+    candidates = [name for name in methods if name.startswith("framework")] or methods
+    if len(candidates) > 1:
+        raise UsageError(
+            f"{path}: choose one of the methods with --method: {', '.join(candidates)}"
+        )
+    return candidates[0]
 
 
 def read_estimates(
@@ -63,14 +65,14 @@ def read_estimates(
     )
     last = -1
     for frame, group in groupby(rows, key=lambda item: item[1]):
-        found = list(group)
+        items = list(group)
         if frame <= last:
             raise SonarrecError(
-                f"{path} line {line_number(path, found[0][0])}: frame {frame} after frame {last}; "
+                f"{path} line {line_number(path, items[0][0])}: frame {frame} after frame {last}; "
                 "sort the table by frame"
             )
         last = frame
-        yield frame, tuple(estimate for _, _, estimate in found)
+        yield frame, tuple(estimate for _, _, estimate in items)
 
 
 def _with_positions(
@@ -81,8 +83,8 @@ def _with_positions(
 
     Raises SonarrecError for a row without a position.
     """
-    mine = np.flatnonzero(np.asarray(table["method"] == method))
-    for row, frame, estimate in estimates_in(table, mine, landmarks, fan):
+    of_method = np.flatnonzero(np.asarray(table["method"] == method))
+    for row, frame, estimate in estimates_in(table, of_method, landmarks, fan):
         if math.isnan(estimate.x_px):
             raise SonarrecError(
                 f"{path} line {line_number(path, first + row)}: no position: neither x_px,y_px nor "
@@ -137,24 +139,24 @@ def positions(
         return x_px, y_px, range_m, bearing_deg
     in_pixels = np.isfinite(x_px) & np.isfinite(y_px)
     in_polar = np.isfinite(range_m) & np.isfinite(bearing_deg)
-    drawn = pixel_from_polar(fan, range_m, bearing_deg)
-    measured = polar_from_pixel(fan, x_px, y_px)
+    pixels = pixel_from_polar(fan, range_m, bearing_deg)
+    polar = polar_from_pixel(fan, x_px, y_px)
     return (
-        np.where(in_pixels, x_px, drawn[0]),
-        np.where(in_pixels, y_px, drawn[1]),
-        np.where(in_polar, range_m, measured[0]),
-        np.where(in_polar, bearing_deg, measured[1]),
+        np.where(in_pixels, x_px, pixels[0]),
+        np.where(in_pixels, y_px, pixels[1]),
+        np.where(in_polar, range_m, polar[0]),
+        np.where(in_polar, bearing_deg, polar[1]),
     )
 
 
 def _beliefs(table: Table, landmarks: LandmarkSet) -> FloatArray:
     """(rows, K + 1) probabilities; if they are missing, the score and its complement."""
     score, names = table["score"], belief_names(landmarks.ids)
-    found = np.zeros((len(score), len(names)))
-    found[np.arange(len(score)), landmarks.indices(table["landmark"])] = score
-    found[:, -1] = 1 - score
+    beliefs = np.zeros((len(score), len(names)))
+    beliefs[np.arange(len(score)), landmarks.indices(table["landmark"])] = score
+    beliefs[:, -1] = 1 - score
     if all(name in table for name in names):
-        stated = np.column_stack([table[name] for name in names])
-        whole = np.isfinite(stated).all(axis=1)
-        found[whole] = stated[whole]
-    return found
+        in_table = np.column_stack([table[name] for name in names])
+        whole = np.isfinite(in_table).all(axis=1)
+        beliefs[whole] = in_table[whole]
+    return beliefs

@@ -131,9 +131,9 @@ class ResultsWriter:
         try:
             # Written first, so that a frame in frames.csv has all its estimates.
             self._estimates.append(
-                [c.written(result, e) for c in self._columns] for e in result.estimates
+                [c.cell(result, e) for c in self._columns] for e in result.estimates
             )
-            self._frames.append([[c.written(result, stamps) for c in FRAME_COLUMNS]])
+            self._frames.append([[c.cell(result, stamps) for c in FRAME_COLUMNS]])
             self.frames += 1
             self.candidates += result.candidates
             self._seen(self._gathered.add(result.index, result.timestamp_ns, result.estimates))
@@ -147,7 +147,7 @@ class ResultsWriter:
 
     def _seen(self, ended: Sequence[Sighting]) -> None:
         if ended:
-            self._sightings.append([c.written(s) for c in SIGHTING_COLUMNS] for s in ended)
+            self._sightings.append([c.cell(s) for c in SIGHTING_COLUMNS] for s in ended)
 
     def finish(self, problems: Sequence[str], unusable: int = 0) -> list[str]:
         """End a complete run: replace older results. Returns the notes of `exchange`.
@@ -160,7 +160,7 @@ class ResultsWriter:
         self._run["input"]["candidates"] = self.candidates
         self._run["input"]["problems"] = [name_as_text(problem) for problem in problems]
         try:
-            self._seen(self._gathered.rest())
+            self._seen(self._gathered.close_all())
             self._sightings.close(sync=True)
             self._estimates.close(sync=True)
             self._frames.close(sync=True)
@@ -192,7 +192,7 @@ class ResultsWriter:
 
     def __exit__(self, *_: object) -> None:
         with suppress(OSError, ValueError):  # the disk is full, or the files are closed already
-            self._seen(self._gathered.rest())
+            self._seen(self._gathered.close_all())
         for table in (self._estimates, self._frames, self._sightings):
             table.close()
         if not self.frames and self._part.is_dir():

@@ -25,7 +25,7 @@ from sonarrec.evaluation.compare.compare import compare
 from sonarrec.evaluation.counting import store
 from sonarrec.evaluation.counting.passes import UnitKind
 from sonarrec.evaluation.counting.pooled import Pooled
-from sonarrec.evaluation.counting.store import Store, ranked, summed
+from sonarrec.evaluation.counting.store import Store, sum_by_value, values_at_ranks
 from sonarrec.evaluation.counting.uncertainty import bootstrap_weights, coin_tosses
 from sonarrec.evaluation.evaluate import evaluate_many, evaluate_whole
 from sonarrec.evaluation.matching.pairs import Pair, read_pairs
@@ -354,13 +354,13 @@ def test_values_by_rank_are_those_of_sorting(values: list[list[float]]) -> None:
     whole = np.sort(np.concatenate(blocks))
     if len(whole):
         ranks = np.unique(np.linspace(0, len(whole) - 1, 7).astype(int))
-        assert ranked(lambda: blocks, ranks).tolist() == whole[ranks].tolist()
+        assert values_at_ranks(lambda: blocks, ranks).tolist() == whole[ranks].tolist()
 
 
 @given(FLOATS)
 def test_equal_values_are_put_together(values: list[list[float]]) -> None:
     chunks = [(np.array(some, dtype=float), np.ones((len(some), 2), int)) for some in values]
-    found, many = summed(chunks)
+    found, many = sum_by_value(chunks)
     expected, count = np.unique(np.concatenate([c[0] for c in chunks]), return_counts=True)
     assert found.tolist() == expected.tolist()
     assert many[:, 0].tolist() == many[:, -1].tolist() == count.tolist()

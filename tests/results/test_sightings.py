@@ -62,7 +62,7 @@ def gathered(frames: dict[int, list[Estimate]], sightings: Sightings | None = No
     found = []
     for frame, estimates in sorted(frames.items()):
         found += sightings.add(frame, frame * 10**8, estimates)
-    return found + sightings.rest()
+    return found + sightings.close_all()
 
 
 @pytest.mark.parametrize(("again", "passes"), [(14, 1), (15, 2)])

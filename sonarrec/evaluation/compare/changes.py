@@ -77,13 +77,13 @@ class FrameChanges:
 
     def verdicts(self) -> dict[str, int]:
         """How many changes are better, worse and other."""
-        found: Counter[str] = Counter()
+        counts: Counter[str] = Counter()
         for of in self.methods:
             for number, _ in self.logs:
                 more = _more_errors(self._rows(*of, number))
                 worse, better = int((more > 0).sum()), int((more < 0).sum())
-                found.update(worse=worse, better=better, other=len(more) - worse - better)
-        return {name: found[name] for name in VERDICTS}
+                counts.update(worse=worse, better=better, other=len(more) - worse - better)
+        return {name: counts[name] for name in VERDICTS}
 
     def runs(
         self, most: int, protocol: str | None = None, verdict: str | None = None
@@ -121,9 +121,9 @@ class FrameChanges:
 _SIGN = {"worse": 1, "better": -1, "other": 0}
 
 
-def put(store: Store, number: int, found: ByMethod) -> None:
+def store_changes(store: Store, number: int, changes: ByMethod) -> None:
     """Store the changes of one log for `FrameChanges`."""
-    for of, rows in found.items():
+    for of, rows in changes.items():
         store.put((*of, number), number, rows)
 
 
@@ -136,17 +136,19 @@ def changed_frames(
     """
     methods = tuple(dict.fromkeys((*before[0].methods, *after[0].methods)))
     placed = before[0].placed and after[0].placed
-    found = {}
+    changes = {}
     for protocol in PROTOCOLS if placed else PROTOCOLS[:1]:
         for method in methods:
-            a, b = (_scored(*side, protocol, method) for side in (before, after))
-            rows = _between(a, b, after[0])
+            a, b = (_scored_or_silent(*side, protocol, method) for side in (before, after))
+            rows = _changes_between(a, b, after[0])
             if len(rows):
-                found[protocol, method] = rows
-    return found
+                changes[protocol, method] = rows
+    return changes
 
 
-def _scored(joined: Joined, scored: Sequence[Scored], protocol: str, method: str) -> Scored:
+def _scored_or_silent(
+    joined: Joined, scored: Sequence[Scored], protocol: str, method: str
+) -> Scored:
     """One method under one protocol; without claims if the method is missing."""
     for one in scored:
         if (one.protocol, one.method) == (protocol, method):
@@ -155,7 +157,7 @@ def _scored(joined: Joined, scored: Sequence[Scored], protocol: str, method: str
     return score(more, len(joined.methods), protocol)
 
 
-def _between(a: Scored, b: Scored, joined: Joined) -> npt.NDArray[Any]:
+def _changes_between(a: Scored, b: Scored, joined: Joined) -> npt.NDArray[Any]:
     """The CHANGEs of one method from a (old) to b (new)."""
     frames = len(joined.frame)
     cells = [s.declared_by(np.arange(frames), joined.truth_frame_index, frames) for s in (a, b)]

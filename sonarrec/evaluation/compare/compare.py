@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 
 from sonarrec.evaluation import metrics
-from sonarrec.evaluation.compare.changes import FrameChanges, put
+from sonarrec.evaluation.compare.changes import FrameChanges, store_changes
 from sonarrec.evaluation.compare.log_pair import CountedPair, LogPair, count_pair
 from sonarrec.evaluation.compare.pairing import pair_logs
 from sonarrec.evaluation.compare.settings import SettingChange, changed_settings
 from sonarrec.evaluation.counting.behaviour import PassOutcomes
 from sonarrec.evaluation.counting.passes import UnitKind
-from sonarrec.evaluation.counting.pooled import Parts, Pooled, pooled
+from sonarrec.evaluation.counting.pooled import Parts, Pooled, pool
 from sonarrec.evaluation.counting.store import Store
 from sonarrec.evaluation.counting.uncertainty import (
     Difference,
@@ -183,10 +183,10 @@ def compare(
     """
     options.check()
     pairing = pair_logs(old, new, ground_truth, options, find_beside)
-    counted = _counted(pairing.pairs, jobs, options.min_visible)
+    counted = _count_pairs(pairing.pairs, jobs, options.min_visible)
     notes = [*dict.fromkeys(pairing.notes), *counted.notes]
     unused = [*dict.fromkeys([*pairing.unused, *counted.cut]), *counted.unused]
-    return _compared(
+    return _comparison(
         counted,
         unit,
         old=str(old),
@@ -220,7 +220,7 @@ class _CountedPairs:
     """A line for each log that is not compared."""
 
 
-def _counted(pairs: Sequence[LogPair], jobs: int | None, min_visible: float) -> _CountedPairs:
+def _count_pairs(pairs: Sequence[LogPair], jobs: int | None, min_visible: float) -> _CountedPairs:
     """Read and count all pairs.
 
     Raises SonarrecError if none can be compared, or if they have different IDs or no method.
@@ -233,45 +233,47 @@ def _counted(pairs: Sequence[LogPair], jobs: int | None, min_visible: float) -> 
     numbers: dict[int, int] = {}  # of a log, by its index in `logs`, the number of its parts
     ids: tuple[int, ...] | None = None
     for pair, log in zip(pairs, map_logs(count_pair, pairs, jobs), strict=True):
-        one = log
-        if isinstance(one, CountedPair) and one.parts is not None:
-            ids = ids or one.ids
-            if one.ids != ids and set(one.ids) == set(ids):  # count again, in the first log's order
-                one = count_pair(replace(pair, ids=ids))
-        if isinstance(one, UnreadableLog):
-            unread.append(one)
+        counted = log
+        if isinstance(counted, CountedPair) and counted.parts is not None:
+            ids = ids or counted.ids
+            if counted.ids != ids and set(counted.ids) == set(
+                ids
+            ):  # count again, in the first log's order
+                counted = count_pair(replace(pair, ids=ids))
+        if isinstance(counted, UnreadableLog):
+            unread.append(counted)
             continue
-        if one.parts is not None:
-            number = numbers[len(logs)] = before.put(one.parts[0])
-            after.put(one.parts[1])
-            put(store, number, one.changes)
-        logs.append(replace(one, parts=None, changes={}))
+        if counted.parts is not None:
+            number = numbers[len(logs)] = before.put(counted.parts[0])
+            after.put(counted.parts[1])
+            store_changes(store, number, counted.changes)
+        logs.append(replace(counted, parts=None, changes={}))
         read.append(pair)
     if not logs:
         raise unread[0].error
-    found = scorable_logs([log.truth_check for log in logs])
-    used = [logs[i] for i in found.usable]
+    scorable = scorable_logs([log.truth_check for log in logs])
+    used = [logs[i] for i in scorable.usable]
     for log in used:
         if set(log.ids) != set(used[0].ids):
             raise other_ids(used[0].name, log.name)
-    names = distinct_names([(read[i].name, read[i].new) for i in found.usable])
-    kept = [numbers[i] for i in found.usable]
-    old, new = (pooled(parts, kept, names, min_visible) for parts in (before, after))
+    names = distinct_names([(read[i].name, read[i].new) for i in scorable.usable])
+    part_numbers = [numbers[i] for i in scorable.usable]
+    old, new = (pool(parts, part_numbers, names, min_visible) for parts in (before, after))
     if not (old.methods and new.methods):
         raise SonarrecError(f"{', '.join(names)}: estimates.csv names no method to score")
     return _CountedPairs(
-        used=[replace(read[i], name=n) for i, n in zip(found.usable, names, strict=True)],
+        used=[replace(read[i], name=n) for i, n in zip(scorable.usable, names, strict=True)],
         before=old,
         after=new,
-        frames=partial(FrameChanges, store, tuple(zip(kept, names, strict=True))),
-        notes=found.notes,
+        frames=partial(FrameChanges, store, tuple(zip(part_numbers, names, strict=True))),
+        notes=scorable.notes,
         cut=[line for log in logs for line in log.unused],
-        unused=[*(one.message("compared") for one in unread), *found.unused],
+        unused=[*(counted.message("compared") for counted in unread), *scorable.unused],
     )
 
 
-def _compared(counted: _CountedPairs, unit: UnitKind | None, **known: Any) -> Comparison:
-    """known: the fields of Comparison that are known already."""
+def _comparison(counted: _CountedPairs, unit: UnitKind | None, **fields_known: Any) -> Comparison:
+    """fields_known: the fields of Comparison that are known already."""
     before, after = counted.before, counted.after
     units = after.units(unit)
     rng = np.random.default_rng(0)
@@ -296,16 +298,16 @@ def _compared(counted: _CountedPairs, unit: UnitKind | None, **known: Any) -> Co
             tests += differences(old_tally, new_tally, weights, tosses)
     if not methods:
         has = (
-            f"{known[k]} has {', '.join(p.methods)}"
+            f"{fields_known[k]} has {', '.join(p.methods)}"
             for k, p in zip(("old", "new"), (before, after), strict=True)
         )
         raise SonarrecError(
             printable(f"nothing to compare: no method is in both; {'; '.join(has)}")
         )
     if before.placed != after.placed:
-        without = known["new"] if before.placed else known["old"]
+        without = fields_known["new"] if before.placed else fields_known["old"]
         note = f"protocol strict is not compared: {without} has no positions that can be used"
-        known["notes"] = (*known["notes"], printable(note))
+        fields_known["notes"] = (*fields_known["notes"], printable(note))
     return Comparison(
         logs=after.logs,
         frames_compared=after.frames,
@@ -318,7 +320,7 @@ def _compared(counted: _CountedPairs, unit: UnitKind | None, **known: Any) -> Co
         lost=tuple(m for m in before.methods if m not in after.methods),
         gained=tuple(m for m in after.methods if m not in before.methods),
         unplaced=before.placed and not after.placed,
-        **known,
+        **fields_known,
     )
 
 

@@ -55,12 +55,12 @@ class CountedPair:
 def count_pair(pair: LogPair) -> CountedPair | UnreadableLog:
     """Read and count the old and the new results of one log."""
     try:
-        return _counted(pair)
+        return _count_pair(pair)
     except SonarrecError as fault:  # the other logs can be compared
         return UnreadableLog(pair.name, fault)
 
 
-def _counted(pair: LogPair) -> CountedPair:
+def _count_pair(pair: LogPair) -> CountedPair:
     """As `count_pair`.
 
     Raises SonarrecError if the results or the truth cannot be read, or if old and new results
@@ -81,9 +81,9 @@ def _counted(pair: LogPair) -> CountedPair:
         unused += not_whole(log, "scored")
     old, new = (_only(replace(log, name=pair.name), common) for log in (old, new))
     case = match_log(pair.new, table, new, options.tolerance_s)
-    found = check_fit(case)
-    labels = pair.name, new.landmarks.ids, found, unused
-    if found.fault is not None:
+    truth_check = check_fit(case)
+    labels = pair.name, new.landmarks.ids, truth_check, unused
+    if truth_check.fault is not None:
         return CountedPair(*labels, None, {})
     scored = []
     for log in (old, new):
@@ -95,19 +95,19 @@ def _counted(pair: LogPair) -> CountedPair:
 
 def _only(log: LogResults, frames: Any) -> LogResults:
     """The results on the frames of these numbers."""
-    kept = np.isin(log.frame, frames)
-    mine = kept[log.frame_index]  # (N,) whether an estimate lies on one of them
+    listed = np.isin(log.frame, frames)
+    on_listed = listed[log.frame_index]  # (N,) whether an estimate lies on one of them
     return replace(
         log,
-        frame=log.frame[kept],
-        timestamp_ns=None if log.timestamp_ns is None else log.timestamp_ns[kept],
-        method=log.method[mine],
-        frame_index=(np.cumsum(kept) - 1)[log.frame_index[mine]],
-        landmark_index=log.landmark_index[mine],
-        score=log.score[mine],
-        declared=log.declared[mine],
-        position=None if log.position is None else log.position[mine],
-        orientation=log.orientation[mine],
-        object=log.object[mine],
-        probability=None if log.probability is None else log.probability[mine],
+        frame=log.frame[listed],
+        timestamp_ns=None if log.timestamp_ns is None else log.timestamp_ns[listed],
+        method=log.method[on_listed],
+        frame_index=(np.cumsum(listed) - 1)[log.frame_index[on_listed]],
+        landmark_index=log.landmark_index[on_listed],
+        score=log.score[on_listed],
+        declared=log.declared[on_listed],
+        position=None if log.position is None else log.position[on_listed],
+        orientation=log.orientation[on_listed],
+        object=log.object[on_listed],
+        probability=None if log.probability is None else log.probability[on_listed],
     )

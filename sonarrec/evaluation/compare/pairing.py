@@ -14,9 +14,9 @@ from sonarrec.evaluation.matching.options import ScoringOptions
 from sonarrec.evaluation.matching.pairs import (
     FindBeside,
     Pair,
-    found_beside,
-    found_where,
+    find_truths_beside,
     truth_by_folder,
+    truth_note,
 )
 from sonarrec.files.tables import read_header
 from sonarrec.records import IntArray, SonarrecError, name_as_text, number_of
@@ -51,14 +51,14 @@ def pair_logs(
 
     Raises SonarrecError if there is none.
     """
-    found, unused = _pair_up(old, new)
+    candidates, unused = _pair_up(old, new)
     pairs: list[Folders] = []
     recordings: list[Recording] = []
     notes: list[str] = []
     faults: list[SonarrecError] = []
-    for folders in found:
+    for folders in candidates:
         try:
-            remarks = _checked(folders, options.landmarks)
+            remarks = _check_comparable(folders, options.landmarks)
             recordings.append(_recording(folders[1], options.landmarks))
         except SonarrecError as fault:  # the other logs can be compared
             faults.append(fault)
@@ -76,14 +76,14 @@ def pair_logs(
             return np.empty(0, dtype=np.int64)
 
     once = counted_once([after for _, after in pairs], recordings, frames, "compared")
-    kept = [pairs[i] for i in once.kept]
-    truths, where, without = _truths(kept, len(faults), ground_truth, find_beside)
+    counted = [pairs[i] for i in once.kept]
+    truths, truth_notes, without = _truths(counted, len(faults), ground_truth, find_beside)
     logs = [
         LogPair(*folders, truth.ground_truth, truth.log or _name(folders[1]), options)
-        for folders, truth in zip(kept, truths, strict=True)
+        for folders, truth in zip(counted, truths, strict=True)
         if truth is not None
     ]
-    return Pairing(logs, [*notes, *once.notes, *where], [*unused, *once.unused, *without])
+    return Pairing(logs, [*notes, *once.notes, *truth_notes], [*unused, *once.unused, *without])
 
 
 def _run(folder: Path) -> RunFile:
@@ -111,7 +111,7 @@ def _recording(folder: Path, landmarks: str | None) -> Recording:
     return recording(folder, run, len(read_log(folder, landmarks).frame_index))
 
 
-def _checked(pair: Folders, landmarks: str | None) -> list[str]:
+def _check_comparable(pair: Folders, landmarks: str | None) -> list[str]:
     """Notes on two results folders. Raises SonarrecError if they cannot be compared."""
     old, new = pair
     for folder in pair:
@@ -192,8 +192,8 @@ def _truths(
     where: list[str] = []
     truths: list[Pair | None]
     if ground_truth is None:
-        found, without = found_beside(folders, find_beside)
-        where = [found_where(pair) for pair in found]
+        found, without = find_truths_beside(folders, find_beside)
+        where = [truth_note(pair) for pair in found]
         of_folder = {pair.results: pair for pair in found}
         truths = [of_folder.get(folder) for folder in folders]
     else:

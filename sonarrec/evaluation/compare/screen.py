@@ -10,28 +10,28 @@ from sonarrec.evaluation.metrics import BY_NAME
 from sonarrec.records import number_of, printable
 
 
-def screen(found: Comparison, most: int = 12) -> str:
+def screen(comparison: Comparison, most: int = 12) -> str:
     """Changed settings, rates in total with tests, then at most `most` runs of changed frames, the
     longest ones."""
-    lines = [*settings_lines(found, most), *_rate_lines(found)]
-    lines += [f"{method}: only in the old results" for method in found.lost]
-    lines += [f"{method}: only in the new results" for method in found.gained]
-    verdicts = found.frames.verdicts()
+    lines = [*settings_lines(comparison, most), *_rate_lines(comparison)]
+    lines += [f"{method}: only in the old results" for method in comparison.lost]
+    lines += [f"{method}: only in the new results" for method in comparison.gained]
+    verdicts = comparison.frames.verdicts()
     lines.append(
         f"frames and IDs: {verdicts['better']} better, {verdicts['worse']} worse, "
         f"{verdicts['other']} otherwise changed"
     )
-    lines += _frame_lines(found, most)
+    lines += _frame_lines(comparison, most)
     return "\n".join(map(printable, lines))
 
 
-def _rate_lines(found: Comparison) -> Iterable[str]:
+def _rate_lines(comparison: Comparison) -> Iterable[str]:
     """A line per method and protocol, and one that says why there are no p-values."""
-    whole = (d for d in found.differences if d.landmark_text == "total")
+    whole = (d for d in comparison.differences if d.landmark_text == "total")
     tests = {(d.protocol, d.b, d.name): d for d in whole}
     totals: dict[str, list[str]] = {}
     no_test = ""
-    for r in found.rates:
+    for r in comparison.rates:
         if r.landmark_text == "total":
             text = f"{BY_NAME[r.rate].label} {rate_text(r.old)}"
             if r.new != r.old:
@@ -45,9 +45,9 @@ def _rate_lines(found: Comparison) -> Iterable[str]:
         yield f"no p-values: {no_test}"
 
 
-def _frame_lines(found: Comparison, most: int) -> Iterable[str]:
+def _frame_lines(comparison: Comparison, most: int) -> Iterable[str]:
     """A line per run of changed frames."""
-    runs, count = found.frames.runs(most)
+    runs, count = comparison.frames.runs(most)
     for run in runs:
         first, last = run.first, run.last_frame
         span = f"frame {first.frame}" if run.count == 1 else f"frames {first.frame}-{last}"
@@ -59,14 +59,17 @@ def _frame_lines(found: Comparison, most: int) -> Iterable[str]:
         yield f"  and {number_of(count - most, 'more run')}; changes.csv has all"
 
 
-def settings_lines(found: Comparison, most: int = 12) -> Iterable[str]:
+def settings_lines(comparison: Comparison, most: int = 12) -> Iterable[str]:
     """A line per setting that differs, with the names of the logs if it differs in some only."""
-    for change in found.settings[:most]:
-        logs = "" if len(change.logs) == len(found.logs) else f" ({', '.join(change.logs)})"
+    for change in comparison.settings[:most]:
+        logs = "" if len(change.logs) == len(comparison.logs) else f" ({', '.join(change.logs)})"
         yield f"{change.key}: {change.old} -> {change.new}{logs}"
-    if len(found.settings) > most:
-        yield f"and {number_of(len(found.settings) - most, 'more setting')}; compare.json has all"
-    if not found.settings and not any("settings are not known" in note for note in found.notes):
+    more = len(comparison.settings) - most
+    if more > 0:
+        yield f"and {number_of(more, 'more setting')}; compare.json has all"
+    if not comparison.settings and not any(
+        "settings are not known" in note for note in comparison.notes
+    ):
         yield "settings, version and landmark set: the same"
 
 

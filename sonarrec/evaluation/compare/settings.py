@@ -36,15 +36,15 @@ def changed_settings(runs: Iterable[tuple[str, RunFile, RunFile]]) -> list[Setti
 
     Logs without a run.toml on one side are left out.
     """
-    found: dict[tuple[str, str, str], list[str]] = defaultdict(list)
+    presets: dict[tuple[str, str, str], list[str]] = defaultdict(list)
     for name, before, after in runs:
         if not before.table or not after.table:
             continue
         old, new = (_compared_keys(run) for run in (before, after))
         for key in dict.fromkeys((*old, *new)):
             if old.get(key) != new.get(key) and not _is_echo(key, old, new):
-                found[key, *_texts(old, new, key)].append(name)
-    return [SettingChange(*change, tuple(logs)) for change, logs in found.items()]
+                presets[key, *_texts(old, new, key)].append(name)
+    return [SettingChange(*change, tuple(logs)) for change, logs in presets.items()]
 
 
 def _compared_keys(run: RunFile) -> dict[str, Any]:

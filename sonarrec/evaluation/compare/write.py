@@ -9,7 +9,7 @@ from pathlib import Path
 from textwrap import indent
 
 from sonarrec.evaluation.compare.compare import Comparison
-from sonarrec.evaluation.write import as_record, json_text, known, write_table
+from sonarrec.evaluation.write import as_record, finite_or_none, json_text, write_table
 from sonarrec.files.outputs import (
     check_no_recording,
     check_output,
@@ -25,18 +25,18 @@ CHANGES = (
 )
 
 
-def write_comparison(folder: Path, found: Comparison) -> tuple[str, ...]:
+def write_comparison(folder: Path, comparison: Comparison) -> tuple[str, ...]:
     """Write compare.csv, changes.csv and compare.json; returns their names.
 
     Raises as `write_evaluation`.
     """
     rates = (
         (r.protocol, r.method, r.landmark_text, r.rate, r.old, r.new, r.worse, r.of)
-        for r in found.rates
+        for r in comparison.rates
     )
     changes = (
         (c.protocol, c.method, c.log, c.frame, c.landmark, c.verdict, *c.old, *c.new)
-        for c in found.frames
+        for c in comparison.frames
     )
     check_tables(folder, {"compare.csv": COMPARE, "changes.csv": CHANGES})
     check_output(folder / "compare.json", "JSON", header='{\n  "old": ')
@@ -48,38 +48,39 @@ def write_comparison(folder: Path, found: Comparison) -> tuple[str, ...]:
             replaced(folder / "compare.json") as new,
             new.open("w", encoding="utf-8", newline="") as file,
         ):
-            file.writelines(comparison_json(found))
+            file.writelines(comparison_json(comparison))
     return ("compare.csv", "changes.csv", "compare.json")
 
 
-def comparison_json(found: Comparison) -> Iterator[str]:
+def comparison_json(comparison: Comparison) -> Iterator[str]:
     """compare.json piece by piece: what was compared and how it was made, rates, tests, passes;
     0/0 is null."""
     document = {
-        "old": found.old,
-        "new": found.new,
-        "logs": list(found.logs),
-        "frames": found.frames_compared,
-        "landmarks": list(found.landmarks),
-        "units": found.units,
-        "settings": [asdict(change) for change in found.settings],
+        "old": comparison.old,
+        "new": comparison.new,
+        "logs": list(comparison.logs),
+        "frames": comparison.frames_compared,
+        "landmarks": list(comparison.landmarks),
+        "units": comparison.units,
+        "settings": [asdict(change) for change in comparison.settings],
         "rates": [
-            as_record(asdict(rate)) | {"worse_by": known(rate.worse)} for rate in found.rates
+            as_record(asdict(rate)) | {"worse_by": finite_or_none(rate.worse)}
+            for rate in comparison.rates
         ],
-        "differences": [as_record(asdict(difference)) for difference in found.differences],
+        "differences": [as_record(asdict(difference)) for difference in comparison.differences],
         "passes": [],
-        "frames_and_ids": found.frames.verdicts(),
-        "lost": list(found.lost),
-        "gained": list(found.gained),
-        "notes": list(found.notes),
-        "unused": list(found.unused),
+        "frames_and_ids": comparison.frames.verdicts(),
+        "lost": list(comparison.lost),
+        "gained": list(comparison.gained),
+        "notes": list(comparison.notes),
+        "unused": list(comparison.unused),
     }
     # Of many logs the passes are many. No text in the document holds the key as it stands here:
     # in one its quotes are escaped.
     before, after = json_text(document).split('"passes": []')
     yield f'{before}"passes": ['
     end = ""
-    for change in found.passes:
+    for change in comparison.passes:
         yield ("," if end else "") + "\n" + indent(json.dumps(asdict(change), indent=2), " " * 4)
         end = "\n  "
     yield f"{end}]{after}"

@@ -11,7 +11,7 @@ import numpy as np
 
 from sonarrec.evaluation.counting.passes import Passes, Units
 from sonarrec.evaluation.counting.scoring import Scored
-from sonarrec.evaluation.counting.store import ranked
+from sonarrec.evaluation.counting.store import values_at_ranks
 from sonarrec.evaluation.counting.unit_sums import (
     UnitSums,
     Values,
@@ -103,11 +103,11 @@ def wait_counts(
     ID counts as infinite.
     """
     edges = np.unique(np.concatenate([[np.inf], *(f.wait for f in outcomes)]))
-    for one in outcomes:
-        for name, mine in by_landmark(ids, landmark_index):
-            labels = (one.protocol, one.method, name)
-            some = [(one.wait[mine], unit[mine])]
-            yield histogram_sums(labels, partial(list, some), units, edges)
+    for outcome in outcomes:
+        for name, of_id in by_landmark(ids, landmark_index):
+            labels = (outcome.protocol, outcome.method, name)
+            waits = [(outcome.wait[of_id], unit[of_id])]
+            yield histogram_sums(labels, partial(list, waits), units, edges)
 
 
 def on_truth(joined: Joined) -> IntArray:
@@ -125,12 +125,12 @@ def false_claims(joined: Joined, nearest: IntArray, units: Units, method: int) -
     declared = np.flatnonzero(joined.declared & (joined.method_index == method))
     truth, claimed = nearest[declared], joined.claim_landmark_index[declared]
     nowhere = truth < 0
-    other, unit = ~nowhere, units.of_frame[joined.claim_frame_index[declared]]
+    on_other, unit = ~nowhere, units.of_frame[joined.claim_frame_index[declared]]
     if len(joined.truth_landmark_index):
-        other &= joined.truth_landmark_index[truth] != claimed
+        on_other &= joined.truth_landmark_index[truth] != claimed
         unit = np.where(nowhere, unit, units.of_truth[truth])
     cell = unit * k + claimed
-    kinds = [np.bincount(cell[kind], minlength=units.count * k) for kind in (nowhere, other)]
+    kinds = [np.bincount(cell[kind], minlength=units.count * k) for kind in (nowhere, on_other)]
     return np.stack(kinds, axis=1).reshape(units.count, k, 2)
 
 
@@ -140,12 +140,15 @@ def minutes(joined: Joined, units: Units) -> FloatArray:
 
 
 def false_claim_counts(
-    method: str, ids: Sequence[int], made: IntArray, minutes: FloatArray
+    method: str, ids: Sequence[int], claims: IntArray, minutes: FloatArray
 ) -> Iterator[UnitSums]:
-    """FalseClaims per claimed ID and in all. made: from `false_claims`. minutes: from `minutes`."""
-    named = [(str(i), made[:, k]) for k, i in enumerate(ids)]
-    for name, mine in [*named, ("total", made.sum(axis=1))]:
-        yield plain_sums(("strict", method, name), FalseClaims, [*mine.T, minutes])
+    """FalseClaims per claimed ID and in all.
+
+    claims: from the function `false_claims`. minutes: from the function `minutes`.
+    """
+    per_id = [(str(i), claims[:, k]) for k, i in enumerate(ids)]
+    for name, kinds in [*per_id, ("total", claims.sum(axis=1))]:
+        yield plain_sums(("strict", method, name), FalseClaims, [*kinds.T, minutes])
 
 
 def switches(joined: Joined, nearest: IntArray, passes: Passes) -> list[Switches]:
@@ -165,49 +168,52 @@ def switches(joined: Joined, nearest: IntArray, passes: Passes) -> list[Switches
     away = distance(joined, claims, truth)
     order = np.lexsort((away, truth, joined.truth_frame_index[truth], passes.of_truth[truth]))
     claims = claims[order]
-    found = []
+    of_methods = []
     for m, method in enumerate(joined.methods):
-        mine = claims[joined.method_index[claims] == m]
+        of_method = claims[joined.method_index[claims] == m]
         tracked = follows(method)
-        declared = mine[joined.declared[mine]]
-        found.append(
+        declared = of_method[joined.declared[of_method]]
+        of_methods.append(
             Switches(
                 method=method,
                 ids=_changes(joined.claim_landmark_index[declared], nearest[declared], passes),
-                tracks=_changes(joined.claim_object[mine], nearest[mine], passes)
+                tracks=_changes(joined.claim_object[of_method], nearest[of_method], passes)
                 if tracked
                 else None,
-                objects=bool((joined.claim_object[mine] >= 0).any()),
+                objects=bool((joined.claim_object[of_method] >= 0).any()),
             )
         )
-    return found
+    return of_methods
 
 
-def _changes(what: IntArray, truth: IntArray, passes: Passes) -> IntArray:
-    """(P,) changes of `what` along each pass; the first element counts for each truth."""
+def _changes(labels: IntArray, truth: IntArray, passes: Passes) -> IntArray:
+    """(P,) changes of `labels` along each pass; the first element counts for each truth."""
     first = np.ones(len(truth), dtype=bool)
     first[1:] = np.diff(truth) != 0
-    what, number = what[first], passes.of_truth[truth[first]]
-    changed = (np.diff(what) != 0) & (np.diff(number) == 0)
+    labels, number = labels[first], passes.of_truth[truth[first]]
+    changed = (np.diff(labels) != 0) & (np.diff(number) == 0)
     return np.bincount(number[1:][changed], minlength=len(passes.first_frame_index))
 
 
 def switch_counts(
-    found: Sequence[Switches],
+    of_methods: Sequence[Switches],
     ids: Sequence[int],
     landmark_index: IntArray,
     unit: IntArray,
     units: int,
 ) -> Iterator[UnitSums]:
     """SwitchTotals per ID and in all; the arguments are those of `wait_counts`."""
-    for one in found:
+    for of_method in of_methods:
         # All methods have the same columns, so that tests can swap them.
-        record = SwitchTotals if one.tracks is not None else _without_tracks
-        kinds = one.ids, np.zeros_like(one.ids) if one.tracks is None else one.tracks
-        for name, mine in by_landmark(ids, landmark_index):
-            summed = (np.bincount(unit[mine], kind[mine], units) for kind in kinds)
-            columns = [np.bincount(unit[mine], minlength=units), *summed]
-            yield plain_sums(("strict", one.method, name), record, columns)
+        record = SwitchTotals if of_method.tracks is not None else _without_tracks
+        kinds = (
+            of_method.ids,
+            np.zeros_like(of_method.ids) if of_method.tracks is None else of_method.tracks,
+        )
+        for name, of_id in by_landmark(ids, landmark_index):
+            summed = (np.bincount(unit[of_id], kind[of_id], units) for kind in kinds)
+            columns = [np.bincount(unit[of_id], minlength=units), *summed]
+            yield plain_sums(("strict", of_method.method, name), record, columns)
 
 
 def _without_tracks(passes: FloatArray, ids: FloatArray, _: FloatArray) -> SwitchTotals:
@@ -256,19 +262,19 @@ def error_counts(
     """
     k = range(len(ids))
 
-    def several(some: Sequence[tuple[str, int]]) -> Iterator[tuple[FloatArray, IntArray]]:
-        for one in some:
-            yield from errors(*one)()
+    def all_errors(cases: Sequence[tuple[str, int]]) -> Iterator[tuple[FloatArray, IntArray]]:
+        for case in cases:
+            yield from errors(*case)()
 
-    every = [(method, i) for method in methods for i in k]
-    count = sum(len(error) for error, _ in several(every))
+    all_cases = [(method, i) for method in methods for i in k]
+    count = sum(len(error) for error, _ in all_errors(all_cases))
     if not count:
         return
     # The edges are quantiles of all errors, the same for every method; their ranks are those of
     # numpy's quantile with the method "inverted_cdf".
     ranks = np.ceil(count * np.linspace(0, 1, 513) - 1).clip(0).astype(np.int64)
-    edges = np.unique(ranked(lambda: (error for error, _ in several(every)), ranks))
+    edges = np.unique(values_at_ranks(lambda: (error for error, _ in all_errors(all_cases)), ranks))
     for method in methods:
-        named = [(str(i), [(method, n)]) for n, i in enumerate(ids)]
-        for name, some in [*named, ("total", [(method, i) for i in k])]:
-            yield histogram_sums(("strict", method, name), partial(several, some), units, edges)
+        per_id = [(str(i), [(method, n)]) for n, i in enumerate(ids)]
+        for name, cases in [*per_id, ("total", [(method, i) for i in k])]:
+            yield histogram_sums(("strict", method, name), partial(all_errors, cases), units, edges)

@@ -186,31 +186,31 @@ def _blocks(
     `pass_units`.
     """
     groups = units.of_frame, units.of_truth
-    found: dict[Hashable, npt.NDArray[Any]] = {}
+    blocks: dict[Hashable, npt.NDArray[Any]] = {}
     for s in scored:
         base = s.base_by(*groups, units.count)
-        found["base", s.protocol] = base  # the same for every method
-        found["made", s.protocol, s.method] = s.declared_by(*groups, units.count) - base
+        blocks["base", s.protocol] = base  # the same for every method
+        blocks["made", s.protocol, s.method] = s.declared_by(*groups, units.count) - base
         group = s.claims_by(*groups)
         for k in range(len(joined.ids)):
-            mine = s.landmark_index == k
-            claims = np.empty(int(mine.sum()), dtype=CLAIM)
-            claims["score"], claims["unit"] = s.score[mine], group[mine]
-            claims["effect"] = s.effect[mine]
-            found["claims", s.protocol, s.method, k] = claims
+            of_id = s.landmark_index == k
+            claims = np.empty(int(of_id.sum()), dtype=CLAIM)
+            claims["score"], claims["unit"] = s.score[of_id], group[of_id]
+            claims["effect"] = s.effect[of_id]
+            blocks["claims", s.protocol, s.method, k] = claims
         if s.protocol == "strict" and nearest is not None:
-            found |= _errors(s, joined, units.of_truth)
+            blocks |= _errors(s, joined, units.of_truth)
     if nearest is not None:
         by_kind = {"pass": units, "log": find_units(joined, passes, "log")}
-        for kind, of in by_kind.items():
-            found["minutes", kind] = minutes(joined, of)
+        for kind, units_of_kind in by_kind.items():
+            blocks["minutes", kind] = minutes(joined, units_of_kind)
         for m, method in enumerate(joined.methods):
-            found["false", method] = false_claims(joined, nearest, units, m)
-            for kind, of in by_kind.items():
-                rows = calibration(joined, nearest, of, m)
+            blocks["false", method] = false_claims(joined, nearest, units, m)
+            for kind, units_of_kind in by_kind.items():
+                rows = calibration(joined, nearest, units_of_kind, m)
                 if rows is not None:
-                    found["calibration", method, kind] = rows
-    return found
+                    blocks["calibration", method, kind] = rows
+    return blocks
 
 
 def _errors(
@@ -220,15 +220,15 @@ def _errors(
     right = right_claims(strict)
     landmark = strict.landmark_index[right]
     unit = unit_of_truth[strict.truth[right]]
-    found: dict[Hashable, npt.NDArray[Any]] = {}
+    blocks: dict[Hashable, npt.NDArray[Any]] = {}
     kinds: dict[str, FloatArray] = {
         "position": position_errors(strict, joined, right),
         "orientation": orientation_errors(strict, joined, right),
     }
     for name, error in kinds.items():
         for k in range(len(joined.ids)):
-            mine = (landmark == k) & ~np.isnan(error)
-            errors = np.empty(int(mine.sum()), dtype=ERROR)
-            errors["error"], errors["unit"] = error[mine], unit[mine]
-            found[name, strict.method, k] = errors
-    return found
+            of_id = (landmark == k) & ~np.isnan(error)
+            errors = np.empty(int(of_id.sum()), dtype=ERROR)
+            errors["error"], errors["unit"] = error[of_id], unit[of_id]
+            blocks[name, strict.method, k] = errors
+    return blocks

@@ -20,7 +20,7 @@ from sonarrec.evaluation.counting.curves import Count, Curve
 from sonarrec.evaluation.counting.parts import Part, PassTable, ScoredPart, Totals
 from sonarrec.evaluation.counting.passes import LOGS_ENOUGH, MOST_UNITS, UnitKind, merged_units
 from sonarrec.evaluation.counting.scoring import PROTOCOLS
-from sonarrec.evaluation.counting.store import Store, summed
+from sonarrec.evaluation.counting.store import Store, sum_by_value
 from sonarrec.evaluation.counting.unit_sums import Claims, Values
 from sonarrec.records import FloatArray, IntArray
 from sonarrec.results.read import in_order
@@ -88,11 +88,11 @@ class Parts:
 
     def select(self, numbers: Sequence[int]) -> list[Part]:
         """Select the parts that count; the others are ignored from now on."""
-        used = [self._parts[n] for n in numbers]
-        logs = np.cumsum([0, *(len(part.logs) for part in used)]).tolist()
-        units = np.cumsum([0, *(len(part.unit_log) for part in used)]).tolist()
+        selected = [self._parts[n] for n in numbers]
+        logs = np.cumsum([0, *(len(part.logs) for part in selected)]).tolist()
+        units = np.cumsum([0, *(len(part.unit_log) for part in selected)]).tolist()
         self._selected = {n: (logs[i], units[i]) for i, n in enumerate(numbers)}
-        return used
+        return selected
 
     def blocks(self, key: Hashable) -> Iterator[tuple[int, int, npt.NDArray[Any]]]:
         """(index of the first log, of the first pass unit, array) of each part that has the key."""
@@ -105,18 +105,18 @@ class Parts:
     ) -> tuple[FloatArray, IntArray]:
         """(n,) distinct scores, rising, and (n, 4) the summed effects of their claims."""
         key = ("scores", protocol, method, k)
-        for _, found in self._store.get((self._side, key)):
-            return found["score"], found["effect"]
+        for _, table in self._store.get((self._side, key)):
+            return table["score"], table["effect"]
         if k is None:
-            each = (self.scores(protocol, method, ids, i) for i in range(ids))
-            score, effect = summed(each)
+            per_id = (self.scores(protocol, method, ids, i) for i in range(ids))
+            score, effect = sum_by_value(per_id)
         else:
             claims = self.blocks(("claims", protocol, method, k))
-            score, effect = summed((c["score"], c["effect"]) for _, _, c in claims)
-        found = np.empty(len(score), dtype=[("score", "f8"), ("effect", "i4", 4)])
-        found["score"], found["effect"] = score, effect
-        self._store.put((self._side, key), -1, found)
-        return score, found["effect"]
+            score, effect = sum_by_value((c["score"], c["effect"]) for _, _, c in claims)
+        table = np.empty(len(score), dtype=[("score", "f8"), ("effect", "i4", 4)])
+        table["score"], table["effect"] = score, effect
+        self._store.put((self._side, key), -1, table)
+        return score, table["effect"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,24 +144,24 @@ class Pooled(Totals):
 
     def sums(self, key: tuple[str, ...], units: PooledUnits) -> IntArray:
         """(U, ...) sums of blocks that are by pass units; zeros (U, K, 4) if there are none."""
-        found: IntArray | None = None
+        sums: IntArray | None = None
         for _, first, rows in self.parts.blocks(key):
-            if found is None:
-                found = np.zeros((units.count, *rows.shape[1:]), dtype=rows.dtype)
-            np.add.at(found, units.of_pass_unit[first : first + len(rows)], rows)
-        return np.zeros((units.count, len(self.ids), 4), np.int64) if found is None else found
+            if sums is None:
+                sums = np.zeros((units.count, *rows.shape[1:]), dtype=rows.dtype)
+            np.add.at(sums, units.of_pass_unit[first : first + len(rows)], rows)
+        return np.zeros((units.count, len(self.ids), 4), np.int64) if sums is None else sums
 
     def sums_of_kind(self, key: tuple[str, ...], units: PooledUnits) -> npt.NDArray[Any] | None:
         """(U, ...) sums of blocks that are by units of each kind; None if there are none."""
         if units.kind == "pass":
-            found = list(self.parts.blocks((*key, "pass")))
-            return None if not found else self.sums((*key, "pass"), units)
-        summed_up: npt.NDArray[Any] | None = None
+            blocks = list(self.parts.blocks((*key, "pass")))
+            return None if not blocks else self.sums((*key, "pass"), units)
+        sums: npt.NDArray[Any] | None = None
         for first, _, rows in self.parts.blocks((*key, "log")):
-            if summed_up is None:
-                summed_up = np.zeros((units.count, *rows.shape[1:]))
-            summed_up[first : first + len(rows)] = rows
-        return summed_up
+            if sums is None:
+                sums = np.zeros((units.count, *rows.shape[1:]))
+            sums[first : first + len(rows)] = rows
+        return sums
 
     def claims(self, scored: PooledScored, k: int | None, units: PooledUnits) -> Claims:
         """The claims of the k-th ID, or of all, one log at a time."""
@@ -179,48 +179,48 @@ class Pooled(Totals):
             yield e["error"], units.of_pass_unit[first + e["unit"]]
 
 
-def pooled(
-    parts: Parts, numbers: Sequence[int], names: Sequence[str], min_visible: float
-) -> Pooled:
+def pool(parts: Parts, numbers: Sequence[int], names: Sequence[str], min_visible: float) -> Pooled:
     """The evaluation of these parts, which have the same IDs. names: of their logs."""
-    used = parts.select(numbers)
-    methods = in_order({method for part in used for method in part.methods})
-    placed = all(part.placed for part in used)
-    ids = used[0].ids
+    selected = parts.select(numbers)
+    methods = in_order({method for part in selected for method in part.methods})
+    placed = all(part.placed for part in selected)
+    ids = selected[0].ids
     scored, outcomes = [], []
     for method in methods:
         for protocol in PROTOCOLS if placed else PROTOCOLS[:1]:
-            each = [_scored(part, protocol, method) for part in used]
-            base, declared = (np.concatenate([getattr(s, n) for s in each]) for n in _COUNTS)
+            scored_parts = [_scored_part(part, protocol, method) for part in selected]
+            base, declared = (
+                np.concatenate([getattr(s, n) for s in scored_parts]) for n in _COUNTS
+            )
             scored.append(PooledScored(protocol, method, ids, base, declared, parts))
-            of = [s.outcomes for s in each]
-            arrays = (np.concatenate([getattr(o, n) for o in of]) for n in _OUTCOMES)
+            part_outcomes = [s.outcomes for s in scored_parts]
+            arrays = (np.concatenate([getattr(o, n) for o in part_outcomes]) for n in _OUTCOMES)
             outcomes.append(PassOutcomes(protocol, method, *arrays))
-    first_log = np.cumsum([0, *(len(part.logs) for part in used)])
-    first_unit = np.cumsum([0, *(len(part.unit_log) for part in used)])
+    first_log = np.cumsum([0, *(len(part.logs) for part in selected)])
+    first_unit = np.cumsum([0, *(len(part.unit_log) for part in selected)])
     passes = [
         replace(part.passes, log_index=part.passes.log_index + log, unit=part.passes.unit + unit)
-        for part, log, unit in zip(used, first_log, first_unit, strict=False)
+        for part, log, unit in zip(selected, first_log, first_unit, strict=False)
     ]
-    estimates = [dict(zip(part.methods, part.estimates.tolist(), strict=True)) for part in used]
+    estimates = [dict(zip(part.methods, part.estimates.tolist(), strict=True)) for part in selected]
     return Pooled(
         logs=tuple(names),
         ids=ids,
         methods=methods,
         placed=placed,
-        timed=all(part.timed for part in used),
-        frames=sum(part.frames for part in used),
-        positives=np.sum([part.positives for part in used], axis=0),
-        ignored=sum(part.ignored for part in used),
-        gates=tuple(sorted({gate for part in used for gate in part.gates})),
+        timed=all(part.timed for part in selected),
+        frames=sum(part.frames for part in selected),
+        positives=np.sum([part.positives for part in selected], axis=0),
+        ignored=sum(part.ignored for part in selected),
+        gates=tuple(sorted({gate for part in selected for gate in part.gates})),
         estimates=np.array([sum(n.get(m, 0) for n in estimates) for m in methods]),
         unit_log=np.concatenate(
-            [part.unit_log + log for part, log in zip(used, first_log, strict=False)]
+            [part.unit_log + log for part, log in zip(selected, first_log, strict=False)]
         ),
         passes=PassTable(*(np.concatenate([getattr(p, n) for p in passes]) for n in _PASSES)),
         scored=tuple(scored),
         outcomes=tuple(outcomes),
-        switches=tuple(_switches(used, method) for method in methods) if placed else (),
+        switches=tuple(_switches(selected, method) for method in methods) if placed else (),
         parts=parts,
         min_visible=min_visible,
     )
@@ -231,27 +231,33 @@ _OUTCOMES = ("frames", "right", "wait")
 _PASSES = tuple(PassTable.__slots__)
 
 
-def _scored(part: Part, protocol: str, method: str) -> ScoredPart:
+def _scored_part(part: Part, protocol: str, method: str) -> ScoredPart:
     """One method under one protocol; without claims if the part lacks the method."""
-    of = [s for s in part.scored if s.protocol == protocol]
-    mine = next((s for s in of if s.method == method), None)
-    if mine is not None:
-        return mine
-    frames = of[0].outcomes.frames
+    of_protocol = [s for s in part.scored if s.protocol == protocol]
+    of_method = next((s for s in of_protocol if s.method == method), None)
+    if of_method is not None:
+        return of_method
+    frames = of_protocol[0].outcomes.frames
     never = np.full(len(frames), np.inf)
     none = PassOutcomes(protocol, method, frames, np.zeros_like(frames), never)
-    return ScoredPart(protocol, method, of[0].base, of[0].base, none)
+    return ScoredPart(protocol, method, of_protocol[0].base, of_protocol[0].base, none)
 
 
-def _switches(used: Sequence[Part], method: str) -> Switches:
+def _switches(parts: Sequence[Part], method: str) -> Switches:
     """The Switches of one method over all logs; 0 in logs that lack it."""
-    found = [next((s for s in part.switches if s.method == method), None) for part in used]
-    nothing = [np.zeros(len(part.passes.unit), dtype=np.int64) for part in used]
-    objects = any(one.objects for one in found if one is not None)
+    of_method = [next((s for s in part.switches if s.method == method), None) for part in parts]
+    nothing = [np.zeros(len(part.passes.unit), dtype=np.int64) for part in parts]
+    objects = any(switches.objects for switches in of_method if switches is not None)
 
-    def joined(name: str) -> IntArray:
-        each = [n if s is None else getattr(s, name) for s, n in zip(found, nothing, strict=True)]
-        return np.concatenate(each)
+    def concatenated(name: str) -> IntArray:
+        columns = [
+            n if s is None else getattr(s, name) for s, n in zip(of_method, nothing, strict=True)
+        ]
+        return np.concatenate(columns)
 
-    tracked = objects and any(one.tracks is not None for one in found if one is not None)
-    return Switches(method, joined("ids"), joined("tracks") if tracked else None, objects)
+    tracked = objects and any(
+        switches.tracks is not None for switches in of_method if switches is not None
+    )
+    return Switches(
+        method, concatenated("ids"), concatenated("tracks") if tracked else None, objects
+    )

@@ -65,10 +65,10 @@ def calibration(joined: Joined, nearest: IntArray, units: Units, method: int) ->
         outcome[on_one] = joined.truth_landmark_index[nearest[on_one]]
         used[on_one] &= joined.truth_positive[nearest[on_one]]
         unit = np.where(on_one, units.of_truth[nearest], unit)
-    mine = np.flatnonzero(used)
-    if not len(mine):
+    of_method = np.flatnonzero(used)
+    if not len(of_method):
         return None
-    p, y, u = joined.probability[mine], outcome[mine], unit[mine]
+    p, y, u = joined.probability[of_method], outcome[of_method], unit[of_method]
     squares = np.zeros(units.count)
     rows = []
     for c in range(k + 1):
@@ -87,13 +87,15 @@ def calibration_counts(method: str, ids: Sequence[int], rows: FloatArray) -> Ite
         yield UnitSums("strict", method, name, sums, _calibration, exact)
 
 
-def reliability(counted: Iterable[UnitSums]) -> Iterator[Reliability]:
+def reliability(sums: Iterable[UnitSums]) -> Iterator[Reliability]:
     """The curves of records from `calibration_counts`."""
-    for one in counted:
-        count, stated, right = (a[0] for a in (one.exact.count, one.exact.stated, one.exact.right))
-        name = "top" if one.landmark_text == "total" else one.landmark_text
+    for unit_sums in sums:
+        count, stated, right = (
+            a[0] for a in (unit_sums.exact.count, unit_sums.exact.stated, unit_sums.exact.right)
+        )
+        name = "top" if unit_sums.landmark_text == "total" else unit_sums.landmark_text
         mean, share = ratio(stated, count), ratio(right, count)
-        yield Reliability(one.method, name, count.astype(np.int64), mean, share)
+        yield Reliability(unit_sums.method, name, count.astype(np.int64), mean, share)
 
 
 def _sums(

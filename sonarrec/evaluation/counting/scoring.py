@@ -113,9 +113,12 @@ def score(joined: Joined, method: int, protocol: str) -> Scored:
     state[truth_cell[~joined.truth_positive]] = IGNORED
     state[truth_cell[joined.truth_positive]] = POSITIVE  # even if another one is partly in view
 
-    mine = np.flatnonzero(joined.method_index == method)
-    mine = mine[np.argsort(-joined.score[mine], kind="stable")]
-    cell = joined.claim_frame_index[mine] * k + joined.claim_landmark_index[mine]
+    claims_of_method = np.flatnonzero(joined.method_index == method)
+    claims_of_method = claims_of_method[np.argsort(-joined.score[claims_of_method], kind="stable")]
+    cell = (
+        joined.claim_frame_index[claims_of_method] * k
+        + joined.claim_landmark_index[claims_of_method]
+    )
     positive = np.flatnonzero(joined.truth_positive)
     if protocol == "paper":
         positive = positive[np.unique(truth_cell[positive], return_index=True)[1]]
@@ -123,19 +126,26 @@ def score(joined: Joined, method: int, protocol: str) -> Scored:
         positive_of_cell[truth_cell[positive]] = positive
         truth, counted, spot = positive_of_cell[cell], state[cell] != IGNORED, cell
     else:
-        truth, counted, spot = _strict_matches(joined, mine, cell, truth_cell, len(state))
-    mine, cell, truth, spot = mine[counted], cell[counted], truth[counted], spot[counted]
+        truth, counted, spot = _strict_matches(
+            joined, claims_of_method, cell, truth_cell, len(state)
+        )
+    claims_of_method, cell, truth, spot = (
+        claims_of_method[counted],
+        cell[counted],
+        truth[counted],
+        spot[counted],
+    )
 
     negative = state.reshape(-1, k) == NEGATIVE
     base = np.zeros((k, 4), dtype=np.int64)
     base[:, 1] = np.count_nonzero(negative, axis=0)
     base[:, 3] = np.bincount(joined.truth_landmark_index[positive], minlength=k)
     right, absent = truth >= 0, state[cell] == NEGATIVE
-    declared_claim = np.flatnonzero(joined.declared[mine])
+    declared_claim = np.flatnonzero(joined.declared[claims_of_method])
     declared_effect = _effects(
         protocol, right[declared_claim], absent[declared_claim], spot[declared_claim]
     )
-    landmark = joined.claim_landmark_index[mine]
+    landmark = joined.claim_landmark_index[claims_of_method]
     declared = base.copy()
     np.add.at(declared, landmark[declared_claim], declared_effect)
     return Scored(
@@ -147,10 +157,10 @@ def score(joined: Joined, method: int, protocol: str) -> Scored:
         negative=negative,
         positive=positive,
         positive_landmark_index=joined.truth_landmark_index[positive],
-        claim=mine,
-        score=joined.score[mine],
+        claim=claims_of_method,
+        score=joined.score[claims_of_method],
         landmark_index=landmark,
-        frame_index=joined.claim_frame_index[mine],
+        frame_index=joined.claim_frame_index[claims_of_method],
         truth=truth,
         effect=_effects(protocol, right, absent, spot),
         declared_claim=declared_claim,

@@ -180,7 +180,7 @@ def _has_enough_units(cases: Sequence[int]) -> bool:
 
 def intervals(tally: Tally, drawn: FloatArray) -> list[Figure]:
     """The figures of a tally with their intervals, from their (draws, figures) replicates."""
-    found = []
+    figures = []
     for i, name in enumerate(tally.names):
         value, units = tally.values[i], tally.cases[i]
         low = high = math.nan
@@ -195,8 +195,8 @@ def intervals(tally: Tally, drawn: FloatArray) -> list[Figure]:
             low, high = interval(drawn[:, i], units)
             note = ""
         labels = (tally.protocol, tally.method, tally.landmark_text)
-        found.append(Figure(*labels, name, value, low, high, units, note))
-    return found
+        figures.append(Figure(*labels, name, value, low, high, units, note))
+    return figures
 
 
 def differences(a: Tally, b: Tally, weights: FloatArray, tosses: FloatArray) -> list[Difference]:
@@ -217,7 +217,7 @@ def differences(a: Tally, b: Tally, weights: FloatArray, tosses: FloatArray) -> 
     tossed_a, tossed_b = a.figures(total_a + swapped), b.figures(total_b - swapped)
     drawn, tossed = _difference(drawn_b, drawn_a), _difference(tossed_b, tossed_a)
     seen = _difference(b.figures(total_b[None]), a.figures(total_a[None]))[0]
-    found = []
+    results = []
     for i, name in enumerate(a.names):
         units = min(a.cases[i], b.cases[i])
         low = high = p = math.nan
@@ -233,8 +233,8 @@ def differences(a: Tally, b: Tally, weights: FloatArray, tosses: FloatArray) -> 
             if not note:
                 low, high = interval(drawn[:, i], units)
         labels = (a.protocol, a.method, b.method, a.landmark_text, name)
-        found.append(Difference(*labels, a.values[i], b.values[i], low, high, p, units, note))
-    return found
+        results.append(Difference(*labels, a.values[i], b.values[i], low, high, p, units, note))
+    return results
 
 
 def _only(tally: Tally, names: Sequence[str]) -> Tally:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from sonarrec.evaluation.counting.curves import FPR_POINTS, Curve, ratio
-from sonarrec.evaluation.counting.store import Blocks, ranked
+from sonarrec.evaluation.counting.store import Blocks, values_at_ranks
 from sonarrec.records import BoolArray, FloatArray, IntArray
 
 FPR_GRID = np.unique(
@@ -72,8 +72,8 @@ class CumulativeHistogram:
     def quantile(self, share: float) -> FloatArray:
         """(R,) the smallest edge that this share of values does not exceed; NaN if none."""
         total = self.reached[:, -1:]
-        found = self.edges[np.argmax(self.reached >= share * total - 1e-3, axis=1)]  # counts: whole
-        return np.where(total[:, 0] > 0, found, np.nan)
+        edges = self.edges[np.argmax(self.reached >= share * total - 1e-3, axis=1)]  # counts: whole
+        return np.where(total[:, 0] > 0, edges, np.nan)
 
 
 def rate_sums(
@@ -125,15 +125,15 @@ def histogram_sums(
     Resampled values are rounded up to an edge, so methods need equal edges to be compared.
     """
     sums = np.zeros((units, len(edges)), dtype=np.float32)
-    for some, unit in values():
-        if len(some):
+    for block, unit in values():
+        if len(block):
             first = int(unit.min())
-            place = (unit - first) * len(edges) + np.searchsorted(edges, some)
+            place = (unit - first) * len(edges) + np.searchsorted(edges, block)
             size = (int(unit.max()) - first + 1) * len(edges)
             added = np.bincount(place, minlength=size).reshape(-1, len(edges))
             sums[first : first + len(added)] += added
     np.cumsum(sums, axis=1, out=sums)
-    exact = exact_histogram(lambda: (some for some, _ in values()))
+    exact = exact_histogram(lambda: (block for block, _ in values()))
     return UnitSums(*labels, sums, lambda rows: CumulativeHistogram(edges, rows), exact)
 
 
@@ -146,7 +146,7 @@ def exact_histogram(values: Blocks) -> CumulativeHistogram:
         np.array([*QUANTILES, 1.0]) * total - 1e-3
     )  # as in CumulativeHistogram.quantile
     reached = np.clip(least, 1, total)
-    return CumulativeHistogram(ranked(values, reached.astype(np.int64) - 1), reached[None])
+    return CumulativeHistogram(values_at_ranks(values, reached.astype(np.int64) - 1), reached[None])
 
 
 def plain_sums(
@@ -161,5 +161,5 @@ def plain_sums(
 
 def by_landmark(ids: Sequence[int], landmark_index: IntArray) -> list[tuple[str, BoolArray]]:
     """(name, which elements belong to it) of each ID, then of all."""
-    named = [(str(i), landmark_index == k) for k, i in enumerate(ids)]
-    return [*named, ("total", np.ones(len(landmark_index), dtype=bool))]
+    per_id = [(str(i), landmark_index == k) for k, i in enumerate(ids)]
+    return [*per_id, ("total", np.ones(len(landmark_index), dtype=bool))]

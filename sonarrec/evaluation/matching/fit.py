@@ -86,24 +86,26 @@ def check_fit(case: MatchedLog) -> TruthCheck:
     )
 
 
-def scorable_logs(cases: Sequence[TruthCheck], some: bool = False) -> ScorableLogs:
+def scorable_logs(cases: Sequence[TruthCheck], subset: bool = False) -> ScorableLogs:
     """The logs whose truth fits.
 
-    Raises SonarrecError if there is none, or if no truth has a row. some: as in `evaluate_whole`.
+    Raises SonarrecError if there is none, or if no truth has a row. subset: as in `evaluate_whole`.
     """
-    if not some and not any(case.rows for case in cases):
+    if not subset and not any(case.rows for case in cases):
         of = next((case for case in cases if case.table_rows), cases[0])
         names = [case.name for case in cases]
         raise SonarrecError(without_rows(of.table, of.table_rows, names, "nothing is scored"))
-    found = ScorableLogs([i for i, case in enumerate(cases) if case.fault is None], [], [])
+    scorable = ScorableLogs([i for i, case in enumerate(cases) if case.fault is None], [], [])
     faults = [case.fault for case in cases if case.fault is not None]
     # A log without a row counts as empty, but only if others have rows.
-    if faults and not any(cases[i].rows for i in found.usable):
+    if faults and not any(cases[i].rows for i in scorable.usable):
         raise SonarrecError(faults[0])
-    found.unused.extend(f"{case.fault}; {case.name} is not scored" for case in cases if case.fault)
-    for i in found.usable:
-        found.notes.extend(cases[i].notes)
-    return found
+    scorable.unused.extend(
+        f"{case.fault}; {case.name} is not scored" for case in cases if case.fault
+    )
+    for i in scorable.usable:
+        scorable.notes.extend(cases[i].notes)
+    return scorable
 
 
 def _notes(case: MatchedLog) -> list[str]:
@@ -125,12 +127,12 @@ def left_out(cases: Sequence[TruthCheck]) -> list[str]:
     if not cases:
         return []
     lines = []
-    lost = sum(case.unprocessed for case in cases)
-    if lost:
+    unprocessed = sum(case.unprocessed for case in cases)
+    if unprocessed:
         frames = sum(case.frames for case in cases)
         lines.append(
-            f"{cases[0].table}: {lost} of {cases[0].table_rows} rows lie on frames that were not "
-            f"processed; they are not scored ({number_of(frames, 'frame')} processed)"
+            f"{cases[0].table}: {unprocessed} of {cases[0].table_rows} rows lie on frames that "
+            f"were not processed; they are not scored ({number_of(frames, 'frame')} processed)"
         )
     for case in cases:
         lines += case.not_whole
@@ -141,12 +143,12 @@ def of_other_logs(table: TruthTable, logs: Sequence[str]) -> list[str]:
     """A line on rows of the truth about other logs than `logs`, if there are any."""
     if table.log is None:
         return []
-    others = np.asarray(table.log)[~np.isin(table.log, logs)]
-    if not len(others):
+    other_names = np.asarray(table.log)[~np.isin(table.log, logs)]
+    if not len(other_names):
         return []
-    names = sorted(set(map(str, others)))
+    names = sorted(set(map(str, other_names)))
     listed = ", ".join(names[:5]) + f" and {len(names) - 5} more" * (len(names) > 5)
     return [
-        f"{table.path}: {len(others)} of {len(table.at)} rows name logs that were not given "
+        f"{table.path}: {len(other_names)} of {len(table.at)} rows name logs that were not given "
         f"({listed}); they are not scored"
     ]

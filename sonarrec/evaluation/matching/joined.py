@@ -115,7 +115,7 @@ def _frames_and_claims(
         "method_index": of_method[log.method],
         "claim_frame_index": log.frame_index,
         "claim_landmark_index": of_id[log.landmark_index],
-        "claim_position": _known(log.position, (n, 2)),
+        "claim_position": _or_nan(log.position, (n, 2)),
         "claim_orientation": log.orientation,
         "claim_object": log.object,
         "score": log.score,
@@ -133,14 +133,14 @@ def _truths(
     return {
         "truth_frame_index": truth.frame_index,
         "truth_landmark_index": of_id[truth.landmark_index],
-        "truth_position": _known(truth.position, (n, 2)),
-        "truth_orientation": _known(truth.orientation, (n,)),
+        "truth_position": _or_nan(truth.position, (n, 2)),
+        "truth_orientation": _or_nan(truth.orientation, (n,)),
         "truth_positive": truth.visible >= min_visible,
         "gate": np.full(n, log.landmarks.radius_m),
     }
 
 
-def _known(values: FloatArray | None, shape: tuple[int, ...]) -> FloatArray:
+def _or_nan(values: FloatArray | None, shape: tuple[int, ...]) -> FloatArray:
     return np.full(shape, np.nan) if values is None else values
 
 

@@ -60,12 +60,12 @@ def read_pairs(path: Path) -> list[Pair]:
     ]
 
 
-def of_one_log(pairs: Iterable[Pair]) -> tuple[list[Pair], list[str]]:
+def usable_pairs(pairs: Iterable[Pair]) -> tuple[list[Pair], list[str]]:
     """The pairs that exist and have results of one log, and a line for each other pair.
 
     Raises SonarrecError if there is no such pair.
     """
-    found, faults = [], []
+    usable, faults = [], []
     for pair in pairs:
         try:
             folders = find_logs(pair.results)
@@ -78,13 +78,13 @@ def of_one_log(pairs: Iterable[Pair]) -> tuple[list[Pair], list[str]]:
         except SonarrecError as fault:
             faults.append(fault if pair.row is None else type(fault)(f"{pair.row}: {fault}"))
         else:
-            found.append(pair)
-    if not found:
+            usable.append(pair)
+    if not usable:
         raise faults[0] if faults else SonarrecError("no pair of results and ground truth to score")
-    return found, [f"{fault}; not scored" for fault in faults]
+    return usable, [f"{fault}; not scored" for fault in faults]
 
 
-def found_beside(
+def find_truths_beside(
     folders: Iterable[Path], find_beside: FindBeside | None = None
 ) -> tuple[list[Pair], list[str]]:
     """Each results folder with the truth beside its log, and a line for each without truth.
@@ -125,8 +125,8 @@ def found_beside(
     return pairs, [f"{line}; not scored" for line in (*map(str, unread), *without)]
 
 
-def found_where(pair: Pair) -> str:
-    """A message on a truth from `found_beside`."""
+def truth_note(pair: Pair) -> str:
+    """A message on a truth from `find_truths_beside`."""
     return f"{pair.results}: ground truth {pair.ground_truth}, beside its log"
 
 
@@ -142,19 +142,21 @@ def _truth_beside(folder: Path, source: Input, find_beside: FindBeside | None) -
         if is_url(source.path):
             if find_beside is None:
                 raise SonarrecError(f"its log is on a server, {source.path}")
-            log, own = source.path, f"{log_name(Path(source.path))}.{TRUTH_FILE}, nor "
+            log, own_name = source.path, f"{log_name(Path(source.path))}.{TRUTH_FILE}, nor "
             truth, size = find_beside(log, TRUTH_FILE)
         else:
-            found = _log_at(source.path, folder, source.place)
-            log = str(found.path)
-            own = (
-                f"{log_name(found.path)}.{TRUTH_FILE}, nor " if found.files == [found.path] else ""
+            log_source = _log_at(source.path, folder, source.place)
+            log = str(log_source.path)
+            own_name = (
+                f"{log_name(log_source.path)}.{TRUTH_FILE}, nor "
+                if log_source.files == [log_source.path]
+                else ""
             )
-            truth, size = found.beside(TRUTH_FILE), _size(found)
+            truth, size = log_source.beside(TRUTH_FILE), _size(log_source)
     except SonarrecError as error:
         raise SonarrecError(f"{folder}: no ground truth: {error}") from None
     if truth is None:
-        raise SonarrecError(f"{folder}: no ground truth: no {own}{TRUTH_FILE} beside {log}")
+        raise SonarrecError(f"{folder}: no ground truth: no {own_name}{TRUTH_FILE} beside {log}")
     if size is not None and source.bytes not in (None, size):
         raise SonarrecError(
             f"{folder}: no ground truth: {log} has changed since the run (it had "
@@ -171,9 +173,9 @@ def _log_at(path: str, folder: Path, place: str | None) -> Source:
     places = [path, name_from_text(path)]
     if place is not None:  # the path is relative to the folder that `run` was called in
         places.append(str((folder.resolve() / name_from_text(place)).resolve()))
-    for each in places:
+    for candidate in places:
         with suppress(MissingError):
-            return find_log(each)
+            return find_log(candidate)
     return find_log(path)
 
 
@@ -203,10 +205,10 @@ def truth_by_folder(pairs: Sequence[Pair]) -> Callable[..., Pair | None]:
         places.setdefault(place, i)
         names.setdefault(pair.log or place.name, i)
 
-    def of(*folders: Path) -> Pair | None:
+    def pair_of(*folders: Path) -> Pair | None:
         resolved = [folder.resolve() for folder in folders]
-        found = [places[place] for place in resolved if place in places]
-        found = found or [names[place.name] for place in resolved if place.name in names]
-        return pairs[min(found)] if found else None
+        matches = [places[place] for place in resolved if place in places]
+        matches = matches or [names[place.name] for place in resolved if place.name in names]
+        return pairs[min(matches)] if matches else None
 
-    return of
+    return pair_of
