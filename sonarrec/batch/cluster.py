@@ -44,19 +44,19 @@ def run_on_cluster(
         if not client.scheduler_info()["workers"]:
             watch.note(f"{address}: there is no worker yet; the logs wait for one")
         for i in range(len(tasks)):
-            watch.begun(i)  # only the worker knows when a task really starts
-        left = {
+            watch.started(i)  # only the worker knows when a task really starts
+        running = {
             client.submit(
                 _run_on_worker, task.absolute(), timeout_s, pure=False, retries=RETRIES
             ): i
             for i, task in enumerate(tasks)
         }
-        for future in dask.as_completed(list(left), loop=client.loop):
-            i = left.pop(future)
+        for future in dask.as_completed(list(running), loop=client.loop):
+            i = running.pop(future)
             if future.status == "finished":
                 watch.ended(i, future.result())
             else:
-                watch.ended(i, Outcome("failed", error=_lost(tasks[i], future)))
+                watch.ended(i, Outcome("failed", error=_loss(tasks[i], future)))
             future.release()
 
 
@@ -104,7 +104,7 @@ def _run_on_worker(task: Task, timeout_s: float | None) -> Outcome:
         worker.close()
 
 
-def _lost(task: Task, future: Any) -> SonarrecError:
+def _loss(task: Task, future: Any) -> SonarrecError:
     if future.status == "error":
         return SonarrecError(f"{task.path}: {future.exception()}")
     return SonarrecError(f"{task.path}: the scheduler gave up on it ({future.status})")

@@ -57,11 +57,11 @@ class LogsTable:
         with suppress(SonarrecError):
             before = read_logs(self._path)
             self._seconds = {row.log: row.seconds for row in before if row.status in USABLE}
-        self._others: set[str] = set()  # logs that another call is running
-        self._written = -math.inf
+        self._run_elsewhere: set[str] = set()  # logs that another call is running
+        self._written_at_s = -math.inf
         self.fault: str | None = None  # why the file could not be written
 
-    def begun(self, i: int) -> None:
+    def started(self, i: int) -> None:
         """Task i has begun."""
         self._rows[i] = replace(self._rows[i], status="running")
         self._write_at_times()
@@ -75,7 +75,7 @@ class LogsTable:
         """Task i has ended."""
         row = replace(self._rows[i], status=outcome.status, message=outcome.message)
         if isinstance(outcome.error, LockedError):
-            self._others.add(row.log)
+            self._run_elsewhere.add(row.log)
         seconds = outcome.seconds
         if (summary := outcome.summary) is not None:
             row = replace(
@@ -93,34 +93,36 @@ class LogsTable:
         """The call was stopped: running logs become waiting, with their frames so far."""
         for i, row in enumerate(self._rows):
             if row.status == "running":
-                kept = part_of(self._path.with_name(row.log)) / "frames.csv"
+                frames_file = part_of(self._path.with_name(row.log)) / "frames.csv"
                 frames = row.frames  # the last number reported
-                with suppress(OSError), kept.open("rb") as file:
+                with suppress(OSError), frames_file.open("rb") as file:
                     frames = sum(1 for _ in file) - 1
                 self._rows[i] = replace(row, status="waiting", frames=frames, message="stopped")
 
     def _write_at_times(self) -> None:
-        if monotonic() >= self._written + WRITE_EVERY_S:
+        if monotonic() >= self._written_at_s + WRITE_EVERY_S:
             self.write()
 
     def write(self) -> None:
         """Write the rows as they are now; `fault` says if that failed."""
-        self.fault, self._written = None, monotonic()
+        self.fault, self._written_at_s = None, monotonic()
         if self._alone and not (self._rows[0].frames or self._rows[0].status == "done"):
             return
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             with _turn(self._path.parent):
-                before, added = _read(self._path) if is_filled(self._path) else ([], {})
+                before, added = _read_rows(self._path) if is_filled(self._path) else ([], {})
                 usable = {row.log for row in before if row.status in USABLE}
-                mine = {
-                    _key(row): row for row in self._rows if row.log not in self._others & usable
+                own_keys = {
+                    _key(row): row
+                    for row in self._rows
+                    if row.log not in self._run_elsewhere & usable
                 }
                 # A log may be refused because another log of its name has results there. Then
                 # both keep a row, until this log has results too.
-                ended = {row.log for row in mine.values() if row.status in USABLE}
-                others = (row for row in before if row.log not in ended or _key(row) in mine)
-                rows = {_key(row): row for row in others} | mine
+                ended = {row.log for row in own_keys.values() if row.status in USABLE}
+                others = (row for row in before if row.log not in ended or _key(row) in own_keys)
+                rows = {_key(row): row for row in others} | own_keys
                 text = io.StringIO()
                 writer = csv.writer(text, lineterminator="\n")
                 writer.writerow([*COLUMNS, *added])
@@ -160,8 +162,8 @@ def again(tasks: Sequence[Task], out: Path) -> tuple[list[Task], int]:
     for task in tasks:
         state = of_path.get((task.name, task.path), of_name.get(task.name))
         if state in ("failed", "partial"):
-            mine = of_path.get((task.name, task.path)) == "partial"
-            ended.append(replace(task, overwrite=task.overwrite or mine))
+            is_partial = of_path.get((task.name, task.path)) == "partial"
+            ended.append(replace(task, overwrite=task.overwrite or is_partial))
         unended += state in ("waiting", "running")
     return ended, unended
 
@@ -191,7 +193,7 @@ def read_logs(path: Path) -> list[Row]:
 
     Raises SonarrecError if it is not such a table.
     """
-    return _read(path)[0]
+    return _read_rows(path)[0]
 
 
 def _seconds(cell: str) -> float:
@@ -200,7 +202,7 @@ def _seconds(cell: str) -> float:
     return seconds if 0 < seconds < math.inf else 0.0
 
 
-def _read(path: Path) -> tuple[list[Row], dict[str, dict[tuple[str, str], str]]]:
+def _read_rows(path: Path) -> tuple[list[Row], dict[str, dict[tuple[str, str], str]]]:
     """The rows, and for each column that a user added its cells by the keys of the rows."""
     kinds: dict[str, Callable[[str], Any]] = {
         "frames": int,
@@ -218,10 +220,10 @@ def _read(path: Path) -> tuple[list[Row], dict[str, dict[tuple[str, str], str]]]
                 raise KeyError
             added = {name: {} for name in names if name not in COLUMNS}
             for cells in table:
-                given = {name: kinds.get(name, str)(cells[name]) for name in COLUMNS}
-                if given["status"] not in get_args(Status):
+                values = {name: kinds.get(name, str)(cells[name]) for name in COLUMNS}
+                if values["status"] not in get_args(Status):
                     raise ValueError
-                rows.append(Row(**given))
+                rows.append(Row(**values))
                 for name, of in added.items():
                     of[_key(rows[-1])] = cells[name] or ""
     except FileNotFoundError:

@@ -47,12 +47,12 @@ class Worker:
 
     def run(self, task: Task, frames: Frames | None = None) -> Outcome:
         """Run a task; its outcome says if the process died."""
-        begun = monotonic()
+        start_s = monotonic()
         with self._starting:
             if self._stopped:
                 return Outcome("waiting")
             try:
-                child = self._child = self._child or self._started()
+                child = self._child = self._child or self._start()
             except OSError as error:  # no memory, file descriptors or disk space
                 why = f"no process could be started for it ({error.strerror})"
                 return Outcome("failed", error=SonarrecError(f"{task.path}: {why}"))
@@ -70,13 +70,13 @@ class Worker:
         timer.cancel()
         if outcome is not None and not late:
             return outcome
-        fault = self._ended()
+        fault = self._wait_for_end()
         if self._stopped:
             return Outcome("waiting")
         why = f"took more than {self._timeout_s:g} s (--timeout)" if late else _why(child)
         fault = fault if child.returncode > 0 and not late else ""
         failed = SonarrecError(f"{task.path}: {why}")
-        return Outcome("failed", monotonic() - begun, error=failed, fault=fault)
+        return Outcome("failed", monotonic() - start_s, error=failed, fault=fault)
 
     def stop(self) -> None:
         """End the running process and start none; the log keeps its frames so far.
@@ -93,9 +93,9 @@ class Worker:
         with self._starting:
             self._stopped = True
         if self._child is not None:
-            self._ended()
+            self._wait_for_end()
 
-    def _started(self) -> subprocess.Popen[bytes]:
+    def _start(self) -> subprocess.Popen[bytes]:
         """A process that waits for tasks."""
         self._printed = TemporaryFile()  # noqa: SIM115 - as long as the process
         return subprocess.Popen(
@@ -107,7 +107,7 @@ class Worker:
             start_new_session=True,
         )
 
-    def _ended(self) -> str:
+    def _wait_for_end(self) -> str:
         """Wait for the process to end; what it has printed."""
         child, printed = self._child, self._printed
         assert child is not None
@@ -164,7 +164,7 @@ class Watch:
     def note(self, line: str) -> None:
         """A line about the call as a whole."""
 
-    def begun(self, i: int) -> None:
+    def started(self, i: int) -> None:
         """Task i has begun."""
 
     def frames(self, i: int, done: int, total: int | None) -> None:
@@ -189,7 +189,7 @@ def run_here(tasks: list[Task], watch: Watch) -> None:
             if done == 1:
                 _fetch_next(tasks[i + 1 :])
 
-        watch.begun(i)
+        watch.started(i)
         watch.ended(i, run_task(task, observe, partial(watch.fetching, i)))
 
 
@@ -206,7 +206,7 @@ def run_apart(tasks: list[Task], jobs: int, watch: Watch, timeout_s: float | Non
     An exception in the caller's thread, such as Ctrl-C, ends the processes; their logs keep the
     frames so far.
     """
-    left = iter(enumerate(tasks))
+    tasks_left = iter(enumerate(tasks))
     turn = Lock()
     events: SimpleQueue[tuple[Callable[..., None], tuple[Any, ...]] | None] = SimpleQueue()
 
@@ -214,16 +214,16 @@ def run_apart(tasks: list[Task], jobs: int, watch: Watch, timeout_s: float | Non
         try:
             while True:
                 with turn:
-                    i, task = next(left, (-1, None))
+                    i, task = next(tasks_left, (-1, None))
                 if task is None:
                     return
-                events.put((watch.begun, (i,)))
+                events.put((watch.started, (i,)))
                 outcome = worker.run(task, partial(_put, events, watch.frames, i))
                 if outcome.status == "waiting":
                     return
                 events.put((watch.ended, (i, outcome)))
         except BaseException as error:  # a bug: the call must not end as if all were done
-            events.put((_raised, (error,)))
+            events.put((_raise, (error,)))
         finally:
             events.put(None)
 
@@ -249,7 +249,7 @@ def run_apart(tasks: list[Task], jobs: int, watch: Watch, timeout_s: float | Non
             worker.close()
 
 
-def _raised(error: BaseException) -> None:
+def _raise(error: BaseException) -> None:
     raise error
 
 

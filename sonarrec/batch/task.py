@@ -106,7 +106,7 @@ def run_task(
 
     fetching: called as the bytes of a log on a server arrive.
     """
-    begun = monotonic()
+    start_s = monotonic()
     try:
         with _at_hand(task, fetching) as (path, log_options, renamed):
             summary = process(
@@ -120,14 +120,14 @@ def run_task(
                 ahead=task.ahead,
             )
     except SonarrecError as error:
-        return Outcome("failed", monotonic() - begun, error=error)
+        return Outcome("failed", monotonic() - start_s, error=error)
     summary = replace(
         summary,
         problems=[renamed(line) for line in summary.problems],
         notes=[renamed(line) for line in summary.notes],
     )
     status: Status = "partial" if summary.problems else "done"
-    return Outcome(status, monotonic() - begun, summary, renamed(str(summary.folder)))
+    return Outcome(status, monotonic() - start_s, summary, renamed(str(summary.folder)))
 
 
 @contextmanager
@@ -142,19 +142,19 @@ def _at_hand(
     remote = task.remote
     path, log_options = Path(task.path), task.log_options
     renamed: Callable[[str], str] = str
-    with ExitStack() as held:
+    with ExitStack() as stack:
         if remote is not None and remote.log is not None:
-            found = held.enter_context(fetched(remote.log, remote.cache, fetching))
+            local_log = stack.enter_context(fetched(remote.log, remote.cache, fetching))
             path, log_options = (
-                found.path,
-                replace(log_options, up_to=found.up_to, origin=found.origin),
+                local_log.path,
+                replace(log_options, up_to=local_log.up_to, origin=local_log.origin),
             )
         if remote is not None and remote.out is not None:
             from sonarrec.remote.upload import Outbox  # with fsspec, only where needed
 
             box = Outbox(remote.out, remote.cache)
             renamed = box.origin.with_server_names
-            held.enter_context(box.results(task.name, upload=upload))
+            stack.enter_context(box.results(task.name, upload=upload))
         try:
             yield path, log_options, renamed
         except OSError as error:

@@ -27,8 +27,8 @@ def main() -> None:
     signal.signal(signal.SIGTERM, _stop)
     Thread(target=_watch_parent, args=(os.getppid(),), daemon=True).start()
     try:
-        while (task := _next()) is not None:
-            pickle.dump(_done(task, pipe), pipe)
+        while (task := _next_task()) is not None:
+            pickle.dump(_run(task, pipe), pipe)
             pipe.flush()
     except KeyboardInterrupt:
         os._exit(128 + signal.SIGTERM)
@@ -36,7 +36,7 @@ def main() -> None:
         os._exit(1)
 
 
-def _next() -> Task | None:
+def _next_task() -> Task | None:
     try:
         task: Task = pickle.load(sys.stdin.buffer)
     except EOFError:
@@ -44,7 +44,7 @@ def _next() -> Task | None:
     return task
 
 
-def _done(task: Task, pipe: IO[bytes]) -> Outcome:
+def _run(task: Task, pipe: IO[bytes]) -> Outcome:
     """Run a task and report its progress now and then."""
     frames, last = 0, 0.0
 

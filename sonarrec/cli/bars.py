@@ -78,14 +78,14 @@ def fetching(quiet: bool, name: str) -> Iterator[Callable[[int, int | None], Non
         return
     from tqdm import tqdm
 
-    with ExitStack() as held:
+    with ExitStack() as stack:
         bar: Any = None
 
         def step(came: int, of: int | None) -> None:
             nonlocal bar
             if bar is None:
                 look = {"desc": f"fetch {name}", "unit": "B", "unit_scale": True}
-                bar = held.enter_context(tqdm(**look, leave=False))
+                bar = stack.enter_context(tqdm(**look, leave=False))
             bar.total = of
             bar.update(came - bar.n)
 

@@ -30,8 +30,8 @@ def tell(problems: Iterable[str], notes: Iterable[str] = ()) -> None:
             click.echo(f"sonarrec: note: {printable(note)}", err=True)
         for problem in problems:
             # A fault may have an example behind it, of several lines.
-            told = "\n".join(map(printable, problem.split("\n")))
-            click.echo(f"sonarrec: {told}", err=True)
+            lines = "\n".join(map(printable, problem.split("\n")))
+            click.echo(f"sonarrec: {lines}", err=True)
 
 
 def end(problems: Collection[object]) -> None:
@@ -41,13 +41,13 @@ def end(problems: Collection[object]) -> None:
 
 
 @contextmanager
-def begun(*places: Path) -> Iterator[None]:
+def naming_leftovers(*places: Path) -> Iterator[None]:
     """If Ctrl-C stops the inside, name the places that it left, which a new call would refuse."""
     try:
         yield
     except KeyboardInterrupt as error:
-        if left := ", ".join(name_as_text(place) for place in places if place.exists()):
-            error.add_note(f"the output so far is in {left}; remove it to start again")
+        if leftovers := ", ".join(name_as_text(place) for place in places if place.exists()):
+            error.add_note(f"the output so far is in {leftovers}; remove it to start again")
         raise
 
 

@@ -142,8 +142,8 @@ def evaluate(
     from sonarrec.evaluation.matching.pairs import read_pairs
     from sonarrec.remote.run import RemoteFiles
 
-    with ExitStack() as held:  # outputs are uploaded as it closes, so leave() comes after it
-        remote = RemoteFiles(held, cache.cache)
+    with ExitStack() as stack:  # outputs are uploaded as it closes, so leave() comes after it
+        remote = RemoteFiles(stack, cache.cache)
         truth = remote.file(ground_truth) if pairs is None else read_pairs(pairs)
         printing = _PrintOptions(details, as_json, quiet)
         if compare is not None:
@@ -187,28 +187,28 @@ def _score(
     from sonarrec.remote.run import inside
 
     if isinstance(truth, list):  # pairs name the results too
-        found = evaluate_many(truth, None, scoring, jobs=jobs)
+        result = evaluate_many(truth, None, scoring, jobs=jobs)
     else:
-        given = remote.results(results)
-        found = evaluate_many(given, truth, scoring, jobs=jobs, find_beside=remote.beside)
+        folder_given = remote.results(results)
+        result = evaluate_many(folder_given, truth, scoring, jobs=jobs, find_beside=remote.beside)
     folder = remote.output(out or inside(results if pairs is None else pairs.parent, "evaluation"))
-    found = replace(
-        found,
-        notes=tuple(map(remote.with_server_names, found.notes)),
-        unused=tuple(map(remote.with_server_names, found.unused)),
+    result = replace(
+        result,
+        notes=tuple(map(remote.with_server_names, result.notes)),
+        unused=tuple(map(remote.with_server_names, result.unused)),
     )
-    summary = summarise(found, unit)
-    written = write.write_evaluation(folder, found, summary, det)
-    unused, notes = [*remote.unused, *found.unused], [*found.notes, *summary.notes]
+    summary = summarise(result, unit)
+    files = write.write_evaluation(folder, result, summary, det)
+    unused, notes = [*remote.unused, *result.unused], [*result.notes, *summary.notes]
     tell(unused, printing.on_stderr(notes))
     if printing.as_json:
-        click.echo(write.json_text(write.as_json(found, summary)), nl=False)
+        click.echo(write.json_text(write.as_json(result, summary)), nl=False)
     elif not printing.quiet:
-        click.echo(tabulate.screen(found))
-        click.echo(tabulate.summary_screen(found, summary, printing.details))
+        click.echo(tabulate.screen(result))
+        click.echo(tabulate.summary_screen(result, summary, printing.details))
         for note in notes:
             say(f"note: {note}")
-        say(f"{remote.with_server_names(str(folder))}: {', '.join(written)}")
+        say(f"{remote.with_server_names(str(folder))}: {', '.join(files)}")
     return PARTLY if unused else 0
 
 
@@ -228,25 +228,25 @@ def _compare(
     from sonarrec.evaluation.compare.write import comparison_json, write_comparison
     from sonarrec.remote.run import inside
 
-    found = compared(sides, truth, scoring, remote, unit, jobs)
+    result = compare_sides(sides, truth, scoring, remote, unit, jobs)
     folder = remote.output(out or inside(sides[1], "evaluation"))
-    written = write_comparison(folder, found)
-    unused = [*remote.unused, *found.unused]
-    tell(unused, printing.on_stderr(found.notes))
+    files = write_comparison(folder, result)
+    unused = [*remote.unused, *result.unused]
+    tell(unused, printing.on_stderr(result.notes))
     if printing.as_json:
-        for piece in comparison_json(found):
+        for piece in comparison_json(result):
             click.echo(piece, nl=False)
     elif not printing.quiet:
-        click.echo(screen(found))
-        for note in found.notes:
+        click.echo(screen(result))
+        for note in result.notes:
             say(f"note: {note}")
-        say(f"{remote.with_server_names(str(folder))}: {', '.join(written)}")
-    regressions = [] if band is None else found.regressions(band)
+        say(f"{remote.with_server_names(str(folder))}: {', '.join(files)}")
+    regressions = [] if band is None else result.regressions(band)
     tell(f"worse: {line}" for line in regressions)
     return 1 if regressions else PARTLY if unused else 0
 
 
-def compared(
+def compare_sides(
     sides: tuple[Path | str, Path | str],
     truth: Truth,
     scoring: ScoringOptions,
@@ -258,11 +258,11 @@ def compared(
     from sonarrec.evaluation.compare.compare import compare
 
     old, new = map(remote.results, sides)
-    found = compare(old, new, truth, scoring, unit=unit, jobs=jobs, find_beside=remote.beside)
+    result = compare(old, new, truth, scoring, unit=unit, jobs=jobs, find_beside=remote.beside)
     return replace(
-        found,
-        old=remote.with_server_names(found.old),
-        new=remote.with_server_names(found.new),
-        notes=tuple(map(remote.with_server_names, found.notes)),
-        unused=tuple(map(remote.with_server_names, found.unused)),
+        result,
+        old=remote.with_server_names(result.old),
+        new=remote.with_server_names(result.new),
+        notes=tuple(map(remote.with_server_names, result.notes)),
+        unused=tuple(map(remote.with_server_names, result.unused)),
     )

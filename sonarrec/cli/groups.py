@@ -73,10 +73,10 @@ class GroupedCommand(click.Command):
             row = parameter.get_help_record(ctx)
             if row is not None and isinstance(parameter, click.Option):
                 rows[getattr(parameter, "group", "Other")].append(row)
-        for group, found in rows.items():
-            if found:
+        for group, records in rows.items():
+            if records:
                 with formatter.section(group):
-                    formatter.write_dl(found)
+                    formatter.write_dl(records)
         page = ctx.command_path.removeprefix(ctx.find_root().command_path).split()[0]
         formatter.write_paragraph()
         formatter.write_text(f"More: sonarrec help {page}".removesuffix(" help"))
@@ -102,9 +102,9 @@ def as_one(
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(function)
-        def gather(**given: Any) -> Any:
-            values = {key: given.pop(key) for key in options}
-            return function(**given, **{argument: make(values)})
+        def gather(**arguments: Any) -> Any:
+            values = {key: arguments.pop(key) for key in options}
+            return function(**arguments, **{argument: make(values)})
 
         called: Callable[..., Any] = gather
         for add in reversed([*options.values()]):

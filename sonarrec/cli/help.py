@@ -12,14 +12,14 @@ from sonarrec.records import UsageError
 
 def pages() -> dict[str, str]:
     """Text of each page by its topic; those of commands first, in the order of --help."""
-    found = {
+    by_name = {
         page.name.removesuffix(".md"): page.read_text(encoding="utf-8")
         for page in files("sonarrec").joinpath("help").iterdir()
         if page.name.endswith(".md")
     }
     group = click.get_current_context().find_root().command
-    commands = [name for name in getattr(group, "commands", {}) if name in found]
-    return {topic: found[topic] for topic in [*commands, *sorted(set(found) - set(commands))]}
+    commands = [name for name in getattr(group, "commands", {}) if name in by_name]
+    return {topic: by_name[topic] for topic in [*commands, *sorted(set(by_name) - set(commands))]}
 
 
 @command("help", short_help="Show the manual: a page per topic.")
@@ -33,13 +33,13 @@ def help_(topic: str | None) -> None:
       sonarrec help run
       sonarrec help results | less
     """
-    found = pages()
+    by_name = pages()
     if topic is None:
         click.echo("sonarrec help TOPIC shows a page. Topics:\n")
-        for name, text in found.items():
+        for name, text in by_name.items():
             title = text.partition("\n")[0].partition(": ")[2]
             click.echo(f"  {name:<10} {title}")
-    elif topic not in found:
-        raise UsageError(f"help {topic}: there is no such page; the pages are {', '.join(found)}")
+    elif topic not in by_name:
+        raise UsageError(f"help {topic}: there is no such page; the pages are {', '.join(by_name)}")
     else:
-        click.echo_via_pager(found[topic].rstrip("\n"))  # plain where stdout is no terminal
+        click.echo_via_pager(by_name[topic].rstrip("\n"))  # plain where stdout is no terminal

@@ -84,16 +84,16 @@ def info(
     useless = missing = faulty = 0
     undrawn: SonarrecError | None = None
     logs = named_logs(log, from_file, recursive)
-    names = [_name(one) for one in logs]
+    names = [_name(item) for item in logs]
     if preview is not None:
         _check_preview(preview, names)
     stated = log_choice.arguments()
-    for number, (name, one) in enumerate(zip(names, logs, strict=True)):
+    for number, (name, item) in enumerate(zip(names, logs, strict=True)):
         reading = {**stated}
-        with ExitStack() as held:
+        with ExitStack() as stack:
             try:
-                path, reading["up_to"], origin = _at_hand(one, cache, quiet, held)
-                found = _described(path, reading, origin, quick, quiet)
+                path, reading["up_to"], origin = _at_hand(item, cache, quiet, stack)
+                log_info = _describe(path, reading, origin, quick, quiet)
             except SonarrecError as error:
                 if isinstance(error, UsageError) and not isinstance(error, MissingError):
                     raise
@@ -102,11 +102,11 @@ def info(
                 tables.append({"path": name, "error": str(error)})
                 tell([str(error)])
                 continue
-            useless += found.has_no_frame
-            faulty += found.has_problems
-            tables.append(found.as_table())
+            useless += log_info.has_no_frame
+            faulty += log_info.has_problems
+            tables.append(log_info.as_table())
             if not as_json:
-                say(*([""] if number else []), *lines(found))
+                say(*([""] if number else []), *lines(log_info))
             if preview is not None:
                 try:
                     _draw_preview(path, preview, landmarks, reading)
@@ -130,7 +130,7 @@ def _name(log: NamedLog | RemoteLog) -> str:
 
 
 def _at_hand(
-    log: NamedLog | RemoteLog, cache: CacheChoice, quiet: bool, held: ExitStack
+    log: NamedLog | RemoteLog, cache: CacheChoice, quiet: bool, stack: ExitStack
 ) -> tuple[str, Path | None, Origin | None]:
     """(path to open, highest folder with companions of the log, server that it is from)."""
     from sonarrec.readers.many import NamedLog
@@ -138,19 +138,19 @@ def _at_hand(
 
     if isinstance(log, NamedLog):
         return log.path, log.up_to, None
-    with fetching(quiet, log.redacted_url) as came:
-        found = held.enter_context(fetched(log, cache.cache(), came))
-    return str(found.path), found.up_to, found.origin
+    with fetching(quiet, log.redacted_url) as bar:
+        local_log = stack.enter_context(fetched(log, cache.cache(), bar))
+    return str(local_log.path), local_log.up_to, local_log.origin
 
 
-def _described(
+def _describe(
     path: str, reading: dict[str, Any], origin: Origin | None, quick: bool, quiet: bool
 ) -> LogInfo:
     from sonarrec.readers.info import describe
 
     with progress(quiet) as step, origin.translated() if origin else nullcontext():
-        found = describe(path, **reading, quick=quick, observe=step)
-    return found.fetched_from(origin) if origin else found
+        log_info = describe(path, **reading, quick=quick, observe=step)
+    return log_info.fetched_from(origin) if origin else log_info
 
 
 def _check_preview(preview: Path, logs: Sequence[str]) -> None:

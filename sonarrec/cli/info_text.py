@@ -108,19 +108,19 @@ def _images_lines(images: Images) -> list[str]:
 def _geometry_lines(images: Images) -> list[str]:
     from sonarrec.sonar import Sonar
 
-    known = Sonar(**images.geometry)
+    geometry = Sonar(**images.geometry)
     parts = []
-    if known.range_min_m is not None and known.range_max_m is not None:
-        parts.append(f"{known.range_min_m:.4g} to {known.range_max_m:.4g} m")
-    if known.bearings_deg is not None:
-        low, high = min(known.bearings_deg), max(known.bearings_deg)
-        parts.append(f"{len(known.bearings_deg)} beams from {low:.4g} to {high:.4g} deg")
-    elif known.field_of_view_deg is not None:
-        parts.append(f"{known.field_of_view_deg:g} deg")
-    if known.tilt_deg is not None:
-        parts.append(f"tilt {known.tilt_deg:g} deg")
-    if known.height_m is not None:
-        parts.append(f"height {known.height_m:g} m")
+    if geometry.range_min_m is not None and geometry.range_max_m is not None:
+        parts.append(f"{geometry.range_min_m:.4g} to {geometry.range_max_m:.4g} m")
+    if geometry.bearings_deg is not None:
+        low, high = min(geometry.bearings_deg), max(geometry.bearings_deg)
+        parts.append(f"{len(geometry.bearings_deg)} beams from {low:.4g} to {high:.4g} deg")
+    elif geometry.field_of_view_deg is not None:
+        parts.append(f"{geometry.field_of_view_deg:g} deg")
+    if geometry.tilt_deg is not None:
+        parts.append(f"tilt {geometry.tilt_deg:g} deg")
+    if geometry.height_m is not None:
+        parts.append(f"height {geometry.height_m:g} m")
     out = [", ".join(parts), *_origin_lines(images)]
     if images.lacks:
         flags = " ".join(f"--{key.replace('_', '-')}" for key in images.lacks)
@@ -132,9 +132,9 @@ def _geometry_lines(images: Images) -> list[str]:
 
 def _header_lines(images: Images) -> list[str]:
     """The values in the headers of a sonar's own file, except those not measured."""
-    known = {key: value for key, value in images.header.items() if value is not None}
-    sonar = [str(known.pop("sonar"))] if "sonar" in known else []
-    parts = [f"{k} = {v}" if isinstance(v, str) else f"{k} = {v:.6g}" for k, v in known.items()]
+    header = {key: value for key, value in images.header.items() if value is not None}
+    sonar = [str(header.pop("sonar"))] if "sonar" in header else []
+    parts = [f"{k} = {v}" if isinstance(v, str) else f"{k} = {v:.6g}" for k, v in header.items()]
     return sonar + [", ".join(parts[i : i + 3]) for i in range(0, len(parts), 3)]
 
 

@@ -130,9 +130,9 @@ def _drift(text: str) -> Any:
 def _numbers(flag: str, text: str, count: int) -> list[float]:
     """The numbers of M,DEG or the like. Raises UsageError if they are invalid."""
     try:
-        found = [float(number) for number in text.split(",")]
+        numbers = [float(number) for number in text.split(",")]
     except ValueError:
-        found = []
-    if len(found) != count or not all(map(math.isfinite, found)):
+        numbers = []
+    if len(numbers) != count or not all(map(math.isfinite, numbers)):
         raise UsageError(f"{flag} {text}: expected {count} numbers separated by commas")
-    return found
+    return numbers

@@ -72,8 +72,8 @@ _SCORING = {
 def _scoring(values: dict[str, Any]) -> Any:
     from sonarrec.evaluation.matching.options import ScoringOptions
 
-    given = {key: values[key] for key in _SCORING}
-    return ScoringOptions(**given, sonar=LogChoice(values).sonar_without_log())
+    chosen = {key: values[key] for key in _SCORING}
+    return ScoringOptions(**chosen, sonar=LogChoice(values).sonar_without_log())
 
 
 # --min-visible, --tolerance, --landmarks and the geometry, as one `scoring`: ScoringOptions.
@@ -133,18 +133,18 @@ class SettingsChoice:
         from sonarrec import config
 
         preset, seed = self.values["preset"], self.values["seed"]
-        chosen = config.configs(preset.split(",") if preset else [], self.file)
-        chosen = [config.with_assignments(c, self.values["assignments"]) for c in chosen]
-        return chosen if seed is None else [replace(c, seed=seed) for c in chosen]
+        settings = config.configs(preset.split(",") if preset else [], self.file)
+        settings = [config.with_assignments(c, self.values["assignments"]) for c in settings]
+        return settings if seed is None else [replace(c, seed=seed) for c in settings]
 
     def config(self) -> Any:
         """The only Config. Raises UsageError if several presets are given."""
-        chosen, *more = self.configs()
+        first, *more = self.configs()
         if more:
             raise UsageError(
                 "several presets are given, but this command takes one; choose it with --preset"
             )
-        return chosen
+        return first
 
 
 settings_options = as_one("settings", _SETTINGS, SettingsChoice)

@@ -69,17 +69,17 @@ class LayoutChoice:
         """dB, rising. Raises UsageError if they are invalid."""
         text = self.values["contrast"] or self.default_contrast
         try:
-            found = sorted(float(number) for number in text.split(","))
+            contrasts = sorted(float(number) for number in text.split(","))
         except ValueError:
-            found = [math.nan]
-        if not all(abs(db) <= MOST_DB for db in found):
+            contrasts = [math.nan]
+        if not all(abs(db) <= MOST_DB for db in contrasts):
             raise UsageError(
                 f"--contrast {text}: expected numbers from -{MOST_DB:g} to {MOST_DB:g} dB, "
                 "separated by commas, such as 0,3,6,10"
             )
-        if len({f"{db:g}" for db in found}) < len(found):  # as folders are named
+        if len({f"{db:g}" for db in contrasts}) < len(contrasts):  # as folders are named
             raise UsageError(f"--contrast {text}: a value is given twice")
-        return found
+        return contrasts
 
     @property
     def plate_db(self) -> float:
@@ -93,8 +93,8 @@ class LayoutChoice:
 
     def beam_width_deg(self, background: Background) -> float:
         """The width given, else that of the recording's beams."""
-        stated = self.values["beam_width"]
-        return background.beam_width_deg if stated is None else float(stated)
+        width_deg = self.values["beam_width"]
+        return background.beam_width_deg if width_deg is None else float(width_deg)
 
     def landmark_set(self) -> LandmarkSet:
         """The set of the landmarks to lay."""

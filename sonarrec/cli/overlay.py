@@ -91,7 +91,7 @@ def overlay(
     if not any(targets.values()):
         raise UsageError("nothing to write: give --mcap OUT, --video OUT.mp4 or --images DIR")
     with progress(quiet) as step:
-        done = write_overlay(
+        report = write_overlay(
             log,
             Targets(mcap, video, images, foxglove_layout),
             results=results,
@@ -103,8 +103,8 @@ def overlay(
             grid=grid,
             observe=step,
         )
-    tell(done.problems, done.notes)
+    tell(report.problems, report.notes)
     if not quiet:
         for target in filter(None, targets.values()):
-            say(f"{target}: {number_of(done.frames, 'frame')}, {done.method}")
-    end(done.problems)
+            say(f"{target}: {number_of(report.frames, 'frame')}, {report.method}")
+    end(report.problems)

@@ -22,20 +22,20 @@ def table(summary: Summary, folder: str) -> list[str]:
     lines: list[str] = []
     for method, count in summary.passes.items():
         lines += [f"{method}:"] if len(summary.passes) > 1 else []
-        shown = [s for s in summary.sightings if s.method == method]
-        if not shown:
+        sightings = [s for s in summary.sightings if s.method == method]
+        if not sightings:
             lines.append("no landmark declared")
             continue
-        dated = is_date(shown[0].start_ns)
-        wide = max(len(_end(s)) for s in shown) if dated else None
+        dated = is_date(sightings[0].start_ns)
+        wide = max(len(_end(s)) for s in sightings) if dated else None
         times = f"{'from UTC':<22}  {'to UTC':<{wide}}" if wide else f"{'from s':>9} {'to s':>9}"
         lines.append(
             f"landmark  track  frames       {times}  declared  best score  range m  bearing deg"
         )
-        lines += [_row(s, wide) for s in shown]
-        if count > len(shown):
+        lines += [_row(s, wide) for s in sightings]
+        if count > len(sightings):
             where = f"{folder}/sightings.csv"
-            lines.append(f"these are the longest; {count - len(shown)} more in {where}")
+            lines.append(f"these are the longest; {count - len(sightings)} more in {where}")
     return lines
 
 

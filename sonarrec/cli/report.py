@@ -109,14 +109,14 @@ def report(
 
     from sonarrec.remote.run import RemoteFiles
 
-    with ExitStack() as held:  # the page is uploaded as this closes
-        remote = RemoteFiles(held, cache.cache)
+    with ExitStack() as stack:  # the page is uploaded as this closes
+        remote = RemoteFiles(stack, cache.cache)
         truth = remote.file(ground_truth)
         if compare is not None:
             unused, line = _compare(compare, truth, pairs, out, scoring, remote)
         else:
-            given = {"topic": topic, "method": method, "options": scoring}
-            unused, line = _report(results, truth, pairs, recordings, out, given, remote)
+            page_options = {"topic": topic, "method": method, "options": scoring}
+            unused, line = _report(results, truth, pairs, recordings, out, page_options, remote)
         unused = [*remote.unused, *map(remote.with_server_names, unused)]
         tell(unused)
         if not quiet:
@@ -130,7 +130,7 @@ def _report(
     pairs: Path | None,
     recordings: tuple[Path | str, ...],
     out: Path | str | None,
-    given: dict[str, Any],
+    page_options: dict[str, Any],
     remote: RemoteFiles,
 ) -> tuple[Sequence[str], str]:
     """Write the page; returns what could not be used, and a line to print."""
@@ -140,18 +140,18 @@ def _report(
     results = None if pairs else results or Path("sonarrec_out")
     beside = pairs.parent if pairs else results
     assert beside is not None
-    written = write_report(
+    page = write_report(
         remote.output(out or inside(beside, "report.html"), "report.html"),
         None if results is None else remote.results(results),
         ground_truth=ground_truth,
         pairs=pairs,
         recordings=[remote.log(recording) for recording in recordings],
-        **given,
+        **page_options,
     )
-    size = written.path.stat().st_size / 1e6
-    pictures = number_of(written.pictures, "picture")
-    held = f", {number_of(written.held, 'frame')} to click" if written.held else ""
-    return written.unused, f"{written.path}: {size:.1f} MB, {pictures}{held}"
+    size = page.path.stat().st_size / 1e6
+    pictures = number_of(page.pictures, "picture")
+    clickable = f", {number_of(page.held, 'frame')} to click" if page.held else ""
+    return page.unused, f"{page.path}: {size:.1f} MB, {pictures}{clickable}"
 
 
 def _compare(
@@ -163,7 +163,7 @@ def _compare(
     remote: RemoteFiles,
 ) -> tuple[Sequence[str], str]:
     """Write the page; returns what could not be used, and a line to print."""
-    from sonarrec.cli.evaluate import compared
+    from sonarrec.cli.evaluate import compare_sides
     from sonarrec.evaluation.matching.pairs import read_pairs
     from sonarrec.files.outputs import check_output
     from sonarrec.remote.run import inside
@@ -172,6 +172,6 @@ def _compare(
     page = remote.output(out or inside(sides[1], "compare.html"), "compare.html")
     check_output(page, "comparison", [ground_truth, pairs])
     truth = ground_truth if pairs is None else read_pairs(pairs)
-    found = compared(sides, truth, scoring, remote)
-    write_comparison_page(page, found)
-    return found.unused, f"{page}: {page.stat().st_size / 1e6:.2f} MB"
+    comparison = compare_sides(sides, truth, scoring, remote)
+    write_comparison_page(page, comparison)
+    return comparison.unused, f"{page}: {page.stat().st_size / 1e6:.2f} MB"

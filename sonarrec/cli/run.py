@@ -204,20 +204,22 @@ def run(
     if timeout is not None and not timeout <= TIMEOUT_MAX:  # true for nan as well
         raise UsageError(f"--timeout {timeout:g}: expected at most {TIMEOUT_MAX:.0f} seconds")
     logs = named_logs(log, from_file, recursive)
-    tell([], _unquoted(logs))
+    tell([], _unquoted_glob_notes(logs))
     if odometry is not None and len(logs) > 1:
         from sonarrec.readers.poses_csv import read_poses
 
         read_poses(odometry)  # so that a fault is reported once, not for each log
-    box = _outbox(out, cache)
-    made = Path(out) if box is None else box.folder
-    tasks = _shard(_tasks(logs, made, log_options, run_options, overwrite, box, cache), shard)
-    unended = 0
+    outbox = _outbox(out, cache)
+    local_out = Path(out) if outbox is None else outbox.folder
+    tasks = _shard(
+        _tasks(logs, local_out, log_options, run_options, overwrite, outbox, cache), shard
+    )
+    unfinished = 0
     if retry_failed:
-        tasks, unended = _again(tasks, made, box)
+        tasks, unfinished = _again(tasks, local_out, outbox)
     if not tasks:
-        others = f"; {number_of(unended, 'log')} not finished: run without --retry-failed"
-        click.echo(f"nothing to do{others if unended else ''}", err=True)
+        hint = f"; {number_of(unfinished, 'log')} not finished: run without --retry-failed"
+        click.echo(f"nothing to do{hint if unfinished else ''}", err=True)
         return
     if odometry_out is not None:
         _check_odometry_out(odometry_out, tasks, odometry)
@@ -225,9 +227,11 @@ def run(
         _plan(tasks)
         return
     jobs = min(jobs or cores(), len(tasks))
-    table = LogsTable(made, tasks, alone=len(logs) == 1)
-    watch = RunWatch(tasks, table, made, box, jobs=jobs, quiet=quiet, verbose=verbose, json=as_json)
-    folders = [made / task.name for task in tasks]
+    table = LogsTable(local_out, tasks, alone=len(logs) == 1)
+    watch = RunWatch(
+        tasks, table, local_out, outbox, jobs=jobs, quiet=quiet, verbose=verbose, json=as_json
+    )
+    folders = [local_out / task.name for task in tasks]
     with _stoppable(folders), watch:
         _run(tasks, watch, jobs, timeout, scheduler)
     if len(tasks) == 1 and watch.error is not None:
@@ -238,7 +242,7 @@ def run(
     leave(watch.exit_code())
 
 
-def _unquoted(logs: Sequence[NamedLog | RemoteLog]) -> Iterator[str]:
+def _unquoted_glob_notes(logs: Sequence[NamedLog | RemoteLog]) -> Iterator[str]:
     """A note for each folder of which several images are given as logs of their own."""
     from sonarrec.readers.images import names_an_image
 
@@ -268,8 +272,8 @@ def _write_odometry(path: Path, out: Path | str, name: str, cache: CacheChoice) 
     from sonarrec.mapping.measured import write_path
     from sonarrec.remote.run import RemoteFiles, inside
 
-    with ExitStack() as held:
-        write_path(RemoteFiles(held, cache.cache).results(inside(out, name)), path)
+    with ExitStack() as stack:
+        write_path(RemoteFiles(stack, cache.cache).results(inside(out, name)), path)
 
 
 def _run(
@@ -308,7 +312,7 @@ def _tasks(
     log_options: LogOptions,
     run_options: RunOptions,
     overwrite: bool,
-    box: Outbox | None,
+    outbox: Outbox | None,
     cache: CacheChoice,
 ) -> list[Task]:
     from sonarrec.batch.task import Task
@@ -317,17 +321,17 @@ def _tasks(
     from sonarrec.remote.run import RemotePlaces
 
     tasks = []
-    names = result_names([one if isinstance(one, RemoteLog) else one.path for one in logs])
-    for one, name in zip(logs, names, strict=True):
-        remote = one if isinstance(one, RemoteLog) else None
+    names = result_names([log if isinstance(log, RemoteLog) else log.path for log in logs])
+    for log, name in zip(logs, names, strict=True):
+        remote = log if isinstance(log, RemoteLog) else None
         places = None
-        if remote or box:
-            places = RemotePlaces(cache.cache(), remote, box.url if box else None)
+        if remote or outbox:
+            places = RemotePlaces(cache.cache(), remote, outbox.url if outbox else None)
         path, up_to = (
-            (one.redacted_url, None) if isinstance(one, RemoteLog) else (one.path, one.up_to)
+            (log.redacted_url, None) if isinstance(log, RemoteLog) else (log.path, log.up_to)
         )
-        known = replace(log_options, up_to=up_to)
-        tasks.append(Task(path, name, str(out), known, run_options, overwrite, places))
+        options = replace(log_options, up_to=up_to)
+        tasks.append(Task(path, name, str(out), options, run_options, overwrite, places))
     return tasks
 
 
@@ -346,11 +350,11 @@ def _plan(tasks: list[Task]) -> None:
     faults = 0
     for task in tasks:
         try:
-            what = plan_task(task)
+            plan = plan_task(task)
         except SonarrecError as error:
             faults += 1
-            what = f"fails ({error})"
-        say(f"{task.path}: {what}")
+            plan = f"fails ({error})"
+        say(f"{task.path}: {plan}")
     if faults:
         leave(FAILED if faults == len(tasks) else PARTLY)
 
@@ -383,8 +387,8 @@ def _stoppable(folders: Sequence[Path]) -> Iterator[None]:
         from sonarrec.results.folders import part_of
 
         parts = ", ".join(name_as_text(part_of(f)) for f in folders if part_of(f).is_dir())
-        kept = f"; the frames so far are in {parts}" if parts else ""
-        tell([f"stopped{kept}"])
+        where = f"; the frames so far are in {parts}" if parts else ""
+        tell([f"stopped{where}"])
         leave(TERMINATED if isinstance(error, _Terminated) else INTERRUPTED)
     finally:
         signal.signal(signal.SIGTERM, before)

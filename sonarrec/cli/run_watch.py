@@ -56,7 +56,7 @@ class RunWatch(Watch):
         self._printed = 0  # how many of the tasks, in order, were printed on stdout
         self._running: dict[int, tuple[int, int | None]] = {}  # frames done, of how many
         self._frames = 0  # frames of logs that have ended
-        self._begun = monotonic()
+        self._start_time_s = monotonic()
         self._bars = ExitStack()
         self._step: Callable[..., None] | None = None  # of the bar over frames
         self._came: Callable[[int, int | None], None] | None = None  # of the bar over bytes
@@ -97,8 +97,8 @@ class RunWatch(Watch):
         with self._over_the_bar():
             tell([], [line])
 
-    def begun(self, i: int) -> None:
-        self._table.begun(i)
+    def started(self, i: int) -> None:
+        self._table.started(i)
         self._running[i] = 0, None
         if self._at is None:
             self._bars.close()
@@ -108,7 +108,7 @@ class RunWatch(Watch):
                 self._open_bar(i)
 
     def _open_bar(self, i: int) -> None:
-        bar = progress(self._quiet, title=f"{self._tasks[i].name}{self._of(i)}")
+        bar = progress(self._quiet, title=f"{self._tasks[i].name}{self._prefix(i)}")
         self._step = self._bars.enter_context(bar)
 
     def fetching(self, i: int, came: int, total: int | None) -> None:
@@ -145,7 +145,7 @@ class RunWatch(Watch):
             if self._verbose:
                 text = _counts(summary) if summary else outcome.message
                 how = f"{_how(outcome)}, {text}, {outcome.seconds:.1f} s"
-                tell([f"{task.path}{self._of(i)}: {how}"])
+                tell([f"{task.path}{self._prefix(i)}: {how}"])
             self._print()
 
     @property
@@ -191,7 +191,7 @@ class RunWatch(Watch):
         if older:
             tell([], [f"{self._out}: {', '.join(older)}: made of earlier results; make anew"])
 
-    def _of(self, i: int) -> str:
+    def _prefix(self, i: int) -> str:
         return f" ({i + 1} of {len(self._tasks)})" if len(self._tasks) > 1 else ""
 
     def _named(self, i: int, lines: Sequence[str]) -> list[str]:
@@ -209,7 +209,7 @@ class RunWatch(Watch):
         frames = self._frames + sum(done for done, _ in self._running.values())
         failed = sum(outcome.status == "failed" for outcome in self._outcomes.values())
         note = f"{len(self._outcomes)}/{len(self._tasks)} logs, {frames} frames, "
-        note += f"{frames / max(monotonic() - self._begun, 1e-3):.0f} frames/s"
+        note += f"{frames / max(monotonic() - self._start_time_s, 1e-3):.0f} frames/s"
         self._at(len(self._outcomes) + sum(shares), note + (f", {failed} failed" if failed else ""))
 
     @contextmanager
@@ -246,12 +246,14 @@ class RunWatch(Watch):
         sightings = outcome.summary.folder / "sightings.csv"
         if self._box is None:
             return document | as_json(outcome.summary, outcome.folder, sightings)
-        held = f".{task.name}.sightings.csv"  # local results are deleted after the upload
-        self._box.fetch(f"{task.name}/sightings.csv", held)
+        hidden_name = f".{task.name}.sightings.csv"  # local results are deleted after the upload
+        self._box.fetch(f"{task.name}/sightings.csv", hidden_name)
         try:
-            return document | as_json(outcome.summary, outcome.folder, self._box.folder / held)
+            return document | as_json(
+                outcome.summary, outcome.folder, self._box.folder / hidden_name
+            )
         finally:
-            (self._box.folder / held).unlink(missing_ok=True)
+            (self._box.folder / hidden_name).unlink(missing_ok=True)
 
 
 def _how(outcome: Outcome) -> str:
@@ -262,5 +264,5 @@ def _how(outcome: Outcome) -> str:
 
 def _counts(summary: Summary) -> str:
     passes = sum(summary.passes.values())
-    found = number_of(summary.candidates, "candidate"), number_of(passes, "pass", "es")
-    return ", ".join([number_of(summary.frames, "frame"), *found])
+    parts = number_of(summary.candidates, "candidate"), number_of(passes, "pass", "es")
+    return ", ".join([number_of(summary.frames, "frame"), *parts])

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from sonarrec.cli.bars import progress
-from sonarrec.cli.endings import begun, end, say, tell
+from sonarrec.cli.endings import end, naming_leftovers, say, tell
 from sonarrec.cli.groups import ANY, INPUT, OUTPUT, command, file_names, option
 from sonarrec.cli.options import out_option, quiet_option
 from sonarrec.cli.options_background import LayoutChoice, laying_options
@@ -130,8 +130,8 @@ def simulate(
         seed=scene.seed if seed is None else seed,
         frames=scene.frames if frames is None else _number(frames),
     )
-    made = [out, out.with_suffix(".gt.csv")] if out.suffix == ".mcap" else [out]
-    with begun(*made), progress(quiet, scene.frames) as step:
+    outputs = [out, out.with_suffix(".gt.csv")] if out.suffix == ".mcap" else [out]
+    with naming_leftovers(*outputs), progress(quiet, scene.frames) as step:
         write_recording(
             scene,
             out,
@@ -176,7 +176,10 @@ def _lay(
         log_options = laying.log_options(log_choice, frames)
         background = laying.survey(log, log_options, landmarks, config, step)
     layout = draw_layout(background, landmarks, seed, laying.count)
-    with begun(*folders.values()), progress(quiet, len(background.path), "discs") as step:
+    with (
+        naming_leftovers(*folders.values()),
+        progress(quiet, len(background.path), "discs") as step,
+    ):
         write_backgrounds(
             background,
             layout,

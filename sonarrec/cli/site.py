@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from sonarrec.cli.bars import progress
-from sonarrec.cli.endings import begun, end, say, tell
+from sonarrec.cli.endings import end, naming_leftovers, say, tell
 from sonarrec.cli.groups import BACKGROUND, FOLDER, OUTPUT, command, file_names, option
 from sonarrec.cli.options import (
     SettingsChoice,
@@ -85,9 +85,11 @@ def site(
     # As in `run`, a run.toml also gives everything except the frames.
     earlier, source = read_run(settings.file), find_log(log)
     landmarks = earlier.landmark_set(values["landmarks"])
-    stated = laying.log_options(log_choice, frames)
+    given_options = laying.log_options(log_choice, frames)
     same_log, _ = is_same_log(earlier, source, digest_asked(earlier, source))
-    log_options = replace(earlier.complete(stated, same_log=same_log), frames=stated.frames)
+    log_options = replace(
+        earlier.complete(given_options, same_log=same_log), frames=given_options.frames
+    )
     if same_log:
         earlier.check_poses(log_options)
     out = out or Path("sonarrec_site") / source.name
@@ -96,8 +98,8 @@ def site(
         background = laying.survey(log, log_options, landmarks, config, step)
     # One pass to run the recording as it is; per layout one for the discs and one per contrast.
     passes = 1 + layouts * (1 + len(contrasts))
-    with begun(out), progress(quiet, passes * len(background.path)) as step:
-        found = assess(
+    with naming_leftovers(out), progress(quiet, passes * len(background.path)) as step:
+        site_result = assess(
             Path(log),
             replace(log_options, frames=background.span),  # not those of the run.toml
             out,
@@ -115,18 +117,18 @@ def site(
             seed=settings.values["seed"] or 0,
             step=lambda doing: step(note=doing),
         )
-    write_site(out, found, render(found))
-    tell(background.problems, found.notes)
+    write_site(out, site_result, render(site_result))
+    tell(background.problems, site_result.notes)
     if not quiet:
-        say(*_lines(found, out / "site.html", layouts))
+        say(*_lines(site_result, out / "site.html", layouts))
     end(background.problems)
 
 
-def _lines(found: Site, page: Path, layouts: int) -> Iterator[str]:
+def _lines(site_result: Site, page: Path, layouts: int) -> Iterator[str]:
     """The lines to print: one for each contrast, then the answer."""
-    extent = f"{number_of(found.frames, 'frame')}, {number_of(layouts, 'layout')}"
+    extent = f"{number_of(site_result.frames, 'frame')}, {number_of(layouts, 'layout')}"
     yield f"{name_as_text(page)}: {extent}"
-    for one in found.contrasts:
+    for one in site_result.contrasts:
         rate = one.found.tpr
         false = one.found.false_per_100.value
         far = f", 90% from {one.span}" if one.reaches else ""
@@ -135,4 +137,4 @@ def _lines(found: Site, page: Path, layouts: int) -> Iterator[str]:
             f"{number_of(rate.units, 'pass', 'es')}, "
             f"{false:.2f} false claims in 100 frames{far}"
         )
-    yield from (f"  {sentence}" for sentence in found.sentences)
+    yield from (f"  {sentence}" for sentence in site_result.sentences)

@@ -39,8 +39,8 @@ def status(out: Path | str, as_json: bool, cache: CacheChoice) -> None:
     """
     from sonarrec.remote.run import RemoteFiles, inside
 
-    with ExitStack() as held:
-        path = RemoteFiles(held, cache.cache).file(inside(out, "logs.csv"))
+    with ExitStack() as stack:
+        path = RemoteFiles(stack, cache.cache).file(inside(out, "logs.csv"))
         assert path is not None
         _tell(path, out, as_json)
 

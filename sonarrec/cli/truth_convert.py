@@ -14,9 +14,9 @@ from sonarrec.cli.options_log import LogChoice, log_options
 from sonarrec.records import UsageError, number_of
 
 
-def _label_map(_: click.Context, __: click.Parameter, given: tuple[str, ...]) -> Any:
+def _label_map(_: click.Context, __: click.Parameter, texts: tuple[str, ...]) -> Any:
     labels: dict[str, int | None] = {}
-    for assignment in given:
+    for assignment in texts:
         label, equals, landmark = assignment.rpartition("=")
         if not equals or not label or not (landmark == "none" or landmark.isdecimal()):
             raise UsageError(f"--map {assignment}: expected LABEL=ID, or LABEL=none")
@@ -92,7 +92,7 @@ def convert(
     if log is not None:
         with open_log(log, **log_choice.arguments()) as opened:
             images = look_at(opened)
-    done = convert_annotations(
+    report = convert_annotations(
         annotations,
         out,
         landmark_set,
@@ -101,11 +101,11 @@ def convert(
         first_frame=first_frame,
         log=images,
     )
-    tell(done.unused)
-    counts = ", ".join(f"ID.{i} {count}" for i, count in done.counts.items()) or "no landmark"
+    tell(report.unused)
+    counts = ", ".join(f"ID.{i} {count}" for i, count in report.counts.items()) or "no landmark"
     if not quiet:
-        rows = sum(done.counts.values())
-        say(f"{out}: {number_of(rows, 'row')} from {done.format} ({counts})")
-    for line in done.notes:
+        rows = sum(report.counts.values())
+        say(f"{out}: {number_of(rows, 'row')} from {report.format} ({counts})")
+    for line in report.notes:
         say(f"note: {line}")
-    end(done.unused)
+    end(report.unused)

@@ -65,22 +65,22 @@ def propose(
     """
     from sonarrec.truth.propose import propose as propose_truth
 
-    found = propose_truth(results, out, method=method, min_score=min_score, max_gap=max_gap)
-    tell(found.problems)
+    tracks = propose_truth(results, out, method=method, min_score=min_score, max_gap=max_gap)
+    tell(tracks.problems)
     if not quiet:
-        _print(found.tracks, out)
-    end(found.problems)
+        _print(tracks.tracks, out)
+    end(tracks.problems)
 
 
 def _print(tracks: Sequence[ProposedTrack], out: Path) -> None:
-    rows, used = sum(track.rows for track in tracks), sum(bool(t.rows) for t in tracks)
-    say(f"{out}: {number_of(rows, 'row')} from {number_of(used, 'track')}")
-    shown = nlargest(MOST_TRACKS, tracks, key=lambda t: t.rows)
-    for t in sorted(shown, key=lambda t: (t.log, t.frames)):
+    rows, proposed = sum(track.rows for track in tracks), sum(bool(t.rows) for t in tracks)
+    say(f"{out}: {number_of(rows, 'row')} from {number_of(proposed, 'track')}")
+    longest = nlargest(MOST_TRACKS, tracks, key=lambda t: t.rows)
+    for t in sorted(longest, key=lambda t: (t.log, t.frames)):
         span = f"frames {t.frames[0]}-{t.frames[1]}"
         rest = t.left_out and f"left out: {t.left_out}"
         rest = rest or f"{number_of(t.rows, 'row')}, {t.interpolated} of them filled in"
         score = f"best score {t.best_score:.3f}"
         say(f"  {t.log}  ID.{t.landmark}  track {t.track:<4} {span:<15} {score}  {rest}")
-    if more := len(tracks) - len(shown):
+    if more := len(tracks) - len(longest):
         say(f"  these have the most rows; {number_of(more, 'more track')}")

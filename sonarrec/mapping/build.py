@@ -89,34 +89,42 @@ def make_map(
     results of one recording the first counts. Raises SonarrecError where none of the logs can be
     used, or they have no frame in common.
     """
-    folders = list(dict.fromkeys(log for one in results for log in find_logs(one)))
-    read, landmark_set, problems = _read_logs(
+    folders = list(dict.fromkeys(log for folder in results for log in find_logs(folder)))
+    logs_read, landmark_set, problems = _read_logs(
         folders, odometry, drift or Drift(), method, landmarks, sonar
     )
     once = counted_once(
-        [one.folder for one in read],
-        [one.recording for one in read],
-        lambda i: read[i].log.path.frame,
+        [read.folder for read in logs_read],
+        [read.recording for read in logs_read],
+        lambda i: logs_read[i].log.path.frame,
         "used",
     )
-    counted = [read[i] for i in once.kept]
-    logs = [one.log for one in counted]
-    problems += [line for one in counted for line in one.problems] + once.unused
-    notes = [line for one in counted for line in one.notes] + once.notes
+    counted = [logs_read[i] for i in once.kept]
+    logs = [read.log for read in counted]
+    problems += [line for read in counted for line in read.problems] + once.unused
+    notes = [line for read in counted for line in read.notes] + once.notes
     if len(logs) > 1 and not all(log.path.from_poses for log in logs):
         alone = ", ".join(log.name for log in logs if not log.path.from_poses)
         raise UsageError(
             f"without poses each log has a frame of its own ({alone}): give poses with "
             "--odometry, or map the logs one by one"
         )
-    found = join([log.on_floor for log in logs], landmark_set)
-    kept = [
-        one
-        for one in found
-        if sum(int(logs[g].on_floor.passes.frames[k]) for g, k in one.members) >= least_frames
+    joined = join([log.on_floor for log in logs], landmark_set)
+    seen_enough = [
+        landmark
+        for landmark in joined
+        if sum(int(logs[g].on_floor.passes.frames[k]) for g, k in landmark.members) >= least_frames
     ]
     ros_axes = all(log.ros_axes for log in logs)
-    return SiteMap(landmark_set, kept, len(found) - len(kept), logs, problems, notes, ros_axes)
+    return SiteMap(
+        landmark_set,
+        seen_enough,
+        len(joined) - len(seen_enough),
+        logs,
+        problems,
+        notes,
+        ros_axes,
+    )
 
 
 def _read_logs(
@@ -131,27 +139,28 @@ def _read_logs(
 
     Raises SonarrecError where there is none.
     """
-    read: list[_ReadLog] = []
+    logs_read: list[_ReadLog] = []
     problems: list[str] = []
     landmark_set: LandmarkSet | None = None
     for folder in folders:
         try:
             run = read_run(folder / "run.toml")
-            own = run.landmark_set(landmarks)
-            landmark_set = landmark_set or own
-            if own.as_table() != landmark_set.as_table():
+            own_set = run.landmark_set(landmarks)
+            landmark_set = landmark_set or own_set
+            if own_set.as_table() != landmark_set.as_table():
                 raise SonarrecError(
-                    f"{folder}: landmark set {own.name!r}, not {landmark_set.name!r} as the others"
+                    f"{folder}: landmark set {own_set.name!r}, not {landmark_set.name!r} as the "
+                    "others"
                 )
             poses = poses_of_run(folder, run, odometry)
-            read.append(_read_log(folder, run, poses, drift, own, method, sonar))
+            logs_read.append(_read_log(folder, run, poses, drift, own_set, method, sonar))
         except SonarrecError as error:
             if len(folders) == 1:
                 raise
             problems.append(str(error))
-    if landmark_set is None or not read:
+    if landmark_set is None or not logs_read:
         raise SonarrecError("\n".join(["no log can be mapped", *problems]))
-    return read, landmark_set, problems
+    return logs_read, landmark_set, problems
 
 
 def _read_log(
@@ -171,14 +180,14 @@ def _read_log(
     table = estimates_of(folder)
     method = choose_method(table, method)
     check_follows(method)
-    seen = read_declared(table, method, landmarks, fan, path.frame)
-    passes = find_passes(seen, path, landmarks, fan)
+    declared = read_declared(table, method, landmarks, fan, path.frame)
+    passes = find_passes(declared, path, landmarks, fan)
     name = folder.resolve().name
     ros_axes = poses is not None and "topic" in poses.source
-    log = MappedLog(name, path, seen, LogPasses(name, path, passes), fan, ros_axes)
+    log = MappedLog(name, path, declared, LogPasses(name, path, passes), fan, ros_axes)
     problems = [] if run.finished else [cut_short(str(folder), len(path.frame), "used")]
     problems += _left_out(folder, log)
-    return _ReadLog(folder, recording(folder, run, len(seen.row)), log, notes, problems)
+    return _ReadLog(folder, recording(folder, run, len(declared.row)), log, notes, problems)
 
 
 def _left_out(folder: Path, log: MappedLog) -> Iterator[str]:

@@ -57,8 +57,8 @@ class Factors:
 def factors(site: SiteMap) -> Factors:
     """The measurements of every landmark of the map, PER_PASS or fewer from each of its passes."""
     rows: list[FloatArray] = [np.empty((0, 10))]
-    for number, one in enumerate(site.landmarks):
-        for g, k in one.members:
+    for number, landmark in enumerate(site.landmarks):
+        for g, k in landmark.members:
             rows.append(_of_pass(site, number, g, k))
     table = np.concatenate(rows)
     table = table[np.lexsort([table[:, 2], table[:, 1], table[:, 0]])]
@@ -68,20 +68,22 @@ def factors(site: SiteMap) -> Factors:
 
 def _of_pass(site: SiteMap, number: int, g: int, k: int) -> FloatArray:
     """(n, 10) log, row, number, slant range, measured, sigma: of a landmark's pass."""
-    log, one = site.logs[g], site.landmarks[number]
-    passes, seen = log.on_floor.passes, log.seen
+    log, landmark = site.logs[g], site.landmarks[number]
+    passes, declared = log.on_floor.passes, log.seen
     length = int(passes.frames[k])
     take = np.unique(np.linspace(0, length - 1, min(length, PER_PASS)).round().astype(int))
-    chosen = passes.order[passes.begin[k] + take]
-    row, (slant, bearing, turn) = seen.row[chosen], seen.polar[chosen].T
+    estimates = passes.order[passes.begin[k] + take]
+    row, (slant, bearing, turn) = declared.row[estimates], declared.polar[estimates].T
     ground = ground_range(log.fan, slant)
-    period = float(periods_of(site.landmark_set, np.array([one.id]))[0])
-    if not math.isnan(one.turn_deg):
-        off = turn - (one.turn_deg + log.path.pose[row, 0])
+    period = float(periods_of(site.landmark_set, np.array([landmark.id]))[0])
+    if not math.isnan(landmark.turn_deg):
+        off = turn - (landmark.turn_deg + log.path.pose[row, 0])
         turn = turn - period * np.round(off / period)
     # The variance of the pass's mean, each frame's own as much as there are of them.
     share = COMMON_SHARE + (1 - COMMON_SHARE) * min(SAME_FRAMES, length) / length
-    own = seen.sigma[chosen].T * np.array([slant / ground, np.ones(len(row)), np.ones(len(row))])
+    own = declared.sigma[estimates].T * np.array(
+        [slant / ground, np.ones(len(row)), np.ones(len(row))]
+    )
     least = [
         np.hypot(LEAST_PLACE_M, HEIGHT_SIGMA_M * floor_depth(log.fan) / ground),
         np.degrees(LEAST_PLACE_M / ground),
@@ -93,24 +95,24 @@ def _of_pass(site: SiteMap, number: int, g: int, k: int) -> FloatArray:
     return np.column_stack([g * same, row, number * same, slant, *measured, *sigma])
 
 
-def write_factors(path: Path, site: SiteMap, found: Factors, graph: Graph) -> None:
+def write_factors(path: Path, site: SiteMap, measurements: Factors, graph: Graph) -> None:
     """factors.csv: a row per measurement."""
 
     def rows() -> Iterator[list[object]]:
-        for n in range(len(found.log)):
-            log = site.logs[found.log[n]]
-            ground, bearing, turn = found.measured[n].tolist()
-            sigma = found.sigma[n].tolist()
+        for n in range(len(measurements.log)):
+            log = site.logs[measurements.log[n]]
+            ground, bearing, turn = measurements.measured[n].tolist()
+            sigma = measurements.sigma[n].tolist()
             known = not math.isnan(turn)
             yield [
                 log.name,
-                int(log.path.frame[found.row[n]]),
-                int(log.path.timestamp_ns[found.row[n]]),
-                graph.vertex(int(found.log[n]), int(found.row[n])),
-                graph.first_landmark + int(found.number[n]),
-                int(found.number[n]) + 1,
-                site.landmarks[found.number[n]].id,
-                f"{found.slant_m[n]:.4f}",
+                int(log.path.frame[measurements.row[n]]),
+                int(log.path.timestamp_ns[measurements.row[n]]),
+                graph.vertex(int(measurements.log[n]), int(measurements.row[n])),
+                graph.first_landmark + int(measurements.number[n]),
+                int(measurements.number[n]) + 1,
+                site.landmarks[measurements.number[n]].id,
+                f"{measurements.slant_m[n]:.4f}",
                 f"{ground:.4f}",
                 f"{bearing:.3f}",
                 f"{turn:.2f}" if known else "",
@@ -139,18 +141,18 @@ class Graph:
         return self.first[log] + int(np.searchsorted(self.rows[log], row))
 
 
-def graph_of(site: SiteMap, found: Factors) -> Graph:
+def graph_of(site: SiteMap, measurements: Factors) -> Graph:
     """The poses that measured something, and each log's first and last known one."""
     rows = []
     for g, log in enumerate(site.logs):
         known = np.flatnonzero(np.isfinite(log.path.pose).all(axis=1))
         ends = known[[0, -1]] if len(known) else known
-        rows.append(np.unique(np.concatenate([ends, found.row[found.log == g]])))
+        rows.append(np.unique(np.concatenate([ends, measurements.row[measurements.log == g]])))
     first = np.cumsum([0, *(len(r) for r in rows)]).tolist()
     return Graph(rows, first[:-1], first[-1])
 
 
-def write_g2o(path: Path, site: SiteMap, found: Factors, graph: Graph) -> None:
+def write_g2o(path: Path, site: SiteMap, measurements: Factors, graph: Graph) -> None:
     """graph.g2o: poses and landmarks as VERTEX_SE2, motion and measurements as EDGE_SE2.
 
     Axes as back ends have them: x ahead and y to the left of a sonar whose yaw is 0, angles
@@ -159,32 +161,36 @@ def write_g2o(path: Path, site: SiteMap, found: Factors, graph: Graph) -> None:
     """
     lines = []
     poses = [_se2(log.path.pose[rows]) for log, rows in zip(site.logs, graph.rows, strict=True)]
-    for first, some in zip(graph.first, poses, strict=True):
-        lines += [_vertex(first + n, pose) for n, pose in enumerate(some.tolist())]
-    for n, one in enumerate(site.landmarks):
-        turn = 0.0 if math.isnan(one.turn_deg) else math.radians(one.turn_deg - 90)
-        lines.append(_vertex(graph.first_landmark + n, [one.place[1], -one.place[0], turn]))
-    for log, rows, first, some in zip(site.logs, graph.rows, graph.first, poses, strict=True):
+    for first, trail in zip(graph.first, poses, strict=True):
+        lines += [_vertex(first + n, pose) for n, pose in enumerate(trail.tolist())]
+    for n, landmark in enumerate(site.landmarks):
+        turn = 0.0 if math.isnan(landmark.turn_deg) else math.radians(landmark.turn_deg - 90)
+        lines.append(
+            _vertex(graph.first_landmark + n, [landmark.place[1], -landmark.place[0], turn])
+        )
+    for log, rows, first, trail in zip(site.logs, graph.rows, graph.first, poses, strict=True):
         for n in range(len(rows) - 1):
-            step, covariance = _step(log, rows[n], rows[n + 1], some[n], some[n + 1])
+            step, covariance = _step(log, rows[n], rows[n + 1], trail[n], trail[n + 1])
             lines.append(_edge(first + n, first + n + 1, step, np.linalg.inv(covariance)))
-    for n in range(len(found.log)):
-        ground, bearing, turn = found.measured[n].tolist()
-        sigma = found.sigma[n].copy()
+    for n in range(len(measurements.log)):
+        ground, bearing, turn = measurements.measured[n].tolist()
+        sigma = measurements.sigma[n].copy()
         if math.isnan(turn):
             turn, sigma[2] = 0.0, UNKNOWN_TURN_DEG
         angle = math.radians(bearing)
-        seen = [ground * math.cos(angle), -ground * math.sin(angle), math.radians(turn - 90)]
+        measured = [ground * math.cos(angle), -ground * math.sin(angle), math.radians(turn - 90)]
         # Along the sight and across it, turned to ahead and left.
         along = np.array([math.cos(angle), -math.sin(angle), 0])
         across = np.array([math.sin(angle), math.cos(angle), 0]) * ground * math.radians(1)
         turned = np.array([0, 0, math.radians(1)])
         errors = np.column_stack([along, across, turned]) * sigma
-        pose = graph.vertex(int(found.log[n]), int(found.row[n]))
+        pose = graph.vertex(int(measurements.log[n]), int(measurements.row[n]))
         information = np.linalg.inv(errors @ errors.T)
-        lines.append(_edge(pose, graph.first_landmark + int(found.number[n]), seen, information))
+        lines.append(
+            _edge(pose, graph.first_landmark + int(measurements.number[n]), measured, information)
+        )
     # Last, for GTSAM reads no farther than such a line.
-    lines += [f"FIX {first}" for first, some in zip(graph.first, poses, strict=True) if len(some)]
+    lines += [f"FIX {first}" for first, trail in zip(graph.first, poses, strict=True) if len(trail)]
     write_text(path, "\n".join([*lines, ""]))
 
 
@@ -212,12 +218,12 @@ def _vertex(number: int, pose: list[float]) -> str:
     return f"VERTEX_SE2 {number} {x:.6f} {y:.6f} {math.remainder(angle, 2 * math.pi):.8f}"
 
 
-def _edge(start: int, end: int, seen: list[float], information: FloatArray) -> str:
+def _edge(start: int, end: int, measured: list[float], information: FloatArray) -> str:
     """What is seen of the end from the start, and its information (3, 3) by the start's axes.
 
     Back ends take the error by the axes of the end, as measured: so the file has it.
     """
-    x, y, angle = seen
+    x, y, angle = measured
     cos, sin = math.cos(angle), math.sin(angle)
     into = np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]])
     upper = " ".join(f"{v:.8g}" for v in (into @ information @ into.T)[np.triu_indices(3)])

@@ -101,23 +101,23 @@ class _Pool:
         )
 
 
-def join(logs: Sequence[LogPasses], landmarks: LandmarkSet) -> list[Landmark]:
+def join(logs: Sequence[LogPasses], landmark_set: LandmarkSet) -> list[Landmark]:
     """The landmarks of a map, the ID that comes first in the set first."""
-    pool = _pool(logs, landmarks)
+    pool = _pool(logs, landmark_set)
     if not len(pool.log):
         return []
     groups: list[list[int]] = []
-    for number in landmarks.ids:
-        groups += _of_one_id(pool, np.flatnonzero(pool.landmark == number), landmarks.radius_m)
-    found = [_placed(pool, group) for group in groups]
-    return _one_at_a_place(logs, found, ONE_DISC * 2 * landmarks.radius_m)
+    for number in landmark_set.ids:
+        groups += _of_one_id(pool, np.flatnonzero(pool.landmark == number), landmark_set.radius_m)
+    landmarks = [_place_group(pool, group) for group in groups]
+    return _one_at_a_place(logs, landmarks, ONE_DISC * 2 * landmark_set.radius_m)
 
 
 def _pool(logs: Sequence[LogPasses], landmarks: LandmarkSet) -> _Pool:
     def row(name: str) -> np.ndarray:
-        return np.concatenate([getattr(one.passes, name) for one in logs])
+        return np.concatenate([getattr(log.passes, name) for log in logs])
 
-    count = [len(one.passes.landmark) for one in logs]
+    count = [len(log.passes.landmark) for log in logs]
     ids = row("landmark")
     return _Pool(
         logs=logs,
@@ -133,9 +133,9 @@ def _pool(logs: Sequence[LogPasses], landmarks: LandmarkSet) -> _Pool:
         turn=row("turn_deg"),
         variance=row("turn_sigma_deg") ** 2,
         drift=np.concatenate(
-            [one.path.place_covariance(one.passes.middle, one.passes.place) for one in logs]
+            [log.path.place_covariance(log.passes.middle, log.passes.place) for log in logs]
         ),
-        drift_turn=np.concatenate([one.path.yaw_variance(one.passes.middle) for one in logs]),
+        drift_turn=np.concatenate([log.path.yaw_variance(log.passes.middle) for log in logs]),
     )
 
 
@@ -164,7 +164,7 @@ def _of_one_id(pool: _Pool, passes: IntArray, radius_m: float) -> list[list[int]
     return [passes[member == k].tolist() for k in range(count)]
 
 
-def _placed(pool: _Pool, group: Sequence[int]) -> Landmark:
+def _place_group(pool: _Pool, group: Sequence[int]) -> Landmark:
     """The landmark placed by its passes, each weighed by its own error and that of the path.
 
     The passes of one log share the path's error up to the first of them; different logs share none.
@@ -172,15 +172,15 @@ def _placed(pool: _Pool, group: Sequence[int]) -> Landmark:
     """
     parts = []
     for log in np.unique(pool.log[group]).tolist():
-        mine = np.array([i for i in group if pool.log[i] == log])
-        path, row = pool.logs[log].path, pool.middle[mine]
+        of_log = np.array([i for i in group if pool.log[i] == log])
+        path, row = pool.logs[log].path, pool.middle[of_log]
         first = np.repeat(row[:1], len(row))
-        added = path.place_covariance(row, pool.place[mine], first)
+        added = path.place_covariance(row, pool.place[of_log], first)
         place, covariance, lean = _fused(
-            pool.place[mine], pool.covariance[mine] + added, pool.lean[mine]
+            pool.place[of_log], pool.covariance[of_log] + added, pool.lean[of_log]
         )
         covariance = covariance + path.place_covariance(row[:1], place[None])[0]
-        turns = pool.turn[mine], pool.variance[mine] + path.yaw_variance(row, first)
+        turns = pool.turn[of_log], pool.variance[of_log] + path.yaw_variance(row, first)
         turn, variance = _fused_turn(*turns, pool.period[group[0]])
         variance += path.yaw_variance(row[:1])[0]
         parts.append((place, covariance, lean, turn, variance))
@@ -215,28 +215,30 @@ def _fused_turn(
     turn_deg: FloatArray, variance: FloatArray, period_deg: float
 ) -> tuple[float, float]:
     """Mean direction and variance of (n,) independent ones; NaN where none is known."""
-    known = np.isfinite(turn_deg)
-    if not known.any():
+    finite = np.isfinite(turn_deg)
+    if not finite.any():
         return np.nan, np.nan
-    weight = 1 / variance[known]
-    mean = (weight * np.exp(2j * np.pi * turn_deg[known] / period_deg)).sum()
+    weight = 1 / variance[finite]
+    mean = (weight * np.exp(2j * np.pi * turn_deg[finite] / period_deg)).sum()
     return float(np.angle(mean) / (2 * np.pi) * period_deg % period_deg), float(1 / weight.sum())
 
 
 def _one_at_a_place(
-    logs: Sequence[LogPasses], found: list[Landmark], disc_m: float
+    logs: Sequence[LogPasses], landmarks: list[Landmark], disc_m: float
 ) -> list[Landmark]:
     """The landmarks, of several in one place only that claimed most; the rest become its `others`.
 
     disc_m: nearer than this no two discs can lie.
     """
-    passes = [one.passes for one in logs]
-    weight = [sum(passes[g].frames[k] * passes[g].score[k] for g, k in m.members) for m in found]
+    passes = [log.passes for log in logs]
+    weight = [
+        sum(passes[g].frames[k] * passes[g].score[k] for g, k in m.members) for m in landmarks
+    ]
     others: dict[int, list[tuple[int, int]]] = {}
-    for n in sorted(range(len(found)), key=lambda n: -weight[n]):
-        near = [k for k in others if np.hypot(*(found[k].place - found[n].place)) < disc_m]
+    for n in sorted(range(len(landmarks)), key=lambda n: -weight[n]):
+        near = [k for k in others if np.hypot(*(landmarks[k].place - landmarks[n].place)) < disc_m]
         if near:
-            others[near[0]] += found[n].members
+            others[near[0]] += landmarks[n].members
         else:
             others[n] = []
-    return [replace(found[n], others=tuple(others[n])) for n in sorted(others)]
+    return [replace(landmarks[n], others=tuple(others[n])) for n in sorted(others)]

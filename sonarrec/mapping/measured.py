@@ -40,9 +40,9 @@ def measured_motion_path(folder: Path, table: Table) -> tuple[SonarPath, list[st
     """
     missing = [name for name in ("dyaw_deg", "dyaw_sigma_deg") if name not in table]
     if missing or not np.isfinite(table["dyaw_deg"]).any():
-        what = ", ".join(missing) or "dyaw_deg is empty"
+        reason = ", ".join(missing) or "dyaw_deg is empty"
         raise SonarrecError(
-            f"{folder}: neither poses nor measured motion ({what} in frames.csv); "
+            f"{folder}: neither poses nor measured motion ({reason} in frames.csv); "
             "run the log with --odometry, or give it here"
         )
     notes = []
@@ -58,11 +58,11 @@ def measured_motion_path(folder: Path, table: Table) -> tuple[SonarPath, list[st
     # Motion that was told has no standard errors.
     sigma = np.where(np.isfinite(moved), np.nan_to_num(sigma), np.nan)
     path = measured_path(frame, time, moved, sigma)
-    lost = ~np.isfinite(path.pose).all(axis=1)
-    if lost.any():
+    unknown = ~np.isfinite(path.pose).all(axis=1)
+    if unknown.any():
         notes.append(
-            f"{folder}: the motion to frame {frame[np.argmax(lost)]} is not known; what was seen "
-            "from there on is not placed"
+            f"{folder}: the motion to frame {frame[np.argmax(unknown)]} is not known; what was "
+            "seen from there on is not placed"
         )
     return path, notes
 

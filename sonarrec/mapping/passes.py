@@ -127,9 +127,9 @@ def read_declared(
             raise SonarrecError(
                 f"{path}: a track needs object; not every declared row of {method} has it"
             )
-        lost = ~np.isfinite(rows[:, 4:6]).all(axis=1)
-        if lost.any():
-            line = line_number(path, first + int(chosen[np.argmax(lost)]))
+        without_place = ~np.isfinite(rows[:, 4:6]).all(axis=1)
+        if without_place.any():
+            line = line_number(path, first + int(chosen[np.argmax(without_place)]))
             raise SonarrecError(
                 f"{path} line {line}: no position: neither x_px,y_px nor range_m,bearing_deg"
             )
@@ -148,32 +148,34 @@ def read_declared(
 
 
 def find_passes(
-    seen: DeclaredEstimates, path: SonarPath, landmarks: LandmarkSet, fan: Fan
+    estimates: DeclaredEstimates, path: SonarPath, landmarks: LandmarkSet, fan: Fan
 ) -> Passes:
     """The passes of a log, placed on the floor; estimates in frames without a pose are left out.
 
     Estimates nearer than the floor are left out too.
     """
-    ground = ground_range(fan, seen.polar[:, 0])
-    usable = np.flatnonzero(np.isfinite(path.pose[seen.row]).all(axis=1) & (ground > 0))
-    number = path.frame[seen.row]
-    order = usable[np.lexsort([number[usable], seen.track[usable], seen.landmark[usable]])]
+    ground = ground_range(fan, estimates.polar[:, 0])
+    usable = np.flatnonzero(np.isfinite(path.pose[estimates.row]).all(axis=1) & (ground > 0))
+    number = path.frame[estimates.row]
+    order = usable[
+        np.lexsort([number[usable], estimates.track[usable], estimates.landmark[usable]])
+    ]
     cut = np.ones(len(order), dtype=bool)
-    same = (np.diff(seen.landmark[order]) == 0) & (np.diff(seen.track[order]) == 0)
+    same = (np.diff(estimates.landmark[order]) == 0) & (np.diff(estimates.track[order]) == 0)
     cut[1:] = ~same | (np.diff(number[order]) > PASS_GAP)
     begin = np.flatnonzero(cut)
     if not len(begin):
-        return _passes(seen, path, landmarks, fan, order, begin)
+        return _passes(estimates, path, landmarks, fan, order, begin)
     # In order of first frames.
-    by_time = np.argsort(seen.row[order[begin]], kind="stable")
+    by_time = np.argsort(estimates.row[order[begin]], kind="stable")
     length = np.diff(np.append(begin, len(order)))[by_time]
     start = np.cumsum(length) - length
     moved = np.arange(len(order)) - np.repeat(start, length) + np.repeat(begin[by_time], length)
-    return _passes(seen, path, landmarks, fan, order[moved], start)
+    return _passes(estimates, path, landmarks, fan, order[moved], start)
 
 
 def _passes(
-    seen: DeclaredEstimates,
+    estimates: DeclaredEstimates,
     path: SonarPath,
     landmarks: LandmarkSet,
     fan: Fan,
@@ -181,19 +183,19 @@ def _passes(
     begin: IntArray,
 ) -> Passes:
     """order: (m,) the estimates sorted by pass; begin: (n,) where each pass begins in it."""
-    row, slant = seen.row[order], seen.polar[order, 0]
+    row, slant = estimates.row[order], estimates.polar[order, 0]
     ground = ground_range(fan, slant)
     length = np.diff(np.append(begin, len(order)))
     yaw, x, y = path.pose[row].T
-    sight = np.radians(yaw + seen.polar[order, 1])
+    sight = np.radians(yaw + estimates.polar[order, 1])
     along = np.column_stack([np.sin(sight), np.cos(sight)])
     across = np.column_stack([np.cos(sight), -np.sin(sight)])
     place = np.column_stack([x, y]) + ground[:, None] * along
     # Ground range grows with slant range by the inverse of the grazing angle's cosine.
     errors = np.stack(
         [
-            along * (seen.sigma[order, 0] * slant / ground)[:, None],
-            across * (ground * np.radians(seen.sigma[order, 1]))[:, None],
+            along * (estimates.sigma[order, 0] * slant / ground)[:, None],
+            across * (ground * np.radians(estimates.sigma[order, 1]))[:, None],
         ],
         axis=-1,
     )
@@ -208,12 +210,12 @@ def _passes(
         + (1 - COMMON_SHARE) * together * own
         + LEAST_PLACE_M**2 * np.eye(2)
     )
-    turn, turn_sigma = _turns(seen, landmarks, order, begin, yaw)
+    turn, turn_sigma = _turns(estimates, landmarks, order, begin, yaw)
     return Passes(
-        landmark=seen.landmark[order][begin],
-        track=seen.track[order][begin],
+        landmark=estimates.landmark[order][begin],
+        track=estimates.track[order][begin],
         frames=length,
-        score=_sum(seen.score[order], begin) / length,
+        score=_sum(estimates.score[order], begin) / length,
         first=row[begin],
         last=row[begin + length - 1],
         middle=row[begin + length // 2],
@@ -230,7 +232,7 @@ def _passes(
 
 
 def _turns(
-    seen: DeclaredEstimates,
+    estimates: DeclaredEstimates,
     landmarks: LandmarkSet,
     order: IntArray,
     begin: IntArray,
@@ -241,9 +243,9 @@ def _turns(
     A symbol that looks the same turned by less than 360 deg has a mean within that turn.
     """
     length = np.diff(np.append(begin, len(order)))
-    fold = 360 / periods_of(landmarks, seen.landmark[order])
-    angle = np.exp(1j * np.radians((seen.polar[order, 2] - yaw_deg) * fold))
-    sigma = seen.sigma[order, 2]
+    fold = 360 / periods_of(landmarks, estimates.landmark[order])
+    angle = np.exp(1j * np.radians((estimates.polar[order, 2] - yaw_deg) * fold))
+    sigma = estimates.sigma[order, 2]
     known = np.isfinite(angle)
     weight = np.where(known, 1 / sigma**2, 0.0)
     total = np.maximum(_sum(weight, begin), 1e-12)
@@ -255,9 +257,9 @@ def _turns(
         + (1 - COMMON_SHARE) * together / total
         + LEAST_TURN_DEG**2
     )
-    there = np.abs(mean) > 0
-    turn = np.where(there, (np.degrees(np.angle(mean)) % 360) / fold, np.nan)
-    return turn, np.where(there, np.sqrt(variance), np.nan)
+    is_known = np.abs(mean) > 0
+    turn = np.where(is_known, (np.degrees(np.angle(mean)) % 360) / fold, np.nan)
+    return turn, np.where(is_known, np.sqrt(variance), np.nan)
 
 
 def periods_of(landmarks: LandmarkSet, ids: IntArray) -> FloatArray:

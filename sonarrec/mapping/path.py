@@ -107,11 +107,11 @@ class SonarPath:
         cross = np.array([s[3] * y - s[5], -(s[3] * x - s[4])])
         rows = np.array([after]), np.array([before])
         turned = self._turned(*rows, place)[0]
-        found = np.empty((3, 3))
-        found[:2, :2] = self.place_covariance(rows[0], place, rows[1])[0]
-        found[2, :2] = found[:2, 2] = cross + turned[:2] * turned[2]
-        found[2, 2] = s[3] + turned[2] ** 2
-        return found
+        covariance = np.empty((3, 3))
+        covariance[:2, :2] = self.place_covariance(rows[0], place, rows[1])[0]
+        covariance[2, :2] = covariance[:2, 2] = cross + turned[:2] * turned[2]
+        covariance[2, 2] = s[3] + turned[2] ** 2
+        return covariance
 
 
 def path_from_poses(

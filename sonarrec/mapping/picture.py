@@ -47,11 +47,11 @@ def draw_map(path: Path, site: SiteMap) -> None:
         axes.plot(*start.T, "o", color="#666666", markersize=5, zorder=1, label=label)
     axes.set_aspect("equal")
     axes.autoscale_view()
-    widths = [_width(one.covariance) for one in site.landmarks]
+    widths = [_width(landmark.covariance) for landmark in site.landmarks]
     span = abs(np.subtract(*axes.get_xlim()))
     larger = ENLARGED if widths and np.median(widths) < LEAST_SEEN * span else 1
-    for number, one in enumerate(site.landmarks, 1):
-        _draw_landmark(axes, site, one, number, larger)
+    for number, landmark in enumerate(site.landmarks, 1):
+        _draw_landmark(axes, site, landmark, number, larger)
     axes.autoscale_view()
     size = "95 % ellipses" + (f", {larger} times as large" if larger > 1 else "")
     axes.plot([], [], color=LINES, linewidth=1.2, label=size)
@@ -65,21 +65,21 @@ def draw_map(path: Path, site: SiteMap) -> None:
     write_figure(path, figure)
 
 
-def _draw_landmark(axes: Any, site: SiteMap, one: Landmark, number: int, larger: int) -> None:
+def _draw_landmark(axes: Any, site: SiteMap, landmark: Landmark, number: int, larger: int) -> None:
     """Its disc in its ID's colour, the begin of its first sector, its ellipse `larger` times."""
     axes_of, radius = Axes(site.ros_axes), site.landmark_set.radius_m
-    colour = tuple(np.array(landmark_colours(site.landmark_set.ids)[one.id]) / 255)
-    place = axes_of.place(one.place)
+    colour = tuple(np.array(landmark_colours(site.landmark_set.ids)[landmark.id]) / 255)
+    place = axes_of.place(landmark.place)
     disc = place + radius * _circle()
     axes.fill(*disc.T, facecolor=colour, alpha=0.7, edgecolor=LINES, zorder=2)
-    covariance = axes_of.covariance(one.covariance) * larger**2
+    covariance = axes_of.covariance(landmark.covariance) * larger**2
     axes.plot(*ellipse(place, covariance).T, color=LINES, linewidth=1.2, zorder=3)
-    if not math.isnan(one.turn_deg):
-        turn = math.radians(axes_of.turn(one.turn_deg, 360))
+    if not math.isnan(landmark.turn_deg):
+        turn = math.radians(axes_of.turn(landmark.turn_deg, 360))
         tip = place + radius * np.array([math.cos(turn), math.sin(turn)])
         axes.plot(*np.array([place, tip]).T, color=LINES, linewidth=2, zorder=3)
     axes.annotate(
-        f"ID.{one.id}  ({number})",
+        f"ID.{landmark.id}  ({number})",
         tuple((place + 0.75 * radius).tolist()),
         xytext=(2, 2),
         textcoords="offset points",
@@ -90,9 +90,9 @@ def _draw_landmark(axes: Any, site: SiteMap, one: Landmark, number: int, larger:
 
 
 def _title(site: SiteMap) -> str:
-    found = number_of(len(site.landmarks), "landmark")
+    count = number_of(len(site.landmarks), "landmark")
     logs = ", ".join(log.name for log in site.logs[:3]) + (" ..." if len(site.logs) > 3 else "")
-    return f"{found} of {site.landmark_set.name}: {logs}"
+    return f"{count} of {site.landmark_set.name}: {logs}"
 
 
 def _width(covariance: FloatArray) -> float:

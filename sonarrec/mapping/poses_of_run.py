@@ -12,34 +12,34 @@ from sonarrec.records import SonarrecError
 from sonarrec.results.run_file import RunFile
 
 
-def poses_of_run(folder: Path, run: RunFile, given: Sequence[Path]) -> PoseTable | None:
+def poses_of_run(folder: Path, run: RunFile, tables: Sequence[Path]) -> PoseTable | None:
     """The poses of a log's run; None where it had none and none are given.
 
-    given: tables to look among first; a log that was run without poses takes the only one. A table
+    tables: tables to look among first; a log that was run without poses takes the only one. A table
     is known by its SHA-256; not given, it is looked for by its name in a log that is a folder,
     beside the log and above it, as a run does, then beside the results and here. A topic is read
     from the log again. Raises SonarrecError where the poses that were used cannot be found.
     """
-    stated = run.odometry
+    recorded = run.odometry
     log = Path(run.table.get("input", {}).get("path", ""))
-    if "topic" in stated and not given:
+    if "topic" in recorded and not tables:
         from sonarrec.readers.mcap.poses import read_topic  # with its decompressors, where needed
 
         if not log.exists():
             raise SonarrecError(
-                f"{folder}: its poses are the topic {stated['topic']} of {log}, which is not "
+                f"{folder}: its poses are the topic {recorded['topic']} of {log}, which is not "
                 "there; give a table of them with --odometry"
             )
-        return read_topic(log, str(stated["topic"]), run.input.time or "log")
-    if not stated or "topic" in stated:
-        return read_poses(given[0]) if len(given) == 1 else None
-    name = str(stated.get("name"))
+        return read_topic(log, str(recorded["topic"]), run.input.time or "log")
+    if not recorded or "topic" in recorded:
+        return read_poses(tables[0]) if len(tables) == 1 else None
+    name = str(recorded.get("name"))
     places = [log, *log.parents]
     for home in (folder.absolute(), folder.resolve()):  # beside a link; "." and ".." have no parent
         places += [home, home.parent, home.parent.parent]
     places.append(Path())
-    for path in [*given, *(place / name for place in places)]:
-        if _digest(path) == stated.get("sha256"):
+    for path in [*tables, *(place / name for place in places)]:
+        if _digest(path) == recorded.get("sha256"):
             return read_poses(path)
     raise SonarrecError(
         f"{folder}: the poses it was run with, {name}, are not there or have changed; give that "

@@ -112,9 +112,9 @@ def cut_at_180(line: FloatArray) -> list[FloatArray]:
         if turn[k] != turn[k - 1]:
             edge = 360 * max(turn[k], turn[k - 1]) - 180
             share = (edge - longitude[k - 1]) / (longitude[k] - longitude[k - 1])
-            there = latitude[k - 1] + share * (latitude[k] - latitude[k - 1])
-            parts[-1].append((edge - 360 * turn[k - 1], there))
-            parts.append([(edge - 360 * turn[k], there)])
+            latitude_at_180 = latitude[k - 1] + share * (latitude[k] - latitude[k - 1])
+            parts[-1].append((edge - 360 * turn[k - 1], latitude_at_180))
+            parts.append([(edge - 360 * turn[k], latitude_at_180)])
         parts[-1].append((longitude[k] - 360 * turn[k], latitude[k]))
     return [np.array(part) for part in parts]
 
@@ -143,25 +143,25 @@ def write_map(path: Path, site: SiteMap) -> None:
     """map.csv: a row per landmark."""
     axes, periods = Axes(site.ros_axes), _periods(site)
     rows: list[list[object]] = []
-    for number, one in enumerate(site.landmarks, 1):
-        passes = [(site.logs[g], site.logs[g].on_floor.passes, k) for g, k in one.members]
+    for number, landmark in enumerate(site.landmarks, 1):
+        passes = [(site.logs[g], site.logs[g].on_floor.passes, k) for g, k in landmark.members]
         frames = [int(p.frames[k]) for _, p, k in passes]
         scores = [float(p.score[k]) for _, p, k in passes]
         rows.append(
             [
                 number,
-                one.id,
-                *_numbers(axes.place(one.place), axes.covariance(one.covariance)),
-                *_turn(axes.turn(one.turn_deg, periods[one.id]), one.turn_sigma_deg),
+                landmark.id,
+                *_numbers(axes.place(landmark.place), axes.covariance(landmark.covariance)),
+                *_turn(axes.turn(landmark.turn_deg, periods[landmark.id]), landmark.turn_sigma_deg),
                 len(passes),
                 sum(frames),
-                len({g for g, _ in one.members}),
+                len({g for g, _ in landmark.members}),
                 f"{np.average(scores, weights=frames):.4f}",
                 f"{min(p.near_m[k] for _, p, k in passes):.3f}",
                 f"{max(p.far_m[k] for _, p, k in passes):.3f}",
                 min(int(log.path.timestamp_ns[p.first[k]]) for log, p, k in passes),
                 max(int(log.path.timestamp_ns[p.last[k]]) for log, p, k in passes),
-                sum(int(site.logs[g].on_floor.passes.frames[k]) for g, k in one.others),
+                sum(int(site.logs[g].on_floor.passes.frames[k]) for g, k in landmark.others),
             ]
         )
     write_csv(path, MAP_COLUMNS, rows)
@@ -171,7 +171,9 @@ def write_passes(path: Path, site: SiteMap) -> None:
     """passes.csv: a row per pass, also of those that no landmark of the map came from."""
     axes, periods = Axes(site.ros_axes), _periods(site)
     number = {
-        pair: n for n, one in enumerate(site.landmarks, 1) for pair in (*one.members, *one.others)
+        pair: n
+        for n, found in enumerate(site.landmarks, 1)
+        for pair in (*found.members, *found.others)
     }
     rows: list[list[object]] = []
     for g, log in enumerate(site.logs):
@@ -203,8 +205,8 @@ def write_passes(path: Path, site: SiteMap) -> None:
 
 
 def _periods(site: SiteMap) -> dict[int, float]:
-    found = site.landmark_set
-    return dict(zip(found.ids, found.periods_deg().tolist(), strict=True))
+    landmark_set = site.landmark_set
+    return dict(zip(landmark_set.ids, landmark_set.periods_deg().tolist(), strict=True))
 
 
 def ellipse(place: FloatArray, covariance: FloatArray, points: int = 48) -> FloatArray:
@@ -228,37 +230,37 @@ def write_geojson(path: Path, site: SiteMap, origin: GeographicOrigin) -> None:
     features = []
 
     def add(kind: str, coordinates: list[Any], properties: dict[str, object]) -> None:
-        one = len(coordinates) == 1
+        is_point = len(coordinates) == 1
         geometry = {
-            "type": kind if one else f"Multi{kind}",
-            "coordinates": coordinates[0] if one else coordinates,
+            "type": kind if is_point else f"Multi{kind}",
+            "coordinates": coordinates[0] if is_point else coordinates,
         }
         features.append({"type": "Feature", "geometry": geometry, "properties": properties})
 
     def rounded(part: FloatArray) -> list[Any]:
-        found: list[Any] = np.round(part, 9).tolist()
-        return found
+        coordinates: list[Any] = np.round(part, 9).tolist()
+        return coordinates
 
-    for number, one in enumerate(site.landmarks, 1):
-        properties: dict[str, object] = {"number": number, "landmark": one.id}
-        sigma = float(np.sqrt(np.linalg.eigvalsh(one.covariance)[-1]))
+    for number, landmark in enumerate(site.landmarks, 1):
+        properties: dict[str, object] = {"number": number, "landmark": landmark.id}
+        sigma = float(np.sqrt(np.linalg.eigvalsh(landmark.covariance)[-1]))
         # Where the first sector begins, as a compass has it.
-        turn = (90 + origin.heading_deg - one.turn_deg) % 360
-        known = {} if math.isnan(turn) else {"heading_deg": round(turn, 2)}
-        frames = sum(int(site.logs[g].on_floor.passes.frames[k]) for g, k in one.members)
+        turn = (90 + origin.heading_deg - landmark.turn_deg) % 360
+        heading = {} if math.isnan(turn) else {"heading_deg": round(turn, 2)}
+        frames = sum(int(site.logs[g].on_floor.passes.frames[k]) for g, k in landmark.members)
         add(
             "Point",
-            rounded(origin.on_earth(one.place[None])),
+            rounded(origin.on_earth(landmark.place[None])),
             {
-                "name": f"ID.{one.id}",
+                "name": f"ID.{landmark.id}",
                 **properties,
-                **known,
+                **heading,
                 "sigma_m": round(sigma, 4),
-                "passes": len(one.members),
+                "passes": len(landmark.members),
                 "frames": frames,
             },
         )
-        rings = rings_at_180(origin.on_earth(ellipse(one.place, one.covariance)))
+        rings = rings_at_180(origin.on_earth(ellipse(landmark.place, landmark.covariance)))
         if rings:
             add("Polygon", [[rounded(ring)] for ring in rings], {**properties, "within": 0.95})
     for log in site.logs:
@@ -278,14 +280,14 @@ def lines(site: SiteMap) -> list[str]:
     if not site.landmarks:
         return left_out or ["no landmark declared"]
     axes, periods = Axes(site.ros_axes), _periods(site)
-    found = ["number  landmark       x m       y m  sigma m  orientation  sigma  passes  frames"]
-    for number, one in enumerate(site.landmarks, 1):
-        x, y = axes.place(one.place)
-        sigma = math.sqrt(float(np.linalg.eigvalsh(one.covariance)[-1]))
-        turn = axes.turn(one.turn_deg, periods[one.id])
-        frames = sum(int(site.logs[g].on_floor.passes.frames[k]) for g, k in one.members)
-        found.append(
-            f"{number:>6}  {one.id:>8}  {x:>8.3f}  {y:>8.3f}  {sigma:>7.3f}  {turn:>11.1f}  "
-            f"{one.turn_sigma_deg:>5.1f}  {len(one.members):>6}  {frames:>6}"
+    rows = ["number  landmark       x m       y m  sigma m  orientation  sigma  passes  frames"]
+    for number, landmark in enumerate(site.landmarks, 1):
+        x, y = axes.place(landmark.place)
+        sigma = math.sqrt(float(np.linalg.eigvalsh(landmark.covariance)[-1]))
+        turn = axes.turn(landmark.turn_deg, periods[landmark.id])
+        frames = sum(int(site.logs[g].on_floor.passes.frames[k]) for g, k in landmark.members)
+        rows.append(
+            f"{number:>6}  {landmark.id:>8}  {x:>8.3f}  {y:>8.3f}  {sigma:>7.3f}  {turn:>11.1f}  "
+            f"{landmark.turn_sigma_deg:>5.1f}  {len(landmark.members):>6}  {frames:>6}"
         )
-    return found + left_out
+    return rows + left_out

@@ -31,8 +31,8 @@ def write_all(folder: Path, site: SiteMap, origin: GeographicOrigin | None = Non
     Returns them. Raises SonarrecError where the folder cannot be written, UsageError, before
     anything is, where a file of another kind is there.
     """
-    found = factors(site)
-    graph = graph_of(site, found)
+    measurements = factors(site)
+    graph = graph_of(site, measurements)
     headers = {"map.csv": MAP_COLUMNS, "passes.csv": PASS_COLUMNS, "factors.csv": FACTOR_COLUMNS}
     tables = [folder / name for name in headers]
     g2o, picture, earth = (folder / name for name in ("graph.g2o", "map.png", "map.geojson"))
@@ -45,8 +45,8 @@ def write_all(folder: Path, site: SiteMap, origin: GeographicOrigin | None = Non
     with writing(folder):
         write_map(tables[0], site)
         write_passes(tables[1], site)
-        write_factors(tables[2], site, found, graph)
-        write_g2o(g2o, site, found, graph)
+        write_factors(tables[2], site, measurements, graph)
+        write_g2o(g2o, site, measurements, graph)
         draw_map(picture, site)
         earth.unlink(missing_ok=True)  # of a map before, with an origin
         if origin is not None:

@@ -38,8 +38,10 @@ class Recogniser:
         """
         self._source = source
         self._configs = configs_of(preset)
-        chosen = landmarks if isinstance(landmarks, LandmarkSet) else load_landmarks(landmarks)
-        self.landmarks = chosen
+        landmark_set = (
+            landmarks if isinstance(landmarks, LandmarkSet) else load_landmarks(landmarks)
+        )
+        self.landmarks = landmark_set
         self._model = None if model is None else read_model(Path(model)).model
 
     def recognise(self, frames: Iterable[Frame] | None = None) -> Iterator[FrameResult]:
@@ -54,8 +56,8 @@ class Recogniser:
             if isinstance(self._source, Fan):
                 raise UsageError("a Recogniser made from a fan needs frames to recognise")
             frames = self._source
-        left = _of_one_fan(frames, self._source if isinstance(self._source, Fan) else None)
-        begin = [*islice(left, FRAMES_FOR_BEAMS)]
+        rest = _of_one_fan(frames, self._source if isinstance(self._source, Fan) else None)
+        begin = [*islice(rest, FRAMES_FOR_BEAMS)]
         if not begin:
             return
         if isinstance(self._source, Fan):
@@ -64,7 +66,7 @@ class Recogniser:
             fan, stated_deg = begin[0].fan, self._source.beam_width_deg
         configs, _ = with_beams(self._configs, stated_deg, begin)
         recogniser = SideBySide(configs, fan, self.landmarks, self._model)
-        yield from recogniser.recognise(chain(begin, left))
+        yield from recogniser.recognise(chain(begin, rest))
 
 
 def _of_one_fan(frames: Iterable[Frame], fan: Fan | None) -> Iterator[Frame]:
@@ -72,15 +74,15 @@ def _of_one_fan(frames: Iterable[Frame], fan: Fan | None) -> Iterator[Frame]:
     before = -1
     for frame in frames:
         fan = fan or frame.fan
-        pixels, shape, wanted = frame.pixels, frame.pixels.shape, (fan.rows, fan.columns)
+        pixels, shape, fan_shape = frame.pixels, frame.pixels.shape, (fan.rows, fan.columns)
         if frame.polar is not None and shape == frame.polar.shape:
             shape = frame.fan.rows, frame.fan.columns  # of the fan image that they make
         elif frame.polar is not None:
-            wanted = frame.polar.shape
-        if shape != wanted or pixels.dtype != np.uint8:
+            fan_shape = frame.polar.shape
+        if shape != fan_shape or pixels.dtype != np.uint8:
             raise UsageError(
                 f"frame {frame.index}: an image of {shape} {pixels.dtype}, where the fan "
-                f"needs {wanted} uint8"
+                f"needs {fan_shape} uint8"
             )
         if frame.index <= before:
             raise UsageError(f"frame {frame.index} comes after frame {before}; sort by index")
@@ -93,9 +95,9 @@ def configs_of(presets: Presets) -> list[Config]:
 
     Raises UsageError where there is none, or two of one name, by which their results go.
     """
-    chosen = [presets] if isinstance(presets, str | Config) else presets
-    found = [config_of(one) if isinstance(one, str) else one for one in chosen]
-    names = [one.preset for one in found]
+    several = [presets] if isinstance(presets, str | Config) else presets
+    configs = [config_of(one) if isinstance(one, str) else one for one in several]
+    names = [one.preset for one in configs]
     if not names:
         raise UsageError("preset: none is given; leave it out for default")
     if len(set(names)) < len(names):
@@ -103,4 +105,4 @@ def configs_of(presets: Presets) -> list[Config]:
             f"preset {', '.join(names)}: each once, for results go by its name; run settings of "
             "one preset apart, each with an out of its own"
         )
-    return found
+    return configs

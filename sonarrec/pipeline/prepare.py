@@ -69,16 +69,16 @@ def prepare(
     Raises SonarrecError for input or settings that cannot be used.
     """
     earlier = read_run(run_options.earlier_run)
-    found = find_log(path, log_options.up_to)
-    digest = digest_asked(earlier, found)
-    same_log, other = is_same_log(earlier, found, digest)
+    source = find_log(path, log_options.up_to)
+    digest = digest_asked(earlier, source)
+    same_log, note = is_same_log(earlier, source, digest)
     log_options = earlier.complete(log_options, same_log=same_log)
-    log_options, notes = _with_companions(found, log_options, again=same_log)
-    notes = [*other, *notes]
+    log_options, notes = _with_companions(source, log_options, again=same_log)
+    notes = [*note, *notes]
     landmarks = earlier.landmark_set(run_options.landmarks)
     learned = _model(run_options, earlier)
     poses, more = _poses(path, log_options, earlier if same_log else read_run(None))
-    with open_log(found, **log_options.arguments()) as log:
+    with open_log(source, **log_options.arguments()) as log:
         span = log_options.frames or (0, None)
         frames = log.within(span)
         first = next(frames, None)  # raises where there is no usable frame at all
@@ -95,9 +95,9 @@ def prepare(
                 f"{name_as_text(folder)}: `sonarrec {MADE_BY[folder.name]} {name_as_text(out)}` "
                 "writes into this folder, too; give it an --out, or rename the log"
             )
-        source = (name_as_text(log.name), *(digest or log.digest_source()))
+        identity = (name_as_text(log.name), *(digest or log.digest_source()))
         table = run_table(
-            configs, recogniser.methods, log.stated, first.fan, landmarks, source, log.reading()
+            configs, recogniser.methods, log.stated, first.fan, landmarks, identity, log.reading()
         )
         table["input"] |= _where(path, folder, log_options)
         if run_options.parquet:
@@ -120,26 +120,26 @@ def prepare(
         )
 
 
-def digest_asked(earlier: RunFile, found: Source) -> tuple[int, str] | None:
+def digest_asked(earlier: RunFile, source: Source) -> tuple[int, str] | None:
     """As `digest_of`; None, since it takes long, where the earlier run states none to compare."""
-    return digest_of(found.path, found.files) if earlier.input.sha256 else None
+    return digest_of(source.path, source.files) if earlier.input.sha256 else None
 
 
 def is_same_log(
-    earlier: RunFile, found: Source, digest: tuple[int, str] | None
+    earlier: RunFile, source: Source, digest: tuple[int, str] | None
 ) -> tuple[bool, list[str]]:
     """Whether the earlier run was of this log, and a note where it was of another of its name.
 
     digest: of `digest_asked`; without one the name serves.
     """
-    name = name_as_text(found.name)
+    name = name_as_text(source.name)
     alike = earlier.input.name == name
     if digest is None:
         return alike, []
     if digest[1] == earlier.input.sha256:
         return True, []
-    other = f"{earlier.path}: made from another {name}; only its settings and its geometry are used"
-    return False, [other] if alike else []
+    note = f"{earlier.path}: made from another {name}; only its settings and its geometry are used"
+    return False, [note] if alike else []
 
 
 def _where(path: Path, folder: Path, log_options: LogOptions) -> dict[str, str]:
@@ -191,8 +191,8 @@ def _with_companions(
     """
     path, notes = source.path, []
     geometry = source.beside(SONAR_FILE)
-    own = log_options.sonar_file is not None or log_options.up_to is None
-    if not own and geometry != replace(source, up_to=None).beside(SONAR_FILE):
+    has_own = log_options.sonar_file is not None or log_options.up_to is None
+    if not has_own and geometry != replace(source, up_to=None).beside(SONAR_FILE):
         notes.append(f"{path}: its geometry is that of {geometry}")
     if again or log_options.odometry is not None or log_options.odometry_topic is not None:
         return log_options, notes

@@ -277,17 +277,17 @@ def _longest(folder: Path, methods: Sequence[str]) -> tuple[dict[str, int], list
     """`passes` and `sightings` of a Summary; methods: those that follow objects."""
     passes = dict.fromkeys(methods, 0)
 
-    def seen(method: str) -> Iterator[Sighting]:
+    def of_method(method: str) -> Iterator[Sighting]:
         for sighting in sightings_in(folder / "sightings.csv"):
             if sighting.method == method:
                 passes[method] += 1
                 yield sighting
 
-    kept: list[Sighting] = []
+    sightings: list[Sighting] = []
     for method in methods:
-        longest = nlargest(MOST_SIGHTINGS, seen(method), key=lambda s: s.frames_declared)
-        kept += sorted(longest, key=lambda s: (s.first_frame, s.last_frame))
-    return passes, kept
+        longest = nlargest(MOST_SIGHTINGS, of_method(method), key=lambda s: s.frames_declared)
+        sightings += sorted(longest, key=lambda s: (s.first_frame, s.last_frame))
+    return passes, sightings
 
 
 def _path(path: str | Path | None) -> Path | None:

@@ -64,7 +64,7 @@ def test_logs_whose_process_cannot_be_started_have_failed(
     def refused(_: object) -> None:
         raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
 
-    monkeypatch.setattr(processes.Worker, "_started", refused)
+    monkeypatch.setattr(processes.Worker, "_start", refused)
     call = ["run", *made(tmp_path, "a", "b", frames=1), "-j", "2", "-o", tmp_path / "out"]
     told = sonarrec(*call, code=1).stderr
     assert f"{tmp_path / 'a'}: no process could be started for it (Too many open files)" in told
@@ -279,7 +279,7 @@ def test_a_log_that_another_call_has_in_hand_keeps_that_call_s_row(tmp_path: Pat
     task = Task("a", "a", str(tmp_path), LogOptions(), RunOptions([]))
     first, second = (LogsTable(tmp_path, [task]) for _ in range(2))
     for table in (first, second):
-        table.begun(0)
+        table.started(0)
         table.write()
     second.ended(0, Outcome("failed", error=LockedError("another run writes here now")))
     first.ended(0, Outcome("done"))
@@ -293,7 +293,7 @@ def test_what_failed_by_a_full_disk_does_not_stay_as_running(
 ) -> None:
     """The row has room where the table is; a whole new table has not."""
     table = LogsTable(tmp_path, [Task("a", "a", str(tmp_path), LogOptions(), RunOptions([]))])
-    table.begun(0)
+    table.started(0)
     table.write()
 
     def full(_: Path) -> None:
@@ -312,7 +312,7 @@ def test_what_failed_by_a_full_disk_does_not_stay_as_running(
 def test_an_empty_logs_csv_holds_nothing_to_lose(tmp_path: Path) -> None:
     (tmp_path / "logs.csv").touch()
     table = LogsTable(tmp_path, [Task("a.mcap", "a", str(tmp_path), LogOptions(), RunOptions([]))])
-    table.begun(0)
+    table.started(0)
     table.frames(0, 3)
     table.write()
     assert table.fault is None
