@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from sonarrec.files.outputs import marked, replaced, writing
+from sonarrec.files.outputs import replaced, with_mark, writing
 from sonarrec.geometry import (
     STEEPEST,
     floor_depth,
@@ -187,4 +187,4 @@ def draw_picture(frame: ByteImage, strip: ByteImage) -> ByteImage:
 def write_png(path: Path, picture: ByteImage) -> None:
     """Write (rows, columns, 3) uint8 BGR. Raises SonarrecError where it cannot be written."""
     with writing(path), replaced(path) as new:
-        new.write_bytes(marked(cv2.imencode(".png", picture)[1].tobytes()))
+        new.write_bytes(with_mark(cv2.imencode(".png", picture)[1].tobytes()))

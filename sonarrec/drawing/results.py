@@ -141,8 +141,8 @@ def draw_strip(history: Sequence[Moment], landmarks: LandmarkSet, width: int) ->
     for n, (landmark, colour) in enumerate(colours.items()):
         at = (left + n % per_line * 46 * unit, (15 + 16 * (n // per_line)) * unit)
         pen.text(f"ID.{landmark}", at, colour)
-    told = f"frame {newest.index}  {_clock(newest.timestamp_ns)}"
-    pen.text(told, (right, 15 * unit), UNNAMED, align_right=True)
+    title = f"frame {newest.index}  {_clock(newest.timestamp_ns)}"
+    pen.text(title, (right, 15 * unit), UNNAMED, align_right=True)
     for share in (0.0, 0.5, 1.0):
         level = bottom - share * (bottom - top)
         pen.lines(np.array([[[left, level], [right, level]]]), (70, 70, 70), 1)
@@ -152,33 +152,33 @@ def draw_strip(history: Sequence[Moment], landmarks: LandmarkSet, width: int) ->
         ago = newest.index - result.index
         if result.index % _TICK_FRAMES == 0 and ago < STRIP_FRAMES:
             tick = right - ago * step
-            told = _clock(result.timestamp_ns, short=True)
-            pen.note(told, (tick, bottom + 21 * unit), UNNAMED, centred=True)
+            title = _clock(result.timestamp_ns, short=True)
+            pen.note(title, (tick, bottom + 21 * unit), UNNAMED, centred=True)
             pen.lines(np.array([[[tick, bottom], [tick, bottom + 5 * unit]]]), UNNAMED, 1)
 
-    shown = [
+    rows = [
         (result.index, e)
         for result in history
         if newest.index - result.index < STRIP_FRAMES
         for e in result.estimates
     ]
-    if not shown:
+    if not rows:
         return pen.canvas
     # Sorted by track and time, each estimate is joined to the one before it on the same track.
-    shown.sort(key=lambda row: (row[1].object, row[0]))
-    frame = np.array([index for index, _ in shown])
-    track = np.array([e.object if e.followed else -1 for _, e in shown])
-    named = np.array([e.landmark if e.declared else None for _, e in shown])
+    rows.sort(key=lambda row: (row[1].object, row[0]))
+    frame = np.array([index for index, _ in rows])
+    track = np.array([e.object if e.followed else -1 for _, e in rows])
+    id_named = np.array([e.landmark if e.declared else None for _, e in rows])
     joined = np.append(False, (track[1:] == track[:-1]) & (track[1:] >= 0))
-    before = np.arange(len(shown)) - joined
+    before = np.arange(len(rows)) - joined
     x = right - (newest.index - frame) * step
-    beliefs = np.array([e.probabilities for _, e in shown])
+    beliefs = np.array([e.probabilities for _, e in rows])
     for thick in (False, True):
         for k, landmark in enumerate(landmarks.ids):
             y = bottom - beliefs[:, k] * (bottom - top)
             start = np.where(joined, x[before], x - step / 2)
             lines = np.stack([[start, y[before]], [x, y]]).transpose(2, 0, 1)
-            pen.lines(lines[(named == landmark) == thick], colours[landmark], 1 + thick)
+            pen.lines(lines[(id_named == landmark) == thick], colours[landmark], 1 + thick)
     return pen.canvas
 
 

@@ -66,8 +66,8 @@ def check_output(
     if not path.is_dir() and not path.is_file():
         return  # a device, such as /dev/null
     with writing(path):
-        ours = is_output(path, kind, header)
-    if not ours:
+        is_ours = is_output(path, kind, header)
+    if not is_ours:
         raise UsageError(
             f"{name_as_text(path)}: exists and is no {kind} of sonarrec, so it is not overwritten; "
             "choose another name, or remove it first"
@@ -163,7 +163,7 @@ def replaced(path: Path) -> Iterator[Path]:
         return
     target = path.resolve()
     new = target.with_name(f".{os.getpid()}-{next(_numbers)}.new")
-    made = [folder for folder in target.parents if not folder.exists()][::-1]
+    new_folders = [folder for folder in target.parents if not folder.exists()][::-1]
     try:
         if target.exists():
             target.open("r+b").close()  # a file that is read-only must not be replaced either
@@ -172,7 +172,7 @@ def replaced(path: Path) -> Iterator[Path]:
                 return
             new.touch()
             shutil.copymode(target, new)
-        for folder in made:
+        for folder in new_folders:
             folder.mkdir(exist_ok=True)
         yield new
         try:
@@ -185,7 +185,7 @@ def replaced(path: Path) -> Iterator[Path]:
     except BaseException as error:
         with suppress(OSError):
             new.unlink(missing_ok=True)
-            for folder in reversed(made):
+            for folder in reversed(new_folders):
                 folder.rmdir()
         if isinstance(error, OSError) and error.filename in (None, str(new), str(target)):
             error.filename = str(path)
@@ -224,7 +224,7 @@ def write_page(path: Path, page: str) -> None:
         write_text(path, page)
 
 
-def marked(png: bytes) -> bytes:
+def with_mark(png: bytes) -> bytes:
     """A PNG with PICTURE_MARK after its header."""
     [(key, value)] = PICTURE_MARK.items()
     body = b"tEXt" + key.encode() + b"\0" + value.encode()

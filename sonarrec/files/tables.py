@@ -107,7 +107,7 @@ def _names(path: Path, expected: str) -> list[str]:
         with _NonBlankLines(path) as text:
             return pd.read_csv(text, nrows=0, **_OPTIONS)
 
-    return list(map(str, _parsed(path, expected, read).columns))
+    return list(map(str, _parse(path, expected, read).columns))
 
 
 def read_tables(
@@ -145,7 +145,7 @@ def read_tables(
     )
     labels: dict[Any, int] = {}
     first = 0
-    while (part := _parsed(path, expected, lambda: next(parts, None))) is not None:
+    while (part := _parse(path, expected, lambda: next(parts, None))) is not None:
         part = part.astype(dict.fromkeys(text, "category"))
         columns = {name: part[column] for name, column in used.items()}
         table, fault = _table(path, first, columns, kinds, labels)
@@ -185,7 +185,7 @@ class _NonBlankLines(io.TextIOBase):
         super().close()
 
 
-def _parsed(path: Path, expected: str, read: Callable[[], Any]) -> Any:
+def _parse(path: Path, expected: str, read: Callable[[], Any]) -> Any:
     """The result of `read`. Raises SonarrecError if the file is not a table."""
     try:
         with warnings.catch_warnings():
@@ -385,8 +385,8 @@ def _nanoseconds(column: Any) -> FloatArray:
     A time without its UTC offset may be that of any zone.
     """
     text = column.astype(str)
-    told = text.where(text.str.fullmatch(_WITH_OFFSET))
-    times = pd.to_datetime(told, format="ISO8601", utc=True, errors="coerce")
+    offset_stated = text.where(text.str.fullmatch(_WITH_OFFSET))
+    times = pd.to_datetime(offset_stated, format="ISO8601", utc=True, errors="coerce")
     # By seconds, for times beyond the year 2262 are more ns than 64 bits hold.
     start, second = pd.Timestamp(0, tz="UTC").as_unit("s"), pd.Timedelta(seconds=1).as_unit("s")
     ns = (times - start) / second * 1e9

@@ -172,7 +172,7 @@ def checked(
     value: object, wanted: Any, label: str, error: type[SonarrecError] = SonarrecError
 ) -> Any:
     """`value` as the type `wanted`. Raises `error`, which begins with `label`, if it is invalid."""
-    whole = _bare(wanted) is int and isinstance(value, float) and value.is_integer()
+    whole = _without_meta(wanted) is int and isinstance(value, float) and value.is_integer()
     try:  # 1e3 is a whole number too
         return msgspec.convert(int(value) if whole else value, wanted)  # type: ignore[call-overload]
     except msgspec.ValidationError:
@@ -183,10 +183,10 @@ def checked(
 def types_of(kind: Any) -> dict[str, Any]:
     """The fields' types with their bounds, by name; X for `X | None`, since TOML has no None."""
     hints = get_type_hints(kind, include_extras=True)
-    return {name: _stated(hint) for name, hint in hints.items()}
+    return {name: _toml_type(hint) for name, hint in hints.items()}
 
 
-def _stated(hint: Any) -> Any:
+def _toml_type(hint: Any) -> Any:
     if get_origin(hint) in (Annotated, tuple, Literal):
         return hint
     return next((a for a in get_args(hint) if a is not NoneType), hint)
@@ -201,19 +201,19 @@ def metas(wanted: Any) -> list[msgspec.Meta]:
     return list(get_args(wanted)[1:]) if get_origin(wanted) is Annotated else []
 
 
-def _bare(wanted: Any) -> Any:
+def _without_meta(wanted: Any) -> Any:
     return get_args(wanted)[0] if get_origin(wanted) is Annotated else wanted
 
 
 def choices(wanted: Any) -> tuple[Any, ...]:
     """The values of a Literal type, else ()."""
-    bare = _bare(wanted)
+    bare = _without_meta(wanted)
     return get_args(bare) if get_origin(bare) is Literal else ()
 
 
 def described(wanted: Any) -> str:
     """A type in words, such as "a number from 0 to 1"."""
-    bare = _bare(wanted)
+    bare = _without_meta(wanted)
     if few := [f'"{c}"' if isinstance(c, str) else str(c) for c in choices(wanted)]:
         return " or ".join(filter(None, (", ".join(few[:-1]), few[-1])))
     if get_origin(bare) is tuple:

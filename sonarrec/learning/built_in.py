@@ -38,10 +38,10 @@ FRAMES = 64  # of each: more recordings teach more than longer ones
 
 def lessons() -> list[tuple[str, Samples]]:
     """Kind of scene and samples of every recording that the model learns from; on all cores."""
-    drawn = [(kind, seed) for kind, n in RECORDINGS.items() for seed in MODEL_SEEDS[:n]]
+    recordings = [(kind, seed) for kind, n in RECORDINGS.items() for seed in MODEL_SEEDS[:n]]
     with ProcessPoolExecutor() as workers:
-        samples = workers.map(simulated, *zip(*drawn, strict=True))
-        return [(kind, one) for (kind, _), one in zip(drawn, samples, strict=True)]
+        samples = workers.map(simulated, *zip(*recordings, strict=True))
+        return [(kind, sample) for (kind, _), sample in zip(recordings, samples, strict=True)]
 
 
 def simulated(kind: str, seed: int) -> Samples:

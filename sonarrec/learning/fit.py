@@ -39,18 +39,18 @@ def fit(
     times `prior_weight`. Raises SonarrecError where the recordings hold no landmark, or nothing but
     landmarks.
     """
-    used = [r for r in recordings if len(r.label)]
-    on = sum(np.count_nonzero(r.label < r.features.shape[1]) for r in used)
-    total = sum(len(r.label) for r in used)
+    labelled = [r for r in recordings if len(r.label)]
+    on = sum(np.count_nonzero(r.label < r.features.shape[1]) for r in labelled)
+    total = sum(len(r.label) for r in labelled)
     if not 0 < on < total:
         what = "no landmark" if on == 0 else "nothing but landmarks"
         raise SonarrecError(
             f"{total} tracks in frames hold {what}; a model is learned from landmarks and others"
         )
     if prior is None:
-        seen = np.concatenate([r.features.reshape(-1, len(FEATURES)) for r in used])
+        features = np.concatenate([r.features.reshape(-1, len(FEATURES)) for r in labelled])
         shares = np.linspace(0.01, 0.99, KNOTS)
-        knots = tuple(np.unique(np.quantile(values, shares).round(2)) for values in seen.T)
+        knots = tuple(np.unique(np.quantile(values, shares).round(2)) for values in features.T)
         penalty = np.kron(np.eye(2), _penalty(knots))
         centre: FloatArray = np.zeros(len(penalty))
     else:
@@ -58,7 +58,7 @@ def fit(
         penalty = prior_weight * np.kron(np.eye(2), _penalty(knots, bias=RIDGE))
         sharp, smeared = np.concatenate([prior.bias[:, None], *prior.values], axis=1)
         centre = np.concatenate([sharp, smeared - sharp])
-    best = _most_likely(used, knots, penalty, centre)
+    best = _most_likely(labelled, knots, penalty, centre)
     both = best.reshape(2, -1).cumsum(axis=0)  # sharp, smeared
     ends = np.cumsum([1] + [len(k) for k in knots])
     values = [both[:, a:b] for a, b in pairwise(ends)]
@@ -102,9 +102,9 @@ def _basis(features: FloatArray, knots: Sequence[FloatArray]) -> npt.NDArray[np.
     """(n, K, D) of features (n, K, F): 1, then the hat functions at every curve's knots."""
     hats = [np.ones((*features.shape[:2], 1), np.float32)]
     for i, at in enumerate(knots):
-        which = np.arange(len(at))
-        place = np.interp(features[:, :, i], at, which)  # among the knots, between two of them
-        hats.append(np.maximum(1 - np.abs(place[..., None] - which), 0).astype(np.float32))
+        row = np.arange(len(at))
+        place = np.interp(features[:, :, i], at, row)  # among the knots, between two of them
+        hats.append(np.maximum(1 - np.abs(place[..., None] - row), 0).astype(np.float32))
     return np.concatenate(hats, axis=2)
 
 

@@ -116,16 +116,16 @@ def label(tracks: Tracks, row: IntArray, landmark: IntArray, place: FloatArray) 
     landmark: (T,) its place in the set. place: (T, 2) as Tracks.position.
     """
     ids = len(tracks.landmarks.ids)
-    found = np.full(len(tracks.row), ids)
+    labels = np.full(len(tracks.row), ids)
     nearest = np.full(len(tracks.row), np.inf)
     first, end = (np.searchsorted(tracks.row, row, side) for side in ("left", "right"))
     for a, b, what, where in zip(first, end, landmark, place, strict=True):
         distance = np.linalg.norm(tracks.position[a:b] - where, axis=1)
         closer = distance < nearest[a:b]
-        found[a:b][closer], nearest[a:b][closer] = what, distance[closer]
+        labels[a:b][closer], nearest[a:b][closer] = what, distance[closer]
     distance = nearest / (2 * tracks.landmarks.radius_m)
-    found[distance > ON] = ids
+    labels[distance > ON] = ids
     taught = (distance <= ON) | (distance > OFF)
     return Samples(
-        tracks.features[taught], tracks.smear[taught], found[taught], tracks.number[taught]
+        tracks.features[taught], tracks.smear[taught], labels[taught], tracks.number[taught]
     )

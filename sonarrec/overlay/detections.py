@@ -66,7 +66,7 @@ def detections_message(
     header = types["std_msgs/msg/Header"](
         types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 1_000_000_000)), FRAME_ID
     )
-    found = []
+    detections = []
     for e in estimates:
         if e.declared:
             pose = _pose(types, fan, e)
@@ -80,8 +80,10 @@ def detections_message(
             )
             box = types["vision_msgs/msg/BoundingBox3D"](pose, size)
             number = str(e.object) if e.object >= 0 else ""
-            found.append(types["vision_msgs/msg/Detection3D"](header, [with_pose], box, number))
-    return bytes(store.serialize_cdr(types[NAME](header, found), NAME))
+            detections.append(
+                types["vision_msgs/msg/Detection3D"](header, [with_pose], box, number)
+            )
+    return bytes(store.serialize_cdr(types[NAME](header, detections), NAME))
 
 
 def _pose(types: Any, fan: Fan, e: Estimate) -> Any:
@@ -103,16 +105,16 @@ def _ground(fan: Fan, e: Estimate) -> float:
 
 def _covariance(fan: Fan, e: Estimate) -> FloatArray:
     """(6, 6) of x, y, z (m) and the turns about them (rad)."""
-    found = np.zeros((6, 6))
+    covariance = np.zeros((6, 6))
     ground, bearing = _ground(fan, e), math.radians(e.bearing_deg)
     if not math.isnan(e.range_sigma_m) and not math.isnan(e.bearing_sigma_deg) and ground:
         along = np.array([math.cos(bearing), -math.sin(bearing)]) * e.range_sigma_m
         along *= e.range_m / ground
         across = np.array([math.sin(bearing), math.cos(bearing)]) * ground
         across *= math.radians(e.bearing_sigma_deg)
-        found[:2, :2] = np.outer(along, along) + np.outer(across, across)
+        covariance[:2, :2] = np.outer(along, along) + np.outer(across, across)
     if math.isnan(e.orientation_deg):
-        found[5, 5] = math.pi**2
+        covariance[5, 5] = math.pi**2
     elif not math.isnan(e.orientation_sigma_deg):
-        found[5, 5] = math.radians(e.orientation_sigma_deg) ** 2
-    return found
+        covariance[5, 5] = math.radians(e.orientation_sigma_deg) ** 2
+    return covariance

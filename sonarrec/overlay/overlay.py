@@ -96,7 +96,7 @@ def write_overlay(
     method = choose_method(table, method)
     with open_log(source, **log_options.arguments()) as log:
         check_same_log(log, folder, run)
-        problems = [] if run.finished else [_cut_short(folder)]
+        problems = [] if run.finished else [_cut_short_line(folder)]
         frames = iter(log)
         first = next(frames)  # raises where there is no usable frame
         truth, unlike = _truth_marks(ground_truth, folder, landmarks, log.sonar, first.fan)
@@ -146,7 +146,7 @@ def _check_targets(targets: Targets, path: Path, ground_truth: Path | None) -> N
             check_output(target / "000000.png", kind, [path])
 
 
-def _cut_short(folder: Path) -> str:
+def _cut_short_line(folder: Path) -> str:
     return f"{folder}: the run was cut short; frames after {last_frame(folder)} have no results"
 
 
@@ -170,10 +170,12 @@ class _Outputs:
             self.annotations.write(frame, estimates, paths, marks)
         if not self.pictures:
             return
-        drawn = draw_frame(
+        picture = draw_frame(
             frame.image, frame.fan, self.landmarks, estimates, paths=paths, truth=marks, grid=grid
         )
-        picture = draw_picture(drawn, draw_strip(history, self.landmarks, max(drawn.shape[1], 512)))
+        picture = draw_picture(
+            picture, draw_strip(history, self.landmarks, max(picture.shape[1], 512))
+        )
         for target in self.pictures:
             target.write(frame.index, picture)
 

@@ -57,8 +57,8 @@ class VideoFile:
             file.write(VIDEO_MARK)
         if kind is None:
             # OpenCV tells of no failed write.
-            written = cv2.VideoCapture(self._name).get(cv2.CAP_PROP_FRAME_COUNT)
-            if written != self._frames:
+            frames_read = cv2.VideoCapture(self._name).get(cv2.CAP_PROP_FRAME_COUNT)
+            if frames_read != self._frames:
                 raise SonarrecError(
                     f"{self._path}: {number_of(self._frames, 'frame')} did not become a whole "
                     "video (is the disk full?)"

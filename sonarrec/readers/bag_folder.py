@@ -37,7 +37,7 @@ def is_bag_folder(folder: Path) -> bool:
         with (folder / METADATA).open("rb") as file:
             if b"rosbag2_bagfile_information" in file.read(2**12):
                 return True
-    return bool(_numbered(folder))
+    return bool(_parts_by_name(folder))
 
 
 def are_parts(names: Iterable[str], folder: str) -> bool:
@@ -56,7 +56,7 @@ def bag_files(folder: Path) -> list[Path]:
     return [*([head] if head.is_file() else []), *(p for p in parts if p.is_file())]
 
 
-def _stored(folder: Path) -> list[Path]:
+def _stored_parts(folder: Path) -> list[Path]:
     return sorted((p for p in folder.iterdir() if _is_stored(p.name)), key=natural_order)
 
 
@@ -64,10 +64,10 @@ def _is_stored(name: str) -> bool:
     return name.lower().endswith(_ENDINGS) and name[0] != "."
 
 
-def _numbered(folder: Path) -> list[Path]:
+def _parts_by_name(folder: Path) -> list[Path]:
     """The parts by their names alone; none where one of the logs is not named so."""
-    found = _stored(folder)
-    return found if are_parts((p.name for p in found), folder.resolve().name) else []
+    parts = _stored_parts(folder)
+    return parts if are_parts((p.name for p in parts), folder.resolve().name) else []
 
 
 def _numbers(part: str) -> re.Match[str] | None:
@@ -81,10 +81,10 @@ def _listed(folder: Path) -> tuple[list[Path], dict[str, Any], list[str]]:
     if isinstance(names, list) and names:
         # Old bags state them with the folder in front; nothing outside of it is read.
         listed = Counter(
-            _there(folder / (PurePosixPath(str(name)).name or "unnamed")) for name in names
+            _as_stored(folder / (PurePosixPath(str(name)).name or "unnamed")) for name in names
         )
         parts = list(listed)
-        more = [p for p in _stored(folder) if p not in parts and _follows(p, parts)]
+        more = [p for p in _stored_parts(folder) if p not in parts and _follows(p, parts)]
         lines = [
             f"{name_as_text(p.name)}: {METADATA} does not list it, so it is not read" for p in more
         ]
@@ -94,7 +94,7 @@ def _listed(folder: Path) -> tuple[list[Path], dict[str, Any], list[str]]:
             if times > 1
         ]
         return parts, metadata, lines
-    parts = _numbered(folder) or _stored(folder)
+    parts = _parts_by_name(folder) or _stored_parts(folder)
     lines = [] if problem is None else [f"{METADATA}: {problem}; the parts are read by their names"]
     numbers = [int(match[2]) for p in parts if (match := _numbers(p.name))]
     for before, after in pairwise([-1, *numbers] if len(numbers) == len(parts) else []):
@@ -104,11 +104,11 @@ def _listed(folder: Path) -> tuple[list[Path], dict[str, Any], list[str]]:
     return parts, {}, lines
 
 
-def _there(part: Path) -> Path:
+def _as_stored(part: Path) -> Path:
     """A part as it lies there: packed or not, whatever metadata.yaml says."""
-    others = [part.with_name(part.name + end) for end in PACKINGS]
-    others += [part.with_suffix("")] if part.suffix.lower() in PACKINGS else []
-    return next((p for p in (part, *others) if p.is_file()), part)
+    other_names = [part.with_name(part.name + end) for end in PACKINGS]
+    other_names += [part.with_suffix("")] if part.suffix.lower() in PACKINGS else []
+    return next((p for p in (part, *other_names) if p.is_file()), part)
 
 
 def _follows(path: Path, parts: list[Path]) -> bool:
@@ -295,12 +295,12 @@ class BagFolder(Recording):
     def _messages_of(self, part: _Part, channels: Collection[int]) -> Iterator[Message]:
         passed: Counter[int] = Counter()
         last = part.start
-        wanted = {own: number for own, number in part.numbers.items() if number in channels}
-        if wanted:
-            for own, message in self._read(part, wanted):
-                passed[wanted[own]] += 1
+        numbers = {own: number for own, number in part.numbers.items() if number in channels}
+        if numbers:
+            for own, message in self._read(part, numbers):
+                passed[numbers[own]] += 1
                 last = max(last, message.log_time)
-                yield replace(message, channel=wanted[own])
+                yield replace(message, channel=numbers[own])
         for number in channels:
             gone = part.found[number] + part.lost[number] - passed[number]
             if part.lost[number]:
@@ -311,14 +311,14 @@ class BagFolder(Recording):
             for _ in range(gone if gone <= _MAX_LOST else 0):
                 yield Message(number, last, None, None)
 
-    def _read(self, part: _Part, wanted: Collection[int]) -> Iterator[tuple[int, Message]]:
+    def _read(self, part: _Part, numbers: Collection[int]) -> Iterator[tuple[int, Message]]:
         try:
             log = self._open(part.path)
         except (SonarrecError, OSError):  # it was there before
             self.faults.append(f"{name_as_text(part.path.name)}: cannot be read any more")
             return
         try:
-            for message in log.messages(wanted):
+            for message in log.messages(numbers):
                 yield message.channel, message
         except SonarrecError as error:
             self.faults.append(str(error))

@@ -54,8 +54,8 @@ class Db3Recording(Recording):
 
     def messages(self, channels: Collection[int]) -> Iterator[Message]:
         """The messages of some channels in log-time order."""
-        held = sum(self.counts[c] for c in channels)
-        return self.up_to_damage(self._messages(channels), held, _line)
+        count = sum(self.counts[c] for c in channels)
+        return self.up_to_damage(self._messages(channels), count, _line)
 
     def _messages(self, channels: Collection[int]) -> Iterator[Message]:
         for number, time, data in self._database.rows(channels):
@@ -105,8 +105,8 @@ class _WholeDatabase:
         )
 
     def rows(self, channels: Collection[int]) -> Iterator[tuple[int, Any, Any]]:
-        chosen = [c for c in self._reader.connections if c.id in channels]
-        for connection, time, data in self._reader.messages(chosen):
+        connections = [c for c in self._reader.connections if c.id in channels]
+        for connection, time, data in self._reader.messages(connections):
             yield connection.id, time, data
 
     def close(self) -> None:
@@ -170,11 +170,11 @@ class _CutDatabase:
     def rows(self, channels: Collection[int]) -> Iterator[tuple[int, Any, Any]]:
         for turn in np.argsort(np.frombuffer(self._times, np.int64), kind="stable"):
             if self._channels[turn] in channels:
-                found = self._db.execute(
+                rows = self._db.execute(
                     "SELECT data FROM messages WHERE rowid = ?", (self._places[turn],)
                 )
                 try:
-                    (data,) = found.fetchone()
+                    (data,) = rows.fetchone()
                 except sqlite3.Error:  # it reaches beyond the cut
                     data = None
                 yield self._channels[turn], self._times[turn], data

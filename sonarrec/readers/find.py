@@ -153,8 +153,8 @@ class Source:
         """Open it as messages on channels. Raises SonarrecError where it cannot be read."""
         assert self.reader.recording is not None
         # A glob that matches one file is that file; a bag is its folder.
-        one = self.path if self.reader is _BAG_FOLDER else self.files[0]
-        return _recording(self.reader, one)
+        file = self.path if self.reader is _BAG_FOLDER else self.files[0]
+        return _recording(self.reader, file)
 
     def stated_sonar(self, flags: Sonar, sonar_file: Path | None) -> tuple[Sonar, str]:
         """The geometry as file and flags state it, and the name to give it in errors.
@@ -204,7 +204,7 @@ def find_log(path: str | Path, up_to: Path | None = None) -> Source:
     """
     path = Path(path)
     try:
-        return _found(path, up_to)
+        return _find(path, up_to)
     except OSError as error:  # a name beyond every limit, a folder without permission
         raise SonarrecError(
             f"{name_as_text(path)[:200]}: cannot be read ({error.strerror})"
@@ -218,13 +218,15 @@ def companion(log: Path, name: str, up_to: Path | None = None) -> Path | None:
     beside it; then both in the folders above. log: a file or folder. up_to: the last folder above
     to look into, by default none. Raises OSError where a folder cannot be read.
     """
-    own = f"{log_name(log)}.{name}"
+    own_name = f"{log_name(log)}.{name}"
     folder = log if log.is_dir() else log.parent
-    places = [folder / own, folder / name]
+    places = [folder / own_name, folder / name]
     if folder == log:
-        places.append((log.parent if log.name not in ("", "..") else log.resolve().parent) / own)
+        places.append(
+            (log.parent if log.name not in ("", "..") else log.resolve().parent) / own_name
+        )
     for above in _folders_up_to(folder, up_to):
-        places += [above / own, above / name]
+        places += [above / own_name, above / name]
     return next((place for place in places if _is_file(place)), None)
 
 
@@ -270,13 +272,13 @@ def matches(pattern: str | Path) -> list[Path]:
     return [Path(m) for m in glob.glob(str(pattern), recursive=True)]  # noqa: PTH207
 
 
-def _found(path: Path, up_to: Path | None) -> Source:
+def _find(path: Path, up_to: Path | None) -> Source:
     reader = None
     files: Sequence[Path]
     if not path.exists() and glob.has_magic(str(path)):
         files = _glob_images(path)
         if is_log_file(files[0]):
-            return _found(files[0], up_to)
+            return _find(files[0], up_to)
         name = files[0].parent.resolve().name
         reader = _IMAGES
     elif path.is_dir():
@@ -313,11 +315,11 @@ def results_name(name: str) -> str:
 
 def _glob_images(pattern: Path) -> Sequence[Path]:
     """The images that match, else the one log that does."""
-    found = matches(pattern)
-    if not found:
+    paths = matches(pattern)
+    if not paths:
         raise MissingError(f"{name_as_text(pattern)}: no file matches this pattern")
-    logs = sorted(filter(is_log_file, found), key=natural_order)
-    files = logs or ImagePaths(filter(is_image, found))
+    logs = sorted(filter(is_log_file, paths), key=natural_order)
+    files = logs or ImagePaths(filter(is_image, paths))
     if len(logs) > 1:
         raise SonarrecError(
             f"{name_as_text(pattern)}: matches {len(logs)} logs, {name_as_text(logs[0].name)} the "

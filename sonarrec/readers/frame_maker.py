@@ -100,10 +100,10 @@ class FrameMaker:
         images = [raw.pixels for raw in first if raw.pixels is not None and _in_colour(raw.pixels)]
         if not images:
             return
-        found = find_map(images)
-        if found is not None:
-            self.colour_map = found
-            how = f"read as levels of the colour map {found}"
+        colour_map = find_map(images)
+        if colour_map is not None:
+            self.colour_map = colour_map
+            how = f"read as levels of the colour map {colour_map}"
         else:
             how = "of no known colour map, and read by their luminance"
         self.notes.append(f"{self._where}: colours {how}; --colour-map states another")

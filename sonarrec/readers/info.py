@@ -218,9 +218,9 @@ def describe(
             there = ", ".join(map(str, topics)) or "none"
             raise UsageError(f"{name_as_text(path)}: no image channel {topic!r}; there is {there}")
     images = []
-    for each in [topic] if topic is not None else topics:
-        found, more = _images(source, stated, flags, where, each, quick, observe)
-        images.append(found)
+    for name in [topic] if topic is not None else topics:
+        of_topic, more = _images(source, stated, flags, where, name, quick, observe)
+        images.append(of_topic)
         faults += [fault for fault in more if fault not in faults]
     return LogInfo(
         path=name_as_text(source.path),

@@ -83,10 +83,10 @@ class Log:
     def dynamic_range_db(self) -> float | None:
         """Decibels from black to white; None where nothing tells, or before the first frame."""
         # On other scales than linear the reader itself made the grey, by as many dB.
-        read, step = self.reading(), self._raw.header_info.sample_db
-        stated: float | None = read.get("dynamic_range_db", self.sonar.dynamic_range_db)
-        if stated is None and step is not None and "full_scale" in read:
-            stated = step * read["full_scale"]
+        reading, step = self.reading(), self._raw.header_info.sample_db
+        stated: float | None = reading.get("dynamic_range_db", self.sonar.dynamic_range_db)
+        if stated is None and step is not None and "full_scale" in reading:
+            stated = step * reading["full_scale"]
         return stated
 
     @property
@@ -161,8 +161,8 @@ class Log:
     def _time_of(self, index: int, raw: RawFrame) -> int:
         """The time that names a frame, ns. Raises UnusableError where the log has no such time."""
         stamps = raw.stamps
-        named = {"log": raw.timestamp_ns, "publish": stamps.publish, "header": stamps.header}
-        stamp = named["log" if self._unset else self._time]
+        by_clock = {"log": raw.timestamp_ns, "publish": stamps.publish, "header": stamps.header}
+        stamp = by_clock["log" if self._unset else self._time]
         if stamp is None and self._time != "log":
             raise UnusableError(f"without a {self._time} time; --time log needs none")
         if stamp is not None and not -(2**63) <= stamp < 2**63:

@@ -37,14 +37,14 @@ def find_logs(names: Iterable[str], *, recursive: bool = False) -> list[NamedLog
     logs: list[NamedLog] = []
     for name in names:
         try:
-            found = _named(name, recursive)
+            logs_found = _logs_named(name, recursive)
         except OSError:  # reported when it is opened
-            found = []
-        logs += found or [NamedLog(name)]
+            logs_found = []
+        logs += logs_found or [NamedLog(name)]
     return logs
 
 
-def named(names: Iterable[str], listed: Iterable[str]) -> list[str]:
+def log_arguments(names: Iterable[str], listed: Iterable[str]) -> list[str]:
     """Arguments, and the lines of a list: empty ones, and those that begin with #, are none.
 
     Raises UsageError where no log is named.
@@ -56,31 +56,31 @@ def named(names: Iterable[str], listed: Iterable[str]) -> list[str]:
     return logs
 
 
-def _named(name: str, recursive: bool) -> list[NamedLog]:
+def _logs_named(name: str, recursive: bool) -> list[NamedLog]:
     path = Path(name)
     if path.is_dir():
         if is_bag_folder(path):
             return []
-        found = list(_below(path)) if recursive else _in_folder(path)
-        return _sorted(found, path) if found != [path] else []
+        paths = list(_below(path)) if recursive else _in_folder(path)
+        return _sorted(paths, path) if paths != [path] else []
     if glob.has_magic(name) and not path.exists():
-        closed = _closed(path)
-        found = [f for f in matches(path) if f.parent not in closed]
-        bags = {folder for folder in {f.parent for f in found} if is_bag_folder(folder)}
-        found = [f.parent if f.parent in bags and is_log_file(f) else f for f in found]
-        logs = {log for log in found if is_log_file(log) or (log.is_dir() and _is_log(log))}
-        images = [NamedLog(name)] if found and not logs else []
-        return [*images, *_sorted(logs | closed, _fixed(path))]
+        unreadable = _unreadable_folders(path)
+        paths = [f for f in matches(path) if f.parent not in unreadable]
+        bags = {folder for folder in {f.parent for f in paths} if is_bag_folder(folder)}
+        paths = [f.parent if f.parent in bags and is_log_file(f) else f for f in paths]
+        logs = {log for log in paths if is_log_file(log) or (log.is_dir() and _is_log(log))}
+        images = [NamedLog(name)] if paths and not logs else []
+        return [*images, *_sorted(logs | unreadable, _fixed(path))]
     return []
 
 
-def _closed(pattern: Path) -> set[Path]:
+def _unreadable_folders(pattern: Path) -> set[Path]:
     """The folders that a glob looks into and that cannot be read: reported when they are opened.
 
     Python's glob passes over them, and the logs in them, without a word.
     """
     above = pattern.parents[: len(pattern.parents) - len(_fixed(pattern).parents)]
-    folders = (folder for one in above for folder in matches(os.path.join(one, "")))  # noqa: PTH118
+    folders = (folder for parent in above for folder in matches(os.path.join(parent, "")))  # noqa: PTH118
     return {folder for folder in set(folders) if not _opens(folder)}
 
 
@@ -168,18 +168,18 @@ def _below(top: Path) -> Iterator[Path]:
     places = [top]
     for start in places:  # grows by the links that are found
         for place, folders, _ in os.walk(start):
-            here = Path(place)
-            if (identity := _identity(here)) in met or _holds_results(here):
+            folder = Path(place)
+            if (identity := _identity(folder)) in met or _holds_results(folder):
                 folders.clear()
                 continue
             met.add(identity)
             folders[:] = sorted(f for f in folders if f[0] != ".")
-            bags = [f for f in folders if _is_bag(here / f)]
+            bags = [f for f in folders if _is_bag(folder / f)]
             folders[:] = [f for f in folders if f not in bags]
-            places += [here / f for f in folders if (here / f).is_symlink()]
-            own = _in_folder(here)
-            yield from (log for log in own if log.name not in bags)
-            yield from (here / bag for bag in bags)
+            places += [folder / f for f in folders if (folder / f).is_symlink()]
+            logs = _in_folder(folder)
+            yield from (log for log in logs if log.name not in bags)
+            yield from (folder / bag for bag in bags)
 
 
 def _identity(folder: Path) -> tuple[int, int]:

@@ -24,18 +24,18 @@ def _stderr_to(file: int) -> Iterator[None]:
         yield
         return
     try:
-        kept = os.dup(2)
+        saved = os.dup(2)
     except OSError:  # it is closed
-        kept = None
+        saved = None
     try:
         os.dup2(file, 2)
         yield
     finally:
-        if kept is None:
+        if saved is None:
             os.close(2)
         else:
-            os.dup2(kept, 2)
-            os.close(kept)
+            os.dup2(saved, 2)
+            os.close(saved)
 
 
 @cache
@@ -134,11 +134,11 @@ def _tiff_white_is_zero(data: memoryview) -> bool:
     (at,) = struct.unpack_from(order + offset, data, at)
     (entries,) = struct.unpack_from(order + length, data, at)
     at += struct.calcsize(order + length)
-    found = (
+    fields = (
         struct.unpack_from(f"{order}HH{offset}H", data, at + k * entry_bytes)
         for k in range(entries)
     )
-    return any((tag, value) == (_PHOTOMETRIC, _WHITE_IS_ZERO) for tag, _, _, value in found)
+    return any((tag, value) == (_PHOTOMETRIC, _WHITE_IS_ZERO) for tag, _, _, value in fields)
 
 
 def decode_image(data: bytes | memoryview | np.ndarray) -> np.ndarray:

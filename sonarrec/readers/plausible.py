@@ -54,10 +54,10 @@ class Plausibility:
         if self._sum is None or self._fan is None:
             return []
         picture = self._sum / self._frames
-        seen = _as_polar(picture, self._fan)
-        shape = _polar_outline(seen) if polar else _fan_outline(picture, self._fan)
+        polar_picture = _as_polar(picture, self._fan)
+        shape = _polar_outline(polar_picture) if polar else _fan_outline(picture, self._fan)
         # If the picture is misplaced, ranges in it mean nothing.
-        return shape or _floor(seen, self._fan)
+        return shape or _floor(polar_picture, self._fan)
 
 
 def _rings(fan: Fan) -> tuple[FloatArray, FloatArray]:
@@ -89,14 +89,14 @@ def _fan_outline(picture: FloatArray, fan: Fan) -> list[str]:
     outside = fan_mask(fan) == 0
     share = _echoes(picture[outside])
     if share > _OUTSIDE and np.mean(outside) > _OUTSIDE / 10:
-        told = f"{share:.0%} of the picture outside of the stated fan holds echoes"
+        text = f"{share:.0%} of the picture outside of the stated fan holds echoes"
         if _echoes(picture[::-1][outside]) < _OUTSIDE / 3:
             return [
-                f"{told}, but none if it is turned upside down (a fan has its far range on top)"
+                f"{text}, but none if it is turned upside down (a fan has its far range on top)"
             ]
         if share > _FILLED:
-            return [f"{told} (is it polar, --layout polar?)"]
-        return [f"{told} (look at range_min_m, range_max_m, field_of_view_deg and layout)"]
+            return [f"{text} (is it polar, --layout polar?)"]
+        return [f"{text} (look at range_min_m, range_max_m, field_of_view_deg and layout)"]
     column, row = pixel_from_polar(fan, *_rings(fan))
     cut = np.mean((column < -1) | (column > fan.columns) | (row < -1) | (row > fan.rows))
     if cut > _CUT:
@@ -107,12 +107,12 @@ def _fan_outline(picture: FloatArray, fan: Fan) -> list[str]:
     return []
 
 
-def _polar_outline(seen: FloatArray) -> list[str]:
+def _polar_outline(picture: FloatArray) -> list[str]:
     """Two straight edges that narrow the picture to one end: the outline of a fan.
 
     Only the 40 % of rows at either end are looked at: farther off a wide fan's arc cuts its edges.
     """
-    echoes = seen > _BACKGROUND
+    echoes = picture > _BACKGROUND
     count = round(0.4 * _RINGS)
     for rows in (echoes[-count:], echoes[:count][::-1]):  # narrow end last
         if not rows.any(axis=1).all():
@@ -130,16 +130,16 @@ def _polar_outline(seen: FloatArray) -> list[str]:
     return []
 
 
-def _floor(seen: FloatArray, fan: Fan) -> list[str]:
+def _floor(picture: FloatArray, fan: Fan) -> list[str]:
     """Echoes as bright as the floor's, from nearer than a floor can be."""
     if fan.height_m is None:
         return []
-    shown = ~np.isnan(seen).all(axis=1)
-    range_m = _rings(fan)[0][shown, 0]
+    is_shown = ~np.isnan(picture).all(axis=1)
+    range_m = _rings(fan)[0][is_shown, 0]
     before, beyond = range_m < 0.95 * fan.height_m, range_m > 1.05 * fan.height_m
     if min(before.sum(), beyond.sum()) < _NEAR * _RINGS:
         return []
-    rings = np.nanquantile(seen[shown], 0.5, axis=1)  # nanmedian would load numpy.ma
+    rings = np.nanquantile(picture[is_shown], 0.5, axis=1)  # nanmedian would load numpy.ma
     near, floor = float(np.median(rings[before])), float(np.quantile(rings[beyond], 0.75))
     if near < max(_AS_BRIGHT * floor, _BACKGROUND):
         return []

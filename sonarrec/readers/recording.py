@@ -74,18 +74,20 @@ class Recording(ABC):
         self.faults.append(f"{name_as_text(self.path.name)}: {text}")
 
     def up_to_damage(
-        self, messages: Iterator[Message], held: int, line: Callable[[Exception], str]
+        self, messages: Iterator[Message], count: int, line: Callable[[Exception], str]
     ) -> Iterator[Message]:
         """Yield the messages that a library reads, up to the damage: whatever it raises.
 
-        Libraries do not list what they raise. held: how many messages there should be. line: makes
+        Libraries do not list what they raise. count: how many messages there should be. line: makes
         a line of an error.
         """
-        read = 0
+        messages_read = 0
         try:
             for message in messages:
-                read += 1
+                messages_read += 1
                 yield message
         except Exception as error:
             self.whole = False
-            self.fault(f"damaged ({line(error)}): {held - read} of {held} frames are lost")
+            self.fault(
+                f"damaged ({line(error)}): {count - messages_read} of {count} frames are lost"
+            )

@@ -40,8 +40,8 @@ class RosBag(Recording):
                 reader.chunks[position] = chunk._replace(decompressor=bounded)
             self.channels = {c.id: _channel(c) for c in reader.connections}
             self.counts = Counter({c.id: c.msgcount for c in reader.connections})
-            held = reader.message_count
-            self.span = (reader.start_time, reader.end_time - 1) if held else None
+            count = reader.message_count
+            self.span = (reader.start_time, reader.end_time - 1) if count else None
         except OSError:
             raise
         except Exception as error:  # what a damaged bag raises is nowhere listed
@@ -53,14 +53,14 @@ class RosBag(Recording):
 
     def messages(self, channels: Collection[int]) -> Iterator[Message]:
         """The messages of some channels in log-time order."""
-        held = sum(self.counts[c] for c in channels)
-        return self.up_to_damage(self._messages(channels), held, _line)
+        count = sum(self.counts[c] for c in channels)
+        return self.up_to_damage(self._messages(channels), count, _line)
 
     def _messages(self, channels: Collection[int]) -> Iterator[Message]:
-        chosen = [c for c in self._reader.connections if c.id in channels]
-        if not chosen:
+        connections = [c for c in self._reader.connections if c.id in channels]
+        if not connections:
             return  # to rosbags none means all
-        for connection, time, data in self._reader.messages(chosen):
+        for connection, time, data in self._reader.messages(connections):
             if len(data) > MAX_FRAME_BYTES:
                 problem = f"a message of {len(data)} bytes, more than is read"
                 yield Message(connection.id, time, None, None, problem)

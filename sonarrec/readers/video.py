@@ -65,10 +65,10 @@ class VideoFrames(RawLog):
                 timestamp_ns = None if period is None else round(index * period)
             yield RawFrame(f"frame {index}", timestamp_ns, pixels)
             index += 1
-        held = max(self.frame_count or 0, self._packets())
-        if index < held:
+        count = max(self.frame_count or 0, self._packets())
+        if index < count:
             self.faults.append(
-                f"{name_as_text(self._path.name)}: {index} of {held} frames could be read; "
+                f"{name_as_text(self._path.name)}: {index} of {count} frames could be read; "
                 "cut short or damaged, so the numbers of later frames may be wrong"
             )
 

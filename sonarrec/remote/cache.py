@@ -70,18 +70,18 @@ class Entry:
 
     def about(self) -> dict[str, Any]:
         """entry.json: url, bytes, files {name: [size, tag]}; empty if there is none."""
-        found: dict[str, Any] = {}
+        about: dict[str, Any] = {}
         with suppress(OSError, ValueError):
-            found = json.loads((self.folder / "entry.json").read_text(encoding="utf-8"))
-        match found:
+            about = json.loads((self.folder / "entry.json").read_text(encoding="utf-8"))
+        match about:
             case {"bytes": int(), "files": dict()}:
-                return found
+                return about
         return {}
 
     def write(self, about: dict[str, Any]) -> None:
         write_text(self.folder / "entry.json", json.dumps(about))
 
-    def used(self) -> None:
+    def mark_used(self) -> None:
         """Mark it as used now, so that others are deleted first."""
         with suppress(OSError):
             os.utime(self.folder / "entry.json")
@@ -122,7 +122,7 @@ class Cache:
         try:
             yield entry
         finally:
-            entry.used()
+            entry.mark_used()
             file.close()
 
     def make_room(self, entry: Entry, about: dict[str, Any]) -> None:
@@ -130,10 +130,10 @@ class Cache:
 
         Raises NoRoomError if the others are in use, SonarrecError if it can never fit.
         """
-        wanted: int = about["bytes"]
-        if wanted > self.limit:
+        bytes_needed: int = about["bytes"]
+        if bytes_needed > self.limit:
             raise SonarrecError(
-                f"{about['url']}: {_size(wanted)} is more than the cache may hold "
+                f"{about['url']}: {_size(bytes_needed)} is more than the cache may hold "
                 f"({_size(self.limit)}); give a larger --cache-size"
             )
         with (self.folder / ".lock").open("ab") as file:
@@ -141,14 +141,14 @@ class Cache:
                 time.sleep(_POLL_S)
             others = [e for e in self.entries() if e.folder != entry.folder]
             sizes = {e.folder: e.about().get("bytes", 0) for e in others}
-            for one in others:
-                if sum(sizes.values()) + wanted <= self.limit:
+            for other in others:
+                if sum(sizes.values()) + bytes_needed <= self.limit:
                     break
-                if _deleted(one):
-                    del sizes[one.folder]
-            if sum(sizes.values()) + wanted > self.limit:
+                if _deleted(other):
+                    del sizes[other.folder]
+            if sum(sizes.values()) + bytes_needed > self.limit:
                 raise NoRoomError(
-                    f"{about['url']}: {_size(wanted)} do not fit beside the logs in use in "
+                    f"{about['url']}: {_size(bytes_needed)} do not fit beside the logs in use in "
                     f"{name_as_text(self.folder)} (at most {_size(self.limit)}); give a larger "
                     "--cache-size"
                 )
@@ -156,8 +156,8 @@ class Cache:
 
     def entries(self) -> list[Entry]:
         """All entries, the least recently used first."""
-        found = [Entry(folder) for folder in (self.folder / "logs").glob("*")]
-        return sorted(found, key=_last_use)
+        entries = [Entry(folder) for folder in (self.folder / "logs").glob("*")]
+        return sorted(entries, key=_last_use)
 
 
 @contextmanager

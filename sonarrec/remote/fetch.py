@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from sonarrec.records import Origin, SonarrecError, name_as_text
 from sonarrec.remote.cache import Cache, Entry, NoRoomError, key_of
-from sonarrec.remote.find import RemoteLog, relative, wanted, with_literal_name
+from sonarrec.remote.find import RemoteLog, items_of, relative, with_literal_name
 from sonarrec.remote.urls import Url, parse_url
 from sonarrec.results.folders import ESTIMATES, TABLES
 
@@ -64,8 +64,11 @@ def fetched(
     cache are replaced by those of the server.
     """
     log = log if isinstance(log, RemoteLog) else RemoteLog(with_literal_name(parse_url(log)))
-    with hold(log, cache, progress, stop or threading.Event()) as found, found.origin.translated():
-        yield found
+    with (
+        hold(log, cache, progress, stop or threading.Event()) as local_log,
+        local_log.origin.translated(),
+    ):
+        yield local_log
 
 
 @contextmanager
@@ -75,8 +78,8 @@ def hold(
     """As `fetched`. wait: until other logs make room, instead of raising NoRoomError."""
     from sonarrec.remote.store import Store
 
-    root, name, items = wanted(log, Store(log.url, stop))
-    with _kept(log.url.redacted, root, items, cache, progress, stop, wait) as entry:
+    root, name, items = items_of(log, Store(log.url, stop))
+    with _keep(log.url.redacted, root, items, cache, progress, stop, wait) as entry:
         origin = Origin(log.url.redacted, str(entry.files), root.place.rstrip("/"))
         yield CachedCopy(entry.files / name, origin, entry.files if log.up_to else None)
 
@@ -102,16 +105,16 @@ def fetched_file(text: str, cache: Cache) -> Iterator[CachedCopy]:
 
     url = parse_url(text)
     items, root = [Store(url).file(url)], url.parent
-    with _found(url, root, items, cache) as found:
+    with _fetch_file(url, root, items, cache) as found:
         yield found
 
 
 @contextmanager
-def _found(
+def _fetch_file(
     url: Url, root: Url, items: Sequence[Item], cache: Cache, unused: Sequence[str] = ()
 ) -> Iterator[CachedCopy]:
     """These files, which lie below `root`; otherwise as `fetched`."""
-    with _kept(url.redacted, root, items, cache, no_progress, threading.Event(), True) as entry:
+    with _keep(url.redacted, root, items, cache, no_progress, threading.Event(), True) as entry:
         origin = Origin(url.redacted, str(entry.files), root.place.rstrip("/"))
         with origin.translated():
             yield CachedCopy(entry.files / relative(url, root), origin, None, tuple(unused))
@@ -142,7 +145,7 @@ def fetched_results(text: str, cache: Cache) -> Iterator[CachedCopy]:
     if not items:
         why = unused[0] if unused else f"{url.redacted}: holds no results of `sonarrec run`"
         raise SonarrecError(why)
-    with _found(url, url.parent, store.described(items), cache, unused) as there:
+    with _fetch_file(url, url.parent, store.described(items), cache, unused) as there:
         yield there
 
 
@@ -157,7 +160,7 @@ def _finished(store: Store, folder: Url) -> tuple[list[Item], bool]:
 
 
 @contextmanager
-def _kept(
+def _keep(
     url: str,
     root: Url,
     items: Sequence[Item],
@@ -211,7 +214,7 @@ def _is_there(
         return False
     if item.size is not None and path.stat().st_size != item.size:
         return False
-    return item.known or renewed
+    return item.has_version or renewed
 
 
 def _fill(

@@ -65,14 +65,14 @@ def find(text: str, *, recursive: bool = False) -> list[RemoteLog]:
     """
     url = parse_url(text)
     try:
-        return _found(with_literal_name(url), recursive)
+        return _find(with_literal_name(url), recursive)
     except SonarrecError as error:
         if isinstance(error, UsageError) and not isinstance(error, MissingError):
             raise
         return [RemoteLog(url)]
 
 
-def _found(url: Url, recursive: bool) -> list[RemoteLog]:
+def _find(url: Url, recursive: bool) -> list[RemoteLog]:
     from sonarrec.remote.store import Store
 
     if _is_glob(url):
@@ -158,7 +158,7 @@ def _fixed(url: Url) -> Url:
     return url
 
 
-def wanted(log: RemoteLog, store: Store) -> tuple[Url, str, list[Item]]:
+def items_of(log: RemoteLog, store: Store) -> tuple[Url, str, list[Item]]:
     """(the folder that holds everything, the log's name in it, its files and companions)."""
     url, root = log.url, _around(log)[1]
     if _is_file(url):

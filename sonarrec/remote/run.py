@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from sonarrec.readers.many import NamedLog, find_logs, named
+from sonarrec.readers.many import NamedLog, find_logs, log_arguments
 from sonarrec.records import Origin
 from sonarrec.remote.cache import Cache
 from sonarrec.remote.fetch import CachedCopy, fetched, fetched_file, fetched_results
@@ -36,9 +36,9 @@ def all_logs(
     Raises UsageError as `readers.many.find_logs` and `find`.
     """
     logs: list[NamedLog | RemoteLog] = []
-    for name in named(names, listed):
-        found = find(name, recursive=recursive) if is_url(name) else None
-        logs += found or find_logs([name], recursive=recursive)
+    for name in log_arguments(names, listed):
+        remote_logs = find(name, recursive=recursive) if is_url(name) else None
+        logs += remote_logs or find_logs([name], recursive=recursive)
     return logs
 
 
@@ -49,8 +49,8 @@ class RemoteFiles:
     raises SonarrecError. unused: a line for each part that could not be fetched.
     """
 
-    def __init__(self, held: ExitStack, cache: Callable[[], Cache]) -> None:
-        self._held, self._cache = held, cache
+    def __init__(self, stack: ExitStack, cache: Callable[[], Cache]) -> None:
+        self._stack, self._cache = stack, cache
         self._origins: list[Origin] = []
         self._beside: dict[Url, Path] = {}
         self.unused: list[str] = []
@@ -79,10 +79,10 @@ class RemoteFiles:
         if item is None:
             return None, size
         if item.url not in self._beside:
-            place = Path(self._held.enter_context(TemporaryDirectory(prefix="sonarrec-")))
+            place = Path(self._stack.enter_context(TemporaryDirectory(prefix="sonarrec-")))
             Store(item.url).fetch(item, place / item.url.name)
             origin = Origin(item.url.redacted, str(place), item.url.parent.place)
-            self._held.enter_context(origin.translated())
+            self._stack.enter_context(origin.translated())
             self._origins.append(origin)
             self._beside[item.url] = place / item.url.name
         return self._beside[item.url], size
@@ -93,15 +93,15 @@ class RemoteFiles:
             return Path(place)
         from sonarrec.remote.upload import uploaded  # with fsspec, only where needed
 
-        path, origin = self._held.enter_context(uploaded(str(place), name))
+        path, origin = self._stack.enter_context(uploaded(str(place), name))
         self._origins.append(origin)
         return path
 
     def _enter(self, opening: AbstractContextManager[CachedCopy]) -> Path:
-        found = self._held.enter_context(opening)
-        self._origins.append(found.origin)
-        self.unused += found.unused
-        return found.path
+        value = self._stack.enter_context(opening)
+        self._origins.append(value.origin)
+        self.unused += value.unused
+        return value.path
 
     def with_server_names(self, text: str) -> str:
         """A message with the paths of the server in place of local ones."""

@@ -67,7 +67,7 @@ class Item:
     md5: str | None = None
 
     @property
-    def known(self) -> bool:
+    def has_version(self) -> bool:
         """Whether size and tag can show that a copy is current."""
         return self.tag is not None and self.size is not None
 
@@ -165,13 +165,13 @@ class Store:
                 return found
 
         files, folders = [], []
-        for one in self._retried(ask):
-            path = unquoted(one["name"].partition("?")[0]) if folder.is_web else one["name"]
+        for entry in self._retried(ask):
+            path = unquoted(entry["name"].partition("?")[0]) if folder.is_web else entry["name"]
             name = path.rstrip("/").rpartition("/")[2]
-            if one["type"] == "directory":
+            if entry["type"] == "directory":
                 folders.append(name)
             elif name and not path.endswith("/") and _same_folder(folder, path):
-                files.append(_item(folder.child(name), one))
+                files.append(_item(folder.child(name), entry))
         return files, folders
 
     def glob(self, pattern: Url) -> list[Item]:
@@ -184,10 +184,10 @@ class Store:
                 return found
 
         items = []
-        for path, one in self._retried(ask).items():
-            if one["type"] != "directory":
+        for path, entry in self._retried(ask).items():
+            if entry["type"] != "directory":
                 at = unquoted(path).removeprefix(pattern.front) if pattern.is_web else path
-                items.append(_item(Url(pattern.scheme, pattern.front, at, pattern.query), one))
+                items.append(_item(Url(pattern.scheme, pattern.front, at, pattern.query), entry))
         return items
 
     def described(self, items: list[Item]) -> list[Item]:
@@ -208,7 +208,7 @@ class Store:
         """
         to.parent.mkdir(parents=True, exist_ok=True)
         part = to.with_name(f"{to.name}.{item.identity}.part")
-        if not item.known:
+        if not item.has_version:
             part.unlink(missing_ok=True)
 
         def ask() -> Item:
@@ -423,18 +423,18 @@ def _same_folder(folder: Url, path: str) -> bool:
     return not folder.is_web or inside.endswith(folder.path.rstrip("/"))
 
 
-def _item(url: Url, found: Mapping[str, Any]) -> Item:
-    tag = next((found[k] for k in ("ETag", "etag", "Last-Modified", "mtime") if found.get(k)), None)
-    size = found.get("size")
+def _item(url: Url, info: Mapping[str, Any]) -> Item:
+    tag = next((info[k] for k in ("ETag", "etag", "Last-Modified", "mtime") if info.get(k)), None)
+    size = info.get("size")
     url = replace(url, literal=True)
-    return Item(url, size, None if tag is None else str(tag), _stated_md5(url, found))
+    return Item(url, size, None if tag is None else str(tag), _stated_md5(url, info))
 
 
-def _stated_md5(url: Url, found: Mapping[str, Any]) -> str | None:
+def _stated_md5(url: Url, info: Mapping[str, Any]) -> str | None:
     if url.scheme == "s3":
-        tag = str(found.get("ETag", "")).strip('"')
+        tag = str(info.get("ETag", "")).strip('"')
         return tag if re.fullmatch(r"[0-9a-f]{32}", tag) else None  # of one part
-    stated = found.get("md5Hash") or found.get("Content-MD5")
+    stated = info.get("md5Hash") or info.get("Content-MD5")
     try:
         return base64.b64decode(str(stated), validate=True).hex() if stated else None
     except ValueError:

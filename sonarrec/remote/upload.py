@@ -46,24 +46,24 @@ class Outbox:
         False to do no more than that. Raises SonarrecError if the server cannot be read or written;
         new results stay in `folder`.
         """
-        made, there = self.folder / name, self.url.child(name)
-        with only_one(self.folder / f".{name}.upload", there.redacted):
+        local, remote = self.folder / name, self.url.child(name)
+        with only_one(self.folder / f".{name}.upload", remote.redacted):
             with self.origin.translated():
-                store = Store(there)
-                if not _is_whole(made):
-                    shutil.rmtree(made, ignore_errors=True)
-                    _fetch_held(store, there, made)
+                store = Store(remote)
+                if not _is_whole(local):
+                    shutil.rmtree(local, ignore_errors=True)
+                    _fetch_held(store, remote, local)
                 yield
-            if _is_whole(made):
+            if _is_whole(local):
                 if not upload:
                     return
                 try:
-                    _upload(store, made, there)
+                    _upload(store, local, remote)
                 except SonarrecError as error:
                     raise SonarrecError(
-                        f"{error}; the results are in {made}; the same command uploads them"
+                        f"{error}; the results are in {local}; the same command uploads them"
                     ) from None
-            shutil.rmtree(made, ignore_errors=True)
+            shutil.rmtree(local, ignore_errors=True)
 
     def fetch(self, name: str, to: str | None = None) -> None:
         """Fetch a file, such as logs.csv, into `folder`, if the server has it.
@@ -81,33 +81,33 @@ class Outbox:
             Store(self.url).put(self.folder / name, self.url.child(name))
 
 
-def _is_whole(made: Path) -> bool:
+def _is_whole(local: Path) -> bool:
     """Whether the folder holds new results that are not uploaded yet."""
-    large = estimates_of(made)
+    large = estimates_of(local)
     return large.is_file() and large.stat().st_size > 0
 
 
-def _upload(store: Store, made: Path, there: Url) -> None:
+def _upload(store: Store, local: Path, remote: Url) -> None:
     try:
-        files, folders = store.listing(there)
+        files, folders = store.listing(remote)
     except MissingError:
         files, folders = [], []
     before = {item.url.name: item for item in files}
     for old in sorted(before.keys() & set(OURS), key=lambda name: name != _MARK):
-        store.remove(there.child(old))
-    for place in (*_made_inside(store, there, folders), *_pages(store, before)):
+        store.remove(remote.child(old))
+    for place in (*_made_inside(store, remote, folders), *_pages(store, before)):
         store.remove(place)
-    paths = sorted(p for p in made.rglob("*") if p.is_file())
-    for path in sorted(paths, key=lambda p: p == made / _MARK):
-        store.put(path, there.child(path.relative_to(made).as_posix()))
+    paths = sorted(p for p in local.rglob("*") if p.is_file())
+    for path in sorted(paths, key=lambda p: p == local / _MARK):
+        store.put(path, remote.child(path.relative_to(local).as_posix()))
 
 
-def _made_inside(store: Store, there: Url, folders: Sequence[str]) -> Iterator[Url]:
+def _made_inside(store: Store, remote: Url, folders: Sequence[str]) -> Iterator[Url]:
     """Files of evaluations and maps of the old results; the folder itself if it holds no others."""
     for name in MADE.keys() & set(folders):
-        files, below = store.listing(there.child(name))
+        files, below = store.listing(remote.child(name))
         ours = [item.url for item in files if item.url.name in MADE[name]]
-        yield from ours if below or len(ours) < len(files) else [there.child(name)]
+        yield from ours if below or len(ours) < len(files) else [remote.child(name)]
 
 
 def _pages(store: Store, files: Mapping[str, Item]) -> Iterator[Url]:
@@ -119,15 +119,15 @@ def _pages(store: Store, files: Mapping[str, Item]) -> Iterator[Url]:
                 yield files[name].url
 
 
-def _fetch_held(store: Store, there: Url, made: Path) -> None:
+def _fetch_held(store: Store, remote: Url, local: Path) -> None:
     """Fetch run.toml and the small tables of finished results, if the server has any."""
     names = (_MARK, *(name for name in TABLES if name not in _LARGE))
-    items = [item for name in names if (item := store.item(there.child(name))) is not None]
-    large = next((n for n in _LARGE if store.item(there.child(n)) is not None), None)
+    items = [item for name in names if (item := store.item(remote.child(name))) is not None]
+    large = next((n for n in _LARGE if store.item(remote.child(n)) is not None), None)
     if len(items) == len(names) and large is not None:
         for item in items:
-            store.fetch(item, made / item.url.name)
-        (made / large).touch()
+            store.fetch(item, local / item.url.name)
+        (local / large).touch()
 
 
 @contextmanager

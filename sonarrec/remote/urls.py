@@ -97,13 +97,13 @@ class Url:
     def _secrets(self) -> set[str]:
         user, _, _ = self.front.partition("://")[2].rpartition("@")
         name, _, password = user.partition(":")
-        found = {password} if password or not self.is_web else {name}
+        secrets = {password} if password or not self.is_web else {name}
         for pair in self.query.removeprefix("?").split("&"):
             key, _, value = pair.partition("=")
             if _SECRET.search(key):
-                found.add(value)
-        found |= {unquote(secret) for secret in found}
-        return {secret for secret in found if len(secret) >= _LEAST}
+                secrets.add(value)
+        secrets |= {unquote(secret) for secret in secrets}
+        return {secret for secret in secrets if len(secret) >= _LEAST}
 
 
 def _quoted(text: str) -> str:

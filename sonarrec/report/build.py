@@ -74,9 +74,9 @@ def write_report(
     """
     check_output(path, "report", [ground_truth, pairs, *recordings])
     rows = None if pairs is None else read_pairs(pairs)
-    shown = _choose(results, ground_truth, rows, options, method)
-    logs, unread = _with_panels(shown.folders, shown.rows, shown.evaluation, options, method)
-    evaluation, pooled = shown.evaluation, shown.pooled
+    chosen = _choose(results, ground_truth, rows, options, method)
+    logs, unread = _with_panels(chosen.folders, chosen.rows, chosen.evaluation, options, method)
+    evaluation, pooled = chosen.evaluation, chosen.pooled
     mistakes = {}
     if evaluation is not None and pooled is not None:
         protocol = protocols(pooled)[0]
@@ -86,7 +86,7 @@ def write_report(
     incomplete = (line for log in logs for line in not_whole(log.results, "shown"))
     unused = (*(incomplete if pooled is None else pooled.unused), *unread, *missing)
     overview = LogsOverview(
-        len(shown.folders) if pooled is None else len(pooled.logs), shown.outliers
+        len(chosen.folders) if pooled is None else len(pooled.logs), chosen.outliers
     )
     truth = pairs or ground_truth
     write_page(path, render(logs, evaluation, pooled, mistakes, truth, drawn, unused, overview))
@@ -136,15 +136,15 @@ def _choose(
             folders, truth, [], evaluation, None if evaluation is None else evaluation.pooled()
         )
     if not truth:
-        found = outliers(folders, None, results, options, method)
-        return _ChosenLogs(outliers_first(folders, found), [], found, None, None)
+        outlier_logs = outliers(folders, None, results, options, method)
+        return _ChosenLogs(outliers_first(folders, outlier_logs), [], outlier_logs, None, None)
     pooled = evaluate_many(truth if results is None else results, ground_truth, options)
-    found = outliers(folders, pooled, results, options, method)
-    folders = outliers_first(pooled.folders, found)[:MOST_LOGS]
+    outlier_logs = outliers(folders, pooled, results, options, method)
+    folders = outliers_first(pooled.folders, outlier_logs)[:MOST_LOGS]
     row_of = {row.results: row for row in reversed(truth)}  # the first row of a log named twice
     truth = [row_of[folder] for folder in folders]
     evaluation = evaluate_whole(truth, None, options, subset=True)
-    return _ChosenLogs(folders, truth, found, evaluation, pooled)
+    return _ChosenLogs(folders, truth, outlier_logs, evaluation, pooled)
 
 
 def _with_panels(
@@ -167,17 +167,19 @@ def _with_panels(
     for row in rows:
         if row.results in scored:
             first.setdefault(row.results, row)  # a log may be named twice
-    mine = [*first.values()]
-    tables = {file: read_truth(file) for file in {row.ground_truth for row in mine}}
+    truths = [*first.values()]
+    tables = {file: read_truth(file) for file in {row.ground_truth for row in truths}}
     logs, unread = read_logs(
-        [row.results for row in mine],
-        [tables[row.ground_truth] for row in mine],
-        [row.log for row in mine],
+        [row.results for row in truths],
+        [tables[row.ground_truth] for row in truths],
+        [row.log for row in truths],
         options,
         method,
     )
-    named = [replace(log, results=replace(log.results, name=scored[log.folder])) for log in logs]
-    return named, unread
+    named_logs = [
+        replace(log, results=replace(log.results, name=scored[log.folder])) for log in logs
+    ]
+    return named_logs, unread
 
 
 def _draw_all(
@@ -190,28 +192,33 @@ def _draw_all(
 ) -> tuple[RecordingImages, list[str]]:
     """Pictures and frames of the recordings given; a line for each recording not found."""
     sources, missing = match_recordings(logs, recordings, sonar, topic)
-    there = [log for log in logs if log.results.name in sources]
-    passes = [(log, s) for log in there for s in judged_sightings(log)]
-    requests = [*_sighting_requests(there, passes), *_mistaken(evaluation, mistakes, sources)]
-    held = frames.choose(there, _named(passes, mistakes, requests))
+    recorded = [log for log in logs if log.results.name in sources]
+    passes = [(log, s) for log in recorded for s in judged_sightings(log)]
+    requests = [
+        *_sighting_requests(recorded, passes),
+        *_mistake_requests(evaluation, mistakes, sources),
+    ]
+    frames_held = frames.choose(recorded, _named_frames(passes, mistakes, requests))
     pictures: dict[PictureRequest, Picture] = {}
-    shown: list[frames.ShownLog] = []
-    for log in there:
+    shown_logs: list[frames.ShownLog] = []
+    for log in recorded:
         name = log.results.name
-        mine = [w for w in requests if w.log == name]
+        requested = [w for w in requests if w.log == name]
         with open_recording(sources[name], log, sonar, topic) as recording:
-            found, part = frames.take(recording, log, mine, held[name], _share(held))
-        pictures |= found
-        shown.append(part)
-    return RecordingImages([pictures[w] for w in requests], shown), missing
+            taken, shown_log = frames.take(
+                recording, log, requested, frames_held[name], _bytes_per_frame(frames_held)
+            )
+        pictures |= taken
+        shown_logs.append(shown_log)
+    return RecordingImages([pictures[w] for w in requests], shown_logs), missing
 
 
-def _share(held: Mapping[str, Sequence[int]]) -> int:
+def _bytes_per_frame(frames_held: Mapping[str, Sequence[int]]) -> int:
     """Bytes for each frame that the page holds."""
-    return frames.MOST_BYTES // max(1, sum(map(len, held.values())))
+    return frames.MOST_BYTES // max(1, sum(map(len, frames_held.values())))
 
 
-def _named(
+def _named_frames(
     passes: Sequence[tuple[ReportedLog, JudgedSighting]],
     mistakes: Mapping[str, Sequence[Episode]],
     requests: Sequence[PictureRequest],
@@ -219,8 +226,8 @@ def _named(
     """(log, frame) of all frames that the page names, the most interesting first."""
     yield from ((w.log, w.frame) for w in requests)
     yield from ((log.results.name, log.frame_of(s.surest)) for log, s in passes)
-    for found in mistakes.values():
-        yield from ((e.log, e.worst) for e in found[:MOST_MISTAKES])
+    for of_method in mistakes.values():
+        yield from ((e.log, e.worst) for e in of_method[:MOST_MISTAKES])
     for log, s in passes:
         yield log.results.name, s.sighting.first_frame
         yield log.results.name, s.sighting.last_frame
@@ -231,19 +238,22 @@ def _sighting_requests(
 ) -> list[PictureRequest]:
     """The surest frame of each declared landmark, then the shortest sightings."""
     if logs and not passes:
-        return _nearest_to_one(logs)
+        return _nearest_to_declared(logs)
 
-    def sure(one: tuple[ReportedLog, JudgedSighting]) -> tuple[float, bool, int]:
-        log, s = one
+    def sure(pair: tuple[ReportedLog, JudgedSighting]) -> tuple[float, bool, int]:
+        log, s = pair
         # Of scores that print alike: a true claim first, then the longest sighting.
         return -round(log.results.score[s.surest], 2), s.is_false, -s.sighting.frames_declared
 
     best = {
-        k: min((one for one in passes if one[1].sighting.landmark == k), key=sure)
+        k: min(
+            (pair for pair in passes if pair[1].sighting.landmark == k),
+            key=sure,
+        )
         for k in sorted({s.sighting.landmark for _, s in passes})
     }
-    left = [one for one in passes if not any(one is b for b in best.values())]
-    rare = sorted(left, key=lambda one: one[1].sighting.frames_declared)
+    others = [pair for pair in passes if not any(pair is b for b in best.values())]
+    rare = sorted(others, key=lambda pair: pair[1].sighting.frames_declared)
     return [
         *(_sighting_request(log, s, "surest", "") for log, s in best.values()),
         *(
@@ -267,25 +277,25 @@ def _sighting_request(
     return PictureRequest(log.results.name, log.tracker, frame, group, caption, wrong)
 
 
-def _nearest_to_one(logs: Sequence[ReportedLog]) -> list[PictureRequest]:
+def _nearest_to_declared(logs: Sequence[ReportedLog]) -> list[PictureRequest]:
     """The estimate of the highest score, for logs in which nothing was declared."""
-    best: tuple[float, ReportedLog, int] | None = None
+    nearest: tuple[float, ReportedLog, int] | None = None
     for log in logs:
-        mine = np.flatnonzero(log.of_method(log.tracker))
-        if len(mine):
-            n = int(mine[np.argmax(log.results.score[mine])])
+        of_method = np.flatnonzero(log.of_method(log.tracker))
+        if len(of_method):
+            n = int(of_method[np.argmax(log.results.score[of_method])])
             score = float(log.results.score[n])
-            if best is None or score > best[0]:
-                best = score, log, n
-    if best is None:
+            if nearest is None or score > nearest[0]:
+                nearest = score, log, n
+    if nearest is None:
         return []
-    score, log, n = best
+    score, log, n = nearest
     landmark = log.ids[log.results.landmark_index[n]]
     caption = f"Nothing declared; nearest to it ID.{landmark} ({score:.2f})."
     return [PictureRequest(log.results.name, log.tracker, log.frame_of(n), "surest", caption)]
 
 
-def _mistaken(
+def _mistake_requests(
     evaluation: Evaluation | None,
     mistakes: Mapping[str, Sequence[Episode]],
     sources: Mapping[str, Path],
@@ -293,7 +303,7 @@ def _mistaken(
     """The worst frame of the worst mistakes, per method."""
     return [
         PictureRequest(e.log, method, e.worst, "mistake", "", f"{in_words(e, evaluation.joined)}.")
-        for method, found in mistakes.items()
-        for e in [e for e in found if e.log in sources][:MOST_MISTAKEN]
+        for method, of_method in mistakes.items()
+        for e in [e for e in of_method if e.log in sources][:MOST_MISTAKEN]
         if evaluation is not None
     ]

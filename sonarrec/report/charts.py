@@ -53,23 +53,23 @@ def timeline(log: ReportedLog) -> list[tuple[int, list[Lane]]]:
     best alone would look the same for one frame of hundreds as for all.
     """
     axis, period = time_axis(log)
-    found = log.results
-    order = sorted(found.methods, key=lambda m: (m != log.tracker, found.methods.index(m)))
+    results = log.results
+    order = sorted(results.methods, key=lambda m: (m != log.tracker, results.methods.index(m)))
     rows = []
-    for k, landmark in enumerate(found.landmarks.ids):
+    for k, landmark in enumerate(results.landmarks.ids):
         lanes = []
         anything = False
         if log.in_view is not None:
-            there = log.in_view[:, k].astype(float)
-            anything |= bool(there.any())
-            text = f"ID.{landmark} is in view in {int(there.sum())} of {len(there)} frames"
-            path = bars(axis, log.time, period, there)
+            in_view = log.in_view[:, k].astype(float)
+            anything |= bool(in_view.any())
+            text = f"ID.{landmark} is in view in {int(in_view.sum())} of {len(in_view)} frames"
+            path = bars(axis, log.time, period, in_view)
             lanes.append(Lane("truth", Chart(text, [Shape(path, None, "bar")]), True))
         for method in order:
-            mine = log.of_method(method) & found.declared & (found.landmark_index == k)
-            surest = np.zeros(len(found.frame))
-            np.maximum.at(surest, found.frame_index[mine], found.score[mine])
-            claims = int(np.count_nonzero(np.bincount(found.frame_index[mine])))
+            declared = log.of_method(method) & results.declared & (results.landmark_index == k)
+            surest = np.zeros(len(results.frame))
+            np.maximum.at(surest, results.frame_index[declared], results.score[declared])
+            claims = int(np.count_nonzero(np.bincount(results.frame_index[declared])))
             anything |= claims > 0
             text = f"{method} declares ID.{landmark} in {claims} of {len(surest)} frames"
             shapes = [Shape(bars(axis, log.time, period, surest), k, "bar")]
@@ -92,18 +92,18 @@ def silent_lanes(log: ReportedLog, silent: Sequence[Track]) -> list[Lane]:
     """A row per track that was never declared: low grey bars for the frames in which it was
     followed, and bars for the score of its most probable ID, in the colour of that ID."""
     axis, period = time_axis(log)
-    found = log.results
+    results = log.results
     lanes = []
     for track in silent:
         followed = np.full(len(track.at), FOLLOWED)
         start = log.time[track.frame_index]
         shapes = [Shape(bars(axis, start, period, followed, SILENT_POINTS), None, "bar")]
-        for k in np.unique(found.landmark_index[track.at]).tolist():
-            height = np.where(found.landmark_index[track.at] == k, found.score[track.at], 0.0)
+        for k in np.unique(results.landmark_index[track.at]).tolist():
+            height = np.where(results.landmark_index[track.at] == k, results.score[track.at], 0.0)
             path = bars(axis, start, period, height, SILENT_POINTS)
-            shapes.append(Shape(path, k, "bar", f"ID.{found.landmarks.ids[k]}"))
+            shapes.append(Shape(path, k, "bar", f"ID.{results.landmarks.ids[k]}"))
         truth = true_landmark(log, track)
-        best = float(found.score[track.at].max())
+        best = float(results.score[track.at].max())
         text = f"track {track.number}, {number_of(len(track.at), 'frame')}, best score {best:.2f}"
         name = f"{track.number}" + ("" if truth is None else f" (on ID.{truth})")
         lanes.append(Lane(name, Chart(text, shapes), truth is not None))
@@ -112,14 +112,14 @@ def silent_lanes(log: ReportedLog, silent: Sequence[Track]) -> list[Lane]:
 
 def roc(scored: Sequence[PooledScored], k: int | None = None) -> Chart:
     """The ROC of each method under one protocol: of the k-th ID, or over all IDs."""
-    shown = evaluation_roc(scored, k, 2 * MOST_POINTS)
-    axis = Axis(0.0, shown.fpr_end)
+    curves = evaluation_roc(scored, k, 2 * MOST_POINTS)
+    axis = Axis(0.0, curves.fpr_end)
     shapes = [
         Shape(polyline(axis.share(x.fpr), x.tpr), n, f"line style-{n % STYLES}", x.method)
-        for n, x in enumerate(shown.lines)
+        for n, x in enumerate(curves.lines)
     ]
-    points = [(line.at, n, "dot") for n, line in enumerate(shown.lines)]
-    marks = [*points, *((point, None, point.name) for point in shown.published)]
+    points = [(line.at, n, "dot") for n, line in enumerate(curves.lines)]
+    marks = [*points, *((point, None, point.name) for point in curves.published)]
     dots = [
         Dot(100 * float(axis.share(point.fpr)), 100 * point.tpr, point.label, colour, kind)
         for point, colour, kind in marks
@@ -129,22 +129,26 @@ def roc(scored: Sequence[PooledScored], k: int | None = None) -> Chart:
     return Chart(text, shapes, axis.ticks(5), UNIT.ticks(5), dots, "FPR", "TPR")
 
 
-def reliability(found: Reliability, method: int) -> Chart:
+def reliability(curve: Reliability, method: int) -> Chart:
     """The reliability curve of a method: share that is right over the stated probability.
 
     method: index, for the colour. Bars: number of estimates per step, relative to the fullest one.
     Steps with fewer than FEW estimates have hollow dots and are not joined by the line, since their
     share is too uncertain.
     """
-    step = 1 / len(found.count)
-    share = found.count / max(1, int(found.count.max()))
-    some = found.count > 0
-    enough = found.count >= FEW
+    step = 1 / len(curve.count)
+    share = curve.count / max(1, int(curve.count.max()))
+    used = curve.count > 0
+    enough = curve.count >= FEW
     text = [
-        f"stated {said:.2f}, right in {right:.2f} of {count}"
+        f"stated {stated:.2f}, right in {right:.2f} of {count}"
         + ("" if many else ", too few to judge")
-        for said, right, count, many in zip(
-            found.mean[some], found.right[some], found.count[some], enough[some], strict=True
+        for stated, right, count, many in zip(
+            curve.mean[used],
+            curve.right[used],
+            curve.count[used],
+            enough[used],
+            strict=True,
         )
     ]
     ends = np.array([0.0, 1.0])
@@ -152,17 +156,23 @@ def reliability(found: Reliability, method: int) -> Chart:
         Shape(bars(UNIT, np.arange(len(share)) * step, step, share), None, "bar faint"),
         Shape(polyline(ends, ends), None, "line thin"),
         Shape(
-            polyline(found.mean, np.where(enough, found.right, np.nan)), method, label=found.method
+            polyline(curve.mean, np.where(enough, curve.right, np.nan)),
+            method,
+            label=curve.method,
         ),
     ]
     dots = [
         Dot(100 * float(x), 100 * float(y), label, method, "dot" if many else "few")
         for x, y, label, many in zip(
-            found.mean[some], found.right[some], text, enough[some], strict=True
+            curve.mean[used],
+            curve.right[used],
+            text,
+            enough[used],
+            strict=True,
         )
     ]
     return Chart(
-        f"{found.method}: {'; '.join(text)}",
+        f"{curve.method}: {'; '.join(text)}",
         shapes,
         UNIT.ticks(5),
         UNIT.ticks(5),
@@ -200,19 +210,19 @@ def track_panels(log: ReportedLog, track: Track) -> list[TrackPanel]:
 
 def _panel(log: ReportedLog, track: Track, method: str, at: IntArray) -> TrackPanel:
     """The panel of a method. at: (n,) its estimate in each frame of the track, -1 for none."""
-    found = log.results
-    assert found.probability is not None
+    results = log.results
+    assert results.probability is not None
     axis = track_axis(log, track)
     _, period = time_axis(log)
     # One element per frame of the log, so that lines break where the object was not seen.
     rows = np.arange(track.frame_index[0], track.frame_index[-1] + 1)
     seen = at >= 0
-    belief = np.full((len(rows), found.probability.shape[1]), np.nan)
-    belief[track.frame_index[seen] - rows[0]] = found.probability[at[seen]]
+    belief = np.full((len(rows), results.probability.shape[1]), np.nan)
+    belief[track.frame_index[seen] - rows[0]] = results.probability[at[seen]]
     x = axis.share(log.time[rows])
     shapes, text = [], []
     for k in [belief.shape[1] - 1, *range(belief.shape[1] - 1)]:
-        name = "none" if k == len(found.landmarks.ids) else f"ID.{found.landmarks.ids[k]}"
+        name = "none" if k == len(results.landmarks.ids) else f"ID.{results.landmarks.ids[k]}"
         if np.nanmax(belief[:, k]) < UNSEEN:
             continue
         keep = thinned(belief[:, k])
@@ -221,10 +231,10 @@ def _panel(log: ReportedLog, track: Track, method: str, at: IntArray) -> TrackPa
         shapes.append(Shape(polyline(x[keep], belief[keep, k]), colour, kind, name))
         text.append(f"{name} {np.nanmean(belief[:, k]):.2f}")
     strip = []
-    for k in range(len(found.landmarks.ids)):
+    for k in range(len(results.landmarks.ids)):
         claims = np.zeros(len(rows))
         mine = seen.copy()
-        mine[seen] = found.declared[at[seen]] & (found.landmark_index[at[seen]] == k)
+        mine[seen] = results.declared[at[seen]] & (results.landmark_index[at[seen]] == k)
         claims[track.frame_index[mine] - rows[0]] = 1
         if mine.any():
             strip.append(Shape(bars(axis, log.time[rows] - period / 2, period, claims), k, "bar"))

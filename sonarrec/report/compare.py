@@ -69,46 +69,46 @@ class Ranked:
     runs_left: int
 
 
-def write_comparison_page(path: Path, found: Comparison) -> None:
+def write_comparison_page(path: Path, comparison: Comparison) -> None:
     """Write the page. Raises SonarrecError where it cannot be written."""
-    write_page(path, render(found))
+    write_page(path, render(comparison))
 
 
-def render(found: Comparison) -> str:
+def render(comparison: Comparison) -> str:
     """The whole page as HTML."""
     # Changes are counted by the stricter protocol, as in the report.
-    strict = any(r.protocol == "strict" for r in found.rates)
+    strict = any(r.protocol == "strict" for r in comparison.rates)
     protocol = "strict" if strict else "paper"
     return filled(
         "compare.html",
         version=__version__,
-        old=name_as_text(found.old),
-        new=name_as_text(found.new),
-        found=found,
+        old=name_as_text(comparison.old),
+        new=name_as_text(comparison.new),
+        found=comparison,
         level=f"{LEVEL:.0%}",
         least=MIN_UNITS,
         significant=SIGNIFICANT,
         protocol=protocol,
-        rates=_in_total(found),
-        per_id=_per_id(found, protocol),
-        same_settings=not found.settings and any(settings_lines(found)),
-        ranked=[_ranked(found, protocol, verdict) for verdict in ("worse", "better")],
+        rates=_in_total(comparison),
+        per_id=_per_id(comparison, protocol),
+        same_settings=not comparison.settings and any(settings_lines(comparison)),
+        ranked=[_ranked(comparison, protocol, verdict) for verdict in ("worse", "better")],
     )
 
 
-def _in_total(found: Comparison) -> list[Rates]:
+def _in_total(comparison: Comparison) -> list[Rates]:
     """Per method and protocol, every figure over all IDs."""
     groups: dict[tuple[str, str], list[Row]] = {}
-    for d in found.differences:
+    for d in comparison.differences:
         if d.landmark_text == "total":
             groups.setdefault((d.b, d.protocol), []).append(_row(d, BY_NAME[d.name].label))
     return [Rates(method, protocol, rows) for (method, protocol), rows in groups.items()]
 
 
-def _per_id(found: Comparison, protocol: str) -> list[Rates]:
+def _per_id(comparison: Comparison, protocol: str) -> list[Rates]:
     """Per method the main rates of every ID that has one, under one protocol."""
     groups: dict[str, list[Row]] = {}
-    for d in found.differences:
+    for d in comparison.differences:
         empty = math.isnan(d.value_a) and math.isnan(d.value_b)
         if d.protocol == protocol and d.landmark_text != "total" and d.name in MAIN and not empty:
             label = f"ID.{d.landmark_text} {BY_NAME[d.name].label}"
@@ -126,18 +126,18 @@ def _row(d: Difference, label: str) -> Row:
     return Row(label, old, new, cells.difference(d), p, d.units, verdict)
 
 
-def _ranked(found: Comparison, protocol: str, verdict: str) -> Ranked:
+def _ranked(comparison: Comparison, protocol: str, verdict: str) -> Ranked:
     sign = -1 if verdict == "worse" else 1
     passes: list[PassChange] = []
     more = 0
-    for one in found.passes:
-        if one.protocol == protocol and sign * (one.new - one.old) > 0:
-            passes.append(one)
+    for change in comparison.passes:
+        if change.protocol == protocol and sign * (change.new - change.old) > 0:
+            passes.append(change)
             more += 1
         if len(passes) > 2 * MOST:
             passes = _most_changed(passes)
     passes = _most_changed(passes)
-    runs, count = found.frames.runs(MOST, protocol, verdict)
+    runs, count = comparison.frames.runs(MOST, protocol, verdict)
     shown_runs = [
         Run(
             log=run.first.log,

@@ -65,38 +65,38 @@ class ShownLog:
 
 
 def choose(
-    logs: Sequence[ReportedLog], wanted: Iterable[tuple[str, int]], most: int = MOST_FRAMES
+    logs: Sequence[ReportedLog], requests: Iterable[tuple[str, int]], most: int = MOST_FRAMES
 ) -> dict[str, list[int]]:
     """The numbers of the frames to hold, per log.
 
-    wanted: (log, frame), the most important first; each log gets at least one. The rest of `most`
+    requests: (log, frame), the most important first; each log gets at least one. The rest of `most`
     is filled with frames at equal steps through every log.
     """
     first = {log.results.name: int(log.results.frame[0]) for log in logs}
     chosen: dict[str, set[int]] = {name: set() for name in first}
-    asked = [w for w in wanted if w[0] in first]
-    first |= reversed(asked)
-    for name, frame in list(dict.fromkeys([*first.items(), *asked]))[:most]:
+    known_requests = [w for w in requests if w[0] in first]
+    first |= reversed(known_requests)
+    for name, frame in list(dict.fromkeys([*first.items(), *known_requests]))[:most]:
         chosen[name].add(frame)
-    left = most - sum(map(len, chosen.values()))
+    room = most - sum(map(len, chosen.values()))
     # Short logs first, so that longer ones get what they do not need.
     for n, log in enumerate(sorted(logs, key=lambda log: len(log.results.frame))):
-        mine, every = chosen[log.results.name], log.results.frame
-        share = left // (len(logs) - n)
-        new = [f for f in every.tolist() if f not in mine]
+        chosen_here, all_frames = chosen[log.results.name], log.results.frame
+        share = room // (len(logs) - n)
+        new = [f for f in all_frames.tolist() if f not in chosen_here]
         if len(new) > share:
             steps = np.linspace(0, len(new) - 1, max(share, 0)).round().astype(int)
             new = [new[step] for step in steps.tolist()]
-        mine.update(new)
-        left -= len(new)
+        chosen_here.update(new)
+        room -= len(new)
     return {name: sorted(frames) for name, frames in chosen.items()}
 
 
 def take(
     log: Log,
     reported: ReportedLog,
-    wanted: Sequence[PictureRequest],
-    held: Sequence[int],
+    requests: Sequence[PictureRequest],
+    frames_held: Sequence[int],
     most_bytes: int,
 ) -> tuple[dict[PictureRequest, Picture], ShownLog]:
     """The pictures wanted and the frames to hold, from one pass over the log.
@@ -107,27 +107,27 @@ def take(
     check_same_log(log, reported.folder, reported.run)
     pictures: dict[PictureRequest, Picture] = {}
     methods = list(reported.results.methods)
-    shown = ShownLog(
+    shown_log = ShownLog(
         reported.results.name,
         "s" if reported.clock == "s" else "",
         methods,
         len(reported.results.frame),
     )
-    hold = set(held)
-    numbers = {w.frame for w in wanted} | hold
-    said: dict[str, dict[int, tuple[Estimate, ...]]] = {}
+    hold = set(frames_held)
+    numbers = {w.frame for w in requests} | hold
+    of_method: dict[str, dict[int, tuple[Estimate, ...]]] = {}
     for frame in log:
-        if not said:  # the fan of the first frame gives the positions of the estimates
-            asked = dict.fromkeys([*methods, *(w.method for w in wanted)])
-            said = {m: _estimates(reported, m, numbers, frame.fan) for m in asked}
+        if not of_method:  # the fan of the first frame gives the positions of the estimates
+            asked_methods = dict.fromkeys([*methods, *(w.method for w in requests)])
+            of_method = {m: _estimates(reported, m, numbers, frame.fan) for m in asked_methods}
         if frame.index in numbers:
             numbers.remove(frame.index)
-            here = {m: by_frame.get(frame.index, ()) for m, by_frame in said.items()}
+            estimates = {m: by_frame.get(frame.index, ()) for m, by_frame in of_method.items()}
             marks = _marks(reported, frame)
-            mine = [w for w in wanted if w.frame == frame.index]
-            pictures |= draw(frame, reported, mine, here, marks)
+            requests_here = [w for w in requests if w.frame == frame.index]
+            pictures |= draw(frame, reported, requests_here, estimates, marks)
             if frame.index in hold:
-                shown.frames.append(_shown(frame, reported, here, marks, most_bytes))
+                shown_log.frames.append(_shown_frame(frame, reported, estimates, marks, most_bytes))
         if not numbers:
             break
     if numbers:
@@ -135,53 +135,53 @@ def take(
             f"{log.path}: no frame {min(numbers)}, which the results have; "
             "give the log that they came from"
         )
-    return pictures, shown
+    return pictures, shown_log
 
 
 def _estimates(
     reported: ReportedLog, method: str, numbers: set[int], fan: Fan
 ) -> dict[int, tuple[Estimate, ...]]:
     path = estimates_of(reported.folder)
-    every = read_estimates(path, method, reported.results.landmarks, fan)
-    return {number: estimates for number, estimates in every if number in numbers}
+    of_method = read_estimates(path, method, reported.results.landmarks, fan)
+    return {number: estimates for number, estimates in of_method if number in numbers}
 
 
 def _marks(reported: ReportedLog, frame: Frame) -> list[Mark]:
     """The landmarks that are at least partly in view in the frame, if truth has positions."""
-    truth, found = reported.truth, reported.results
+    truth, results = reported.truth, reported.results
     place = None if truth is None else truth.pixels(frame.fan)
     if truth is None or place is None:
         return []
-    here = np.flatnonzero(found.frame[truth.frame_index] == frame.index)
-    return [Mark(found.landmarks.ids[truth.landmark_index[n]], *place[n].tolist()) for n in here]
+    here = np.flatnonzero(results.frame[truth.frame_index] == frame.index)
+    return [Mark(results.landmarks.ids[truth.landmark_index[n]], *place[n].tolist()) for n in here]
 
 
-def _shown(
+def _shown_frame(
     frame: Frame,
     reported: ReportedLog,
-    here: Mapping[str, Sequence[Estimate]],
+    estimates: Mapping[str, Sequence[Estimate]],
     marks: Sequence[Mark],
     most_bytes: int,
 ) -> ShownFrame:
-    found = reported.results
+    log = reported.results
     image = shrunk(frame.image, LARGEST)
     scale = image.shape[1] / frame.image.shape[1]
-    row = int(np.searchsorted(found.frame, frame.index))
+    row = int(np.searchsorted(log.frame, frame.index))
 
     def outlines(marked: Sequence[tuple[Estimate | Mark, str, bool]], size: float) -> list[Outline]:
         found_outlines = []
         for place, label, declared in marked:
-            edge = disc_outline(frame.fan, size * found.landmarks.radius_m, place.x_px, place.y_px)
+            edge = disc_outline(frame.fan, size * log.landmarks.radius_m, place.x_px, place.y_px)
             around = ellipse((edge + 0.5) * scale)
             if around is not None:
-                colour = found.landmarks.ids.index(place.landmark)
+                colour = log.landmarks.ids.index(place.landmark)
                 found_outlines.append(Outline(around, label, colour, declared))
         return found_outlines
 
     said = []
-    for method in found.methods:
-        mine = sorted(here[method], key=lambda e: (e.declared, e.score))[-MOST_MARKED:]
-        labelled = [(e, caption(e, found.landmarks, score=True), e.declared) for e in mine]
+    for method in log.methods:
+        most_sure = sorted(estimates[method], key=lambda e: (e.declared, e.score))[-MOST_MARKED:]
+        labelled = [(e, caption(e, log.landmarks, score=True), e.declared) for e in most_sure]
         said.append(outlines(labelled, 1))
     return ShownFrame(
         frame=frame.index,

@@ -107,16 +107,18 @@ def read_logs(
         if len(logs) == MOST_LOGS:
             break
         try:
-            found = read_log(folder, options.landmarks, options.sonar)
-            every = list(read_sightings(folder, options.landmarks, options.sonar))
+            results = read_log(folder, options.landmarks, options.sonar)
+            sightings = list(read_sightings(folder, options.landmarks, options.sonar))
         except SonarrecError as error:
             unread.append((name or name_as_text(folder.resolve().name), error))
             continue
-        found = found if name is None else replace(found, name=name)
-        matched = None if truth is None else match_truth(truth, found, options.tolerance_s)
-        follow = method or follows_by_default(found.methods)
-        passes = [s for s in every if s.method == follow]
-        logs.append(_reported(folder, found, matched, options.min_visible, follow, passes))
+        results = results if name is None else replace(results, name=name)
+        matched_truth = None if truth is None else match_truth(truth, results, options.tolerance_s)
+        follow = method or follows_by_default(results.methods)
+        passes = [s for s in sightings if s.method == follow]
+        logs.append(
+            _reported_log(folder, results, matched_truth, options.min_visible, follow, passes)
+        )
     if not logs:
         raise unread[0][1]
     for log in logs:
@@ -139,7 +141,7 @@ def follows_by_default(methods: Sequence[str]) -> str:
     return (followers or list(methods))[0]
 
 
-def _reported(
+def _reported_log(
     folder: Path,
     log: LogResults,
     truth: Truth | None,
@@ -199,23 +201,23 @@ class JudgedSighting:
 
 def judged_sightings(log: ReportedLog) -> list[JudgedSighting]:
     """The tracker's passes, in order of first sight."""
-    found = log.results
-    mine = np.flatnonzero(log.of_method(log.tracker) & found.declared)
-    mine = mine[np.argsort(found.frame_index[mine], kind="stable")]
-    frame, false = found.frame[found.frame_index[mine]], _false(log)
-    shown = []
+    results = log.results
+    declared = np.flatnonzero(log.of_method(log.tracker) & results.declared)
+    declared = declared[np.argsort(results.frame_index[declared], kind="stable")]
+    frame, false = results.frame[results.frame_index[declared]], _false(log)
+    judged = []
     for s in log.sightings:
         if s.landmark not in log.ids:
             continue
         first, end = np.searchsorted(frame, [s.first_frame, s.last_frame + 1])
-        at = mine[first:end]
-        here = found.landmark_index[at] == log.ids.index(s.landmark)
+        at = declared[first:end]
+        of_landmark = results.landmark_index[at] == log.ids.index(s.landmark)
         if s.track is not None:
-            here &= found.object[at] == s.track
-        if here.any():
-            at = at[here]
-            shown.append(_judged(log, s, at, None if false is None else false[at]))
-    return shown
+            of_landmark &= results.object[at] == s.track
+        if of_landmark.any():
+            at = at[of_landmark]
+            judged.append(_judged(log, s, at, None if false is None else false[at]))
+    return judged
 
 
 def _judged(
@@ -239,14 +241,14 @@ def _false(log: ReportedLog) -> BoolArray | None:
 
     Landmarks partly in view count as present.
     """
-    found, truth = log.results, log.truth
+    results, truth = log.results, log.truth
     if truth is None:
         return None
     if log.truth_near is not None:
-        return np.asarray(log.truth_near != found.landmark_index)
-    there = np.zeros((len(found.frame), len(found.landmarks.ids)), dtype=bool)
-    there[truth.frame_index, truth.landmark_index] = True
-    return ~there[found.frame_index, found.landmark_index]
+        return np.asarray(log.truth_near != results.landmark_index)
+    in_view = np.zeros((len(results.frame), len(results.landmarks.ids)), dtype=bool)
+    in_view[truth.frame_index, truth.landmark_index] = True
+    return ~in_view[results.frame_index, results.landmark_index]
 
 
 def false_claim_text(log: ReportedLog, estimate: int) -> str:
@@ -272,46 +274,48 @@ class Tracks:
 def tracks(log: ReportedLog, most: int, most_silent: int) -> Tracks:
     """At most so many of each kind: those with the most frames that are declared or on a landmark,
     then the longest."""
-    found = log.results
-    if found.probability is None or not follows(log.tracker):
+    results = log.results
+    if results.probability is None or not follows(log.tracker):
         return Tracks([], 0, [], 0)
-    mine = np.flatnonzero(log.of_method(log.tracker) & (found.object >= 0))
-    numbers, which = np.unique(found.object[mine], return_inverse=True)
-    claims = np.bincount(which, weights=found.declared[mine], minlength=len(numbers))
-    telling = found.declared[mine]
+    of_tracker = np.flatnonzero(log.of_method(log.tracker) & (results.object >= 0))
+    numbers, track_index = np.unique(results.object[of_tracker], return_inverse=True)
+    claims = np.bincount(track_index, weights=results.declared[of_tracker], minlength=len(numbers))
+    telling = results.declared[of_tracker]
     if log.truth_near is not None:
-        telling = telling | (log.truth_near[mine] >= 0)
-    worth = np.bincount(which, weights=telling, minlength=len(numbers))
-    length = np.bincount(which, minlength=len(numbers))
+        telling = telling | (log.truth_near[of_tracker] >= 0)
+    worth = np.bincount(track_index, weights=telling, minlength=len(numbers))
+    length = np.bincount(track_index, minlength=len(numbers))
     order = np.lexsort((-length, -worth))
     declared, silent = order[claims[order] > 0], order[claims[order] == 0]
 
-    def chosen(of: IntArray) -> list[Track]:
-        shown = []
+    def tracks_of(of: IntArray) -> list[Track]:
+        tracks = []
         for n in of.tolist():
-            at = mine[which == n]
-            at = at[np.unique(found.frame_index[at], return_index=True)[1]]
-            shown.append(Track(int(numbers[n]), at, found.frame_index[at]))
-        return sorted(shown, key=lambda track: (int(track.frame_index[0]), track.number))
+            at = of_tracker[track_index == n]
+            at = at[np.unique(results.frame_index[at], return_index=True)[1]]
+            tracks.append(Track(int(numbers[n]), at, results.frame_index[at]))
+        return sorted(tracks, key=lambda track: (int(track.frame_index[0]), track.number))
 
-    return Tracks(chosen(declared[:most]), len(declared), chosen(silent[:most_silent]), len(silent))
+    return Tracks(
+        tracks_of(declared[:most]), len(declared), tracks_of(silent[:most_silent]), len(silent)
+    )
 
 
 def alongside(log: ReportedLog, track: Track, method: str) -> IntArray:
     """(n,) the method's estimate nearest to the track in each of its frames, -1 if none is within
     half a disc diameter. All -1 without positions.
     """
-    found = log.results
-    matched = np.full(len(track.at), -1, dtype=np.int64)
-    if found.position is None:
-        return matched
-    other = np.flatnonzero(log.of_method(method) & np.isin(found.frame_index, track.frame_index))
-    beside = np.searchsorted(track.frame_index, found.frame_index[other])
-    away = np.linalg.norm(found.position[other] - found.position[track.at[beside]], axis=1)
+    results = log.results
+    nearest = np.full(len(track.at), -1, dtype=np.int64)
+    if results.position is None:
+        return nearest
+    rows = np.flatnonzero(log.of_method(method) & np.isin(results.frame_index, track.frame_index))
+    beside = np.searchsorted(track.frame_index, results.frame_index[rows])
+    away = np.linalg.norm(results.position[rows] - results.position[track.at[beside]], axis=1)
     order = np.argsort(-away, kind="stable")
-    order = order[away[order] <= found.landmarks.radius_m]
-    matched[beside[order]] = other[order]
-    return matched
+    order = order[away[order] <= results.landmarks.radius_m]
+    nearest[beside[order]] = rows[order]
+    return nearest
 
 
 def true_landmark(log: ReportedLog, track: Track) -> int | None:

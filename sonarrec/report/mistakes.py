@@ -93,13 +93,13 @@ def _false_claims(scored: Scored) -> pd.DataFrame:
 
 def _misses(joined: Joined, scored: Scored) -> pd.DataFrame:
     """A row per landmark in view that was not claimed; `which` is the truth."""
-    found = scored.truth[scored.declared_claim[scored.declared_effect[:, 3] < 0]]
-    missed = np.setdiff1d(scored.positive, found)
+    claimed = scored.truth[scored.declared_claim[scored.declared_effect[:, 3] < 0]]
+    missed = np.setdiff1d(scored.positive, claimed)
     ids = len(joined.ids)
     best = np.zeros(len(joined.frame) * ids)
-    mine = joined.method_index == joined.methods.index(scored.method)
-    cell = joined.claim_frame_index[mine] * ids + joined.claim_landmark_index[mine]
-    np.maximum.at(best, cell, joined.score[mine])
+    of_method = joined.method_index == joined.methods.index(scored.method)
+    cell = joined.claim_frame_index[of_method] * ids + joined.claim_landmark_index[of_method]
+    np.maximum.at(best, cell, joined.score[of_method])
     at, landmark = joined.truth_frame_index[missed], joined.truth_landmark_index[missed]
     return pd.DataFrame(
         {
@@ -129,13 +129,13 @@ def in_words(episode: Episode, joined: Joined) -> str:
     sentence = f"ID.{episode.landmark} in view and not declared"
     if episode.protocol == "paper":
         return sentence
-    mine = joined.method_index == joined.methods.index(episode.method)
+    of_method = joined.method_index == joined.methods.index(episode.method)
     frame_index = joined.truth_frame_index[episode.which]
-    here = np.flatnonzero(mine & (joined.claim_frame_index == frame_index))
-    here = here[_beneath(joined, here) == episode.which]
-    if not len(here):
+    claims_here = np.flatnonzero(of_method & (joined.claim_frame_index == frame_index))
+    claims_here = claims_here[_beneath(joined, claims_here) == episode.which]
+    if not len(claims_here):
         return f"{sentence}: nothing found there"
-    best = here[np.argmax(joined.score[here])]
+    best = claims_here[np.argmax(joined.score[claims_here])]
     name, score = joined.ids[joined.claim_landmark_index[best]], joined.score[best]
     if joined.declared[best]:
         return f"{sentence}: called ID.{name} ({score:.2f})"

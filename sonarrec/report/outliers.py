@@ -46,28 +46,36 @@ def outliers(
     default as in `logs.read_logs`.
     Raises UsageError if no scored log has the method.
     """
-    found: dict[str, list[str]] = {}
-    where = {name_as_text(folder.resolve().name): folder for folder in folders}
+    reasons: dict[str, list[str]] = {}
+    folder_of = {name_as_text(folder.resolve().name): folder for folder in folders}
     if pooled is not None:
-        where = dict(zip(pooled.logs, pooled.folders, strict=True))
-        remarks = [*_unfinished(where, place), *_scored(pooled, method)]
+        folder_of = dict(zip(pooled.logs, pooled.folders, strict=True))
+        remarks = [*_unfinished(folder_of, place), *_most_mistaken(pooled, method)]
     else:
-        every, unread = _sightings(where, options)
-        read = {name: where[name] for name in every}
-        remarks = [*unread, *_unfinished(read, place), *_seen(every, method)]
+        sightings, unread = _sightings(folder_of, options)
+        folders_read = {name: folder_of[name] for name in sightings}
+        remarks = [
+            *unread,
+            *_unfinished(folders_read, place),
+            *_unusual(sightings, method),
+        ]
     for name, reason in remarks:
-        found.setdefault(name, []).append(reason)
-    return [Outlier(name, where.get(name), tuple(why)) for name, why in found.items()]
+        reasons.setdefault(name, []).append(reason)
+    return [Outlier(name, folder_of.get(name), tuple(why)) for name, why in reasons.items()]
 
 
-def outliers_first(folders: Sequence[Path], found: Sequence[Outlier]) -> list[Path]:
+def outliers_first(folders: Sequence[Path], outlying: Sequence[Outlier]) -> list[Path]:
     """The folders, those of outliers first."""
-    known = set(folders)
-    first = [one.folder for one in found if one.folder is not None and one.folder in known]
+    listed = set(folders)
+    first = [
+        outlier.folder
+        for outlier in outlying
+        if outlier.folder is not None and outlier.folder in listed
+    ]
     return list(dict.fromkeys([*first, *folders]))
 
 
-def _unfinished(where: dict[str, Path], place: Path | None) -> Iterator[tuple[str, str]]:
+def _unfinished(folder_of: dict[str, Path], place: Path | None) -> Iterator[tuple[str, str]]:
     """(log, reason) of logs that failed or could not be used completely."""
     rows = []
     if place is not None:
@@ -81,7 +89,7 @@ def _unfinished(where: dict[str, Path], place: Path | None) -> Iterator[tuple[st
     for row in failed:
         yield row.log, f"failed: {row.message}"
     failed_names = {row.log for row in failed}
-    for name, folder in where.items():
+    for name, folder in folder_of.items():
         run = read_run(folder / "run.toml")
         if name not in failed_names and not run.finished:
             yield name, "partial: the run was cut short"
@@ -90,12 +98,12 @@ def _unfinished(where: dict[str, Path], place: Path | None) -> Iterator[tuple[st
             yield name, f"partial: {run.input.problems[0]}{more}"
 
 
-def _scored(pooled: Pooled, method: str | None) -> Iterator[tuple[str, str]]:
+def _most_mistaken(pooled: Pooled, method: str | None) -> Iterator[tuple[str, str]]:
     """(log, reason) of logs with the most mistakes, then with the most false claims."""
     method = method or follows_by_default(pooled.methods)
     if method not in pooled.methods:
-        there = ", ".join(pooled.methods)
-        raise UsageError(f"--method {method}: no log that is scored has it; there is {there}")
+        methods = ", ".join(pooled.methods)
+        raise UsageError(f"--method {method}: no log that is scored has it; there is {methods}")
     scored = cells.scored_by(pooled, method, cells.protocols(pooled)[0])
     counts = [of_log[-1] for of_log in scored.counts_per_log()]
     mistakes = [count.fn + count.fp for count in counts]
@@ -111,26 +119,26 @@ def _scored(pooled: Pooled, method: str | None) -> Iterator[tuple[str, str]]:
 
 
 def _sightings(
-    where: dict[str, Path], options: ScoringOptions
+    folder_of: dict[str, Path], options: ScoringOptions
 ) -> tuple[dict[str, Counter[str]], list[tuple[str, str]]]:
     """How many sightings of each method each log has; (log, reason) of logs that cannot be read."""
-    every: dict[str, Counter[str]] = {}
+    counts: dict[str, Counter[str]] = {}
     unread = []
-    for name, folder in where.items():
+    for name, folder in folder_of.items():
         try:
-            found = read_sightings(folder, options.landmarks, options.sonar)
-            every[name] = Counter(s.method for s in found)
+            sightings = read_sightings(folder, options.landmarks, options.sonar)
+            counts[name] = Counter(s.method for s in sightings)
         except SonarrecError as error:
             unread.append((name, f"cannot be read: {error}"))
-    return every, unread
+    return counts, unread
 
 
-def _seen(every: dict[str, Counter[str]], method: str | None) -> Iterator[tuple[str, str]]:
+def _unusual(counts: dict[str, Counter[str]], method: str | None) -> Iterator[tuple[str, str]]:
     """(log, reason) of logs whose number of sightings is unusual; for results without truth."""
-    method = method or follows_by_default(sorted(set().union(*every.values())))
-    count = [of_log[method] for of_log in every.values()]
+    method = method or follows_by_default(sorted(set().union(*counts.values())))
+    count = [of_log[method] for of_log in counts.values()]
     usual = float(np.median(count)) if count else 0.0
-    names = list(every)
+    names = list(counts)
     for i in _most([abs(n - usual) for n in count]):
         yield names[i], f"sightings of {method}: {count[i]}, where {usual:g} are usual"
 

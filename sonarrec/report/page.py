@@ -292,33 +292,33 @@ def _json(shown: Sequence[ShownLog]) -> str:
 
 
 def _scores(
-    tracker: str, evaluation: Evaluation, found: Pooled, wrong: Mapping[str, Sequence[Episode]]
+    tracker: str, evaluation: Evaluation, pooled: Pooled, wrong: Mapping[str, Sequence[Episode]]
 ) -> Scores:
-    methods, protocols = found.methods, cells.protocols(found)
-    summary = summarise(found)
-    per_log = cells.rates_per_log(found)
+    methods, protocols = pooled.methods, cells.protocols(pooled)
+    summary = summarise(pooled)
+    per_log = cells.rates_per_log(pooled)
     if len(per_log) > MOST_RATES:
         per_log = sorted(per_log, key=_mistakes_of)[:MOST_RATES]
-    tables = [cells.paper_table(s, thousands=",") for s in found.scored]
+    tables = [cells.paper_table(s, thousands=",") for s in pooled.scored]
     return Scores(
         protocols=protocols,
-        rates=cells.rates(found, summary),
+        rates=cells.rates(pooled, summary),
         rates_per_log=per_log,
         units=units_text(summary.units),
         over=over_units(summary),
         others=cells.figures(summary, protocols[0], methods, beside=cells.HEADLINE),
         tested=[metric.label for metric in cells.TESTED],
         differences=cells.differences(summary, protocols[0]),
-        notes=_first([*found.notes, *summary.notes]),
+        notes=_first([*pooled.notes, *summary.notes]),
         tables=tables,
         starred=any("*" in cell for table in tables for _, row in table.rows for cell in row),
-        curves=_curves(found),
+        curves=_curves(pooled),
         reliability=[
             (r.method, charts.reliability(r, methods.index(r.method)))
             for r in summary.reliability
             if r.landmark_text == "top"
         ],
-        mistakes=_mistakes(tracker, evaluation, found, wrong),
+        mistakes=_mistakes(tracker, evaluation, pooled, wrong),
     )
 
 
@@ -328,11 +328,11 @@ def _mistakes_of(row: tuple[str, list[cells.OperatingPoint]]) -> int:
 
 
 def _log_view(log: ReportedLog, most_tracks: int) -> LogView:
-    found = judged_sightings(log)
+    sightings = judged_sightings(log)
     found_tracks = tracks(log, most_tracks, MOST_SILENT)
     stamps = log.results.timestamp_ns
     rows = charts.timeline(log)
-    drawn = {k for k, _ in rows}
+    ids_drawn = {k for k, _ in rows}
     return LogView(
         log=log,
         facts=list(_facts(log)),
@@ -340,13 +340,13 @@ def _log_view(log: ReportedLog, most_tracks: int) -> LogView:
         timeline=rows,
         frames_a_bar=frames_a_bar(len(log.time)),
         axis=charts.time_axis(log)[0],
-        unseen=[i for k, i in enumerate(log.results.landmarks.ids) if k not in drawn],
+        unseen=[i for k, i in enumerate(log.results.landmarks.ids) if k not in ids_drawn],
         sightings=sorted(
-            nlargest(MOST_SIGHTINGS, found, key=lambda s: s.sighting.frames_declared),
+            nlargest(MOST_SIGHTINGS, sightings, key=lambda s: s.sighting.frames_declared),
             key=lambda s: (s.sighting.first_frame, s.sighting.last_frame),
         ),
-        sightings_left=len(found[MOST_SIGHTINGS:]),
-        measured=[m for m in MEASURED if any(m.value(s.sighting) for s in found)],
+        sightings_left=len(sightings[MOST_SIGHTINGS:]),
+        measured=[m for m in MEASURED if any(m.value(s.sighting) for s in sightings)],
         dated=stamps is not None and is_date(int(stamps[0])),
         tracks=[_track_view(log, track) for track in found_tracks.declared],
         tracks_in_all=found_tracks.declared_in_all,
@@ -358,35 +358,35 @@ def _log_view(log: ReportedLog, most_tracks: int) -> LogView:
 
 def _facts(log: ReportedLog) -> Iterator[tuple[str, str]]:
     """(name, value) of facts about the recording."""
-    found, run = log.results, log.run
-    yield "frames", f"{len(found.frame):,}"
+    results, run = log.results, log.run
+    yield "frames", f"{len(results.frame):,}"
     if log.clock == "s" and len(log.time) > 1:
         axis, period = charts.time_axis(log)
         yield "length", f"{axis.high - axis.low:,.1f} s at {1 / period:.3g} Hz"
-    if found.timestamp_ns is not None and is_date(int(found.timestamp_ns[0])):
-        yield "start", f"{date_text(int(found.timestamp_ns[0]))} UTC"
-    if found.fan is not None:
-        yield "range window", f"{found.fan.range_min_m:g} to {found.fan.range_max_m:g} m"
-        yield "tilt", f"{found.fan.tilt_deg:g} deg"
-    yield "landmark set", f"{found.landmarks.name}, radius {found.landmarks.radius_m:g} m"
+    if results.timestamp_ns is not None and is_date(int(results.timestamp_ns[0])):
+        yield "start", f"{date_text(int(results.timestamp_ns[0]))} UTC"
+    if results.fan is not None:
+        yield "range window", f"{results.fan.range_min_m:g} to {results.fan.range_max_m:g} m"
+        yield "tilt", f"{results.fan.tilt_deg:g} deg"
+    yield "landmark set", f"{results.landmarks.name}, radius {results.landmarks.radius_m:g} m"
     presets = [str(config["preset"]) for config in run.configs if "preset" in config]
     if presets:
         yield "preset" + "s" * (len(presets) > 1), ", ".join(presets)
 
 
 def _track_view(log: ReportedLog, track: Track) -> TrackView:
-    found = log.results
-    ids = found.landmarks.ids
+    results = log.results
+    ids = results.landmarks.ids
     claims = []
     for k in range(len(ids)):
-        count = int((found.declared[track.at] & (found.landmark_index[track.at] == k)).sum())
+        count = int((results.declared[track.at] & (results.landmark_index[track.at] == k)).sum())
         if count:
             claims.append(f"ID.{ids[k]} in {count} of {len(track.at)} frames")
     first, last = int(track.frame_index[0]), int(track.frame_index[-1])
     return TrackView(
         track=track,
         claims=", ".join(claims),
-        frames=_span(int(found.frame[first]), int(found.frame[last])),
+        frames=_span(int(results.frame[first]), int(results.frame[last])),
         times=f"{log.time[first]:.1f} to {log.time[last]:.1f} s" if log.clock == "s" else "",
         axis=charts.track_axis(log, track),
         truth=true_landmark(log, track),
@@ -399,16 +399,16 @@ def _curves(
     evaluation: Pooled,
 ) -> list[tuple[str, Chart, list[tuple[int, Chart]]]]:
     """Per protocol: its name, the curve over all IDs, and (index of an ID, its curve)."""
-    found = []
+    curves = []
     for protocol in cells.protocols(evaluation):
         scored = [s for s in evaluation.scored if s.protocol == protocol]
-        each = [
+        per_id = [
             (k, charts.roc(scored, k))
             for k in range(len(evaluation.ids))
             if scored[0].count(k).tp + scored[0].count(k).fn
         ]
-        found.append((protocol, charts.roc(scored), each))
-    return found
+        curves.append((protocol, charts.roc(scored), per_id))
+    return curves
 
 
 def _mistakes(
@@ -417,16 +417,16 @@ def _mistakes(
     pooled: Pooled,
     wrong: Mapping[str, Sequence[Episode]],
 ) -> list[Mistakes]:
-    found = []
+    mistakes = []
     for method in sorted(pooled.methods, key=lambda m: m != tracker):
         count = cells.scored_by(pooled, method, cells.protocols(pooled)[0]).count()
-        shown = []
-        mine = wrong.get(method, [])  # the method may be in other logs only
-        for episode in mine[:MOST_MISTAKES]:
+        views = []
+        episodes = wrong.get(method, [])  # the method may be in other logs only
+        for episode in episodes[:MOST_MISTAKES]:
             frames = _span(episode.first, episode.last)
-            shown.append(MistakeView(episode, in_words(episode, evaluation.joined), frames))
-        found.append(Mistakes(method, count, shown, len(mine) - len(shown)))
-    return found
+            views.append(MistakeView(episode, in_words(episode, evaluation.joined), frames))
+        mistakes.append(Mistakes(method, count, views, len(episodes) - len(views)))
+    return mistakes
 
 
 def _span(first: int, last: int) -> str:

@@ -48,12 +48,13 @@ def draw(
     frame: Frame,
     reported: ReportedLog,
     requests: Sequence[PictureRequest],
-    said: Mapping[str, Sequence[Estimate]],
+    estimates: Mapping[str, Sequence[Estimate]],
     marks: Sequence[Mark],
 ) -> dict[PictureRequest, Picture]:
-    """The frame drawn for each `requests`. said: its estimates by method. marks: its truth."""
+    """The frame drawn for each request. estimates: its estimates by method. marks: its truth."""
     return {
-        w: _picture(frame, reported, said[w.method], marks if w.wrong else (), w) for w in requests
+        w: _picture(frame, reported, estimates[w.method], marks if w.wrong else (), w)
+        for w in requests
     }
 
 

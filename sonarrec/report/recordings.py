@@ -28,41 +28,41 @@ def open_recording(path: Path, log: ReportedLog, sonar: Sonar, topic: str | None
 
 
 def match_recordings(
-    logs: Sequence[ReportedLog], given: Sequence[Path], sonar: Sonar, topic: str | None
+    logs: Sequence[ReportedLog], paths: Sequence[Path], sonar: Sonar, topic: str | None
 ) -> tuple[dict[str, Path], list[str]]:
     """The recording of each log, by the log's name, and a line for each that was not found.
 
-    given: recordings, or folders with recordings. A recording belongs to the log of its name; if
+    paths: recordings, or folders with recordings. A recording belongs to the log of its name; if
     there is one of each, they belong together. Raises UsageError if it belongs to no log.
     """
-    found: dict[str, Path] = {}
+    sources: dict[str, Path] = {}
     missing: dict[str, str] = {}  # a line for each log that was not found so far
-    for path in given:
-        inside, before = _inside(path), set(found)
+    for path in paths:
+        inside, before = _inside(path), set(sources)
         if len(logs) == 1 and not inside:
-            found[logs[0].results.name] = path
+            sources[logs[0].results.name] = path
             continue
-        alike = _called(path)
-        named = [log for log in logs if log.results.name in alike]
-        named = named or [log for log in logs if _names(log) & alike]
-        if len(named) > 1:  # logs of one name, distinguished by their folders
-            named = [log for log in named if _same(log, [path], sonar, topic)[0]]
-        if named and not any(_names(log) & inside.keys() for log in logs):
-            found |= {log.results.name: path for log in named}
+        alike = _possible_names(path)
+        log_matches = [log for log in logs if log.results.name in alike]
+        log_matches = log_matches or [log for log in logs if _names(log) & alike]
+        if len(log_matches) > 1:  # logs of one name, distinguished by their folders
+            log_matches = [log for log in log_matches if _same(log, [path], sonar, topic)[0]]
+        if log_matches and not any(_names(log) & inside.keys() for log in logs):
+            sources |= {log.results.name: path for log in log_matches}
             continue
         for log in logs:
-            if log.results.name not in found:
+            if log.results.name not in sources:
                 candidates = [p for name in sorted(_names(log)) for p in inside.get(name, [])]
-                one, problem = _same(log, list(dict.fromkeys(candidates)), sonar, topic)
-                if one is None:
+                source, problem = _same(log, list(dict.fromkeys(candidates)), sonar, topic)
+                if source is None:
                     line = f"--log {path}: {problem}; the page has no frames of it"
                     missing[log.results.name] = line
                 else:
-                    found[log.results.name] = one
-        if not found.keys() - before:
-            there = ", ".join(log.results.name for log in logs)
-            raise UsageError(f"--log {path}: neither one of these logs nor holds any: {there}")
-    return found, [line for name, line in missing.items() if name not in found]
+                    sources[log.results.name] = source
+        if not sources.keys() - before:
+            names = ", ".join(log.results.name for log in logs)
+            raise UsageError(f"--log {path}: neither one of these logs nor holds any: {names}")
+    return sources, [line for name, line in missing.items() if name not in sources]
 
 
 def _names(log: ReportedLog) -> set[str]:
@@ -72,7 +72,7 @@ def _names(log: ReportedLog) -> set[str]:
     return {path.name, str(source.get("name", log_name(path))), log.results.name} - {""}
 
 
-def _called(path: Path) -> set[str]:
+def _possible_names(path: Path) -> set[str]:
     """Possible names of a recording in run.toml: its file, the target of a link, or its results."""
     return {
         name_as_text(path.name),
@@ -83,11 +83,11 @@ def _called(path: Path) -> set[str]:
 
 def _inside(folder: Path) -> dict[str, list[Path]]:
     """Folders and log files below a folder, by their possible names."""
-    found: dict[str, list[Path]] = defaultdict(list)
+    by_name: dict[str, list[Path]] = defaultdict(list)
     for place in _below(folder):
-        for name in _called(place):
-            found[name].append(place)
-    return found
+        for name in _possible_names(place):
+            by_name[name].append(place)
+    return by_name
 
 
 def _below(folder: Path) -> Iterator[Path]:

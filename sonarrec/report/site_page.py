@@ -59,7 +59,7 @@ def render(site: Site) -> str:
         rows=[_row(one) for one in site.contrasts],
         over_contrast=_over_contrast(site.contrasts),
         over_range=_over_range(site.contrasts),
-        false_claims=_false(site.contrasts),
+        false_claims=_false_claims(site.contrasts),
         pictures=[_picture(one) for one in site.shown],
         landmarks=sum(layout.landmark_count for layout in site.layouts),
         fakes=sum(len(layout.discs) - layout.landmark_count for layout in site.layouts),
@@ -83,20 +83,20 @@ def _row(one: ContrastResults) -> Row:
     )
 
 
-def _contrast_axis(found: Sequence[ContrastResults]) -> Axis:
-    low, high = found[0].contrast_db, found[-1].contrast_db
+def _contrast_axis(results: Sequence[ContrastResults]) -> Axis:
+    low, high = results[0].contrast_db, results[-1].contrast_db
     margin = max(0.05 * (high - low), 0.5)
     return Axis(low - margin, high + margin)
 
 
-def _over_contrast(found: Sequence[ContrastResults]) -> Chart:
+def _over_contrast(results: Sequence[ContrastResults]) -> Chart:
     """TPR over contrast, with its interval as thin lines."""
-    rates = [one.found.tpr for one in found]
-    x = _contrast_axis(found).share(np.array([one.contrast_db for one in found]))
+    rates = [one.found.tpr for one in results]
+    x = _contrast_axis(results).share(np.array([one.contrast_db for one in results]))
     goal = polyline(np.array([0.0, 1.0]), np.array([ENOUGH, ENOUGH]))
     edges = (np.array([getattr(rate, name) for rate in rates]) for name in ("low", "high"))
     return _contrast_chart(
-        found,
+        results,
         np.array([rate.value for rate in rates]),
         [f"TPR {rate.value:.3f}" for rate in rates],
         UNIT,
@@ -106,16 +106,16 @@ def _over_contrast(found: Sequence[ContrastResults]) -> Chart:
     )
 
 
-def _false(found: Sequence[ContrastResults]) -> Chart:
+def _false_claims(results: Sequence[ContrastResults]) -> Chart:
     """False claims over contrast."""
-    value = np.array([one.found.false_per_100.value for one in found])
+    value = np.array([one.found.false_per_100.value for one in results])
     up = Axis(0.0, max(1.0, 1.1 * float(np.nanmax(value))))
     texts = [f"{v:.2f} in 100 frames" for v in value]
-    return _contrast_chart(found, value, texts, up, "false claims per 100 frames")
+    return _contrast_chart(results, value, texts, up, "false claims per 100 frames")
 
 
 def _contrast_chart(
-    found: Sequence[ContrastResults],
+    results: Sequence[ContrastResults],
     value: FloatArray,
     texts: Sequence[str],
     up: Axis,
@@ -123,9 +123,9 @@ def _contrast_chart(
     *shapes: Shape,
 ) -> Chart:
     """A line over contrast. texts: of the dots. up: the vertical axis. shapes: drawn below it."""
-    axis = _contrast_axis(found)
-    x, y = axis.share(np.array([one.contrast_db for one in found])), up.share(value)
-    texts = [f"{one.contrast_db:g} dB: {text}" for one, text in zip(found, texts, strict=True)]
+    axis = _contrast_axis(results)
+    x, y = axis.share(np.array([one.contrast_db for one in results])), up.share(value)
+    texts = [f"{one.contrast_db:g} dB: {text}" for one, text in zip(results, texts, strict=True)]
     dots = [
         Dot(100 * float(a), 100 * float(b), text, 0)
         for a, b, text in zip(x, y, texts, strict=True)
@@ -136,15 +136,15 @@ def _contrast_chart(
     return Chart("; ".join(texts), drawn, axis.ticks(), up.ticks(5), dots, *labels)
 
 
-def _over_range(found: Sequence[ContrastResults]) -> Chart:
+def _over_range(results: Sequence[ContrastResults]) -> Chart:
     """TPR at the middle of each step of slant range, a line for each contrast."""
-    steps = found[0].found.by_range
+    steps = results[0].found.by_range
     axis = Axis(steps[0].near_m, steps[-1].far_m)
     x = axis.share(np.array([(r.near_m + r.far_m) / 2 for r in steps]))
     shapes, dots, texts = [], [], []
     goal = polyline(np.array([0.0, 1.0]), np.array([ENOUGH, ENOUGH]))
     shapes.append(Shape(goal, None, "line thin", f"{ENOUGH:.0%}"))
-    for n, one in enumerate(found):
+    for n, one in enumerate(results):
         value = np.array([r.tpr.value for r in one.found.by_range])
         label = f"{one.contrast_db:g} dB"
         shapes.append(Shape(polyline(x, value), n, f"line style-{n % STYLES}", label))
@@ -158,12 +158,17 @@ def _over_range(found: Sequence[ContrastResults]) -> Chart:
     )
 
 
-def _picture(one: ExampleFrame) -> Picture:
-    image = shrunk(one.image, LARGEST)
-    declared = f"{one.declared} of {one.truth} declared" if one.truth else "no landmark in view"
+def _picture(example: ExampleFrame) -> Picture:
+    image = shrunk(example.image, LARGEST)
+    declared = (
+        f"{example.declared} of {example.truth} declared"
+        if example.truth
+        else "no landmark in view"
+    )
     return Picture(
-        f"{one.contrast_db:g} dB, frame {one.frame}: {declared}.",
-        f"Sonar image at {one.contrast_db:g} dB, frame {one.frame}, with {one.truth} landmarks",
+        f"{example.contrast_db:g} dB, frame {example.frame}: {declared}.",
+        f"Sonar image at {example.contrast_db:g} dB, frame {example.frame}, "
+        f"with {example.truth} landmarks",
         as_webp(image, QUALITY),
         image.shape[1],
         image.shape[0],

@@ -79,16 +79,16 @@ class Site:
     notes: tuple[str, ...]
 
 
-def sentences(found: Sequence[ContrastResults], claims: int, frames: int) -> list[str]:
+def sentences(results: Sequence[ContrastResults], claims: int, frames: int) -> list[str]:
     """The answer: from which contrast on, at which range, how certain, and false claims."""
     lines = []
-    good = len(found)
-    while good and found[good - 1].found.tpr.value >= ENOUGH:
+    good = len(results)
+    while good and results[good - 1].found.tpr.value >= ENOUGH:
         good -= 1
-    if good < len(found):
-        one = found[good]
+    if good < len(results):
+        one = results[good]
         rate = one.found.tpr
-        more = " or more" if good + 1 < len(found) else ""
+        more = " or more" if good + 1 < len(results) else ""
         lines.append(
             f"At {one.contrast_db:g} dB{more} over the floor, landmarks would be recognised in at "
             f"least {ENOUGH:.0%} of the frames that show them whole"
@@ -96,16 +96,16 @@ def sentences(found: Sequence[ContrastResults], claims: int, frames: int) -> lis
         )
         lines.append(_certainty(rate))
     else:
-        best = max(found, key=lambda one: one.found.tpr.value)
+        one = max(results, key=lambda one: one.found.tpr.value)
         lines.append(
             f"At none of these contrasts would landmarks be recognised in {ENOUGH:.0%} of the "
-            f"frames that show them whole; at best in {best.found.tpr.value:.1%}, at "
-            f"{best.contrast_db:g} dB."
+            f"frames that show them whole; at best in {one.found.tpr.value:.1%}, at "
+            f"{one.contrast_db:g} dB."
         )
-        near = [one for one in found if one.reaches]
+        near = [one for one in results if one.reaches]
         if near:
             lines.append(f"From {near[0].span} they would be, at {near[0].contrast_db:g} dB.")
-    worst = max(found, key=lambda one: one.found.false_per_100.value)
+    worst = max(results, key=lambda one: one.found.false_per_100.value)
     false = worst.found.false_per_100
     lines.append(
         f"False claims: at most {false.value:.1f} in 100 frames, at {worst.contrast_db:g} dB."

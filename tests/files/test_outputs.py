@@ -16,7 +16,7 @@ from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
 from sonarrec.evaluation.plots import draw_roc
-from sonarrec.files.outputs import marked, replaced, write_csv, write_text, writing
+from sonarrec.files.outputs import replaced, with_mark, write_csv, write_text, writing
 from sonarrec.mapping.picture import draw_map
 from sonarrec.records import SonarrecError
 
@@ -357,7 +357,7 @@ def test_a_pipe_is_written_itself(tmp_path: Path) -> None:
 
 def test_a_marked_png_is_the_same_picture() -> None:
     picture = np.random.default_rng(0).integers(0, 255, (20, 30, 3)).astype(np.uint8)
-    data = marked(cv2.imencode(".png", picture)[1].tobytes())
+    data = with_mark(cv2.imencode(".png", picture)[1].tobytes())
     read = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     np.testing.assert_array_equal(read, picture)
 

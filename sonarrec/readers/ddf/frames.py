@@ -81,9 +81,9 @@ class DdfFrames(RawLog):
         version = self._mark[3] if len(self._mark) == 4 and self._mark[:3] == b"DDF" else None
         layout = None if version is None else LAYOUTS.get(version)
         if layout is None:
-            what = "no DDF file" if version is None else f"DDF_{version:02d}"
-            known = ", ".join(f"DDF_{n:02d} ({one.name})" for n, one in LAYOUTS.items())
-            raise SonarrecError(f"{where}: {what}, by its first bytes; this reads {known}")
+            version_text = "no DDF file" if version is None else f"DDF_{version:02d}"
+            known = ", ".join(f"DDF_{n:02d} ({layout.name})" for n, layout in LAYOUTS.items())
+            raise SonarrecError(f"{where}: {version_text}, by its first bytes; this reads {known}")
         self._layout = layout
         self._start = layout.file_header.itemsize
         if self._file.size < self._start:
@@ -104,11 +104,9 @@ class DdfFrames(RawLog):
         self.frame_count = room // self._length
         headers = self._headers_all_over()
         info = layout.header_info(self._header, headers) if headers else HeaderInfo()
-        stated = int(self._header["FrameCount"])
-        if stated > self.frame_count:  # a note: its maker advises against believing it
-            missing = (
-                f"its header counts {number_of(stated, 'frame')}, {self.frame_count} are there"
-            )
+        count = int(self._header["FrameCount"])
+        if count > self.frame_count:  # a note: its maker advises against believing it
+            missing = f"its header counts {number_of(count, 'frame')}, {self.frame_count} are there"
             info = replace(info, notes=(*info.notes, missing))
         self.header_info = info
 
@@ -151,29 +149,29 @@ class DdfFrames(RawLog):
     def __iter__(self) -> Iterator[RawFrame]:
         at, number = self._start, 0
         while at < self._file.size:
-            left = self._file.size - at
-            if left < self._length:
+            bytes_left = self._file.size - at
+            if bytes_left < self._length:
                 self.faults.append(
-                    f"{self._name}: cut short: of the last frame {left} of {self._length} bytes "
-                    "are there"
+                    f"{self._name}: cut short: of the last frame {bytes_left} of {self._length} "
+                    "bytes are there"
                 )
                 return
             header, end = self._frame_header(at), at + self._length
-            found = end if self._in_step(end) else self._next_frame(at + 1)
+            next_at = end if self._in_step(end) else self._next_frame(at + 1)
             name = f"frame {number}"
-            if found == end or (found is None and header is not None):
+            if next_at == end or (next_at is None and header is not None):
                 passed_over = number in self.passed_over
                 yield RawFrame(name, None, None) if passed_over else self._frame(name, at, header)
                 at, number = end, number + 1
                 continue
-            if found is None:
-                self.faults.append(f"{self._name}: no frame begins in the last {left} bytes")
+            if next_at is None:
+                self.faults.append(f"{self._name}: no frame begins in the last {bytes_left} bytes")
                 return
-            few = f"only {found - at} of its {self._length} bytes are there"
-            many = f"{found - at} bytes up to the next frame, in place of {self._length}"
+            few = f"only {next_at - at} of its {self._length} bytes are there"
+            many = f"{next_at - at} bytes up to the next frame, in place of {self._length}"
             time_ns = None if header is None else self._layout.times(header)[0]
-            yield RawFrame(name, time_ns, None, few if found < end else many)
-            lost = max(1, round((found - at) / self._length))
+            yield RawFrame(name, time_ns, None, few if next_at < end else many)
+            lost = max(1, round((next_at - at) / self._length))
             for _ in range(lost - 1):
                 yield RawFrame(name, None, None)
             if lost > 1:
@@ -181,7 +179,7 @@ class DdfFrames(RawLog):
                     f"{self._name}: {lost} frames or so are lost from {name} on; the numbers of "
                     "later ones may be wrong"
                 )
-            at, number = found, number + lost
+            at, number = next_at, number + lost
 
     def _in_step(self, at: int) -> bool:
         """Whether a frame begins where it should, or the one after it does, or the file ends."""

@@ -37,9 +37,9 @@ def measured(value: float) -> float | None:
 def compass(frame: np.void) -> dict[str, float | None]:
     """Heading, pitch and roll for `info`; None, all three, where no compass has written."""
     angles = {name: measured(frame[name]) for name in COMPASS}
-    there = any(angles.values())
+    is_set = any(angles.values())
     return {
-        f"compass_{name.removeprefix('Compass').lower()}_deg": angle if there else None
+        f"compass_{name.removeprefix('Compass').lower()}_deg": angle if is_set else None
         for name, angle in angles.items()
     }
 
@@ -62,7 +62,7 @@ def attitude_of(frames: Sequence[np.void], rotator: str | None) -> tuple[float |
         if tilt < 0:
             return None, [f"its headers say that the sonar looks {-tilt:g} deg upward ({name})"]
         if max(tilts) - min(tilts) > MAX_TILT_CHANGE_DEG:
-            told = f"its tilt is between {min(tilts):.3g} and {max(tilts):.3g} deg ({name})"
-            return tilt, [f"{told}; the median, {tilt:g} deg, serves for all frames"]
+            text = f"its tilt is between {min(tilts):.3g} and {max(tilts):.3g} deg ({name})"
+            return tilt, [f"{text}; the median, {tilt:g} deg, serves for all frames"]
         return tilt, []
     return None, []

@@ -126,7 +126,7 @@ class ChunkStore:
         contents = self._room(chunk.size)
         contents.file.seek(contents.start)
         try:
-            written = _check(chunk, _inflated(self._file, chunk), contents.file)
+            written = _check(chunk, _inflate(self._file, chunk), contents.file)
         except DamagedError:
             self.release(contents)
             raise
@@ -198,7 +198,7 @@ def _check(chunk: ChunkHead, pieces: Iterable[bytes], out: BinaryIO | None = Non
     return written
 
 
-def _inflated(file: BinaryIO, chunk: ChunkHead) -> Iterator[bytes]:
+def _inflate(file: BinaryIO, chunk: ChunkHead) -> Iterator[bytes]:
     """The contents of a compressed chunk in pieces of at most some 16 MB."""
     end = chunk.data_start + chunk.present
     try:

@@ -30,8 +30,8 @@ def fields_decoder(
     if message_encoding in ("cdr", "ros1"):
         from sonarrec.readers.mcap.ros import ros_decoder  # with rosbags, where needed
 
-        told = schema_data if schema_encoding in ("ros1msg", "ros2msg") else b""
-        return ros_decoder(name, told, message_encoding == "ros1")
+        definition = schema_data if schema_encoding in ("ros1msg", "ros2msg") else b""
+        return ros_decoder(name, definition, message_encoding == "ros1")
     decode = foxglove.DECODERS.get(message_encoding)
     return None if decode is None or name not in foxglove.FIELDS else partial(decode, name)
 

@@ -33,8 +33,8 @@ class Fields:
         except KeyError:
             raise UnusableError(f"malformed message (no field {name!r})") from None
 
-    def _wrong(self, name: str, wanted: str) -> UnusableError:
-        return UnusableError(f"malformed message (field {name!r} is no {wanted})")
+    def _wrong(self, name: str, expected: str) -> UnusableError:
+        return UnusableError(f"malformed message (field {name!r} is no {expected})")
 
     def inner(self, name: str) -> Fields:
         """The message inside."""

@@ -42,11 +42,11 @@ def decode_protobuf(name: str, message: memoryview) -> dict[str, Any]:
     from google.protobuf.message import DecodeError
 
     try:
-        made = _lenient_class(name).FromString(message)
+        parsed = _lenient_class(name).FromString(message)
     except DecodeError:
         raise UnusableError("malformed message (no protobuf of its schema)") from None
-    clock = made.timestamp
-    fields = {key: getattr(made, key) for key in FIELDS[name]}
+    clock = parsed.timestamp
+    fields = {key: getattr(parsed, key) for key in FIELDS[name]}
     return fields | {"timestamp": {"sec": clock.seconds, "nanosec": clock.nanos}}
 
 

@@ -17,16 +17,18 @@ def image_decoders(log: Recording) -> dict[int, Decoder]:
     What speaks against a definition that cannot be used is added to the recording's faults.
     """
     decoders: dict[int, Decoder] = {}
-    made: dict[tuple[str, str, bytes, str], Decoder | None] = {}  # channels may share a schema
+    by_definition: dict[
+        tuple[str, str, bytes, str], Decoder | None
+    ] = {}  # channels may share a schema
     for number, channel in log.channels.items():
         key = channel.schema, channel.schema_encoding, channel.definition, channel.message_encoding
-        if key not in made:
+        if key not in by_definition:
             try:
-                made[key] = decoder_for(*key)
+                by_definition[key] = decoder_for(*key)
             except DefinitionError as error:
-                made[key] = None
+                by_definition[key] = None
                 log.fault(f"the definition of {channel.topic} cannot be used ({error})")
-        if (decoder := made[key]) is not None:
+        if (decoder := by_definition[key]) is not None:
             decoders[number] = decoder
     return decoders
 
@@ -76,14 +78,14 @@ def _choose(log: Recording, topic: str | None) -> dict[int, Decoder]:
     decoders = image_decoders(log)
     topics = sorted({log.channels[c].topic for c in decoders})
     if not topics:
-        there = sorted(
+        held_channels = sorted(
             f"{c.topic} ({c.schema or 'no schema'}, {c.message_encoding or 'no encoding'})"
             for c in log.channels.values()
         )
         damage = f" ({log.faults[0]})" if log.faults else ""
         raise SonarrecError(
             f"{name_as_text(log.path)}: no image channel; it holds "
-            f"{', '.join(there) or 'no channel'}, and this reads {READABLE}{damage}"
+            f"{', '.join(held_channels) or 'no channel'}, and this reads {READABLE}{damage}"
         )
     if topic is None and len(topics) > 1:
         raise UsageError(
@@ -94,5 +96,5 @@ def _choose(log: Recording, topic: str | None) -> dict[int, Decoder]:
         raise UsageError(
             f"{name_as_text(log.path)}: no image channel {topic!r}; there is {', '.join(topics)}"
         )
-    chosen = topic or topics[0]
-    return {c: d for c, d in decoders.items() if log.channels[c].topic == chosen}
+    topic_chosen = topic or topics[0]
+    return {c: d for c, d in decoders.items() if log.channels[c].topic == topic_chosen}

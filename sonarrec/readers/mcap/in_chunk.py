@@ -56,14 +56,14 @@ class Scan:
     undefined: int = 0
     foreign: int = 0
 
-    def strange(self) -> list[str]:
+    def oddities(self) -> list[str]:
         """What is in it that should not be, for a line each."""
-        told = (
+        counts = (
             (self.short, "messages too short for a head"),
             (self.undefined, "messages of channels that nothing defines"),
             (self.foreign, "records that no chunk may hold"),
         )
-        return [f"{count} {what}" for count, what in told if count]
+        return [f"{count} {what}" for count, what in counts if count]
 
 
 def places(
@@ -100,31 +100,31 @@ def _message_at(
     contents: Contents, at: int, chunk: ChunkHead, channels: Collection[int]
 ) -> list[Place]:
     """The message whose record begins at `at`; none where there is none of these channels."""
-    found = next(places(contents, at, chunk.position, channels), None)
-    return [found] if found is not None and found.offset == at + RECORD_HEAD.size else []
+    place = next(places(contents, at, chunk.position, channels), None)
+    return [place] if place is not None and place.offset == at + RECORD_HEAD.size else []
 
 
 def scan(contents: Contents, channels: Collection[int], defined: Collection[int]) -> Scan:
     """One pass over a chunk, of which nothing is kept."""
-    found, last, file = Scan(contents.start), 0, contents.file
+    result, last, file = Scan(contents.start), 0, contents.file
     for opcode, body, length in records_in(contents, contents.start):
-        found.end = body + length
+        result.end = body + length
         if opcode != Opcode.MESSAGE:
-            found.foreign += opcode not in _OF_CHUNKS and opcode < FIRST_PRIVATE
+            result.foreign += opcode not in _OF_CHUNKS and opcode < FIRST_PRIVATE
             continue
         file.seek(body)
         head = file.read(min(length, MESSAGE_HEAD.size))
         if len(head) < MESSAGE_HEAD.size:
-            found.short += 1
+            result.short += 1
             continue
         channel, _, time, _ = MESSAGE_HEAD.unpack(head)
         if channel in channels:
-            found.count += 1
-            found.rising &= time >= last
+            result.count += 1
+            result.rising &= time >= last
             last = time
         elif channel not in defined:
-            found.undefined += 1
-    return found
+            result.undefined += 1
+    return result
 
 
 def indexed(log: McapFile, chunk: ChunkHead) -> list[tuple[int, int, int]]:
@@ -146,7 +146,7 @@ def indexed(log: McapFile, chunk: ChunkHead) -> list[tuple[int, int, int]]:
     return sorted(entries)
 
 
-def lost(
+def lost_places(
     chunk: ChunkHead, index: list[tuple[int, int, int]], channels: Collection[int]
 ) -> list[Place]:
     """What a chunk that cannot be read held by its index, in the order of time."""
@@ -165,11 +165,11 @@ def agrees(
 ) -> bool:
     """Whether the messages of some channels are where, and when, the index has them."""
     at = contents.start + RECORD_HEAD.size
-    there = places(contents, contents.start, chunk.position, channels)
-    told = (entry for entry in index if entry[1] in channels)
+    places_read = places(contents, contents.start, chunk.position, channels)
+    entries = (entry for entry in index if entry[1] in channels)
     return all(
         (place.offset - at, place.channel, place.log_time) == entry
-        for place, entry in zip(there, told, strict=False)
+        for place, entry in zip(places_read, entries, strict=False)
     )
 
 
@@ -185,18 +185,18 @@ def by_index(
     A message that reaches into the next is lost: its length is wrong. Of two times the index's
     serves where the message's own is outside of what the chunk states.
     """
-    found, retimed = [], 0
+    result, retimed = [], 0
     ends = [contents.start + offset for offset, _, _ in index[1:]] + [contents.end]
     for (offset, channel, time), end in zip(index, ends, strict=True):
         if channel not in channels:
             continue
-        there = _message_at(contents, contents.start + offset, chunk, {channel})
-        if not there or there[0].offset + there[0].length > end:
-            found += lost(chunk, [(offset, channel, time)], channels)
+        at_place = _message_at(contents, contents.start + offset, chunk, {channel})
+        if not at_place or at_place[0].offset + at_place[0].length > end:
+            result += lost_places(chunk, [(offset, channel, time)], channels)
             continue
-        place = there[0]
+        place = at_place[0]
         retimed += place.log_time != time
         if not chunk.start_time <= place.log_time <= chunk.end_time:
             place = replace(place, log_time=time)
-        found.append(place)
-    return sorted(found), retimed
+        result.append(place)
+    return sorted(result), retimed

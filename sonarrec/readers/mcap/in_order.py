@@ -19,7 +19,7 @@ from sonarrec.readers.mcap.in_chunk import (
     by_index,
     in_time_order,
     indexed,
-    lost,
+    lost_places,
     places,
     scan,
 )
@@ -47,7 +47,7 @@ class MessageReader:
         self._channels = frozenset(channels)
         # A heap, by their next message; a chunk is one run, whose contents are then given back.
         self._runs: list[tuple[Place, Iterator[Place], Contents | None]] = []
-        self._passed = self._lost = 0
+        self._passed_count = self._lost_count = 0
         self._last_time, self._in_order = 0, True
         self._all_checked = True  # by a checksum of its chunk
 
@@ -74,7 +74,7 @@ class MessageReader:
                     self._add_run(_rising(places(everything, position, None, {channel})))
             while self._runs:
                 yield self._next()
-            self._tell_what_is_wrong()
+            self._report_faults()
         except OSError as error:
             raise SonarrecError(
                 f"{name_as_text(log.path)}: cannot be read ({error.strerror})"
@@ -96,9 +96,9 @@ class MessageReader:
 
     def _message(self, place: Place) -> Message:
         data, problem = None, None
-        self._passed += 1
+        self._passed_count += 1
         if place.contents is None:
-            self._lost += 1
+            self._lost_count += 1
         elif place.length > MAX_FRAME_BYTES:
             problem = f"a message of {place.length} bytes, more than is read"
         else:
@@ -125,55 +125,55 @@ class MessageReader:
         try:
             contents = log.store.open(chunk)
         except DamagedError as error:
-            gone = lost(chunk, indexed(log, chunk), self._channels)
+            gone = lost_places(chunk, indexed(log, chunk), self._channels)
             number = f"{len(gone)} " if gone else ""
             log.fault(f"the chunk at byte {position} {error}; its {number}frames are lost")
             self._add_run(gone)
             return
         self._all_checked &= chunk.crc != 0
-        found = scan(contents, self._channels, log.channels)
+        scanned = scan(contents, self._channels, log.channels)
         if chunk.cut:
-            if found.count:
-                share = chunk.size / (found.end - contents.start)
-                if more := round(found.count * (share - 1)):
+            if scanned.count:
+                share = chunk.size / (scanned.end - contents.start)
+                if more := round(scanned.count * (share - 1)):
                     log.fault(
                         f"by its size, the chunk that is cut held {number_of(more, 'more frame')}"
                     )
-        elif (mended := self._mended(chunk, contents, found)) is not None:
+        elif (mended := self._mended(chunk, contents, scanned)) is not None:
             self._add_run(mended, contents)
             return
-        for strange in found.strange():
-            log.fault(f"not read: {strange}, in the chunk at byte {position}")
-        if not found.count:
+        for oddity in scanned.oddities():
+            log.fault(f"not read: {oddity}, in the chunk at byte {position}")
+        if not scanned.count:
             log.store.release(contents)
-        elif found.rising:
+        elif scanned.rising:
             self._add_run(places(contents, contents.start, position, self._channels), contents)
         else:
             self._add_run(in_time_order(contents, chunk, self._channels), contents)
 
-    def _mended(self, chunk: ChunkHead, contents: Contents, found: Scan) -> list[Place] | None:
+    def _mended(self, chunk: ChunkHead, contents: Contents, scanned: Scan) -> list[Place] | None:
         """The messages of a damaged chunk as far as its index helps; what is wrong is told.
 
         None where the chunk is to be read as it was found.
         """
         log, where = self._log, f"the chunk at byte {chunk.position}"
-        stopped = found.end < contents.end
+        stopped = scanned.end < contents.end
         if chunk.crc and not stopped:
             return None
         index = indexed(log, chunk)
         count = sum(channel in self._channels for _, channel, _ in index)
         if not stopped and (
-            count < found.count
-            or (count == found.count and agrees(contents, chunk, index, self._channels))
+            count < scanned.count
+            or (count == scanned.count and agrees(contents, chunk, index, self._channels))
         ):
             return None
         mended, retimed = by_index(contents, chunk, index, self._channels) if index else ([], 0)
         gone = sum(place.contents is None for place in mended)
-        if not index or len(mended) - gone < found.count:  # an index that knows less is no help
+        if not index or len(mended) - gone < scanned.count:  # an index that knows less is no help
             if not stopped:
                 return None
             log.fault(
-                f"{where} is damaged at byte {found.end - contents.start} of its contents; "
+                f"{where} is damaged at byte {scanned.end - contents.start} of its contents; "
                 "the frames behind it are lost"
             )
             return None
@@ -181,17 +181,18 @@ class MessageReader:
             number = f"{gone} of its {count} frames are lost" if gone else "no frame is lost"
             log.fault(f"{where} is damaged; by its index {number}")
         if retimed:
-            some = "1 message has" if retimed == 1 else f"{retimed} messages have"
-            log.fault(f"{where}: {some} another log time in its index")
+            subject = "1 message has" if retimed == 1 else f"{retimed} messages have"
+            log.fault(f"{where}: {subject} another log time in its index")
         return mended
 
-    def _tell_what_is_wrong(self) -> None:
+    def _report_faults(self) -> None:
         log = self._log
         if log.file.seek(0, 2) < log.size:
             log.fault("the file became shorter while it was read")
-        held = sum(log.counts[c] for c in self._channels)
-        if self._passed < held:
-            log.fault(f"in all, {held - self._passed + self._lost} of {held} frames are lost")
+        count = sum(log.counts[c] for c in self._channels)
+        if self._passed_count < count:
+            gone = count - self._passed_count + self._lost_count
+            log.fault(f"in all, {gone} of {count} frames are lost")
         if not self._in_order:
             log.fault("a chunk states a later time than it holds; frames are out of order there")
         if not self._all_checked and not log.data_are_sound():

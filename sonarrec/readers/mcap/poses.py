@@ -87,7 +87,7 @@ def _channels(log: Recording, topic: str) -> dict[int, tuple[Decode, tuple[str, 
     """Of every channel of a pose topic its decoder, and where the pose is inside its messages."""
     kinds = {number: message_type(c.schema) for number, c in log.channels.items()}
     poses = {number: c for number, c in log.channels.items() if kinds[number] in POSES}
-    chosen: dict[int, tuple[Decode, tuple[str, ...]]] = {}
+    decoders: dict[int, tuple[Decode, tuple[str, ...]]] = {}
     for number, channel in poses.items():
         if channel.topic == topic:
             kind = kinds[number]
@@ -100,12 +100,12 @@ def _channels(log: Recording, topic: str) -> dict[int, tuple[Decode, tuple[str, 
                     f"{name_as_text(log.path)}: the definition of {topic} cannot be used ({error})"
                 ) from None
             if decode is not None:
-                chosen[number] = decode, POSES[kind]
-    if not chosen:
+                decoders[number] = decode, POSES[kind]
+    if not decoders:
         topics = sorted({c.topic for c in poses.values()} - {topic})
-        there = f"there is {', '.join(topics)}" if topics else f"this reads {', '.join(POSES)}"
-        raise UsageError(f"{name_as_text(log.path)}: no pose topic {topic!r}; {there}")
-    return chosen
+        choice = f"there is {', '.join(topics)}" if topics else f"this reads {', '.join(POSES)}"
+        raise UsageError(f"{name_as_text(log.path)}: no pose topic {topic!r}; {choice}")
+    return decoders
 
 
 def _pose(fields: Fields, places: tuple[str, ...]) -> list[float]:

@@ -66,12 +66,12 @@ def ros_decoder(name: str, definition: bytes, ros1: bool) -> RosDecoder | None:
             types = parse_definition(definition.decode(errors="replace"), name)
             return RosDecoder(types, name, ros1)
     except DefinitionError:
-        if not _known(name, ros1):
+        if not _is_known(name, ros1):
             raise
-    return RosDecoder({}, name, ros1) if _known(name, ros1) else None
+    return RosDecoder({}, name, ros1) if _is_known(name, ros1) else None
 
 
-def _known(name: str, ros1: bool) -> bool:
+def _is_known(name: str, ros1: bool) -> bool:
     return name.replace("/", "/msg/") in known_messages(ros1).fielddefs
 
 
@@ -106,10 +106,10 @@ def parse_definition(text: str, name: str) -> Types:
                 raise DefinitionError(f"{line[:60]!r} in {owner} is no field")
             if (field["rest"] or "").lstrip().startswith("="):
                 continue
-            own = f"{owner.partition('/')[0]}/Header"
-            known = own in defined and field["type"].partition("[")[0] == "Header"
+            own_header = f"{owner.partition('/')[0]}/Header"
+            is_own = own_header in defined and field["type"].partition("[")[0] == "Header"
             # To rosbags a Header without its package is always that of std_msgs.
-            kind = field["type"].replace("Header", own) if known else field["type"]
+            kind = field["type"].replace("Header", own_header) if is_own else field["type"]
             lines.append(f"{kind} {field['name']}")
     if len(lines) > 3 * _MAX_FIELDS:  # with titles, and with messages that are not used
         raise DefinitionError(f"{len(lines)} lines are more than is read")
@@ -142,7 +142,7 @@ class RosDecoder:
         if self._ros1:
             return self._layouts[""].fields("deserialize_ros1", message)
         if message[:4] == _ZSTD:  # a bag that was compressed message by message
-            message = _inflated(message)
+            message = _inflate(message)
         if len(message) < 4 or message[0] != 0 or message[1] not in _CDR_KINDS:
             raise UnusableError("malformed message (no CDR header)")
         order, narrow = _CDR_KINDS[message[1]]
@@ -164,13 +164,13 @@ class _Layout:
         """
         self._types, self._ros1, self._narrow = types, ros1, narrow
         self._store: Any = Typestore()
-        self._done: dict[str, tuple[Any, int]] = {}  # its kind there, and how deep it nests
+        self._registered: dict[str, tuple[Any, int]] = {}  # its kind there, and how deep it nests
         self._vectors: dict[str, tuple[Any, list[str]]] = {}  # messages of one kind of number
         self._field_count = self._items_left = 0
-        self._put("string", [_OCTETS], lambda values: values[0])
+        self._register("string", [_OCTETS], lambda values: values[0])
         mark = ">" if narrow == "be" else "<"
         for kind, code in _WIDE.items():
-            self._put(kind, [_HALF, _HALF], partial(_joined, f"{mark}2I", f"{mark}{code}"))
+            self._register(kind, [_HALF, _HALF], partial(_join, f"{mark}2I", f"{mark}{code}"))
         (_, root), _ = self._message(name, 0)
         self._root = self._store.get_msgdef(root)
 
@@ -178,38 +178,38 @@ class _Layout:
         """The fields of a message, by one of rosbags' functions."""
         self._items_left = _MAX_ITEMS
         try:
-            made, _ = getattr(self._root, function)(body, 0, self._root.cls, self._store)
+            parsed, _ = getattr(self._root, function)(body, 0, self._root.cls, self._store)
         except (SerdeError, struct.error, ValueError):
             raise UnusableError("malformed message (its bytes do not fit its definition)") from None
-        return dict(made)
+        return dict(parsed)
 
     def _message(self, name: str, depth: int) -> tuple[Any, int]:
         """The kind of a message in the store, which it and all inside are put into, and how deep
         it nests."""
-        kind, height = self._done.get(name, (None, 0))
+        kind, height = self._registered.get(name, (None, 0))
         if depth + height > _MAX_DEPTH:
             raise DefinitionError(f"{name} nests too deeply")
         if kind is None:
-            found = self._types.get(name) or (_CLOCKS.get(name) if self._ros1 else None)
-            found = found or known_messages(self._ros1).fielddefs.get(name)
-            if found is None:
+            definition = self._types.get(name) or (_CLOCKS.get(name) if self._ros1 else None)
+            definition = definition or known_messages(self._ros1).fielddefs.get(name)
+            if definition is None:
                 raise DefinitionError(f"{name} is not defined")
-            names = [field for field, _ in found[1]]
-            kinds = [self._kind(told, depth + 1) for _, told in found[1]]
+            names = [field for field, _ in definition[1]]
+            kinds = [self._kind(kind_of_field, depth + 1) for _, kind_of_field in definition[1]]
             self._add_fields(len(kinds))
-            ours, height = f"m{len(self._done)}", max((h + 1 for _, h in kinds), default=0)
-            self._put(
-                ours, [k for k, _ in kinds], lambda values: dict(zip(names, values, strict=False))
+            alias, height = f"m{len(self._registered)}", max((h + 1 for _, h in kinds), default=0)
+            self._register(
+                alias, [k for k, _ in kinds], lambda values: dict(zip(names, values, strict=False))
             )
-            kind = Nodetype.NAME, ours
+            kind = Nodetype.NAME, alias
             if len({k for k, _ in kinds}) == 1 and kinds[0][0][0] == Nodetype.BASE:
-                self._vectors[ours] = kinds[0][0], names
-            self._done[name] = kind, height
+                self._vectors[alias] = kinds[0][0], names
+            self._registered[name] = kind, height
         return kind, height
 
-    def _kind(self, told: Any, depth: int) -> tuple[Any, int]:
+    def _kind(self, listed: Any, depth: int) -> tuple[Any, int]:
         """A kind of field as the store gets it, and how deep it nests."""
-        node, detail = told
+        node, detail = listed
         if node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
             single, count = detail
             kind, height = self._kind(single, depth)
@@ -229,7 +229,7 @@ class _Layout:
             return _OCTETS, 0
         if self._narrow and detail[0] in _WIDE:
             return (Nodetype.NAME, detail[0]), 0
-        return told, 0
+        return listed, 0
 
     def _add_fields(self, count: int) -> None:
         self._field_count += count
@@ -262,10 +262,12 @@ class _Layout:
         )
         return Nodetype.NAME, name
 
-    def _put(self, name: str, kinds: list[Any], make: Callable[[tuple[Any, ...]], Any]) -> None:
+    def _register(
+        self, name: str, kinds: list[Any], make: Callable[[tuple[Any, ...]], Any]
+    ) -> None:
         """Put a message into the store. make: what its fields are made into."""
 
-        def counted(*values: Any) -> Any:
+        def counted_make(*values: Any) -> Any:
             self._items_left -= 1
             if self._items_left < 0:
                 raise UnusableError("malformed message (too many elements)")
@@ -273,10 +275,10 @@ class _Layout:
 
         fields = [(f"f{k}", kind) for k, kind in enumerate(kinds)]
         self._store.fielddefs[name] = ([], fields or _EMPTY)
-        self._store.types[name] = counted
+        self._store.types[name] = counted_make
 
 
-def _inflated(message: memoryview) -> memoryview:
+def _inflate(message: memoryview) -> memoryview:
     """A message that was compressed by itself. Raises UnusableError where it does not inflate."""
     out = bytearray()
     try:
@@ -289,6 +291,6 @@ def _inflated(message: memoryview) -> memoryview:
     return memoryview(bytes(out))
 
 
-def _joined(halves: str, whole: str, values: tuple[int, int]) -> Any:
+def _join(halves: str, whole: str, values: tuple[int, int]) -> Any:
     """The number of 8 bytes that is stored in two of 4."""
     return struct.unpack(whole, struct.pack(halves, *values))[0]

@@ -87,7 +87,7 @@ class McapFile:
         self.times, self.positions = array("Q"), array("Q")
         self.channels_of_units = array("l")
         self._statistics: Statistics | None = None
-        self._strange: Counter[str] = Counter()
+        self._oddities: Counter[str] = Counter()
         self._data_end: tuple[int, int] | None = None  # position and checksum
         self.file = (at or path).open("rb")
         self.store = ChunkStore(self.file)
@@ -139,35 +139,35 @@ class McapFile:
                 "what follows, is lost"
             )
             stop = self._scan_from(resume)
-        self._tell_what_follows()
+        self._report_what_follows()
         loose = self.counts.copy()
-        if not self._all_told():
+        if not self._summary_is_complete():
             self._look_into_chunks()
-        if self._statistics is not None and self._all_told():
+        if self._statistics is not None and self._summary_is_complete():
             self.counts = Counter(self._statistics.channel_message_counts)
         undefined = sum(n for channel, n in loose.items() if channel not in self.channels)
         if undefined:
-            self._strange["messages of channels that nothing defines"] += undefined
-        for what, count in self._strange.items():
-            self.fault(f"not read: {count} {what}")
+            self._oddities["messages of channels that nothing defines"] += undefined
+        for oddity, count in self._oddities.items():
+            self.fault(f"not read: {count} {oddity}")
 
-    def _all_told(self) -> bool:
+    def _summary_is_complete(self) -> bool:
         """Whether the summary counts all messages, and all it counts is defined.
 
         Writers may leave out the counts by channel, channels or schemas.
         """
-        told = self._statistics
-        if told is None:
+        statistics = self._statistics
+        if statistics is None:
             return False
-        counts = told.channel_message_counts
+        counts = statistics.channel_message_counts
         return (
-            sum(counts.values()) == told.message_count
+            sum(counts.values()) == statistics.message_count
             and set(counts) <= set(self.channels)
-            and told.channel_count <= len(self.channels)
+            and statistics.channel_count <= len(self.channels)
             and {c.schema_id for c in self.channels.values()} <= {0, *self.schemas}
         )
 
-    def _tell_what_follows(self) -> None:
+    def _report_what_follows(self) -> None:
         """A recording ends with its footer; what others have put behind it is not read."""
         if self.whole and (more := self.size - self._end):
             self.file.seek(self._end)
@@ -223,12 +223,12 @@ class McapFile:
         self.file.seek(at + RECORD_HEAD.size)
         if opcode != Opcode.MESSAGE:
             if _LAST_OPCODE < opcode < FIRST_PRIVATE:
-                self._strange["records of no known kind"] += 1
+                self._oddities["records of no known kind"] += 1
             self._define(self.file, opcode, length)
             return
         head = self.file.read(min(length, MESSAGE_HEAD.size))
         if len(head) < MESSAGE_HEAD.size:
-            self._strange["messages too short for a head"] += 1
+            self._oddities["messages too short for a head"] += 1
             return
         channel, _, time, _ = MESSAGE_HEAD.unpack(head)
         if time < last_times.get(channel, time + 1):
@@ -281,18 +281,18 @@ class McapFile:
                 channel = Channel.read(stream)
                 self.channels[channel.id] = channel
             else:
-                self._statistics = told = Statistics.read(stream)
-                if told.message_count:
-                    self.span = told.message_start_time, told.message_end_time
+                self._statistics = statistics = Statistics.read(stream)
+                if statistics.message_count:
+                    self.span = statistics.message_start_time, statistics.message_end_time
         except (struct.error, UnicodeDecodeError, McapError):
-            self._strange["damaged definitions"] += 1
+            self._oddities["damaged definitions"] += 1
 
     def _look_into_chunks(self) -> None:
         """Note what the chunks define, and count what they hold, until the summary is enough."""
         for position, channel in zip(self.positions, self.channels_of_units, strict=True):
             if channel == CHUNK:
                 self._look_into(position)
-                if self._all_told():
+                if self._summary_is_complete():
                     return
 
     def _look_into(self, position: int) -> None:
@@ -327,10 +327,10 @@ class McapFile:
 
     def _summary_is_sound(self) -> bool:
         """Whether the summary keeps the checksum in the footer, if there are both."""
-        found = self._footer()
-        if found is None or not found[1].summary_crc:
+        end_footer = self._footer()
+        if end_footer is None or not end_footer[1].summary_crc:
             return True
-        position, footer = found
+        position, footer = end_footer
         start = footer.summary_start or position
         end = position + RECORD_HEAD.size + _FOOTER_BYTES - _CRC.size
         return start <= position and self._crc(start, end) == footer.summary_crc
@@ -343,10 +343,10 @@ class McapFile:
 
     def _indexed_positions(self) -> list[int]:
         """Where, by the summary, chunks begin and it itself begins; rising."""
-        found = self._footer()
-        if found is None or not found[1].summary_start or not self._summary_is_sound():
+        end_footer = self._footer()
+        if end_footer is None or not end_footer[1].summary_start or not self._summary_is_sound():
             return []
-        end, footer = found
+        end, footer = end_footer
         positions = [footer.summary_start]
         for opcode, body, length in records_in(
             Contents(self.file, footer.summary_start, end), footer.summary_start

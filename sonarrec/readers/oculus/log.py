@@ -60,8 +60,8 @@ class OculusPings(RawLog):
                 yield RawFrame(name, time_ns, None, str(error))
                 continue
             stamps = Stamps(time_ns, None, ping.stamp_ns)
-            named = ping.stamp_ns if time_ns is None else time_ns
-            yield RawFrame(name, named, ping.pixels, None, ping.sonar, stamps)
+            timestamp_ns = ping.stamp_ns if time_ns is None else time_ns
+            yield RawFrame(name, timestamp_ns, ping.pixels, None, ping.sonar, stamps)
 
     def _read(
         self, faults: list[str], limit: int

@@ -125,8 +125,8 @@ def message_number(message: bytes) -> int | None:
 def decoded(message: bytes) -> tuple[Ping, Header]:
     """The ping of a message, and its header. Raises UnusableError where it cannot be used."""
     head = np.frombuffer(message, HEAD_TYPE, 1)[0]
-    read = MESSAGES.get((int(head["message"]), int(head["version"])))
-    if read is None:
+    parse = MESSAGES.get((int(head["message"]), int(head["version"])))
+    if parse is None:
         raise UnusableError(f"a ping of version {head['version']}, which is not known")
     with np.errstate(all="ignore"):  # damaged numbers overflow; what comes of them is checked
-        return read(message)
+        return parse(message)
