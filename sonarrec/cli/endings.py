@@ -1,4 +1,4 @@
-"""How a command ends: its messages on stderr, and its exit code."""
+"""What a command prints, and how it ends: messages on stdout and stderr, and exit codes."""
 
 from __future__ import annotations
 
@@ -19,30 +19,36 @@ TERMINATED = 143  # stopped by SIGTERM
 
 
 def say(*lines: str) -> None:
-    """Lines on stdout; what a terminal would obey, in the names of files and topics, as escapes."""
+    """Print lines on stdout. Control characters, as in names of files or topics, become escapes."""
     click.echo("\n".join(map(printable, lines)))
 
 
 def tell(problems: Iterable[str], notes: Iterable[str] = ()) -> None:
-    """Print notes and problems on stderr, a line each; errors of stderr are ignored."""
+    """Print notes, then problems, on stderr, each on its own line. If stderr fails, ignore it."""
     with suppress(OSError):
         for note in notes:
             click.echo(f"sonarrec: note: {printable(note)}", err=True)
         for problem in problems:
-            # A fault may have an example behind it, of several lines.
+            # A problem may end with an example of several lines.
             lines = "\n".join(map(printable, problem.split("\n")))
             click.echo(f"sonarrec: {lines}", err=True)
 
 
 def end(problems: Collection[object]) -> None:
-    """End a command, with PARTLY if part of the input could not be used."""
+    """Leave with exit code PARTLY if there are problems; otherwise return.
+
+    problems: the parts of the input that could not be used.
+    """
     if problems:
         leave(PARTLY)
 
 
 @contextmanager
 def naming_leftovers(*places: Path) -> Iterator[None]:
-    """If Ctrl-C stops the inside, name the places that it left, which a new call would refuse."""
+    """If Ctrl-C stops the block, say which of these outputs exist.
+
+    The user must remove them before the next call, which refuses to overwrite them.
+    """
     try:
         yield
     except KeyboardInterrupt as error:
@@ -52,5 +58,5 @@ def naming_leftovers(*places: Path) -> Iterator[None]:
 
 
 def leave(code: int) -> NoReturn:
-    """End the command with an exit code."""
+    """End the command with this exit code."""
     click.get_current_context().exit(code)

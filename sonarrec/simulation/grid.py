@@ -1,7 +1,7 @@
-"""The grids that the simulator's floor is sampled on; both are fixed to it.
+"""The grids on which the simulator samples the floor. They do not move with the sonar.
 
-x and y are metres along the floor, to the right and forward of its origin, over which the sonar
-stands or sets out.
+x and y are metres along the floor, to the right and forward of its origin. The sonar stands above
+the origin, or a vehicle starts there.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from sonarrec.records import BoolArray, FloatArray, SonarrecError
 from sonarrec.simulation.motion import Pose
 from sonarrec.simulation.scene import Scene
 
-STEP_DEG = 0.1  # azimuth between scatterers: three or more within a beam
+STEP_DEG = 0.1  # azimuth between scatterers: a beam covers three or more
 MARGIN_DEG = 4.0  # beyond the fan's edges, for side lobes
-MARGIN_M = 0.25  # of slant range, for heave and sway; more where these ask for it
+MARGIN_M = 0.25  # of slant range, for heave and sway; more if these are larger
 MOST_CELLS = 2**24  # about a gigabyte
-_FILL = 0.9  # of a range bin: the side of a square
+_FILL = 0.9  # side of a square, in range bins
 
 
 def smooth_noise(
     rng: np.random.Generator, shape: tuple[int, int], cells: tuple[float, float]
 ) -> np.ndarray:
-    """(shape) float32 Gaussian noise of unit variance, smooth over about `cells` rows, columns.
+    """float32 Gaussian noise of this shape and unit variance, smooth over about `cells`.
 
-    Less than half a row or column counts as half of one.
+    cells: (rows, columns); at least half a row and half a column are taken.
     """
     coarse = tuple(max(round(n / max(c, 0.5)), 1) + 3 for n, c in zip(shape, cells, strict=True))
     values = rng.standard_normal(coarse, dtype=np.float32)
@@ -37,17 +37,18 @@ def smooth_noise(
 
 
 def area(grid: PolarGrid | SquareGrid) -> tuple[float, float, float, float]:
-    """Least and most x, least and most y (m) of a grid's cells."""
+    """(least x, most x, least y, most y) of a grid's cells, m."""
     ends = (end(values) for values in (grid.x_m, grid.y_m) for end in (np.min, np.max))
     low_x, high_x, low_y, high_y = map(float, ends)
     return low_x, high_x, low_y, high_y
 
 
 class PolarGrid:
-    """Rows of nominal slant range, columns of azimuth, seen from above the floor's origin.
+    """Rows are slant ranges and columns are azimuths, from a sonar above the floor's origin.
 
-    shape: (rows, columns). ground_m: (rows, 1) float32, along the floor. x_m, y_m: (rows, columns).
-    Raises SonarrecError where that is more floor than MOST_CELLS.
+    shape: (rows, columns). ground_m: (rows, 1) float32 ranges along the floor. x_m, y_m: (rows,
+    columns) float32. floorless: (rows,) whether a row is nearer than the floor. Raises
+    SonarrecError if it takes more than MOST_CELLS cells.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -57,7 +58,7 @@ class PolarGrid:
         sway = math.hypot(motion.sway_x_m, motion.sway_y_m)
         aside = sonar.height_m * math.sin(math.radians(motion.roll_deg))
         slope = 1.5 * sonar.height_m * math.sin(math.radians(scene.floor.slope_deg))
-        # By so much at most is what is seen at a slant range in a row of another.
+        # The most by which what is seen at a slant range may lie in the row of another.
         margin = max(MARGIN_M, sway + motion.heave_m + slope + aside)
         self._first_m = first = max(sonar.range_min_m - margin, bin_m)
         rows = math.ceil((sonar.range_max_m + margin - first) / bin_m)
@@ -85,16 +86,16 @@ class PolarGrid:
         self._deg_per_m = math.degrees(2 / (sonar.range_min_m + sonar.range_max_m))
 
     def _within(self, azimuth_deg: FloatArray | float) -> FloatArray:
-        """The azimuths shifted by whole turns to within half a turn of the columns' middle."""
+        """Azimuths shifted by whole turns, to within half a turn of the middle column."""
         middle = self._first_deg + (self.shape[1] - 1) * STEP_DEG / 2
         return np.asarray(azimuth_deg - 360 * np.rint((np.asarray(azimuth_deg) - middle) / 360))
 
     def cells(self, metres: float) -> tuple[float, float]:
-        """Rows and columns of so many metres, in the middle."""
+        """(rows, columns) that this many metres take in the middle of the range window."""
         return metres / self._bin_m, metres * self._deg_per_m / STEP_DEG
 
     def box(self, ground_m: float, azimuth_deg: float, reach_m: float) -> tuple[slice, slice]:
-        """Rows and columns that a circle of radius reach_m may touch."""
+        """The rows and columns that a circle of radius reach_m may touch."""
         reach_m *= 1.4
         near, far = np.searchsorted(self._ground, [ground_m - reach_m, ground_m + reach_m])
         if reach_m >= ground_m:
@@ -106,19 +107,19 @@ class PolarGrid:
         return slice(near, far + 1), slice(max(math.floor(left), 0), max(math.ceil(right), 0) + 1)
 
     def azimuths(self, pan_deg: float) -> FloatArray:
-        """(n,) azimuths of the columns that lie before the sonar."""
+        """(n,) azimuths of the columns in front of the sonar, deg."""
         start = math.floor((pan_deg - self._reach_deg - self._first_deg) / STEP_DEG)
         stop = math.ceil((pan_deg + self._reach_deg - self._first_deg) / STEP_DEG) + 1
         return self._first_deg + np.arange(start, stop) * STEP_DEG
 
     def index(self, x: FloatArray, y: FloatArray) -> np.ndarray:
-        """Flat indices, intp, of the cells where these places lie; the nearest ones outside."""
+        """Flat indices (intp) of the cells at these places; outside, of the nearest cells."""
         slant = np.sqrt(x**2 + y**2 + self._height_m**2)
         azimuth = self._within(np.degrees(np.arctan2(x, y)))
         return self._index(slant, (azimuth - self._first_deg) / STEP_DEG)
 
     def index_from_origin(self, ground: FloatArray, azimuth_deg: FloatArray) -> np.ndarray:
-        """As `index`, for ground ranges (bins, 1) from the origin and azimuths as of `azimuths`."""
+        """As `index`, for ground ranges (bins, 1) from the origin and azimuths from `azimuths`."""
         column = (azimuth_deg - self._first_deg) / STEP_DEG
         return self._index(np.hypot(ground, self._height_m), column[None, :])
 
@@ -130,10 +131,10 @@ class PolarGrid:
 
 
 class SquareGrid:
-    """Squares a little smaller than a range bin, over all the floor that a vehicle's run shows.
+    """Squares a little smaller than a range bin, over all the floor that a vehicle sees.
 
-    shape: (rows, columns), rows along y. x_m, y_m: (rows, columns) float32. cell_m: the side of a
-    square. Raises SonarrecError where that is more floor than MOST_CELLS.
+    shape: (rows, columns); rows are along y. x_m, y_m: (rows, columns) float32. cell_m: side of a
+    square. floorless: all False. Raises SonarrecError if it takes more than MOST_CELLS cells.
     """
 
     def __init__(self, scene: Scene, path: Sequence[Pose]) -> None:
@@ -161,11 +162,11 @@ class SquareGrid:
         self.y_m = np.broadcast_to(ahead.astype(np.float32)[:, None], self.shape)
 
     def cells(self, metres: float) -> tuple[float, float]:
-        """Rows and columns of so many metres."""
+        """(rows, columns) that this many metres take."""
         return metres / self.cell_m, metres / self.cell_m
 
     def box(self, ground_m: float, azimuth_deg: float, reach_m: float) -> tuple[slice, slice]:
-        """Rows and columns that a circle of radius reach_m may touch."""
+        """The rows and columns that a circle of radius reach_m may touch."""
         reach_m *= 1.4
         azimuth = math.radians(azimuth_deg)
         x, y = ground_m * math.sin(azimuth), ground_m * math.cos(azimuth)
@@ -179,21 +180,21 @@ class SquareGrid:
         return rows, columns
 
     def azimuths(self, pan_deg: float) -> FloatArray:
-        """(n,) azimuths before the sonar."""
+        """(n,) azimuths in front of the sonar, deg."""
         return pan_deg + np.arange(-self._reach_deg, self._reach_deg + STEP_DEG, STEP_DEG)
 
     def index(self, x: FloatArray, y: FloatArray) -> np.ndarray:
-        """Flat indices, intp, of the cells where these places lie; the nearest ones outside."""
+        """Flat indices (intp) of the cells at these places; outside, of the nearest cells."""
         rows, columns = self.shape
         column = np.clip(np.floor((x - self._first[0]) / self.cell_m), 0, columns - 1)
         row = np.clip(np.floor((y - self._first[1]) / self.cell_m), 0, rows - 1)
         return np.asarray((row * columns + column).astype(np.intp))
 
     def evened(self, ground: FloatArray) -> FloatArray:
-        """Amplitude that keeps the power of a beam where several columns of it share a cell.
+        """(bins, 1) amplitude that corrects for columns of azimuth that share a cell.
 
-        ground: (bins, 1) m. Columns that share a scatterer add up in phase: of runs of n and n + 1
-        columns, L in the mean, the power is too high by the mean of their squares over L.
+        ground: (bins, 1) m. Columns that share a scatterer add up in phase. If runs of n and n + 1
+        columns share one, L in the mean, the power is too high by the mean of their squares / L.
         """
         run = self.cell_m / (np.maximum(ground, 0.05) * math.radians(STEP_DEG))
         run = np.maximum(run, 1.0)

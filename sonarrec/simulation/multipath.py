@@ -1,4 +1,4 @@
-"""Echoes that come late: by way of the surface, and what blurs behind an object."""
+"""Echoes that arrive late because they came by way of the surface."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sonarrec.simulation.scene import NO_ECHO_DB, Scene
 
 
 def shifted(image: np.ndarray, rows: int) -> np.ndarray:
-    """The image moved to higher rows (lower if negative), zeros where nothing came from."""
+    """The image moved by this many rows to higher ones (lower if negative), filled with zeros."""
     rows = max(-len(image), min(rows, len(image)))
     moved = np.zeros_like(image)
     if rows >= 0:
@@ -23,11 +23,14 @@ def shifted(image: np.ndarray, rows: int) -> np.ndarray:
 
 
 MOST_BANDS = 100
-"""Of surface echo: one more would be 300 dB below the first."""
+"""Bands of surface echo, at most; one more would be 300 dB below the first."""
 
 
 class Multipath:
-    """What comes by way of the surface: a later, blurred copy of the scene, and bands."""
+    """Echoes by way of the surface: a later, blurred copy of the scene, and bands.
+
+    comes: whether the scene has any.
+    """
 
     def __init__(self, scene: Scene, range_m: FloatArray) -> None:
         self._multipath, self._range_m = scene.multipath, range_m
@@ -37,7 +40,7 @@ class Multipath:
         self.comes = max(scene.multipath.copy_db, scene.multipath.band_db) > NO_ECHO_DB
 
     def power(self, power: np.ndarray, time_s: float) -> np.ndarray:
-        """(bins, beams) mean power of it, of the scene's own power."""
+        """(bins, beams) mean power of the late echoes. power: (bins, beams) of the direct ones."""
         m = self._multipath
         drift = m.drift_m * np.sin(2 * np.pi * time_s / m.drift_s + self._phase)
         late = np.zeros_like(power)
@@ -46,7 +49,7 @@ class Multipath:
             late = cv2.GaussianBlur(
                 power,
                 (0, 0),
-                # Wider than the picture, it is even all the same.
+                # A wider blur would look the same, but take longer.
                 sigmaX=min(max(m.blur_beams, 0.3), power.shape[1]),
                 sigmaY=min(max(m.blur_m / self._bin_m, 0.3), power.shape[0]),
                 borderType=cv2.BORDER_REPLICATE,

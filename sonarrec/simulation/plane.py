@@ -1,4 +1,7 @@
-"""Where places of the floor, a plane that may slope, lie as seen by a sonar that may roll."""
+"""The floor as a plane: where the sonar sees a place on it, and which place it sees.
+
+The floor may slope, and the sonar may roll.
+"""
 
 from __future__ import annotations
 
@@ -13,17 +16,16 @@ from sonarrec.simulation.scene import Scene
 
 
 def within_a_turn(bearing_deg: FloatArray | float) -> FloatArray:
-    """The bearings shifted by whole turns to -180 to 180 deg: a vehicle may have turned round."""
+    """Bearings shifted by whole turns to -180 to 180 deg."""
     return np.asarray(bearing_deg - 360 * np.rint(np.asarray(bearing_deg) / 360))
 
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """What of the floor a sonar sees at slant ranges (bins,) and azimuths (n,).
+    """The places on the floor that a sonar sees at slant ranges (bins,) and azimuths (n,).
 
-    All (bins, n) float32. x_m, y_m: places of the floor, right and forward along it.
-    depression_deg: below the sonar's own horizon. sine: of the grazing angle, 0 where there is no
-    floor.
+    All are (bins, n) float32. x_m, y_m: the place, along the floor. depression_deg: angle below the
+    sonar's own horizon. sine: of the grazing angle; 0 where there is no floor.
     """
 
     x_m: FloatArray
@@ -34,11 +36,11 @@ class Look:
 
 @dataclass(frozen=True, slots=True)
 class Plane:
-    """The floor. x, y: right and forward of its origin, measured along the floor.
+    """The floor: by how much it slopes, and the azimuth towards which it rises, deg.
 
-    The sonar's height is above the floor straight below it. With a roll its right side is down by
-    so much, about its level heading, which moves and lights what it sees; a pitch changes its tilt
-    alone, for near the beam's axis bearings hardly change.
+    x and y are measured along the floor, to the right and forward of its origin. The sonar's height
+    is above the floor straight below it. A roll turns the sonar about its level heading, right side
+    down. A pitch changes only the tilt, because near the beam's axis bearings hardly change.
     """
 
     slope_deg: float = 0.0
@@ -74,20 +76,23 @@ class Plane:
         return np.asarray(slant), within_a_turn(bearing)
 
     def look(self, pose: Pose, range_m: FloatArray, azimuth_deg: FloatArray) -> Look:
-        """What is seen along beams whose azimuths are these while the sonar is level."""
+        """What the sonar sees.
+
+        range_m: (bins,) slant ranges. azimuth_deg: (n,) azimuths of the beams before it rolls.
+        """
         slope, towards = math.radians(self.slope_deg), math.radians(self.towards_deg)
         pan, roll = math.radians(pose.pan_deg), math.radians(pose.roll_deg)
         bearing = np.radians(azimuth_deg) - pan
-        # The floor's normal in the sonar's own axes, and how far below it the floor is.
+        # The floor's normal in the sonar's own axes, and the sonar's distance from the floor.
         across = -math.sin(slope) * math.sin(towards - pan)
         ahead = -math.sin(slope) * math.cos(towards - pan)
         up = across * math.sin(roll) + math.cos(slope) * math.cos(roll)
         across = across * math.cos(roll) - math.cos(slope) * math.sin(roll)
         away = pose.height_m * math.cos(slope)
-        # A ray of depression d meets it where up sin(d) - facing cos(d) = away / range.
+        # A ray of depression d meets the floor where up sin(d) - facing cos(d) = away / range.
         facing = across * np.sin(bearing) + ahead * np.cos(bearing)
         sine = (away / np.maximum(range_m, 1e-6))[:, None]
-        # Single precision from here on: a grid of scatterers asks for no more.
+        # Single precision from here on, which is enough for a grid of scatterers.
         steep = (sine / np.hypot(up, facing)).astype(np.float32)
         floor = steep < 1
         depression = np.arcsin(np.minimum(steep, np.float32(1)))

@@ -1,4 +1,4 @@
-"""The simulated receiver: beam patterns, leaks, gains and pulse, and the picture of the beams."""
+"""The simulated receiver: beam patterns, leaks, gains, the pulse, and the image."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from sonarrec.geometry import in_fan, polar_from_pixel
 from sonarrec.records import ByteImage, Fan, FloatArray
 from sonarrec.simulation.scene import Scene, SonarSection, scene_bearings
 
-GROUP = 8  # beams that share a gain; and beams this far apart fire together
+GROUP = 8  # so many neighbouring beams share a gain; beams this far apart fire together
 
 
 def beam_pattern(sonar: SonarSection, offset_deg: FloatArray) -> FloatArray:
-    """Two-way amplitude of one beam at angles off its axis (deg): Gaussian lobe, side lobes.
+    """Two-way amplitude of a beam at angles off its axis (deg): a Gaussian lobe and side lobes.
 
-    Half power at beam_width_deg / 2. Side lobes alternate in sign and fall with the angle.
+    It has half power at beam_width_deg / 2. Side lobes alternate in sign and fall with the angle.
     """
     scaled = offset_deg / sonar.beam_width_deg
     main = np.exp(-2 * math.log(2) * scaled**2)
@@ -29,10 +29,11 @@ def beam_pattern(sonar: SonarSection, offset_deg: FloatArray) -> FloatArray:
 def vertical_pattern(
     scene: Scene, depression_deg: FloatArray, sine: FloatArray, pitch_deg: float
 ) -> FloatArray:
-    """Amplitude of floor echoes against the beam axis; 0 where there is no floor.
+    """Amplitude of floor echoes, relative to the beam's axis; 0 where there is no floor.
 
-    depression_deg: below the sonar's horizon. sine: of the grazing angle, 0 where there is no
-    floor. Two-way Gaussian beam about the true tilt and pitch, times sine to the angle exponent.
+    A two-way Gaussian beam about the true tilt and pitch; the power also goes with the sine to the
+    power of the angle exponent. depression_deg: angle below the sonar's horizon. sine: of the
+    grazing angle; 0 where there is no floor.
     """
     sonar = scene.sonar
     on_axis = max(math.sin(math.radians(sonar.tilt_deg)), 0.05)
@@ -43,7 +44,7 @@ def vertical_pattern(
 
 
 class Receiver:
-    """Turns echoes on the grid of scatterers into beams: patterns, leaks, gains, pulse."""
+    """Turns echoes of the scatterers into beams. gain: (beams,) amplitude of each beam."""
 
     def __init__(self, scene: Scene, rng: np.random.Generator) -> None:
         sonar, noise = scene.sonar, scene.noise
@@ -68,14 +69,17 @@ class Receiver:
         self._pulse = (pulse / np.sqrt(np.sum(pulse**2))).astype(np.float32)
 
     def patterns(self, azimuth_deg: FloatArray, pan_deg: float) -> np.ndarray:
-        """(beams, azimuths) complex64; unit power over a floor of unit scatterers."""
+        """(beams, azimuths) complex64 amplitude by which each beam receives each azimuth.
+
+        They are scaled so that a floor of unit scatterers gives unit power.
+        """
         offset = self._bearings[:, None] + pan_deg - azimuth_deg[None, :]
         pattern = beam_pattern(self._sonar, offset).astype(np.float32)
         pattern /= np.sqrt(np.mean(np.sum(pattern**2, axis=1)))
         return np.asarray(self._leak @ pattern)
 
     def beams(self, echoes: np.ndarray, patterns: np.ndarray) -> np.ndarray:
-        """(bins, azimuths) complex64 echoes to (bins, beams) complex64."""
+        """(bins, beams) complex64 amplitude from (bins, azimuths) complex64 echoes."""
         field = echoes @ patterns.T
         pairs = field.view(np.float32).reshape(*field.shape, 2)
         # The pulse acts along range only: a column filter over real and imaginary parts.
@@ -83,13 +87,13 @@ class Receiver:
         return np.ascontiguousarray(pairs).view(np.complex64)[..., 0]
 
     def even(self, power: np.ndarray, patterns: np.ndarray) -> np.ndarray:
-        """(bins, azimuths) power of scatterers to (bins, beams), without speckle."""
+        """(bins, beams) mean power, without speckle, from (bins, azimuths) power of scatterers."""
         sums = power @ np.square(np.abs(patterns)).T
         return np.asarray(cv2.sepFilter2D(sums, -1, np.ones(1, np.float32), np.square(self._pulse)))
 
 
 class Picture:
-    """Log compression, and the fan image of the beams."""
+    """Turns the power of the beams into an 8-bit image: log compression, and the fan."""
 
     def __init__(self, scene: Scene, fan: Fan) -> None:
         self._picture = scene.picture
@@ -106,7 +110,7 @@ class Picture:
         self._outside = ~in_fan(fan, range_m, bearing_deg)
 
     def __call__(self, power: np.ndarray) -> ByteImage:
-        """(bins, beams) power relative to the floor to the scene's 8-bit image."""
+        """The scene's image, uint8. power: (bins, beams), relative to the floor."""
         picture = self._picture
         grey = (10 / math.log(10)) * np.log(power + np.float32(1e-9)) - picture.black_db
         grey = np.clip(grey / picture.dynamic_range_db, 0, 1)

@@ -1,7 +1,7 @@
-"""The chunks of an MCAP file: inflated in pieces under a bound, checked, of cut ones what is whole.
+"""Reads the chunks of an MCAP file: inflates them in pieces, checks them, and salvages cut ones.
 
-By hand because the `mcap` package inflates a chunk in one go, however large, and gives up one that
-is cut.
+The `mcap` package is not used for this: it inflates a chunk in one go, however large, and gives up
+on a chunk that is cut.
 """
 
 from __future__ import annotations
@@ -20,10 +20,12 @@ import zstandard
 
 from sonarrec.records import SonarrecError
 
-# Inflated: what declares more, or inflates to more than it declares, is not read.
 MAX_CHUNK_BYTES = 2**31
-HELD_BYTES = 64 * 2**20  # of inflated chunks in memory together; what exceeds it goes to disk
-MAX_WINDOW_BYTES = 2**27  # zstd keeps as much of what it wrote in memory
+"""Largest inflated size. A chunk that declares more, or inflates to more than it declares, is not
+read."""
+HELD_BYTES = 64 * 2**20
+"""Inflated chunks that are kept in memory, in total; the rest goes to a temporary file."""
+MAX_WINDOW_BYTES = 2**27  # of zstd: how much of its output it keeps in memory
 RECORD_HEAD = struct.Struct("<BQ")  # opcode, length of what follows
 _CHUNK_HEAD = struct.Struct("<QQQII")  # start, end, inflated size, CRC, length of compression
 _PIECE = 2**20
@@ -35,10 +37,11 @@ class DamagedError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class ChunkHead:
-    """A chunk as its record states it, and where its data lie in the file.
+    """The head of a chunk record, and where the chunk's data are in the file.
 
-    start_time, end_time: log times in ns. size: bytes when inflated. stored: bytes as they are
-    stored; present: how many of those the file holds, fewer where it is cut.
+    position: byte at which the record begins. start_time, end_time: log times, ns. size: bytes
+    after inflation. stored: bytes in the file, as declared. present: how many of those the file
+    really has; fewer if it is cut.
     """
 
     position: int
@@ -58,9 +61,9 @@ class ChunkHead:
 
 
 def read_chunk_head(file: BinaryIO, position: int, file_size: int) -> ChunkHead | None:
-    """The chunk whose record begins at `position`; None where the file ends inside the head.
+    """Read the head of the chunk record at `position`; None if the file ends inside the head.
 
-    Raises DamagedError where it makes no sense.
+    Raises DamagedError if the head contradicts itself.
     """
     file.seek(position)
     head = file.read(RECORD_HEAD.size + _CHUNK_HEAD.size)
@@ -84,9 +87,9 @@ def read_chunk_head(file: BinaryIO, position: int, file_size: int) -> ChunkHead 
 
 @dataclass(frozen=True, slots=True)
 class Contents:
-    """Records that can be read: the bytes of `file` from `start` to `end`.
+    """A stretch of a file that holds records: the bytes of `file` from `start` to `end`.
 
-    held: bytes of memory set aside for them.
+    held: how many bytes of memory are reserved for it.
     """
 
     file: BinaryIO
@@ -96,10 +99,11 @@ class Contents:
 
 
 class ChunkStore:
-    """Makes the contents of chunks readable, as many chunks at a time as are asked for.
+    """Opens chunks for reading; several may be open at a time.
 
-    Uncompressed ones are read where they lie. Inflated ones are kept in memory up to HELD_BYTES,
-    beyond that in one temporary file, in which their room is used again after release.
+    Uncompressed chunks are read from the log itself. Inflated chunks are kept in memory up to
+    HELD_BYTES in total. Beyond that they go to one temporary file, which reuses the space of
+    chunks that were released.
     """
 
     def __init__(self, file: BinaryIO) -> None:
@@ -109,10 +113,10 @@ class ChunkStore:
         self._spilled: list[tuple[int, int]] = []  # (start, end) in use, rising
 
     def open(self, chunk: ChunkHead) -> Contents:
-        """The contents of a chunk, checked; of the file's cut end, what is whole.
+        """Inflate and check a chunk. If the file is cut inside it, return the part that is there.
 
-        Raises DamagedError where they cannot be used, SonarrecError where the temporary file finds
-        no room.
+        Raises DamagedError if the chunk cannot be used, SonarrecError if the disk has no room for
+        the temporary file.
         """
         if chunk.compression == "":
             if chunk.size != chunk.stored:
@@ -140,7 +144,7 @@ class ChunkStore:
         return Contents(contents.file, contents.start, contents.start + written, contents.held)
 
     def release(self, contents: Contents) -> None:
-        """Give back the room of contents that are no longer read."""
+        """Free the memory or disk space of contents that are no longer needed."""
         self._free += contents.held
         if contents.file is self._spill:
             self._spilled = [used for used in self._spilled if used[0] != contents.start]
@@ -166,7 +170,7 @@ class ChunkStore:
 
 
 def pieces_of(file: BinaryIO, start: int, end: int, size: int = _PIECE) -> Iterator[bytes]:
-    """The bytes of a file from `start` to `end`, a piece at a time; fewer where the file ends."""
+    """Read the bytes from `start` to `end` in pieces; stop early if the file ends."""
     while start < end:
         file.seek(start)
         piece = file.read(min(size, end - start))
@@ -177,9 +181,10 @@ def pieces_of(file: BinaryIO, start: int, end: int, size: int = _PIECE) -> Itera
 
 
 def _check(chunk: ChunkHead, pieces: Iterable[bytes], out: BinaryIO | None = None) -> int:
-    """Write the contents to `out`, where there is one, and return their length.
+    """Check the inflated pieces of a chunk, write them to `out` if given, and return their length.
 
-    Raises DamagedError where they are more or less than declared or fail the checksum.
+    Raises DamagedError if the length is not the declared one, or if the checksum is wrong. A cut
+    chunk may be shorter, and its checksum is not compared.
     """
     written = crc = 0
     for piece in pieces:
@@ -199,7 +204,7 @@ def _check(chunk: ChunkHead, pieces: Iterable[bytes], out: BinaryIO | None = Non
 
 
 def _inflate(file: BinaryIO, chunk: ChunkHead) -> Iterator[bytes]:
-    """The contents of a compressed chunk in pieces of at most some 16 MB."""
+    """Inflate a compressed chunk, in pieces of at most about 16 MB. Raises DamagedError."""
     end = chunk.data_start + chunk.present
     try:
         if chunk.compression == "zstd":
@@ -213,7 +218,7 @@ def _inflate(file: BinaryIO, chunk: ChunkHead) -> Iterator[bytes]:
 
 
 class _Source:
-    """Pieces as a file, for zstandard."""
+    """A file-like object that gives pieces one after the other, for zstandard."""
 
     def __init__(self, pieces: Iterator[bytes]) -> None:
         self._pieces = pieces
@@ -223,11 +228,11 @@ class _Source:
 
 
 def inflated_zstd(stored: Iterator[bytes]) -> Iterator[bytes]:
-    """What zstd frames inflate to, a MiB at a time; of cut ones what is whole.
+    """Inflate zstd frames, a MiB at a time. Of a cut frame only whole blocks are inflated.
 
-    Raises zstandard.ZstdError where they cannot be inflated.
+    Raises zstandard.ZstdError if they cannot be inflated.
     """
-    # Of a block that is cut nothing can be had: its sequences are coded from its end backwards.
+    # Nothing can be read of a cut block, because its sequences are coded backwards from its end.
     decoder = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW_BYTES)
     with decoder.stream_reader(_Source(stored), read_across_frames=True) as reader:  # type: ignore[arg-type]
         while piece := reader.read(_PIECE):
@@ -237,16 +242,16 @@ def inflated_zstd(stored: Iterator[bytes]) -> Iterator[bytes]:
 # LZ4 frames: https://github.com/lz4/lz4/blob/dev/doc/lz4_Frame_format.md. The library inflates
 # whole blocks only; a cut one is decoded here as far as it goes.
 
-_LZ4_PIECE = 2**16  # of lz4 at most 255 times as much comes out
+_LZ4_PIECE = 2**16  # bytes; lz4 inflates them to at most 255 times as many
 _LZ4_REACH = 2**16  # how far back a match may reach, also into the blocks before
 _LZ4_BLOCK_BYTES = {4: 2**16, 5: 2**18, 6: 2**20, 7: 2**22}
 
 
 def inflated_lz4(file: BinaryIO, start: int, end: int, cut: bool) -> Iterator[bytes]:
-    """What the LZ4 frames between two places of a file inflate to, in pieces of at most some 16 MB.
+    """Inflate the LZ4 frames between two positions of a file, in pieces of at most about 16 MB.
 
-    cut: the last may be; then all that is there of it is given. Raises RuntimeError or DamagedError
-    where they cannot be inflated.
+    cut: whether the last frame may be cut; then its incomplete block is decoded as far as it goes.
+    Raises RuntimeError or DamagedError if they cannot be inflated.
     """
     decoder = lz4.frame.LZ4FrameDecompressor()
     history, at = b"", start
@@ -266,9 +271,10 @@ def inflated_lz4(file: BinaryIO, start: int, end: int, cut: bool) -> Iterator[by
 
 
 def _lz4_last_block(file: BinaryIO, start: int, end: int) -> tuple[bytes, int]:
-    """(compressed block that is cut, bytes it can inflate to) of the frame that is cut at `end`.
+    """Find the incomplete block at the end of a frame that is cut at `end`.
 
-    No bytes where the cut lies between blocks, or in one stored as it is: the library gives that.
+    Returns (the bytes of the block, the most bytes that it can inflate to). No bytes if the cut
+    lies between blocks or in an uncompressed block, which the library returns by itself.
     """
     file.seek(start)
     head = file.read(6)
@@ -287,10 +293,10 @@ def _lz4_last_block(file: BinaryIO, start: int, end: int) -> tuple[bytes, int]:
 
 
 def lz4_cut_block(block: bytes, history: bytes, size: int) -> bytes:
-    """What the beginning of a compressed LZ4 block says, at most `size` bytes.
+    """Decode the beginning of a compressed LZ4 block, to at most `size` bytes.
 
-    history: what the blocks before it inflated to; matches may reach into it.
-    Raises DamagedError where a match reaches further back than there is anything.
+    history: the output of the blocks before; matches may refer to it. Raises DamagedError if a
+    match refers to bytes before the beginning of the history.
     """
     out, most = bytearray(history), len(history) + size
     at = 0
@@ -306,15 +312,15 @@ def lz4_cut_block(block: bytes, history: bytes, size: int) -> bytes:
                 raise DamagedError("does not inflate (a match before the beginning)")
             match = max(0, min(match + 4, most - len(out)))
             start = len(out) - distance
-            pattern = out[start : start + match]  # repeats where it is shorter than the match
+            pattern = out[start : start + match]  # repeated if it is shorter than the match
             out += (pattern * (match // distance + 1))[:match]
-    except IndexError:  # the cut
+    except IndexError:  # here the block is cut
         pass
     return bytes(out[len(history) : most])
 
 
 def _lz4_length(block: bytes, at: int, nibble: int) -> tuple[int, int]:
-    """(length, position after it) of a length whose first four bits are `nibble`."""
+    """Read a length whose first four bits are `nibble`: (length, position after it)."""
     length = nibble
     more = 255 if nibble == 15 else 0
     while more == 255:

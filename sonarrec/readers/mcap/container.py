@@ -15,12 +15,12 @@ _NO_SCHEMA = Schema(id=0, name="", encoding="", data=b"")
 
 
 class McapRecording(Recording):
-    """A `Recording`; also of a file that is damaged or cut, as far as it goes."""
+    """A `Recording` of an MCAP file. A damaged or cut file is read as far as possible."""
 
     def __init__(self, path: Path, at: Path | None = None) -> None:
-        """at: where its bytes are, if not at `path`.
+        """path: the file's name in messages. at: the file to read, if it is another one.
 
-        Raises SonarrecError where the file is no MCAP, OSError where it cannot be read.
+        Raises SonarrecError if it is no MCAP file, OSError if it cannot be read.
         """
         log = self._log = McapFile(path, at)
         super().__init__(path)
@@ -38,7 +38,7 @@ class McapRecording(Recording):
         self.faults = log.faults
 
     def messages(self, channels: Collection[int]) -> Iterator[Message]:
-        """The messages of some channels in log-time order, those at one time as in the file."""
+        """The messages of some channels in log-time order; those of equal time as in the file."""
         return iter(MessageReader(self._log, channels))
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""How the fields of a message come out of its bytes, whatever it was encoded in."""
+"""Decodes the fields of a message from its bytes, for every encoding that is read."""
 
 from __future__ import annotations
 
@@ -11,19 +11,18 @@ from sonarrec.readers.mcap import foxglove
 from sonarrec.readers.raw import UnusableError
 
 Decode = Callable[[memoryview], Mapping[str, Any]]
-"""Gives the fields of a message; raises UnusableError where it is malformed. A text of a binary
-message may come as its bytes."""
+"""Decodes a message into its fields; raises UnusableError if it is malformed. Texts of binary
+messages may come as bytes."""
 
 
 def fields_decoder(
     name: str, schema_encoding: str, schema_data: bytes, message_encoding: str
 ) -> Decode | None:
-    """What gives the fields of a message (package/Name) in CDR, ROS 1, JSON or, of Foxglove's own,
-    protobuf and flatbuffer. None for another encoding, and for a ROS message that neither the file
-    nor we define.
+    """The decoder of a message type (package/Name); None if it cannot be decoded.
 
-    A ROS message is read by the definition in the file, which may be of another version than ours;
-    by ours where there is none. Raises DefinitionError where there is only one that cannot be used.
+    Encodings: CDR, ROS 1, JSON, and for Foxglove's own types protobuf and flatbuffer. A ROS message
+    is decoded by the definition in the file, whose version may differ from ours; if the file has
+    none, by our own. Raises DefinitionError if the only definition cannot be used.
     """
     if message_encoding == "json":
         return decode_json
@@ -37,7 +36,7 @@ def fields_decoder(
 
 
 def decode_json(message: memoryview) -> Mapping[str, Any]:
-    """The fields of a JSON object. Raises UnusableError where it is none."""
+    """The fields of a JSON object. Raises UnusableError if the message is no JSON object."""
     try:
         table = json.loads(bytes(message))
     except (ValueError, RecursionError):

@@ -1,4 +1,4 @@
-"""The fields of one message, whatever it was encoded in, with the types that are asked of them."""
+"""Access to the fields of one message, with their types checked, for every encoding."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ class DefinitionError(Exception):
 
 
 class Fields:
-    """Fields as the decoders give them: from binary messages or from JSON, where bytes are base64
-    or a list of numbers. Every method raises UnusableError where a field is missing or of
-    another kind.
+    """The decoded fields of a message. In JSON, bytes are base64 or a list of numbers.
+
+    Every method raises UnusableError if the field is missing or has another type.
     """
 
     def __init__(self, values: Mapping[str, Any]) -> None:
@@ -37,14 +37,14 @@ class Fields:
         return UnusableError(f"malformed message (field {name!r} is no {expected})")
 
     def inner(self, name: str) -> Fields:
-        """The message inside."""
+        """A message inside this one."""
         value = self._get(name)
         if not isinstance(value, Mapping):
             raise self._wrong(name, "message")
         return Fields(value)
 
     def whole(self, name: str, default: int | None = None) -> int:
-        """A whole number that is not negative; a field that is missing has the default."""
+        """A whole number, 0 or more. default: for a missing field."""
         value = default if default is not None and name not in self else self._get(name)
         if not isinstance(value, int) or value < 0:
             raise self._wrong(name, "whole number")
@@ -67,7 +67,7 @@ class Fields:
         return value
 
     def octets(self, name: str) -> memoryview:
-        """Bytes, without a copy where the message holds them as such."""
+        """Bytes, without a copy if the message holds them as bytes."""
         value = self._get(name)
         try:
             if isinstance(value, str):
@@ -90,7 +90,7 @@ class Fields:
         return array
 
     def vectors(self, name: str) -> np.ndarray:
-        """(n, 3) float64, finite: a list of geometry_msgs/Vector3."""
+        """(n, 3) float64, finite, from a list of geometry_msgs/Vector3."""
         value = self._get(name)
         if isinstance(value, list):  # from JSON
             if not all(isinstance(v, Mapping) for v in value):
@@ -104,14 +104,14 @@ class Fields:
         return np.column_stack(columns)
 
     def stamp_ns(self) -> int | None:
-        """The header's stamp, or Foxglove's timestamp, in ns; None without either."""
+        """The stamp of the header, or Foxglove's timestamp, ns; None if there is neither."""
         clock: Any = self._values.get("timestamp")
         header = self._values.get("header")
         if isinstance(header, Mapping):
             clock = header.get("stamp", clock)
         if not isinstance(clock, Mapping):
             return None
-        # ROS 2, Foxglove and ROS 1 call them by different names in JSON.
+        # ROS 2, Foxglove and ROS 1 have different names for seconds and nanoseconds in JSON.
         sec = next((clock[k] for k in ("sec", "secs") if k in clock), None)
         nanosec = next((clock[k] for k in ("nanosec", "nsec", "nsecs") if k in clock), 0)
         if not isinstance(sec, int) or not isinstance(nanosec, int):

@@ -1,4 +1,4 @@
-"""Foxglove's images, taken apart: protobuf and flatbuffers."""
+"""Decodes Foxglove's image messages in protobuf and flatbuffers."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 from sonarrec.readers.mcap.foxglove_schemas import message_class
 from sonarrec.readers.raw import UnusableError
 
-# Fields in the order of the flatbuffers tables, which stays in every version: so the format grows.
+# Fields in the order of the flatbuffers tables. New versions only append fields.
 FIELDS = {
     "foxglove/RawImage": (
         "timestamp", "frame_id", "width", "height", "encoding", "step", "data",
@@ -21,8 +21,10 @@ _NUMBERS = ("width", "height", "step")
 
 @cache
 def _lenient_class(name: str) -> Any:
-    """The protobuf class of a message such as foxglove/RawImage, with bytes in place of texts:
-    protobuf refuses a whole message for one text that is not UTF-8, such as a frame_id."""
+    """The protobuf class of a message such as foxglove/RawImage, with texts declared as bytes.
+
+    protobuf rejects a whole message if one text in it, such as frame_id, is not UTF-8.
+    """
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
 
     dotted = name.replace("/", ".")
@@ -38,7 +40,7 @@ def _lenient_class(name: str) -> Any:
 
 
 def decode_protobuf(name: str, message: memoryview) -> dict[str, Any]:
-    """The fields of one of Foxglove's images. Raises UnusableError where it is malformed."""
+    """The fields of an image message (foxglove/Name). Raises UnusableError if it is malformed."""
     from google.protobuf.message import DecodeError
 
     try:
@@ -51,9 +53,9 @@ def decode_protobuf(name: str, message: memoryview) -> dict[str, Any]:
 
 
 def decode_flatbuffer(name: str, message: memoryview) -> dict[str, Any]:
-    """The fields of one of Foxglove's images. Raises UnusableError where it is malformed.
+    """The fields of an image message (foxglove/Name). Raises UnusableError if it is malformed.
 
-    By hand: forty lines in place of two packages.
+    Decoded here: forty lines in place of two packages.
     """
     try:
         root = _uint(message, 0)
@@ -63,7 +65,7 @@ def decode_flatbuffer(name: str, message: memoryview) -> dict[str, Any]:
         slots = (struct.unpack_from("<H", message, vtable)[0] - 4) // 2
         fields: dict[str, Any] = {}
         for slot, key in enumerate(FIELDS[name]):
-            # A table holds offsets to its fields; 0, or none so far, leaves the default.
+            # A table holds offsets to its fields. An offset of 0, or none, means the default.
             offset = (
                 struct.unpack_from("<H", message, vtable + 4 + 2 * slot)[0] if slot < slots else 0
             )
@@ -85,7 +87,7 @@ def _uint(message: memoryview, at: int) -> int:
 
 
 def _vector(message: memoryview, at: int) -> memoryview:
-    """The bytes of the string or vector to which the offset at `at` points."""
+    """The bytes of the string or vector that the offset at `at` points to."""
     start = at + _uint(message, at)
     data = message[start + 4 : start + 4 + _uint(message, start)]
     if len(data) != _uint(message, start):

@@ -1,6 +1,6 @@
-"""Foxglove's schemas: by which its images are read, and messages of its kinds written.
+"""Foxglove's schemas, for reading its images and for writing its messages.
 
-They come with its package `foxglove-schemas-protobuf`, imported where one is needed.
+They are in the package `foxglove-schemas-protobuf`, which is imported only when it is needed.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ def message_class(name: str) -> Any:
 
 
 def descriptor_set(name: str) -> bytes:
-    """The FileDescriptorSet of a message, as MCAP asks of a protobuf schema."""
+    """The serialised FileDescriptorSet of a message: its schema in an MCAP."""
     from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
     files: dict[str, Any] = {}
@@ -34,7 +34,7 @@ def descriptor_set(name: str) -> bytes:
 
 
 def json_schema(name: str) -> dict[str, Any]:
-    """The JSON schema of a message, as Foxglove publishes it but for its descriptions."""
+    """The JSON schema of a message, as Foxglove publishes it, without the descriptions."""
     return {"title": name, **_object(message_class(name).DESCRIPTOR)}
 
 

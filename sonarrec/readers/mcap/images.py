@@ -12,9 +12,9 @@ from sonarrec.records import SonarrecError, Stamps, UsageError, name_as_text
 
 
 def image_decoders(log: Recording) -> dict[int, Decoder]:
-    """A decoder for every channel of sonar images.
+    """A decoder for every channel with sonar images.
 
-    What speaks against a definition that cannot be used is added to the recording's faults.
+    If the definition of a channel's messages cannot be used, the recording's faults say why.
     """
     decoders: dict[int, Decoder] = {}
     by_definition: dict[
@@ -37,10 +37,10 @@ class ChannelImages(RawLog):
     """The messages of one image topic, decoded, in log-time order."""
 
     def __init__(self, log: Recording, topic: str | None = None) -> None:
-        """Choose the channel: the only image topic, or `topic`. The recording is closed with it.
+        """topic: the image topic; None: the only one. Closing this also closes the recording.
 
-        Raises SonarrecError where it has no image channel, UsageError where several image topics
-        ask for a choice or the topic chosen is none of them.
+        Raises SonarrecError if there is no image channel, UsageError if there are several image
+        topics and none is chosen, or if `topic` is none of them.
         """
         super().__init__()
         self._log = log

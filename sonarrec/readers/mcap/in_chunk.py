@@ -1,7 +1,8 @@
-"""The messages of one chunk, held against the message index behind it.
+"""Finds the messages of one chunk, and compares them with the message index behind the chunk.
 
-A chunk without a checksum may be damaged unseen: a wrong record length hides all that follows. What
-the index knows is then read by it, and what it knows and cannot be read is lost but counted.
+In a chunk without a checksum, damage may go unnoticed: after a wrong record length, everything that
+follows is hidden. Messages are then found by the index. Messages that the index names but that
+cannot be read are counted as lost.
 """
 
 from __future__ import annotations
@@ -25,10 +26,11 @@ _OF_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 
 @dataclass(frozen=True, slots=True, order=True)
 class Place:
-    """Where a message is: ordered by log time, then by its place in the file.
+    """Where a message is. Places are ordered by log time, then by place in the file.
 
-    position: of its chunk, or its own outside of any. offset: of its body in `contents`, which is
-    None where it is lost. length: of the body.
+    log_time, publish_time: ns. position: of the message's chunk in the file, or of the message
+    itself if it is in no chunk. contents: what it is read from; None if the message is lost.
+    offset, length: of the message's body in `contents`, bytes.
     """
 
     log_time: int
@@ -42,11 +44,11 @@ class Place:
 
 @dataclass(slots=True)
 class Scan:
-    """What a pass over a chunk found.
+    """What one pass over a chunk found.
 
-    count: messages of the channels asked for. rising: their times never go back. end: of the last
-    whole record. short: messages too short for a head. undefined: messages of channels that
-    nothing defines. foreign: records that no chunk may hold.
+    end: where the last whole record ends. count: number of messages of the chosen channels. rising:
+    whether their times never go back. short: messages too short for a head. undefined: messages of
+    channels without a definition. foreign: records that are not allowed in a chunk.
     """
 
     end: int
@@ -57,7 +59,7 @@ class Scan:
     foreign: int = 0
 
     def oddities(self) -> list[str]:
-        """What is in it that should not be, for a line each."""
+        """A text for each kind of record that should not be in the chunk."""
         counts = (
             (self.short, "messages too short for a head"),
             (self.undefined, "messages of channels that nothing defines"),
@@ -69,7 +71,10 @@ class Scan:
 def places(
     contents: Contents, at: int, chunk: int | None, channels: Collection[int]
 ) -> Iterator[Place]:
-    """The messages of some channels from `at` on. chunk: its position, None outside of any."""
+    """The messages of some channels from `at` on.
+
+    chunk: position of the chunk; None for messages that are in no chunk.
+    """
     file = contents.file
     for opcode, body, length in records_in(contents, at):
         if opcode != Opcode.MESSAGE or length < MESSAGE_HEAD.size:
@@ -87,7 +92,7 @@ def places(
 def in_time_order(
     contents: Contents, chunk: ChunkHead, channels: Collection[int]
 ) -> Iterator[Place]:
-    """The messages of a chunk in which times go back; 24 bytes are kept of each."""
+    """The messages of a chunk, sorted by log time. It takes 24 bytes of memory per message."""
     times, offsets = array("Q"), array("Q")
     for place in places(contents, contents.start, chunk.position, channels):
         times.append(place.log_time)
@@ -99,13 +104,16 @@ def in_time_order(
 def _message_at(
     contents: Contents, at: int, chunk: ChunkHead, channels: Collection[int]
 ) -> list[Place]:
-    """The message whose record begins at `at`; none where there is none of these channels."""
+    """[the message of these channels whose record begins at `at`]; empty if there is none."""
     place = next(places(contents, at, chunk.position, channels), None)
     return [place] if place is not None and place.offset == at + RECORD_HEAD.size else []
 
 
 def scan(contents: Contents, channels: Collection[int], defined: Collection[int]) -> Scan:
-    """One pass over a chunk, of which nothing is kept."""
+    """Count the messages of a chunk, and check its records, without keeping any.
+
+    defined: the channels that the file defines.
+    """
     result, last, file = Scan(contents.start), 0, contents.file
     for opcode, body, length in records_in(contents, contents.start):
         result.end = body + length
@@ -128,8 +136,10 @@ def scan(contents: Contents, channels: Collection[int], defined: Collection[int]
 
 
 def indexed(log: McapFile, chunk: ChunkHead) -> list[tuple[int, int, int]]:
-    """(offset of the record in the chunk, channel, log time) by the message indexes behind it,
-    by rising offset; none where there is no index."""
+    """Read the message indexes behind a chunk; empty if there are none.
+
+    Returns (offset of the record in the chunk, channel, log time in ns), by rising offset.
+    """
     entries: list[tuple[int, int, int]] = []
     behind = Contents(log.file, chunk.data_start + chunk.stored, log.size)
     for opcode, body, length in records_in(behind, behind.start):
@@ -149,7 +159,7 @@ def indexed(log: McapFile, chunk: ChunkHead) -> list[tuple[int, int, int]]:
 def lost_places(
     chunk: ChunkHead, index: list[tuple[int, int, int]], channels: Collection[int]
 ) -> list[Place]:
-    """What a chunk that cannot be read held by its index, in the order of time."""
+    """The messages that an unreadable chunk held according to its index, by log time."""
     return sorted(
         Place(time, chunk.position, offset, channel, time, None, 0)
         for offset, channel, time in index
@@ -163,7 +173,7 @@ def agrees(
     index: list[tuple[int, int, int]],
     channels: Collection[int],
 ) -> bool:
-    """Whether the messages of some channels are where, and when, the index has them."""
+    """Whether the messages of some channels have the offsets and times that the index states."""
     at = contents.start + RECORD_HEAD.size
     places_read = places(contents, contents.start, chunk.position, channels)
     entries = (entry for entry in index if entry[1] in channels)
@@ -179,11 +189,11 @@ def by_index(
     index: list[tuple[int, int, int]],
     channels: Collection[int],
 ) -> tuple[list[Place], int]:
-    """The messages of a damaged chunk by its index, in the order of time, lost ones among them,
-    and how many have another time there.
+    """Find the messages of a damaged chunk by its index.
 
-    A message that reaches into the next is lost: its length is wrong. Of two times the index's
-    serves where the message's own is outside of what the chunk states.
+    Returns (the messages by log time, with the lost ones; how many have another time in the index).
+    A message that reaches into the next one has a wrong length and counts as lost. A message's own
+    time is used if it lies within the times that the chunk states, otherwise that of the index.
     """
     result, retimed = [], 0
     ends = [contents.start + offset for offset, _, _ in index[1:]] + [contents.end]

@@ -1,7 +1,7 @@
-"""The messages of an MCAP file in log-time order, however its chunks lie.
+"""Reads the messages of an MCAP file in log-time order, whatever the order of its chunks.
 
-Chunks are opened in the order of their first message. Where they overlap in time their messages
-are merged; of a message no more than its place is kept until its turn.
+Chunks are opened in the order of their first messages. Messages of chunks that overlap in time are
+merged. Only the place of a message is kept until it is read.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from sonarrec.records import SonarrecError, name_as_text, number_of
 
 
 def _rising(places: Iterable[Place]) -> Iterator[Place]:
-    """The places as long as their times do not go back."""
+    """The places up to the first whose time goes back."""
     last = 0
     for place in places:
         if place.log_time < last:
@@ -45,17 +45,18 @@ class MessageReader:
     def __init__(self, log: McapFile, channels: Collection[int]) -> None:
         self._log = log
         self._channels = frozenset(channels)
-        # A heap, by their next message; a chunk is one run, whose contents are then given back.
+        # A heap, sorted by the next message of each run: (next message, the others, contents). A
+        # chunk is one run, or none; its contents are released after its last message.
         self._runs: list[tuple[Place, Iterator[Place], Contents | None]] = []
         self._passed_count = self._lost_count = 0
         self._last_time, self._in_order = 0, True
         self._all_checked = True  # by a checksum of its chunk
 
     def __iter__(self) -> Iterator[Message]:
-        """The messages in log-time order; those at one time in the file's order.
+        """Yield the messages in log-time order; messages of equal time in the file's order.
 
-        What is found wrong is added to the file's faults. Raises SonarrecError where the file
-        cannot be read any more.
+        Damage is reported in the file's faults. Raises SonarrecError if the file cannot be read
+        any more.
         """
         log = self._log
         times = np.frombuffer(log.times, np.uint64)
@@ -107,7 +108,7 @@ class MessageReader:
         return Message(place.channel, place.log_time, place.publish_time, data, problem)
 
     def _add_run(self, run: Iterable[Place], contents: Contents | None = None) -> None:
-        """contents: of the chunk that the run is of."""
+        """Merge in a run of messages. contents: of its chunk, to be released at its end."""
         run = iter(run)
         first = next(run, None)
         if first is not None:
@@ -152,9 +153,9 @@ class MessageReader:
             self._add_run(in_time_order(contents, chunk, self._channels), contents)
 
     def _mended(self, chunk: ChunkHead, contents: Contents, scanned: Scan) -> list[Place] | None:
-        """The messages of a damaged chunk as far as its index helps; what is wrong is told.
+        """The messages of a damaged chunk, found by its index; the damage is reported.
 
-        None where the chunk is to be read as it was found.
+        None if the chunk is sound, or if its index does not help: then it is read as it is.
         """
         log, where = self._log, f"the chunk at byte {chunk.position}"
         stopped = scanned.end < contents.end

@@ -1,7 +1,7 @@
-"""Which messages are sonar images, and how each is read.
+"""The message types that hold sonar images, and how each is turned into a Ping.
 
-A further message type is one function, from Fields to a Ping, and one row in MESSAGES. How the
-fields come out of the bytes (CDR, ROS 1, JSON, protobuf, flatbuffers) is kept apart from that.
+To add a message type, write one function from Fields to a Ping and add one row to MESSAGES.
+Decoding the bytes (CDR, ROS 1, JSON, protobuf, flatbuffers) into Fields is done in decode.py.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ WIDEST_BEAM_DEG = 5.0
 
 
 def read_image(message: Fields) -> Ping:
-    """sensor_msgs/Image, foxglove.RawImage: pixels as they lie in memory."""
+    """sensor_msgs/Image, foxglove.RawImage: uncompressed pixels."""
     encoding = message.text("encoding")
     height, width, step = message.whole("height"), message.whole("width"), message.whole("step", 0)
     big_endian = message.whole("is_bigendian", 0) != 0
@@ -36,17 +36,18 @@ def read_image(message: Fields) -> Ping:
 def read_compressed_image(message: Fields) -> Ping:
     """sensor_msgs/CompressedImage, foxglove.CompressedImage: an image file.
 
-    The format ("png", "mono8; png compressed mono8", ...) is not needed: the data tell it.
+    The field `format` ("png", "mono8; png compressed mono8", ...) is ignored, because the data
+    begin with the file's own mark.
     """
     return Ping(decode_image(message.octets("data")), message.stamp_ns())
 
 
-# marine_acoustic_msgs/SonarImageData numbers its types so.
+# In the order in which marine_acoustic_msgs/SonarImageData numbers them.
 _SAMPLE_TYPES = ("u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f4", "f8")
 
 
 def _samples(image: Fields, bins: int, beams: int) -> np.ndarray:
-    """(bins, beams) samples of a SonarImageData, taken to be range-major."""
+    """(bins, beams) samples of a SonarImageData, assumed to be range-major."""
     if bins < 2 or beams < 2:
         raise UnusableError(f"{beams} beams of {bins} samples are no image")
     number = image.whole("dtype")
@@ -71,16 +72,19 @@ def _beam_count(image: Fields, bearings: np.ndarray) -> int:
 
 
 def _left_to_right(bearings_deg: FloatArray) -> FloatArray:
-    """Drivers disagree on which side is positive, but all list their beams from left to right."""
+    """(beams,) bearings, deg, rising.
+
+    Drivers disagree on which side is positive, but all list their beams from left to right.
+    """
     falls = len(bearings_deg) > 1 and bearings_deg[0] > bearings_deg[-1]
     return -bearings_deg if falls else bearings_deg
 
 
 def _fan_bearings(directions: FloatArray) -> FloatArray:
-    """(beams,) degrees from left to right, of (beams, 3) unit vectors.
+    """(beams,) bearings, deg, from left to right. directions: (beams, 3) unit vectors.
 
-    Forward is the axis they point along on the whole (z in the definition, x in some drivers),
-    across it the one along which they differ most.
+    The forward axis is the one along which their mean is largest (z in the definition, x in some
+    drivers). The axis across is the one along which they differ most.
     """
     if len(directions) < 2:
         raise UnusableError("fewer than two beams")
@@ -94,7 +98,7 @@ def _fan_bearings(directions: FloatArray) -> FloatArray:
 
 
 def read_projected_sonar_image(message: Fields) -> Ping:
-    """marine_acoustic_msgs/ProjectedSonarImage: a direction per beam, a range per bin."""
+    """marine_acoustic_msgs/ProjectedSonarImage: states a direction per beam and a range per bin."""
     image = message.inner("image")
     bearings = _fan_bearings(message.vectors("beam_directions"))
     ranges = message.numbers("ranges")
@@ -104,21 +108,21 @@ def read_projected_sonar_image(message: Fields) -> Ping:
 
 
 def _beam_width(message: Fields) -> float | None:
-    """The median of the receiving beams' widths at -3 dB; None where they are not reported.
+    """Median width of the receiving beams at -3 dB, deg; None if it is not reported.
 
-    In radians, as docs.ros.org has PingInfo of marine_acoustic_msgs. What cannot be a beam's width
-    counts for nothing: drivers fill the field with degrees, too, or with zeros.
+    The message states radians (PingInfo of marine_acoustic_msgs at docs.ros.org). Impossible widths
+    are ignored, because some drivers fill in degrees or zeros.
     """
     try:
         degrees = np.degrees(message.inner("ping_info").numbers("rx_beamwidths"))
-    except UnusableError:  # the picture can be used all the same
+    except UnusableError:  # the image can be used without it
         return None
     degrees = degrees[(degrees > 0) & (degrees <= WIDEST_BEAM_DEG)]
     return round(float(np.median(degrees)), 3) if len(degrees) else None
 
 
 def read_raw_sonar_image(message: Fields) -> Ping:
-    """marine_acoustic_msgs/RawSonarImage: ranges follow from the time of each sample."""
+    """marine_acoustic_msgs/RawSonarImage: ranges are computed from the times of the samples."""
     image = message.inner("image")
     bearings = _left_to_right(np.degrees(message.numbers("rx_angles")))
     speed = message.inner("ping_info").number("sound_speed")
@@ -138,7 +142,7 @@ def _oculus_geometry(message: Fields, bins: int, beams: int) -> PingGeometry:
 
 
 def read_oculus_ping(message: Fields) -> Ping:
-    """sonar_oculus/OculusPing: an image, compressed in later versions, and its geometry."""
+    """sonar_oculus/OculusPing: an image (compressed in later versions) and its geometry."""
     inner = message.inner("ping")
     image = read_image(inner) if "encoding" in inner else read_compressed_image(inner)
     geometry = _oculus_geometry(message, *image.pixels.shape[:2])
@@ -146,12 +150,12 @@ def read_oculus_ping(message: Fields) -> Ping:
 
 
 def read_oculus_interfaces_ping(message: Fields) -> Ping:
-    """oculus_interfaces/Ping: rows may begin with a gain, by whose root they are divided."""
+    """oculus_interfaces/Ping: a row may begin with a gain; it is divided by the gain's root."""
     bins, beams, step = (message.whole(k) for k in ("n_ranges", "n_beams", "step"))
     size = message.whole("sample_size")
     data = message.octets("ping_data")
     gains = message.whole("has_gains") != 0
-    if len(data) != bins * step:  # as with images, a wrong step is not believed
+    if len(data) != bins * step:  # a wrong step is ignored, as in images
         step = 0
     pixels = oculus_samples(data, bins, beams, size, gains=gains, step=step)
     return Ping(pixels, message.stamp_ns(), _oculus_geometry(message, bins, beams))
@@ -159,7 +163,7 @@ def read_oculus_interfaces_ping(message: Fields) -> Ping:
 
 @dataclass(frozen=True, slots=True)
 class MessageType:
-    """How a message is read, and whether it is polar and tells its own geometry."""
+    """How a message type is read, and whether it is polar and states its own geometry."""
 
     read: Callable[[Fields], Ping]
     polar: bool = False
@@ -185,25 +189,27 @@ MESSAGES = {
 }
 
 READABLE = f"{', '.join(MESSAGES)} (CDR, ROS 1 or JSON; foxglove also protobuf and flatbuffer)"
-"""What is read, for error messages."""
+"""The message types read, for error messages."""
 
 
 def message_type(schema_name: str) -> str:
-    """package/Name of a schema: "sensor_msgs/msg/Image" and the dotted names of some recorders
-    ("sensor_msgs.msg.Image") mean the same."""
+    """The message type (package/Name) that a schema's name stands for.
+
+    "sensor_msgs/msg/Image" and "sensor_msgs.msg.Image", as some recorders write it, are the same.
+    """
     return schema_name.replace(".", "/").replace("/msg/", "/")
 
 
 @dataclass(frozen=True, slots=True)
 class Decoder:
-    """Gives the Ping of one message's bytes; raises UnusableError where they cannot be used."""
+    """Turns a message's bytes into a Ping; raises UnusableError if they cannot be used."""
 
     fields: Decode
     kind: MessageType
 
     @property
     def polar(self) -> bool:
-        """Whether pings tell their own geometry."""
+        """Whether the messages are polar and state their own geometry."""
         return self.kind.polar
 
     def __call__(self, message: memoryview) -> Ping:
@@ -214,10 +220,10 @@ class Decoder:
 def decoder_for(
     schema_name: str, schema_encoding: str, schema_data: bytes, message_encoding: str
 ) -> Decoder | None:
-    """The decoder of a channel's messages, or None where they are not read.
+    """The decoder of a channel's messages; None if they are not sonar images or cannot be decoded.
 
-    schema_encoding, schema_data: the message definition as the file holds it ("ros2msg", ...).
-    Raises DefinitionError where it cannot be used and there is none of ours.
+    schema_encoding, schema_data: the message definition in the file ("ros2msg", ...). Raises
+    DefinitionError if it cannot be used and we have none of our own.
     """
     name = message_type(schema_name)
     kind = MESSAGES.get(name)

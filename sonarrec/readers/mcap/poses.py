@@ -1,4 +1,4 @@
-"""Reads a pose topic of a recording: `sonarrec run --odometry-topic`."""
+"""Reads the sonar's poses from a topic of a recording: `sonarrec run --odometry-topic`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from sonarrec.readers.raw import UnusableError
 from sonarrec.readers.recording import Message, Recording
 from sonarrec.records import Clock, SonarrecError, UsageError, name_as_text, number_of
 
-# Where the pose is inside each message.
+# The message types read, with the fields that lead to the pose inside each.
 POSES = {
     "nav_msgs/Odometry": ("pose", "pose"),
     "geometry_msgs/PoseStamped": ("pose",),
@@ -27,12 +27,13 @@ POSES = {
 
 
 def read_topic(path: Path, topic: str, time: Clock) -> PoseTable:
-    """The poses of one topic, by the clock that names the frames.
+    """Read the poses of one topic.
 
-    ROS counts angles counter-clockwise and has x ahead and y to the left at yaw 0 (REP 103).
-    Messages that cannot be read leave a gap, and a line each in the table's problems.
-    Raises SonarrecError where the file or too few of its messages can be used, UsageError where
-    the topic cannot be meant.
+    time: which of a message's times counts; the same as for the frames. ROS counts angles
+    counter-clockwise; at yaw 0, x points ahead and y to the left (REP 103). Messages that cannot
+    be read leave a gap and add a line to the table's problems.
+    Raises SonarrecError if the file cannot be used or has fewer than two poses, UsageError if it
+    has no such pose topic.
     """
     source = find_log(path)
     if not source.reader.has_topics:
@@ -64,12 +65,12 @@ def read_topic(path: Path, topic: str, time: Clock) -> PoseTable:
 def _read_poses(
     log: Recording, topic: str, time: Clock
 ) -> tuple[list[int], list[list[float]], list[str]]:
-    """(times in ns, poses as of `_pose`, a line for each message that cannot be used)."""
+    """(times in ns, poses from `_pose`, a line for each message that cannot be used)."""
     at, rows, problems = [], [], []
     channels = _channels(log, topic)
     for number, message in enumerate(log.messages(channels)):
         if message.data is None and message.problem is None:
-            continue  # lost with a damaged chunk, which the log's own faults report
+            continue  # lost in a damaged chunk; the log's own faults report that
         try:
             if message.data is None:
                 raise UnusableError(str(message.problem))
@@ -84,7 +85,7 @@ def _read_poses(
 
 
 def _channels(log: Recording, topic: str) -> dict[int, tuple[Decode, tuple[str, ...]]]:
-    """Of every channel of a pose topic its decoder, and where the pose is inside its messages."""
+    """For every channel of the pose topic: its decoder, and the fields that lead to the pose."""
     kinds = {number: message_type(c.schema) for number, c in log.channels.items()}
     poses = {number: c for number, c in log.channels.items() if kinds[number] in POSES}
     decoders: dict[int, tuple[Decode, tuple[str, ...]]] = {}
@@ -109,7 +110,7 @@ def _channels(log: Recording, topic: str) -> dict[int, tuple[Decode, tuple[str, 
 
 
 def _pose(fields: Fields, places: tuple[str, ...]) -> list[float]:
-    """x and y of the position, x, y, z and w of the orientation, made of unit length."""
+    """[x, y, qx, qy, qz, qw]: position in m, and orientation as a unit quaternion."""
     for name in places:
         fields = fields.inner(name)
     place, turn = fields.inner("position"), fields.inner("orientation")

@@ -1,8 +1,8 @@
-"""Takes ROS messages apart, CDR and the serialisation of ROS 1, by `rosbags`.
+"""Decodes ROS messages, CDR and the serialisation of ROS 1, with `rosbags`.
 
-rosbags writes code from a message's definition and runs it. So no word of a file's definition
-goes into that code: messages and fields get names of ours first, constants and default values are
-left out, and what is left are kinds of numbers and lengths, all within bounds.
+rosbags generates Python code from a message's definition and runs it. So that no text from a file
+gets into that code, messages and fields are renamed first, and constants and default values are
+left out. Only kinds of numbers and lengths remain, all within bounds.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from sonarrec.readers.mcap.fields import DefinitionError
 from sonarrec.readers.raw import MAX_FRAME_BYTES, UnusableError
 
 _MAX_DEFINITION_BYTES = 2**18
-_MAX_FIELDS = 1000  # of a message and all inside: of those read here the largest has some 50
+_MAX_FIELDS = 1000  # of a message and those inside it; the largest one read here has about 50
 _MAX_DEPTH = 16
-_MAX_ITEMS = 10_000  # texts and messages inside of a message: none read here has as many
+_MAX_ITEMS = 10_000  # texts and messages inside a message; those read here have far fewer
 
 Types = Mapping[str, tuple[Any, Any]]
-"""Messages as rosbags lists them: package/msg/Name to (constants, [(field, kind)])."""
+"""Definitions as rosbags has them: package/msg/Name to (constants, [(field, kind)])."""
 
 _FIELD = re.compile(
     r"(?P<type>[a-zA-Z][\w/]*(?:<=[0-9]{1,9})?(?:\[(?:<=)?[0-9]{0,9}\])?)\s+"
@@ -40,26 +40,26 @@ _FIELD = re.compile(
     re.ASCII,
 )
 _TITLE = re.compile(r"MSG:\s*([\w/]+)", re.ASCII)
-# `time` and `duration` of ROS 1, which no file defines.
+# `time` and `duration` are built into ROS 1, so no file defines them.
 _CLOCK = [(name, (Nodetype.BASE, ("uint32", 0))) for name in ("sec", "nanosec")]
 _CLOCKS: Types = {f"builtin_interfaces/msg/{name}": ([], _CLOCK) for name in ("Time", "Duration")}
-# Kinds as rosbags lists them. CDR has no empty message: one byte stands in its place.
+# Kinds as rosbags has them. CDR has no empty message: it is written as one byte.
 _HALF = (Nodetype.BASE, ("uint32", 0))
 _OCTETS = (Nodetype.SEQUENCE, ((Nodetype.BASE, ("uint8", 0)), 0))
 _EMPTY = [("structure_needs_at_least_one_member", (Nodetype.BASE, ("uint8", 0)))]
 _NUMPY = {"byte": "uint8", "char": "uint8"}
 _WIDE = {"float64": "d", "int64": "q", "uint64": "Q"}
-_ZSTD = b"\x28\xb5\x2f\xfd"  # what a zstd frame begins with, and no CDR message
+_ZSTD = b"\x28\xb5\x2f\xfd"  # a zstd frame begins so; no CDR message does
 # Second byte of the encapsulation header: plain CDR and plain XCDR2, big- and little-endian.
 _CDR_KINDS = {0: ("be", False), 1: ("le", False), 6: ("be", True), 7: ("le", True)}
 
 
-@lru_cache(maxsize=16)  # the logs of a campaign hold the same few definitions; code is made of each
+@lru_cache(maxsize=16)  # logs share a few definitions, and generating their code is slow
 def ros_decoder(name: str, definition: bytes, ros1: bool) -> RosDecoder | None:
-    """The decoder of a message (package/Name) by the definition in the file, by ours where it has
-    none that can be used; None without either.
+    """The decoder of a message type (package/Name).
 
-    Raises DefinitionError where there is only one that cannot be used.
+    It uses the definition in the file, or else our own; None if there is neither. Raises
+    DefinitionError if the file's cannot be used and there is none of our own.
     """
     try:
         if definition.strip():
@@ -77,7 +77,7 @@ def _is_known(name: str, ros1: bool) -> bool:
 
 @cache
 def known_messages(ros1: bool) -> Typestore:
-    """The messages of a ROS distribution, and those of the packages of sonars."""
+    """Our own definitions: the messages of a ROS distribution and of the drivers of sonars."""
     store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
     text = resources.files(__package__).joinpath("sonars.msg").read_text(encoding="utf-8")
     title, _, rest = text.partition("\n")
@@ -86,10 +86,10 @@ def known_messages(ros1: bool) -> Typestore:
 
 
 def parse_definition(text: str, name: str) -> Types:
-    """The fields of message `name` (package/Name) and of those that are defined below it.
+    """The definitions in a text: of message `name` (package/Name) and of those listed below it.
 
-    Comments, constants and default values are left out: nothing in the text is evaluated.
-    Raises DefinitionError where it cannot be understood.
+    Comments, constants and default values are dropped; nothing in the text is evaluated. Raises
+    DefinitionError if the text cannot be parsed or is too long.
     """
     if len(text) > _MAX_DEFINITION_BYTES:
         raise DefinitionError(f"{len(text)} bytes are more than is read")
@@ -108,10 +108,10 @@ def parse_definition(text: str, name: str) -> Types:
                 continue
             own_header = f"{owner.partition('/')[0]}/Header"
             is_own = own_header in defined and field["type"].partition("[")[0] == "Header"
-            # To rosbags a Header without its package is always that of std_msgs.
+            # rosbags takes a Header without its package to be that of std_msgs.
             kind = field["type"].replace("Header", own_header) if is_own else field["type"]
             lines.append(f"{kind} {field['name']}")
-    if len(lines) > 3 * _MAX_FIELDS:  # with titles, and with messages that are not used
+    if len(lines) > 3 * _MAX_FIELDS:  # titles and unused messages included
         raise DefinitionError(f"{len(lines)} lines are more than is read")
     try:
         return get_types_from_msg("\n".join(lines) + "\n", name)
@@ -120,24 +120,24 @@ def parse_definition(text: str, name: str) -> Types:
 
 
 class RosDecoder:
-    """Gives the fields of the messages of one definition.
+    """Decodes messages of one definition into their fields.
 
-    Numbers come as such, sequences of numbers as arrays without a copy, texts as arrays of their
-    bytes, messages inside as dicts, sequences of these as lists.
+    Sequences of numbers become arrays, without a copy; texts become arrays of their bytes; messages
+    inside become dicts, and sequences of messages become lists.
     """
 
     def __init__(self, types: Types, name: str, ros1: bool) -> None:
-        """types: the definitions in the file; the rest is taken from known_messages.
+        """types: the definitions in the file; messages missing there are from known_messages.
 
-        Raises DefinitionError where a message is nowhere defined or one is beyond bounds.
+        Raises DefinitionError if a message is not defined anywhere or is too large.
         """
         self._types, self._name, self._ros1 = types, name.replace("/", "/msg/"), ros1
         self._layouts = {"": _Layout(types, self._name, ros1)}
 
     def __call__(self, message: memoryview) -> dict[str, Any]:
-        """The fields of a message, of a CDR one behind its encapsulation header of 4 bytes.
+        """The fields of a message. A CDR message begins with an encapsulation header of 4 bytes.
 
-        Bytes behind its end are passed over. Raises UnusableError where it is malformed.
+        Bytes behind its end are ignored. Raises UnusableError if it is malformed.
         """
         if self._ros1:
             return self._layouts[""].fields("deserialize_ros1", message)
@@ -153,19 +153,26 @@ class RosDecoder:
 
 
 class _Layout:
-    """A definition as rosbags gets it: under names of ours, and a text as the array of bytes that
-    it is on the wire. rosbags refuses a whole message for one text without its closing zero or
-    that is not UTF-8, such as a frame_id.
+    """A definition in the form in which rosbags gets it.
+
+    Messages and fields have names of our own. Texts are arrays of bytes, because rosbags rejects a
+    whole message if one text in it, such as frame_id, is not UTF-8 or lacks its closing zero.
     """
 
     def __init__(self, types: Types, name: str, ros1: bool, narrow: str = "") -> None:
-        """narrow: the byte order ("le", "be") where numbers of 8 bytes are aligned to 4 as in
-        XCDR2, which rosbags does not read: it gets each as two of 4 bytes. Empty for all else.
+        """narrow: the byte order ("le" or "be") of XCDR2; empty for other encodings.
+
+        XCDR2 aligns numbers of 8 bytes to 4, which rosbags cannot read. So each of them is
+        declared as two numbers of 4 bytes.
         """
         self._types, self._ros1, self._narrow = types, ros1, narrow
         self._store: Any = Typestore()
-        self._registered: dict[str, tuple[Any, int]] = {}  # its kind there, and how deep it nests
-        self._vectors: dict[str, tuple[Any, list[str]]] = {}  # messages of one kind of number
+        self._registered: dict[
+            str, tuple[Any, int]
+        ] = {}  # name: (kind in the store, nesting depth)
+        self._vectors: dict[
+            str, tuple[Any, list[str]]
+        ] = {}  # messages whose fields are all of one kind of number
         self._field_count = self._items_left = 0
         self._register("string", [_OCTETS], lambda values: values[0])
         mark = ">" if narrow == "be" else "<"
@@ -175,7 +182,7 @@ class _Layout:
         self._root = self._store.get_msgdef(root)
 
     def fields(self, function: str, body: memoryview) -> dict[str, Any]:
-        """The fields of a message, by one of rosbags' functions."""
+        """Decode a message. function: the name of the method of rosbags for its encoding."""
         self._items_left = _MAX_ITEMS
         try:
             parsed, _ = getattr(self._root, function)(body, 0, self._root.cls, self._store)
@@ -184,8 +191,7 @@ class _Layout:
         return dict(parsed)
 
     def _message(self, name: str, depth: int) -> tuple[Any, int]:
-        """The kind of a message in the store, which it and all inside are put into, and how deep
-        it nests."""
+        """Register a message and those inside it; returns (its kind, its nesting depth)."""
         kind, height = self._registered.get(name, (None, 0))
         if depth + height > _MAX_DEPTH:
             raise DefinitionError(f"{name} nests too deeply")
@@ -208,19 +214,19 @@ class _Layout:
         return kind, height
 
     def _kind(self, listed: Any, depth: int) -> tuple[Any, int]:
-        """A kind of field as the store gets it, and how deep it nests."""
+        """Translate the kind of a field for the store; returns (kind, nesting depth)."""
         node, detail = listed
         if node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
             single, count = detail
             kind, height = self._kind(single, depth)
-            if kind == _OCTETS:  # a text, by the name of which its bytes are put
+            if kind == _OCTETS:  # a text: the message "string" that holds its bytes
                 kind = Nodetype.NAME, "string"
             if node == Nodetype.SEQUENCE and kind[1] in self._vectors:
                 return self._table(*self._vectors[kind[1]]), 0
             if node == Nodetype.ARRAY:
                 if not count:
                     raise DefinitionError("an array of no element")
-                if kind[0] == Nodetype.NAME:  # for each of these rosbags writes lines of code
+                if kind[0] == Nodetype.NAME:  # rosbags generates code for each element
                     self._add_fields(count)
             return (node, (kind, count)), height
         if node == Nodetype.NAME:
@@ -237,8 +243,11 @@ class _Layout:
             raise DefinitionError(f"more than {_MAX_FIELDS} fields")
 
     def _table(self, number: Any, names: list[str]) -> Any:
-        """The kind of a sequence of vectors, read as columns by code of ours: one by one, as
-        rosbags does it, the beam directions of a ping take six times as long as all the rest."""
+        """Register a sequence of vectors, to be read into one array per component.
+
+        rosbags reads vectors one by one: the beam directions of a ping would take six times as long
+        as all the rest.
+        """
         code = np.dtype(_NUMPY.get(number[1][0], number[1][0])).str[1:]
 
         def read(order: str, aligned: bool, body: memoryview, at: int, *_: Any) -> tuple[Any, int]:
@@ -265,7 +274,7 @@ class _Layout:
     def _register(
         self, name: str, kinds: list[Any], make: Callable[[tuple[Any, ...]], Any]
     ) -> None:
-        """Put a message into the store. make: what its fields are made into."""
+        """Put a message into the store. make: turns its fields into what is returned."""
 
         def counted_make(*values: Any) -> Any:
             self._items_left -= 1
@@ -279,7 +288,7 @@ class _Layout:
 
 
 def _inflate(message: memoryview) -> memoryview:
-    """A message that was compressed by itself. Raises UnusableError where it does not inflate."""
+    """Inflate a message that was compressed by itself. Raises UnusableError if that fails."""
     out = bytearray()
     try:
         for piece in inflated_zstd(iter([bytes(message)])):
@@ -292,5 +301,5 @@ def _inflate(message: memoryview) -> memoryview:
 
 
 def _join(halves: str, whole: str, values: tuple[int, int]) -> Any:
-    """The number of 8 bytes that is stored in two of 4."""
+    """The number of 8 bytes that was read as two numbers of 4 bytes."""
     return struct.unpack(whole, struct.pack(halves, *values))[0]

@@ -1,7 +1,7 @@
-"""What an MCAP file holds: whole, cut short, unindexed or damaged.
+"""Finds out what an MCAP file holds, even if the file is cut short, has no index or is damaged.
 
-By hand because the `mcap` package reads no further than the first damage. This seeks from record
-to record, with or without an index. The records' own layouts come from the package.
+The `mcap` package stops at the first damage. This module goes from record to record, with or
+without an index; it uses the package only to parse single records.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ from sonarrec.records import SonarrecError, name_as_text
 
 MAGIC = b"\x89MCAP0\r\n"
 MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
-CHUNK = -1  # in place of a channel
+CHUNK = -1  # stands for a channel in McapFile.channels_of_units
 _MAX_DEFINITION_BYTES = 4 * 2**20
 _CHUNK_INDEX_HEAD = struct.Struct("<QQQ")  # start, end, position of the chunk
 _CRC = struct.Struct("<I")
 _FOOTER_BYTES = 20
 _LAST_OPCODE = 0x0F
-FIRST_PRIVATE = 0x80  # from here on opcodes are free for any use
+FIRST_PRIVATE = 0x80  # the first opcode that is free for private records
 
 
 def records_in(contents: Contents, at: int) -> Iterator[tuple[int, int, int]]:
-    """(opcode, start of the body, its length) of every whole record from `at` on."""
+    """Yield (opcode, start of the body, its length) of every whole record from `at` on."""
     file = contents.file
     while at + RECORD_HEAD.size <= contents.end:
         file.seek(at)
@@ -59,21 +59,22 @@ def records_in(contents: Contents, at: int) -> Iterator[tuple[int, int, int]]:
 
 
 class McapFile:
-    """An MCAP file, opened, and what it holds.
+    """An open MCAP file and a summary of what it holds.
 
-    schemas, channels: by id. counts: messages by channel. header: profile and library, None
-    without one. span: first and last log time in ns, None without a message. chunks: how many,
-    by compression. whole: it has its footer. faults: lines about what is wrong.
+    schemas, channels: by id. counts: number of messages by channel. header: profile and library;
+    None if the file has no header. span: first and last log time, ns; None without messages.
+    chunks: number of chunks by compression. whole: whether the file has its footer. faults: a line
+    for each thing that is wrong.
 
-    times, positions, channels_of_units: what there is to read, by first log time (ns) and place:
-    chunks (channel CHUNK), and runs of messages outside of any chunk, each of one channel whose
-    times do not go back.
+    times, positions, channels_of_units: the units to read, one element each: its first log time
+    (ns), its position in the file, and its channel. A unit is a chunk (channel CHUNK), or a run of
+    messages of one channel that are in no chunk and whose times do not go back.
     """
 
     def __init__(self, path: Path, at: Path | None = None) -> None:
-        """path: what to call it; at: where its bytes are, if not there.
+        """path: the file's name in messages. at: the file to read, if it is another one.
 
-        Raises SonarrecError where the file is no MCAP, OSError where it cannot be read.
+        Raises SonarrecError if it is no MCAP file, OSError if it cannot be read.
         """
         self.path = path
         self.schemas: dict[int, Schema] = {}
@@ -104,7 +105,7 @@ class McapFile:
         self.file.close()
 
     def chunk_at(self, position: int) -> ChunkHead:
-        """The head of a chunk. Raises DamagedError where it makes no sense."""
+        """The head of the chunk at `position`. Raises DamagedError if it cannot be used."""
         head = read_chunk_head(self.file, position, self.size)
         if head is None:
             raise DamagedError("has no readable head")
@@ -115,11 +116,11 @@ class McapFile:
         self.faults.append(f"{name_as_text(self.path.name)}: {text}")
 
     def data_are_sound(self) -> bool:
-        """Whether all before the summary keeps its checksum, if there is one. Reads all of it."""
+        """Whether the data section matches its checksum, or has none. Reads the whole section."""
         if self._data_end is None or not self._data_end[1]:
             return True
         end, stated = self._data_end
-        # Writers differ on whether the first eight bytes belong to it.
+        # Writers differ on whether the checksum includes the first eight bytes of the file.
         return stated in (self._crc(0, end), self._crc(len(MAGIC), end))
 
     def _scan(self) -> None:
@@ -152,9 +153,9 @@ class McapFile:
             self.fault(f"not read: {count} {oddity}")
 
     def _summary_is_complete(self) -> bool:
-        """Whether the summary counts all messages, and all it counts is defined.
+        """Whether the summary counts all messages, and every channel and schema is defined.
 
-        Writers may leave out the counts by channel, channels or schemas.
+        Some writers leave out the counts by channel, or channels, or schemas.
         """
         statistics = self._statistics
         if statistics is None:
@@ -168,7 +169,7 @@ class McapFile:
         )
 
     def _report_what_follows(self) -> None:
-        """A recording ends with its footer; what others have put behind it is not read."""
+        """Report bytes behind the footer, where the recording ends; they are not read."""
         if self.whole and (more := self.size - self._end):
             self.file.seek(self._end)
             another = self.file.read(len(MAGIC)) == MAGIC
@@ -184,9 +185,9 @@ class McapFile:
         return where + "what is whole before it is read, the rest cannot be counted"
 
     def _scan_from(self, at: int) -> int:
-        """Note every record from `at` on, to the footer or to the first that is not whole.
+        """Register every record from `at` to the footer or to the first incomplete record.
 
-        Returns where that is.
+        Returns the position at which it stopped.
         """
         last_times: dict[int, int] = {}
         while at + RECORD_HEAD.size <= self.size:
@@ -219,7 +220,7 @@ class McapFile:
         return at
 
     def _note(self, opcode: int, at: int, length: int, last_times: dict[int, int]) -> None:
-        """Take note of a whole record at `at`. last_times: of the messages before, by channel."""
+        """Register a whole record at `at`. last_times: log time of the last message, by channel."""
         self.file.seek(at + RECORD_HEAD.size)
         if opcode != Opcode.MESSAGE:
             if _LAST_OPCODE < opcode < FIRST_PRIVATE:
@@ -237,8 +238,10 @@ class McapFile:
         self._count(channel, time)
 
     def _end_behind(self, at: int) -> int:
-        """Where the recording ends whose summary begins at `at`: behind its footer; of one that
-        has none, or none that can be found, the file's end."""
+        """Where the recording ends: behind its footer, or at the file's end if it has none.
+
+        at: where its summary begins.
+        """
         for opcode, body, length in records_in(Contents(self.file, at, self.size), at):
             if opcode == Opcode.FOOTER and length == _FOOTER_BYTES:
                 self.file.seek(body + length)
@@ -267,7 +270,7 @@ class McapFile:
         self.span = min(first, time), max(last, time)
 
     def _define(self, file: BinaryIO, opcode: int, length: int) -> None:
-        """Take note of a record that tells what there is; a damaged one is left out."""
+        """Register a header, schema, channel or statistics record; only count a damaged one."""
         if opcode not in (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS):
             return
         stream = ReadDataStream(BytesIO(file.read(min(length, _MAX_DEFINITION_BYTES))))
@@ -288,7 +291,10 @@ class McapFile:
             self._oddities["damaged definitions"] += 1
 
     def _look_into_chunks(self) -> None:
-        """Note what the chunks define, and count what they hold, until the summary is enough."""
+        """Register the definitions inside the chunks and count their messages.
+
+        It stops as soon as the summary is complete.
+        """
         for position, channel in zip(self.positions, self.channels_of_units, strict=True):
             if channel == CHUNK:
                 self._look_into(position)
@@ -299,7 +305,7 @@ class McapFile:
         try:
             contents = self.store.open(self.chunk_at(position))
         except DamagedError:
-            return  # told when the messages are read
+            return  # reported when the messages are read
         for opcode, body, length in records_in(contents, contents.start):
             contents.file.seek(body)
             if opcode == Opcode.MESSAGE:
@@ -311,10 +317,10 @@ class McapFile:
                 self._define(contents.file, opcode, length)
         self.store.release(contents)
 
-    # The end of the file: what tells how to go on after damage.
+    # The end of the file, where the index is: it says how to go on after damage.
 
     def _footer(self) -> tuple[int, Footer] | None:
-        """Position and contents of the footer, where the recording ends in one."""
+        """(position, contents) of the footer; None if the recording does not end with one."""
         position = self._end - len(MAGIC) - _FOOTER_BYTES - RECORD_HEAD.size
         if position < len(MAGIC):
             return None
@@ -326,7 +332,7 @@ class McapFile:
         return position, Footer.read(ReadDataStream(BytesIO(record[len(head) :])))
 
     def _summary_is_sound(self) -> bool:
-        """Whether the summary keeps the checksum in the footer, if there are both."""
+        """Whether the summary matches its checksum in the footer, or there is none."""
         end_footer = self._footer()
         if end_footer is None or not end_footer[1].summary_crc:
             return True
@@ -342,7 +348,7 @@ class McapFile:
         return crc
 
     def _indexed_positions(self) -> list[int]:
-        """Where, by the summary, chunks begin and it itself begins; rising."""
+        """Positions of the chunks according to the summary, and of the summary itself, rising."""
         end_footer = self._footer()
         if end_footer is None or not end_footer[1].summary_start or not self._summary_is_sound():
             return []
