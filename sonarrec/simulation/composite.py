@@ -1,15 +1,16 @@
-"""Landmarks laid into real frames: the frame's own speckle and light under the disc's pattern.
+"""Lays discs into real frames: the frame's own speckle and light, with the disc's pattern.
 
-Grey is logarithmic: 255 levels are so many dB. With echoes as power P, a pixel of a disc is
+Grey is logarithmic: 255 levels cover the dynamic range in dB. With P as the power of the echoes, a
+pixel of a disc is
 
     P / mean of P over the fine scale * mean of P over the light's scale * gain
 
-which keeps the speckle (fine scale: a third of the disc's radius, 5 cm of a disc of 0.15 m, but
-FINE_BEAMS beam widths at least) and the light (7/3 of the radius, 35 cm), and drops what texture
-the floor has between them: the disc covers it. The gain is a level over the floor for ring and
-sectors and one for the plate, smeared as the sonar smears: by the beam's width across the line of
-sight, and SMEAR_M along it. Where the smear spills over the disc's edge both pictures are mixed by
-the disc's share.
+This keeps the speckle and the light. The fine scale is a third of the disc's radius (5 cm for a
+disc of 0.15 m), but at least FINE_BEAMS beam widths; the light's scale is 7/3 of the radius
+(35 cm). Texture of the floor between these scales is dropped, because the disc covers the floor.
+The gain is one level over the floor for ring and sectors and another for the plate. It is smeared
+as the sonar smears: across the line of sight by the beam width, along it by SMEAR_M. Where the
+smear reaches beyond the disc's edge, disc and frame are mixed by the disc's share of the pixel.
 """
 
 from __future__ import annotations
@@ -34,22 +35,23 @@ from sonarrec.records import ByteImage, Fan, FloatArray, FloatImage
 from sonarrec.simulation.motion import Pose
 
 FINE, LIGHT = 1 / 3, 7 / 3  # scales, in radii of the disc
-# The fine mean must hold several cells of speckle: the echo over the mean of its own cell is 1, and
-# a disc without speckle would be easier to recognise than a real one.
-FINE_BEAMS = 5  # in the middle of the window
+# The fine mean must cover several cells of speckle. A mean over a single cell would remove the
+# speckle, and a disc without speckle would be easier to recognise than a real one.
+FINE_BEAMS = 5  # beam widths, in the middle of the window
 LEAST_FINE_PX = 5
 SMEAR_M = 0.02  # full width at half maximum along the range: a pulse
 _HALF_POWER = 2 * math.sqrt(2 * math.log(2))  # full width at half maximum of a Gaussian, in sigmas
-_TAIL = 2.0  # sigmas at which the smear ends, so that what lies beyond stays as it was
-_ACROSS = 40  # samples of the pattern along a radius, at least
+_TAIL = 2.0  # sigmas at which the smear ends; pixels beyond stay unchanged
+_SAMPLES_PER_RADIUS = 40  # of the pattern, at least
 
 
 @dataclass(frozen=True, slots=True)
 class LaidDisc:
-    """A disc on the floor: a landmark, or a fake without (blank) or full of symbol (filled).
+    """A disc on the floor: a landmark, or a fake, which is blank or bright all over (filled).
 
-    landmark: the ID, 0 of a fake. x_m, y_m: of its centre, right and ahead of the sonar at its
-    first frame. orientation_deg: counter-clockwise from that right, seen from above.
+    landmark: the ID; 0 for a fake. x_m, y_m: its centre, to the right and ahead of the sonar in the
+    first frame. orientation_deg: counter-clockwise from the sonar's right in the first frame, seen
+    from above.
     """
 
     kind: Literal["landmark", "blank", "filled"]
@@ -68,10 +70,10 @@ def seen_from(disc: LaidDisc, pose: Pose) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """One frame as power, (rows, columns) float32 each.
+    """One frame as power; both are (rows, columns) float32.
 
-    power: 0 where black. bare: the same without the texture between the two scales: what a disc is
-    made of.
+    power: 0 where the frame is black. bare: the same without the texture between the two scales;
+    discs are made of it.
     """
 
     power: FloatImage
@@ -80,10 +82,10 @@ class Surface:
 
 @dataclass(frozen=True, slots=True)
 class Footprint:
-    """Where a disc shows in a frame.
+    """The pixels that a disc covers in a frame.
 
-    box: rows and columns. share: (box) 0 to 1, how much of a pixel is disc, smear included. bright:
-    (box) how much of it is ring or sector.
+    box: rows and columns. share: (box) 0 to 1, how much of each pixel is disc, smear included.
+    bright: (box) 0 to 1, how much of each pixel is ring or sector.
     """
 
     box: tuple[slice, slice]
@@ -112,14 +114,14 @@ class Composer:
         radius_px = landmarks.radius_m / fan.metres_per_pixel
         middle_px = (fan.range_min_m + fan.range_max_m) / 2 / fan.metres_per_pixel
         cells_px = FINE_BEAMS * math.radians(self._beam_deg) * middle_px
-        # Light must not become speckle: a third of its scale is the most.
+        # The fine scale stays below a third of the light's, so that light is not taken for speckle.
         cells_px = min(cells_px, LIGHT * radius_px / 3)
         self._fine = _odd(max(FINE * radius_px, cells_px, LEAST_FINE_PX))
         self._light = _odd(max(LIGHT * radius_px, 3 * self._fine))
         self._seen = [self._box_mean(self._inside, n) for n in (self._fine, self._light)]
 
     def surface(self, image: ByteImage) -> Surface:
-        """The frame, (fan.rows, fan.columns) uint8, as power."""
+        """The power of a frame. image: (fan.rows, fan.columns) uint8."""
         power = self._power[image] * self._inside
         fine, light = (
             self._box_mean(power, n) / np.maximum(seen, np.float32(1e-6))
@@ -129,7 +131,7 @@ class Composer:
         return Surface(np.asarray(power, np.float32), np.asarray(bare, np.float32))
 
     def footprint(self, disc: LaidDisc, pose: Pose) -> Footprint | None:
-        """Where the disc shows, seen from a pose; None where nothing of it is in the image."""
+        """The pixels that a disc covers, seen from a pose; None if it is out of view."""
         fan, radius = self.fan, self._landmarks.radius_m
         ground, bearing = seen_from(disc, pose)
         if ground <= radius or abs(bearing) > 120:
@@ -137,8 +139,8 @@ class Composer:
         range_m = float(slant_range(fan, ground))
         along_m = max(SMEAR_M, 2 * fan.metres_per_pixel) / _HALF_POWER
         across_deg = self._beam_deg / _HALF_POWER
-        step_m = min(radius / _ACROSS, along_m / 2)
-        step_deg = min(math.degrees(radius / _ACROSS / ground), across_deg / 2)
+        step_m = min(radius / _SAMPLES_PER_RADIUS, along_m / 2)
+        step_deg = min(math.degrees(radius / _SAMPLES_PER_RADIUS / ground), across_deg / 2)
         tails = math.ceil(_TAIL * along_m / step_m), math.ceil(_TAIL * across_deg / step_deg)
         near, far = (float(slant_range(fan, ground + side * radius)) for side in (-1, 1))
         half_deg = math.degrees(math.asin(radius / ground))
@@ -176,9 +178,9 @@ class Composer:
         contrast_db: float,
         plate_db: float,
     ) -> ByteImage:
-        """The frame with discs on it; pixels that no disc reaches are the frame's own.
+        """The frame with discs on it. Pixels that no disc covers are unchanged.
 
-        contrast_db, plate_db: of ring and sectors, and of the plate, over the floor.
+        contrast_db: level of ring and sectors over the floor. plate_db: level of the plate.
         """
         laid = image.copy()
         ring, plate = (np.float32(10 ** (db / 10)) for db in (contrast_db, plate_db))
@@ -193,7 +195,7 @@ class Composer:
     def _pattern(
         self, disc: LaidDisc, pose: Pose, patch_m: FloatArray, patch_deg: FloatArray
     ) -> tuple[FloatImage, FloatImage]:
-        """(bins, beams) float32, 0 or 1: the disc, and its bright parts, on a polar patch."""
+        """The disc and its bright parts on a polar patch: (bins, beams) float32 each, 0 or 1."""
         landmarks = self._landmarks
         ground = np.nan_to_num(ground_range(self.fan, patch_m))[:, None]
         world = np.radians(patch_deg + pose.pan_deg)
@@ -215,7 +217,7 @@ class Composer:
         return share.astype(np.float32), (bright & share).astype(np.float32)
 
     def _box(self, patch_m: FloatArray, patch_deg: FloatArray) -> tuple[slice, slice] | None:
-        """The part of the image that a polar patch covers; None where it covers nothing."""
+        """The rows and columns of the image that a polar patch covers; None if there are none."""
         bearing = np.array([patch_deg[0], patch_deg[-1], np.clip(0, patch_deg[0], patch_deg[-1])])
         column, row = pixel_from_polar(self.fan, patch_m[[0, -1], None], bearing)
         sides = []

@@ -13,15 +13,17 @@ from sonarrec.simulation.plane import Plane, within_a_turn
 from sonarrec.simulation.scene import Scene
 from sonarrec.simulation.world import View
 
-WIDTH = 0.25  # of a fish's length; and its height
-BROADSIDE_DB = 4.0  # how much brighter one is from the side than from head or tail
-OUTSIDE_M = 0.4  # beyond the floor that is seen, where fish come in again
+WIDTH = 0.25  # width of a fish, and its height, in lengths
+BROADSIDE_DB = 4.0  # by how much a fish is brighter from the side than from head or tail
+OUTSIDE_M = 0.4  # how far outside of the floor in view fish leave and come in again
 
 
 @dataclass(frozen=True, slots=True)
 class Fishes:
-    """Where all fish are at one moment. x_m, y_m, up_m: (n,), up above the floor. heading_deg: (n,)
-    azimuth. length_m: (n,)."""
+    """Where all fish are at one moment.
+
+    All are (n,). x_m, y_m: place along the floor. up_m: height above it. heading_deg: azimuth.
+    """
 
     x_m: FloatArray
     y_m: FloatArray
@@ -31,10 +33,10 @@ class Fishes:
 
 
 class Shoal:
-    """All fish of a scene. Each swims straight on with a slow weave, those of a school together.
+    """All fish of a scene. Each swims straight on with a slow weave; schools stay together.
 
-    area: least and most x, least and most y (m) of the floor that the sonar may see; a fish that
-    leaves it comes in again on the other side.
+    area: (least x, most x, least y, most y) of the floor that the sonar may see, m. A fish that
+    leaves the area comes in again on the other side.
     """
 
     def __init__(self, scene: Scene, area: tuple[float, float, float, float]) -> None:
@@ -43,7 +45,7 @@ class Shoal:
         rng = np.random.default_rng([scene.seed, 11])
         n = fish.number
         schooled = round(n * fish.schooling) if fish.schools else 0
-        # The group of each fish: schools first, then each single fish is one.
+        # The group of each fish: schools first, then a group for each single fish.
         self._group = np.concatenate(
             [np.arange(schooled) % max(fish.schools, 1), fish.schools + np.arange(n - schooled)]
         ).astype(int)
@@ -83,7 +85,10 @@ class Shoal:
     def swim_into(
         self, view: View, range_m: FloatArray, pose: Pose, now: Fishes, rng: np.random.Generator
     ) -> None:
-        """Add echoes and shadows to a view of slant ranges (bins,)."""
+        """Add the echoes and shadows of the fish to a view.
+
+        range_m: (bins,) slant ranges of the view. now: where the fish are.
+        """
         slant, bearing = self._plane.seen(pose, now.x_m, now.y_m, now.up_m)
         azimuth = bearing + pose.pan_deg
         first, last = view.azimuth_deg[[0, -1]]
@@ -95,8 +100,8 @@ class Shoal:
             away = pose.height_m - now.up_m[n]
             ground = math.sqrt(max(slant[n] ** 2 - away**2, 1e-4))
             across = within_a_turn(now.heading_deg[n] - azimuth[n])
-            # Where the line past the fish meets the floor, everything is larger; and its height
-            # stretches the shadow along that line.
+            # The shadow lies where the line past the fish meets the floor, so it is larger than
+            # the fish; the height of the fish stretches it along that line.
             larger = pose.height_m / away
             longer = WIDTH * now.length_m[n] * ground / away
             body = _Body(slant[n], azimuth[n], ground, float(across), now.length_m[n])
@@ -124,7 +129,11 @@ class Shoal:
 
 @dataclass(frozen=True, slots=True)
 class _Body:
-    """A fish or its shadow. across_deg: heading from the line of sight. longer_m: along that."""
+    """A fish or its shadow.
+
+    slant_m, azimuth_deg: its middle. ground_m: range along the floor. across_deg: heading relative
+    to the line of sight. longer_m: by how much it is stretched along the line of sight.
+    """
 
     slant_m: float
     azimuth_deg: float
@@ -136,7 +145,7 @@ class _Body:
     def on(
         self, azimuth_deg: FloatArray, range_m: FloatArray
     ) -> list[tuple[tuple[slice, slice], np.ndarray]]:
-        """Its box of the view and how far it fills each cell, 0 to 1; nothing if out of view."""
+        """[(its box of the view, how far it fills each cell, 0 to 1)]; empty if out of view."""
         reach = 0.7 * (self.length_m + self.longer_m)
         angle = math.degrees(reach / self.ground_m)
         rows = slice(*np.searchsorted(range_m, [self.slant_m - reach, self.slant_m + reach]))

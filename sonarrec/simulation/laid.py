@@ -11,20 +11,21 @@ from sonarrec.records import BoolArray, FloatArray
 from sonarrec.simulation.grid import PolarGrid, SquareGrid, smooth_noise
 from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene, place_of
 
-SILT_EDGE = 0.15  # of smooth noise of unit variance: from bare to covered
+SILT_EDGE = 0.15  # width of the edge between bare and covered, in units of the smooth noise
 
 
 def raised_m(item: PlacedLandmark | PlacedObject, radius_m: float) -> float:
-    """How far above the floor the middle of a leaning disc is."""
+    """Height of the middle of a leaning disc above the floor, m."""
     return radius_m * math.sin(math.radians(item.lean_deg))
 
 
 class RaisedDisc:
-    """A disc whose lower edge touches the floor, where a sonar over the origin sees it.
+    """A leaning disc, as a sonar above the floor's origin sees it. Its lower edge is on the floor.
 
-    What is raised is as near as floor that lies nearer along the same azimuth; there it shows.
-    dx_m, dy_m: of each cell of a box, from the disc's middle and along the disc. lifted_m: how far
-    above the floor a thing there would have to rise to be seen as flatly as the disc is.
+    A raised point has the same slant range as a nearer point of the floor, so it shows there.
+    dx_m, dy_m: for each cell of a box, the point of the disc that shows there, from the disc's
+    middle and along the disc. lifted_m: how tall a thing standing in the cell would have to be, for
+    the sonar to see its top at the same depression as the disc.
     """
 
     def __init__(
@@ -35,7 +36,7 @@ class RaisedDisc:
         x_m: np.ndarray,
         y_m: np.ndarray,
     ) -> None:
-        """sonar_m: its height. x_m, y_m: of the cells on the floor."""
+        """sonar_m: the sonar's height. x_m, y_m: the cells' places on the floor."""
         lean, towards = math.radians(item.lean_deg), math.radians(item.lean_towards_deg)
         x0, y0 = place_of(item)
         right, ahead = math.sin(towards), math.cos(towards)
@@ -57,19 +58,25 @@ class RaisedDisc:
         self._sine = math.sin(lean) * facing * ground + math.cos(lean) * (sonar_m - self._height)
         self._floor_sine = sonar_m
         rim = np.hypot(self.dx_m, self.dy_m) / radius_m
-        # The raised edge turns its face to the sonar or away from it.
+        # The raised edge faces the sonar or faces away from it.
         near = -(self.dx_m * x0 + self.dy_m * y0) / (radius_m * item.ground_m)
         most = 2 * raised_m(item, radius_m)
         self._edge = np.where(rim > 0.8, near * np.clip(self._height / most, 0, 1), 0.0)
 
     def lit_db(self, specular_db: float) -> FloatArray:
-        """How much brighter than level the disc is: Lambert's law there and back, and its edge."""
+        """By how much the disc is brighter than if it lay level, dB.
+
+        Lambert's law, for the way there and back; the edge that faces the sonar is brighter.
+        """
         lit = np.maximum(self._sine / self._floor_sine, 0.02)
         return np.asarray(20 * np.log10(lit) + specular_db * self._edge)
 
 
 def silt_over(noise: np.ndarray, disc: BoolArray, share: float) -> np.ndarray:
-    """(box) 0 to 1: how far silt covers each cell of a disc, `share` of them by half or more."""
+    """(box) 0 to 1: by how much silt covers each cell of a disc.
+
+    share: of the cells, those that are at least half covered.
+    """
     if not disc.any():
         return np.zeros(noise.shape, np.float32)
     most = np.quantile(noise[disc], 1 - share)
@@ -77,9 +84,10 @@ def silt_over(noise: np.ndarray, disc: BoolArray, share: float) -> np.ndarray:
 
 
 def ripples(scene: Scene, grid: PolarGrid | SquareGrid, bare: BoolArray) -> np.ndarray:
-    """Height (m) of sand ripples on the grid; things lie level, and sand runs out at their edge.
+    """Height (m) of sand ripples in each cell of the grid.
 
-    bare: where nothing lies. Crests are sharper than troughs, and bend.
+    bare: the cells where no thing lies. Things lie level, and the ripples fade out at their edges.
+    Crests bend, and are sharper than troughs.
     """
     floor = scene.floor
     towards = math.radians(floor.ripple_towards_deg)

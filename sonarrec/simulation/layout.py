@@ -1,4 +1,7 @@
-"""Where discs are laid on the floor of a recording: at random, whole in view at some time."""
+"""Chooses places for discs on the floor of a recording, at random.
+
+Each disc is whole in view in at least one frame.
+"""
 
 from __future__ import annotations
 
@@ -23,18 +26,18 @@ from sonarrec.simulation.composite import LaidDisc
 from sonarrec.simulation.motion import Pose
 from sonarrec.simulation.simulate import visible_share
 
-APART = 2.4  # radii between centres, at least
-WHOLE = 0.99  # share of a disc in view in the frame that it is laid into
-LIT = 0.9  # share of it where that recording shows echoes at all
-MOST_IN_VIEW = 6  # discs at once, where their number is not asked for
+APART = 2.4  # least distance between centres, in radii
+WHOLE = 0.99  # share of the disc that is in view in the frame for which it is placed
+LIT = 0.9  # share of the disc that must lie where the recording shows echoes
+MOST_IN_VIEW = 6  # discs in view at once, if the user gives no number
 MOST_DISCS = 200
-TRIES = 400  # for one disc
+TRIES = 400  # places tried for one disc
 
 Kind = Literal["landmark", "blank", "filled"]
 
 
 def check_room(fan: Fan, landmarks: LandmarkSet, where: str) -> None:
-    """Raises SonarrecError where no disc can lie whole on floor that is in view."""
+    """Raise SonarrecError if no whole disc can be in view. where: names the recording."""
     nearest = max(fan.range_min_m, STEEPEST * floor_depth(fan))
     if nearest >= fan.range_max_m:
         raise SonarrecError(
@@ -64,12 +67,12 @@ def lay_out(
     rng: np.random.Generator,
     count: int | None = None,
 ) -> list[LaidDisc]:
-    """Discs at random places of the floor that the path shows, in random turns.
+    """Place discs at random on the floor that the path shows, with random orientations.
 
     path: the sonar's pose in every frame. lit: (fan.rows, fan.columns) where the recording shows
-    echoes. count: landmarks, each ID as often as the others; for each round of IDs come a blank
-    and a filled disc. Default: as many as keep MOST_IN_VIEW in view at once. Fewer are laid where
-    there is no room.
+    echoes. count: number of landmarks; every ID comes equally often, and with each round of IDs one
+    blank and one filled disc. None: as many as possible with at most MOST_IN_VIEW in view at once.
+    Fewer are placed if there is no room.
     """
     near = float(ground_range(fan, max(fan.range_min_m, STEEPEST * floor_depth(fan))))
     far = float(ground_range(fan, fan.range_max_m))
@@ -79,9 +82,8 @@ def lay_out(
     for kind, landmark in _rounds(landmarks.ids, rng, count):
         for _ in range(TRIES):
             pose = path[int(rng.integers(len(path)))]
-            ground = rng.uniform(
-                near, far
-            )  # not by area, for results at short range matter as well
+            # Not by area, because results at short range matter as well.
+            ground = rng.uniform(near, far)
             bearing = rng.uniform(fan.bearing_min_deg, fan.bearing_max_deg)
             world = math.radians(bearing + pose.pan_deg)
             x, y = pose.x_m + ground * math.sin(world), pose.y_m + ground * math.cos(world)
@@ -98,14 +100,14 @@ def lay_out(
             in_view += there
             break
         else:
-            break  # no room for this one, nor for more
+            break  # no room for this disc, so none for more
     return discs
 
 
 def _rounds(
     ids: Sequence[int], rng: np.random.Generator, count: int | None
 ) -> Iterator[tuple[Kind, int]]:
-    """What is to be laid, in order: every ID, a blank and a filled disc, and so on."""
+    """The (kind, ID) of discs in order: every ID in random order, a blank, a filled one; again."""
     left = MOST_DISCS if count is None else count
     while left > 0:
         chosen = [ids[i] for i in rng.permutation(len(ids))][:left]
@@ -116,14 +118,17 @@ def _rounds(
 
 
 def _in_view(fan: Fan, poses: np.ndarray, x: float, y: float) -> BoolArray:
-    """(frames,) whether a place is in view. poses: (frames, 3) pan, x, y."""
+    """(frames,) whether a place is in view. poses: (frames, 3) pan (deg), x, y (m)."""
     dx, dy = x - poses[:, 1], y - poses[:, 2]
     bearing = (np.degrees(np.arctan2(dx, dy)) - poses[:, 0] + 180) % 360 - 180
     return np.asarray(in_image(fan, slant_range(fan, np.hypot(dx, dy)), bearing), dtype=bool)
 
 
 def _shows(fan: Fan, lit: BoolArray, radius_m: float, ground: float, bearing: float) -> bool:
-    """Whether a disc is whole in view, and where echoes are."""
+    """Whether a disc is whole in view and lies where there are echoes.
+
+    ground, bearing: of its centre, m and deg. lit: as in `lay_out`.
+    """
     angle = math.radians(bearing)
     x, y = ground * math.sin(angle), ground * math.cos(angle)
     here = Pose(0.0, floor_depth(fan), 0.0, 0.0)

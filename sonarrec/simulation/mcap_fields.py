@@ -1,4 +1,4 @@
-"""The fields of every message that is written, from one image and the sonar's geometry."""
+"""Makes the fields of the messages that are written: one function for each message type."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SOUND_SPEED = 1500.0  # m/s
 FREQUENCY = 1_800_000.0  # Hz
 
 MakeFields = Callable[[int, np.ndarray, Any], dict[str, Any]]
-"""Time in ns, image and geometry (a polar ping's; else None) to the fields of a message."""
+"""Makes the fields of a message from time (ns), image, and geometry (None if it is not polar)."""
 
 
 def _clock(timestamp_ns: int) -> dict[str, int]:
@@ -49,7 +49,7 @@ def ros_image(timestamp_ns: int, image: np.ndarray, _: Geometry | None) -> dict[
 def ros_compressed_image(
     timestamp_ns: int, image: np.ndarray, _: Geometry | None
 ) -> dict[str, Any]:
-    """sensor_msgs/CompressedImage, as image_transport names its format."""
+    """sensor_msgs/CompressedImage, with the format written as by image_transport."""
     kind = _pixels(image)["encoding"]
     return {
         "header": _header(timestamp_ns),
@@ -83,7 +83,7 @@ def with_clock(
     image: np.ndarray,
     sonar: Geometry,
 ) -> dict[str, Any]:
-    """The fields of a foxglove message, with its time as another encoding names it."""
+    """The fields of a foxglove message, with the names that an encoding has for its time."""
     clock = dict(zip((seconds, nanoseconds), divmod(timestamp_ns, 1_000_000_000), strict=True))
     return make(timestamp_ns, image, sonar) | {"timestamp": clock}
 
@@ -127,7 +127,7 @@ def _bin_length(sonar: Geometry, bins: int) -> float:
 
 
 def raw_sonar_image(timestamp_ns: int, image: np.ndarray, sonar: Geometry) -> dict[str, Any]:
-    """marine_acoustic_msgs/RawSonarImage; the window is moved to whole samples."""
+    """marine_acoustic_msgs/RawSonarImage. The range window is rounded to whole samples."""
     bin_m = _bin_length(sonar, image.shape[0])
     return {
         "header": _header(timestamp_ns),
@@ -143,8 +143,10 @@ def raw_sonar_image(timestamp_ns: int, image: np.ndarray, sonar: Geometry) -> di
 
 
 def _from_the_sonar_on(image: np.ndarray, sonar: Geometry) -> np.ndarray:
-    """The image with empty bins before the window: an Oculus records from range 0 on. The window
-    is moved to whole bins."""
+    """The image with empty bins in front, because an Oculus records from range 0 on.
+
+    The beginning of the range window is rounded to whole bins.
+    """
     empty = round(sonar.range_min_m / _bin_length(sonar, image.shape[0]))
     return np.pad(image, ((empty, 0), (0, 0)))
 
@@ -181,7 +183,7 @@ def oculus_ping(timestamp_ns: int, image: np.ndarray, sonar: Geometry) -> dict[s
 
 
 def oculus_interfaces_ping(timestamp_ns: int, image: np.ndarray, sonar: Geometry) -> dict[str, Any]:
-    """oculus_interfaces/Ping, without gains."""
+    """oculus_interfaces/Ping, with rows that hold no gains."""
     bin_m = _bin_length(sonar, image.shape[0])
     image = _from_the_sonar_on(image, sonar)
     return {

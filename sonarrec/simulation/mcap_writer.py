@@ -1,4 +1,4 @@
-"""Writes images and polar pings as MCAP logs: the message types that the MCAP reader reads."""
+"""Writes images and polar pings into an MCAP, in the message types that the reader knows."""
 
 from __future__ import annotations
 
@@ -32,13 +32,14 @@ _COMPRESSIONS = {
 
 @dataclass(frozen=True, slots=True)
 class _Type:
-    """A message type: its fields, and whether it holds polar pings."""
+    """A message type: the function that makes its fields, and whether it holds polar pings."""
 
     fields: MakeFields
     polar: bool = False
 
 
-# A further message type is one function and one row; its definition is in readers/mcap/sonars.msg.
+# To add a message type, write one function and add one row here, and its definition to
+# readers/mcap/sonars.msg.
 _TYPES = {
     "sensor_msgs/Image": _Type(fields.ros_image),
     "sensor_msgs/CompressedImage": _Type(fields.ros_compressed_image),
@@ -57,13 +58,17 @@ SCHEMAS = (
     *(n.replace("/", "/msg/") + suffix for n in _TYPES for suffix in ("", "+ros1", "+json")),
     *(name + suffix for name in _FOXGLOVE_TYPES for suffix in ("", "+json")),
 )
-"""What can be written: a schema's name, with the messages' encoding where it is another than CDR
+"""What can be written: the name of a schema, with the encoding of the messages if it is not CDR
 (ROS) or protobuf (Foxglove)."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Family:
-    """How one kind of message is written: its schema, and the bytes of the fields of one image."""
+    """How messages of one type and encoding are written.
+
+    name, schema_encoding, schema_data: the schema in the MCAP. fields: makes the fields of a
+    message. encode: turns them into bytes.
+    """
 
     name: str
     schema_encoding: str
@@ -95,7 +100,7 @@ def _ros_family(name: str, encoding: str) -> _Family:
 
 
 def _ros_message(store: Typestore, name: str, values: Mapping[str, Any]) -> Any:
-    """A message as rosbags writes it: sequences of numbers as arrays."""
+    """A message object of rosbags, which needs sequences of numbers as arrays."""
     made = []
     for field, (node, detail) in store.fielddefs[name][1]:
         value = values[field]
@@ -135,7 +140,7 @@ def _ros_json_schema(store: Typestore, name: str) -> dict[str, Any]:
 
 
 def _json(values: dict[str, Any]) -> bytes:
-    """A JSON message; bytes are base64."""
+    """Encode a message as JSON, with bytes as base64."""
     return json.dumps(values, default=lambda data: base64.b64encode(data).decode()).encode()
 
 
@@ -154,13 +159,13 @@ def _foxglove_family(name: str, encoding: str) -> _Family:
 
 
 def is_polar(schema: str) -> bool:
-    """Whether a schema of SCHEMAS holds polar pings, which tell their own geometry."""
+    """Whether a schema of SCHEMAS holds polar pings, which state their own geometry."""
     kind = _TYPES.get(schema.partition("+")[0].replace("/msg/", "/"))
     return kind is not None and kind.polar
 
 
 def check_schema(schema: str, compression: str, polar: bool) -> None:
-    """Raise SonarrecError for what McapImageWriter cannot write. polar: the images are."""
+    """Raise SonarrecError if McapImageWriter cannot write this. polar: whether the images are."""
     if schema not in SCHEMAS:
         raise UsageError(f"no writer for schema {schema!r}; one of {', '.join(SCHEMAS)}")
     if compression not in _COMPRESSIONS:
@@ -172,10 +177,10 @@ def check_schema(schema: str, compression: str, polar: bool) -> None:
 
 
 class McapImageWriter:
-    """Writes one channel of an MCAP file; use it as a context manager.
+    """Writes images into one channel of an MCAP file. Use it as a context manager.
 
-    Left by an exception, the file keeps what was written but gets no footer, so that readers
-    see that it is cut.
+    After an exception the file keeps what was written but gets no footer, so that readers see that
+    it is cut short.
     """
 
     def __init__(
@@ -186,11 +191,11 @@ class McapImageWriter:
         compression: str = "zstd",
         sonar: Geometry | None = None,
     ) -> None:
-        """schema: one of SCHEMAS. compression: none, lz4 or zstd. sonar: the window and bearings
-        of polar images, which the schemas of polar pings need.
+        """schema: one of SCHEMAS. compression: none, lz4 or zstd. sonar: the geometry, if the
+        images are polar; schemas of polar pings need it.
 
-        Raises SonarrecError for another schema or compression, for polar pings of images that are
-        not polar, or where the file cannot be made.
+        Raises SonarrecError for another schema or compression, if a schema of polar pings lacks
+        `sonar`, or if the file cannot be created.
         """
         check_schema(schema, compression, sonar is not None)
         name, _, encoding = schema.partition("+")

@@ -1,4 +1,4 @@
-"""How a simulated sonar moves: the pan sweep and what disturbs it."""
+"""How a simulated sonar moves: the pan sweep, a vehicle's run, and disturbances."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from sonarrec.simulation.scene import Scene, speeds, travels
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Where the sonar truly is: pan (deg), height (m), translation to the right and forward (m).
+    """The sonar's true pose. x_m, y_m: to the right and forward of the floor's origin.
 
-    pitch_deg: how much more it is tilted than stated. roll_deg: how far its right side is down.
+    pitch_deg: by how much it is tilted more than stated. roll_deg: by how much its right side is
+    down.
     """
 
     pan_deg: float
@@ -27,7 +28,10 @@ class Pose:
 
 
 def sweep_deg(low: float, high: float, start: float, travelled: FloatArray | float) -> FloatArray:
-    """Pan angle after `travelled` degrees of a triangular sweep from `start`, rightwards first."""
+    """Pan angle (deg) after `travelled` degrees of a sweep to and fro between low and high.
+
+    It begins at `start`, to the right.
+    """
     span = high - low
     if span == 0:
         return np.full(np.shape(travelled), low)
@@ -38,7 +42,10 @@ def sweep_deg(low: float, high: float, start: float, travelled: FloatArray | flo
 def ar1(
     rng: np.random.Generator, steps: int, size: int, step_s: float, time_s: float
 ) -> FloatArray:
-    """(steps, size) unit-variance first-order autoregressive processes."""
+    """(steps, size) first-order autoregressive processes of unit variance.
+
+    step_s: time between steps. time_s: after which the correlation has fallen to 1/e.
+    """
     keep = math.exp(-step_s / time_s)
     drawn = rng.standard_normal((steps, size))
     drawn[1:] *= math.sqrt(1 - keep**2)
@@ -48,10 +55,10 @@ def ar1(
 
 
 def run(scene: Scene) -> FloatArray:
-    """(frames, 3) heading (deg), x and y (m) of the vehicle; it begins with 0, 0, 0."""
+    """(frames, 3) heading (deg), x and y (m) of the vehicle; all begin at 0."""
     motion = scene.motion
     phase = np.random.default_rng([scene.seed, 9]).uniform(0, 2 * np.pi, 3)
-    # Tenths of a frame, so that the way does not depend on how the steps are summed.
+    # In tenths of a frame, so that the result hardly depends on how the steps are summed.
     time = np.arange((scene.frames - 1) * 10 + 1) / (10 * scene.rate_hz)
     swing = np.sin(2 * np.pi * time[:, None] / motion.swing_period_s + phase)
     throughout, amplitude = np.transpose(speeds(motion))
@@ -64,7 +71,7 @@ def run(scene: Scene) -> FloatArray:
 
 
 def _summed(speed: FloatArray, time: FloatArray) -> FloatArray:
-    """What a speed comes to since the first moment, by the trapezoidal rule."""
+    """The integral of a speed from the first moment on, by the trapezoidal rule."""
     steps = np.diff(time) * (speed[1:] + speed[:-1]) / 2
     return np.concatenate([[0.0], np.cumsum(steps)])
 

@@ -1,4 +1,4 @@
-"""Random scenes for tuning and studies: layouts and nuisances drawn by kind of scene."""
+"""Draws random scenes, by kind, for learning and for studies."""
 
 from __future__ import annotations
 
@@ -46,21 +46,20 @@ KINDS_OF_SCENE = (
     "small_discs",
     "no_landmark",
 )
-# Beside the study's pool: discs of 0.06 m radius at the 2.5 m window, all that is hard at once,
-# and landmark sets, windows and images unlike the basin's.
+# In addition: discs of 0.06 m radius at a window of 2.5 m; everything hard at once; landmark sets,
+# windows and images unlike the basin's.
 STRETCH_KINDS = ("tiny_discs", "all_hard", "other_sets")
-# And those beyond the basin.
 ALL_KINDS = KINDS_OF_SCENE + STRETCH_KINDS + UNLIKE_KINDS
-# Of the vertical beam where an object lies, against its axis. Where less sound falls on the floor
-# than this, the picture is black: nobody would look for landmarks there.
 LEAST_LIT_DB = -12.0
-RUN_FRAMES = 160  # of a vehicle: over so many its landmarks lie, however many are rendered
-FIRST_FRAMES = 16  # in which it sees the first two
+"""Least power of the vertical beam where an object may lie, relative to the beam's axis. Where less
+sound reaches the floor, the image is black and nobody would look for landmarks."""
+RUN_FRAMES = 160  # of a vehicle's run along which landmarks are placed
+FIRST_FRAMES = 16  # of a run; they show the first two landmarks
 _UNSTEADY = ("jitter", "all_hard")
 _FADING = ("fading", "all_hard")
 _SYMBOLIC = ("symbols", "other_symbols")
 _FAKES = ("near_miss", "no_landmark", "all_hard")
-# kind of scene: (range_min, range_max, height, tilt) before they are varied
+# By kind of scene: (range_min_m, range_max_m, height_m, tilt_deg), which are then varied.
 _WINDOWS = {"window_1_25": (1.4, 2.65, 0.66, 20.0), "window_5": (1.25, 6.25, 1.0, 18.0)}
 
 
@@ -103,7 +102,10 @@ def _sonar(kind: str, rng: np.random.Generator) -> SonarSection:
 
 
 def _nuisances(kind: str, wide: bool, rng: np.random.Generator) -> dict[str, Any]:
-    """The sections that say how the picture suffers, drawn about each kind's level."""
+    """Draw the sections of a scene that disturb its images, as hard as the kind of scene says.
+
+    wide: see `random_scene`.
+    """
     fade_most, least_snr = (4.5, 4.0) if wide else (3.5, 8.0)
     hard, faint = kind in _FADING, kind == "low_contrast"
     jitter = kind in _UNSTEADY
@@ -181,7 +183,7 @@ def _landmark_set(kind: str, sonar: SonarSection, rng: np.random.Generator) -> L
 
 
 def _other_set(sonar: SonarSection, rng: np.random.Generator) -> LandmarkSet:
-    """Three to eight IDs of three to six sectors, no two alike at any rotation."""
+    """Draw a set of three to eight IDs with three to six sectors, no two alike when turned."""
     sectors = int(rng.integers(3, 7))
     rotations = {
         min(tuple(np.roll(code, turn).tolist()) for turn in range(sectors))
@@ -204,9 +206,10 @@ def _other_set(sonar: SonarSection, rng: np.random.Generator) -> LandmarkSet:
 
 
 class _Floor:
-    """Finds free places: circles that touch no other and lie in the sonar's range window.
+    """Finds free places: circles that do not touch others and lie in the sonar's range window.
 
-    path: of a vehicle; places lie before it at random moments, the first two at the beginning.
+    path: poses of a vehicle. Places then lie in front of it at random moments; the first two at the
+    beginning of its run.
     """
 
     def __init__(
@@ -220,9 +223,9 @@ class _Floor:
         self._taken: list[tuple[float, float, float]] = []
 
     def place(self, radius_m: float, share: float = 1.0) -> tuple[float, float] | None:
-        """(ground_m, azimuth_deg) of a free circle in the nearest `share` of the window, or None.
+        """(ground_m, azimuth_deg) of a free circle; None if none was found.
 
-        All of it lies inside the range window, and its centre in the beam.
+        It lies within the nearest `share` of the range window, and its centre within the beam.
         """
         near = self._near + 1.15 * radius_m
         far = max(self._near + share * (self._far - self._near) - 1.15 * radius_m, near + 0.02)
@@ -245,7 +248,7 @@ class _Floor:
 
 
 def _from_origin(pose: Pose, ground: float, bearing_deg: float) -> tuple[float, float]:
-    """(ground_m, azimuth_deg) from the floor's origin of a place before a sonar elsewhere."""
+    """(ground_m, azimuth_deg) from the floor's origin, of a place in front of a sonar at `pose`."""
     angle = math.radians(pose.pan_deg + bearing_deg)
     x, y = pose.x_m + ground * math.sin(angle), pose.y_m + ground * math.cos(angle)
     return math.hypot(x, y), math.degrees(math.atan2(x, y))
@@ -253,9 +256,11 @@ def _from_origin(pose: Pose, ground: float, bearing_deg: float) -> tuple[float, 
 
 @dataclass(frozen=True, slots=True)
 class _Looks:
-    """How what lies on a floor looks: dB over the floor; and how much of the window it lies in.
+    """How landmarks and objects look, and where they lie.
 
-    share: of the range window, its nearest part."""
+    bright, plate: levels over the floor, dB. share: the nearest part of the range window, in which
+    they lie.
+    """
 
     bright: float
     plate: float
@@ -265,7 +270,7 @@ class _Looks:
 def _landmarks(
     kind: str, discs: LandmarkSet, floor: _Floor, looks: _Looks, rng: np.random.Generator
 ) -> list[PlacedLandmark]:
-    """The landmarks of a scene of this kind, as many as find room."""
+    """Draw the landmarks of a scene; fewer if there is no room."""
     count = 0 if kind == "no_landmark" else int(rng.integers(3, 5))
     if kind in _SYMBOLIC:
         count = 2
@@ -291,7 +296,7 @@ def _landmarks(
 def _objects(
     kind: str, scene: Scene, floor: _Floor, looks: _Looks, rng: np.random.Generator
 ) -> list[PlacedObject]:
-    """What is no landmark, by what the kind of scene is about, where there is room for it."""
+    """Draw the objects that are no landmarks, as the kind of scene asks; fewer without room."""
     names = ["blank", "filled", "tyre", "stone", "stone"]
     names += [str(k) for k in rng.choice(["mesh", "beam", "stone"], 2)]
     if kind == "symbols":
@@ -323,13 +328,12 @@ def _objects(
 
 
 def random_scene(seed: int, kind: str = "plain", wide: bool = False, **overrides: Any) -> Scene:
-    """Draw a scene: landmarks and distractors at random, nuisances by kind (ALL_KINDS).
+    """Draw a scene of a kind of ALL_KINDS: landmarks, distractors and disturbances.
 
-    wide: for learning, fading and faint scenes reach farther than a recording anyone would use.
-    overrides: fields of Scene put in place of those drawn. `sonar`, `landmark_set` and a
-    vehicle's `motion` take part in the layout; with `landmarks` or `objects` given, none of these
-    is drawn.
-    Raises SonarrecError on an unknown kind or a scene that contradicts itself.
+    wide: draw fading and noise from wider ranges, for learning. overrides: fields of Scene that
+    replace those drawn. A given `sonar`, `landmark_set` or motion of a vehicle also decides where
+    things lie; a given `landmarks` or `objects` only replaces what was drawn.
+    Raises SonarrecError for an unknown kind, or if the scene contradicts itself.
     """
     if kind not in ALL_KINDS:
         raise SonarrecError(f"unknown kind of scene {kind!r}; known: {', '.join(ALL_KINDS)}")
@@ -352,7 +356,7 @@ def random_scene(seed: int, kind: str = "plain", wide: bool = False, **overrides
     looks = _Looks(
         bright=rng.uniform(9, 14) - faint,
         plate=rng.uniform(-10, -4) + faint / 2,
-        # Far out the floor lies at the beam's edge: discs keep to where a sonar would be used.
+        # Far out the beam hardly reaches the floor, and no sonar would be used there.
         share=0.6 if scene.sonar.range_max_m > 4 else 0.85,
     )
     landmarks = _landmarks(kind, scene.landmark_set, floor, looks, rng)
@@ -372,7 +376,7 @@ def random_scene(seed: int, kind: str = "plain", wide: bool = False, **overrides
 
 
 def _random_size(kind: str, disc_m: float, rng: np.random.Generator) -> float | None:
-    """A likely size (m); round fakes are at times a little larger or smaller than the discs."""
+    """A likely size (m); round fakes may be a little larger or smaller than the discs."""
     if kind == "tyre":
         return round(disc_m * rng.uniform(0.65, 1.0), 3)
     if kind == "stone":
@@ -385,7 +389,7 @@ def _random_size(kind: str, disc_m: float, rng: np.random.Generator) -> float | 
 
 
 def _cover(landmark: PlacedLandmark, disc_m: float, rng: np.random.Generator) -> PlacedObject:
-    """Sediment over a tenth to a quarter of a disc, across its rim."""
+    """Sediment that covers a tenth to a quarter of a disc, across its rim."""
     away = disc_m * rng.uniform(0.9, 1.15)
     angle = rng.uniform(0, 2 * math.pi)
     x, y = place_of(landmark)

@@ -1,4 +1,4 @@
-"""Scenes: the world, the sonar and its faults that the simulator renders, as data.
+"""Scenes: descriptions of the world, the sonar and its faults, which the simulator renders.
 
 A scene is a readable TOML file, or built in Python with dataclasses.replace.
 """
@@ -36,7 +36,7 @@ from sonarrec.sonar import Sonar
 BUILT_IN = Path(__file__).parent / "scenes"
 
 NO_ECHO_DB = -60.0
-"""Of multipath: at this level and below there is none."""
+"""Multipath of this level or less is left out."""
 
 # Decibels: brightness and gains; standard deviations, amplitudes and losses.
 Level = Annotated[float, bounds(-200, 200)]
@@ -45,10 +45,10 @@ Period = Annotated[float, bounds(1e-3, 1e12)]
 Size = Annotated[int, bounds(16, 2**14)]
 Lean = Annotated[float, bounds(0, 45)]
 
-# What can lie on the floor besides landmarks.
-# kind: (size, width, height above the floor, all m; brightness, dB above the floor)
-# size: the radius of round things (for discs 0 = the landmark set's radius), the length of long
-# ones, one side of a patch. width: of long things and of the other side of a patch.
+# What can lie on the floor besides landmarks: kind: (size, width, height, bright_db).
+# size: radius of round things (0: that of the landmark set), length of long ones, one side of a
+# patch, m. width: of long things, or the other side of a patch, m; 0: as size. height: above the
+# floor, m. bright_db: above the floor.
 KINDS: dict[str, tuple[float, float, float, float]] = {
     "blank": (0.0, 0.0, 0.0, 12.0),  # a landmark's ring and plate without a symbol
     "filled": (0.0, 0.0, 0.0, 11.0),  # bright all over
@@ -69,9 +69,9 @@ ROUND = ("blank", "filled", "spokes", "half_ring", "tyre", "stone", "cover", *SY
 
 @dataclass(frozen=True, slots=True)
 class SonarSection:
-    """The imaging sonar; the defaults are a DIDSON's. The axis stands at the floor's origin."""
+    """The imaging sonar, above the floor's origin; the defaults are a DIDSON's."""
 
-    layout: Literal["fan", "polar"] = "fan"  # what is written: "fan" or "polar"
+    layout: Literal["fan", "polar"] = "fan"  # of the images written
     range_min_m: NotNegative = 1.25
     range_max_m: Annotated[float, bounds(0.01, 1e6)] = 3.75
     range_bins: Size = 512  # also the rows of the image
@@ -80,8 +80,8 @@ class SonarSection:
     bearings: Literal["even", "didson"] = "even"  # didson: 0.37 deg apart, 0.22 at the edges
     height_m: Positive = 0.68  # true height above the floor straight below
     tilt_deg: Positive = 20.0  # true tilt, downward
-    height_error_m: Finite = 0.0  # what sonar.toml says, less the truth
-    tilt_error_deg: Finite = 0.0  # what sonar.toml says, less the truth
+    height_error_m: Finite = 0.0  # sonar.toml states the true value plus this
+    tilt_error_deg: Finite = 0.0  # sonar.toml states the true value plus this
     vertical_beam_deg: Positive = 14.0  # two-way, between half-power points
     beam_width_deg: Positive = 0.4  # two-way, between half-power points
     side_lobe_db: Level = -30.0  # of each beam, two-way, below its main lobe
@@ -92,10 +92,10 @@ class SonarSection:
 
 @dataclass(frozen=True, slots=True)
 class MotionSection:
-    """How the sonar moves: a triangular pan sweep, a vehicle's run, and what disturbs them.
+    """How the sonar moves: a pan sweep to and fro, a vehicle's run, and disturbances of both.
 
-    The vehicle sets out above the floor's origin, and the sweep is about its heading. Its speeds
-    are along and across that heading: so much throughout, and a swing, a sine of its own phase.
+    The vehicle starts above the floor's origin; the sweep is about its heading. Each of its speeds,
+    along and across the heading, is a constant plus a sine (the swing) with a phase of its own.
     """
 
     pan_min_deg: Finite = -40.0
@@ -109,11 +109,11 @@ class MotionSection:
     sway_x_m: NotNegative = 0.0  # amplitude of slow translation to the right
     sway_y_m: NotNegative = 0.0  # and forward
     sway_period_s: Period = 60.0
-    surge_m_s: Finite = 0.0  # speed ahead, throughout
-    surge_swing_m_s: NotNegative = 0.0  # and amplitude
-    crab_m_s: Finite = 0.0  # speed to the right, throughout
+    surge_m_s: Finite = 0.0  # speed ahead, the constant part
+    surge_swing_m_s: NotNegative = 0.0  # amplitude of its sine
+    crab_m_s: Finite = 0.0  # speed to the right, the constant part
     crab_swing_m_s: NotNegative = 0.0
-    yaw_deg_s: Finite = 0.0  # turn to the right, throughout
+    yaw_deg_s: Finite = 0.0  # turn to the right, the constant part
     yaw_swing_deg_s: NotNegative = 0.0
     swing_period_s: Period = 30.0
     pitch_deg: Lean = 0.0  # amplitude of slow changes of the tilt, which nobody states
@@ -123,20 +123,20 @@ class MotionSection:
 
 @dataclass(frozen=True, slots=True)
 class FloorSection:
-    """The floor, whose mean brightness on the beam's axis is 0 dB."""
+    """The floor. Its mean brightness on the beam's axis is 0 dB."""
 
     texture_db: Spread = 1.2  # standard deviation of its slow changes
     texture_m: Positive = 0.15  # their size
     angle_exponent: NotNegative = 1.0  # backscattered power: sin(grazing angle) to this power
     speckle_s: Positive = 120.0  # time after which speckle has changed (correlation 1/e)
     speckle_m: Positive = 0.12  # sway or heave after which speckle has changed (correlation 1/e)
-    # Of the power received, noise and all: 1 speckle, 0 a sum of powers without speckle or noise.
+    # Share of the received power that is coherent: 1 is full speckle and noise, 0 is neither.
     coherence: Share = 1.0
     relief_m: NotNegative = 0.0  # standard deviation of its height: lit slopes and shadows
     relief_size_m: Positive = 0.03  # size of its bumps, and of those of things with a relief
-    light_db: Spread = 0.0  # how much darker patches of the scene are, things on it as well
+    light_db: Spread = 0.0  # by how much patches of the scene are darker, with the things on them
     light_m: Positive = 0.4  # their size; their edges are sharp
-    debris_db: Spread = 0.0  # how much brighter twigs and weed are, things under them as well
+    debris_db: Spread = 0.0  # by how much twigs and weed are brighter, also on top of things
     debris_m: Positive = 0.2  # how far one winds before it turns
     slope_deg: Annotated[float, bounds(0, 30)] = 0.0  # of the floor, which is a plane
     slope_towards_deg: Finite = 0.0  # azimuth in which it rises
@@ -149,7 +149,7 @@ class FloorSection:
 
 @dataclass(frozen=True, slots=True)
 class FadingSection:
-    """Unstable reflection, and its cousins."""
+    """Unstable reflection: objects, patches and whole frames fade; objects have an afterglow."""
 
     object_db: Spread = 1.2  # standard deviation of each object's brightness
     patch_db: Spread = 1.5  # and of the patches of an object
@@ -168,7 +168,7 @@ class FadingSection:
 
 @dataclass(frozen=True, slots=True)
 class MultipathSection:
-    """Echoes by way of the surface, which moves: their speckle is new in every frame."""
+    """Echoes by way of the surface. It moves, so their speckle is new in every frame."""
 
     copy_db: Level = -100.0  # of a later, blurred copy of the scene; none at NO_ECHO_DB or less
     delay_m: Positive = 0.4  # how much farther away it shows
@@ -184,7 +184,7 @@ class MultipathSection:
 
 @dataclass(frozen=True, slots=True)
 class FishSection:
-    """Fish that swim over the floor, singly and in schools; they echo, and cast shadows."""
+    """Fish that swim over the floor, single or in schools; they give echoes and cast shadows."""
 
     number: Annotated[int, bounds(0, 500)] = 0  # over all the floor that the sonar may see
     schools: Annotated[int, bounds(0, 500)] = 0  # among which the schooling share is divided
@@ -212,7 +212,7 @@ class NoiseSection:
 
 @dataclass(frozen=True, slots=True)
 class PictureSection:
-    """Log compression to 8 bit."""
+    """Log compression to 8 bits."""
 
     black_db: Level = -17.0  # power shown as 0, relative to the floor
     dynamic_range_db: Positive = 50.0  # from 0 to 255
@@ -221,11 +221,11 @@ class PictureSection:
 
 @dataclass(frozen=True, slots=True)
 class PlacedLandmark:
-    """A landmark of the scene's set on the floor; its place is along a floor that slopes.
+    """A landmark of the scene's set on the floor.
 
-    ground_m, azimuth_deg: of its centre along the floor from below the sonar's axis; azimuth
-    positive to the right of pan 0. orientation_deg: where the first sector begins,
-    counter-clockwise seen from above, from the right of a sonar at pan 0.
+    ground_m: distance of its centre from the floor's origin, along the floor. azimuth_deg:
+    direction of its centre, positive to the right of pan 0. orientation_deg: where the first sector
+    begins, counter-clockwise seen from above, from the right of a sonar at pan 0.
     """
 
     id: Whole
@@ -236,14 +236,14 @@ class PlacedLandmark:
     symbol_db: Level = 11.0
     plate_db: Level = -7.0
     relief_m: NotNegative = 0.0  # mean height of the gravel that ring and sectors are made of
-    lean_deg: Lean = 0.0  # of a disc that one edge of is raised
+    lean_deg: Lean = 0.0  # one edge of the disc is raised by this angle
     lean_towards_deg: Finite = 0.0  # azimuth of that edge from the disc's middle
-    silted: Share = 0.0  # of its area, under silt
+    silted: Share = 0.0  # of its area, covered by silt
 
 
 @dataclass(frozen=True, slots=True)
 class PlacedObject:
-    """Something else on the floor, placed like a landmark. None: as usual for its kind."""
+    """Another object on the floor, placed like a landmark. None: the usual value of its kind."""
 
     kind: str
     ground_m: Positive
@@ -253,22 +253,22 @@ class PlacedObject:
     width_m: Positive | None = None
     bright_db: Level | None = None
     plate_db: Level = -7.0
-    relief_m: NotNegative = 0.0  # as of a landmark, of what is bright of it
-    number: Count = 0  # of symbols that no ID has: which one of the kind
-    lean_deg: Lean = 0.0  # as of a landmark
+    relief_m: NotNegative = 0.0  # as for a landmark, on its bright parts
+    number: Count = 0  # of a symbol that no ID has: its seed
+    lean_deg: Lean = 0.0  # this and the next two: as for a landmark
     lean_towards_deg: Finite = 0.0
     silted: Share = 0.0
 
 
 def place_of(item: PlacedLandmark | PlacedObject) -> tuple[float, float]:
-    """(x, y) in m of its centre: right and forward of the floor's origin."""
+    """(x, y) of a thing's centre: to the right and forward of the floor's origin, m."""
     azimuth = math.radians(item.azimuth_deg)
     return item.ground_m * math.sin(azimuth), item.ground_m * math.cos(azimuth)
 
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """All that the simulator needs; the same scene and version give the same bytes."""
+    """Everything that the simulator needs. The same scene and version give the same bytes."""
 
     name: str = "scene"
     seed: Count = 1
@@ -288,7 +288,7 @@ class Scene:
 
 
 def scene_from_table(table: Mapping[str, Any], where: str) -> Scene:
-    """A Scene from the keys of its TOML; `where` names it in errors (SonarrecError)."""
+    """A Scene from the keys of its TOML. Raises SonarrecError, which begins with `where`."""
     listed = table.get("landmark_set", "basin")
     if isinstance(listed, str):
         discs = load_landmarks(listed)
@@ -300,12 +300,12 @@ def scene_from_table(table: Mapping[str, Any], where: str) -> Scene:
 
 
 def check_scene(scene: Scene, where: str) -> None:
-    """Raise SonarrecError where a scene built in Python could not come from a file."""
+    """Raise SonarrecError if a scene that was built in Python is not valid."""
     scene_from_table(scene_table(scene), where)
 
 
 def _check_as_a_whole(scene: Scene, where: str) -> None:
-    """Raise SonarrecError where the scene contradicts itself."""
+    """Raise SonarrecError if values of the scene contradict each other."""
     sonar, motion = scene.sonar, scene.motion
     wrong = scene_sonar(scene).contradiction()
     if wrong is not None:
@@ -339,7 +339,7 @@ def _check_as_a_whole(scene: Scene, where: str) -> None:
 
 
 def speeds(motion: MotionSection) -> tuple[tuple[float, float], ...]:
-    """Ahead, to the right and turning: throughout, and the swing's amplitude."""
+    """(constant part, amplitude of its sine) of the speed ahead, to the right, and of turning."""
     return (
         (motion.surge_m_s, motion.surge_swing_m_s),
         (motion.crab_m_s, motion.crab_swing_m_s),
@@ -348,14 +348,14 @@ def speeds(motion: MotionSection) -> tuple[tuple[float, float], ...]:
 
 
 def travels(motion: MotionSection) -> bool:
-    """Whether the sonar is on a vehicle that goes anywhere or turns."""
+    """Whether the sonar is on a vehicle that moves or turns."""
     return any(amount for pair in speeds(motion) for amount in pair)
 
 
 def load_scene(source: str | Path) -> Scene:
     """Read a scene: the name of a built-in one ("paper", "basin", ...) or a TOML file.
 
-    Raises SonarrecError where the file is missing or what it says cannot be a scene.
+    Raises SonarrecError if there is no such scene or file, or if the file is no valid scene.
     """
     path = named_file(source, BUILT_IN)
     if path is None:
@@ -370,7 +370,7 @@ def scene_table(scene: Scene) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """A field of a Scene as TOML has it, which has no None."""
+    """A field of a Scene as a TOML value. Fields that are None are left out."""
     if isinstance(value, LandmarkSet):
         return value.as_table()
     if isinstance(value, tuple):
@@ -381,9 +381,9 @@ def _plain(value: Any) -> Any:
 
 
 def vertical_beam_db(sonar: SonarSection, height_m: float, range_m: FloatArray) -> FloatArray:
-    """Power (dB, at most 0) of a two-way Gaussian beam where it meets the floor.
+    """Power of a two-way Gaussian beam where it meets the floor, relative to its axis, dB.
 
-    range_m: slant ranges. Relative to the axis at the true tilt.
+    range_m: slant ranges. The axis is at the true tilt.
     """
     sine = np.minimum(height_m / np.maximum(range_m, 1e-6), 1.0)
     off_axis = (np.degrees(np.arcsin(sine)) - sonar.tilt_deg) / sonar.vertical_beam_deg
@@ -391,7 +391,7 @@ def vertical_beam_db(sonar: SonarSection, height_m: float, range_m: FloatArray) 
 
 
 def scene_bearings(scene: Scene) -> FloatArray:
-    """(beams,) bearing of every beam's centre in degrees, left to right."""
+    """(beams,) bearing of the centre of every beam, deg, from left to right."""
     beams = scene.sonar.beams
     place = (np.arange(beams) + 0.5) / beams * 2 - 1
     if scene.sonar.bearings == "didson":
@@ -401,7 +401,7 @@ def scene_bearings(scene: Scene) -> FloatArray:
 
 
 def scene_sonar(scene: Scene) -> Sonar:
-    """The geometry as the scene's sonar.toml states it, its errors included."""
+    """The geometry that the scene's sonar.toml states, with its errors."""
     sonar = scene.sonar
     polar = sonar.layout == "polar"
     return Sonar(
@@ -421,7 +421,7 @@ def scene_sonar(scene: Scene) -> Sonar:
 
 
 def scene_fan(scene: Scene) -> Fan:
-    """The fan of the scene's images: for a polar layout the one its reader resamples them into."""
+    """The fan of the scene's images. A polar layout has the fan that the reader makes of it."""
     sonar = scene_sonar(scene).complete(scene.name)
     if scene.sonar.layout == "polar":
         return fan_for_polar(sonar, scene.sonar.range_bins)

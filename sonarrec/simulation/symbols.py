@@ -1,4 +1,4 @@
-"""Symbols of fakes: what a ring may hold that no ID of a landmark set has."""
+"""Symbols of fakes: patterns inside a ring that no ID of the landmark set has."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ from sonarrec.records import BoolArray, FloatArray
 LEARNED_SYMBOLS = ("wedges", "blobs")
 """Kinds that the built-in model learns from: wedges of any width, and patches of any shape."""
 OTHER_SYMBOLS = ("eighths", "foreign", "bar", "cross", "letter")
-"""Kinds that it never learns from: 45-degree wedges, sectors of sets with three, five or six, a bar
-and a cross as thick as sectors look, and capitals."""
-# Of the circle: how far the sectors of one differ from every ID at every turn.
+"""Kinds that the built-in model never learns from: wedges of 45 degrees; three, five or six
+sectors; a bar; a cross; capital letters."""
 LEAST_UNLIKE = 0.12
-LEAST_UNLIKE_BLOBS = 0.18  # of the area: patches have edges all over
-DIRECTIONS = 360
+"""Share of the circle in which sectors must differ from every ID, however they are turned."""
+LEAST_UNLIKE_BLOBS = 0.18
+"""The same for patches, as a share of the area; more, because patches have edges all over."""
+DIRECTIONS = 360  # into which the circle is divided
 LETTERS = "AEFHKLNTVXYZ"
 _GLYPH = 96  # pixels
 
@@ -26,10 +27,10 @@ _GLYPH = 96  # pixels
 def symbol(
     kind: str, number: int, landmarks: LandmarkSet, x: FloatArray, y: FloatArray
 ) -> BoolArray:
-    """Where a symbol of this kind is bright; the shape of x and y.
+    """Whether a symbol of this kind is bright at x, y; has the shape of x and y.
 
-    number: which one, a seed. x, y: from its centre, in radii of the landmarks' symbols; what lies
-    beyond 1 is dark.
+    number: seed of the symbol. x, y: from its centre, in radii of the landmarks' symbols. Beyond
+    radius 1 it is dark.
     """
     rng = np.random.default_rng([number, (*LEARNED_SYMBOLS, *OTHER_SYMBOLS).index(kind)])
     within = np.hypot(x, y) <= 1
@@ -48,7 +49,7 @@ def symbol(
 
 
 def _at(picture: BoolArray, x: FloatArray, y: FloatArray) -> BoolArray:
-    """Look up a square picture of the symbol's circle at x and y, in radii."""
+    """Values of a square picture, which the symbol's circle fills, at x and y (in radii)."""
     place = [np.clip((v + 1) / 2 * len(picture), 0, len(picture) - 1).astype(int) for v in (-y, x)]
     return np.asarray(picture[place[0], place[1]])
 
@@ -62,7 +63,7 @@ def _letter(rng: np.random.Generator) -> BoolArray:
 
 
 def _blobs(landmarks: LandmarkSet, rng: np.random.Generator) -> BoolArray:
-    """(_GLYPH, _GLYPH) smooth patches that are unlike every ID at every turn."""
+    """(_GLYPH, _GLYPH) smooth patches that differ from every ID, however it is turned."""
     y, x = 1 - 2 * (np.mgrid[:_GLYPH, :_GLYPH] + 0.5) / _GLYPH
     within = np.hypot(x, y) <= 1
     way = np.mod(np.arctan2(y, -x), 2 * math.pi)[within] / (2 * math.pi) * DIRECTIONS
@@ -76,7 +77,7 @@ def _blobs(landmarks: LandmarkSet, rng: np.random.Generator) -> BoolArray:
 
 
 def _sectors(kind: str, landmarks: LandmarkSet, rng: np.random.Generator) -> BoolArray:
-    """(DIRECTIONS,) a code round the circle that is unlike every ID at every turn."""
+    """(DIRECTIONS,) sectors round the circle that differ from every ID, however it is turned."""
     turned = _turned(landmarks)
     while True:
         if kind == "wedges":
@@ -89,7 +90,7 @@ def _sectors(kind: str, landmarks: LandmarkSet, rng: np.random.Generator) -> Boo
 
 
 def _turned(landmarks: LandmarkSet) -> BoolArray:
-    """(turns x K, DIRECTIONS) every ID's code at every turn."""
+    """(turns x K, DIRECTIONS) the sectors of every ID, turned in steps of 5 degrees."""
     direction = (np.arange(DIRECTIONS) + 0.5) * 2 * math.pi / DIRECTIONS
     codes = landmarks.codes(direction) > 0.5
     return np.concatenate([np.roll(codes, turn, axis=1) for turn in range(0, DIRECTIONS, 5)])

@@ -12,27 +12,28 @@ from sonarrec.records import BoolArray, FloatArray
 from sonarrec.simulation.scene import KINDS, ROUND, SYMBOLS, PlacedLandmark, PlacedObject, Scene
 from sonarrec.simulation.symbols import symbol
 
-WIRE_M, MESH_M = 0.012, 0.05  # of wire netting: thickness, and from wire to wire
+WIRE_M, MESH_M = 0.012, 0.05  # wire netting: thickness of a wire, and from wire to wire
 
 
 def object_radius(scene: Scene, thing: PlacedObject) -> float:
-    """Radius (m) of the circle that an object's truth and spacing go by."""
+    """Radius (m) of the circle around an object, for its truth and for spacing."""
     size, width = size_of(scene, thing)
     return size if thing.kind in ROUND else math.hypot(size, width) / 2
 
 
 def size_of(scene: Scene, thing: PlacedObject) -> tuple[float, float]:
-    """Size and width (m) of an object, as KINDS has them."""
+    """(size, width) of an object, m; see KINDS."""
     size, width, _, _ = KINDS[thing.kind]
     size = thing.size_m or size or scene.landmark_set.radius_m
     return size, thing.width_m or width or size
 
 
 class Place(NamedTuple):
-    """Where the cells of a box lie on a thing: (box) arrays.
+    """Where the cells of a box lie on a thing; all arrays have the shape of the box.
 
-    u, v: along and across it, in its radius_m. rho: from its middle. line: how far that way is the
-    line of sight, -1 to 1. facing: dB that ring edges which face the sonar gain.
+    u, v: position along and across the thing, in units of radius_m. rho: distance from its middle,
+    likewise. line: cosine between the direction from the middle and the line of sight. facing: by
+    how much ring edges are brighter because they face the sonar, dB.
     """
 
     u: np.ndarray
@@ -44,10 +45,11 @@ class Place(NamedTuple):
 
 
 class Canvas:
-    """The cells of a box on which one thing is painted.
+    """The cells of a box, on which one thing is painted.
 
-    level: dB over the floor. owner: number of the thing in each cell. height: m. relief: m, below 0
-    where bumps only rise. All (box), parts of the world's own. texture: the level before.
+    level: brightness over the floor, dB. owner: number of the thing in each cell. height: m.
+    relief: standard deviation of the height, m; negative for bumps that only rise. All are views of
+    the world's arrays. texture: a copy of the level before painting.
     """
 
     def __init__(
@@ -64,7 +66,10 @@ class Canvas:
         self.texture = level.copy()
 
     def paint(self, where: BoolArray, level_db: FloatArray | float, gravel_m: float = 0.0) -> None:
-        """Make these cells the thing's: so bright, with half the floor's texture, and so rough."""
+        """Paint cells. where: (box) which. gravel_m: mean height of their bumps.
+
+        They keep half of the floor's texture.
+        """
         self.relief[where] = -gravel_m
         shade = np.broadcast_to(np.asarray(level_db, dtype=np.float32), where.shape)
         self.level[where] = (shade + 0.5 * self.texture)[where]
@@ -72,7 +77,7 @@ class Canvas:
 
 
 def draw_thing(item: PlacedLandmark | PlacedObject, scene: Scene, canvas: Canvas) -> None:
-    """Paint a thing's parts, and say how tall they are."""
+    """Paint the parts of a thing, and set their heights."""
     if isinstance(item, PlacedLandmark):
         _landmark(item, scene, canvas)
         return
@@ -96,7 +101,7 @@ def _landmark(item: PlacedLandmark, scene: Scene, canvas: Canvas) -> None:
 
 
 def _ringed(item: PlacedObject, scene: Scene, canvas: Canvas, bright_db: float, _: float) -> None:
-    """A plate with a landmark's ring, or half of it, and with no symbol or nobody's."""
+    """A plate with a landmark's ring, or half of it; without a symbol, or with one of no ID."""
     at, discs = canvas.place, scene.landmark_set
     canvas.paint(at.rho <= 1, item.plate_db)
     ring = _ring(scene, at.rho)
@@ -117,7 +122,7 @@ def _filled(item: PlacedObject, _: Scene, canvas: Canvas, bright_db: float, __: 
 
 
 def _stone(_: PlacedObject, __: Scene, canvas: Canvas, bright_db: float, tallness: float) -> None:
-    """Rounded: brightest in the middle of the side that faces the sonar."""
+    """A rounded stone: brightest in the middle of the side that faces the sonar."""
     at = canvas.place
     angle = np.arctan2(at.v, at.u)
     outline = 1 + 0.25 * np.sin(3 * angle + canvas.number) + 0.1 * np.sin(7 * angle)
@@ -135,7 +140,7 @@ def _tyre(_: PlacedObject, __: Scene, canvas: Canvas, bright_db: float, tallness
 
 
 def _oblong(item: PlacedObject, scene: Scene, canvas: Canvas) -> tuple[BoolArray, np.ndarray]:
-    """The cells on a thing with corners, and how far across it they lie, 1 at its sides."""
+    """For a rectangular thing: the cells on it, and their distance across it (1 at its sides)."""
     at = canvas.place
     wide = np.abs(at.v) * 2 * at.radius_m / size_of(scene, item)[1]
     return np.asarray((np.abs(at.u) * 2 <= 1) & (wide <= 1)), wide
@@ -174,5 +179,5 @@ _DRAW: dict[str, Callable[[PlacedObject, Scene, Canvas, float, float], None]] = 
     "beam": _beam,
     "wall": _wall,
 }
-"""By kind: what draws an object. The last two arguments: its brightness, dB over the floor, and its
-height, m, as in KINDS."""
+"""The function that draws an object, by kind. Its last two arguments are the object's brightness
+(dB over the floor) and height (m), as in KINDS."""

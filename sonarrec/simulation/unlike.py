@@ -1,4 +1,4 @@
-"""Kinds of random scene beyond the basin's: what of a drawn scene they change."""
+"""Kinds of random scene that are unlike the basin, as changes to a scene that was drawn."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ UNLIKE_KINDS = (
     *("any_floor", "relief", "light", "debris", "symbols", "wide", "other_symbols"),
     *("slope", "leaning", "silted", "ripples", "multipath", "fish", "vehicle"),
 )
-"""In the order in which they came, for a kind's number is part of its seed: new ones go last.
+"""Kinds, in the order in which they were added. New ones go last, because the number of a kind is
+part of the seed of its scenes.
 
 Any floor: ring and sectors 5 to 14 dB over a plate that is -12 to +6 dB over the floor, so that
 the ring may be as bright as the floor, or darker; short and long pulses. Relief: gravel on a rough
@@ -38,13 +39,13 @@ LEARNED_UNLIKE = (
     *("any_floor", "relief", "light", "debris", "symbols", "wide"),
     *("leaning", "ripples", "fish", "vehicle"),
 )
-"""What `make model` learns from, beside the basin's; not symbols of other kinds, slopes, silt and
-multipath."""
+"""Kinds from which `make model` learns, in addition to those of the basin. Left out are
+other_symbols, slope, silted and multipath."""
 _PLATED = ("blank", "spokes", "half_ring", *SYMBOLS)
 
 
 def made_unlike(scene: Scene, kind: str, rng: np.random.Generator) -> Scene:
-    """The scene as its kind has it; of kinds that change nothing as it is."""
+    """The scene with the changes of its kind; the same scene if the kind has none."""
     change = _CHANGES.get(kind)
     return scene if change is None else change(scene, rng)
 
@@ -129,7 +130,7 @@ def _on_floor(scene: Scene, **changed: float) -> Scene:
 
 
 def _each_disc(scene: Scene, drawn: Callable[[], dict[str, Any]]) -> Scene:
-    """Change landmarks and what looks like them alike: the change must not tell them apart."""
+    """Change landmarks and their fakes in the same way, so that the change does not reveal them."""
     return replace(
         scene,
         landmarks=tuple(replace(item, **drawn()) for item in scene.landmarks),
@@ -155,7 +156,7 @@ def _fish(scene: Scene, rng: np.random.Generator) -> Scene:
 
 
 def _with_multipath(scene: Scene, rng: np.random.Generator) -> Scene:
-    """A copy, bands, or both."""
+    """Add a late copy of the scene, bands, or both."""
     u, sonar = rng.uniform, scene.sonar
     which = int(rng.integers(3))
     window = sonar.range_max_m - sonar.range_min_m
@@ -177,7 +178,7 @@ def _with_multipath(scene: Scene, rng: np.random.Generator) -> Scene:
 
 
 def vehicle_motion(rng: np.random.Generator) -> MotionSection:
-    """A run past things, round and back to them, or to and fro; up to 0.5 m/s and 20 deg/s."""
+    """A vehicle's run: straight on, in a circle, or to and fro; up to 0.5 m/s and 20 deg/s."""
     u = rng.uniform
     way = int(rng.integers(3))
     surge = swing = turn = yaw_swing = 0.0
@@ -221,7 +222,11 @@ def _with_levels(
     rng: np.random.Generator,
     relief_m: float = 0.0,
 ) -> Scene:
-    """Landmarks and their fakes of other materials."""
+    """Give landmarks and their fakes other levels, as if they were of other materials.
+
+    plate_db, bright_db: of the plate, and of ring and sectors, over the floor. relief_m: mean
+    height of the gravel that ring and sectors are made of.
+    """
 
     def near(level_db: float) -> float:
         return round(level_db + rng.normal(0, 0.7), 2)
@@ -259,4 +264,4 @@ _CHANGES: dict[str, Callable[[Scene, np.random.Generator], Scene]] = {
     "multipath": _with_multipath,
     "fish": _fish,
 }
-"""By kind: what it changes. Symbols, wide and vehicle are drawn by random_scenes."""
+"""The function that changes a scene, by kind. random_scenes draws symbols, wide and vehicle."""

@@ -1,4 +1,4 @@
-"""The simulator's world: what lies on the floor, as a polar grid of scatterers fixed to it."""
+"""The simulator's world: a grid of scatterers on the floor, with everything that lies there."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from sonarrec.simulation.plane import Plane
 from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene, place_of
 from sonarrec.simulation.things import Canvas, Place, draw_thing, object_radius, size_of
 
-TWIG = 0.12  # half the thickness of debris, in that over which it winds
+TWIG = 0.12  # half the thickness of debris, in units of the noise that shapes it
 
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """The part of the world before the sonar, on its own grid of slant ranges and azimuths.
+    """The part of the world in front of the sonar, by slant range (bins) and azimuth (n).
 
-    azimuth_deg: (n,) in the world. echoes: (bins, n) complex64 amplitude of each scatterer.
-    glow: (bins, n) float32 power of objects that afterglow. power: (bins, n) float32 mean power of
-    each scatterer. depression_deg, sine: (bins, 1) or (bins, n), as a Look has them.
+    azimuth_deg: (n,) in the world. echoes: (bins, n) complex64 amplitude of each scatterer. glow:
+    (bins, n) float32 power of the objects' afterglow. power: (bins, n) float32 mean power of each
+    scatterer. depression_deg, sine: (bins, 1) or (bins, n), as in Look.
     """
 
     azimuth_deg: FloatArray
@@ -38,14 +38,14 @@ class View:
 
 
 class World:
-    """Layers over the floor's grid: of slant range and azimuth seen from its origin, or squares.
+    """All scatterers on the floor, with their brightness, height and owner.
 
-    Every cell holds one complex Gaussian scatterer with phases of its own; panning moves the
-    view along the columns and so keeps speckle, sway and heave turn the phases. Leaning discs, and
-    on a polar grid lit slopes and shadows, are as seen from the origin.
+    Every cell of the grid holds one complex Gaussian scatterer. When the sonar pans, the view moves
+    along the grid and the speckle stays the same. Sway and heave turn the phases of the scatterers.
+    Leaning discs are as seen from the floor's origin; on a polar grid, so are slopes and shadows.
     """
 
-    PATCHES = 6  # processes from which every place's own fading is mixed
+    PATCHES = 6  # processes from which the fading of each place is mixed
 
     def __init__(
         self, scene: Scene, rng: np.random.Generator, grid: PolarGrid | SquareGrid
@@ -75,7 +75,7 @@ class World:
         amplitude = np.power(np.float32(10), level / 20)
         amplitude[shadow] *= 10 ** (scene.noise.shadow_db / 20)
         amplitude[grid.floorless] = 0
-        # Edges no sharper than the scatterers they stand for.
+        # Blurred, so that edges are no sharper than the grid of scatterers.
         amplitude = cv2.blur(amplitude, (3, 1) if isinstance(grid, PolarGrid) else (3, 3))
         self._amplitude = amplitude.ravel()
 
@@ -93,11 +93,11 @@ class World:
 
         self._scatter = rng.standard_normal((owner.size, 2), dtype=np.float32)
         self._scatter *= np.float32(math.sqrt(0.5))
-        # How fast each scatterer's phase turns: with time, sway right, sway forward, heave. The
-        # mean of exp(i phase) is the correlation: Cauchy rates make it exp(-time), Gaussian ones
-        # exp(-distance^2 / 2).
+        # How fast each scatterer's phase turns with time, sway right, sway forward and heave. The
+        # mean of exp(i phase) is the correlation of the speckle: exp(-time) with Cauchy rates,
+        # exp(-distance^2 / 2) with Gaussian ones.
         self._turn = rng.standard_normal((4, owner.size), dtype=np.float32)
-        with np.errstate(divide="ignore"):  # a draw of exactly 0 is clipped like any huge rate
+        with np.errstate(divide="ignore"):  # division by 0 gives a huge rate, clipped below
             self._turn[0] /= rng.standard_normal(owner.size, dtype=np.float32)
         np.clip(self._turn, -100, 100, out=self._turn)
 
@@ -110,7 +110,7 @@ class World:
         height: np.ndarray,
         relief: np.ndarray,
     ) -> None:
-        """Lay one thing on the floor: its level (dB), its number, its height and relief (m)."""
+        """Draw one thing into the layers (grid.shape): level (dB), owner, height and relief (m)."""
         scene, grid = self._scene, self._grid
         x0, y0 = place_of(item)
         if isinstance(item, PlacedLandmark):
@@ -127,7 +127,7 @@ class World:
         turn = math.radians(item.orientation_deg)
         u = (dx * math.cos(turn) + dy * math.sin(turn)) / radius
         v = (-dx * math.sin(turn) + dy * math.cos(turn)) / radius
-        # Edges that face the sonar, near and far, send more of the sound back.
+        # Edges that face the sonar, on the near and the far side, reflect more.
         line = (dx * x0 + dy * y0) / (np.maximum(np.hypot(dx, dy), 1e-6) * item.ground_m)
         facing = scene.fading.specular_db * (np.abs(line) - 0.5)
         place = Place(u, v, np.hypot(u, v), line, facing, radius)
@@ -145,9 +145,9 @@ class World:
     def _relieve(
         self, level: np.ndarray, height: np.ndarray, relief: np.ndarray, owner: np.ndarray
     ) -> None:
-        """Raise bumps and ripples; lighten and darken slopes that face the sonar and turn from it.
+        """Add bumps and ripples, and brighten or darken slopes as they face the sonar or not.
 
-        Then lay twigs, and patches of light and shade, over all.
+        Then add twigs, and patches of light and shade.
         """
         floor, grid, cells = self._scene.floor, self._grid, self._grid.cells
         if relief.any():
@@ -171,7 +171,7 @@ class World:
         if floor.debris_db:
             rng = np.random.default_rng([self._scene.seed, 8])
             bends, where = (smooth_noise(rng, relief.shape, cells(floor.debris_m)) for _ in "ab")
-            # Where smooth noise passes through 0 lie winding lines; a second one breaks them off.
+            # The zeros of smooth noise are winding lines; a second noise cuts them into pieces.
             twigs = np.exp(-((bends / TWIG) ** 2)) / (1 + np.exp(-where / TWIG))
             level += np.float32(floor.debris_db) * twigs.astype(np.float32)
         if floor.light_db:
@@ -180,22 +180,25 @@ class World:
             level -= np.float32(floor.light_db) / (1 + np.exp(-patches / 0.06))
 
     def _shadow(self, height: np.ndarray) -> np.ndarray:
-        """Cells hidden behind something taller; of squares, which `view` looks at, none."""
+        """The cells hidden behind something taller, from the floor's origin.
+
+        None on a grid of squares: there `view` finds the shadows.
+        """
         if isinstance(self._grid, SquareGrid):
             return np.zeros(self._shape, bool)
         return _hidden(self._scene.sonar.height_m - height, self._grid.ground_m)
 
     def fade(self, object_db: FloatArray, patches: FloatArray, afterglow_db: FloatArray) -> None:
-        """Set every object's brightness for a frame.
+        """Set the brightness of all objects for the next frame.
 
-        object_db, afterglow_db: (objects,) dB, landmarks first. patches: (PATCHES,) standard
-        normal, mixed into patch fading.
+        object_db, afterglow_db: (things,), landmarks first. patches: (PATCHES,) standard normal,
+        from which the fading of patches is mixed.
         """
         if not len(self._cells):
             return
         fading = self._scene.fading
         patch = self._mix @ patches.astype(np.float32)
-        # Reflections fail far more than they flare.
+        # Reflections get much weaker at times, but hardly stronger.
         gain_db = np.minimum(object_db[self._owner] + fading.patch_db * patch, 4.0)
         amplitude = self._plain * np.power(np.float32(10), gain_db.astype(np.float32) / 20)
         self._amplitude[self._cells] = amplitude
@@ -203,9 +206,10 @@ class World:
         self._glow[self._cells] = amplitude**2 * glow.astype(np.float32)[self._owner]
 
     def view(self, range_m: FloatArray, pose: Pose, turned: Sequence[float]) -> View:
-        """What lies before the sonar at slant ranges (bins,), seen from where it is now.
+        """The part of the world in front of the sonar.
 
-        turned: (4,) how far the scatterers' phases have turned, as self._turn counts them.
+        range_m: (bins,) slant ranges. turned: (4,) time, sway right, sway forward and heave so far,
+        in the units of self._turn.
         """
         grid = self._grid
         azimuth = grid.azimuths(pose.pan_deg)
@@ -227,7 +231,7 @@ class World:
                 y = ground * np.cos(np.radians(azimuth)) + pose.y_m
                 cell = grid.index(x, y)
 
-        # `take`, here and below: four times as quick as rate[cell].
+        # `take` is four times as fast as rate[cell].
         phase = np.zeros(cell.shape, dtype=np.float32)
         for rate, amount in zip(self._turn, turned, strict=True):
             if amount:
@@ -247,7 +251,7 @@ class World:
     def _seen_now(
         self, cell: np.ndarray, pose: Pose, azimuth_deg: FloatArray, ground: FloatArray
     ) -> np.ndarray | float:
-        """Amplitude that light and shadow leave of each cell of squares, seen from a pose."""
+        """Factor on the amplitude of each cell by slopes and shadows; for grids of squares."""
         if self._height is None:
             return 1.0
         near = np.maximum(ground, 1e-3).astype(np.float32)
@@ -265,20 +269,21 @@ class World:
 
 
 def _hidden(below_m: np.ndarray, ground_m: np.ndarray) -> np.ndarray:
-    """Cells, near ones first, behind something taller: a ray over every nearer top clears them.
+    """Whether each cell is hidden behind something nearer and taller. Rows are near ones first.
 
-    below_m: how far below the sonar each top is. ground_m: of the cells.
+    below_m: how far the top of each cell is below the sonar. ground_m: range of the cells.
     """
-    # Depression of the line over each cell's top; what is nearer must not lie flatter.
+    # The slope of the line of sight to each top. A nearer top with a flatter line hides the cell.
     slope = below_m / ground_m
     flattest = np.minimum.accumulate(slope, axis=0)
     return np.asarray(slope > flattest + 1e-4)
 
 
 def _lit(grazing: np.ndarray, slope: np.ndarray) -> np.ndarray:
-    """Amplitude of a slope that rises away from the sonar, to level floor: Lambert's law.
+    """Amplitude of a slope relative to level floor, by Lambert's law.
 
-    Sent there and back it is the square of the sine, in power. grazing: of the floor, rad.
+    With the way there and back, power goes with the square of the sine. grazing: angle on level
+    floor, rad. slope: rise over run, away from the sonar.
     """
     lit = np.sin(np.clip(grazing + np.arctan(slope), 0.02, np.pi / 2))
     return np.asarray(lit / np.sin(grazing))
