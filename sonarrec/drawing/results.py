@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from sonarrec.drawing.geometry import draw_grid
 from sonarrec.drawing.pen import (
     TRUTH,
     UNNAMED,
+    Colour,
     Pen,
     disc_outline,
     landmark_colours,
@@ -31,6 +33,7 @@ STRIP_FRAMES = 120
 """How far back trails and the probability strip reach."""
 
 _TICK_FRAMES = 20  # between ticks of the strip's time axis
+Numbers = TypeVar("Numbers", float, FloatArray)
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +132,6 @@ def draw_strip(history: Sequence[Moment], landmarks: LandmarkSet, width: int) ->
     history: one method's results, of which the last STRIP_FRAMES frames are shown. Thick where
     declared; of methods that do not follow objects, points. Returns (rows, width, 3) uint8 BGR.
     """
-    newest = history[-1]
     unit = pixel_unit(width)
     colours = landmark_colours(landmarks.ids)
     left, right = 34 * unit, width - 10 * unit
@@ -141,45 +143,76 @@ def draw_strip(history: Sequence[Moment], landmarks: LandmarkSet, width: int) ->
     for n, (landmark, colour) in enumerate(colours.items()):
         at = (left + n % per_line * 46 * unit, (15 + 16 * (n // per_line)) * unit)
         pen.text(f"ID.{landmark}", at, colour)
+    axes = _StripAxes(left, right, top, bottom, unit)
+    latest = [m for m in history if history[-1].index - m.index < STRIP_FRAMES]
+    _draw_axes(pen, axes, latest)
+    _draw_beliefs(pen, axes, latest, colours)
+    return pen.canvas
+
+
+@dataclass(frozen=True, slots=True)
+class _StripAxes:
+    """The axes of a strip: pixels of its edges. unit: as from `pixel_unit`."""
+
+    left: float
+    right: float
+    top: float
+    bottom: float
+    unit: float
+
+    def x(self, frames_ago: Numbers) -> Numbers:
+        """Where a frame is; the newest at the right edge."""
+        return self.right - frames_ago * self.step
+
+    def y(self, share: Numbers) -> Numbers:
+        """Where a probability is."""
+        return self.bottom - share * (self.bottom - self.top)
+
+    @property
+    def step(self) -> float:
+        """Pixels from frame to frame."""
+        return (self.right - self.left) / (STRIP_FRAMES - 1)
+
+
+def _draw_axes(pen: Pen, axes: _StripAxes, history: Sequence[Moment]) -> None:
+    """Draw the title with frame and time, lines at three probabilities, and ticks of time."""
+    unit, newest = axes.unit, history[-1]
     title = f"frame {newest.index}  {_clock(newest.timestamp_ns)}"
-    pen.text(title, (right, 15 * unit), UNNAMED, align_right=True)
+    pen.text(title, (axes.right, 15 * unit), UNNAMED, align_right=True)
     for share in (0.0, 0.5, 1.0):
-        level = bottom - share * (bottom - top)
-        pen.lines(np.array([[[left, level], [right, level]]]), (70, 70, 70), 1)
+        level = axes.y(share)
+        pen.lines(np.array([[[axes.left, level], [axes.right, level]]]), (70, 70, 70), 1)
         pen.text(f"{share:g}", (6 * unit, level + 5 * unit), UNNAMED)
-    step = (right - left) / (STRIP_FRAMES - 1)
-    for result in history:
-        ago = newest.index - result.index
-        if result.index % _TICK_FRAMES == 0 and ago < STRIP_FRAMES:
-            tick = right - ago * step
-            title = _clock(result.timestamp_ns, short=True)
-            pen.note(title, (tick, bottom + 21 * unit), UNNAMED, centred=True)
+    for moment in history:
+        if moment.index % _TICK_FRAMES == 0:
+            tick, bottom = axes.x(newest.index - moment.index), axes.bottom
+            text = _clock(moment.timestamp_ns, short=True)
+            pen.note(text, (tick, bottom + 21 * unit), UNNAMED, centred=True)
             pen.lines(np.array([[[tick, bottom], [tick, bottom + 5 * unit]]]), UNNAMED, 1)
 
-    rows = [
-        (result.index, e)
-        for result in history
-        if newest.index - result.index < STRIP_FRAMES
-        for e in result.estimates
-    ]
+
+def _draw_beliefs(
+    pen: Pen, axes: _StripAxes, history: Sequence[Moment], colours: Mapping[int, Colour]
+) -> None:
+    """Draw the probability of each ID along every track. colours: by ID, in the set's order."""
+    rows = [(moment.index, e) for moment in history for e in moment.estimates]
     if not rows:
-        return pen.canvas
+        return
     # Sorted by track and time, each estimate is joined to the one before it on the same track.
     rows.sort(key=lambda row: (row[1].object, row[0]))
-    frame = np.array([index for index, _ in rows])
+    frame = np.array([index for index, _ in rows], dtype=float)
     track = np.array([e.object if e.followed else -1 for _, e in rows])
     id_named = np.array([e.landmark if e.declared else None for _, e in rows])
     joined = np.append(False, (track[1:] == track[:-1]) & (track[1:] >= 0))
     before = np.arange(len(rows)) - joined
-    x = right - (newest.index - frame) * step
+    x = axes.x(history[-1].index - frame)
     beliefs = np.array([e.probabilities for _, e in rows])
     for thick in (False, True):
-        for k, landmark in enumerate(landmarks.ids):
-            y = bottom - beliefs[:, k] * (bottom - top)
-            start = np.where(joined, x[before], x - step / 2)
+        for k, (landmark, colour) in enumerate(colours.items()):
+            y = axes.y(beliefs[:, k])
+            start = np.where(joined, x[before], x - axes.step / 2)
             lines = np.stack([[start, y[before]], [x, y]]).transpose(2, 0, 1)
-            pen.lines(lines[(id_named == landmark) == thick], colours[landmark], 1 + thick)
-    return pen.canvas
+            pen.lines(lines[(id_named == landmark) == thick], colour, 1 + thick)
 
 
 def _clock(timestamp_ns: int, *, short: bool = False) -> str:

@@ -90,7 +90,7 @@ def false_claims(case: Case) -> Iterable[UnitSums]:
             yield from false_claim_counts(method, pooled.ids, made, minutes)
 
 
-def switched(case: Case) -> Iterable[UnitSums]:
+def switches(case: Case) -> Iterable[UnitSums]:
     """SwitchTotals of every method."""
     return switch_counts(case.pooled.switches, *_passes(case))
 
@@ -234,8 +234,8 @@ METRICS = (
     Metric("frames_to_id_90", "frames to lasting ID, 90 %", 0, waits, quantile(_NINE_IN_TEN)),
     Metric("false_claims_per_min", "claims/min on no landmark", 2, false_claims, false_per_minute),
     Metric("wrong_ids_per_min", "claims/min of a wrong ID", 2, false_claims, wrong_per_minute),
-    Metric("id_switches_per_pass", "ID switches per pass", 2, switched, id_switches),
-    Metric("track_switches_per_pass", "track switches per pass", 2, switched, track_switches),
+    Metric("id_switches_per_pass", "ID switches per pass", 2, switches, id_switches),
+    Metric("track_switches_per_pass", "track switches per pass", 2, switches, track_switches),
     Metric("position_error_median_m", "position error, median, m", 4, positions, quantile(_HALF)),
     Metric("position_error_95_m", "position error, 95 %, m", 4, positions, quantile(_MOST)),
     Metric(
@@ -254,7 +254,7 @@ METRICS = (
 MAIN = ("tpr", "fpr", "auc")
 """Shown per ID, and compared between old and new results."""
 BY_NAME = {metric.name: metric for metric in METRICS}
-KINDS = tuple(dict.fromkeys((rates, waits, switched, *(m.counted for m in METRICS))))
+KINDS = tuple(dict.fromkeys((rates, waits, switches, *(m.counted for m in METRICS))))
 """The kinds of records, in the order of figures.csv."""
 AT_ONCE = 256
 """Draws whose figures are computed together: so few lie in the processor's cache."""

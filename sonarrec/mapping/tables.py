@@ -24,6 +24,7 @@ PASS_COLUMNS = (
     *("number", "log", "landmark", "track", "first_frame", "last_frame", "frames", "mean_score"),
     *(*_PLACE, *_TURN, "near_m", "far_m", "sonar_x_m", "sonar_y_m", "sonar_yaw_deg"),
 )
+ELLIPSE_CORNERS = 48
 CHI2_95 = 5.991
 """Squared Mahalanobis distance within which 95 % of the places in a plane lie."""
 GEOJSON_BEGIN = '{"type": "FeatureCollection", "program": "sonarrec"'
@@ -209,12 +210,12 @@ def _periods(site: SiteMap) -> dict[int, float]:
     return dict(zip(landmark_set.ids, landmark_set.periods_deg().tolist(), strict=True))
 
 
-def ellipse(place: FloatArray, covariance: FloatArray, points: int = 48) -> FloatArray:
-    """(points + 1, 2) the closed line within which a place lies with 95 % probability.
+def ellipse(place: FloatArray, covariance: FloatArray) -> FloatArray:
+    """(n, 2) a closed line within which a place lies with a probability of 95 %.
 
     Counter-clockwise, x to the right and y up.
     """
-    angle = np.linspace(0, 2 * np.pi, points + 1)
+    angle = np.linspace(0, 2 * np.pi, ELLIPSE_CORNERS + 1)
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
     values, axes = np.linalg.eigh(covariance)
     axes[:, 0] *= np.linalg.det(axes)  # else it may be a reflection

@@ -8,31 +8,31 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.poses import PoseTable, pose_table
-from sonarrec.records import SonarrecError
+from sonarrec.records import FloatArray, IntArray, SonarrecError
 
 POSES_FILE = "poses.csv"
-"""Poses beside a log, or NAME.poses.csv, which are used where none are given."""
+"""Poses beside a log (or NAME.poses.csv), used if the user gives none."""
 HEADER = "timestamp,yaw,x,y"
 LOOK_ALIKE = (
     *("x", "y", "x_m", "y_m", "px", "py", "pos_x", "pos_y", "position_x", "position_y"),
     *("east", "north", "east_m", "north_m", "easting", "northing"),
     *("lat", "lon", "latitude", "longitude"),
 )
-"""Names in lower case that others give to positions. Without x and y a sonar only turns: a wrong
-motion, where it moved."""
-# Rows of a steady pan may be half a minute apart, and nobody writes 2,000 a second; what lies
-# between the two is in milliseconds or microseconds.
+"""Names, in lower case, that other programs give to positions. They are refused: without x and y
+the sonar would be taken to turn in one place."""
+# How the unit of a column `timestamp` is told: rows of a steady pan may be half a minute apart, and
+# nobody writes 2,000 a second. Steps in between can only be milliseconds or microseconds.
 SECONDS_BELOW = 50
 NANOSECONDS_FROM = 500_000
 
 
 def read_poses(path: Path) -> PoseTable:
-    """Read a CSV table with a header such as HEADER; x and y together or not at all.
+    """Read a CSV table with a header such as HEADER. x and y must both be there, or neither.
 
-    timestamp_ns is in nanoseconds; timestamp is in seconds where its rows are less than
-    SECONDS_BELOW apart in the median, in nanoseconds from NANOSECONDS_FROM on; or it is in ISO 8601
-    with its UTC offset. Rows may come in any order; of several at one time the first counts.
-    Raises SonarrecError where the table cannot be used.
+    timestamp_ns is in nanoseconds. timestamp is in ISO 8601 with its UTC offset, in seconds if the
+    median step from row to row is less than SECONDS_BELOW, or in nanoseconds if it is
+    NANOSECONDS_FROM or more. Rows may be in any order; of several rows at one time the first
+    counts. Raises SonarrecError if the table cannot be used.
     """
     # It loads pandas, which only runs with such a table need.
     from sonarrec.files.tables import Kind, read_header, read_table
@@ -61,20 +61,7 @@ def read_poses(path: Path) -> PoseTable:
     if not len(steps):
         raise SonarrecError(f"{path}: a motion needs rows at two times or more")
     if "timestamp_ns" not in table:
-        step = np.median(steps)
-        if SECONDS_BELOW <= step < NANOSECONDS_FROM:
-            raise SonarrecError(
-                f"{path}: timestamp must be seconds or nanoseconds; rows {step:g} apart are "
-                "neither (milliseconds or microseconds?); name nanoseconds timestamp_ns"
-            )
-        seconds = step < SECONDS_BELOW
-        at = np.rint(at * 1e9 if seconds else at)
-        if np.abs(at).max() >= 2**63:
-            raise SonarrecError(
-                f"{path}: timestamp must be seconds or nanoseconds; these are neither "
-                "(milliseconds?)"
-            )
-        at = at.astype(np.int64)
+        at = _nanoseconds(path, at, float(np.median(steps)))
     still = np.zeros(len(at))
     try:
         digest = hashlib.sha256(path.read_bytes()).hexdigest()
@@ -88,3 +75,21 @@ def read_poses(path: Path) -> PoseTable:
         table.get("x", still),
         table.get("y", still),
     )
+
+
+def _nanoseconds(path: Path, timestamp: FloatArray, step: float) -> IntArray:
+    """(rows,) times in ns. timestamp: (rows,) in s or ns. step: median time from row to row.
+
+    Raises SonarrecError if they are in another unit.
+    """
+    if SECONDS_BELOW <= step < NANOSECONDS_FROM:
+        raise SonarrecError(
+            f"{path}: timestamp must be seconds or nanoseconds; rows {step:g} apart are "
+            "neither (milliseconds or microseconds?); name nanoseconds timestamp_ns"
+        )
+    at = np.rint(timestamp * 1e9 if step < SECONDS_BELOW else timestamp)
+    if np.abs(at).max() >= 2**63:
+        raise SonarrecError(
+            f"{path}: timestamp must be seconds or nanoseconds; these are neither (milliseconds?)"
+        )
+    return np.asarray(at, np.int64)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sonarrec.records import FloatArray
+from sonarrec.simulation.grid import FloorArea
 from sonarrec.simulation.motion import Pose
 from sonarrec.simulation.plane import Plane, within_a_turn
 from sonarrec.simulation.scene import Scene
@@ -35,11 +36,10 @@ class Fishes:
 class Shoal:
     """All fish of a scene. Each swims straight on with a slow weave; schools stay together.
 
-    area: (least x, most x, least y, most y) of the floor that the sonar may see, m. A fish that
-    leaves the area comes in again on the other side.
+    area: the floor that the sonar may see. A fish that leaves it comes in again on the other side.
     """
 
-    def __init__(self, scene: Scene, area: tuple[float, float, float, float]) -> None:
+    def __init__(self, scene: Scene, area: FloorArea) -> None:
         self._scene, fish = scene, scene.fish
         self._plane = Plane.of(scene)
         rng = np.random.default_rng([scene.seed, 11])
@@ -54,8 +54,8 @@ class Shoal:
         size = np.bincount(self._group, minlength=groups)[self._group]
         spread = np.where(size > 1, 0.6 * fish.length_m * np.sqrt(size), 0.0)
         outside = OUTSIDE_M + 2 * spread.max(initial=0)
-        self._low = np.array([area[0], area[2]]) - outside
-        self._span = np.array([area[1], area[3]]) + outside - self._low
+        self._low = np.array([area.x_min_m, area.y_min_m]) - outside
+        self._span = np.array([area.x_max_m, area.y_max_m]) + outside - self._low
         self._start = rng.uniform(0, 1, (groups, 2)) * self._span
         self._heading = rng.uniform(0, 2 * np.pi, groups)
         self._speed = fish.speed_m_s * rng.gamma(4.0, 0.25, groups)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -36,11 +37,19 @@ def smooth_noise(
     return np.asarray(full / max(float(full.std()), 1e-6))
 
 
-def area(grid: PolarGrid | SquareGrid) -> tuple[float, float, float, float]:
-    """(least x, most x, least y, most y) of a grid's cells, m."""
+class FloorArea(NamedTuple):
+    """A rectangle on the floor, m."""
+
+    x_min_m: float
+    x_max_m: float
+    y_min_m: float
+    y_max_m: float
+
+
+def area(grid: PolarGrid | SquareGrid) -> FloorArea:
+    """The rectangle around a grid's cells."""
     ends = (end(values) for values in (grid.x_m, grid.y_m) for end in (np.min, np.max))
-    low_x, high_x, low_y, high_y = map(float, ends)
-    return low_x, high_x, low_y, high_y
+    return FloorArea(*map(float, ends))
 
 
 class PolarGrid:

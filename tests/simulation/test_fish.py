@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from sonarrec.simulation.fish import Shoal
+from sonarrec.simulation.grid import FloorArea
 from sonarrec.simulation.scene import FishSection, Scene
 from sonarrec.simulation.simulate import render
 from tests.support.bare import POLAR, power
@@ -15,7 +16,7 @@ from tests.support.bare import POLAR, power
 BIN_M = 2.5 / 512
 RANGE_M = 1.25 + (np.arange(512) + 0.5) * BIN_M
 
-AREA = (-1.5, 1.5, 0.5, 3.5)
+AREA = FloorArea(-1.5, 1.5, 0.5, 3.5)
 SEEN = (5, 17, 27)  # seeds whose fish swims through the fan
 
 

@@ -9,11 +9,13 @@ from sonarrec.evaluation.compare.compare import Comparison, rate_text
 from sonarrec.evaluation.metrics import BY_NAME
 from sonarrec.records import number_of, printable
 
+MOST_LINES = 12
+"""Settings, and runs of changed frames, that are listed; the files have all."""
 
-def screen(comparison: Comparison, most: int = 12) -> str:
-    """Changed settings, rates in total with tests, then at most `most` runs of changed frames, the
-    longest ones."""
-    lines = [*settings_lines(comparison, most), *_rate_lines(comparison)]
+
+def screen(comparison: Comparison) -> str:
+    """Changed settings, rates in total with tests, and the longest runs of changed frames."""
+    lines = [*settings_lines(comparison), *_rate_lines(comparison)]
     lines += [f"{method}: only in the old results" for method in comparison.lost]
     lines += [f"{method}: only in the new results" for method in comparison.gained]
     verdicts = comparison.frames.verdicts()
@@ -21,7 +23,7 @@ def screen(comparison: Comparison, most: int = 12) -> str:
         f"frames and IDs: {verdicts['better']} better, {verdicts['worse']} worse, "
         f"{verdicts['other']} otherwise changed"
     )
-    lines += _frame_lines(comparison, most)
+    lines += _frame_lines(comparison)
     return "\n".join(map(printable, lines))
 
 
@@ -45,9 +47,9 @@ def _rate_lines(comparison: Comparison) -> Iterable[str]:
         yield f"no p-values: {no_test}"
 
 
-def _frame_lines(comparison: Comparison, most: int) -> Iterable[str]:
+def _frame_lines(comparison: Comparison) -> Iterable[str]:
     """A line per run of changed frames."""
-    runs, count = comparison.frames.runs(most)
+    runs, count = comparison.frames.runs(MOST_LINES)
     for run in runs:
         first, last = run.first, run.last_frame
         span = f"frame {first.frame}" if run.count == 1 else f"frames {first.frame}-{last}"
@@ -55,16 +57,16 @@ def _frame_lines(comparison: Comparison, most: int) -> Iterable[str]:
             f"  {first.verdict}: {first.log} {span}, {first.method}, {first.protocol}, "
             f"ID.{first.landmark}: {outcome(first.old)} -> {outcome(first.new)}"
         )
-    if count > most:
-        yield f"  and {number_of(count - most, 'more run')}; changes.csv has all"
+    if count > MOST_LINES:
+        yield f"  and {number_of(count - MOST_LINES, 'more run')}; changes.csv has all"
 
 
-def settings_lines(comparison: Comparison, most: int = 12) -> Iterable[str]:
+def settings_lines(comparison: Comparison) -> Iterable[str]:
     """A line per setting that differs, with the names of the logs if it differs in some only."""
-    for change in comparison.settings[:most]:
+    for change in comparison.settings[:MOST_LINES]:
         logs = "" if len(change.logs) == len(comparison.logs) else f" ({', '.join(change.logs)})"
         yield f"{change.key}: {change.old} -> {change.new}{logs}"
-    more = len(comparison.settings) - most
+    more = len(comparison.settings) - MOST_LINES
     if more > 0:
         yield f"and {number_of(more, 'more setting')}; compare.json has all"
     if not comparison.settings and not any(
