@@ -21,7 +21,7 @@ from sonarrec.records import MissingError, SonarrecError, UsageError
 
 if TYPE_CHECKING:
     from sonarrec.readers.info import LogInfo
-    from sonarrec.readers.many import NamedLog
+    from sonarrec.readers.named_logs import NamedLog
     from sonarrec.records import Origin
     from sonarrec.remote.find import RemoteLog
 
@@ -124,7 +124,7 @@ def info(
 
 
 def _name(log: NamedLog | RemoteLog) -> str:
-    from sonarrec.readers.many import NamedLog
+    from sonarrec.readers.named_logs import NamedLog
 
     return log.path if isinstance(log, NamedLog) else log.redacted_url
 
@@ -133,7 +133,7 @@ def _at_hand(
     log: NamedLog | RemoteLog, cache: CacheChoice, quiet: bool, stack: ExitStack
 ) -> tuple[str, Path | None, Origin | None]:
     """(path to open, highest folder with companions of the log, server that it is from)."""
-    from sonarrec.readers.many import NamedLog
+    from sonarrec.readers.named_logs import NamedLog
     from sonarrec.remote.fetch import fetched
 
     if isinstance(log, NamedLog):

@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from sonarrec.batch.processes import Watch
     from sonarrec.batch.task import Task
     from sonarrec.pipeline.prepare import RunOptions
-    from sonarrec.readers.many import NamedLog
+    from sonarrec.readers.named_logs import NamedLog
     from sonarrec.remote.find import RemoteLog
     from sonarrec.remote.upload import Outbox
     from sonarrec.results.run_file import LogOptions

@@ -23,7 +23,7 @@ from sonarrec.geometry import PolarToFan
 from sonarrec.readers import open_log
 from sonarrec.readers.images import ImagePaths, natural_order
 from sonarrec.readers.log import MAX_PROBLEM_LINES, _of_one_size
-from sonarrec.readers.many import NamedLog, find_logs
+from sonarrec.readers.named_logs import NamedLog, find_logs
 from sonarrec.readers.raw import RawFrame
 from sonarrec.records import Frame, SonarrecError, UsageError
 from sonarrec.simulation.mcap_writer import SCHEMAS, McapImageWriter, is_polar

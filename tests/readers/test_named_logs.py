@@ -12,7 +12,7 @@ import pytest
 
 from sonarrec.pipeline.run import result_names
 from sonarrec.readers.find import companion, find_log
-from sonarrec.readers.many import find_logs
+from sonarrec.readers.named_logs import find_logs
 from sonarrec.records import SonarrecError, UsageError
 from sonarrec.remote.run import all_logs
 from tests.support.bags import bag, messages, split_bag

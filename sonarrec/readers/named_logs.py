@@ -1,4 +1,4 @@
-"""Which logs the arguments of a command name: files, folders of logs, globs, lists."""
+"""Finds the logs that the arguments of a command name: files, folders of logs, globs, lists."""
 
 from __future__ import annotations
 
@@ -14,24 +14,28 @@ from sonarrec.readers.images import is_image, natural_order
 from sonarrec.records import UsageError, name_as_text
 
 RESULTS = frozenset({"frames.csv", "evaluation.json", "map.csv"})
-"""A folder with one of these holds results, and its pictures are no logs."""
+"""A folder with one of these holds results, so its images are no log."""
 
 
 @dataclass(frozen=True, slots=True)
 class NamedLog:
-    """One log of a command. up_to: the folder that was given and holds it, up to which what belongs
-    to it is looked for; None where the log itself was given."""
+    """One log of a command.
+
+    up_to: the folder that the user named and that holds the log: the highest folder searched for
+    files that belong to it. None if the user named the log itself.
+    """
 
     path: str
     up_to: Path | None = None
 
 
 def find_logs(names: Iterable[str], *, recursive: bool = False) -> list[NamedLog]:
-    """The logs that the arguments of a command name, those of each in natural order.
+    """The logs that the arguments of a command name, in natural order for each argument.
 
-    Of a folder of logs every file and bag in it; recursive: also in the folders below, and every
-    folder of images there. Of a glob of logs each that matches; parts of a bag stand for the bag.
-    All else is the argument itself: one log, or none, which is reported when it is opened.
+    A folder of logs names every file and bag in it; with `recursive` also those in all folders
+    below, and every folder of images there. A glob names each log that matches; if parts of a bag
+    match, it names the bag. Any other argument is one log by itself; if it is none, that is
+    reported when it is opened.
     Raises UsageError for a folder that holds images and other logs.
     """
     logs: list[NamedLog] = []
@@ -45,9 +49,9 @@ def find_logs(names: Iterable[str], *, recursive: bool = False) -> list[NamedLog
 
 
 def log_arguments(names: Iterable[str], listed: Iterable[str]) -> list[str]:
-    """Arguments, and the lines of a list: empty ones, and those that begin with #, are none.
+    """The arguments of a command and the lines of a list, without empty lines and # comments.
 
-    Raises UsageError where no log is named.
+    Raises UsageError if no log is named.
     """
     lines = (line.strip() for line in listed)
     logs = [*names, *(line for line in lines if line and not line.startswith("#"))]
@@ -75,9 +79,10 @@ def _logs_named(name: str, recursive: bool) -> list[NamedLog]:
 
 
 def _unreadable_folders(pattern: Path) -> set[Path]:
-    """The folders that a glob looks into and that cannot be read: reported when they are opened.
+    """The folders that a glob would search but that cannot be read.
 
-    Python's glob passes over them, and the logs in them, without a word.
+    Python's glob skips them, and the logs in them, silently. Returned here, they are reported when
+    they are opened.
     """
     above = pattern.parents[: len(pattern.parents) - len(_fixed(pattern).parents)]
     folders = (folder for parent in above for folder in matches(os.path.join(parent, "")))  # noqa: PTH118
@@ -85,7 +90,7 @@ def _unreadable_folders(pattern: Path) -> set[Path]:
 
 
 def _opens(folder: Path) -> bool:
-    """Whether a folder can be listed, and what is in it asked for."""
+    """Whether a folder can be listed, and files in it can be looked up."""
     try:
         with os.scandir(folder):
             os.stat(os.path.join(folder, "."))  # noqa: PTH116, PTH118 - Path leaves the dot out
@@ -109,7 +114,7 @@ def _fixed(pattern: Path) -> Path:
 
 
 def _is_log(folder: Path) -> bool:
-    """Whether a folder is one log: a bag, or images that are no pictures of results."""
+    """Whether a folder is one log: a bag, or images that do not belong to results."""
     if _is_bag(folder):
         return True
     return not _holds_results(folder) and any(is_image(e) for e in folder.iterdir())
@@ -120,9 +125,9 @@ def _holds_results(folder: Path) -> bool:
 
 
 def _is_bag(folder: Path) -> bool:
-    """Whether a folder is a bag, or cannot be read: then it is reported when it is opened.
+    """Whether a folder is a bag or cannot be read.
 
-    Passing over it would hide what is in it.
+    A folder that cannot be read is reported when it is opened; skipping it would hide its logs.
     """
     try:
         return is_bag_folder(folder)
@@ -131,9 +136,9 @@ def _is_bag(folder: Path) -> bool:
 
 
 def _in_folder(folder: Path) -> list[Path]:
-    """The logs of one folder: itself where it holds images, else each file and bag in it.
+    """The logs of one folder: the folder itself if it holds images, else each file and bag in it.
 
-    Raises UsageError where it holds both, for nothing tells which are meant.
+    Raises UsageError if it holds both, because it is not clear which are meant.
     """
     image, logs, bags = None, [], []
     with os.scandir(folder) as entries:
@@ -159,10 +164,10 @@ def _in_folder(folder: Path) -> list[Path]:
 
 
 def _below(top: Path) -> Iterator[Path]:
-    """The logs of a folder and of all below it; hidden folders and results are passed over.
+    """The logs of a folder and of all folders below it, except hidden folders and results.
 
-    Links to folders are followed after all else, so that what lies below anyway keeps its own
-    name; a folder that was met, or that holds `top`, is not looked through again.
+    Links to folders are followed last, so that folders inside `top` are found under their own
+    names. A folder is searched once, and folders that hold `top` are not searched.
     """
     met = {_identity(above) for above in top.resolve().parents}
     places = [top]
@@ -183,6 +188,6 @@ def _below(top: Path) -> Iterator[Path]:
 
 
 def _identity(folder: Path) -> tuple[int, int]:
-    """(device, inode) of a folder: the same under each name that links give it."""
+    """(device, inode) of a folder, which is the same for every link to it."""
     status = folder.stat()
     return status.st_dev, status.st_ino
