@@ -1,7 +1,7 @@
-"""The folder of a ROS 2 bag as one recording: its parts one after another, numbered through.
+"""Reads the folder of a ROS 2 bag as one recording. Messages are numbered through all its parts.
 
-metadata.yaml lists the parts and counts their messages. Without it the parts are those files that
-are named as `ros2 bag record` names them.
+metadata.yaml lists the parts and the numbers of their messages. Without it, the parts are the files
+with names as `ros2 bag record` gives them.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from sonarrec.records import SonarrecError, name_as_text, number_of
 METADATA = "metadata.yaml"
 _ENDINGS = tuple(suffix + end for suffix in (".mcap", ".db3") for end in ("", *PACKINGS))
 _MAX_METADATA_BYTES = 2**24
-_MAX_LOST = 10**6  # of one part: numbers beyond that are not believed
+_MAX_LOST = 10**6  # messages of one part; larger numbers in metadata.yaml are ignored
 Open = Callable[[Path], Recording]
 
 
 def is_bag_folder(folder: Path) -> bool:
-    """Whether a folder is a bag: it has a metadata.yaml of one, or parts with a recorder's names.
+    """Whether a folder is a bag: it has the metadata.yaml of a bag, or parts with usual names.
 
-    Those are FOLDER_0, FOLDER_1, ... or rosbag2_..._0 and so on. Raises OSError.
+    Usual names are FOLDER_0, FOLDER_1, ... or rosbag2_..._0, ... Raises OSError.
     """
     if (folder / METADATA).is_file():
         with (folder / METADATA).open("rb") as file:
@@ -41,7 +41,7 @@ def is_bag_folder(folder: Path) -> bool:
 
 
 def are_parts(names: Iterable[str], folder: str) -> bool:
-    """Whether all logs among the names of a folder's files are named as a recorder names parts."""
+    """Whether all logs among the file names in a folder have the usual names of parts."""
     stems = {match[1] if (match := _numbers(n)) else None for n in names if _is_stored(n)}
     if len(stems) != 1:
         return False
@@ -50,7 +50,7 @@ def are_parts(names: Iterable[str], folder: str) -> bool:
 
 
 def bag_files(folder: Path) -> list[Path]:
-    """What a bag consists of, in order: metadata.yaml, and the parts that are there."""
+    """The files of a bag, in order: metadata.yaml, and the parts that exist."""
     head = folder / METADATA
     parts, _, _ = _listed(folder)
     return [*([head] if head.is_file() else []), *(p for p in parts if p.is_file())]
@@ -65,7 +65,7 @@ def _is_stored(name: str) -> bool:
 
 
 def _parts_by_name(folder: Path) -> list[Path]:
-    """The parts by their names alone; none where one of the logs is not named so."""
+    """The parts according to their names; none if a log in the folder has another name."""
     parts = _stored_parts(folder)
     return parts if are_parts((p.name for p in parts), folder.resolve().name) else []
 
@@ -75,11 +75,11 @@ def _numbers(part: str) -> re.Match[str] | None:
 
 
 def _listed(folder: Path) -> tuple[list[Path], dict[str, Any], list[str]]:
-    """(parts in order, the table of metadata.yaml, lines about what is wrong with both)."""
+    """(parts in order, the table of metadata.yaml, a line for each thing that is wrong)."""
     metadata, problem = _metadata(folder / METADATA)
     names = metadata.get("relative_file_paths")
     if isinstance(names, list) and names:
-        # Old bags state them with the folder in front; nothing outside of it is read.
+        # Old bags put the folder in front of the names. Nothing outside of the folder is read.
         listed = Counter(
             _as_stored(folder / (PurePosixPath(str(name)).name or "unnamed")) for name in names
         )
@@ -105,20 +105,23 @@ def _listed(folder: Path) -> tuple[list[Path], dict[str, Any], list[str]]:
 
 
 def _as_stored(part: Path) -> Path:
-    """A part as it lies there: packed or not, whatever metadata.yaml says."""
+    """The path of a part as it exists, compressed or not, whatever metadata.yaml says."""
     other_names = [part.with_name(part.name + end) for end in PACKINGS]
     other_names += [part.with_suffix("")] if part.suffix.lower() in PACKINGS else []
     return next((p for p in (part, *other_names) if p.is_file()), part)
 
 
 def _follows(path: Path, parts: list[Path]) -> bool:
-    """Whether a file is named as the parts are."""
+    """Whether a file has the same kind of name as the parts."""
     stems = {match[1] for p in parts if (match := _numbers(p.name))}
     return (match := _numbers(path.name)) is not None and match[1] in stems
 
 
 def _metadata(file: Path) -> tuple[dict[str, Any], str | None]:
-    """What metadata.yaml tells of the bag, and what is wrong with it; empty where there is none."""
+    """(table of the bag in metadata.yaml, what is wrong with the file).
+
+    The table is empty if there is no such file or it cannot be used.
+    """
     if not file.is_file():
         return {}, None
     try:
@@ -131,7 +134,7 @@ def _metadata(file: Path) -> tuple[dict[str, Any], str | None]:
 
 @lru_cache(maxsize=1)
 def _parsed(data: bytes) -> tuple[dict[str, Any], str | None]:
-    """As `_metadata`, from the file's bytes. Cached: it is asked for several times for each bag."""
+    """As `_metadata`, from the file's bytes. Cached, because each bag needs it several times."""
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
@@ -145,8 +148,12 @@ def _parsed(data: bytes) -> tuple[dict[str, Any], str | None]:
 
 @dataclass(slots=True)
 class _Part:
-    """One file of a bag, looked into once. numbers: of its channels those of the bag. faults: what
-    was wrong at first sight. start, end: log times in ns. lost: messages by the bag's channels."""
+    """One file of a bag.
+
+    numbers: from the file's channel numbers to those of the bag. found: messages by the bag's
+    channels. faults: what was wrong when it was opened first. start, end: first and last log time,
+    ns. sound: whole and without faults. lost: number of lost messages by the bag's channels.
+    """
 
     path: Path
     numbers: dict[int, int] = field(default_factory=dict)
@@ -159,11 +166,14 @@ class _Part:
 
 
 class BagFolder(Recording):
-    """A `Recording` of all parts of a bag. One part is open at a time, more only where they overlap
-    in time. A part that is cut, damaged or missing costs its own messages."""
+    """A `Recording` of all parts of a bag.
+
+    One part is open at a time; several only if they overlap in time. If a part is cut, damaged or
+    missing, only its own messages are lost.
+    """
 
     def __init__(self, path: Path, open_part: Open) -> None:
-        """open_part: opens one file. Raises SonarrecError where not one part can be read."""
+        """open_part: opens one file. Raises SonarrecError if no part can be read."""
         super().__init__(path)
         self._open = open_part
         self.channels: dict[int, Channel] = {}
@@ -182,7 +192,7 @@ class BagFolder(Recording):
         self._count()
 
     def _look_into(self, part: _Part) -> None:
-        """Note what a part holds."""
+        """Open a part and register its channels, counts, times and faults."""
         try:
             if not part.path.is_file():
                 raise SonarrecError("this part of the bag is missing")
@@ -207,9 +217,9 @@ class BagFolder(Recording):
             self.span = min(first, part.start), max(last, part.end)
 
     def _number_of(self, channel: Channel) -> int:
-        """The bag's number for a part's channel, a new one where it has none yet.
+        """The bag's number for a channel of a part; a new number for a new channel.
 
-        Of one channel a part may lack the definition that other parts have.
+        A part may lack the definition of a channel that other parts have.
         """
         alike = ("topic", "schema", "message_encoding")
         for number, other in self.channels.items():
@@ -223,7 +233,7 @@ class BagFolder(Recording):
         return len(self.channels) - 1
 
     def _count(self) -> None:
-        """What each part has lost, as far as the counts in metadata.yaml tell."""
+        """Find out how many messages each part has lost, from the counts in metadata.yaml."""
         for part in self._parts:
             self.counts.update(part.found)
         damaged = [part for part in self._parts if not part.sound]
@@ -251,7 +261,7 @@ class BagFolder(Recording):
             self.counts[number] = count
 
     def _counts_in_metadata(self) -> dict[int, int]:
-        """Messages by channel, of the topics of which the bag has one channel."""
+        """Counts by channel from metadata.yaml, for topics with a single channel."""
         by_topic: dict[str, list[int]] = {}
         for number, channel in self.channels.items():
             by_topic.setdefault(channel.topic, []).append(number)
@@ -327,11 +337,11 @@ class BagFolder(Recording):
             self.faults += [fault for fault in log.faults if fault not in part.faults]
 
     def close(self) -> None:
-        """Nothing to do: a pass closes each part that it opens."""
+        """Does nothing, because parts are closed when they have been read."""
 
 
 def _counts(rows: Any, name: str, count: str) -> dict[str, int]:
-    """Counts by name from a list of tables in metadata.yaml; tables without either are left out."""
+    """Counts by name, from a list of tables in metadata.yaml; incomplete tables are left out."""
     return {
         PurePosixPath(row[name]).name if name == "path" else row[name]: row[count]
         for row in (rows if isinstance(rows, list) else [])

@@ -1,6 +1,7 @@
-"""Which log is at a path, what opens it, and what lies beside it.
+"""Finds the log at a path, the reader that opens it, and the files beside it.
 
-A further format is one module with a RawLog, or a Recording of messages, and one row in READERS.
+To add a format, write one module with a RawLog (or a Recording, for messages on channels) and add
+one row to READERS.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from sonarrec.sonar import Sonar, load_sonar
 
 SONAR_FILE = "sonar.toml"
 _UNPACK = {".gz": "gunzip", ".bz2": "bunzip2", ".xz": "unxz", ".zst": "zstd -d", ".lz4": "lz4 -d"}
-"""What unpacks a file that is not read as it is, by its suffix."""
+"""The command that unpacks a compressed file, by its suffix, for error messages."""
 
 
 def _mcap(path: Path, at: Path) -> Recording:
@@ -63,8 +64,9 @@ def _bag_folder(path: Path, _: Path) -> Recording:
 class Reader:
     """One kind of log: how its names end, and what opens it.
 
-    open: of a list of files. recording: of one file of messages, with the place of its bytes, which
-    is another where it was packed; those are read by topic, and may be packed.
+    Either open or recording is given. open: takes the list of files. recording: for messages on
+    channels, in files that may be compressed as a whole; takes the log's path and the file to read,
+    which is another one if the log was compressed.
     """
 
     kind: str
@@ -74,17 +76,17 @@ class Reader:
 
     @property
     def has_topics(self) -> bool:
-        """Whether a channel can be chosen."""
+        """Whether the log has channels, of which one can be chosen."""
         return self.recording is not None
 
     @property
     def endings(self) -> tuple[str, ...]:
-        """How names of this kind end."""
+        """The endings of names of this kind, also when compressed."""
         packings = ("", *PACKINGS) if self.has_topics else ("",)
         return tuple(suffix + packing for suffix in self.suffixes for packing in packings)
 
     def ending(self, name: str) -> str | None:
-        """How a name of this kind ends, None where it is of another."""
+        """The ending of a name of this kind; None for names of other kinds."""
         return next((e for e in self.endings if name.lower().endswith(e)), None)
 
 
@@ -107,10 +109,10 @@ _LOG_ENDINGS = tuple(e for r in READERS if r is not _IMAGES for e in r.endings)
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """A log that was found but not opened.
+    """A log that was found but not opened yet.
 
-    name: for the results folder. files: what it consists of, in order. reader: opens it. up_to: the
-    last folder above in which what belongs to it is looked for, None to look beside it only.
+    name: of its results folder. files: all its files, in order. up_to: the highest folder searched
+    for files that belong to the log; None: only beside it.
     """
 
     path: Path
@@ -121,15 +123,15 @@ class Source:
 
     @property
     def place(self) -> Path:
-        """Its file or folder; of a glob of images their folder."""
+        """The log's file or folder; for a glob of images, their folder."""
         return self.path if self.path.exists() else self.files[0].parent
 
     def beside(self, name: str) -> Path | None:
-        """The file that belongs to the log, such as its sonar.toml; None without one."""
+        """A file that belongs to the log, such as its sonar.toml; None if there is none."""
         return companion(self.place, name, self.up_to)
 
     def check_topic(self, topic: str | None, where: str | Path) -> None:
-        """Raises UsageError, which names the log as given, where none can be chosen."""
+        """Raise UsageError if a topic is given but the log has none. where: the log as given."""
         if topic is not None and not self.reader.has_topics:
             raise UsageError(
                 f"{name_as_text(where)}: --topic chooses a channel of an MCAP or a ROS bag; this "
@@ -137,7 +139,7 @@ class Source:
             )
 
     def open(self, topic: str | None = None) -> RawLog:
-        """Open it. Raises SonarrecError where it cannot be read."""
+        """Open the log. Raises SonarrecError if it cannot be read."""
         if self.reader.open is None:
             from sonarrec.readers.mcap.images import ChannelImages
 
@@ -150,20 +152,20 @@ class Source:
             ) from None
 
     def recording(self) -> Recording:
-        """Open it as messages on channels. Raises SonarrecError where it cannot be read."""
+        """Open the log as messages on channels. Raises SonarrecError if it cannot be read."""
         assert self.reader.recording is not None
-        # A glob that matches one file is that file; a bag is its folder.
+        # If a glob matches one file, that file is the log; a bag is its folder.
         file = self.path if self.reader is _BAG_FOLDER else self.files[0]
         return _recording(self.reader, file)
 
     def stated_sonar(self, flags: Sonar, sonar_file: Path | None) -> tuple[Sonar, str]:
-        """The geometry as file and flags state it, and the name to give it in errors.
+        """(the geometry that file and flags state, its name in error messages).
 
-        Raises UsageError where it is the flags that cannot be meant.
+        Raises UsageError if the flags contradict each other.
         """
         file = sonar_file or self.beside(SONAR_FILE)
         stated = Sonar() if file is None else load_sonar(file)
-        # A fan's bearings go before its field of view, but what a flag states before both.
+        # Bearings take precedence over a field of view, but flags take precedence over the file.
         is_fan = (flags.layout or stated.layout) == "fan"
         if is_fan and flags.field_of_view_deg is not None and flags.bearings_deg is None:
             stated = replace(stated, bearings_deg=None)
@@ -175,7 +177,7 @@ class Source:
 
 
 def open_recording(path: Path) -> Recording:
-    """Open one file of messages. Raises SonarrecError where it is none or cannot be read."""
+    """Open one file of messages. Raises SonarrecError if it is another kind or cannot be read."""
     reader = _reader_of(path)
     if reader.recording is None:
         raise SonarrecError(f"{name_as_text(path)}: no file of messages")
@@ -197,10 +199,9 @@ def _recording(reader: Reader, path: Path) -> Recording:
 
 
 def find_log(path: str | Path, up_to: Path | None = None) -> Source:
-    """The log at a path, or of a glob.
+    """Find the log at a path, or the images or the one log that a glob matches.
 
-    up_to: the folder up to which its sonar.toml is looked for, by default beside it only.
-    Raises SonarrecError where there is none, or several.
+    up_to: see Source. Raises SonarrecError if there is no log, or several.
     """
     path = Path(path)
     try:
@@ -212,11 +213,11 @@ def find_log(path: str | Path, up_to: Path | None = None) -> Source:
 
 
 def companion(log: Path, name: str, up_to: Path | None = None) -> Path | None:
-    """The file `name` that belongs to a log, None without one.
+    """The file `name` that belongs to a log (a file or folder); None if there is none.
 
-    That is LOG.name before name, beside a file or inside a folder; then, of a folder, LOG.name
-    beside it; then both in the folders above. log: a file or folder. up_to: the last folder above
-    to look into, by default none. Raises OSError where a folder cannot be read.
+    Searched in this order: LOG.name and then name, beside a file or inside a folder; LOG.name
+    beside a folder; both in the folders above, up to and with `up_to`. Raises OSError if a folder
+    cannot be read.
     """
     own_name = f"{log_name(log)}.{name}"
     folder = log if log.is_dir() else log.parent
@@ -236,18 +237,18 @@ def _is_file(place: Path) -> bool:
     except OSError as error:
         if error.errno != errno.ENAMETOOLONG:
             raise
-        return False  # the log's own name is near the limit
+        return False  # LOG.name is too long, because the log's name is near the limit
 
 
 def _folders_up_to(folder: Path, up_to: Path | None) -> list[Path]:
-    """The folders above one, up to and with `up_to`; none where it is not below that."""
+    """The folders above one, up to and with `up_to`; none if it is not below `up_to`."""
     if up_to is None or up_to.resolve() not in folder.resolve().parents:
         return []
     return [up_to / above for above in folder.resolve().relative_to(up_to.resolve()).parents]
 
 
 def log_name(path: Path) -> str:
-    """The name of a log: a folder's own, a file's without its ending: x of x.mcap.zst."""
+    """The name of a log: that of a folder, or of a file without its ending (x for x.mcap.zst)."""
     if os.path.isdir(path):  # noqa: PTH112 - Path.is_dir raises where permission is lacking
         return path.resolve().name
     ending = next((e for r in READERS if (e := r.ending(path.name)) is not None), path.suffix)
@@ -255,20 +256,20 @@ def log_name(path: Path) -> str:
 
 
 def names_a_log(name: str) -> bool:
-    """Whether a file of this name is a log by itself: of a known kind, and no image."""
+    """Whether a file of this name is a log by itself: a known kind other than an image."""
     return name.lower().endswith(_LOG_ENDINGS)
 
 
 def is_log_file(path: Path) -> bool:
-    """Whether a path is a file that is a log by itself, or a link to one that is not there.
+    """Whether a path is a file that is a log by itself, or a link to a missing one.
 
-    Such a link is reported when it is opened; passing over it would hide that its log is missing.
+    The link is reported when it is opened; skipping it would hide that the log is missing.
     """
     return names_a_log(path.name) and (path.is_file() or (path.is_symlink() and not path.exists()))
 
 
 def matches(pattern: str | Path) -> list[Path]:
-    """What a glob matches; ** stands for any folders, a slash at the end for folders only."""
+    """The paths that a glob matches. ** stands for any folders, a final slash for folders only."""
     return [Path(m) for m in glob.glob(str(pattern), recursive=True)]  # noqa: PTH207
 
 
@@ -303,18 +304,18 @@ def _find(path: Path, up_to: Path | None) -> Source:
 
 
 def results_name(name: str) -> str:
-    """What results of a log of this name are called: a name that the disk takes, and no part's."""
+    """The name of the results of a log: valid on this disk, and not that of an unfinished run."""
     try:
         os.fsencode(text := name_as_text(name))
-    except UnicodeEncodeError:  # a locale without the letter: the bytes as they are
+    except UnicodeEncodeError:  # the locale lacks a letter, so the bytes are used as they are
         text = name
-    if text.endswith(PART):  # else the run of a log without the ending would replace them
+    if text.endswith(PART):  # a run of a log without this ending would overwrite it
         return f"{text}_"
     return "log" if text in ("", ".", "..") else text
 
 
 def _glob_images(pattern: Path) -> Sequence[Path]:
-    """The images that match, else the one log that does."""
+    """The one log that matches, or else the images."""
     paths = matches(pattern)
     if not paths:
         raise MissingError(f"{name_as_text(pattern)}: no file matches this pattern")
@@ -351,7 +352,7 @@ def _folder_images(folder: Path) -> ImagePaths:
 
 
 def _hint(path: Path) -> str | None:
-    """What to do about a file that is packed in a way that is not read."""
+    """How to unpack a file with an unknown compression; None for other files."""
     tool = _UNPACK.get(path.suffix.lower())
     if tool is None:
         return None

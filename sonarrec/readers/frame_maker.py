@@ -1,4 +1,4 @@
-"""Makes 8-bit images of one fan from what a log holds: fan images, or polar ones that fill it."""
+"""Turns the raw frames of a log into 8-bit images of one fan, or polar images for that fan."""
 
 from __future__ import annotations
 
@@ -28,20 +28,23 @@ from sonarrec.sonar import BeamOrder, Geometry, PingGeometry, Sonar
 
 
 class FrameMaker:
-    """Makes the grey images of one log's frames; the first frame settles fan and grey scale.
+    """Turns the frames of one log into grey images. The first frame decides fan and grey scale.
 
-    A polar ping states its own window, which may change from ping to ping: later pings lie in the
-    fan of the first (see `settle`), so that a metre stays a metre, and show 0 where they hold
-    nothing. What the user states takes precedence over what pings state.
+    A polar ping states its own range window, which may change from ping to ping. Later pings are
+    shown in the fan of the first (see `settle`), so that the scale stays the same; they are 0 where
+    their window does not cover the fan. What the user states takes precedence over what pings
+    state.
 
-    sonar: the geometry; of polar pings that of the first one, once it was read. fan: None before
-    the first frame. notes: lines on what the user stated against the pings, or was found out.
-    order_from: "found" or "assumed" for a beam order that nobody stated; else None.
+    sonar: the geometry; for polar pings that of the first one, once it was read. fan: None before
+    the first frame. notes: lines on what contradicts the pings or was found out. order_from:
+    "found" or "assumed" for a beam order that nobody stated; else None.
     """
 
     def __init__(self, stated: Sonar, where: str, origin: str = "messages") -> None:
-        """stated: by the user; complete where frames do not state their geometry. where: names it
-        in errors. origin: what in the log states the rest, "messages" or "headers"."""
+        """stated: the geometry that the user states; complete if frames do not state theirs.
+
+        where: its name in messages. origin: what states the rest, "messages" or "headers".
+        """
         self.sonar = stated
         self._stated = stated
         self.fan: Fan | None = None
@@ -51,7 +54,8 @@ class FrameMaker:
         self._origin = origin
         self._scales: dict[np.dtype[Any], GreyScale] = {}  # one for each type of pixel
         self._shape: tuple[int, ...] | None = None
-        self._resampled: tuple[PingGeometry, tuple[int, int]] | None = None  # what, and its shape
+        # Geometry and shape of the pings for which _to_fan was made.
+        self._resampled: tuple[PingGeometry, tuple[int, int]] | None = None
         self._to_fan: PolarToFan | None = None
         self._order: BeamOrder | None = None  # of polar samples; None before it is found
         self.colour_map: str = stated.colour_map or LUMINANCE
@@ -59,10 +63,10 @@ class FrameMaker:
         self._noted_against = self._noted_cut = False
 
     def __call__(self, raw: RawFrame) -> tuple[ByteImage, Fan, PolarToFan | None]:
-        """A Frame's `pixels`, `fan` and `polar`.
+        """The fields `pixels`, `fan` and `polar` of a Frame.
 
-        Raises UnusableError where the frame cannot be used, SonarrecError where the geometry
-        cannot be that of the log.
+        Raises UnusableError if the frame cannot be used, SonarrecError if the geometry does not fit
+        the log.
         """
         if raw.pixels is None:
             raise UnusableError(str(raw.problem))
@@ -80,10 +84,10 @@ class FrameMaker:
         return image, self.fan, self._to_fan
 
     def settle(self, first: Sequence[RawFrame]) -> None:
-        """Find out what integers are, and take the fan from the ping with which most agree.
+        """Find out what the pixels hold, and take the fan from the ping that most pings agree with.
 
-        That need not be the first: a driver may send one before it has its settings. first: the
-        log's first frames.
+        It need not be the first ping, since a driver may send one before it has its settings.
+        first: the log's first frames.
         """
         if self._stated.colour_map is None:
             self._find_colours(first)
@@ -96,7 +100,7 @@ class FrameMaker:
                 self(pings[best][0])
 
     def _find_colours(self, first: Sequence[RawFrame]) -> None:
-        """Find the colour map of pictures in false colour, and note it."""
+        """Find the colour map of images in false colour, and add a note."""
         images = [raw.pixels for raw in first if raw.pixels is not None and _in_colour(raw.pixels)]
         if not images:
             return
@@ -109,7 +113,7 @@ class FrameMaker:
         self.notes.append(f"{self._where}: colours {how}; --colour-map states another")
 
     def _find_amplitudes(self, first: Sequence[RawFrame]) -> None:
-        """Find the types of integers that hold amplitudes, and note them and what is dim."""
+        """Find the integer types that hold amplitudes; notes name them, and images that are dim."""
         images: dict[np.dtype[Any], list[np.ndarray]] = {}
         white = next((raw.white for raw in first if raw.white), None)
         for raw in first:
@@ -135,7 +139,7 @@ class FrameMaker:
 
     @property
     def scale(self) -> GreyScale | None:
-        """How pixels become grey; None before the first frame that settles it."""
+        """How pixels become grey; None before the first usable frame."""
         return next(iter(self._scales.values()), None)
 
     def _image(self, image: ByteImage) -> ByteImage:
@@ -165,12 +169,12 @@ class FrameMaker:
         return np.ascontiguousarray(image[:, ::-1])
 
     def _note_other_view(self, geometry: Geometry) -> None:
-        """Note a stated field of view that is not that of the bearings stated beside it."""
+        """Add a note if the stated field of view is not that of the bearings stated with it."""
         view, bearings = self.sonar.field_of_view_deg, geometry.bearings_deg
         if view is None or bearings is None:
             return
         theirs = geometry.bearing_max_deg - geometry.bearing_min_deg
-        # From the middle of the first beam to that of the last, it is a beam less.
+        # Some count from the middle of the first beam to that of the last, which is a beam less.
         if abs(view - theirs) > 1.01 * theirs / len(bearings):
             self.notes.append(
                 f"{self._where}: field_of_view_deg = {view:g} is not used: bearings_deg go before "
@@ -182,7 +186,7 @@ class FrameMaker:
         if self._shape is not None:
             raise UnusableError("it tells its geometry, as the first messages of its topic do not")
         order = self._order or self._stated.beam_order or ping.beam_order
-        if order is None and image.any():  # a blank ping decides nothing
+        if order is None and image.any():  # nothing can be found from a blank ping
             order = "beam-major" if looks_beam_major(image) else "range-major"
         if order == "beam-major":
             image = np.ascontiguousarray(image.reshape(image.shape[::-1]).T)
@@ -199,7 +203,10 @@ class FrameMaker:
         return image
 
     def _note_order(self, order: BeamOrder, shape: tuple[int, int]) -> None:
-        """Note an order that nobody stated, unless it is the usual one. shape: (bins, beams)."""
+        """Add a note on an order that nobody stated, unless it is the usual one.
+
+        shape: (bins, beams).
+        """
         if shape[0] == shape[1]:
             self.order_from = "assumed"
             self.notes.append(
@@ -249,9 +256,9 @@ class FrameMaker:
     def _resampler(
         self, geometry: Geometry, shape: tuple[int, ...], fan: Fan | None = None
     ) -> PolarToFan:
-        """What resamples polar images of this shape. fan: of the log, where it has one.
+        """The resampler for polar images of this shape (bins, beams). fan: of the log, if known.
 
-        Raises SonarrecError as PolarToFan does, and names the log unless a ping of it is at fault.
+        Raises SonarrecError as PolarToFan does. Without a fan the message names the log.
         """
         bins, beams = shape
         try:
@@ -263,13 +270,13 @@ class FrameMaker:
 
 
 def _in_colour(pixels: np.ndarray) -> bool:
-    """Whether these are 8-bit pixels of several channels, and not all grey."""
+    """Whether these are 8-bit pixels with several channels that are not all grey."""
     channels = pixels.shape[2] if pixels.ndim == 3 else 1
     return pixels.dtype == np.uint8 and channels in (3, 4) and is_coloured(pixels)
 
 
 def _grey_of_integers(raw: RawFrame, colour_map: str) -> np.ndarray | None:
-    """The pixels where their speckle is to tell what they hold; None of others."""
+    """The grey levels of integer pixels, whose speckle tells what they hold; None for others."""
     if raw.pixels is None or raw.pixels.dtype.kind not in "ui" or raw.pixels.itemsize > 2:
         return None
     with contextlib.suppress(UnusableError):

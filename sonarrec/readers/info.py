@@ -22,8 +22,11 @@ Observe = Callable[[int | None], None]
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One channel of an MCAP file or a bag. schema, schema_encoding, message_encoding: as the file
-    names them, schema empty where there is none. images: its messages are read as sonar images."""
+    """One channel of an MCAP file or a bag.
+
+    schema, schema_encoding, message_encoding: as in the file; schema is empty if there is none.
+    images: whether its messages are read as sonar images.
+    """
 
     topic: str
     schema: str
@@ -35,9 +38,11 @@ class Channel:
 
 @dataclass(frozen=True, slots=True)
 class Container:
-    """What an MCAP file or a bag says of itself. footer: it has one, so it was closed; of a bag all
-    its parts are there and whole. chunks: how many, by compression. start_ns, end_ns: first and
-    last log time of all channels, None without a message.
+    """What an MCAP file or a bag says about itself.
+
+    footer: whether it was closed: an MCAP has its footer, and a bag all its parts. chunks: number
+    of chunks by compression. start_ns, end_ns: first and last log time of all channels; None
+    without messages.
     """
 
     profile: str
@@ -51,21 +56,20 @@ class Container:
 
 @dataclass(frozen=True, slots=True)
 class Images:
-    """One sequence of sonar images: of a channel, or all that a folder or video holds.
+    """One sequence of sonar images: those of a channel, or all in a folder or video.
 
-    topic: None outside of MCAP and bags. frames: how many there are, None where the container does
-    not tell. usable: how many `sonarrec run` can use once the geometry is complete, None where they
-    were not read. rows, columns, pixels: the commonest size as stored, and the type ("uint8",
-    "3 x uint8"). start_ns, end_ns: time of the first and last frame, rate_hz: frames a second
-    between them, None where frames carry no time.
-    layout: "fan" or "polar". polar_messages: the messages tell their own geometry. header: what
-    else the headers of a sonar's own file tell, by name and unit; empty elsewhere. geometry: its
-    keys as stated, or told by the first ping. origins: where each of these, and the layout, is
-    from: "flag", "message", "header", "default", the name of a file; of a beam_order that nobody
-    told "found" or "assumed". assumed: keys that nothing states and the values that serve in their
-    place, where the geometry is complete. lacks: the keys that are missing. notes: what was stated
-    against the messages, is not sure, or cannot be by what the first frames show. problems: one
-    line for each frame that cannot be used (at most 20, then a count).
+    topic: None outside of MCAP and bags. frames: number of frames; None if the container does not
+    say. usable: how many `sonarrec run` can use once the geometry is complete; None if they were
+    not read. rows, columns, pixels: the commonest stored size, and the type ("uint8", "3 x uint8").
+    start_ns, end_ns: time of the first and last frame. rate_hz: frames per second between them.
+    These three are None if frames carry no time.
+    layout: "fan" or "polar". polar_messages: whether messages state their own geometry. header:
+    other values in the headers of a sonar's own file, by name and unit; else empty. geometry: its
+    keys, as stated or from the first ping. origins: where each of these keys, and the layout, comes
+    from: "flag", "message", "header", "default" or the name of a file; a beam_order that nobody
+    stated is "found" or "assumed". assumed: values used for keys that nobody states, if the
+    geometry is complete. lacks: the missing keys. notes: contradictions and what is uncertain.
+    problems: one line for each frame that cannot be used (at most 20, then a count).
     """
 
     topic: str | None
@@ -93,10 +97,10 @@ class Images:
 class LogInfo:
     """What is in one log.
 
-    kind: "MCAP", "video", "images", or that of a bag or of a sonar's own file (`READERS`).
-    size_bytes: of all its files. container: None outside of MCAP and bags. images: each sequence of
-    sonar images; none where nothing can be read. checked: every frame was read and every checksum
-    compared. faults: lines about what is wrong with the file as a whole.
+    kind: "images", or as in `READERS`, such as "MCAP". size_bytes: of all files. container: None
+    outside of MCAP and bags. images: each sequence of sonar images; empty if nothing can be read.
+    checked: whether every frame was read and every checksum compared. faults: lines about what is
+    wrong with the file as a whole.
     """
 
     path: str
@@ -109,11 +113,11 @@ class LogInfo:
     faults: list[str]
 
     def as_table(self) -> dict[str, Any]:
-        """For JSON: every field by its name."""
+        """Every field by its name, for JSON."""
         return asdict(self)
 
     def fetched_from(self, origin: Origin) -> LogInfo:
-        """The same with the server's names, for a log that was fetched from there."""
+        """A copy with the server's names, for a log that was fetched from there."""
 
         def renamed(lines: list[str]) -> list[str]:
             return [origin.with_server_names(line) for line in lines]
@@ -139,7 +143,7 @@ class LogInfo:
 
     @property
     def has_problems(self) -> bool:
-        """Whether something cannot be used."""
+        """Whether a part of the log cannot be used."""
         return bool(self.faults) or any(i.problems for i in self.images)
 
 
@@ -179,7 +183,7 @@ class _CountingLog(RawLog):
         self._raw.close()
 
     def rate_hz(self) -> float | None:
-        """Frames a second between the first and the last time."""
+        """Frames per second between the first and the last time; None if unknown."""
         if self.start_ns is None or self.end_ns is None or self.end_ns <= self.start_ns:
             return None
         return (self.timed - 1) / (self.end_ns - self.start_ns) * 1e9
@@ -195,14 +199,13 @@ def describe(
     observe: Observe | None = None,
     up_to: Path | None = None,
 ) -> LogInfo:
-    """What is in a log: of images, a video, an MCAP, a bag of ROS or a sonar's own file.
+    """Find out what is in a log: images, a video, an MCAP, a ROS bag or a sonar's own file.
 
-    sonar, sonar_file: the geometry, as of `open_log`. topic: look at this channel alone.
-    quick: look at the first frame only, in place of reading and checking every one.
-    observe: called at each frame with their number, None if unknown. up_to: the folder up to
-    which sonar.toml is looked for.
-    Raises SonarrecError where there is no log or its geometry cannot be read, UsageError for a
-    topic that is not there.
+    sonar, sonar_file: the geometry, as for `open_log`. topic: only this channel. quick: read only
+    the first frame, instead of reading and checking all. observe: called at each frame with the
+    number of frames, or None if that is unknown. up_to: the highest folder searched for sonar.toml.
+    Raises SonarrecError if there is no log or its geometry cannot be read, UsageError if there is
+    no such topic.
     """
     source = find_log(path, up_to)
     source.check_topic(topic, path)
@@ -243,7 +246,7 @@ def _size(file: Path) -> int:
 
 
 def _container(source: Source) -> tuple[Container, list[str]]:
-    """A recording's own account of itself, and what is wrong with it at first sight."""
+    """(what a recording says about itself, faults that show without reading its messages)."""
     from sonarrec.readers.mcap.images import image_decoders
 
     log = source.recording()
@@ -276,8 +279,8 @@ def _images(
 ) -> tuple[Images, list[str]]:
     """Read one sequence of images as `sonarrec run` would, with stand-ins for missing geometry.
 
-    stated: by file and flags; flags: by these alone. where: names the geometry. Returns also the
-    faults of the file that reading it brought up.
+    stated: geometry from file and flags. flags: from flags only. where: name of the geometry.
+    Returns (the images, faults of the file that reading revealed).
     """
     raw = _CountingLog(source.open(topic), observe)
     by_user, stated = stated, raw.geometry(stated)
@@ -324,10 +327,10 @@ def _images(
 def _read_frames(
     log: Log, geometry: tuple[Sonar, str] | None, quick: bool
 ) -> tuple[int, list[str], Plausibility]:
-    """(how many frames can be used, a line for each that cannot, what they show).
+    """(number of usable frames, a line for each that is not usable, what the frames show).
 
-    quick: read the first frame only. geometry: to be completed, with its name; None where the log
-    states it.
+    quick: read only the first frame. geometry: (the stated geometry, its name), which must be
+    complete; None if the log states it.
     """
     usable, plausibility = 0, Plausibility()
     try:
@@ -342,7 +345,7 @@ def _read_frames(
 
 
 def _origin(key: str, flags: Sonar, stated: Sonar, where: str, raw: _CountingLog) -> str:
-    """Where a key's value is from. stated: by file and flags."""
+    """Where the value of a key comes from; see Images.origins. stated: from file and flags."""
     if getattr(flags, key) is not None:
         return "flag"
     if getattr(stated, key) is not None:
@@ -353,7 +356,7 @@ def _origin(key: str, flags: Sonar, stated: Sonar, where: str, raw: _CountingLog
 
 
 def _assumed(sonar: Sonar, fan: Fan, polar: bool, timed: int) -> dict[str, Any]:
-    """What serves in place of keys that are not stated."""
+    """The values that are used for keys that nobody states."""
     values: dict[str, Any] = {} if polar else {
         "metres_per_pixel": fan.metres_per_pixel,
         "apex_px": [fan.apex_column, fan.apex_row],
@@ -365,7 +368,7 @@ def _assumed(sonar: Sonar, fan: Fan, polar: bool, timed: int) -> dict[str, Any]:
 
 
 def _with_stand_ins(stated: Sonar, lacks: list[str]) -> Sonar:
-    """The geometry with some values in place of those it lacks.
+    """The geometry, with made-up values for the keys that it lacks.
 
     Which frames can be used does not depend on these values.
     """

@@ -1,4 +1,4 @@
-"""An opened log: one pass over its Frames, and what of it could not be used."""
+"""An opened log: yields its Frames, and collects what could not be used."""
 
 from __future__ import annotations
 
@@ -18,24 +18,23 @@ from sonarrec.records import Clock, Fan, Frame, SonarrecError, name_as_text, num
 from sonarrec.sonar import Sonar
 
 MAX_PROBLEM_LINES = 20
-SETTLING_FRAMES = 3  # the log's size or window is the commonest of these
+SETTLING_FRAMES = 3  # the commonest size or window of these is that of the log
 
 
 class Log:
     """A recorded log: one pass of Frames, streamed. Use it as a context manager.
 
-    name: of the folder or file, for the results folder. frame_count: None where unknown. stated:
-    the geometry as file and flags state it. unusable: frames so far that could not be used.
-    problems: one line for each thing that could not be used (at most MAX_PROBLEM_LINES, then a
-    count), complete after the pass. beam_width_deg: as the first frame's message or header states
-    it; None where it does not. untimed: whether frames so far were taken as one a second,
-    since neither they nor the geometry give their times.
+    name: of its results folder. frame_count: None if unknown. stated: the geometry that file and
+    flags state. unusable: number of frames so far that could not be used. problems: one line for
+    each thing that could not be used (at most MAX_PROBLEM_LINES, then a count), complete after the
+    pass. beam_width_deg: as the first frame's message or header states it; None if it does not.
+    untimed: whether 1 Hz was assumed so far, because neither frames nor geometry state times.
     """
 
     def __init__(
         self, path: Path, name: str, files: Sequence[Path], stated: Sonar, raw: RawLog, time: Clock
     ) -> None:
-        """files: what the log consists of, in order. time: which of its times names a frame."""
+        """files: all files of the log, in order. time: which of its times names a frame."""
         self.path = path
         self.name = name
         self.stated = stated
@@ -54,7 +53,7 @@ class Log:
 
     @property
     def sonar(self) -> Sonar:
-        """The geometry in use: for polar messages that of the first ping, once it was read."""
+        """The geometry in use; for polar messages that of the first ping, once it was read."""
         return self._make.sonar
 
     @property
@@ -64,11 +63,11 @@ class Log:
 
     @property
     def fan(self) -> Fan | None:
-        """The fan images' geometry, None before the first frame."""
+        """The geometry of the fan images; None before the first frame."""
         return self._make.fan
 
     def reading(self) -> dict[str, Any]:
-        """How the log was read, for run.toml: what was chosen, and what the first frame settled."""
+        """How the log was read, for run.toml: the choices, and what the first frame decided."""
         settled: dict[str, Any] = {"time": self._time}
         if self._raw.topic is not None:
             settled["topic"] = self._raw.topic
@@ -81,8 +80,8 @@ class Log:
 
     @property
     def dynamic_range_db(self) -> float | None:
-        """Decibels from black to white; None where nothing tells, or before the first frame."""
-        # On other scales than linear the reader itself made the grey, by as many dB.
+        """Decibels from black to white; None if unknown, or before the first frame."""
+        # With other scales than linear, the reader itself made the grey levels with this many dB.
         reading, step = self.reading(), self._raw.header_info.sample_db
         stated: float | None = reading.get("dynamic_range_db", self.sonar.dynamic_range_db)
         if stated is None and step is not None and "full_scale" in reading:
@@ -91,8 +90,10 @@ class Log:
 
     @property
     def notes(self) -> list[str]:
-        """Where the stated geometry contradicts the log, and what was taken or is not certain;
-        complete after the pass."""
+        """Lines on contradictions of the stated geometry, and on what was assumed or is uncertain.
+
+        Complete after the pass.
+        """
         notes = list(self._raw.header_info.notes)
         if self._unset:
             notes.append("the header stamps of its first frames are 0; --time log is used instead")
@@ -109,15 +110,14 @@ class Log:
         return self.within((0, None))
 
     def within(self, span: tuple[int, int | None]) -> Iterator[Frame]:
-        """The usable frames in order, from the first number up to, not including, the second, if
-        there is one; each keeps its number in the log.
+        """The usable frames of a span, in order. Each keeps its number in the log.
 
-        Where frames carry no time, it is number / frame_rate_hz, or at one a second without; those
-        behind one that carries a time are counted on from it. Of the frames before the span the
-        log's first usable one is looked at, which settles its geometry and grey scale; the others
-        are passed over, whatever is wrong with them.
-        Raises SonarrecError where no frame can be used, or where the bearings in the sonar
-        geometry do not match the images.
+        span: (first number, one past the last; None: to the end). A frame without a time gets it
+        from the last frame that has one and from frame_rate_hz (1 Hz if not stated). The log's
+        first usable frame is always read, because it decides geometry and grey scale; other frames
+        before the span are skipped, even if they are damaged.
+        Raises SonarrecError if no frame can be used, or if the bearings in the sonar geometry do
+        not match the images.
         """
         used = self.unusable = 0
         self._timed = 0, 0
@@ -128,12 +128,12 @@ class Log:
         stamped = [raw.stamps.header for raw in first if raw.pixels is not None]
         self._unset = self._time == "header" and bool(stamped) and set(stamped) == {0}
         frames = chain(first, frames)
-        del first  # or it would keep its images to the end
+        del first  # frees its images
         for index, raw in enumerate(frames):
             if span[1] is not None and index >= span[1]:
                 return
             if (raw.pixels is None and raw.problem is None) or (used and index < span[0]):
-                continue  # not asked for, or reported in the faults with others
+                continue  # outside of the span, or reported with others in the faults
             try:
                 pixels, fan, polar = self._make(raw)
                 stamp = self._time_of(index, raw)
@@ -153,13 +153,13 @@ class Log:
             self.problems.append(
                 f"{number_of(self.unusable - MAX_PROBLEM_LINES, 'more frame')} skipped"
             )
-        self.problems.extend(dict.fromkeys(self._raw.faults))  # some are told in each pass
+        self.problems.extend(dict.fromkeys(self._raw.faults))  # some are repeated in each pass
         if not used:
             reason = f" ({self.problems[0]})" if self.problems else ""
             raise SonarrecError(f"{name_as_text(self.path)}: not one frame could be used{reason}")
 
     def _time_of(self, index: int, raw: RawFrame) -> int:
-        """The time that names a frame, ns. Raises UnusableError where the log has no such time."""
+        """The time that names a frame, ns. Raises UnusableError if the frame has no such time."""
         stamps = raw.stamps
         by_clock = {"log": raw.timestamp_ns, "publish": stamps.publish, "header": stamps.header}
         stamp = by_clock["log" if self._unset else self._time]
@@ -182,9 +182,9 @@ class Log:
 def digest_of(log: Path, files: Sequence[Path]) -> tuple[int, str]:
     """(size in bytes, SHA-256 in hex) of a log's file.
 
-    Of several images, and of the files of a bag, the sum of their sizes and the hash over each
-    one's name, a zero byte and its contents, in frame order; of one that cannot be read or is
-    too large to be an image the name alone. Raises SonarrecError where the one file of a log
+    For several images, or the files of a bag: the sum of their sizes, and the hash over the name of
+    each file, a zero byte and its contents, in frame order. Of a file that cannot be read, or that
+    is too large for an image, only the name counts. Raises SonarrecError if a log of one file
     cannot be read.
     """
     size, digest = 0, hashlib.sha256()
@@ -200,7 +200,7 @@ def digest_of(log: Path, files: Sequence[Path]) -> tuple[int, str]:
                     size += len(block)
                     digest.update(block)
         except OSError as error:
-            if several:  # it was told when its frame's turn came
+            if several:  # reported when the frame was read
                 continue
             raise SonarrecError(
                 f"{name_as_text(path)}: cannot be read ({error.strerror})"
@@ -209,10 +209,10 @@ def digest_of(log: Path, files: Sequence[Path]) -> tuple[int, str]:
 
 
 def _of_one_size(frames: Iterable[RawFrame]) -> Iterator[RawFrame]:
-    """The frames, those among the first few that are of an odd size marked as unusable.
+    """The frames. Among the first few, those of another size than most are marked as unusable.
 
-    The first frame that is used settles the size of the log: one that a driver sent before it had
-    its settings must not cost all the others.
+    The first usable frame decides the size of the log. If a driver sent it before it had its
+    settings, all others would be lost.
     """
     frames = iter(frames)
     first = list(islice(frames, SETTLING_FRAMES))
@@ -228,7 +228,7 @@ def _of_one_size(frames: Iterable[RawFrame]) -> Iterator[RawFrame]:
 
 
 def _stored_size(frame: RawFrame) -> tuple[int, ...] | None:
-    """(rows, columns) of an image that does not tell its geometry."""
+    """(rows, columns) of an image that does not state its geometry; None for others."""
     if frame.pixels is None or frame.sonar is not None:
         return None
     return frame.pixels.shape[:2]

@@ -1,7 +1,7 @@
-"""Whether a log's pictures contradict its stated geometry; reported only where that is clear.
+"""Checks whether a log's images contradict its stated geometry. Only clear cases are reported.
 
-Three things are looked at in the mean of the first frames: what lies outside of the stated fan, the
-outline of a picture that is read as polar, and echoes from nearer than the stated floor.
+Three things are checked in the mean of the first frames: echoes outside of the stated fan, the
+outline of images that are read as polar, and echoes from nearer than the stated floor.
 """
 
 from __future__ import annotations
@@ -12,25 +12,25 @@ from sonarrec.geometry import fan_mask, pixel_from_polar
 from sonarrec.records import Fan, FloatArray, Frame
 
 FRAMES = 5
-"""How many frames are looked at, the first ones. Each costs one addition of an image."""
+"""Number of first frames that are used. Each costs one addition of an image."""
 
-_RINGS, _BEAMS = 96, 64  # the fan seen as rows of slant range, nearest first, and bearing columns
-_BACKGROUND = 6.0  # grey levels about the background's that hold no echo
-# Measured on the sample logs and on recordings of others. Share of echoes outside: .42 and more for
-# a wrong fan, .03 at the most for a right one. Grey level of what lies before the floor, over that
-# of the floor: .96 and more where the height is stated half too great; for a right height .58 at
-# the most, .84 where half of the picture is noise.
+_RINGS, _BEAMS = 96, 64  # of a polar picture of the fan
+_BACKGROUND = 6.0  # grey levels about the background that hold no echo
+# Measured on the sample logs and on recordings of others. Share of echoes outside of the fan: .42
+# or more if the fan is wrong, at most .03 if it is right. Grey level nearer than the floor, as a
+# share of that of the floor: .96 or more if the stated height is 1.5 times too large; at most .58
+# if it is right, or .84 if half of the picture is noise.
 _OUTSIDE = 0.15  # share of the pixels outside of the stated fan that hold echoes
-_FILLED = 0.6  # the same share of a picture without a fan's outline
+_FILLED = 0.6  # the same share, if the picture has no outline of a fan
 _CUT = 0.2  # share of the stated fan that lies outside of the picture
-_NARROWING = 0.1  # of the picture's width, by which each side of a fan comes in
-_STRAIGHT = 0.02  # of the picture's width, standard deviation of an edge about a line
-_AS_BRIGHT = 0.9  # of the floor's grey level, at which the water before it cannot be water
-_NEAR = 0.1  # share of the window that has to lie before the stated floor to be judged
+_NARROWING = 0.1  # by how much each side of a fan narrows, in widths of the picture
+_STRAIGHT = 0.02  # standard deviation of an edge from a line, in widths of the picture
+_AS_BRIGHT = 0.9  # of the floor's grey level; what is brighter cannot be water
+_NEAR = 0.1  # least share of the range window nearer than the stated floor, for a check
 
 
 class Plausibility:
-    """Looks at the first frames of a log; `contradictions` says what cannot be."""
+    """Collects the first frames of a log; `contradictions` says what they contradict."""
 
     def __init__(self) -> None:
         self._fan: Fan | None = None
@@ -38,7 +38,7 @@ class Plausibility:
         self._frames = 0
 
     def look(self, frame: Frame) -> None:
-        """Take in one frame; all after the first FRAMES are passed over."""
+        """Add a frame; all after the first FRAMES are ignored."""
         if self._frames == FRAMES:
             return
         self._frames += 1
@@ -47,21 +47,21 @@ class Plausibility:
         self._sum += frame.image
 
     def contradictions(self, *, polar: bool) -> list[str]:
-        """What the picture shows against the stated geometry, each with the keys to look at.
+        """A line for each contradiction of the stated geometry, with the keys to look at.
 
-        polar: the log's images are read as polar, and the frames looked at were made of them.
+        polar: whether the log's images are read as polar.
         """
         if self._sum is None or self._fan is None:
             return []
         picture = self._sum / self._frames
         polar_picture = _as_polar(picture, self._fan)
         shape = _polar_outline(polar_picture) if polar else _fan_outline(picture, self._fan)
-        # If the picture is misplaced, ranges in it mean nothing.
+        # If the outline is wrong, ranges in the picture mean nothing.
         return shape or _floor(polar_picture, self._fan)
 
 
 def _rings(fan: Fan) -> tuple[FloatArray, FloatArray]:
-    """(rings, 1) slant ranges (m) and (beams,) bearings (deg) that fill the fan."""
+    """(rings, 1) slant ranges (m) and (beams,) bearings (deg), evenly over the fan."""
     share = (np.arange(_RINGS) + 0.5) / _RINGS
     across = (np.arange(_BEAMS) + 0.5) / _BEAMS
     bearings = fan.bearing_min_deg + across * (fan.bearing_max_deg - fan.bearing_min_deg)
@@ -69,7 +69,7 @@ def _rings(fan: Fan) -> tuple[FloatArray, FloatArray]:
 
 
 def _as_polar(picture: FloatArray, fan: Fan) -> FloatArray:
-    """(rings, beams) grey levels of the fan's cells; NaN outside of the picture."""
+    """(rings, beams) grey levels of the fan; NaN outside of the picture."""
     column, row = (np.rint(at).astype(int) for at in pixel_from_polar(fan, *_rings(fan)))
     inside = (column >= 0) & (column < fan.columns) & (row >= 0) & (row < fan.rows)
     cells = picture[np.clip(row, 0, fan.rows - 1), np.clip(column, 0, fan.columns - 1)]
@@ -77,7 +77,7 @@ def _as_polar(picture: FloatArray, fan: Fan) -> FloatArray:
 
 
 def _echoes(grey: FloatArray) -> float:
-    """Share of pixels that are not of the commonest grey level: 0 of a background of one colour."""
+    """Share of pixels that differ from the commonest grey level: 0 for an even background."""
     if not grey.size:
         return 0.0
     background = np.bincount(np.rint(grey).astype(int).ravel(), minlength=256).argmax()
@@ -85,7 +85,7 @@ def _echoes(grey: FloatArray) -> float:
 
 
 def _fan_outline(picture: FloatArray, fan: Fan) -> list[str]:
-    """Echoes where the stated fan has none, or a fan too wide for its picture."""
+    """A line if there are echoes outside of the stated fan, or if it exceeds the picture."""
     outside = fan_mask(fan) == 0
     share = _echoes(picture[outside])
     if share > _OUTSIDE and np.mean(outside) > _OUTSIDE / 10:
@@ -108,9 +108,10 @@ def _fan_outline(picture: FloatArray, fan: Fan) -> list[str]:
 
 
 def _polar_outline(picture: FloatArray) -> list[str]:
-    """Two straight edges that narrow the picture to one end: the outline of a fan.
+    """A line if a picture read as polar has two straight edges that narrow to one end: a fan.
 
-    Only the 40 % of rows at either end are looked at: farther off a wide fan's arc cuts its edges.
+    Only 40 % of the rows at either end are used, because farther off the arc of a wide fan cuts its
+    edges.
     """
     echoes = picture > _BACKGROUND
     count = round(0.4 * _RINGS)
@@ -131,7 +132,7 @@ def _polar_outline(picture: FloatArray) -> list[str]:
 
 
 def _floor(picture: FloatArray, fan: Fan) -> list[str]:
-    """Echoes as bright as the floor's, from nearer than a floor can be."""
+    """A line if echoes from nearer than the stated floor are as bright as the floor."""
     if fan.height_m is None:
         return []
     is_shown = ~np.isnan(picture).all(axis=1)

@@ -1,4 +1,4 @@
-"""What every reader yields."""
+"""What every reader yields: raw frames, as the log holds them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from sonarrec.records import NO_STAMPS, FloatArray, Stamps
 from sonarrec.sonar import MIN_WINDOW_M, PingGeometry, Sonar
 
-MAX_FRAME_BYTES = 48 * 2**20  # or of a message: an image of 4096 x 4096 pixels of three bytes
+MAX_FRAME_BYTES = 48 * 2**20  # also of a message: 4096 x 4096 pixels of three bytes
 
 
 class UnusableError(Exception):
@@ -20,11 +20,11 @@ class UnusableError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Ping:
-    """What one message holds.
+    """The image in one message.
 
     pixels: (rows, columns) or (rows, columns, channels; BGR first), any dtype. stamp_ns: the
-    header's stamp, None without one. sonar: the geometry that a polar ping tells of itself (all
-    but tilt and height); None for an image that does not say what it shows.
+    header's stamp; None if there is none. sonar: the geometry that a polar ping states (all but
+    tilt and height); None for an image without its geometry.
     """
 
     pixels: np.ndarray
@@ -36,12 +36,11 @@ class Ping:
 class RawFrame:
     """One frame as its log holds it.
 
-    name: what to call it in a message. timestamp_ns: None where the log carries no time.
-    pixels, sonar: as of a Ping. pixels is None where they could not be read; then `problem` says
-    why. Without a problem the frame was passed over, or is one of many that were lost together,
-    for which the log's `faults` have one line.
-    stamps: every time that the log keeps of it. white: the value that its file calls white, None
-    for the largest of its type.
+    name: for messages. timestamp_ns: None if the log keeps no time. pixels, sonar: as in Ping.
+    pixels is None if the frame could not be read; `problem` says why. If `problem` is None too, the
+    frame was skipped, or it was lost together with others, which the log's `faults` report.
+    stamps: every time that the log keeps of it. white: the pixel value that its file calls white;
+    None for the largest value of the type.
     """
 
     name: str
@@ -57,9 +56,9 @@ class RawFrame:
 class HeaderInfo:
     """What the headers of a sonar's own file say about the log as a whole.
 
-    sonar: the part of its geometry that pings do not state (tilt, frame rate). values: all that is
-    worth knowing, by its name and unit, None where the sonar measured none. notes: what of all this
-    is not sure. sample_db: decibels from one sample value to the next, where samples are decibels.
+    sonar: the part of the geometry that pings do not state (tilt, frame rate). values: other values
+    worth knowing, by name and unit; None if the sonar did not measure it. notes: what is uncertain.
+    sample_db: decibels from one sample value to the next, if samples are decibels.
     """
 
     sonar: Sonar = field(default_factory=Sonar)
@@ -71,12 +70,11 @@ class HeaderInfo:
 class RawLog(ABC):
     """One opened log: a single pass over its frames, in time order, one in memory at a time.
 
-    frame_count: frames to come, None where unknown before the end. topic: the channel read, None
-    where there are none. polar: its frames state their own geometry. header_info: of a
-    sonar's own file.
-    faults: lines about what is wrong with the log as a whole, complete after the pass.
-    passed_over: the numbers of frames that nobody asked for; they are yielded without pixels and
-    without a problem. It may be set in the middle of the pass.
+    frame_count: number of frames; None if unknown before the end. topic: the channel read; None if
+    the log has no channels. polar: whether frames state their own geometry. header_info: for a
+    sonar's own file. faults: lines about what is wrong with the log as a whole, complete after the
+    pass. passed_over: numbers of frames that are not needed; they are yielded without pixels and
+    without a problem. It may be set during the pass.
     """
 
     def __init__(self) -> None:
@@ -88,7 +86,7 @@ class RawLog(ABC):
         self.passed_over = range(0)
 
     def geometry(self, stated: Sonar) -> Sonar:
-        """The stated geometry, completed by the headers, and by the layout of the frames."""
+        """The stated geometry, completed from the headers and with the layout of the frames."""
         sonar = self.header_info.sonar.updated(stated)
         usual = Sonar(layout="polar" if self.polar else "fan")
         return sonar if sonar.layout else sonar.updated(usual)
@@ -97,13 +95,13 @@ class RawLog(ABC):
     def __iter__(self) -> Iterator[RawFrame]: ...
 
     def close(self) -> None:  # noqa: B027 - not abstract: of some nothing is open between frames
-        """Close what is open."""
+        """Close the files that are open."""
 
 
 def ping_geometry(ranges_m: FloatArray, bearings_deg: FloatArray) -> PingGeometry:
-    """The geometry of a ping from the middles of its bins and beams.
+    """The geometry of a ping from the ranges of its bins' middles and its beams' bearings.
 
-    Raises UnusableError where they are no window in front of a sonar.
+    Raises UnusableError if these are impossible.
     """
     steps = np.diff(ranges_m)
     if len(ranges_m) < 2 or ranges_m[0] < 0 or not np.all(steps > 0):
@@ -118,11 +116,11 @@ def ping_geometry(ranges_m: FloatArray, bearings_deg: FloatArray) -> PingGeometr
     even = np.linspace(ranges_m[0], ranges_m[-1], len(ranges_m))
     first = last = even[1] - even[0]
     ranges = None
-    least = first / 64  # resampling does not resolve less
+    least = first / 64  # resampling cannot show smaller differences
     if np.abs(ranges_m - even).max() > least:
         first, last = steps[0], steps[-1]
         ranges = tuple(ranges_m.tolist())
-    elif ranges_m[0] < first / 2 - least:  # no window has half a bin before the sonar
+    elif ranges_m[0] < first / 2 - least:  # else the first bin would begin behind the sonar
         ranges = tuple(ranges_m.tolist())
     return PingGeometry(
         range_min_m=max(float(ranges_m[0] - first / 2), 0.0),
