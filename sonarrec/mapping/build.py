@@ -1,4 +1,4 @@
-"""`sonarrec map`: results of one log or several to one map."""
+"""`sonarrec map`: makes one map from the results of one or several logs."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ from sonarrec.sonar import Sonar
 class MappedLog:
     """One log of a map.
 
-    seen: its declared estimates, which its passes refer to. ros_axes: as of a SiteMap.
+    declared: its declared estimates, to which its passes refer. ros_axes: as in SiteMap.
     """
 
     name: str
     path: SonarPath
-    seen: DeclaredEstimates
+    declared: DeclaredEstimates
     on_floor: LogPasses
     fan: Fan
     ros_axes: bool
@@ -42,12 +42,12 @@ class MappedLog:
 
 @dataclass(frozen=True, slots=True)
 class SiteMap:
-    """Where the landmarks of a site lie, in the poses' frame or that of the first frame.
+    """Where the landmarks of a site lie, in the axes of the poses or of the first frame.
 
-    x is to the right and y ahead of a sonar whose yaw is 0. left_out: landmarks of too few frames.
-    logs: those that could be used, each recording once. problems: a line for each that could not
-    be, and for what of the others could not. notes: what a reader should know. ros_axes: the poses'
-    own axes are x ahead and y to the left.
+    x is to the right and y ahead of a sonar whose yaw is 0. left_out: number of landmarks with too
+    few frames. logs: those that could be used, each recording once. problems: a line for each log,
+    or part of one, that could not be used. notes: what a reader should know. ros_axes: whether the
+    poses' own axes are x ahead and y to the left.
     """
 
     landmark_set: LandmarkSet
@@ -61,7 +61,7 @@ class SiteMap:
 
 @dataclass(frozen=True, slots=True)
 class _ReadLog:
-    """One log that can be mapped, with its part of a SiteMap's notes and problems."""
+    """One log that can be mapped, with its notes and problems for the SiteMap."""
 
     folder: Path
     recording: Recording
@@ -82,12 +82,12 @@ def make_map(
 ) -> SiteMap:
     """The map of the landmarks that a method declared.
 
-    results: folders of single logs, or such that hold some. odometry: tables of poses, see
-    `poses_of_run`. drift: of these poses; default, they are exact. method: of estimates.csv,
-    default `framework` or the only one. landmarks, sonar: in place of what run.toml says.
-    least_frames: with a declaration, over all passes; what has fewer is left out. Of several
-    results of one recording the first counts. Raises SonarrecError where none of the logs can be
-    used, or they have no frame in common.
+    results: folders of the results of single logs, or folders that hold such folders. odometry:
+    tables of poses, see `poses_of_run`. drift: of these poses; None: they are exact. method: of
+    estimates.csv; None: `framework` or the only one. landmarks, sonar: replace what run.toml says.
+    least_frames: landmarks declared in fewer frames, over all passes, are left out. If a recording
+    has several results, the first count. Raises SonarrecError if none of the logs can be used, or
+    if they have no common axes.
     """
     folders = list(dict.fromkeys(log for folder in results for log in find_logs(folder)))
     logs_read, landmark_set, problems = _read_logs(
@@ -135,9 +135,9 @@ def _read_logs(
     landmarks: str | None,
     sonar: Sonar | None,
 ) -> tuple[list[_ReadLog], LandmarkSet, list[str]]:
-    """(the logs that can be mapped, their landmark set, a line for each other one).
+    """(the logs that can be mapped, their landmark set, a line for each log that cannot).
 
-    Raises SonarrecError where there is none.
+    Raises SonarrecError if no log can be mapped.
     """
     logs_read: list[_ReadLog] = []
     problems: list[str] = []
@@ -172,7 +172,7 @@ def _read_log(
     method: str | None,
     sonar: Sonar | None,
 ) -> _ReadLog:
-    """One log with its passes along its path. Raises SonarrecError where it cannot be mapped."""
+    """Read one log: its path and its passes. Raises SonarrecError if it cannot be mapped."""
     path, notes = _path(folder, poses, drift)
     fan = run.fan(sonar)
     if fan is None:
@@ -191,10 +191,10 @@ def _read_log(
 
 
 def _left_out(folder: Path, log: MappedLog) -> Iterator[str]:
-    """A line for each reason why declared estimates of a log are in no pass."""
-    listed, strays = len(log.seen.row), log.seen.strays
+    """A line for each reason for which declared estimates of a log are in no pass."""
+    listed, strays = len(log.declared.row), log.declared.strays
     whole = listed + strays
-    without = int((~np.isfinite(log.path.pose[log.seen.row]).all(axis=1)).sum())
+    without = int((~np.isfinite(log.path.pose[log.declared.row]).all(axis=1)).sum())
     near = listed - without - len(log.on_floor.passes.order)
     for count, why in (
         (strays, "frames.csv does not list their frames"),
@@ -206,7 +206,7 @@ def _left_out(folder: Path, log: MappedLog) -> Iterator[str]:
 
 
 def _path(folder: Path, poses: PoseTable | None, drift: Drift) -> tuple[SonarPath, list[str]]:
-    """The sonar's path of one log, and what to note of it."""
+    """(the sonar's path in one log, notes on it)."""
     table = read_frames(folder)
     if poses is not None:
         if "timestamp_ns" not in table:

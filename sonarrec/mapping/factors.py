@@ -29,8 +29,8 @@ FACTOR_COLUMNS = (
     *("ground_range_sigma_m", "bearing_sigma_deg", "orientation_sigma_deg"),
 )
 PER_PASS = 5
-"""Measurements of one pass, at most."""
-# Told poses without drift are exact; a graph's numbers must be finite.
+"""Most measurements that are taken from one pass."""
+# Given poses without drift are exact, but the numbers in a graph must be finite.
 LEAST_STEP_M, LEAST_STEP_DEG = 0.001, 0.01
 UNKNOWN_TURN_DEG = 1e3
 
@@ -39,11 +39,11 @@ UNKNOWN_TURN_DEG = 1e3
 class Factors:
     """Measurements of landmarks from poses, n of them.
 
-    log: (n,) index into the map's. row: (n,) of the path. number: (n,) index into its landmarks.
-    slant_m: (n,). measured: (n, 3) ground range (m), bearing and orientation (deg, as in
-    estimates.csv); where a symbol looks the same turned, the orientation next to the map's; NaN
-    where not known. sigma: (n, 3) so wide that those of one pass, taken as independent, weigh as
-    much as the pass.
+    log: (n,) index of the map's log. row: (n,) of the log's path. number: (n,) index of the map's
+    landmark. slant_m: (n,) slant range. measured: (n, 3) ground range (m), bearing and orientation
+    (deg, as in estimates.csv; NaN if not known). If the symbol looks the same after a turn, it is
+    the orientation next to the map's. sigma: (n, 3) standard errors, so large that all measurements
+    of a pass, taken as independent, weigh as much as the pass.
     """
 
     log: IntArray
@@ -55,7 +55,7 @@ class Factors:
 
 
 def factors(site: SiteMap) -> Factors:
-    """The measurements of every landmark of the map, PER_PASS or fewer from each of its passes."""
+    """The measurements of every landmark of the map: at most PER_PASS from each of its passes."""
     rows: list[FloatArray] = [np.empty((0, 10))]
     for number, landmark in enumerate(site.landmarks):
         for g, k in landmark.members:
@@ -67,9 +67,12 @@ def factors(site: SiteMap) -> Factors:
 
 
 def _of_pass(site: SiteMap, number: int, g: int, k: int) -> FloatArray:
-    """(n, 10) log, row, number, slant range, measured, sigma: of a landmark's pass."""
+    """(n, 10) measurements from one pass of a landmark.
+
+    The columns are log, row, number, slant range, three of `measured` and three of `sigma`.
+    """
     log, landmark = site.logs[g], site.landmarks[number]
-    passes, declared = log.on_floor.passes, log.seen
+    passes, declared = log.on_floor.passes, log.declared
     length = int(passes.frames[k])
     take = np.unique(np.linspace(0, length - 1, min(length, PER_PASS)).round().astype(int))
     estimates = passes.order[passes.begin[k] + take]
@@ -79,7 +82,7 @@ def _of_pass(site: SiteMap, number: int, g: int, k: int) -> FloatArray:
     if not math.isnan(landmark.turn_deg):
         off = turn - (landmark.turn_deg + log.path.pose[row, 0])
         turn = turn - period * np.round(off / period)
-    # The variance of the pass's mean, each frame's own as much as there are of them.
+    # The share of a frame's variance that remains in the mean of the pass.
     share = COMMON_SHARE + (1 - COMMON_SHARE) * min(SAME_FRAMES, length) / length
     own = declared.sigma[estimates].T * np.array(
         [slant / ground, np.ones(len(row)), np.ones(len(row))]
@@ -96,7 +99,7 @@ def _of_pass(site: SiteMap, number: int, g: int, k: int) -> FloatArray:
 
 
 def write_factors(path: Path, site: SiteMap, measurements: Factors, graph: Graph) -> None:
-    """factors.csv: a row per measurement."""
+    """Write factors.csv: a row per measurement."""
 
     def rows() -> Iterator[list[object]]:
         for n in range(len(measurements.log)):
@@ -142,7 +145,7 @@ class Graph:
 
 
 def graph_of(site: SiteMap, measurements: Factors) -> Graph:
-    """The poses that measured something, and each log's first and last known one."""
+    """The graph's poses: those of measurements, and the first and last known pose of each log."""
     rows = []
     for g, log in enumerate(site.logs):
         known = np.flatnonzero(np.isfinite(log.path.pose).all(axis=1))
@@ -153,11 +156,11 @@ def graph_of(site: SiteMap, measurements: Factors) -> Graph:
 
 
 def write_g2o(path: Path, site: SiteMap, measurements: Factors, graph: Graph) -> None:
-    """graph.g2o: poses and landmarks as VERTEX_SE2, motion and measurements as EDGE_SE2.
+    """Write graph.g2o: poses and landmarks as VERTEX_SE2, motion and measurements as EDGE_SE2.
 
-    Axes as back ends have them: x ahead and y to the left of a sonar whose yaw is 0, angles
-    counter-clockwise in rad. A landmark's own x axis is where its first sector begins. The first
-    pose of each log is fixed.
+    The axes are those of back ends: x ahead and y to the left of a sonar whose yaw is 0, angles
+    counter-clockwise in rad. A landmark's own x axis points to where its first sector begins. The
+    first pose of each log is fixed.
     """
     lines = []
     poses = [_se2(log.path.pose[rows]) for log, rows in zip(site.logs, graph.rows, strict=True)]
@@ -179,7 +182,7 @@ def write_g2o(path: Path, site: SiteMap, measurements: Factors, graph: Graph) ->
             turn, sigma[2] = 0.0, UNKNOWN_TURN_DEG
         angle = math.radians(bearing)
         measured = [ground * math.cos(angle), -ground * math.sin(angle), math.radians(turn - 90)]
-        # Along the sight and across it, turned to ahead and left.
+        # Along the line of sight and across it, in the axes ahead and to the left.
         along = np.array([math.cos(angle), -math.sin(angle), 0])
         across = np.array([math.sin(angle), math.cos(angle), 0]) * ground * math.radians(1)
         turned = np.array([0, 0, math.radians(1)])
@@ -189,7 +192,7 @@ def write_g2o(path: Path, site: SiteMap, measurements: Factors, graph: Graph) ->
         lines.append(
             _edge(pose, graph.first_landmark + int(measurements.number[n]), measured, information)
         )
-    # Last, for GTSAM reads no farther than such a line.
+    # At the end, because GTSAM stops reading at such a line.
     lines += [f"FIX {first}" for first, trail in zip(graph.first, poses, strict=True) if len(trail)]
     write_text(path, "\n".join([*lines, ""]))
 

@@ -1,4 +1,4 @@
-"""Joins the passes of one landmark, and settles which ID holds where landmarks would overlap."""
+"""Joins passes into landmarks. Where landmarks would overlap, only the one claimed most is kept."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from sonarrec.mapping.path import SonarPath
 from sonarrec.records import BoolArray, FloatArray, IntArray
 
 GATE = 16.27
-"""Squared Mahalanobis distance of place and orientation, within which 99.9 % of the passes of one
-landmark lie."""
+"""Squared Mahalanobis distance of place and orientation that 99.9 % of the passes of one landmark
+do not exceed."""
 GATE_PLACE = 13.82
-"""The same of the place alone, where an orientation is not known."""
-# Two discs on a floor lie a diameter apart or more: nearer than this share of it, it is one.
+"""The same for the place alone, if an orientation is not known."""
 ONE_DISC = 0.75
+"""Passes nearer than this, in disc diameters, are of one disc: two discs cannot overlap."""
 
 
 @dataclass(frozen=True, slots=True)
 class LogPasses:
-    """The passes of one log of a map. name: of its results' folder."""
+    """The passes of one log of a map. name: of its results folder."""
 
     name: str
     path: SonarPath
@@ -34,10 +34,10 @@ class LogPasses:
 class Landmark:
     """One landmark of the map.
 
-    id: the landmark set's. place: (2,) x, y in m. covariance: (2, 2) m^2. turn_deg: where its
-    first sector begins, counter-clockwise from the x axis, NaN where not known. turn_sigma_deg.
-    members: (log, pass) indices of the passes that it was placed by. others: of passes that lie
-    on it but claim another ID.
+    place: (2,) x, y in m. covariance: (2, 2) m^2. turn_deg: where its first sector begins,
+    counter-clockwise from the x axis; NaN if not known. turn_sigma_deg: its standard error.
+    members: (log, pass) indices of the passes that it was placed by. others: the same of passes
+    that lie on it but claim another ID.
     """
 
     id: int
@@ -51,7 +51,10 @@ class Landmark:
 
 @dataclass(slots=True)
 class _Pool:
-    """All passes of all logs in a row, p of them, by their log and by time."""
+    """All passes of all logs, p of them, sorted by log and time; as in Passes, p in place of n.
+
+    log, index: which pass of which log it is. period: deg, after which the symbol looks the same.
+    """
 
     logs: Sequence[LogPasses]
     log: IntArray
@@ -69,7 +72,10 @@ class _Pool:
     drift_turn: FloatArray  # (p,) deg^2
 
     def distance(self, i: int, others: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Of pass i to (k,) others: squared Mahalanobis distance over the gate's own, metres."""
+        """How far pass i is from others (k,).
+
+        Returns (k,) squared Mahalanobis distances, divided by that of the gate, and (k,) metres.
+        """
         apart = self.place[others] - self.place[i]
         covariance = self.covariance[others] + self.covariance[i]
         lean = HEIGHT_SIGMA_M * (self.lean[others] - self.lean[i])
@@ -102,7 +108,7 @@ class _Pool:
 
 
 def join(logs: Sequence[LogPasses], landmark_set: LandmarkSet) -> list[Landmark]:
-    """The landmarks of a map, the ID that comes first in the set first."""
+    """The landmarks of a map, in the order of the IDs in the set."""
     pool = _pool(logs, landmark_set)
     if not len(pool.log):
         return []
@@ -140,11 +146,11 @@ def _pool(logs: Sequence[LogPasses], landmarks: LandmarkSet) -> _Pool:
 
 
 def _of_one_id(pool: _Pool, passes: IntArray, radius_m: float) -> list[list[int]]:
-    """Groups of the passes of one landmark each, of (n,) passes of one ID.
+    """Group the passes (n,) of one ID into landmarks.
 
-    Each pass in turn joins the landmark that it fits best, or is the first of a new one. How well
-    it fits a landmark is told by the nearest pass of that. Passes seen at the same time in two
-    places are of two landmarks.
+    Each pass in turn joins the landmark that it fits best, or begins a new one. Its fit is that to
+    the nearest pass of the landmark. Passes seen at the same time in two places belong to two
+    landmarks.
     """
     disc = ONE_DISC * 2 * radius_m
     member = np.full(len(passes), -1)
@@ -165,10 +171,10 @@ def _of_one_id(pool: _Pool, passes: IntArray, radius_m: float) -> list[list[int]
 
 
 def _place_group(pool: _Pool, group: Sequence[int]) -> Landmark:
-    """The landmark placed by its passes, each weighed by its own error and that of the path.
+    """Place a landmark by its passes, weighted by their own errors and those of the path.
 
     The passes of one log share the path's error up to the first of them; different logs share none.
-    The error of the stated height, and a part of the orientation's, is common to all passes.
+    The error of the stated height, and a part of the orientation's error, are common to all passes.
     """
     parts = []
     for log in np.unique(pool.log[group]).tolist():
@@ -201,7 +207,10 @@ def _place_group(pool: _Pool, group: Sequence[int]) -> Landmark:
 def _fused(
     place: FloatArray, covariance: FloatArray, lean: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(2,), (2, 2) and (2,) of (n, 2) independent places with (n, 2, 2) covariances."""
+    """The weighted mean (2,) of independent places, its covariance (2, 2), and the mean lean (2,).
+
+    place, lean: (n, 2). covariance: (n, 2, 2).
+    """
     weight = np.linalg.inv(covariance)
     together = np.linalg.inv(weight.sum(axis=0))
     return (
@@ -214,7 +223,7 @@ def _fused(
 def _fused_turn(
     turn_deg: FloatArray, variance: FloatArray, period_deg: float
 ) -> tuple[float, float]:
-    """Mean direction and variance of (n,) independent ones; NaN where none is known."""
+    """(mean direction, its variance) of independent directions (n,); NaN if none is known."""
     finite = np.isfinite(turn_deg)
     if not finite.any():
         return np.nan, np.nan
@@ -226,9 +235,9 @@ def _fused_turn(
 def _one_at_a_place(
     logs: Sequence[LogPasses], landmarks: list[Landmark], disc_m: float
 ) -> list[Landmark]:
-    """The landmarks, of several in one place only that claimed most; the rest become its `others`.
+    """Keep one landmark where several overlap: the one claimed most. The rest are its `others`.
 
-    disc_m: nearer than this no two discs can lie.
+    disc_m: distance below which landmarks overlap.
     """
     passes = [log.passes for log in logs]
     weight = [

@@ -14,15 +14,15 @@ from sonarrec.records import SonarrecError
 FRAMES = "frame,timestamp_ns,dx_m,dy_m,dyaw_deg,dx_sigma_m,dy_sigma_m,dyaw_sigma_deg"
 MOVED = ("dyaw_deg", "dx_m", "dy_m")
 MOVED_SIGMA = ("dyaw_sigma_deg", "dx_sigma_m", "dy_sigma_m")
-"""Columns of frames.csv that hold the measured motion from the frame before, where they are there:
-to the right, ahead and to the right round, as it looked before."""
+"""Columns of frames.csv with the measured motion since the previous frame, and its standard errors:
+turn to the right, shift to the right, shift ahead, in the axes of the previous frame."""
 PATH_COLUMNS = ("timestamp_ns", "yaw", "x", "y", "yaw_sigma_deg", "x_sigma_m", "y_sigma_m")
 
 
 def read_frames(folder: Path) -> Table:
-    """frames.csv of a log's results, a row for each frame, by number.
+    """frames.csv of a log's results, one row for each frame number, rising.
 
-    Raises SonarrecError where it cannot be read or no frame was processed.
+    Raises SonarrecError if it cannot be read or if no frame was processed.
     """
     kinds: dict[str, Kind] = {"frame": "whole", "timestamp_ns": "whole"}
     kinds |= dict.fromkeys((*MOVED, *MOVED_SIGMA), "blank or number")
@@ -34,9 +34,9 @@ def read_frames(folder: Path) -> Table:
 
 
 def measured_motion_path(folder: Path, table: Table) -> tuple[SonarPath, list[str]]:
-    """The path from the first frame on, and what to note of it; table: of `read_frames`.
+    """(the path from the first frame on, notes on it). table: from `read_frames`.
 
-    Raises SonarrecError where no motion was measured.
+    Raises SonarrecError if no motion was measured.
     """
     missing = [name for name in ("dyaw_deg", "dyaw_sigma_deg") if name not in table]
     if missing or not np.isfinite(table["dyaw_deg"]).any():
@@ -55,7 +55,7 @@ def measured_motion_path(folder: Path, table: Table) -> tuple[SonarPath, list[st
         for names in (MOVED, MOVED_SIGMA)
     )
     time = table.get("timestamp_ns", np.zeros(len(still), np.int64))
-    # Motion that was told has no standard errors.
+    # Motion from poses has no standard errors.
     sigma = np.where(np.isfinite(moved), np.nan_to_num(sigma), np.nan)
     path = measured_path(frame, time, moved, sigma)
     unknown = ~np.isfinite(path.pose).all(axis=1)
@@ -68,9 +68,9 @@ def measured_motion_path(folder: Path, table: Table) -> tuple[SonarPath, list[st
 
 
 def write_path(folder: Path, out: Path) -> None:
-    """The path of a log's results as a table that `sonarrec run --odometry` reads.
+    """Write the path in a log's results as a table that `sonarrec run --odometry` reads.
 
-    Raises SonarrecError where no motion was measured, or the table cannot be written.
+    Raises SonarrecError if no motion was measured, or if the table cannot be written.
     """
     table = read_frames(folder)
     if "timestamp_ns" not in table:

@@ -1,8 +1,8 @@
-"""The passes of one log: a landmark as one track declared it, placed on the floor.
+"""The passes of one log, placed on the floor. A pass is a landmark as one track declared it.
 
-A pass is one measurement, not as many as it has frames: a track carries what it saw along, and the
-speckle of a still disc is the same from frame to frame. So errors are taken to go together over
-SAME_FRAMES frames, and a share of them over the whole pass.
+A pass counts as about one measurement, not as one per frame: a track remembers what it saw, and the
+speckle of a still disc is the same from frame to frame. So a share of the errors is taken to be
+common to the whole pass, and the rest to be common to SAME_FRAMES frames.
 """
 
 from __future__ import annotations
@@ -22,30 +22,33 @@ from sonarrec.results.sightings import PASS_GAP
 from sonarrec.results.stream import positions
 
 ROWS = 20_000
-"""Of estimates.csv, read at a time."""
-# How errors go together within a pass, chosen on tuning seeds of `make maps`: the share of their
-# variance that all its frames have in common, and over how many frames the rest is one error.
+"""Rows of estimates.csv that are read at a time."""
+# How errors are correlated within a pass, chosen on tuning seeds of `make maps`.
 COMMON_SHARE = 0.5
+"""Share of the variance that is common to all frames of a pass."""
 SAME_FRAMES = 6.0
-# What no frame's own error tells. Of one pass: the ring is not even, the sonar heaves.
+"""Number of frames over which the rest of the error is the same."""
+# Standard errors that come on top of those of the frames, because rings are not even and sonars
+# heave. They are independent from pass to pass.
 LEAST_PLACE_M = 0.003
 LEAST_TURN_DEG = 1.0
 TURN_SIGMA_DEG = 2.7
-"""Of all passes of a landmark alike: how its symbol looks through the beam."""
+"""Standard error of the orientation that is common to all passes of a landmark: how its symbol
+looks through the beam."""
 HEIGHT_SIGMA_M = 0.015
-"""Standard error of the height above the floor as stated. One for all passes, it moves what is
-seen from one side one way however often it is seen."""
-# Where a method states no standard errors: of slant range (m), bearing and orientation (deg).
+"""Standard error of the stated height above the floor. It is common to all passes: a landmark that
+is always seen from one side is shifted the same way, however often it is seen."""
 UNSTATED = (0.03, 0.5, 10.0)
+"""Standard errors for methods that state none: slant range (m), bearing and orientation (deg)."""
 
 
 @dataclass(frozen=True, slots=True)
 class DeclaredEstimates:
     """The declared estimates of one method in one log, n of them.
 
-    row: (n,) index of the frame in the path. landmark: (n,) IDs. track: (n,) not negative.
-    score: (n,). polar: (n, 3) slant range (m), bearing and orientation (deg, as in estimates.csv,
-    NaN where not known). sigma: (n, 3) their standard errors. strays: declared estimates besides,
+    row: (n,) index of the frame in the path. landmark: (n,) IDs. track: (n,) 0 or more. score:
+    (n,). polar: (n, 3) slant range (m), bearing and orientation (deg, as in estimates.csv; NaN if
+    not known). sigma: (n, 3) their standard errors. strays: number of further declared estimates,
     on frames that frames.csv does not list.
     """
 
@@ -62,12 +65,13 @@ class DeclaredEstimates:
 class Passes:
     """All passes of one log, n of them, in order of their first frames.
 
-    landmark, track, frames (with a declaration): (n,). score: (n,) mean. first, last, middle: (n,)
-    indices of frames in the path. place: (n, 2) x, y in m by the path's axes; covariance: (n, 2, 2)
-    m^2, of the measurement alone. lean: (n, 2) how far the place moves per metre of height.
-    turn_deg: (n,) where the first sector begins, counter-clockwise from the x axis, NaN where not
-    known; turn_sigma_deg: (n,). near_m, far_m: (n,) ground range, least and most. order: the
-    estimates sorted by pass; begin: (n,) where each pass begins among them.
+    landmark, track: (n,). frames: (n,) number of frames with a declaration. score: (n,) mean.
+    first, last, middle: (n,) indices of frames in the path. place: (n, 2) x, y in the path's axes,
+    m. covariance: (n, 2, 2) of the place, without the path's error, m^2. lean: (n, 2) by how much
+    the place moves per metre of error in the height. turn_deg: (n,) where the first sector begins,
+    counter-clockwise from the x axis; NaN if not known. turn_sigma_deg: (n,) its standard error.
+    near_m, far_m: (n,) least and largest ground range. order: (m,) indices of the estimates, sorted
+    by pass. begin: (n,) where each pass begins in `order`.
     """
 
     landmark: IntArray
@@ -91,9 +95,9 @@ class Passes:
 def read_declared(
     path: Path, method: str, landmarks: LandmarkSet, fan: Fan, frame: IntArray
 ) -> DeclaredEstimates:
-    """The declared estimates of a method; frame: (F,) the numbers in frames.csv, rising.
+    """The declared estimates of a method. frame: (F,) the numbers in frames.csv, rising.
 
-    Raises SonarrecError where the table cannot be read or a declared estimate has no place or no
+    Raises SonarrecError if the table cannot be read, or if a declared estimate has no place or no
     track.
     """
     parts, strays = [np.empty((0, 10))], 0
@@ -150,9 +154,9 @@ def read_declared(
 def find_passes(
     estimates: DeclaredEstimates, path: SonarPath, landmarks: LandmarkSet, fan: Fan
 ) -> Passes:
-    """The passes of a log, placed on the floor; estimates in frames without a pose are left out.
+    """The passes of a log, placed on the floor.
 
-    Estimates nearer than the floor are left out too.
+    Estimates are left out if their frame has no pose, or if they are nearer than the floor.
     """
     ground = ground_range(fan, estimates.polar[:, 0])
     usable = np.flatnonzero(np.isfinite(path.pose[estimates.row]).all(axis=1) & (ground > 0))
@@ -182,7 +186,7 @@ def _passes(
     order: IntArray,
     begin: IntArray,
 ) -> Passes:
-    """order: (m,) the estimates sorted by pass; begin: (n,) where each pass begins in it."""
+    """Place the passes. order, begin: as in Passes."""
     row, slant = estimates.row[order], estimates.polar[order, 0]
     ground = ground_range(fan, slant)
     length = np.diff(np.append(begin, len(order)))
@@ -238,9 +242,9 @@ def _turns(
     begin: IntArray,
     yaw_deg: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """(n,) mean orientation on the floor and its standard error, deg; NaN where not known.
+    """(n,) mean orientation on the floor, and its standard error, deg; NaN if not known.
 
-    A symbol that looks the same turned by less than 360 deg has a mean within that turn.
+    If a symbol looks the same after a turn of less than 360 deg, the mean lies within that turn.
     """
     length = np.diff(np.append(begin, len(order)))
     fold = 360 / periods_of(landmarks, estimates.landmark[order])
@@ -263,12 +267,12 @@ def _turns(
 
 
 def periods_of(landmarks: LandmarkSet, ids: IntArray) -> FloatArray:
-    """(n,) `LandmarkSet.periods_deg` of n IDs."""
+    """(n,) `LandmarkSet.periods_deg` of these IDs (n,)."""
     return np.asarray(landmarks.periods_deg()[landmarks.indices(ids)])
 
 
 def _sum(values: np.ndarray, begin: IntArray) -> np.ndarray:
-    """Sums over runs of the first axis that begin at (n,) indices."""
+    """(n, ...) sums over runs of the first axis. begin: (n,) index at which each run begins."""
     if not len(begin):
         return values[:0]
     return np.asarray(np.add.reduceat(values, begin, axis=0))

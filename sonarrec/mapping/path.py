@@ -1,9 +1,9 @@
 """The sonar's path over one log, and how its error grows along it.
 
-Every step has an error of its own: a shift, and a turn about where the sonar then was, which moves
-all places seen later, and those far away the most. Measured motion has also an error that is common
-to all steps: each is too long or too short by the same share. Sums over the steps give the error of
-a place seen in any frame, and of one place against another, in closed form.
+Every step has an error of its own: a shift, and a turn about the sonar's place at that time. The
+turn moves all places that are seen later, the far ones most. Measured motion also has an error that
+is common to all steps: each is too long or too short by the same share. Sums over the steps give
+the error of a place in any frame, or of one place relative to another, in closed form.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ import numpy as np
 from sonarrec.poses import PoseTable
 from sonarrec.records import FloatArray, IntArray
 
-# Standard errors of measured motion that all steps share: of its length, which the height and the
-# flat floor set; and of the turn of a sonar that stands, which is measured along the beams alone
-# and drawn to whole beams (up to 4 % on tuning seeds).
+# Standard errors that are common to all steps of measured motion, as a share of the motion. Lengths
+# depend on the stated height and on the floor being flat. The turn of a sonar that stands is
+# measured across the beams only, with a bias towards whole beams (up to 4 % on tuning seeds).
 COMMON_LENGTH, COMMON_TURN = 0.006, 0.03
 
 
 @dataclass(frozen=True, slots=True)
 class Drift:
-    """Standard error that told poses gather within a minute, growing with the root of the time.
+    """Standard error of given poses after one minute; it grows with the square root of the time.
 
     place_m: of the place, along each axis. yaw_deg: of the heading.
     """
@@ -37,13 +37,13 @@ class Drift:
 class SonarPath:
     """Where the sonar was in every frame of one log.
 
-    frame: (F,) numbers, rising. timestamp_ns: (F,). pose: (F, 3) yaw in deg, positive to the
-    right, then x and y in m, y ahead and x to the right of a sonar whose yaw is 0; NaN where it is
-    not known. from_poses: whether a table or topic of poses gave the path; else it is measured,
-    from the first frame on. sums: (F, 9) over the steps up to each frame, see `_sums`. common:
-    (F, 3) sums over the turns of a measured path while it stood: the turn (rad), and the same
-    times x and times y. In both x and y are counted from its first known place, `origin` (2,):
-    squares of such coordinates as UTM's would leave few digits.
+    frame: (F,) numbers, rising. timestamp_ns: (F,). pose: (F, 3) yaw (deg, positive to the right),
+    x and y (m; to the right and ahead of a sonar whose yaw is 0); NaN if not known. from_poses:
+    whether the path comes from a table or topic of poses; else it was measured, from the first
+    frame on. sums: (F, 9) over the steps up to each frame, see `_sums`. common: (F, 3) sums over
+    the turns of a measured path while the sonar stood: of the turn (rad), and of the turn times x
+    and times y. origin: (2,) the first known place. In the sums, x and y are relative to it, since
+    squares of large coordinates, such as UTM's, would leave few digits.
     """
 
     frame: IntArray
@@ -57,10 +57,10 @@ class SonarPath:
     def place_covariance(
         self, row: IntArray, place: FloatArray, since: IntArray | None = None
     ) -> FloatArray:
-        """(n, 2, 2) m^2: what the path adds to the error of places seen in some frames.
+        """(n, 2, 2) covariance that the path's error adds to places seen in some frames, m^2.
 
-        row: (n,) indices of the frames. place: (n, 2) m. since: (n,) earlier or later frames,
-        against which the error counts; default, where the path begins.
+        row: (n,) indices of the frames. place: (n, 2) m. since: (n,) frames, earlier or later,
+        relative to which the error counts; None: the beginning of the path.
         """
         s = self._between(row, since)
         x, y = (place - self.origin).T
@@ -85,21 +85,21 @@ class SonarPath:
         return np.column_stack([turn * y - at_y, at_x - turn * x, turn])
 
     def yaw_variance(self, row: IntArray, since: IntArray | None = None) -> FloatArray:
-        """(n,) deg^2: as `place_covariance`, of the heading."""
+        """(n,) variance of the heading, deg^2. The arguments are as in `place_covariance`."""
         common = self.common[row, 0] - (0 if since is None else self.common[since, 0])
         variance = self._between(row, since)[:, 3] + (COMMON_TURN * common) ** 2
         return np.asarray(np.degrees(np.degrees(variance)))
 
     def _between(self, row: IntArray, since: IntArray | None) -> FloatArray:
-        """(n, 9) the sums over the steps between two frames, or from the path's beginning."""
+        """(n, 9) sums over the steps between two frames, or from the beginning of the path."""
         if since is None:
             return np.asarray(self.sums[row])
         return np.asarray(self.sums[np.maximum(row, since)] - self.sums[np.minimum(row, since)])
 
     def step_covariance(self, before: int, after: int) -> FloatArray:
-        """(3, 3) covariance of the pose in one frame against that in an earlier one.
+        """(3, 3) covariance of the pose in one frame relative to that in an earlier one.
 
-        x, y (m) and yaw (rad), by the path's axes.
+        It is of x, y (m) and yaw (rad), in the path's axes.
         """
         place = self.pose[[after], 1:]
         s = self.sums[after] - self.sums[before]
@@ -117,7 +117,7 @@ class SonarPath:
 def path_from_poses(
     frame: IntArray, timestamp_ns: IntArray, poses: PoseTable, drift: Drift
 ) -> SonarPath:
-    """The path that poses tell; frame, timestamp_ns: (F,). They drift from the first one told."""
+    """The path that poses give. frame, timestamp_ns: (F,). Drift begins at the first known pose."""
     pose = poses.at_times(timestamp_ns)
     minutes = np.diff(timestamp_ns, prepend=timestamp_ns[:1]) / 60e9
     first = int(np.isfinite(pose).all(axis=1).argmax())
@@ -134,12 +134,12 @@ def path_from_poses(
 def measured_path(
     frame: IntArray, timestamp_ns: IntArray, moved: FloatArray, sigma: FloatArray
 ) -> SonarPath:
-    """The path from the first frame's pose, which is 0, as far as every motion is known.
+    """The path of a sonar whose motion was measured. It starts at 0 and ends at unknown motion.
 
-    frame, timestamp_ns: (F,). moved: (F, 3) the motion to each frame from the one before: how far
-    the sonar turned (deg, positive to the right), and was carried to the right and ahead (m) as it
-    looked before; NaN where not known. sigma: (F, 3) their standard errors. Those of the first
-    frame are not used.
+    frame, timestamp_ns: (F,). moved: (F, 3) the motion to each frame from the one before: turn
+    (deg, positive to the right), and shift to the right and ahead (m), in the axes of the sonar
+    before; NaN if not known. sigma: (F, 3) their standard errors. Those of the first frame are not
+    used.
     """
     moved, sigma = moved.copy(), sigma.copy()
     moved[:1] = sigma[:1] = 0
@@ -172,11 +172,12 @@ def measured_path(
 
 
 def _sums(place: FloatArray, shift: FloatArray, turn: FloatArray) -> FloatArray:
-    """(F, 9) running sums over the steps: the shifts' xx, xy, yy; of the turns' variance (rad^2)
-    the sum, and the sums times x, y, xx, xy, yy of where the sonar then was.
+    """(F, 9) running sums over the steps, for the closed forms of SonarPath.
 
-    place: (F, 2) from the origin, NaN where not known; there a step turns about the last known one.
-    shift: (F, 3) and turn: (F,) variances of the step to each frame, 0 up to the first known place.
+    They are: xx, xy, yy of the shifts' covariance; the turns' variance (rad^2); and that variance
+    times x, y, xx, xy, yy of the sonar's place. place: (F, 2) relative to the origin; if NaN, the
+    step turns about the last known place. shift: (F, 3) and turn: (F,) variances of the step to
+    each frame; 0 up to the first known place.
     """
     known = np.isfinite(place).all(axis=1)
     last = np.maximum.accumulate(np.where(known, np.arange(len(place)), 0))

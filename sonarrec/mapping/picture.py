@@ -1,4 +1,4 @@
-"""A map as a picture: the floor seen, the path, the landmarks with their ellipses and IDs."""
+"""Draws a map: the floor in view, the path, and the landmarks with ellipses and IDs."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from sonarrec.mapping.tables import Axes, ellipse
 from sonarrec.records import FloatArray, number_of
 
 LINES = "#333333"
-"""Of discs, which stand out from the floor so whatever their ID's colour."""
+"""Colour of outlines, which set discs off from the floor, whatever the colour of their IDs."""
 MOST_FANS = 150
-"""Of the floor seen, drawn per log."""
+"""Fans that are drawn for each log, at most, to show the floor in view."""
 ENLARGED = 10
-"""How much larger ellipses are drawn where in their true size they could not be seen."""
+"""How many times larger ellipses are drawn, if they would be too small to be seen."""
 LEAST_SEEN = 1 / 60
-"""Of the picture's width: a smaller ellipse could not be seen."""
+"""Size of the smallest ellipse that can be seen, in widths of the picture."""
 
 
 def draw_map(path: Path, site: SiteMap) -> None:
@@ -66,7 +66,10 @@ def draw_map(path: Path, site: SiteMap) -> None:
 
 
 def _draw_landmark(axes: Any, site: SiteMap, landmark: Landmark, number: int, larger: int) -> None:
-    """Its disc in its ID's colour, the begin of its first sector, its ellipse `larger` times."""
+    """Draw a disc in its ID's colour, a mark where its first sector begins, and its ellipse.
+
+    larger: by how many times the ellipse is enlarged.
+    """
     axes_of, radius = Axes(site.ros_axes), site.landmark_set.radius_m
     colour = tuple(np.array(landmark_colours(site.landmark_set.ids)[landmark.id]) / 255)
     place = axes_of.place(landmark.place)
@@ -96,7 +99,7 @@ def _title(site: SiteMap) -> str:
 
 
 def _width(covariance: FloatArray) -> float:
-    """The width, in m, of the 95 % ellipse where it is widest."""
+    """The largest extent of the 95 % ellipse along an axis, m."""
     return float(np.ptp(ellipse(np.zeros(2), covariance), axis=0).max())
 
 
@@ -106,7 +109,7 @@ def _circle() -> FloatArray:
 
 
 def _floor_seen(log: MappedLog) -> FloatArray:
-    """(n, points, 2) outlines of the floor in the fan, in MOST_FANS frames or fewer."""
+    """(n, points, 2) outlines of the floor in view, in at most MOST_FANS frames."""
     known = np.flatnonzero(np.isfinite(log.path.pose).all(axis=1))
     chosen = known[np.linspace(0, len(known) - 1, min(len(known), MOST_FANS)).round().astype(int)]
     fan = log.fan

@@ -1,4 +1,4 @@
-"""The poses that a log was run with, found again by what run.toml says of them."""
+"""Finds the poses that a log was run with, from what run.toml says about them."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ from sonarrec.results.run_file import RunFile
 
 
 def poses_of_run(folder: Path, run: RunFile, tables: Sequence[Path]) -> PoseTable | None:
-    """The poses of a log's run; None where it had none and none are given.
+    """The poses that a log was run with; None if it had none.
 
-    tables: tables to look among first; a log that was run without poses takes the only one. A table
-    is known by its SHA-256; not given, it is looked for by its name in a log that is a folder,
-    beside the log and above it, as a run does, then beside the results and here. A topic is read
-    from the log again. Raises SonarrecError where the poses that were used cannot be found.
+    tables: searched first, by SHA-256. If none of them fits, the table is searched by its name: in
+    the log if it is a folder, beside and above the log, beside and above the results, and in the
+    working folder. A topic of poses is read from the log again. If the log was run without poses
+    and there is exactly one table, that table is used. Raises SonarrecError if the poses that were
+    used cannot be found.
     """
     recorded = run.odometry
     log = Path(run.table.get("input", {}).get("path", ""))
@@ -48,7 +49,7 @@ def poses_of_run(folder: Path, run: RunFile, tables: Sequence[Path]) -> PoseTabl
 
 
 def _digest(path: Path) -> str | None:
-    """SHA-256 of a file; None where there is none that can be read."""
+    """SHA-256 of a file; None if it cannot be read."""
     try:
         return hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError:

@@ -1,4 +1,4 @@
-"""A map as tables: map.csv, passes.csv and, where the site's place on Earth is told, GeoJSON."""
+"""A map as tables: map.csv, passes.csv and, if the site's place on Earth is known, GeoJSON."""
 
 from __future__ import annotations
 
@@ -26,43 +26,42 @@ PASS_COLUMNS = (
 )
 ELLIPSE_CORNERS = 48
 CHI2_95 = 5.991
-"""Squared Mahalanobis distance within which 95 % of the places in a plane lie."""
+"""Squared Mahalanobis distance that 95 % of places in a plane do not exceed."""
 GEOJSON_BEGIN = '{"type": "FeatureCollection", "program": "sonarrec"'
-"""By which ours is told; readers of GeoJSON pass over members that they do not know."""
+"""By which our files are recognised; readers of GeoJSON ignore unknown members."""
 MOST_POINTS = 2_000
-"""Of a path in GeoJSON."""
+"""Points of a path in GeoJSON, at most."""
 
 
 @dataclass(frozen=True, slots=True)
 class Axes:
-    """Turns what a map holds into the poses' own axes.
+    """Converts from the map's axes to those of the poses.
 
-    A map is made in the axes of a sonar whose yaw is 0: x to its right, y ahead.
-
-    ros: x is ahead, y to the left and yaw counter-clockwise; else nothing changes.
+    In the map, x is to the right and y ahead of a sonar whose yaw is 0. ros: whether the poses have
+    x ahead, y to the left and yaw counter-clockwise; else nothing changes.
     """
 
     ros: bool
 
     def place(self, place: FloatArray) -> FloatArray:
-        """(..., 2) places, m, in the poses' axes."""
+        """(..., 2) places in the poses' axes, m."""
         if not self.ros:
             return place
         return np.stack([place[..., 1], -place[..., 0]], axis=-1)
 
     def covariance(self, covariance: FloatArray) -> FloatArray:
-        """(2, 2) the covariance of a place, m^2, in the poses' axes."""
+        """(2, 2) covariance of a place in the poses' axes, m^2."""
         if not self.ros:
             return covariance
         (xx, xy), (_, yy) = covariance
         return np.array([[yy, -xy], [-xy, xx]])
 
     def turn(self, turn_deg: float, period_deg: float) -> float:
-        """A landmark's turn in deg, counter-clockwise from the x axis, 0 to the period."""
+        """A landmark's turn, deg, counter-clockwise from the poses' x axis, 0 to the period."""
         return (turn_deg - 90 * self.ros) % period_deg
 
     def yaw(self, yaw_deg: float) -> float:
-        """The sonar's yaw in deg, as the poses count it."""
+        """The sonar's yaw as the poses count it, deg."""
         return -yaw_deg if self.ros else yaw_deg
 
 
@@ -78,10 +77,10 @@ class GeographicOrigin:
     heading_deg: float
 
     def on_earth(self, place: FloatArray) -> FloatArray:
-        """(n, 2) longitude and latitude of places on the floor, as GeoJSON has them.
+        """(n, 2) longitude and latitude (in this order, as in GeoJSON) of places on the floor, deg.
 
         place: (n, 2) m to the right and ahead, on the plane that touches the ellipsoid at the
-        origin. By way of Earth-centred axes, for a pole may be near.
+        origin. The conversion uses Earth-centred axes, so that it also works near a pole.
         """
         heading, latitude = math.radians(self.heading_deg), math.radians(self.latitude_deg)
         right, ahead = place.T
@@ -89,7 +88,7 @@ class GeographicOrigin:
         north = ahead * math.cos(heading) - right * math.sin(heading)
         a, e2 = 6378137.0, 0.00669437999014
         n = a / math.sqrt(1 - e2 * math.sin(latitude) ** 2)
-        # From the Earth's axis, towards the origin's meridian; along the axis.
+        # Distance from the Earth's axis, towards the origin's meridian; distance along the axis.
         out = n * math.cos(latitude) - north * math.sin(latitude)
         up = n * (1 - e2) * math.sin(latitude) + north * math.cos(latitude)
         away, b = np.hypot(out, east), a * math.sqrt(1 - e2)
@@ -102,9 +101,9 @@ class GeographicOrigin:
 
 
 def cut_at_180(line: FloatArray) -> list[FloatArray]:
-    """The parts of a line that cross no 180th meridian.
+    """Cut a line into parts that do not cross the 180th meridian.
 
-    line: (n, 2) longitude and latitude, deg; of two points the way is the shorter one.
+    line: (n, 2) longitude and latitude, deg. From point to point it takes the shorter way.
     """
     longitude, latitude = np.unwrap(line[:, 0], period=360), line[:, 1]
     turn = np.floor((longitude + 180) / 360)  # how often it went round
@@ -121,13 +120,19 @@ def cut_at_180(line: FloatArray) -> list[FloatArray]:
 
 
 def rings_at_180(ring: FloatArray) -> list[FloatArray]:
-    """The closed lines that a closed convex one becomes; none where it goes round a pole."""
+    """Cut a closed convex line at the 180th meridian into closed lines.
+
+    Empty if it goes round a pole.
+    """
     first, *others = cut_at_180(ring)
     if not others:
         return [ring]
     if len(others) == 1:
         return []
-    parts = [np.concatenate([others.pop()[:-1], first]), *others]  # it began within a part
+    parts = [
+        np.concatenate([others.pop()[:-1], first]),
+        *others,
+    ]  # the first part and the last are one
     return [np.concatenate([part, part[:1]]) for part in parts]
 
 
@@ -141,7 +146,7 @@ def _turn(turn_deg: float, sigma_deg: float) -> list[str]:
 
 
 def write_map(path: Path, site: SiteMap) -> None:
-    """map.csv: a row per landmark."""
+    """Write map.csv: a row per landmark."""
     axes, periods = Axes(site.ros_axes), _periods(site)
     rows: list[list[object]] = []
     for number, landmark in enumerate(site.landmarks, 1):
@@ -169,7 +174,7 @@ def write_map(path: Path, site: SiteMap) -> None:
 
 
 def write_passes(path: Path, site: SiteMap) -> None:
-    """passes.csv: a row per pass, also of those that no landmark of the map came from."""
+    """Write passes.csv: a row per pass, also for passes of landmarks that were left out."""
     axes, periods = Axes(site.ros_axes), _periods(site)
     number = {
         pair: n
