@@ -144,9 +144,9 @@ class Sonar:
     def check_flags(self, flags: Sonar) -> None:
         """Raise UsageError where what flags state contradicts itself, or the rest of this."""
         for keys, wrong in self._contradictions():
-            given = [key for key in keys if getattr(flags, key) is not None]
-            if given:
-                names = " and ".join(f"--{key.replace('_', '-')}" for key in given)
+            stated = [key for key in keys if getattr(flags, key) is not None]
+            if stated:
+                names = " and ".join(f"--{key.replace('_', '-')}" for key in stated)
                 raise UsageError(f"{names}: {wrong}")
 
     def _contradictions(self) -> Iterator[tuple[tuple[str, ...], str]]:
@@ -238,9 +238,9 @@ def load_sonar(path: Path) -> Sonar:
     return sonar_from_table(document["sonar"], str(path))
 
 
-def sonar_from(given: Sonar | Mapping[str, Any] | None) -> Sonar:
+def sonar_from(sonar: Sonar | Mapping[str, Any] | None) -> Sonar:
     """The geometry that a program gives: a Sonar, keys of sonar.toml, or nothing."""
-    return given if isinstance(given, Sonar) else sonar_from_table(given or {}, "sonar")
+    return sonar if isinstance(sonar, Sonar) else sonar_from_table(sonar or {}, "sonar")
 
 
 def sonar_from_table(table: object, where: str) -> Sonar:

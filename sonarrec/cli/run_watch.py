@@ -163,7 +163,7 @@ class RunWatch(Watch):
 
     def count(self) -> None:
         """Print how many logs are done, up to date, partial and failed, if there are several."""
-        self._note_what_is_older()
+        self._report_outdated()
         counts: dict[str, list[str]] = {"done": [], "up to date": [], "in part": [], "failed": []}
         for i, outcome in sorted(self._outcomes.items()):
             counts[_how(outcome)].append(self._tasks[i].path)
@@ -178,14 +178,18 @@ class RunWatch(Watch):
             line += f": {', '.join(failed)}"
         click.echo(printable(line), err=bool(failed) or self._json)
 
-    def _note_what_is_older(self) -> None:
+    def _report_outdated(self) -> None:
         """What was made of all results in OUT stays there when some of them are made anew."""
         summaries = [outcome.summary for outcome in self._outcomes.values()]
         if self._box is not None or all(s is None or s.up_to_date for s in summaries):
             return
         names = [
             *PAGES,
-            *(name for name, made in MADE.items() if (self._out / name / made[-1]).is_file()),
+            *(
+                name
+                for name, names_made in MADE.items()
+                if (self._out / name / names_made[-1]).is_file()
+            ),
         ]
         older = [name for name in names if (self._out / name).exists()]
         if older:

@@ -129,8 +129,8 @@ def _lines(site_result: Site, page: Path, layouts: int) -> Iterator[str]:
     extent = f"{number_of(site_result.frames, 'frame')}, {number_of(layouts, 'layout')}"
     yield f"{name_as_text(page)}: {extent}"
     for one in site_result.contrasts:
-        rate = one.found.tpr
-        false = one.found.false_per_100.value
+        rate = one.rates.tpr
+        false = one.rates.false_per_100.value
         far = f", 90% from {one.span}" if one.reaches else ""
         yield (
             f"  {one.contrast_db:4g} dB: TPR {rate.value:.3f} over "

@@ -86,8 +86,8 @@ def false_claims(case: Case) -> Iterable[UnitSums]:
     minutes = pooled.sums_of_kind(("minutes",), units)
     if pooled.placed and minutes is not None:
         for method in pooled.methods:
-            made = pooled.sums(("false", method), units)
-            yield from false_claim_counts(method, pooled.ids, made, minutes)
+            claims = pooled.sums(("false", method), units)
+            yield from false_claim_counts(method, pooled.ids, claims, minutes)
 
 
 def switches(case: Case) -> Iterable[UnitSums]:

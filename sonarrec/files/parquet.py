@@ -74,11 +74,11 @@ def read_parts(path: Path, rows: int | None) -> tuple[list[str], Iterator[Any]]:
             if rows is None:
                 yield file.read().to_pandas()
             else:
-                given = False
+                any_rows = False
                 for batch in file.iter_batches(rows):
-                    given = True
+                    any_rows = True
                     yield batch.to_pandas()
-                if not given:
+                if not any_rows:
                     yield file.schema_arrow.empty_table().to_pandas()
         except (OSError, pa.ArrowException) as error:
             raise _unreadable(path, error) from None

@@ -73,13 +73,13 @@ def write_overlay(
 ) -> OverlayReport:
     """Draw the results of one log onto its frames, in one pass.
 
-    results: the folder of this log's results, or one that holds it. method: None for the
-    framework. span: frames from the first number up to, not including, the second; None for those
-    of the run. landmarks, sonar, sonar_file, topic: where run.toml does not tell them; they win
-    over it. grid: range rings and bearings in the pictures. observe: called after every frame with
-    the number of frames, where that is known.
-    Raises SonarrecError where something cannot be used or the results are of another log,
-    UsageError where an option cannot be meant.
+    results: the folder of this log's results, or one that holds it. method: None: the framework.
+    span: (first frame, one past the last; None: to the end); None: the frames of the run.
+    landmarks, sonar, sonar_file, topic: replace what run.toml says. grid: whether to draw range
+    rings and bearings. observe: called after every frame with the number of frames, or None if
+    unknown.
+    Raises SonarrecError if something cannot be used or the results are of another log, UsageError
+    for an invalid option.
     """
     path = Path(path)
     _check_targets(targets, path, ground_truth)

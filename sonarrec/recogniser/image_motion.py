@@ -64,10 +64,10 @@ class _Evidence:
     def none(cls) -> _Evidence:
         return cls(np.zeros(2), np.zeros((2, 2)))
 
-    def add(self, found: Registration) -> float:
+    def add(self, registration: Registration) -> float:
         """Take in a frame. Returns the chi-square, of 2 degrees of freedom, of a motion so far."""
-        information = np.linalg.inv(found.covariance[:2, :2] + 1e-9 * np.eye(2))
-        self.vector = KEEP * self.vector + information @ found.motion[:2]
+        information = np.linalg.inv(registration.covariance[:2, :2] + 1e-9 * np.eye(2))
+        self.vector = KEEP * self.vector + information @ registration.motion[:2]
         self.matrix = KEEP * self.matrix + information
         inverse = np.linalg.inv(self.matrix)
         # The faded mean of independent frames varies less than `inverse` says, by this factor.
@@ -128,7 +128,7 @@ class ImageMotion:
         if poor or self._pan_sigma is None or self._since_quick >= LOOK_EVERY:
             quick, crept, moves = self._quick_look(before, turn)
         if moves or poor:
-            found = self._registered(before, start, searched=not moves)
+            found = self._register(before, start, searched=not moves)
             if found is not None and found.match > (match if moves else match + BETTER):
                 self._evidence, self._under_way, self._pause = _Evidence.none(), 0, 0
                 if not crept:
@@ -169,15 +169,15 @@ class ImageMotion:
         assert self._speed is not None
         start = self._speed * seconds
         by_keyframe = self._keyframes.registered(self.pan.picture, start)
-        found = by_keyframe
-        if found is None:
+        registration = by_keyframe
+        if registration is None:
             self._keyframes.clear()
-            found = self._registered(before, start, searched=False)
-            found = found or self._registered(before, start, searched=True)
-        if found is not None:
-            motion = self._accept(found, seconds)
+            registration = self._register(before, start, searched=False)
+            registration = registration or self._register(before, start, searched=True)
+        if registration is not None:
+            motion = self._accept(registration, seconds)
             self._under_way += 1
-            evidence = self._evidence.add(found)
+            evidence = self._evidence.add(registration)
             if by_keyframe is not None:
                 over_stretch = self._keyframes.under_way(by_keyframe)
                 evidence = evidence if over_stretch is None else over_stretch
@@ -193,23 +193,27 @@ class ImageMotion:
         metres, degrees = LOST_M_S * seconds, LOST_DEG_S * seconds
         return Motion(math.degrees(turn), right, ahead, degrees, metres, metres)
 
-    def _registered(
+    def _register(
         self, before: FloatImage, start: FloatArray, *, searched: bool
     ) -> Registration | None:
         """A registration from `start` or from a search; None where it is not believed."""
         now = self.pan.picture
         if searched:
             start = self._registration.searched(before, now)
-        found = self._registration.refined(before, now, start)
-        if found is None or found.loose:
+        registration = self._registration.refined(before, now, start)
+        if registration is None or registration.loose:
             return None
-        return found if found.match >= (LEAST_SEARCHED if searched else LEAST_NEAR) else None
+        return (
+            registration
+            if registration.match >= (LEAST_SEARCHED if searched else LEAST_NEAR)
+            else None
+        )
 
-    def _accept(self, found: Registration, seconds: float) -> Motion:
+    def _accept(self, registration: Registration, seconds: float) -> Motion:
         """The motion that a registration found; the speed and the place by it are kept."""
-        self._keyframes.keep(self.pan.picture, found.motion)
-        self._speed, self._lost = found.motion / seconds, 0
-        return _motion(found)
+        self._keyframes.keep(self.pan.picture, registration.motion)
+        self._speed, self._lost = registration.motion / seconds, 0
+        return _motion(registration)
 
 
 def unknown(seconds: float) -> Motion:
@@ -218,10 +222,10 @@ def unknown(seconds: float) -> Motion:
     return Motion(0.0, 0.0, 0.0, degrees, metres, metres, known=False)
 
 
-def _motion(found: Registration) -> Motion:
+def _motion(registration: Registration) -> Motion:
     """A registration as a Motion, its errors widened by SCALE_ERROR."""
-    right, ahead, turn = found.motion.tolist()
-    sigma = np.hypot(found.sigma, [SCALE_ERROR * right, SCALE_ERROR * ahead, 0])
+    right, ahead, turn = registration.motion.tolist()
+    sigma = np.hypot(registration.sigma, [SCALE_ERROR * right, SCALE_ERROR * ahead, 0])
     return Motion(
         math.degrees(turn),
         right,

@@ -135,11 +135,11 @@ def fetched_results(text: str, cache: Cache) -> Iterator[CachedCopy]:
     items, unfinished = _finished(store, url)
     if not items and not unfinished:
         folders = [url.child(name) for name in store.listing(url)[1]]
-    found = [(folder, *_finished(store, folder)) for folder in folders]
-    items = [item for _, finished, _ in found for item in finished]
+    per_folder = [(folder, *_finished(store, folder)) for folder in folders]
+    items = [item for _, finished, _ in per_folder for item in finished]
     unused = [
         f"{folder.redacted}: left out because its upload is not finished (it has no run.toml)"
-        for folder, _, unfinished in found
+        for folder, _, unfinished in per_folder
         if unfinished
     ]
     if not items:

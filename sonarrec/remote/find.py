@@ -170,15 +170,15 @@ def items_of(log: RemoteLog, store: Store) -> tuple[Url, str, list[Item]]:
             items = [i for i in items if fnmatchcase(i.url.name, pattern)]
         else:
             files, _ = store.listing(url)
-            kept = (*COMPANIONS, METADATA)
-            items = [i for i in files if _belongs(i.url.name, kept)]
+            other_names = (*COMPANIONS, METADATA)
+            items = [i for i in files if _belongs(i.url.name, other_names)]
         if not any(names_a_log(i.url.name) or names_an_image(i.url.name) for i in items):
             raise SonarrecError(f"{url.redacted}: no log and no image here")
         items = store.described(items)
-    there = {str(item.url) for item in items}
+    urls = {str(item.url) for item in items}
     for place in _companions(log, COMPANIONS):
-        if str(place) not in there and (found := store.companion(place)) is not None:
-            items.append(found)
+        if str(place) not in urls and (companion := store.companion(place)) is not None:
+            items.append(companion)
     return root, relative(url, root), items
 
 
@@ -195,8 +195,8 @@ def beside(text: str, name: str) -> tuple[Item | None, int | None]:
     log = RemoteLog(with_literal_name(parse_url(text)))
     store = Store(log.url)
     size = _bytes(log.url, store)
-    found = (store.companion(place) for place in _companions(log, (name,)))
-    return next((item for item in found if item is not None), None), size
+    companions = (store.companion(place) for place in _companions(log, (name,)))
+    return next((item for item in companions if item is not None), None), size
 
 
 def _bytes(log: Url, store: Store) -> int | None:
@@ -214,8 +214,13 @@ def _bytes(log: Url, store: Store) -> int | None:
     return total
 
 
-def _belongs(name: str, kept: tuple[str, ...]) -> bool:
-    return names_a_log(name) or names_an_image(name) or name in kept or name.endswith(COMPANIONS)
+def _belongs(name: str, other_names: tuple[str, ...]) -> bool:
+    return (
+        names_a_log(name)
+        or names_an_image(name)
+        or name in other_names
+        or name.endswith(COMPANIONS)
+    )
 
 
 def _around(log: RemoteLog) -> tuple[Url, Url]:

@@ -104,18 +104,18 @@ class Store:
             import aiohttp
 
             times = aiohttp.ClientTimeout(total=None, sock_connect=30, sock_read=60)
-            given: dict[str, Any] = {"client_kwargs": {"timeout": times, "trust_env": True}}
+            options: dict[str, Any] = {"client_kwargs": {"timeout": times, "trust_env": True}}
         elif url.scheme == "sftp":
             # sshfs would take any host key; () stands for the user's known_hosts.
             from sshfs import SSHFileSystem
 
-            given = SSHFileSystem._get_kwargs_from_urls(url.front)
-            given["known_hosts"] = ()
-            given |= fsspec.config.conf.get("sftp", {}) | {"connect_timeout": 30}
-            return SSHFileSystem(**given)
+            options = SSHFileSystem._get_kwargs_from_urls(url.front)
+            options["known_hosts"] = ()
+            options |= fsspec.config.conf.get("sftp", {}) | {"connect_timeout": 30}
+            return SSHFileSystem(**options)
         else:
-            given = {"use_listings_cache": False}
-        return fsspec.filesystem(url.scheme, **given)
+            options = {"use_listings_cache": False}
+        return fsspec.filesystem(url.scheme, **options)
 
     def _path(self, url: Url) -> str:
         return str(url) if url.is_web else url.path
@@ -134,11 +134,11 @@ class Store:
 
         def ask() -> Item:
             with self._translated(url):
-                given = {"refresh": True} if url.scheme == "s3" else {}
-                found = self._fs.info(self._path(url), **given)
-            if found.get("type") == "directory":
+                options = {"refresh": True} if url.scheme == "s3" else {}
+                info = self._fs.info(self._path(url), **options)
+            if info.get("type") == "directory":
                 raise MissingError(f"{url.redacted}: is a folder, not a file")
-            return _item(url, found)
+            return _item(url, info)
 
         return self._retried(ask, url)
 
@@ -149,8 +149,8 @@ class Store:
             with self._translated(url):
                 return bool(self._fs.info(self._path(url)).get("mimetype") == "text/html")
 
-        found = self.item(url)
-        return None if found is not None and url.is_web and self._retried(is_page, url) else found
+        item = self.item(url)
+        return None if item is not None and url.is_web and self._retried(is_page, url) else item
 
     def listing(self, folder: Url) -> tuple[list[Item], list[str]]:
         """(files, names of folders) in a folder. Raises SonarrecError if it cannot be read."""
@@ -160,9 +160,9 @@ class Store:
                 path = self._path(folder)
                 if folder.is_web:
                     path = path.partition("?")[0].rstrip("/") + "/"
-                given = {"refresh": True} if folder.scheme == "s3" else {}
-                found: list[dict[str, Any]] = self._fs.ls(path, detail=True, **given)
-                return found
+                options = {"refresh": True} if folder.scheme == "s3" else {}
+                entries: list[dict[str, Any]] = self._fs.ls(path, detail=True, **options)
+                return entries
 
         files, folders = [], []
         for entry in self._retried(ask):
@@ -180,8 +180,8 @@ class Store:
         def ask() -> Mapping[str, dict[str, Any]]:
             with self._translated(pattern):
                 path = self._path(pattern).partition("?")[0] if pattern.is_web else pattern.path
-                found: Mapping[str, dict[str, Any]] = self._fs.glob(path, detail=True)
-                return found
+                entries: Mapping[str, dict[str, Any]] = self._fs.glob(path, detail=True)
+                return entries
 
         items = []
         for path, entry in self._retried(ask).items():
@@ -261,11 +261,11 @@ class Store:
     @contextmanager
     def _opened(self, item: Item) -> Iterator[Any]:
         block = 0 if item.url.is_web and (self._streams or item.size is None) else BLOCK_BYTES
-        given: dict[str, Any] = {} if item.url.scheme == "sftp" else {"block_size": block}
+        options: dict[str, Any] = {} if item.url.scheme == "sftp" else {"block_size": block}
         if item.url.is_web or item.url.scheme in ("s3", "gs"):
-            given["cache_type"] = "none"
+            options["cache_type"] = "none"
         with self._translated(item.url):
-            file = self._fs.open(self._path(item.url), "rb", **given)
+            file = self._fs.open(self._path(item.url), "rb", **options)
         try:
             yield file
         finally:

@@ -55,7 +55,7 @@ def render(site: Site) -> str:
         enough=f"{ENOUGH:.0%}",
         colours=[COLOURS[n % len(COLOURS)] for n in range(len(site.contrasts))],
         styles=STYLES,
-        steps=[f"{r.near_m:.1f} to {r.far_m:.1f} m" for r in site.contrasts[0].found.by_range],
+        steps=[f"{r.near_m:.1f} to {r.far_m:.1f} m" for r in site.contrasts[0].rates.by_range],
         rows=[_row(one) for one in site.contrasts],
         over_contrast=_over_contrast(site.contrasts),
         over_range=_over_range(site.contrasts),
@@ -71,15 +71,15 @@ def _cell(rate: Rate, digits: int) -> Cell:
 
 
 def _row(one: ContrastResults) -> Row:
-    found = one.found
+    rates = one.rates
     return Row(
         f"{one.contrast_db:g} dB",
-        _cell(found.tpr, 3),
-        f"{found.tpr.count:,} of {found.tpr.cases:,}",
-        found.tpr.units,
+        _cell(rates.tpr, 3),
+        f"{rates.tpr.count:,} of {rates.tpr.cases:,}",
+        rates.tpr.units,
         one.span,
-        _cell(found.false_per_100, 2),
-        [_cell(r.tpr, 2) for r in found.by_range],
+        _cell(rates.false_per_100, 2),
+        [_cell(r.tpr, 2) for r in rates.by_range],
     )
 
 
@@ -91,7 +91,7 @@ def _contrast_axis(results: Sequence[ContrastResults]) -> Axis:
 
 def _over_contrast(results: Sequence[ContrastResults]) -> Chart:
     """TPR over contrast, with its interval as thin lines."""
-    rates = [one.found.tpr for one in results]
+    rates = [one.rates.tpr for one in results]
     x = _contrast_axis(results).share(np.array([one.contrast_db for one in results]))
     goal = polyline(np.array([0.0, 1.0]), np.array([ENOUGH, ENOUGH]))
     edges = (np.array([getattr(rate, name) for rate in rates]) for name in ("low", "high"))
@@ -108,7 +108,7 @@ def _over_contrast(results: Sequence[ContrastResults]) -> Chart:
 
 def _false_claims(results: Sequence[ContrastResults]) -> Chart:
     """False claims over contrast."""
-    value = np.array([one.found.false_per_100.value for one in results])
+    value = np.array([one.rates.false_per_100.value for one in results])
     up = Axis(0.0, max(1.0, 1.1 * float(np.nanmax(value))))
     texts = [f"{v:.2f} in 100 frames" for v in value]
     return _contrast_chart(results, value, texts, up, "false claims per 100 frames")
@@ -138,17 +138,17 @@ def _contrast_chart(
 
 def _over_range(results: Sequence[ContrastResults]) -> Chart:
     """TPR at the middle of each step of slant range, a line for each contrast."""
-    steps = results[0].found.by_range
+    steps = results[0].rates.by_range
     axis = Axis(steps[0].near_m, steps[-1].far_m)
     x = axis.share(np.array([(r.near_m + r.far_m) / 2 for r in steps]))
     shapes, dots, texts = [], [], []
     goal = polyline(np.array([0.0, 1.0]), np.array([ENOUGH, ENOUGH]))
     shapes.append(Shape(goal, None, "line thin", f"{ENOUGH:.0%}"))
     for n, one in enumerate(results):
-        value = np.array([r.tpr.value for r in one.found.by_range])
+        value = np.array([r.tpr.value for r in one.rates.by_range])
         label = f"{one.contrast_db:g} dB"
         shapes.append(Shape(polyline(x, value), n, f"line style-{n % STYLES}", label))
-        for at, rate in zip(x, one.found.by_range, strict=True):
+        for at, rate in zip(x, one.rates.by_range, strict=True):
             if rate.tpr.cases:
                 text = f"{label}, {rate.near_m:.1f} to {rate.far_m:.1f} m: {rate.tpr.value:.2f}"
                 texts.append(text)

@@ -39,7 +39,7 @@ class ContrastResults:
     """
 
     contrast_db: float
-    found: RecognitionRates
+    rates: RecognitionRates
     near_m: float
     far_m: float
 
@@ -83,11 +83,11 @@ def sentences(results: Sequence[ContrastResults], claims: int, frames: int) -> l
     """The answer: from which contrast on, at which range, how certain, and false claims."""
     lines = []
     good = len(results)
-    while good and results[good - 1].found.tpr.value >= ENOUGH:
+    while good and results[good - 1].rates.tpr.value >= ENOUGH:
         good -= 1
     if good < len(results):
         one = results[good]
-        rate = one.found.tpr
+        rate = one.rates.tpr
         more = " or more" if good + 1 < len(results) else ""
         lines.append(
             f"At {one.contrast_db:g} dB{more} over the floor, landmarks would be recognised in at "
@@ -96,17 +96,17 @@ def sentences(results: Sequence[ContrastResults], claims: int, frames: int) -> l
         )
         lines.append(_certainty(rate))
     else:
-        one = max(results, key=lambda one: one.found.tpr.value)
+        one = max(results, key=lambda one: one.rates.tpr.value)
         lines.append(
             f"At none of these contrasts would landmarks be recognised in {ENOUGH:.0%} of the "
-            f"frames that show them whole; at best in {one.found.tpr.value:.1%}, at "
+            f"frames that show them whole; at best in {one.rates.tpr.value:.1%}, at "
             f"{one.contrast_db:g} dB."
         )
         near = [one for one in results if one.reaches]
         if near:
             lines.append(f"From {near[0].span} they would be, at {near[0].contrast_db:g} dB.")
-    worst = max(results, key=lambda one: one.found.false_per_100.value)
-    false = worst.found.false_per_100
+    worst = max(results, key=lambda one: one.rates.false_per_100.value)
+    false = worst.rates.false_per_100
     lines.append(
         f"False claims: at most {false.value:.1f} in 100 frames, at {worst.contrast_db:g} dB."
         if false.count
@@ -153,10 +153,10 @@ def table(site: Site) -> list[dict[str, Any]]:
     """A row per contrast over all ranges (their columns empty), then one per step of range."""
     rows: list[dict[str, Any]] = []
     for one in site.contrasts:
-        false = one.found.false_per_100
+        false = one.rates.false_per_100
         steps: list[tuple[float | None, float | None, Rate]] = [
-            (None, None, one.found.tpr),
-            *((r.near_m, r.far_m, r.tpr) for r in one.found.by_range),
+            (None, None, one.rates.tpr),
+            *((r.near_m, r.far_m, r.tpr) for r in one.rates.by_range),
         ]
         for near, far, rate in steps:
             row = dict.fromkeys(COLUMNS) | {

@@ -89,13 +89,13 @@ def read_chunk_head(file: BinaryIO, position: int, file_size: int) -> ChunkHead 
 class Contents:
     """A stretch of a file that holds records: the bytes of `file` from `start` to `end`.
 
-    held: how many bytes of memory are reserved for it.
+    reserved: how many bytes of memory are reserved for it.
     """
 
     file: BinaryIO
     start: int
     end: int
-    held: int = 0
+    reserved: int = 0
 
 
 class ChunkStore:
@@ -141,11 +141,11 @@ class ChunkStore:
                 f"{tempfile.gettempdir()}: no room to inflate a chunk of {chunk.size} bytes; make "
                 "room, or set TMPDIR to a folder that has some"
             ) from None
-        return Contents(contents.file, contents.start, contents.start + written, contents.held)
+        return Contents(contents.file, contents.start, contents.start + written, contents.reserved)
 
     def release(self, contents: Contents) -> None:
         """Free the memory or disk space of contents that are no longer needed."""
-        self._free += contents.held
+        self._free += contents.reserved
         if contents.file is self._spill:
             self._spilled = [used for used in self._spilled if used[0] != contents.start]
 
