@@ -60,8 +60,10 @@ def number_of(count: int, noun: str, ending: str = "s") -> str:
 
 
 def name_as_text(name: object) -> str:
-    """A file's name as valid Unicode, for messages and tables: bytes that are no UTF-8 become "
-    "\\xe9."""
+    """A file's name as valid Unicode, for messages and tables.
+
+    Bytes that are no UTF-8 become escapes such as \\xe9.
+    """
     return str(name).encode(errors="surrogateescape").decode(errors="backslashreplace")
 
 
