@@ -117,6 +117,18 @@ def test_upside_down_left_is_right(tmp_path: Path, whole: list[np.ndarray]) -> N
     np.testing.assert_array_equal([frame.image for frame in found], whole)
 
 
+def test_left_and_right_can_be_exchanged(tmp_path: Path, whole: list[np.ndarray]) -> None:
+    """As a note says, for no recording was at hand to see which is which."""
+    records = [gemini_record(k, image[:, ::-1]) for k, image in enumerate(IMAGES)]
+    path = gemini_log(tmp_path / "a.glf", records)
+    with open_log(path, sonar=TILT) as log:
+        next(iter(log))
+        bearings = log.sonar.bearings_deg
+    assert bearings is not None
+    found, _ = read(path, bearings_deg=bearings[::-1])
+    np.testing.assert_array_equal([frame.image for frame in found], whole)
+
+
 @pytest.mark.parametrize("method", [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED])
 def test_either_kind_of_zip(method: int, tmp_path: Path, whole: list[np.ndarray]) -> None:
     found, problems = read(gemini_log(tmp_path / "a.glf", RECORDS, method))

@@ -11,7 +11,8 @@ from sonarrec.readers.raw import HeaderInfo, RawFrame, RawLog, UnusableError
 from sonarrec.records import SonarrecError, Stamps, name_as_text, number_of
 
 _NOTES = (
-    "left and right are as free readers show them; see that a landmark lies on its side",
+    "left and right are as free readers show them; if a landmark lies on the wrong side, state "
+    "bearings_deg in reverse order",
     "times are those of the recording computer, whose time zone is not told; taken as UTC",
 )
 
