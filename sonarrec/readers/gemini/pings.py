@@ -37,7 +37,9 @@ TAIL = np.dtype(
 )  # fmt: skip
 """How it ends, behind the samples and the bearings."""
 _OTHERS = (1, 2, 3, 98, 99)  # types of records: V4, video, status, serial, generic
-STAR, IMAGE, RECORD, RECORD_MARK, END_MARK = ord("*"), 0, 1, 0xEFEF, 0xDEDE
+_STAR, _IMAGE_TYPE, _END_MARK = ord("*"), 0, 0xDEDE
+RECORD, RECORD_MARK = 1, 0xEFEF
+"""What an image's record begins with, behind the message's own head."""
 _ZLIB, _PLAIN = 0, 1  # compressions; 2 is H.264
 _UPSIDE_DOWN = 0xE000  # of `state`
 _MOST_BEAMS, _MOST_BINS = 4096, 2**16
@@ -56,8 +58,8 @@ def record_length(head: bytes) -> int | None:
     if len(head) < HEAD_3.itemsize:
         return None
     fields, beams, bins = _head(head)
-    begins = (fields["star"], fields["type"], fields["record"], fields["mark"])
-    if begins != (STAR, IMAGE, RECORD, RECORD_MARK):
+    marks = (fields["star"], fields["type"], fields["record"], fields["mark"])
+    if marks != (_STAR, _IMAGE_TYPE, RECORD, RECORD_MARK):
         return None
     size = int(fields["size"])
     if not (0 < beams <= _MOST_BEAMS and 0 < bins <= _MOST_BINS and size <= MAX_FRAME_BYTES):
@@ -81,14 +83,14 @@ def begins(head: bytes) -> bool:
     head: its first HEAD_3.itemsize bytes.
     """
     fields = np.frombuffer(head, HEAD, 1)[0]
-    another = fields["star"] == STAR and fields["type"] in _OTHERS
-    ends = head.startswith(END_MARK.to_bytes(2, "little"))
+    another = fields["star"] == _STAR and fields["type"] in _OTHERS
+    ends = head.startswith(_END_MARK.to_bytes(2, "little"))
     return bool(another or ends or record_length(head) is not None)
 
 
 def ended(record: bytes) -> bool:
     """Whether an image's record has its end mark; if a zoomed image follows, that one has it."""
-    return bool(_tail(record)["end"] == END_MARK) or zoomed(record)
+    return bool(_tail(record)["end"] == _END_MARK) or zoomed(record)
 
 
 def zoomed(record: bytes) -> bool:
