@@ -273,15 +273,15 @@ def peak_mb(call: Callable[[], object]) -> float:
 @pytest.fixture
 def on_disk(monkeypatch: pytest.MonkeyPatch) -> None:
     """Already of a few logs the store lies there."""
-    monkeypatch.setattr(store, "IN_MEMORY", 50_000)
+    monkeypatch.setattr(store, "IN_MEMORY", 100_000)
 
 
-@pytest.mark.usefixtures("on_disk", "few_draws")
+@pytest.mark.usefixtures("on_disk")
 def test_memory_of_a_comparison_does_not_grow_with_the_logs(tmp_path: Path) -> None:
-    """Four logs and 13. What was read of a log is twice that of
-    `test_memory_does_not_grow_with_the_logs`: were it kept, nine more would be 4.5 MB."""
+    """Six logs and 15. What was read of a log is twice that of
+    `test_memory_does_not_grow_with_the_logs`: were it kept, nine more would be 9 MB."""
 
-    old, new, table = make_sides(tmp_path / "made", 13, 500, 2)
+    old, new, table = make_sides(tmp_path / "made", 15, 1000, 2)
     pairs = read_pairs(table)
 
     def peak(logs: int) -> float:
@@ -290,7 +290,7 @@ def test_memory_of_a_comparison_does_not_grow_with_the_logs(tmp_path: Path) -> N
         assert len(found[0].logs) == logs
         return peak
 
-    assert peak(13) - peak(4) < 1
+    assert peak(15) - peak(6) < 1
 
 
 def test_a_log_without_any_estimate_counts_as_nothing_claimed(tmp_path: Path) -> None:
@@ -337,14 +337,14 @@ def test_ids_in_another_order_are_put_in_that_of_the_first(tmp_path: Path) -> No
     assert files(tmp_path / "a") == files(tmp_path / "b")
 
 
-@pytest.mark.usefixtures("on_disk", "few_draws")
+@pytest.mark.usefixtures("on_disk")
 def test_memory_does_not_grow_with_the_logs(tmp_path: Path) -> None:
-    """Four logs and 13. What may grow is what a log leaves behind for good: its name, counts and
+    """Six logs and 15. What may grow is what a log leaves behind for good: its name, counts and
     passes (a few kB), and its row in the sums by unit (20 tables of 600 numbers a row, some 50 kB,
-    .5 MB in all). What was read of a log is 2,000 estimates of 17 numbers, .25 MB: were it kept,
-    nine more would be 2.2 MB. `make scoring` measures whole commands over a thousand logs."""
-    pairs = read_pairs(make_logs(tmp_path / "made", 13, 500, 2))
-    few, many = (peak_mb(lambda n=n: summarise(evaluate_many(pairs[:n], jobs=1))) for n in (4, 13))  # type: ignore[misc]
+    .5 MB in all). What was read of a log is 4,000 estimates of 17 numbers, .5 MB: were it kept,
+    nine more would be 4.5 MB. `make scoring` measures whole commands over a thousand logs."""
+    pairs = read_pairs(make_logs(tmp_path / "made", 15, 1000, 2))
+    few, many = (peak_mb(lambda n=n: summarise(evaluate_many(pairs[:n], jobs=1))) for n in (6, 15))  # type: ignore[misc]
     assert many - few < 1
 
 

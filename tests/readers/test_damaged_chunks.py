@@ -201,9 +201,9 @@ def test_a_recording_that_changes_while_it_is_read(
     assert reader.faults
 
 
-def test_times_that_fall_by_the_ten_thousand(tmp_path: Path) -> None:
+def test_times_that_fall_by_the_hundred_thousand(tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
-    count = 10_000
+    count = 20_000
     with HardLog(path) as log:
         log.chunk(((count - n, b"") for n in range(count)), indexed=False)
     reader = ChannelImages(McapRecording(path))
@@ -214,5 +214,5 @@ def test_times_that_fall_by_the_ten_thousand(tmp_path: Path) -> None:
     tracemalloc.stop()
     reader.close()
     assert stamps == list(range(1, count + 1))
-    assert peak < 5e6  # 1 kB each would be 10 MB
+    assert peak < 5e6  # 1 kB each would be 20 MB
     assert time.process_time() - start < 30

@@ -34,7 +34,7 @@ SAMPLE = Path(__file__).resolve().parents[2] / "sample_data" / "pan.mcap"
 def scene_of(seed: int, view_deg: float, beams: int, width_deg: float) -> Scene:
     drawn = random_scene(seed, ("plain", "fading", "low_contrast", "near_miss")[seed % 4])
     sonar = replace(drawn.sonar, field_of_view_deg=view_deg, beams=beams, beam_width_deg=width_deg)
-    return replace(drawn, frames=3, sonar=sonar)
+    return replace(drawn, frames=4, sonar=sonar)
 
 
 @pytest.mark.parametrize(
@@ -135,7 +135,7 @@ def test_whatever_reads_a_log_takes_the_width_that_a_run_takes(
 
     def described(frames: Iterable[Frame], config: Config, *_: object, **__: object) -> None:
         taken.append(config.features.beam_width_deg)
-        assert len([*frames]) == 3
+        assert len([*frames]) == 4
         raise SonarrecError("enough seen")
 
     monkeypatch.setattr(calibrate, "describe", described)

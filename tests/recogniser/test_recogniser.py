@@ -202,9 +202,9 @@ NUMBERS = [
 @pytest.mark.parametrize("name", ["default", "paper"])  # offline is default with another lag
 @pytest.mark.parametrize("value", [0, 1, 2])
 def test_extreme_settings_are_refused_or_run(name, value):
-    log = drawn_log(SECTORS[1], 2, rows=160)
+    log = drawn_log(SECTORS[1], 3, rows=160)
     black = np.zeros_like(log[-1].image)
-    log += (dataclasses.replace(log[-1], index=2, pixels=black),)
+    log += (dataclasses.replace(log[-1], index=3, pixels=black),)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for section, key in NUMBERS:

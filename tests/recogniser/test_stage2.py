@@ -96,7 +96,7 @@ def test_resampling_is_systematic_and_unbiased():
     weight = 0.8 * hit**2 + 0.2 / 300  # Eq. 4
     expected = 300 * weight / weight.sum()
     total = np.zeros(300)
-    runs = 100
+    runs = 200
     for seed in range(runs):
         counts = resampled(score, places, still, seed)
         assert counts.sum() == 300

@@ -207,9 +207,9 @@ def test_a_log_that_cannot_be_read_is_left_out(tmp_path: Path) -> None:
 
 
 def test_memory_is_that_of_one_log_however_many(tmp_path: Path) -> None:
-    """Two logs of 500 frames, and eight. Were their rows kept, six more would be 1 MB; were what
-    was read of them kept, .2 MB."""
-    frames = range(500)
+    """Two logs of 1,000 frames, and eight. Were their rows kept, six more would be 2 MB; were what
+    was read of them kept, .4 MB."""
+    frames = range(1000)
     rows = [(n, 1, 2.0, (n % 20) / 2 - 5, 1, 0.95, 1) for n in frames]
     one = results(tmp_path / "one", rows, frames)
 
@@ -223,8 +223,8 @@ def test_memory_is_that_of_one_log_however_many(tmp_path: Path) -> None:
         tracemalloc.stop()
         return peak
 
-    peak(1)  # imports
-    assert peak(8) - peak(2) < 0.1e6
+    peak(3)  # imports
+    assert peak(8) - peak(2) < 0.2e6
 
 
 def test_faults(tmp_path: Path) -> None:
