@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from contextlib import ExitStack, nullcontext
+from functools import partial
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
@@ -13,13 +14,14 @@ import click
 from sonarrec.cli.bars import fetching, progress
 from sonarrec.cli.endings import PARTLY, leave, say, tell
 from sonarrec.cli.groups import INPUT, NEW_FILE, OUTPUT, command, file_names, option
-from sonarrec.cli.info_text import lines
+from sonarrec.cli.info_text import lines, radii_lines
 from sonarrec.cli.options import landmarks_option, quiet_option
 from sonarrec.cli.options_log import LogChoice, log_options, many_logs_options, named_logs
 from sonarrec.cli.options_remote import CacheChoice, cache_options
 from sonarrec.records import MissingError, SonarrecError, UsageError
 
 if TYPE_CHECKING:
+    from sonarrec.pipeline.radii import RadiusTrials
     from sonarrec.readers.info import LogInfo
     from sonarrec.readers.named_logs import NamedLog
     from sonarrec.records import Origin
@@ -44,6 +46,13 @@ if TYPE_CHECKING:
     metavar="FILE.png",
     help="Draw the stated geometry, and landmarks to scale, onto the first usable frame.",
 )
+@option(
+    OUTPUT,
+    "--try-radii",
+    is_flag=True,
+    help="Recognise a part of the log with radii from half to twice the landmark set's, and print "
+    "in how many frames landmarks are declared with each.",
+)
 @option(OUTPUT, "--json", "as_json", is_flag=True, help="Print JSON. Keys: sonarrec help info.")
 @cache_options
 @quiet_option
@@ -56,6 +65,7 @@ def info(
     log_choice: LogChoice,
     landmarks: str | None,
     preview: Path | None,
+    try_radii: bool,
     as_json: bool,
     cache: CacheChoice,
     quiet: bool,
@@ -69,20 +79,22 @@ def info(
     1: none of it can. LOG may be on a server (`sonarrec help remote`).
 
     --preview draws range rings, bearings, the near edge of the stated floor and three discs of the
-    landmark set onto the first usable frame, so that a wrong geometry is easy to see.
+    landmark set onto the first usable frame, so that a wrong geometry is easy to see. --try-radii
+    is for logs in which `run` declares nothing: it tells whether discs of another size are.
 
     \b
     Examples:
       sonarrec info sample_data/pan.mcap
       sonarrec info --quick *.mcap
       sonarrec info pings/ --tilt-deg 22 --preview pings.png
+      sonarrec info dive.mcap --landmarks ours.toml --try-radii
       sonarrec info --json dive.mcap | jq '.logs[0].images[].usable'
     """
     from sonarrec.results.run_file import PROGRAM
 
     tables: list[dict[str, Any]] = []
     useless = missing = faulty = 0
-    undrawn: SonarrecError | None = None
+    undone: SonarrecError | None = None  # a preview or trial that failed
     logs = named_logs(log, from_file, recursive)
     names = [_name(item) for item in logs]
     if preview is not None:
@@ -104,19 +116,25 @@ def info(
                 continue
             useless += log_info.has_no_frame
             faulty += log_info.has_problems
-            tables.append(log_info.as_table())
+            table = log_info.as_table()
+            tables.append(table)
             if not as_json:
                 say(*([""] if number else []), *lines(log_info))
-            if preview is not None:
-                try:
+            try:
+                if preview is not None:
                     _draw_preview(path, preview, landmarks, reading)
-                except SonarrecError as error:  # raised at the end
-                    undrawn = error
+                if try_radii:
+                    trials = _try_radii(path, log_info, landmarks, reading, quiet)
+                    table["radii"] = trials.as_table()
+                    if not as_json:
+                        say(*radii_lines(trials))
+            except SonarrecError as error:  # raised at the end
+                undone = error
     if as_json:
         head = {"program": PROGRAM, "version": PROGRAM["version"]}
         click.echo(json.dumps({**head, "logs": tables}, indent=2))
-    if undrawn is not None:
-        raise undrawn
+    if undone is not None:
+        raise undone
     if useless == len(logs):
         leave(2 if missing == useless else 1)
     if useless or faulty:
@@ -175,3 +193,19 @@ def _draw_preview(path: str, preview: Path, landmarks: str | None, reading: dict
     with open_log(path, **reading) as opened:
         first = next(iter(opened))
     write_png(preview, draw_preview(first.image, first.fan, landmark_set))
+
+
+def _try_radii(
+    path: str, log_info: LogInfo, landmarks: str | None, reading: dict[str, Any], quiet: bool
+) -> RadiusTrials:
+    """Recognise a part of the log with several radii. Raises SonarrecError if it cannot be read."""
+    from sonarrec.landmarks import load_landmarks
+    from sonarrec.pipeline.radii import try_radii
+    from sonarrec.readers import open_log
+
+    landmark_set = load_landmarks(landmarks or "basin")
+    with open_log(path, **reading) as opened:
+        topic = opened.reading().get("topic")
+    frame_count = next((i.frames for i in log_info.images if i.topic == topic), None)
+    with progress(quiet, title="radii") as step:
+        return try_radii(partial(open_log, path, **reading), landmark_set, frame_count, step)

@@ -9,6 +9,7 @@ from sonarrec.records import number_of
 from sonarrec.times import date_text, is_date
 
 if TYPE_CHECKING:
+    from sonarrec.pipeline.radii import RadiusTrials
     from sonarrec.readers.info import Channel, Container, Images, LogInfo
 
 
@@ -158,3 +159,26 @@ def _origin_lines(images: Images) -> list[str]:
 def _moment(time_ns: int) -> str:
     """A time as a date if it is after 2000, else in seconds."""
     return f"{date_text(time_ns)} UTC" if is_date(time_ns) else f"clock at {time_ns / 1e9:.3f} s"
+
+
+def radii_lines(trials: RadiusTrials) -> list[str]:
+    """In how many frames landmarks are declared, by radius."""
+    rows = [["radius_m", "frames", "of which with"]]
+    for trial in trials.trials:
+        stated = trial.radius_m == trials.stated_m
+        if stated or trial.frames_declared:
+            ids = ", ".join(f"ID.{one}: {count}" for one, count in trial.ids.items())
+            remark = "  (stated)" if stated else ""
+            rows.append([f"{trial.radius_m:.3g}", str(trial.frames_declared), ids + remark])
+    low, high = trials.trials[0].radius_m, trials.trials[-1].radius_m
+    texts = [
+        f"frames of {trials.frames} with a landmark declared ({low:.3g} to {high:.3g} m tried; "
+        "not listed: 0)",
+        *_columns(rows),
+    ]
+    if trials.better is not None:
+        texts.append(
+            f"about {trials.better.radius_m:.3g} m fits better than the {trials.stated_m:g} m "
+            "stated: check radius_m and the range window"
+        )
+    return _entry("radii", texts)

@@ -236,6 +236,9 @@ class RunWatch(Watch):
                 continue
             frames = number_of(summary.frames, "frame")
             lines = [] if summary.up_to_date else table(summary, outcome.folder)
+            if lines and len(self._tasks) == 1 and not any(summary.passes.values()):
+                ask = f"sonarrec info {self._tasks[0].path} --try-radii"
+                lines.append(f"(whether there are discs of another size tells `{ask}`)")
             head = f"{outcome.folder}: {'up to date, ' * summary.up_to_date}{frames}"
             say(head, *(f"  {line}" for line in lines))
 

@@ -1,0 +1,138 @@
+"""`sonarrec info --try-radii`, on a recording of discs of .15 m radius."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sonarrec.landmarks import LandmarkSet, load_landmarks
+from sonarrec.pipeline import radii
+from sonarrec.pipeline.frames import Recogniser
+from sonarrec.pipeline.radii import RadiusTrial, RadiusTrials, try_radii
+from sonarrec.readers import open_log
+from tests.support.command import SAMPLE, sonarrec
+from tests.support.logs import frames, image_folder
+
+TRUE_RADIUS_M, TRUE_IDS = 0.15, {1, 3}
+
+
+def ignore(total: int) -> None:
+    """In place of a progress bar."""
+
+
+def landmarks_of(radius_m: float) -> LandmarkSet:
+    return replace(load_landmarks("basin"), radius_m=radius_m)
+
+
+def landmarks_file(folder: Path, radius_m: float) -> Path:
+    built_in = Path(radii.__file__).parents[1] / "landmark_sets" / "basin.toml"
+    text = built_in.read_text()
+    assert f"radius_m = {TRUE_RADIUS_M}" in text
+    path = folder / "landmarks.toml"
+    path.write_text(text.replace(f"radius_m = {TRUE_RADIUS_M}", f"radius_m = {radius_m}"))
+    return path
+
+
+def test_the_true_radius_is_found_where_nearly_the_diameter_is_stated(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(radii, "MOST_FRAMES", 32)
+    trials = try_radii(partial(open_log, SAMPLE), landmarks_of(0.29), 128, ignore)
+    assert trials.better is not None
+    # The radii tried are a tenth apart, so one is within a twentieth of the truth.
+    assert trials.better.radius_m == pytest.approx(TRUE_RADIUS_M, rel=0.05)
+    assert set(trials.better.ids) == TRUE_IDS
+    assert trials.better.frames_declared > 0.8 * trials.frames
+    assert all(t.frames_declared == 0 for t in trials.trials if t.radius_m > 1.2 * TRUE_RADIUS_M)
+
+
+def test_a_trial_declares_what_a_run_declares(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(radii, "STEPS", 0)
+    trials = try_radii(partial(open_log, SAMPLE), landmarks_of(TRUE_RADIUS_M), 128, ignore)
+    with open_log(SAMPLE) as log:
+        results = list(Recogniser(log).recognise())
+    (trial,) = trials.trials
+    declared = [
+        {e.landmark for e in r.estimates if e.declared and e.method == "framework"} for r in results
+    ]
+    assert trial.frames_declared == sum(map(bool, declared))
+    assert trial.ids == {one: sum(one in ids for ids in declared) for one in sorted(TRUE_IDS)}
+    assert trials.better is None
+
+
+@given(
+    most=st.integers(radii.STRETCHES, radii.MOST_FRAMES), frames=st.integers(1, 10**6) | st.none()
+)
+def test_stretches_are_spread_from_begin_to_end(most: int, frames: int | None) -> None:
+    spans = radii._spans(most, frames)
+    taken = [number for span in spans for number in range(*span)]
+    assert taken == sorted(set(taken))
+    assert len(taken) <= most
+    if frames is None or frames <= most:
+        assert spans == [(0, most)]
+        return
+    assert len(taken) > most - radii.STRETCHES
+    assert (taken[0], taken[-1]) == (0, frames - 1)
+    gaps = {b[0] - a[1] for a, b in pairwise(spans)}
+    assert max(gaps) - min(gaps) <= 1
+
+
+def test_only_few_large_frames_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(radii, "STEPS", 0)
+    with open_log(SAMPLE) as log:
+        monkeypatch.setattr(radii, "MOST_BYTES", 20 * next(iter(log)).pixels.nbytes)
+    assert try_radii(partial(open_log, SAMPLE), landmarks_of(0.15), 128, ignore).frames == 16
+
+
+def test_only_a_clear_difference_counts() -> None:
+    def trials(stated: int, other: int) -> RadiusTrials:
+        return RadiusTrials(
+            0.15, 100, (RadiusTrial(0.136, other, {1: other}), RadiusTrial(0.15, stated, {}))
+        )
+
+    assert trials(0, 8).better is None
+    assert trials(40, 80).better is None
+    better = trials(4, 9).better
+    assert better is not None
+    assert better.radius_m == 0.136
+
+
+def test_the_command_tells_the_radius(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(radii, "MOST_FRAMES", 24)
+    monkeypatch.setattr(radii, "STEPS", 1)
+    stated = landmarks_file(tmp_path, 0.165)
+    words = ("info", "--quick", SAMPLE, "--landmarks", stated, "--try-radii")
+    lines = sonarrec(*words).stdout.splitlines()
+    (at,) = [i for i, line in enumerate(lines) if line.startswith("  radii ")]
+    assert "frames of 24 " in lines[at]
+    assert "0.15 to 0.182 m" in lines[at]
+    assert "(stated)" in lines[at + 3]
+    assert "fits better than the 0.165 m stated: check radius_m" in lines[-1]
+    (log,) = json.loads(sonarrec(*words, "--json").stdout)["logs"]
+    assert log["radii"]["stated_m"] == 0.165
+    assert log["radii"]["better_m"] == pytest.approx(TRUE_RADIUS_M, rel=0.05)
+    assert [t["radius_m"] for t in log["radii"]["trials"]][1] == 0.165
+    assert "radii" not in json.loads(sonarrec(*words[:-1], "--json").stdout)["logs"][0]
+
+
+def test_a_log_without_its_geometry_is_described_all_the_same(tmp_path: Path) -> None:
+    folder = image_folder(tmp_path / "log", frames(3, 30, 24))
+    (folder / "sonar.toml").unlink()
+    result = sonarrec("info", folder, "--try-radii", code=1)
+    assert "3 of 3 can be used" in result.stdout
+    assert "lacks range_min_m" in result.stderr
+    assert "Traceback" not in result.output
+
+
+def test_a_run_that_declares_nothing_names_the_option(tmp_path: Path) -> None:
+    stated = landmarks_file(tmp_path, 0.3)
+    words = ("run", SAMPLE, "-o", tmp_path / "out", "--frames", "0:12")
+    assert "--try-radii" in sonarrec(*words, "--landmarks", stated).stdout
+    assert "--try-radii" not in sonarrec(*words, "--overwrite").stdout
