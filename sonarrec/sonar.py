@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -13,14 +14,15 @@ from sonarrec.files.toml import Finite, from_table, read_toml
 from sonarrec.records import SonarrecError, UsageError
 
 MIN_WINDOW_M = 0.01
+STEEPEST_TILT_DEG = 89.0  # that is assumed; at 90 every disc would be a line in the image (Eq. 1)
 EXAMPLE_SONAR_TOML = """\
 [sonar]
 layout = "fan"              # or "polar": rows = range bins (row 0 nearest), columns = beams
 range_min_m = 1.25
 range_max_m = 3.75
 field_of_view_deg = 28.8
-tilt_deg = 20.0             # downward
-height_m = 0.68             # above the floor; optional
+tilt_deg = 20.0             # downward; optional if height_m is given
+height_m = 0.68             # above the floor; optional if tilt_deg is given
 frame_rate_hz = 4.0         # where frames carry no time; optional
 """
 
@@ -94,19 +96,29 @@ class Sonar:
 
     def missing(self) -> list[str]:
         """The keys without which the geometry is not complete and which it does not state."""
-        needed = ["range_min_m", "range_max_m", "tilt_deg"]
+        needed = ["range_min_m", "range_max_m"]
+        if not self.states_floor:
+            needed.append("tilt_deg")
         if self.bearings_deg is None:
             needed.append("field_of_view_deg")
         return [key for key in needed if getattr(self, key) is None]
 
+    @property
+    def states_floor(self) -> bool:
+        """Whether it tells where the floor is, by the tilt or by the height."""
+        return self.tilt_deg is not None or self.height_m is not None
+
     def complete(self, where: str) -> Geometry:
-        """The geometry. Raises SonarrecError where it lacks a key or contradicts itself."""
-        low, high, tilt, beams = (
-            self.range_min_m,
-            self.range_max_m,
-            self.tilt_deg,
-            self.bearings_deg,
-        )
+        """The geometry. Raises SonarrecError where it lacks a key or contradicts itself.
+
+        If only the height is stated, not the tilt, the beam's axis is taken to meet the floor in
+        the middle of the window, as `geometry.floor_depth` takes it where only the tilt is.
+        """
+        low, high, beams = self.range_min_m, self.range_max_m, self.bearings_deg
+        tilt = self.tilt_deg
+        if tilt is None and self.height_m is not None and low is not None and high is not None:
+            sine = min(max(2 * self.height_m / max(low + high, MIN_WINDOW_M), 0.0), 1.0)
+            tilt = min(round(math.degrees(math.asin(sine)), 2), STEEPEST_TILT_DEG)
         view = self.field_of_view_deg if beams is None else 0.0  # which the beams tell
         if low is None or high is None or tilt is None or view is None:
             missing = self.missing()

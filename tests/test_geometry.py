@@ -17,6 +17,7 @@ from sonarrec.geometry import (
     fan_for_image,
     fan_for_polar,
     fan_mask,
+    floor_depth,
     ground_range,
     in_fan,
     pixel_from_polar,
@@ -310,6 +311,22 @@ def test_contradictions(change: dict[str, Any], says: str) -> None:
         BASIN.updated(Sonar(**change)).complete("here")
     assert "here: " in str(caught.value)
     assert EXAMPLE_SONAR_TOML in str(caught.value)
+
+
+def test_the_height_serves_in_place_of_the_tilt() -> None:
+    """The axis then meets the floor mid-window, as it is assumed if only the tilt is stated."""
+    window = Sonar(range_min_m=1.25, range_max_m=3.75, field_of_view_deg=28.8)
+    by_tilt = fan_for_image(window.updated(Sonar(tilt_deg=20.0)).complete("here"), 256, 191)
+    height = floor_depth(by_tilt)
+    by_height = fan_for_image(window.updated(Sonar(height_m=height)).complete("here"), 256, 191)
+    assert by_height.tilt_deg == pytest.approx(20.0, abs=0.005)
+    assert floor_depth(by_height) == height
+    steep = window.updated(Sonar(height_m=3.0)).complete("here")
+    assert 0 < steep.tilt_deg < 90
+    with pytest.raises(SonarrecError, match="height_m = -1 must be above 0"):
+        window.updated(Sonar(height_m=-1.0)).complete("here")
+    with pytest.raises(SonarrecError, match="lacks tilt_deg"):
+        window.complete("here")
 
 
 def test_what_is_missing_is_named() -> None:

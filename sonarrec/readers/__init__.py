@@ -52,10 +52,11 @@ def open_log(
     try:
         if not raw.polar:
             resolved.complete(where)
-        elif resolved.tilt_deg is None:
+        elif not resolved.states_floor:
             raise SonarrecError(
                 f"{where}: the log states the sonar's geometry except for its tilt; give "
-                "--tilt-deg (downward), or put tilt_deg under [sonar] in a sonar.toml beside it"
+                "--tilt-deg (downward) or --height-m (above the floor), or put tilt_deg or "
+                "height_m under [sonar] in a sonar.toml beside it"
             )
     except SonarrecError:
         raw.close()

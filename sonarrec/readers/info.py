@@ -361,7 +361,7 @@ def _assumed(sonar: Sonar, fan: Fan, polar: bool, timed: int) -> dict[str, Any]:
         "metres_per_pixel": fan.metres_per_pixel,
         "apex_px": [fan.apex_column, fan.apex_row],
     }  # fmt: skip
-    values["height_m"] = floor_depth(fan)
+    values["tilt_deg"], values["height_m"] = fan.tilt_deg, floor_depth(fan)
     if not timed:
         values["frame_rate_hz"] = 1.0
     return {key: value for key, value in values.items() if getattr(sonar, key) is None}

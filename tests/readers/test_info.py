@@ -134,12 +134,14 @@ def test_what_info_counts_is_what_run_uses(tmp_path: Path) -> None:
 
 def test_a_geometry_that_is_missing_is_told_and_costs_no_frame(tmp_path: Path) -> None:
     path = without_geometry(mcap_file(tmp_path / "log.mcap", MESSAGES))
-    found = table(path, "--range-max-m", "9", "--height-m", "0.5")
+    found = table(path, "--range-max-m", "9")
     (images,) = found["images"]
     assert images["usable"] == 20
     assert images["lacks"] == ["range_min_m", "tilt_deg", "field_of_view_deg"]
-    assert images["geometry"] == {"range_max_m": 9, "height_m": 0.5}
+    assert images["geometry"] == {"range_max_m": 9}
     assert images["geometry_from"] is None
+    (images,) = table(path, "--range-max-m", "9", "--height-m", "0.5")["images"]
+    assert images["lacks"] == ["range_min_m", "field_of_view_deg"]
     text = info(path, "--range-max-m", "9").output
     assert "20 of 20 can be used, once the geometry is complete" in text
     assert "give --range-min-m --tilt-deg --field-of-view-deg, or put a sonar.toml" in text

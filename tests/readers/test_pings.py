@@ -70,6 +70,9 @@ def test_the_tilt_is_the_users(tmp_path: Path) -> None:
     assert (frame.fan.tilt_deg, frame.fan.height_m) == (12.0, 0.3)
     assert not problems
     assert not notes
+    (frame,), problems, _ = read(path, sonar=Sonar(height_m=0.3))
+    assert frame.fan.height_m == 0.3
+    assert not problems
 
 
 def test_a_window_that_changes(tmp_path: Path) -> None:
