@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from shlex import quote
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
@@ -237,8 +238,8 @@ class RunWatch(Watch):
             frames = number_of(summary.frames, "frame")
             lines = [] if summary.up_to_date else table(summary, outcome.folder)
             if lines and len(self._tasks) == 1 and not any(summary.passes.values()):
-                ask = f"sonarrec info {self._tasks[0].path} --try-radii"
-                lines.append(f"(whether there are discs of another size tells `{ask}`)")
+                again = f"sonarrec info {quote(self._tasks[0].path)} --try-radii"
+                lines.append(f"`{again}`, with the same options, looks for discs of another size")
             head = f"{outcome.folder}: {'up to date, ' * summary.up_to_date}{frames}"
             say(head, *(f"  {line}" for line in lines))
 

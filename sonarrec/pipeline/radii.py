@@ -75,8 +75,9 @@ def try_radii(
         first = next(iter(log))
         most = max(min(MOST_FRAMES, MOST_BYTES // first.pixels.nbytes), STRETCHES)
     frames = [f for span in _spans(most, frame_count) for f in _within(open_again(), span)]
-    radii_m = [float(f"{landmarks.radius_m * STEP**k:.3g}") for k in range(-STEPS, STEPS + 1)]
-    radii_m[STEPS] = landmarks.radius_m
+    others = [float(f"{landmarks.radius_m * STEP**k:.3g}") for k in range(-STEPS, STEPS + 1) if k]
+    visible = [radius_m for radius_m in others if radius_m <= first.fan.range_max_m]
+    radii_m = sorted([*visible, landmarks.radius_m])
     trials = []
     for radius_m in radii_m:
         recogniser = Recogniser(log, landmarks=replace(landmarks, radius_m=radius_m))

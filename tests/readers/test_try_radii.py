@@ -17,6 +17,7 @@ from sonarrec.pipeline import radii
 from sonarrec.pipeline.frames import Recogniser
 from sonarrec.pipeline.radii import RadiusTrial, RadiusTrials, try_radii
 from sonarrec.readers import open_log
+from sonarrec.records import SonarrecError
 from tests.support.command import SAMPLE, sonarrec
 from tests.support.logs import frames, image_folder
 
@@ -89,6 +90,14 @@ def test_only_few_large_frames_are_kept(monkeypatch: pytest.MonkeyPatch) -> None
     with open_log(SAMPLE) as log:
         monkeypatch.setattr(radii, "MOST_BYTES", 20 * next(iter(log)).pixels.nbytes)
     assert try_radii(partial(open_log, SAMPLE), landmarks_of(0.15), 128, ignore).frames == 16
+
+
+def test_no_disc_is_tried_that_the_sonar_cannot_see() -> None:
+    first = partial(open_log, str(SAMPLE / "00000*.png"))
+    trials = try_radii(first, landmarks_of(3.0), 10, ignore)
+    assert max(t.radius_m for t in trials.trials) == 3.63  # its window ends at 3.75 m
+    with pytest.raises(SonarrecError, match="larger than what this sonar sees"):
+        try_radii(first, landmarks_of(4.0), 10, ignore)
 
 
 def test_only_a_clear_difference_counts() -> None:
