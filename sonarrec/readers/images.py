@@ -29,14 +29,15 @@ def natural_order(path: str | Path) -> str:
     return f"{_NUMBER.sub(_led_by_its_length, text)}\0\0{text}"
 
 
-# Seconds since 1970 with their fraction, at whose end programs leave out zeros; else whole numbers.
-_NUMBER = re.compile(r"1[0-9]{9}\.[0-9]+|[0-9]+")
+# Seconds since 1970 with their fraction, at whose end programs leave out zeros, or all of it; else
+# whole numbers.
+_NUMBER = re.compile(r"(1[0-9]{9})(?:\.([0-9]+)|(?![0-9]))|[0-9]+")
 
 
 def _led_by_its_length(number: re.Match[str]) -> str:
-    whole, point, fraction = number[0].partition(".")
-    digits = whole.lstrip("0")
-    return f"\0{len(digits):04d}{digits}{point}{fraction}"
+    seconds, fraction = number.groups(default="")
+    digits = seconds or number[0].lstrip("0")
+    return f"\0{len(digits):04d}{digits}{'.' if seconds else ''}{fraction}"
 
 
 def names_an_image(name: str) -> bool:

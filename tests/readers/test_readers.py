@@ -342,6 +342,8 @@ def test_seconds_since_1970_come_in_the_order_of_their_value() -> None:
     seconds = [1700000000.0, 1700000000.0625, 1700000000.25, 1700000000.5, 1700000000.5123456]
     names = [f"sonar_{s}.png" for s in (*seconds, 1700000001.0)]
     assert sorted(names, key=natural_order) == names
+    names = [f"{s}.png" for s in ("1699999999.75", "1700000000", "1700000000.25", "17000000000")]
+    assert sorted(names, key=natural_order) == names  # JavaScript leaves out .0 as well
     dates = [
         f"{date}.png" for date in ("20231101.9", "20231101.10", "2023110112.9", "2023110112.10")
     ]
