@@ -66,10 +66,15 @@ class LandmarkSet:
         return np.asarray(np.where(ring, 1.0, np.where(symbol, on, 0.0)))
 
     def periods_deg(self) -> FloatArray:
-        """(K,) the smallest turn, in deg, that leaves each ID's symbol as it was; 360 mostly."""
+        """(K,) the smallest turn, in deg, that leaves each ID's symbol as it was; 360 mostly.
+
+        NaN if every turn does: such a symbol, all bright or all dark, has no orientation.
+        """
         count = len(self.sectors[0])
         turns = [
-            next(n for n in range(1, count + 1) if code[n:] + code[:n] == code)
+            np.nan
+            if len(set(code)) == 1
+            else next(n for n in range(1, count + 1) if code[n:] + code[:n] == code)
             for code in self.sectors
         ]
         return np.asarray(turns, dtype=float) * (360 / count)

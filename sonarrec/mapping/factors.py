@@ -79,7 +79,9 @@ def _of_pass(site: SiteMap, number: int, g: int, k: int) -> FloatArray:
     row, (slant, bearing, turn) = declared.row[estimates], declared.polar[estimates].T
     ground = ground_range(log.fan, slant)
     period = float(periods_of(site.landmark_set, np.array([landmark.id]))[0])
-    if not math.isnan(landmark.turn_deg):
+    if math.isnan(period):
+        turn = np.full(len(row), np.nan)
+    elif not math.isnan(landmark.turn_deg):
         off = turn - (landmark.turn_deg + log.path.pose[row, 0])
         turn = turn - period * np.round(off / period)
     # The share of a frame's variance that remains in the mean of the pass.

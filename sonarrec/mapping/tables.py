@@ -290,10 +290,11 @@ def lines(site: SiteMap) -> list[str]:
     for number, landmark in enumerate(site.landmarks, 1):
         x, y = axes.place(landmark.place)
         sigma = math.sqrt(float(np.linalg.eigvalsh(landmark.covariance)[-1]))
-        turn = axes.turn(landmark.turn_deg, periods[landmark.id])
+        angles = axes.turn(landmark.turn_deg, periods[landmark.id]), landmark.turn_sigma_deg
+        turn, turn_sigma = ("-" if math.isnan(angle) else f"{angle:.1f}" for angle in angles)
         frames = sum(int(site.logs[g].on_floor.passes.frames[k]) for g, k in landmark.members)
         rows.append(
-            f"{number:>6}  {landmark.id:>8}  {x:>8.3f}  {y:>8.3f}  {sigma:>7.3f}  {turn:>11.1f}  "
-            f"{landmark.turn_sigma_deg:>5.1f}  {len(landmark.members):>6}  {frames:>6}"
+            f"{number:>6}  {landmark.id:>8}  {x:>8.3f}  {y:>8.3f}  {sigma:>7.3f}  {turn:>11}  "
+            f"{turn_sigma:>5}  {len(landmark.members):>6}  {frames:>6}"
         )
     return rows + left_out

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,12 +12,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+import tomli_w
 from click.testing import CliRunner
 
 from sonarrec.cli import main
 from sonarrec.evaluation.counting.uncertainty import Figure
 from sonarrec.evaluation.evaluate import evaluate
 from sonarrec.evaluation.summary import Summary, _notes, summarise
+from sonarrec.landmarks import load_landmarks
 from tests.support.claims import evaluated, joined
 
 
@@ -175,6 +178,15 @@ def test_orientation_from_files(tmp_path: Path) -> None:
     for landmark, error in (("1", 20), ("2", 5)):
         assert value(summary, "orientation_error_median_deg", "m", landmark) == error
     assert math.isnan(value(summary, "orientation_error_median_deg", "m", "3"))
+    plain = replace(
+        load_landmarks("basin"), sectors=((1, 0, 0, 0), (1, 1, 1, 1), (1, 1, 0, 0), (0, 0, 0, 0))
+    )
+    (tmp_path / "plain.toml").write_text(tomli_w.dumps(plain.as_table()))
+    summary = summarise(
+        evaluate(tmp_path, tmp_path / "gt.csv", landmarks=str(tmp_path / "plain.toml"))
+    )
+    assert value(summary, "orientation_error_median_deg", "m", "1") == 20
+    assert math.isnan(value(summary, "orientation_error_median_deg", "m", "2"))  # no orientation
 
 
 # --- Calibration ---------------------------------------------------------------------------------

@@ -214,6 +214,23 @@ def test_each_landmark_once_where_it_lies(mapped: Path) -> None:
     assert len({(row["x_m"], row["y_m"]) for row in rows}) == 3
 
 
+def test_a_symbol_that_looks_the_same_at_every_turn_has_no_orientation(tmp_path: Path) -> None:
+    """It is all bright; its mean of arbitrary turns was written, within the width of a sector."""
+    given = tmp_path / "set.toml"
+    rows = [f"[[landmark]]\nid = {i}\nsectors = {s}\n" for i, s in ((1, [1, 0]), (2, [1, 1]))]
+    head = 'name = "s"\nradius_m = 0.15\nring = [0.8, 1.0]\nsymbol = [0.0, 0.6]\n'
+    given.write_text(head + "".join(rows))
+    folder = results(tmp_path / "dive", there_and_back(), there_and_back())
+    told = sonarrec("map", folder, "--landmarks", given, "--origin", "54,10,0").stdout
+    for name, count in (("map", 3), ("passes", 6), ("factors", 30)):
+        found = table(folder / "map" / f"{name}.csv")
+        assert len(found) == count
+        for row in found:
+            cells = row["orientation_deg"], row["orientation_sigma_deg"]
+            assert all(cells) if row["landmark"] == "1" else cells == ("", "")
+    assert [line.split()[5:7] for line in told.splitlines()[-1:]] == [["-", "-"]]
+
+
 def test_from_where_each_was_seen(mapped: Path) -> None:
     path = there_and_back()
     for row in table(mapped / "passes.csv"):
