@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from sonarrec.config import Config
+from sonarrec.config import Config, preset
 from sonarrec.files.outputs import write_csv, writing
 from sonarrec.geometry import floor_depth, slant_range
 from sonarrec.landmarks import LandmarkSet, load_landmarks
@@ -154,7 +154,8 @@ def survey(
 ) -> Background:
     """Read a recording once, for the sonar's path.
 
-    config: says how the motion is measured; it may state the beam width. poses: if given, the
+    config: says how the motion is measured; if it does not measure it, `default` does. It may also
+    state the beam width. poses: if given, the
     motion is taken from them, not measured between the images. step: called after each frame with
     the number of frames, or None if that is unknown.
     Raises SonarrecError if the recording cannot be used or has no room for a disc in view.
@@ -166,7 +167,9 @@ def survey(
         if not begin:
             raise UsageError(f"{where}: no frame lies in --frames {span[0]}:{span[1] or ''}")
         fan = begin[0].fan
-        gathered = _Survey(begin[0], where, landmarks, config, poses)
+        # `paper` does not measure the motion, but discs lie on the floor whatever runs there later.
+        measuring = config if config.continuity.motion == "image" else preset("default")
+        gathered = _Survey(begin[0], where, landmarks, measuring, poses)
         for frame in chain(begin, frames):
             gathered.add(frame)
             if step:

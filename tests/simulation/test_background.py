@@ -179,6 +179,15 @@ def test_the_path_and_the_truth_follow_the_known_pan(background: Background, sce
             assert row.orientation_deg == pytest.approx((30 + pan) % 360, abs=2e-3)
 
 
+def test_discs_lie_on_the_floor_also_where_paper_runs_there(
+    recording: Path, background: Background
+) -> None:
+    """That preset measures no motion: `site` laid discs that went along with the sonar."""
+    paper = survey(lambda: open_log(recording), BASIN, preset("paper"))
+    assert paper.path == background.path
+    assert paper.unknown == 0
+
+
 def test_told_poses_carry_the_discs(recording: Path, tmp_path: Path) -> None:
     """A sonar told to go 2 cm ahead a frame: a disc comes 2 cm nearer over the ground."""
     rate = open_log(recording).sonar.frame_rate_hz or 1.0
