@@ -20,10 +20,10 @@ from sonarrec.overlay.foxglove_layout import LAYOUT_BEGIN, write_layout
 from sonarrec.overlay.foxglove_mcap import FAN_TOPIC, FoxgloveFile
 from sonarrec.overlay.video import ImageFolder, VideoFile
 from sonarrec.readers import open_log
-from sonarrec.readers.find import find_log
+from sonarrec.readers.find import Source, find_log
 from sonarrec.readers.log import Log
 from sonarrec.records import Estimate, Fan, Frame, MissingError, SonarrecError, UsageError
-from sonarrec.results.folders import estimates_of, part_of
+from sonarrec.results.folders import estimates_of, part_of, possible_names
 from sonarrec.results.read import read_frames, read_log
 from sonarrec.results.run_file import LogOptions, read_run
 from sonarrec.results.same_log import check_same_log, last_frame
@@ -84,7 +84,7 @@ def write_overlay(
     path = Path(path)
     _check_targets(targets, path, ground_truth)
     source = find_log(path)
-    folder = _results_folder(path, source.name, results)
+    folder = _results_folder(path, source, results)
     run = read_run(folder / "run.toml")
     landmark_set = run.landmark_set(landmarks)
     log_options = run.complete(
@@ -215,17 +215,20 @@ def _open_outputs(
     return _Outputs(annotations, pictures, landmarks)
 
 
-def _results_folder(path: Path, name: str, results: Path) -> Path:
+def _results_folder(path: Path, source: Source, results: Path) -> Path:
     """The log's own folder of results, else what a stopped run left.
 
-    name: of the log at `path`. Raises SonarrecError where there is none.
+    source: the log at `path`. Raises SonarrecError where there is none.
     """
-    for folder in (results, part_of(results), results / name, part_of(results / name)):
-        if (folder / "frames.csv").is_file():
-            return folder
+    # A run of several logs of one name put the names of their folders in front.
+    names = possible_names(source.name, source.place.resolve())
+    for place in (results, *(results / name for name in names)):
+        for folder in (place, part_of(place)):
+            if (folder / "frames.csv").is_file():
+                return folder
     kind = SonarrecError if results.is_dir() else MissingError
     raise kind(
-        f"{results}: no results of {path} here (no frames.csv, nor {name}/frames.csv); "
+        f"{results}: no results of {path} here (no frames.csv, nor {source.name}/frames.csv); "
         f"`sonarrec run {path}` writes them"
     )
 

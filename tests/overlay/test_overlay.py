@@ -724,6 +724,15 @@ def test_results_of_a_packed_log_of_any_name_are_found(tmp_path: Path) -> None:
     assert write_overlay(packed, targets, results=tmp_path / "out").frames == 2
 
 
+@pytest.mark.usefixtures("work")
+def test_results_named_with_the_folder_of_the_log_are_found() -> None:
+    """A run of several logs of one name names them so."""
+    for name in ("log", "log.part"):
+        Path("sonarrec_out", "log").rename(Path("sonarrec_out", f"{Path.cwd().name}-{name}"))
+        assert "4 frames" in sonarrec("overlay", "log", "--images", "shots").stdout
+        Path("sonarrec_out", f"{Path.cwd().name}-{name}").rename(Path("sonarrec_out", "log"))
+
+
 def test_the_frames_drawn_are_those_that_were_run(work: Path) -> None:
     """Nobody looked at the others: an empty picture of them would say that nothing is there."""
     run = work / "sonarrec_out" / "log" / "run.toml"
