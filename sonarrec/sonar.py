@@ -124,7 +124,7 @@ class Sonar:
             missing = self.missing()
             raise SonarrecError(
                 f"{where}: sonar geometry lacks {', '.join(missing)}. Put a sonar.toml beside "
-                f"the log (or use --sonar FILE, or flags such as "
+                "the log, or into it if it is a folder (or use --sonar FILE, or flags such as "
                 f"--{missing[0].replace('_', '-')}); like this:\n{EXAMPLE_SONAR_TOML}"
             )
         wrong = self.contradiction()

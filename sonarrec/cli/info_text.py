@@ -126,7 +126,7 @@ def _geometry_lines(images: Images) -> list[str]:
     if images.lacks:
         flags = " ".join(f"--{key.replace('_', '-')}" for key in images.lacks)
         out.append(f"lacks {', '.join(images.lacks)}")
-        out.append(f"give {flags}, or put a sonar.toml beside the log:")
+        out.append(f"give {flags}, or put a sonar.toml beside the log, or into it if a folder:")
         out.append("`sonarrec help geometry` has one to copy")
     return [text for text in out if text]
 

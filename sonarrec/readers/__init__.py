@@ -56,7 +56,8 @@ def open_log(
             raise SonarrecError(
                 f"{where}: the log states the sonar's geometry except for its tilt; give "
                 "--tilt-deg (downward) or --height-m (above the floor), or put tilt_deg or "
-                "height_m under [sonar] in a sonar.toml beside it"
+                "height_m under [sonar] in a sonar.toml beside it "
+                "(in it, if it is a folder)"
             )
     except SonarrecError:
         raw.close()

@@ -73,7 +73,7 @@ def test_a_log_without_truth_is_left_out_and_said(logs: Path) -> None:
     truth(logs / "logs" / "a.gt.csv", range(4))
     done = command(logs / "out", code=3)
     assert "out/b: no ground truth: no b.gt.csv, nor gt.csv beside" in done.stderr
-    assert "out/pings: no ground truth: no gt.csv beside" in done.stderr
+    assert f"no gt.csv in {logs}/logs/pings, nor pings.gt.csv in or beside it" in done.stderr
     assert evaluate(logs / "out").joined.logs == ("a",)
 
 

@@ -133,8 +133,8 @@ def truth_note(pair: Pair) -> str:
 def _truth_beside(folder: Path, source: Input, find_beside: FindBeside | None) -> Path:
     """NAME.gt.csv, else gt.csv, beside the log that results were made from.
 
-    For a folder of images, the gt.csv in it. Raises SonarrecError if there is none, or if the log
-    was replaced by another one.
+    For a folder, of images or a bag, those in it, else NAME.gt.csv beside it. Raises SonarrecError
+    if there is none, or if the log was replaced by another one.
     """
     if source.path is None:
         raise SonarrecError(f"{folder}: no ground truth: run.toml does not say where the log is")
@@ -142,21 +142,24 @@ def _truth_beside(folder: Path, source: Input, find_beside: FindBeside | None) -
         if is_url(source.path):
             if find_beside is None:
                 raise SonarrecError(f"its log is on a server, {source.path}")
-            log, own_name = source.path, f"{log_name(Path(source.path))}.{TRUTH_FILE}, nor "
+            log = source.path
+            searched = f"{log_name(Path(log))}.{TRUTH_FILE}, nor {TRUTH_FILE} beside {log}"
             truth, size = find_beside(log, TRUTH_FILE)
         else:
             log_source = _log_at(source.path, folder, source.place)
             log = str(log_source.path)
-            own_name = (
-                f"{log_name(log_source.path)}.{TRUTH_FILE}, nor "
-                if log_source.files == [log_source.path]
-                else ""
+            place = log_source.place
+            name = f"{log_name(place)}.{TRUTH_FILE}"
+            searched = (
+                f"{TRUTH_FILE} in {place}, nor {name} in or beside it"
+                if place.is_dir()
+                else f"{name}, nor {TRUTH_FILE} beside {log}"
             )
             truth, size = log_source.beside(TRUTH_FILE), _size(log_source)
     except SonarrecError as error:
         raise SonarrecError(f"{folder}: no ground truth: {error}") from None
     if truth is None:
-        raise SonarrecError(f"{folder}: no ground truth: no {own_name}{TRUTH_FILE} beside {log}")
+        raise SonarrecError(f"{folder}: no ground truth: no {searched}")
     if size is not None and source.bytes not in (None, size):
         raise SonarrecError(
             f"{folder}: no ground truth: {log} has changed since the run (it had "
