@@ -15,6 +15,7 @@ from sonarrec.landmarks import LandmarkSet
 from sonarrec.learning.fit import fit
 from sonarrec.learning.samples import Samples, Tracks, describe, label
 from sonarrec.readers import open_log
+from sonarrec.readers.find import find_log
 from sonarrec.readers.log import Log
 from sonarrec.recogniser.beam_width import FRAMES_FOR_BEAMS, with_beams
 from sonarrec.recogniser.stage3_features.model import AppearanceModel, built_in_model
@@ -28,6 +29,7 @@ from sonarrec.records import (
     number_of,
     printable,
 )
+from sonarrec.results.folders import possible_names
 from sonarrec.sonar import Sonar
 from sonarrec.truth.fits import (
     as_proposed,
@@ -132,17 +134,19 @@ def learn(
         with open_log(
             path, sonar=sonar, sonar_file=sonar_file, topic=topic, time=time or "log"
         ) as log:
-            if log.name in names:
-                raise UsageError(f"{path}: a second log {log.name!r}; the truth tells logs by name")
-            names.append(log.name)
-            tracks, beams = _tracks_of(log, config, landmarks, observe)
+            # As its results are named, which is by more than its own name beside a namesake.
+            name = table.name_of(possible_names(log.name, find_log(log.path).place.resolve()))
+            if name in names:
+                raise UsageError(f"{path}: a second log {name!r}; the truth tells logs by name")
+            names.append(name)
+            tracks, beams = _tracks_of(log, name, config, landmarks, observe)
             notes += beams
             problems += log.problems
         truth = match_truth(table, tracks)
         fault = misfit(table, tracks, truth)
         if fault is not None:
             misfits.append(fault)
-            problems.append(f"{fault}; nothing is learned from {log.name}")
+            problems.append(f"{fault}; nothing is learned from {name}")
             continue
         lesson = _lesson(table, tracks, truth)
         notes += lesson.notes
@@ -199,15 +203,22 @@ def _lesson(table: TruthTable, tracks: Tracks, truth: Truth) -> _Lesson:
 
 
 def _tracks_of(
-    log: Log, config: Config, landmarks: LandmarkSet, observe: Callable[[], object] | None
+    log: Log,
+    name: str,
+    config: Config,
+    landmarks: LandmarkSet,
+    observe: Callable[[], object] | None,
 ) -> tuple[Tracks, list[str]]:
-    """A log's tracks, described, and a note if its beams have not the usual width."""
+    """A log's tracks, described, and a note if its beams have not the usual width.
+
+    name: of the log in the truth.
+    """
     rest = iter(log)
     begin = [*islice(rest, FRAMES_FOR_BEAMS)]
     (own,), beams = with_beams([config], log.beam_width_deg, begin)
     frames = _observed(chain(begin, rest), observe)
-    notes = [f"{log.name}: {line}" for line in beams]
-    return describe(frames, own, landmarks, name=log.name), notes
+    notes = [f"{name}: {line}" for line in beams]
+    return describe(frames, own, landmarks, name=name), notes
 
 
 def _truth_with_places(path: Path, logs: int) -> TruthTable:

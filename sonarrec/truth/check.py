@@ -89,7 +89,7 @@ def check_truth(
     table = read_rows(path)
     # As its results are named, which is by more than its own name beside a namesake.
     names = possible_names(log.name, find_log(log.path).place.resolve())
-    row = next(filter(len, map(table.rows_of, names)), table.rows_of(log.name))
+    row = table.rows_of(table.name_of(names))
     if len(table.at) and not len(row):
         named = ", ".join(sorted({repr(str(name)) for name in table.log}))
         raise SonarrecError(f"{path}: its log column does not name {log.name}; it has {named}")

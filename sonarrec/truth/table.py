@@ -82,6 +82,16 @@ class TruthTable:
             return np.arange(len(self.at))
         return np.flatnonzero(self.log == name)
 
+    def name_of(self, names: Sequence[str]) -> str:
+        """The name by which the log column calls a log; the first if it names none.
+
+        names: that its results may have, the most precise last (`folders.possible_names`).
+        """
+        if self.log is None:
+            return names[0]
+        named = set(self.log.unique())
+        return next((name for name in reversed(names) if name in named), names[0])
+
     def digest_of(self, rows: IntArray) -> str:
         """A digest of all that some rows say, by which copies of a truth are recognised."""
         kind, *position = self.position or (None,)

@@ -316,6 +316,26 @@ def test_a_run_toml_tells_landmarks_and_geometry_as_it_does_run(tmp_path, monkey
     assert Path("by_run.toml").read_bytes() == Path("stated.toml").read_bytes()
 
 
+def test_logs_of_one_name_are_known_by_their_folders(tmp_path):
+    """As their results are named: the second was refused, and one alone held no landmark."""
+    head, *rows = (SAMPLES / "pan" / "gt.csv").read_text().splitlines()
+    rows = [row for row in rows if int(row.partition(",")[0]) < 12]
+    table = [f"log,{head}"]
+    for day in ("a", "b"):
+        log = tmp_path / day / "pan"
+        log.mkdir(parents=True)
+        for name in ("sonar.toml", *(f"{n:06d}.png" for n in range(12))):
+            (log / name).write_bytes((SAMPLES / "pan" / name).read_bytes())
+        table += [f"{day}-pan,{row}" for row in rows]
+    truth = labelled(tmp_path / "gt.csv", "\n".join([*table, ""]))
+    logs = [tmp_path / "a" / "pan", tmp_path / "b" / "pan"]
+    report = learn(logs, truth, preset("default"), BASIN)
+    assert (report.logs, report.frames, report.problems) == (("a-pan", "b-pan"), 24, [])
+    alone = learn(logs[1:], truth, preset("default"), BASIN)
+    assert [2 * frames for frames, _ in alone.seen] == [frames for frames, _ in report.seen]
+    assert alone.seen[0][0] > 0
+
+
 def test_truth_on_frames_that_are_not_there_is_told(tmp_path):
     with (SAMPLES / "pan.gt.csv").open() as file:
         text = file.read()

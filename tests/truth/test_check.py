@@ -138,6 +138,9 @@ def test_a_log_is_known_by_its_folders_and_its_name(tmp_path: Path, log: Path) -
     for name in two:
         found = checked(truth(tmp_path, [f"{name},0,9,2,0", "b-pings,0,1,2,0"], header), log)
         assert ([fault.line for fault in found.faults], found.others) == ([2], 1)
+    # A namesake in another folder may have the short name; its rows were taken.
+    found = checked(truth(tmp_path, ["pings,0,1,2,0", f"{two[0]},0,9,2,0"], header), log)
+    assert ([fault.line for fault in found.faults], found.others) == ([3], 1)
     glob = checked(truth(tmp_path, [f"{two[0]},0,9,2,0"], header), log / "*.png")
     assert [fault.line for fault in glob.faults] == [2]
 
