@@ -12,7 +12,7 @@ from typing import overload
 import numpy as np
 
 from sonarrec.readers.pixels import decode_image, pgm_maxval
-from sonarrec.readers.raw import RawFrame, RawLog, UnusableError
+from sonarrec.readers.raw import HeaderInfo, RawFrame, RawLog, UnusableError
 from sonarrec.records import IMAGE_SUFFIXES, name_as_text
 
 MAX_FILE_BYTES = 2**27  # an image of 4096 x 4096 pixels of eight bytes
@@ -92,6 +92,26 @@ class ImagePaths(Sequence[Path]):
         return len(self._texts)
 
 
+def _not_as_numbered(files: Sequence[Path]) -> tuple[int, str] | None:
+    """(index, name) of the first image whose number in its name does not follow from the first's.
+
+    None if there is none, and if the names differ in more than one number or lack more numbers than
+    they have: then these are times, or every tenth frame.
+    """
+    first = number = 0
+    around, uncounted = None, None
+    for index, file in enumerate(files):
+        parts = re.fullmatch(r"(.*?)(?<![0-9])([0-9]{1,9})([^0-9]*)", file.stem, re.DOTALL)
+        if parts is None or parts.group(1, 3) != (around := around or parts.group(1, 3)):
+            return None
+        number = int(parts[2])
+        if index == 0:
+            first = number
+        if uncounted is None and number - first != index:
+            uncounted = index, file.name
+    return uncounted if number - first < 2 * len(files) else None
+
+
 class ImageFiles(RawLog):
     """One image file a frame, in natural order of the names.
 
@@ -105,6 +125,14 @@ class ImageFiles(RawLog):
         self._stamped = all(
             re.fullmatch(r"[0-9]{19}", f.stem) and int(f.stem) < 2**63 for f in self.files
         )
+        if not self._stamped and (uncounted := _not_as_numbered(self.files)) is not None:
+            index, name = uncounted
+            self.header_info = HeaderInfo(
+                notes=(
+                    "the names of its images leave out or repeat numbers, but frames are counted: "
+                    f"{name_as_text(name)} is frame {index}",
+                )
+            )
 
     def __iter__(self) -> Iterator[RawFrame]:
         for number, file in enumerate(self.files):

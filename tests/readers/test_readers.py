@@ -350,6 +350,30 @@ def test_seconds_since_1970_come_in_the_order_of_their_value() -> None:
     assert sorted(dates, key=natural_order) == dates
 
 
+@pytest.mark.parametrize(
+    ("names", "told"),
+    [
+        ("a1_7.png a1_8.png a1_9.png a1_10.png", None),
+        ("a1_7.png a1_8.png a1_10.png a1_12.png", "a1_10.png is frame 2"),
+        ("007s.jpg 008s.jpg 008s.png 009s.png", "008s.png is frame 2"),
+        ("000.png 010.png 020.png 030.png", None),  # every tenth frame, or times
+        ("a_1.png a_2.png b_4.png b_5.png", None),
+        ("1790000000.25.png 1790000000.5.png 1790000001.25.png", None),
+        ("1790000000000.png 1790000000002.png 1790000000003.png", None),
+        ("map.png 1.png 3.png", None),
+    ],
+)
+def test_numbers_left_out_in_names_are_told(tmp_path: Path, names: str, told: str | None) -> None:
+    """After a gap frames have other numbers than their files, by which truth may go."""
+    images = frames(len(names.split()), 20, 20)
+    log = image_folder(tmp_path / "log", images)
+    for k, name in enumerate(names.split()):
+        (log / f"frame{k}.png").rename(log / name)
+    with open_log(log) as opened:
+        notes = opened.notes
+    assert [note.rpartition("counted: ")[2] for note in notes] == [told] * (told is not None)
+
+
 def test_natural_order_glob_and_digest(tmp_path: Path) -> None:
     images = frames(12, 20, 20)
     log = image_folder(tmp_path / "log", images)
