@@ -192,7 +192,9 @@ def _draw_preview(path: str, preview: Path, landmarks: str | None, reading: dict
     landmark_set = load_landmarks(landmarks or "basin")
     with open_log(path, **reading) as opened:
         first = next(iter(opened))
-    write_png(preview, draw_preview(first.image, first.fan, landmark_set))
+        height_stated = opened.sonar.height_m is not None
+    picture = draw_preview(first.image, first.fan, landmark_set, height_stated=height_stated)
+    write_png(preview, picture)
 
 
 def _try_radii(

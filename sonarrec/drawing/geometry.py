@@ -65,11 +65,14 @@ def disc_width_px(fan: Fan, landmarks: LandmarkSet) -> float:
     return float(np.ptp(outline[:, 0]))
 
 
-def draw_preview(image: ByteImage, fan: Fan, landmarks: LandmarkSet) -> ByteImage:
+def draw_preview(
+    image: ByteImage, fan: Fan, landmarks: LandmarkSet, *, height_stated: bool = True
+) -> ByteImage:
     """A frame under what is stated of it: rings, bearings, the floor's near edge, three discs.
 
     image: (fan.rows, fan.columns) uint8. The floor's near edge is the slant range of the height:
     nothing nearer lies on the floor. The discs lie at a sixth, half and five sixths of the window.
+    height_stated: whether the fan's height is stated, or was estimated.
     Returns (rows, columns, 3) uint8 BGR: the frame as of draw_frame, with a legend below.
     """
     pen = pen_on(image, fan)
@@ -84,13 +87,15 @@ def draw_preview(image: ByteImage, fan: Fan, landmarks: LandmarkSet) -> ByteImag
         place = pixel_from_polar(fan, fan.range_min_m + share * fan.window_m, bearing)
         outline = disc_outline(fan, landmarks.radius_m, float(place[0]), float(place[1]))
         pen.line(outline, TRUTH, 1, closed=True)
-    return draw_picture(pen.canvas, _legend(fan, landmarks, max(pen.canvas.shape[1], 512)))
+    return draw_picture(
+        pen.canvas, _legend(fan, landmarks, max(pen.canvas.shape[1], 512), height_stated)
+    )
 
 
-def _legend(fan: Fan, landmarks: LandmarkSet, width: int) -> ByteImage:
+def _legend(fan: Fan, landmarks: LandmarkSet, width: int, height_stated: bool) -> ByteImage:
     """Lines on what is stated, in the colours of what they explain."""
     unit = pixel_unit(width)
-    assumed = "" if fan.height_m is not None else ", by the tilt (no height is stated)"
+    assumed = "" if height_stated else ", estimated (no height is stated)"
     begins = floor_depth(fan)
     window = f"{fan.range_min_m:.4g} to {fan.range_max_m:.4g} m"
     where = ": nearer than the window" if begins < fan.range_min_m else ""

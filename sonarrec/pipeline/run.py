@@ -262,7 +262,10 @@ def _notes(job: PreparedRun, writer: ResultsWriter, plausibility: Plausibility) 
 
 def _doubts(job: PreparedRun, writer: ResultsWriter, plausibility: Plausibility) -> list[str]:
     """Where the pictures contradict the geometry, and whether they hold no candidate at all."""
-    doubts = plausibility.contradictions(polar=job.log.sonar.layout == "polar")
+    sonar = job.log.sonar
+    doubts = plausibility.contradictions(
+        polar=sonar.layout == "polar", height_stated=sonar.height_m is not None
+    )
     if not writer.candidates:
         width = disc_width_px(job.fan, job.landmarks)
         frames = number_of(writer.frames, "frame")

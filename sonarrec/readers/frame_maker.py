@@ -12,6 +12,7 @@ import numpy as np
 from sonarrec.geometry import MAX_FAN_PIXELS, PolarToFan, fan_for_image, fan_for_polar
 from sonarrec.readers.beam_order import looks_beam_major
 from sonarrec.readers.colour_maps import LUMINANCE, find_map, is_coloured
+from sonarrec.readers.floor_height import height_from_images
 from sonarrec.readers.grey import (
     GreyScale,
     dim_level,
@@ -86,8 +87,9 @@ class FrameMaker:
     def settle(self, first: Sequence[RawFrame]) -> None:
         """Find out what the pixels hold, and take the fan from the ping that most pings agree with.
 
-        It need not be the first ping, since a driver may send one before it has its settings.
-        first: the log's first frames.
+        It need not be the first ping, since a driver may send one before it has its settings. A
+        height that nobody states is estimated.
+        first: the log's first frames. Raises SonarrecError if the geometry does not fit the log.
         """
         if self._stated.colour_map is None:
             self._find_colours(first)
@@ -98,6 +100,19 @@ class FrameMaker:
         if agreeing and (best := int(np.argmax(agreeing))):
             with contextlib.suppress(UnusableError):
                 self(pings[best][0])
+        if self._stated.height_m is None:
+            self._find_height(first)
+
+    def _find_height(self, first: Sequence[RawFrame]) -> None:
+        """Put the height into the fan as the first frames show it."""
+        images = []
+        for raw in first:
+            with contextlib.suppress(UnusableError):
+                image, _, polar = self(raw)
+                if image.any():
+                    images.append(image if polar is None else polar(image))
+        if self.fan is not None and images:
+            self.fan = replace(self.fan, height_m=height_from_images(images, self.fan))
 
     def _find_colours(self, first: Sequence[RawFrame]) -> None:
         """Find the colour map of images in false colour, and add a note."""

@@ -299,7 +299,8 @@ def _images(
         origins["beam_order"] = log.order_from
     layout = geometry.pop("layout")
     polar = raw.polar or layout == "polar"
-    doubts = [] if lacks else plausibility.contradictions(polar=polar)
+    height_stated = log.sonar.height_m is not None
+    doubts = [] if lacks else plausibility.contradictions(polar=polar, height_stated=height_stated)
     images = Images(
         topic=topic,
         frames=raw.frame_count if quick else raw.frames,

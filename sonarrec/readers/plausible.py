@@ -46,21 +46,22 @@ class Plausibility:
             self._fan, self._sum = frame.fan, np.zeros(frame.image.shape, np.float32)
         self._sum += frame.image
 
-    def contradictions(self, *, polar: bool) -> list[str]:
+    def contradictions(self, *, polar: bool, height_stated: bool = True) -> list[str]:
         """A line for each contradiction of the stated geometry, with the keys to look at.
 
-        polar: whether the log's images are read as polar.
+        polar: whether the log's images are read as polar. height_stated: whether the fan's height
+        is stated, or was estimated from these very images.
         """
         if self._sum is None or self._fan is None:
             return []
         picture = self._sum / self._frames
-        polar_picture = _as_polar(picture, self._fan)
+        polar_picture = as_polar(picture, self._fan)
         shape = _polar_outline(polar_picture) if polar else _fan_outline(picture, self._fan)
         # If the outline is wrong, ranges in the picture mean nothing.
-        return shape or _floor(polar_picture, self._fan)
+        return shape or (_floor(polar_picture, self._fan) if height_stated else [])
 
 
-def _rings(fan: Fan) -> tuple[FloatArray, FloatArray]:
+def _rings_and_bearings(fan: Fan) -> tuple[FloatArray, FloatArray]:
     """(rings, 1) slant ranges (m) and (beams,) bearings (deg), evenly over the fan."""
     share = (np.arange(_RINGS) + 0.5) / _RINGS
     across = (np.arange(_BEAMS) + 0.5) / _BEAMS
@@ -68,12 +69,26 @@ def _rings(fan: Fan) -> tuple[FloatArray, FloatArray]:
     return (fan.range_min_m + share * fan.window_m)[:, None], bearings
 
 
-def _as_polar(picture: FloatArray, fan: Fan) -> FloatArray:
+def as_polar(picture: FloatArray, fan: Fan) -> FloatArray:
     """(rings, beams) grey levels of the fan; NaN outside of the picture."""
-    column, row = (np.rint(at).astype(int) for at in pixel_from_polar(fan, *_rings(fan)))
+    column, row = (
+        np.rint(at).astype(int) for at in pixel_from_polar(fan, *_rings_and_bearings(fan))
+    )
     inside = (column >= 0) & (column < fan.columns) & (row >= 0) & (row < fan.rows)
     cells = picture[np.clip(row, 0, fan.rows - 1), np.clip(column, 0, fan.columns - 1)]
     return np.where(inside, cells, np.nan)
+
+
+def levels_by_range(picture: FloatArray, fan: Fan) -> tuple[FloatArray, FloatArray]:
+    """(n,) slant ranges (m) that the picture shows, and (n,) median grey levels there.
+
+    picture: as `as_polar` gives it.
+    """
+    is_shown = ~np.isnan(picture).all(axis=1)
+    if not is_shown.any():
+        return np.empty(0), np.empty(0)
+    levels = np.nanquantile(picture[is_shown], 0.5, axis=1)  # nanmedian would load numpy.ma
+    return _rings_and_bearings(fan)[0][is_shown, 0], np.asarray(levels)
 
 
 def _echoes(grey: FloatArray) -> float:
@@ -97,7 +112,7 @@ def _fan_outline(picture: FloatArray, fan: Fan) -> list[str]:
         if share > _FILLED:
             return [f"{text} (is it polar, --layout polar?)"]
         return [f"{text} (look at range_min_m, range_max_m, field_of_view_deg and layout)"]
-    column, row = pixel_from_polar(fan, *_rings(fan))
+    column, row = pixel_from_polar(fan, *_rings_and_bearings(fan))
     cut = np.mean((column < -1) | (column > fan.columns) | (row < -1) | (row > fan.rows))
     if cut > _CUT:
         return [
@@ -135,12 +150,10 @@ def _floor(picture: FloatArray, fan: Fan) -> list[str]:
     """A line if echoes from nearer than the stated floor are as bright as the floor."""
     if fan.height_m is None:
         return []
-    is_shown = ~np.isnan(picture).all(axis=1)
-    range_m = _rings(fan)[0][is_shown, 0]
+    range_m, rings = levels_by_range(picture, fan)
     before, beyond = range_m < 0.95 * fan.height_m, range_m > 1.05 * fan.height_m
     if min(before.sum(), beyond.sum()) < _NEAR * _RINGS:
         return []
-    rings = np.nanquantile(picture[is_shown], 0.5, axis=1)  # nanmedian would load numpy.ma
     near, floor = float(np.median(rings[before])), float(np.quantile(rings[beyond], 0.75))
     if near < max(_AS_BRIGHT * floor, _BACKGROUND):
         return []

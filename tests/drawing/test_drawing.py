@@ -263,8 +263,8 @@ def test_without_a_file_all_is_from_flags_and_defaults(tmp_path: Path) -> None:
     found = images(log, *flags, "--tilt-deg", "30")
     assert found["origins"].pop("layout") == "default"
     assert set(found["origins"].values()) == {"flag"}
-    # The axis meets the floor in mid-window: 2 m x sin 30 deg.
-    assert found["assumed"]["height_m"] == pytest.approx(1.0)
+    # The floor begins at the window's near end, 1 m, where the beam's lower edge meets it.
+    assert found["assumed"]["height_m"] == pytest.approx(math.sin(math.radians(40)), rel=0.02)
     assert found["assumed"]["frame_rate_hz"] == 1
     assert "layout = fan" in info(log, *flags, "--tilt-deg", "30").stdout
     assert images(log, *flags)["assumed"] == {}  # not complete: nothing is made of it

@@ -17,7 +17,7 @@ from click.testing import CliRunner, Result
 from sonarrec.cli import main
 from sonarrec.readers import open_log
 from sonarrec.readers.info import describe
-from sonarrec.readers.plausible import FRAMES, Plausibility, _as_polar, _floor
+from sonarrec.readers.plausible import FRAMES, Plausibility, _floor, as_polar
 from sonarrec.records import Fan, Frame
 from sonarrec.sonar import Sonar
 from tests.support.drawn import draw_on_floor, make_fan, speckled
@@ -153,7 +153,7 @@ def test_a_picture_whose_top_or_bottom_is_cut_off() -> None:
     assert len(of_picture(everywhere[:-40], cut)) == 1
     nothing = replace(fan, apex_column=fan.apex_column + 9000)
     assert not [line for line in of_picture(everywhere, nothing) if "height_m" in line]
-    assert _floor(_as_polar(everywhere.astype(float), nothing), nothing) == []
+    assert _floor(as_polar(everywhere.astype(float), nothing), nothing) == []
 
 
 def test_without_a_height_no_floor_is_doubted() -> None:
