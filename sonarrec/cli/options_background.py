@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from sonarrec.config import Config
     from sonarrec.landmarks import LandmarkSet
     from sonarrec.results.run_file import LogOptions
-    from sonarrec.simulation.background import Background
+    from sonarrec.simulation.background import Background, DiscLook
 
 MOST_DB = 60.0
 
@@ -82,19 +82,19 @@ class LayoutChoice:
         return contrasts
 
     @property
-    def plate_db(self) -> float:
-        """Level of the plate over the floor, dB."""
-        return -6.0 if self.values["plate"] is None else float(self.values["plate"])
-
-    @property
     def count(self) -> int | None:
         """Number of landmarks, if given."""
         return None if self.values["count"] is None else int(self.values["count"])
 
-    def beam_width_deg(self, background: Background) -> float:
-        """The width given, else that of the recording's beams."""
-        width_deg = self.values["beam_width"]
-        return background.beam_width_deg if width_deg is None else float(width_deg)
+    def look(self, background: Background) -> DiscLook:
+        """How the discs look; by default smeared as by the recording's own beams."""
+        from sonarrec.simulation.background import DiscLook
+
+        plate_db, width_deg = self.values["plate"], self.values["beam_width"]
+        return DiscLook(
+            -6.0 if plate_db is None else float(plate_db),
+            background.beam_width_deg if width_deg is None else float(width_deg),
+        )
 
     def landmark_set(self) -> LandmarkSet:
         """The set of the landmarks to lay."""

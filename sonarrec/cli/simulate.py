@@ -180,15 +180,7 @@ def _lay(
         naming_leftovers(*folders.values()),
         progress(quiet, len(background.path), "discs") as step,
     ):
-        write_backgrounds(
-            background,
-            layout,
-            landmarks,
-            folders,
-            laying.plate_db,
-            laying.beam_width_deg(background),
-            step,
-        )
+        write_backgrounds(background, layout, laying.look(background), folders, step)
     notes = list(background.notes)
     if laying.count is not None and layout.landmark_count < laying.count:
         wanted = number_of(laying.count, "landmark")

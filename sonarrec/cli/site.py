@@ -106,8 +106,7 @@ def site(
             SiteSetup(
                 background,
                 landmarks,
-                laying.plate_db,
-                laying.beam_width_deg(background),
+                laying.look(background),
                 RunOptions([config], values["landmarks"], model, settings.file),
                 keep,
             ),

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +30,7 @@ from sonarrec.report.site_results import ENOUGH, ContrastResults, ExampleFrame, 
 from sonarrec.results.run_file import LogOptions
 from sonarrec.simulation.background import (
     Background,
+    DiscLook,
     Layout,
     draw_layout,
     truth_of,
@@ -46,14 +48,12 @@ Step = Callable[[str], None]
 class SiteSetup:
     """What all recordings and their runs have in common.
 
-    beam_width_deg: by which the discs are smeared. run_options: with one Config.
-    keep: whether the images stay.
+    look: of the discs. run_options: with one Config. keep: whether the images stay.
     """
 
     background: Background
     landmarks: LandmarkSet
-    plate_db: float
-    beam_width_deg: float
+    look: DiscLook
     run_options: RunOptions
     keep: bool
 
@@ -83,8 +83,11 @@ def assess(
     pairs: dict[float, list[Pair]] = {db: [] for db in contrasts}
     examples: list[ExampleFrame] = []
     for number, layout in enumerate(drawn, 1):
-        doing = f"layout {number} of {layouts}"
-        for db, pair, example in _run_layout(setup, layout, contrasts, out, number, doing, step):
+
+        def step_here(doing: str, number: int = number) -> None:
+            step(f"layout {number} of {layouts}, {doing}")
+
+        for db, pair, example in _run_layout(setup, layout, contrasts, out, number, step_here):
             pairs[db].append(pair)
             if number == 1:
                 examples.append(example)
@@ -94,8 +97,8 @@ def assess(
         frames=len(background.path),
         landmarks=landmarks.name,
         radius_m=landmarks.radius_m,
-        plate_db=setup.plate_db,
-        beam_width_deg=setup.beam_width_deg,
+        plate_db=setup.look.plate_db,
+        beam_width_deg=setup.look.beam_width_deg,
         dynamic_range_db=background.dynamic_range_db,
         preset=run_options.configs[0].preset,
         seed=seed,
@@ -129,50 +132,48 @@ def _run_layout(
     contrasts: Sequence[float],
     out: Path,
     number: int,
-    doing: str,
     step: Step,
 ) -> Iterator[tuple[float, Pair, ExampleFrame]]:
     """Lay one layout into the recording at every contrast, and run each.
 
+    number: of the layout, in the names of folders.
     Yields (contrast in dB, results with truth, example).
     """
-    background, landmarks = setup.background, setup.landmarks
-    under = out / "recordings" / f"layout_{number}"
-    folders = {db: under / f"contrast_{db:g}" for db in contrasts}
-    write_backgrounds(
-        background,
-        layout,
-        landmarks,
-        folders,
-        setup.plate_db,
-        setup.beam_width_deg,
-        lambda: step(f"{doing}, discs"),
-    )
-    # The beam width is that of a run of the recording itself.
-    configs = [
-        replace(c, features=replace(c.features, beam_width_deg=background.beam_width_deg))
-        for c in setup.run_options.configs
-    ]
-    run_options = replace(setup.run_options, configs=configs)
-    shown_frame = _most_landmarks(background, layout, landmarks)
+    background, recordings = setup.background, out / "recordings" / f"layout_{number}"
+    folders = {db: recordings / f"contrast_{db:g}" for db in contrasts}
+    write_backgrounds(background, layout, setup.look, folders, lambda: step("discs"))
+    frame = _most_landmarks(background, layout)
     for db, folder in folders.items():
-        declared: list[Estimate] = []
-
-        def observe(
-            result: FrameResult, _: int | None, db: float = db, declared: list[Estimate] = declared
-        ) -> None:
-            if result.index == shown_frame:
-                declared.extend(_declared(result))
-            step(f"{doing}, {db:g} dB")
-
-        name = f"layout_{number}_contrast_{db:g}"
-        own = LogOptions(sonar_file=folder / "sonar.toml")  # not the geometry of an earlier run
-        process(folder, out / "results", own, run_options, observe, name=name, overwrite=True)
-        example = _example(background, layout, landmarks, folder, shown_frame, db, declared)
+        results = out / "results" / f"layout_{number}_contrast_{db:g}"
+        declared = _declared_in(frame, folder, results, setup, partial(step, f"{db:g} dB"))
+        example = _example(background, layout, folder, frame, db, declared)
         if not setup.keep:
             for image in folder.glob("*.png"):
                 image.unlink()
-        yield db, Pair(out / "results" / name, folder / "gt.csv"), example
+        yield db, Pair(results, folder / "gt.csv"), example
+
+
+def _declared_in(
+    frame: int, recording: Path, results: Path, setup: SiteSetup, step: Callable[[], None]
+) -> list[Estimate]:
+    """Run a recording with discs; what is declared in one of its frames."""
+    # The beam width is that of a run of the recording without discs.
+    beam_width_deg = setup.background.beam_width_deg
+    configs = [
+        replace(c, features=replace(c.features, beam_width_deg=beam_width_deg))
+        for c in setup.run_options.configs
+    ]
+    run_options = replace(setup.run_options, configs=configs)
+    declared: list[Estimate] = []
+
+    def observe(result: FrameResult, _: int | None) -> None:
+        if result.index == frame:
+            declared.extend(_declared(result))
+        step()
+
+    own = LogOptions(sonar_file=recording / "sonar.toml")  # not the geometry of an earlier run
+    process(recording, results.parent, own, run_options, observe, name=results.name, overwrite=True)
+    return declared
 
 
 def _declared(result: FrameResult) -> list[Estimate]:
@@ -197,7 +198,7 @@ def _scored(background: Background, pairs: dict[float, list[Pair]]) -> list[Cont
     return results
 
 
-def _most_landmarks(background: Background, layout: Layout, landmarks: LandmarkSet) -> int:
+def _most_landmarks(background: Background, layout: Layout) -> int:
     """The frame, of FRAMES_TRIED, that shows the most whole landmarks; of several the last."""
     frames = len(background.path)
     # Late in the recording: the recogniser needs some frames first.
@@ -206,7 +207,7 @@ def _most_landmarks(background: Background, layout: Layout, landmarks: LandmarkS
     ).tolist()
 
     def whole(frame: int) -> int:
-        rows = truth_of(background, layout, landmarks, frame)
+        rows = truth_of(background, layout, frame)
         return sum(row.visible >= MIN_VISIBLE for row in rows)
 
     return int(max(tried, key=lambda frame: (whole(frame), frame)))
@@ -215,16 +216,20 @@ def _most_landmarks(background: Background, layout: Layout, landmarks: LandmarkS
 def _example(
     background: Background,
     layout: Layout,
-    landmarks: LandmarkSet,
     folder: Path,
     frame: int,
     contrast_db: float,
     declared: Sequence[Estimate],
 ) -> ExampleFrame:
     image = decode_image((folder / f"{frame:06d}.png").read_bytes())
-    rows = truth_of(background, layout, landmarks, frame)
+    rows = truth_of(background, layout, frame)
     marks = [Mark(row.landmark, row.x_px, row.y_px) for row in rows]
     drawn = draw_frame(
-        np.asarray(image, np.uint8), background.fan, landmarks, declared, truth=marks, score=True
+        np.asarray(image, np.uint8),
+        background.fan,
+        layout.landmarks,
+        declared,
+        truth=marks,
+        score=True,
     )
     return ExampleFrame(contrast_db, frame, drawn, len(marks), len(declared))

@@ -48,7 +48,7 @@ from sonarrec.sonar import Sonar
 
 Span = tuple[int, int | None]
 OpenLog = Callable[[], Log]
-"""Opens the recording anew, from its first frame."""
+"""Opens the recording again, from its first frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,7 @@ class Background:
 
     where: the recording's name for messages. path: the sonar's pose in every frame used; the first
     is at the origin. lit: (fan.rows, fan.columns) where at least half of the frames show an echo.
-    unknown: number of frames whose motion neither images nor poses told; there the sonar is taken
+    unknown: number of frames whose motion neither images nor poses show; there the sonar is taken
     to have stood still. has_poses: whether the motion comes from poses. beam_width_deg: width of
     its beams, as `sonarrec run` takes it. dynamic_range_db: from black to white. problems: one line
     for each thing that could not be used.
@@ -88,8 +88,12 @@ class Background:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Discs on the floor of a recording. seed: of the random numbers that placed them."""
+    """Discs on the floor of a recording.
 
+    landmarks: the set that they belong to. seed: of the random numbers that placed them.
+    """
+
+    landmarks: LandmarkSet
     discs: tuple[LaidDisc, ...]
     seed: int
 
@@ -97,6 +101,18 @@ class Layout:
     def landmark_count(self) -> int:
         """How many of the discs are landmarks; the others are fakes."""
         return sum(disc.kind == "landmark" for disc in self.discs)
+
+
+@dataclass(frozen=True, slots=True)
+class DiscLook:
+    """How discs look at any contrast.
+
+    plate_db: level of the plate between ring and sectors above the floor. beam_width_deg: width of
+    the beams that smear them.
+    """
+
+    plate_db: float
+    beam_width_deg: float
 
 
 class _Survey:
@@ -222,7 +238,7 @@ def draw_layout(
     """
     rng = np.random.default_rng([seed, 17])
     fan, path, lit = background.fan, background.path, background.lit
-    layout = Layout(tuple(lay_out(fan, path, lit, landmarks, rng, count)), seed)
+    layout = Layout(landmarks, tuple(lay_out(fan, path, lit, landmarks, rng, count)), seed)
     if not layout.landmark_count:
         raise SonarrecError(
             f"{background.where}: no place on the floor shows echoes over a whole disc of radius_m "
@@ -241,37 +257,30 @@ class ComposedFrame:
 
 
 def compose(
-    background: Background,
-    layout: Layout,
-    landmarks: LandmarkSet,
-    contrasts: Sequence[float],
-    plate_db: float,
-    beam_width_deg: float,
+    background: Background, layout: Layout, look: DiscLook, contrasts: Sequence[float]
 ) -> Iterator[ComposedFrame]:
     """Yield the recording's frames with the discs of a layout, at each contrast.
 
-    contrasts: levels of ring and sectors above the floor, dB. plate_db: the same of the plate
-    between them.
+    contrasts: levels of ring and sectors above the floor, dB.
     """
-    fan = background.fan
-    composer = Composer(fan, landmarks, background.dynamic_range_db, beam_width_deg)
+    composer = Composer(
+        background.fan, layout.landmarks, background.dynamic_range_db, look.beam_width_deg
+    )
     for frame in background.frames():
         pose = background.path[frame.index]
         surface = composer.surface(frame.image)
         shapes = [composer.footprint(disc, pose) for disc in layout.discs]
         in_view = [shape for shape in shapes if shape is not None]
-        images = {db: composer.lay(frame.image, surface, in_view, db, plate_db) for db in contrasts}
-        yield ComposedFrame(
-            frame.index, images, truth_of(background, layout, landmarks, frame.index)
-        )
+        images = {
+            db: composer.lay(frame.image, surface, in_view, db, look.plate_db) for db in contrasts
+        }
+        yield ComposedFrame(frame.index, images, truth_of(background, layout, frame.index))
 
 
-def truth_of(
-    background: Background, layout: Layout, landmarks: LandmarkSet, frame: int
-) -> tuple[LandmarkTruth, ...]:
+def truth_of(background: Background, layout: Layout, frame: int) -> tuple[LandmarkTruth, ...]:
     """The landmarks that are at least partly in view in a frame, in the layout's order."""
     pose = background.path[frame]
-    rows = (_truth(disc, pose, background.fan, landmarks) for disc in layout.discs)
+    rows = (_truth(disc, pose, background.fan, layout.landmarks) for disc in layout.discs)
     return tuple(row for row in rows if row is not None)
 
 
@@ -285,10 +294,8 @@ def check_free(folders: Sequence[Path]) -> None:
 def write_backgrounds(
     background: Background,
     layout: Layout,
-    landmarks: LandmarkSet,
+    look: DiscLook,
     folders: Mapping[float, Path],
-    plate_db: float,
-    beam_width_deg: float,
     step: Callable[[], None] | None = None,
 ) -> None:
     """Write a recording for each contrast: NNNNNN.png, sonar.toml, gt.csv and background.toml.
@@ -301,13 +308,10 @@ def write_backgrounds(
     with writing(", ".join(map(str, folders.values()))):
         for folder in folders.values():
             folder.mkdir(parents=True, exist_ok=True)
-        frames = compose(background, layout, landmarks, [*folders], plate_db, beam_width_deg)
-        _write_frames(frames, folders, step)
+        _write_frames(compose(background, layout, look, [*folders]), folders, step)
         for db, folder in folders.items():
-            document = _background_table(
-                background, layout, landmarks, db, plate_db, beam_width_deg
-            )
-            _write_companions(folder, background, landmarks, document)
+            document = _background_table(background, layout, look, db)
+            _write_companions(folder, background, layout.landmarks, document)
 
 
 def _write_frames(
@@ -430,12 +434,7 @@ def _write_poses(path: Path, background: Background) -> None:
 
 
 def _background_table(
-    background: Background,
-    layout: Layout,
-    landmarks: LandmarkSet,
-    contrast_db: float,
-    plate_db: float,
-    beam_width_deg: float,
+    background: Background, layout: Layout, look: DiscLook, contrast_db: float
 ) -> dict[str, Any]:
     """The tables of background.toml: how the recording was made, and where every disc lies."""
     first, end = background.span
@@ -443,10 +442,9 @@ def _background_table(
         "background": {
             "log": background.where,
             "frames": f"{first}:{'' if end is None else end}",
-            "landmark_set": landmarks.name,
+            "landmark_set": layout.landmarks.name,
             "contrast_db": contrast_db,
-            "plate_db": plate_db,
-            "beam_width_deg": beam_width_deg,
+            **asdict(look),
             "dynamic_range_db": background.dynamic_range_db,
             "seed": layout.seed,
             "motion": "told by poses" if background.has_poses else "measured between the images",

@@ -22,6 +22,7 @@ from sonarrec.readers import open_log
 from sonarrec.records import Fan, SonarrecError
 from sonarrec.simulation.background import (
     Background,
+    DiscLook,
     Layout,
     compose,
     draw_layout,
@@ -37,6 +38,7 @@ from sonarrec.simulation.simulate import write_recording
 from tests.support.command import sonarrec
 
 BASIN = load_landmarks("basin")
+LOOK = DiscLook(plate_db=-6.0, beam_width_deg=0.4)
 ARIS = Path(__file__).parents[1] / "readers" / "aris_sample" / "sample.aris"
 LAMPREY = Path(__file__).resolve().parents[3] / "shared/data/river/lamprey1.avi"
 FRAMES = 24
@@ -148,7 +150,7 @@ def test_nothing_but_the_discs_is_touched(background: Background) -> None:
     assert height is not None
     ground = np.sqrt(np.maximum(range_m**2 - height**2, 0))
     frames = background.frames()
-    for one in compose(background, layout, BASIN, [6.0], -6.0, 0.4):
+    for one in compose(background, layout, LOOK, [6.0]):
         pose = background.path[one.index]
         azimuth = np.radians(bearing + pose.pan_deg)
         x, y = pose.x_m + ground * np.sin(azimuth), pose.y_m + ground * np.cos(azimuth)
@@ -168,8 +170,8 @@ def test_the_path_and_the_truth_follow_the_known_pan(background: Background, sce
     path = np.array([pose.pan_deg for pose in background.path])
     assert abs(known[-1] - known[0]) > 2
     assert np.abs(path - (known - known[0])).max() < 0.15 * np.ptp(known)
-    layout = Layout((LaidDisc("landmark", 1, 0.0, 2.2, 30.0),), 0)
-    seen = [truth_of(background, layout, BASIN, frame) for frame in range(FRAMES)]
+    layout = Layout(BASIN, (LaidDisc("landmark", 1, 0.0, 2.2, 30.0),), 0)
+    seen = [truth_of(background, layout, frame) for frame in range(FRAMES)]
     (first,) = seen[0]
     assert first.bearing_deg == pytest.approx(0, abs=1e-3)
     for rows, pan in zip(seen, path, strict=True):
@@ -219,7 +221,7 @@ def test_what_is_written_is_a_log_of_the_same_geometry(
     layout = draw_layout(background, BASIN, 2)
     kinds = [disc.kind for disc in layout.discs]
     assert {"landmark", "blank", "filled"} <= set(kinds)
-    write_backgrounds(background, layout, BASIN, {3.0: tmp_path / "a"}, -6.0, 0.4)
+    write_backgrounds(background, layout, LOOK, {3.0: tmp_path / "a"})
     with open_log(tmp_path / "a") as log:
         frames = list(log)
     assert len(frames) == FRAMES
@@ -237,7 +239,7 @@ def test_a_set_that_only_has_the_name_of_the_built_in_one_is_written(
 ) -> None:
     discs = replace(BASIN, radius_m=0.12)
     one = replace(background, path=background.path[:1])
-    write_backgrounds(one, draw_layout(one, discs, 2, 1), discs, {3.0: tmp_path / "a"}, -6.0, 0.4)
+    write_backgrounds(one, draw_layout(one, discs, 2, 1), LOOK, {3.0: tmp_path / "a"})
     assert load_landmarks(tmp_path / "a" / "landmarks.toml") == discs
 
 
