@@ -105,47 +105,48 @@ class Scored:
         return counts
 
 
+@dataclass(frozen=True, slots=True)
+class _Claims:
+    """The claims of one method that count, n of them, by falling score.
+
+    A cell is an ID in a frame, numbered as frame * K + ID.
+    """
+
+    index: IntArray
+    """(n,) into the claims of Joined."""
+    cell: IntArray
+    """(n,) the cell claimed."""
+    truth: IntArray
+    """(n,) the truth of which it is a right claim, else -1."""
+    spot: IntArray
+    """(n,) what is claimed, as in `_effects`."""
+
+
 def score(joined: Joined, method: int, protocol: str) -> Scored:
     """Score one method (index) under one protocol, as described in `evaluate.evaluate`."""
     k = len(joined.ids)
     truth_cell = joined.truth_frame_index * k + joined.truth_landmark_index
-    state = np.zeros(len(joined.frame) * k, dtype=np.int8)
+    state = np.zeros(len(joined.frame) * k, dtype=np.int8)  # of each cell
     state[truth_cell[~joined.truth_positive]] = IGNORED
     state[truth_cell[joined.truth_positive]] = POSITIVE  # even if another one is partly in view
-
-    claims_of_method = np.flatnonzero(joined.method_index == method)
-    claims_of_method = claims_of_method[np.argsort(-joined.score[claims_of_method], kind="stable")]
-    cell = (
-        joined.claim_frame_index[claims_of_method] * k
-        + joined.claim_landmark_index[claims_of_method]
-    )
     positive = np.flatnonzero(joined.truth_positive)
     if protocol == "paper":
         positive = positive[np.unique(truth_cell[positive], return_index=True)[1]]
-        positive_of_cell = np.full(len(state), -1)
-        positive_of_cell[truth_cell[positive]] = positive
-        truth, counted, spot = positive_of_cell[cell], state[cell] != IGNORED, cell
+        claims = _claims_on_cells(joined, method, state, truth_cell, positive)
     else:
-        truth, counted, spot = _strict_matches(
-            joined, claims_of_method, cell, truth_cell, len(state)
-        )
-    claims_of_method, cell, truth, spot = (
-        claims_of_method[counted],
-        cell[counted],
-        truth[counted],
-        spot[counted],
-    )
-
+        claims = _claims_on_places(joined, method, state, truth_cell)
+    positive_landmark = joined.truth_landmark_index[positive]
     negative = state.reshape(-1, k) == NEGATIVE
     base = np.zeros((k, 4), dtype=np.int64)
     base[:, 1] = np.count_nonzero(negative, axis=0)
-    base[:, 3] = np.bincount(joined.truth_landmark_index[positive], minlength=k)
-    right, absent = truth >= 0, state[cell] == NEGATIVE
-    declared_claim = np.flatnonzero(joined.declared[claims_of_method])
+    base[:, 3] = np.bincount(positive_landmark, minlength=k)
+
+    right, absent = claims.truth >= 0, state[claims.cell] == NEGATIVE
+    landmark = joined.claim_landmark_index[claims.index]
+    declared_claim = np.flatnonzero(joined.declared[claims.index])
     declared_effect = _effects(
-        protocol, right[declared_claim], absent[declared_claim], spot[declared_claim]
+        protocol, right[declared_claim], absent[declared_claim], claims.spot[declared_claim]
     )
-    landmark = joined.claim_landmark_index[claims_of_method]
     declared = base.copy()
     np.add.at(declared, landmark[declared_claim], declared_effect)
     return Scored(
@@ -156,31 +157,59 @@ def score(joined: Joined, method: int, protocol: str) -> Scored:
         declared=declared,
         negative=negative,
         positive=positive,
-        positive_landmark_index=joined.truth_landmark_index[positive],
-        claim=claims_of_method,
-        score=joined.score[claims_of_method],
+        positive_landmark_index=positive_landmark,
+        claim=claims.index,
+        score=joined.score[claims.index],
         landmark_index=landmark,
-        frame_index=joined.claim_frame_index[claims_of_method],
-        truth=truth,
-        effect=_effects(protocol, right, absent, spot),
+        frame_index=joined.claim_frame_index[claims.index],
+        truth=claims.truth,
+        effect=_effects(protocol, right, absent, claims.spot),
         declared_claim=declared_claim,
         declared_effect=declared_effect,
     )
 
 
-def _strict_matches(
-    joined: Joined, claims: IntArray, cell: IntArray, truth_cell: IntArray, cells: int
-) -> tuple[IntArray, BoolArray, IntArray]:
-    """(n,) the truth of each claim or -1; (n,) whether the claim counts; (n,) its spot.
+def _claims_on_cells(
+    joined: Joined,
+    method: int,
+    state: npt.NDArray[np.int8],
+    truth_cell: IntArray,
+    positive: IntArray,
+) -> _Claims:
+    """The claims under protocol paper, which ignores positions.
 
-    claims: (n,) indices. cell, truth_cell: the frame and ID of claims and truths, of so many cells.
-    The spot is as in `_effects`.
+    state: of each cell. truth_cell: (T,). positive: (P,) truths, one per cell.
     """
-    truth = nearest_truth(joined, claims, cell, truth_cell)
+    index, cell = _by_score(joined, method)
+    truth_of_cell = np.full(len(state), -1)
+    truth_of_cell[truth_cell[positive]] = positive
+    counts = state[cell] != IGNORED
+    index, cell = index[counts], cell[counts]
+    return _Claims(index, cell, truth_of_cell[cell], spot=cell)
+
+
+def _claims_on_places(
+    joined: Joined, method: int, state: npt.NDArray[np.int8], truth_cell: IntArray
+) -> _Claims:
+    """The claims under protocol strict; those on a truth that is only partly in view do not count.
+
+    state, truth_cell: as in `_claims_on_cells`.
+    """
+    index, cell = _by_score(joined, method)
+    truth = nearest_truth(joined, index, cell, truth_cell)
     on_truth = truth >= 0
-    counted = np.ones(len(claims), dtype=bool)
-    counted[on_truth] = joined.truth_positive[truth[on_truth]]
-    return truth, counted, np.where(on_truth, cells + truth, cell)
+    counts = np.ones(len(index), dtype=bool)
+    counts[on_truth] = joined.truth_positive[truth[on_truth]]
+    spot = np.where(on_truth, len(state) + truth, cell)
+    return _Claims(index[counts], cell[counts], truth[counts], spot[counts])
+
+
+def _by_score(joined: Joined, method: int) -> tuple[IntArray, IntArray]:
+    """(index, cell) of a method's claims, by falling score; as in _Claims."""
+    index = np.flatnonzero(joined.method_index == method)
+    index = index[np.argsort(-joined.score[index], kind="stable")]
+    frame, landmark = joined.claim_frame_index[index], joined.claim_landmark_index[index]
+    return index, frame * len(joined.ids) + landmark
 
 
 def _effects(
