@@ -236,10 +236,8 @@ def _count_pairs(pairs: Sequence[LogPair], jobs: int | None, min_visible: float)
         counted = log
         if isinstance(counted, CountedPair) and counted.parts is not None:
             ids = ids or counted.ids
-            if counted.ids != ids and set(counted.ids) == set(
-                ids
-            ):  # count again, in the first log's order
-                counted = count_pair(replace(pair, ids=ids))
+            if counted.ids != ids and set(counted.ids) == set(ids):
+                counted = count_pair(replace(pair, ids=ids))  # again, in the first log's order
         if isinstance(counted, UnreadableLog):
             unread.append(counted)
             continue
