@@ -120,52 +120,72 @@ def annotations_message(
     It is never empty: older versions take the time from the elements and would hold the image
     back at a frame without any.
     """
-    fan, time = frame.fan, _time(stamp_ns)
-    size = pixel_unit(max(fan.rows, fan.columns))
+    fan, size = frame.fan, pixel_unit(max(frame.fan.rows, frame.fan.columns))
     colours = landmark_colours(landmarks.ids)
-    points, texts = [], []
+    drawn = _Annotations(_time(stamp_ns), size)
+    drawn.text(f"frame {frame.index}", 4 * size, 18 * size, UNNAMED)
+    for e in estimates:
+        colour = colours[e.landmark] if e.declared else UNNAMED
+        outline = disc_outline(fan, landmarks.radius_m, e.x_px, e.y_px)
+        drawn.line(LINE_LOOP, outline, colour, 2 if e.declared else 1)
+        if e.object in paths:
+            drawn.line(LINE_STRIP, paths[e.object], colour, 1)
+        if words := caption(e, landmarks):
+            left, top = outline.min(axis=0)
+            drawn.text(words, left, top - 4 * size, colour)
+    for mark in truth:
+        outline = disc_outline(fan, AROUND * landmarks.radius_m, mark.x_px, mark.y_px)
+        drawn.line(LINE_LIST, outline, TRUTH, 1)
+        left, bottom = outline[:, 0].min(), outline[:, 1].max()
+        drawn.text(f"ID.{mark.landmark}", left, bottom + 18 * size, TRUTH)
+    return drawn.message()
 
-    def line(kind: int, at: FloatArray, colour: Colour, width: float) -> None:
-        points.append(
+
+class _Annotations:
+    """Gathers the lines and texts of one foxglove.ImageAnnotations message."""
+
+    def __init__(self, time: dict[str, int], pixel: float) -> None:
+        """pixel: unit of widths and font sizes, in pixels of the image."""
+        self._time, self._pixel = time, pixel
+        self._lines: list[dict[str, Any]] = []
+        self._texts: list[dict[str, Any]] = []
+
+    def line(self, kind: int, at: FloatArray, colour: Colour, width: float) -> None:
+        """kind: such as LINE_LOOP. at: (n, 2) column and row."""
+        self._lines.append(
             {
-                "timestamp": time,
+                "timestamp": self._time,
                 "type": kind,
                 "points": [_point(x, y) for x, y in at.tolist()],
                 "outline_color": _colour(colour),
                 "outline_colors": [],
                 "fill_color": _colour(colour, 0),
-                "thickness": width * size,
+                "thickness": width * self._pixel,
             }
         )
 
-    def text(words: str, x: float, y: float, colour: Colour) -> None:
-        texts.append(
+    def text(self, words: str, x: float, y: float, colour: Colour) -> None:
+        """x, y: column and row of the text's bottom left corner."""
+        self._texts.append(
             {
-                "timestamp": time,
+                "timestamp": self._time,
                 "position": _point(x, y),
                 "text": words,
-                "font_size": 14 * size,
+                "font_size": 14 * self._pixel,
                 "text_color": _colour(colour),
                 "background_color": _colour((0, 0, 0), 0.75),
             }
         )
 
-    text(f"frame {frame.index}", 4 * size, 18 * size, UNNAMED)
-    for e in estimates:
-        colour = colours[e.landmark] if e.declared else UNNAMED
-        outline = disc_outline(fan, landmarks.radius_m, e.x_px, e.y_px)
-        line(LINE_LOOP, outline, colour, 2 if e.declared else 1)
-        if e.object in paths:
-            line(LINE_STRIP, paths[e.object], colour, 1)
-        if words := caption(e, landmarks):
-            left, top = outline.min(axis=0)
-            text(words, left, top - 4 * size, colour)
-    for mark in truth:
-        outline = disc_outline(fan, AROUND * landmarks.radius_m, mark.x_px, mark.y_px)
-        line(LINE_LIST, outline, TRUTH, 1)
-        left, bottom = outline[:, 0].min(), outline[:, 1].max()
-        text(f"ID.{mark.landmark}", left, bottom + 18 * size, TRUTH)
-    return {"timestamp": time, "circles": [], "points": points, "texts": texts, "metadata": []}
+    def message(self) -> dict[str, Any]:
+        """The message, to be encoded as JSON."""
+        return {
+            "timestamp": self._time,
+            "circles": [],
+            "points": self._lines,
+            "texts": self._texts,
+            "metadata": [],
+        }
 
 
 def image_message(frame: Frame, stamp_ns: int) -> dict[str, Any]:
