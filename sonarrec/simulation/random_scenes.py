@@ -101,66 +101,74 @@ def _sonar(kind: str, rng: np.random.Generator) -> SonarSection:
     return sonar
 
 
-def _nuisances(kind: str, wide: bool, rng: np.random.Generator) -> dict[str, Any]:
-    """Draw the sections of a scene that disturb its images, as hard as the kind of scene says.
+def _motion(kind: str, rng: np.random.Generator) -> MotionSection:
+    u, jitter = rng.uniform, kind in _UNSTEADY
+    return MotionSection(
+        pan_min_deg=-31,
+        pan_max_deg=31,
+        pan_start_deg=float(rng.integers(-31, 32)),
+        pan_deg_s=round(u(6, 12) if kind == "fast_pan" else u(1.6, 2.8), 2),
+        yaw_jitter_deg=round(u(0.2, 0.5) if jitter else u(0, 0.08), 3),
+        heave_m=round(u(0.01, 0.03) if jitter else u(0, 0.003), 4),
+        heave_period_s=round(u(4, 10), 1),
+        sway_x_m=round(u(0.01, 0.06), 3) if jitter else 0.0,
+        sway_y_m=round(u(0.01, 0.06), 3) if jitter else 0.0,
+    )
 
-    wide: see `random_scene`.
-    """
-    fade_most, least_snr = (4.5, 4.0) if wide else (3.5, 8.0)
-    hard, faint = kind in _FADING, kind == "low_contrast"
-    jitter = kind in _UNSTEADY
+
+def _floor(rng: np.random.Generator) -> FloorSection:
     u = rng.uniform
-    return {
-        "motion": MotionSection(
-            pan_min_deg=-31,
-            pan_max_deg=31,
-            pan_start_deg=float(rng.integers(-31, 32)),
-            pan_deg_s=round(u(6, 12) if kind == "fast_pan" else u(1.6, 2.8), 2),
-            yaw_jitter_deg=round(u(0.2, 0.5) if jitter else u(0, 0.08), 3),
-            heave_m=round(u(0.01, 0.03) if jitter else u(0, 0.003), 4),
-            heave_period_s=round(u(4, 10), 1),
-            sway_x_m=round(u(0.01, 0.06), 3) if jitter else 0.0,
-            sway_y_m=round(u(0.01, 0.06), 3) if jitter else 0.0,
-        ),
-        "floor": FloorSection(
-            texture_db=round(u(0.6, 2.2), 2),
-            texture_m=round(u(0.08, 0.4), 3),
-            angle_exponent=round(u(0, 1.6), 2),
-            speckle_s=round(math.exp(u(math.log(3), math.log(200))), 1),
-        ),
-        "fading": FadingSection(
-            object_db=round(u(2, fade_most) if hard else u(0.5, 2), 2),
-            patch_db=round(u(2, fade_most) if hard else u(0.8, 2.4), 2),
-            patch_m=round(u(0.04, 0.12), 3),
-            time_s=round(u(2, 12), 1),
-            specular_db=round(u(0, 5), 2),
-            frame_probability=round(u(0.01, 0.06) if hard else u(0, 0.02), 4),
-            burst_probability=round(u(0.01, 0.03) if hard else u(0, 0.003), 4),
-            burst_frames=round(u(3, 10), 1),
-            depth_db=round(u(6, 12) if hard else u(4, 9), 1),
-            ghost_db=round(u(-16, -8) if hard or kind == "near_miss" else u(-24, -12), 1),
-            ghost_shift_m=round(u(0.03, 0.2), 3),
-            ghost_blur_m=round(u(0.02, 0.08), 3),
-        ),
-        "noise": NoiseSection(
-            snr_db=9.0
-            if kind == "all_hard"
-            else round(u(least_snr, 14) if faint else u(10, 26), 1),
-            smear=round(u(0, 0.5), 2),
-            shadow_db=round(u(-20, -9), 1),
-            gain_drift_db=round(u(1.5, 4) if hard or faint else u(0, 1.5), 2),
-            gain_drift_s=round(u(40, 200), 1),
-            group_gain_db=round(u(0.2, 1.2), 2),
-            beam_gain_db=round(u(0.1, 0.6), 2),
-            hot_beams=int(rng.integers(0, 5)),
-            hot_beam_db=round(u(1, 4), 2),
-        ),
-        "picture": PictureSection(
-            black_db=round(u(-24, -12), 1),
-            dynamic_range_db=round(u(40, 66), 1),
-            gamma=round(u(0.8, 1.3), 2),
-        ),
-    }
+    return FloorSection(
+        texture_db=round(u(0.6, 2.2), 2),
+        texture_m=round(u(0.08, 0.4), 3),
+        angle_exponent=round(u(0, 1.6), 2),
+        speckle_s=round(math.exp(u(math.log(3), math.log(200))), 1),
+    )
+
+
+def _fading(kind: str, wide: bool, rng: np.random.Generator) -> FadingSection:
+    u, hard, most_db = rng.uniform, kind in _FADING, 4.5 if wide else 3.5
+    return FadingSection(
+        object_db=round(u(2, most_db) if hard else u(0.5, 2), 2),
+        patch_db=round(u(2, most_db) if hard else u(0.8, 2.4), 2),
+        patch_m=round(u(0.04, 0.12), 3),
+        time_s=round(u(2, 12), 1),
+        specular_db=round(u(0, 5), 2),
+        frame_probability=round(u(0.01, 0.06) if hard else u(0, 0.02), 4),
+        burst_probability=round(u(0.01, 0.03) if hard else u(0, 0.003), 4),
+        burst_frames=round(u(3, 10), 1),
+        depth_db=round(u(6, 12) if hard else u(4, 9), 1),
+        ghost_db=round(u(-16, -8) if hard or kind == "near_miss" else u(-24, -12), 1),
+        ghost_shift_m=round(u(0.03, 0.2), 3),
+        ghost_blur_m=round(u(0.02, 0.08), 3),
+    )
+
+
+def _noise(kind: str, wide: bool, rng: np.random.Generator) -> NoiseSection:
+    u, faint = rng.uniform, kind == "low_contrast"
+    if kind == "all_hard":
+        snr_db = 9.0
+    else:
+        snr_db = round(u(4 if wide else 8, 14) if faint else u(10, 26), 1)
+    return NoiseSection(
+        snr_db=snr_db,
+        smear=round(u(0, 0.5), 2),
+        shadow_db=round(u(-20, -9), 1),
+        gain_drift_db=round(u(1.5, 4) if faint or kind in _FADING else u(0, 1.5), 2),
+        gain_drift_s=round(u(40, 200), 1),
+        group_gain_db=round(u(0.2, 1.2), 2),
+        beam_gain_db=round(u(0.1, 0.6), 2),
+        hot_beams=int(rng.integers(0, 5)),
+        hot_beam_db=round(u(1, 4), 2),
+    )
+
+
+def _picture(rng: np.random.Generator) -> PictureSection:
+    return PictureSection(
+        black_db=round(rng.uniform(-24, -12), 1),
+        dynamic_range_db=round(rng.uniform(40, 66), 1),
+        gamma=round(rng.uniform(0.8, 1.3), 2),
+    )
 
 
 def _landmark_set(kind: str, sonar: SonarSection, rng: np.random.Generator) -> LandmarkSet:
@@ -205,7 +213,7 @@ def _other_set(sonar: SonarSection, rng: np.random.Generator) -> LandmarkSet:
     )
 
 
-class _Floor:
+class _FreePlaces:
     """Finds free places: circles that do not touch others and lie in the sonar's range window.
 
     path: poses of a vehicle. Places then lie in front of it at random moments; the first two at the
@@ -222,7 +230,7 @@ class _Floor:
         self._far = math.sqrt(sonar.range_max_m**2 - sonar.height_m**2)
         self._taken: list[tuple[float, float, float]] = []
 
-    def place(self, radius_m: float, share: float = 1.0) -> tuple[float, float] | None:
+    def find(self, radius_m: float, share: float = 1.0) -> tuple[float, float] | None:
         """(ground_m, azimuth_deg) of a free circle; None if none was found.
 
         It lies within the nearest `share` of the range window, and its centre within the beam.
@@ -268,7 +276,7 @@ class _Looks:
 
 
 def _landmarks(
-    kind: str, discs: LandmarkSet, floor: _Floor, looks: _Looks, rng: np.random.Generator
+    kind: str, discs: LandmarkSet, places: _FreePlaces, looks: _Looks, rng: np.random.Generator
 ) -> list[PlacedLandmark]:
     """Draw the landmarks of a scene; fewer if there is no room."""
     count = 0 if kind == "no_landmark" else int(rng.integers(3, 5))
@@ -278,7 +286,7 @@ def _landmarks(
         count = int(rng.integers(6, 11))
     landmarks = []
     for number in rng.choice(discs.ids, count, replace=count > len(discs.ids)):
-        place = floor.place(discs.radius_m, looks.share)
+        place = places.find(discs.radius_m, looks.share)
         if place:
             landmarks.append(
                 PlacedLandmark(
@@ -294,7 +302,7 @@ def _landmarks(
 
 
 def _objects(
-    kind: str, scene: Scene, floor: _Floor, looks: _Looks, rng: np.random.Generator
+    kind: str, scene: Scene, places: _FreePlaces, looks: _Looks, rng: np.random.Generator
 ) -> list[PlacedObject]:
     """Draw the objects that are no landmarks, as the kind of scene asks; fewer without room."""
     names = ["blank", "filled", "tyre", "stone", "stone"]
@@ -321,7 +329,7 @@ def _objects(
             plate_db=round(looks.plate + rng.normal(0, 0.7), 2),
             number=int(rng.integers(2**31)) if name in SYMBOLS else 0,
         )
-        place = floor.place(object_radius(scene, draft), looks.share)
+        place = places.find(object_radius(scene, draft), looks.share)
         if place:
             objects.append(replace(draft, ground_m=place[0], azimuth_deg=place[1]))
     return objects
@@ -344,14 +352,18 @@ def random_scene(seed: int, kind: str = "plain", wide: bool = False, **overrides
         seed=seed,
         landmark_set=overrides.get("landmark_set") or _landmark_set(kind, sonar, rng),
         sonar=sonar,
-        **_nuisances(kind, wide, rng),
+        motion=_motion(kind, rng),
+        floor=_floor(rng),
+        fading=_fading(kind, wide, rng),
+        noise=_noise(kind, wide, rng),
+        picture=_picture(rng),
     )
     path = None
     if kind == "vehicle":
         motion = vehicle_motion(rng)
         scene = replace(scene, frames=RUN_FRAMES, motion=overrides.get("motion", motion))
         path = poses(scene)
-    floor = _Floor(scene.sonar, rng, path)
+    places = _FreePlaces(scene.sonar, rng, path)
     faint = rng.uniform(3, 7 if wide else 5) if kind == "low_contrast" else 0.0
     looks = _Looks(
         bright=rng.uniform(9, 14) - faint,
@@ -359,8 +371,8 @@ def random_scene(seed: int, kind: str = "plain", wide: bool = False, **overrides
         # Far out the beam hardly reaches the floor, and no sonar would be used there.
         share=0.6 if scene.sonar.range_max_m > 4 else 0.85,
     )
-    landmarks = _landmarks(kind, scene.landmark_set, floor, looks, rng)
-    objects = _objects(kind, scene, floor, looks, rng)
+    landmarks = _landmarks(kind, scene.landmark_set, places, looks, rng)
+    objects = _objects(kind, scene, places, looks, rng)
     if kind == "occluded":
         objects += [_cover(landmark, scene.landmark_set.radius_m, rng) for landmark in landmarks]
     if rng.uniform() < 0.5 and kind != "vehicle":
