@@ -37,6 +37,19 @@ class View:
     sine: FloatArray
 
 
+@dataclass(frozen=True, slots=True)
+class _Layers:
+    """What the cells of the grid show, each (rows, columns).
+
+    level: brightness, dB. owner: number of the thing there, -1 for the floor. height, relief: m.
+    """
+
+    level: np.ndarray
+    owner: np.ndarray
+    height: np.ndarray
+    relief: np.ndarray
+
+
 class World:
     """All scatterers on the floor, with their brightness, height and owner.
 
@@ -54,63 +67,56 @@ class World:
         self._grid = grid
         self._plane = Plane.of(scene)
         self._shape = shape = grid.shape
-        cells = grid.cells
-        level = scene.floor.texture_db * smooth_noise(rng, shape, cells(scene.floor.texture_m))
-        owner = np.full(shape, -1, dtype=np.int16)
-        height = np.zeros(shape, dtype=np.float32)
-        relief = np.full(shape, scene.floor.relief_m, dtype=np.float32)
+        floor = scene.floor
+        layers = _Layers(
+            level=floor.texture_db * smooth_noise(rng, shape, grid.cells(floor.texture_m)),
+            owner=np.full(shape, -1, dtype=np.int16),
+            height=np.zeros(shape, dtype=np.float32),
+            relief=np.full(shape, floor.relief_m, dtype=np.float32),
+        )
         things: list[PlacedLandmark | PlacedObject] = [*scene.landmarks, *scene.objects]
         self._silt = self._lifted = None
         if any(item.silted for item in things):
             silt_rng = np.random.default_rng([scene.seed, 13])
-            self._silt = smooth_noise(silt_rng, shape, cells(scene.floor.silt_m))
+            self._silt = smooth_noise(silt_rng, shape, grid.cells(floor.silt_m))
         if any(item.lean_deg for item in things):
             self._lifted = np.zeros(shape, dtype=np.float32)
         for number, item in enumerate(things):
-            self._draw(item, number, level, owner, height, relief)
+            self._draw(item, number, layers)
         self._rise: tuple[np.ndarray, np.ndarray] | None = None  # where squares rise, x and y
-        self._relieve(level, height, relief, owner)
+        self._relieve(layers)
+        height = layers.height
         self._height = height.ravel() if isinstance(grid, SquareGrid) and height.any() else None
         shadow = self._shadow(height if self._lifted is None else height + self._lifted)
-        amplitude = np.power(np.float32(10), level / 20)
-        amplitude[shadow] *= 10 ** (scene.noise.shadow_db / 20)
-        amplitude[grid.floorless] = 0
-        # Blurred, so that edges are no sharper than the grid of scatterers.
-        amplitude = cv2.blur(amplitude, (3, 1) if isinstance(grid, PolarGrid) else (3, 3))
-        self._amplitude = amplitude.ravel()
+        self._amplitude = self._amplitudes(layers.level, shadow).ravel()
 
-        self._cells = np.flatnonzero((owner >= 0) & ~shadow)
-        self._owner = owner.ravel()[self._cells]
+        self._cells = np.flatnonzero((layers.owner >= 0) & ~shadow)
+        self._owner = layers.owner.ravel()[self._cells]
         self._plain = self._amplitude[self._cells]
         self._mix = np.stack(
             [
-                smooth_noise(rng, shape, cells(scene.fading.patch_m)).ravel()[self._cells]
+                smooth_noise(rng, shape, grid.cells(scene.fading.patch_m)).ravel()[self._cells]
                 for _ in range(self.PATCHES)
             ],
             axis=1,
         ) / np.float32(math.sqrt(self.PATCHES))
-        self._glow = np.zeros(owner.size, dtype=np.float32)
-
-        self._scatter = rng.standard_normal((owner.size, 2), dtype=np.float32)
+        size = layers.owner.size
+        self._glow = np.zeros(size, dtype=np.float32)
+        self._scatter = rng.standard_normal((size, 2), dtype=np.float32)
         self._scatter *= np.float32(math.sqrt(0.5))
-        # How fast each scatterer's phase turns with time, sway right, sway forward and heave. The
-        # mean of exp(i phase) is the correlation of the speckle: exp(-time) with Cauchy rates,
-        # exp(-distance^2 / 2) with Gaussian ones.
-        self._turn = rng.standard_normal((4, owner.size), dtype=np.float32)
-        with np.errstate(divide="ignore"):  # division by 0 gives a huge rate, clipped below
-            self._turn[0] /= rng.standard_normal(owner.size, dtype=np.float32)
-        np.clip(self._turn, -100, 100, out=self._turn)
+        self._turn = _phase_rates(size, rng)
 
-    def _draw(
-        self,
-        item: PlacedLandmark | PlacedObject,
-        number: int,
-        level: np.ndarray,
-        owner: np.ndarray,
-        height: np.ndarray,
-        relief: np.ndarray,
-    ) -> None:
-        """Draw one thing into the layers (grid.shape): level (dB), owner, height and relief (m)."""
+    def _amplitudes(self, level: np.ndarray, shadow: np.ndarray) -> np.ndarray:
+        """The amplitude of every cell. level: dB. shadow: the cells in shadow."""
+        amplitude = np.power(np.float32(10), level / 20)
+        amplitude[shadow] *= 10 ** (self._scene.noise.shadow_db / 20)
+        amplitude[self._grid.floorless] = 0
+        # Blurred, so that edges are no sharper than the grid of scatterers.
+        kernel = (3, 1) if isinstance(self._grid, PolarGrid) else (3, 3)
+        return np.asarray(cv2.blur(amplitude, kernel))
+
+    def _draw(self, item: PlacedLandmark | PlacedObject, number: int, layers: _Layers) -> None:
+        """Draw one thing into the layers."""
         scene, grid = self._scene, self._grid
         x0, y0 = place_of(item)
         if isinstance(item, PlacedLandmark):
@@ -131,7 +137,14 @@ class World:
         line = (dx * x0 + dy * y0) / (np.maximum(np.hypot(dx, dy), 1e-6) * item.ground_m)
         facing = scene.fading.specular_db * (np.abs(line) - 0.5)
         place = Place(u, v, np.hypot(u, v), line, facing, radius)
-        canvas = Canvas(place, number, level[box], owner[box], height[box], relief[box])
+        canvas = Canvas(
+            place,
+            number,
+            layers.level[box],
+            layers.owner[box],
+            layers.height[box],
+            layers.relief[box],
+        )
         draw_thing(item, scene, canvas)
         mine = canvas.owner == number
         if raised is not None and self._lifted is not None:
@@ -142,20 +155,19 @@ class World:
             canvas.level += silt * (canvas.texture - canvas.level)
             canvas.owner[silt > 0.5] = -1
 
-    def _relieve(
-        self, level: np.ndarray, height: np.ndarray, relief: np.ndarray, owner: np.ndarray
-    ) -> None:
+    def _relieve(self, layers: _Layers) -> None:
         """Add bumps and ripples, and brighten or darken slopes as they face the sonar or not.
 
         Then add twigs, and patches of light and shade.
         """
         floor, grid, cells = self._scene.floor, self._grid, self._grid.cells
+        level, height, relief = layers.level, layers.height, layers.relief
         if relief.any():
             rng = np.random.default_rng([self._scene.seed, 6])
             noise = smooth_noise(rng, relief.shape, cells(floor.relief_size_m))
             height += relief * np.where(relief < 0, -np.abs(noise), noise)
         if floor.ripple_height_m:
-            height += ripples(self._scene, grid, owner < 0)
+            height += ripples(self._scene, grid, layers.owner < 0)
         if relief.any() or floor.ripple_height_m:
             if isinstance(grid, PolarGrid):
                 ground = grid.ground_m
@@ -266,6 +278,18 @@ class World:
         slope = self._rise[0].take(cell) * np.sin(azimuth)
         slope += self._rise[1].take(cell) * np.cos(azimuth)
         return np.asarray(shaded * _lit(np.arctan(np.float32(pose.height_m) / near), slope))
+
+
+def _phase_rates(scatterers: int, rng: np.random.Generator) -> np.ndarray:
+    """(4, scatterers) how fast phases turn with time, sway right, sway forward and heave.
+
+    The mean of exp(i phase) is the correlation of the speckle: exp(-time) with Cauchy rates,
+    exp(-distance^2 / 2) with Gaussian ones.
+    """
+    rate = rng.standard_normal((4, scatterers), dtype=np.float32)
+    with np.errstate(divide="ignore"):  # division by 0 gives a huge rate, clipped below
+        rate[0] /= rng.standard_normal(scatterers, dtype=np.float32)
+    return np.clip(rate, -100, 100, out=rate)
 
 
 def _hidden(below_m: np.ndarray, ground_m: np.ndarray) -> np.ndarray:
