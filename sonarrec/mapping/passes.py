@@ -100,34 +100,15 @@ def read_declared(
     Raises SonarrecError if the table cannot be read, or if a declared estimate has no place or no
     track.
     """
-    parts, strays = [np.empty((0, 10))], 0
+    parts: list[FloatArray] = [np.empty((0, 10))]
+    strays = 0
     for first, table in estimate_tables(path, landmarks, ROWS):
         declared = np.asarray(table["method"] == method) & table["declared"]
         listed = np.isin(table["frame"], frame)
         strays += int(np.count_nonzero(declared & ~listed))
         chosen = np.flatnonzero(declared & listed)
-        blank = np.full(len(table["frame"]), np.nan)
-
-        def column(name: str, table: Table = table, blank: FloatArray = blank) -> FloatArray:
-            return np.asarray(table.get(name, blank), dtype=float)
-
-        _, _, range_m, bearing_deg = positions(table, fan)
-        track = np.asarray(table.get("object", np.full(len(blank), -1)), dtype=float)
-        rows = np.column_stack(
-            [
-                table["frame"],
-                table["landmark"],
-                track,
-                table["score"],
-                range_m,
-                bearing_deg,
-                column("orientation_deg"),
-                column("range_sigma_m"),
-                column("bearing_sigma_deg"),
-                column("orientation_sigma_deg"),
-            ]
-        )[chosen]
-        if (rows[:, 2] < 0).any():  # two landmarks of one ID could not be told apart
+        rows = _columns(table, fan)[chosen]
+        if (rows[:, 2] < 0).any():  # two landmarks of one ID could not be kept apart
             raise SonarrecError(
                 f"{path}: a track needs object; not every declared row of {method} has it"
             )
@@ -139,16 +120,81 @@ def read_declared(
             )
         parts.append(rows)
     rows = np.concatenate(parts)
-    whole = rows[:, :3].astype(np.int64)
+    number, landmark, track = rows[:, :3].astype(np.int64).T
     return DeclaredEstimates(
-        row=np.searchsorted(frame, whole[:, 0]),
-        landmark=whole[:, 1],
-        track=whole[:, 2],
+        row=np.searchsorted(frame, number),
+        landmark=landmark,
+        track=track,
         score=rows[:, 3],
         polar=rows[:, 4:7],
         sigma=np.where(rows[:, 7:] > 0, rows[:, 7:], UNSTATED),
         strays=strays,
     )
+
+
+def _columns(table: Table, fan: Fan) -> FloatArray:
+    """(rows, 10) of a table of estimates; NaN for what it does not state, track -1.
+
+    The columns are frame, landmark, track, score, then slant range, bearing and orientation, then
+    the standard errors of these three.
+    """
+    blank = np.full(len(table["frame"]), np.nan)
+    _, _, range_m, bearing_deg = positions(table, fan)
+    return np.column_stack(
+        [
+            table["frame"],
+            table["landmark"],
+            np.asarray(table.get("object", np.full(len(blank), -1)), dtype=float),
+            table["score"],
+            range_m,
+            bearing_deg,
+            *(
+                np.asarray(table.get(name, blank), dtype=float)
+                for name in (
+                    "orientation_deg",
+                    "range_sigma_m",
+                    "bearing_sigma_deg",
+                    "orientation_sigma_deg",
+                )
+            ),
+        ]
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Runs:
+    """The estimates of n passes, one pass after the other.
+
+    order: (m,) indices of the estimates. begin: (n,) where each pass begins in `order`.
+    """
+
+    order: IntArray
+    begin: IntArray
+
+    @property
+    def length(self) -> IntArray:
+        """(n,) number of estimates in each pass."""
+        return np.diff(np.append(self.begin, len(self.order)))
+
+    def sum(self, values: np.ndarray) -> np.ndarray:
+        """(n, ...) sums over each pass of (m, ...) values."""
+        return self.reduced(np.add, values)
+
+    def reduced(self, operation: np.ufunc, values: np.ndarray) -> np.ndarray:
+        """(n, ...) an operation such as np.minimum over each pass of (m, ...) values."""
+        if not len(self.begin):  # NumPy refuses
+            return values[:0]
+        return np.asarray(operation.reduceat(values, self.begin, axis=0))
+
+    def by(self, key: IntArray) -> _Runs:
+        """The passes sorted by (n,) key; those of equal key stay in order."""
+        if not len(self.begin):
+            return self
+        rank = np.argsort(key, kind="stable")
+        length = self.length[rank]
+        begin = np.cumsum(length) - length
+        moved = np.arange(len(self.order)) - np.repeat(begin - self.begin[rank], length)
+        return _Runs(self.order[moved], begin)
 
 
 def find_passes(
@@ -168,28 +214,17 @@ def find_passes(
     same = (np.diff(estimates.landmark[order]) == 0) & (np.diff(estimates.track[order]) == 0)
     cut[1:] = ~same | (np.diff(number[order]) > PASS_GAP)
     begin = np.flatnonzero(cut)
-    if not len(begin):
-        return _passes(estimates, path, landmarks, fan, order, begin)
-    # In order of first frames.
-    by_time = np.argsort(estimates.row[order[begin]], kind="stable")
-    length = np.diff(np.append(begin, len(order)))[by_time]
-    start = np.cumsum(length) - length
-    moved = np.arange(len(order)) - np.repeat(start, length) + np.repeat(begin[by_time], length)
-    return _passes(estimates, path, landmarks, fan, order[moved], start)
+    runs = _Runs(order, begin).by(estimates.row[order[begin]])
+    return _placed(estimates, path, landmarks, fan, runs)
 
 
-def _passes(
-    estimates: DeclaredEstimates,
-    path: SonarPath,
-    landmarks: LandmarkSet,
-    fan: Fan,
-    order: IntArray,
-    begin: IntArray,
+def _placed(
+    estimates: DeclaredEstimates, path: SonarPath, landmarks: LandmarkSet, fan: Fan, runs: _Runs
 ) -> Passes:
-    """Place the passes. order, begin: as in Passes."""
+    """The passes on the floor: weighted means of their estimates, with covariances."""
+    order, begin, length = runs.order, runs.begin, runs.length
     row, slant = estimates.row[order], estimates.polar[order, 0]
     ground = ground_range(fan, slant)
-    length = np.diff(np.append(begin, len(order)))
     yaw, x, y = path.pose[row].T
     sight = np.radians(yaw + estimates.polar[order, 1])
     along = np.column_stack([np.sin(sight), np.cos(sight)])
@@ -204,75 +239,70 @@ def _passes(
         axis=-1,
     )
     weight = 1 / (errors**2).sum(axis=(1, 2))
-    weight /= np.repeat(_sum(weight, begin), length)
-    mean = _sum(weight[:, None] * place, begin)
-    common = _sum(weight[:, None, None] * errors, begin)
-    own = _sum(weight[:, None, None] ** 2 * (errors @ errors.transpose(0, 2, 1)), begin)
-    together = np.minimum(SAME_FRAMES, length)[:, None, None]
-    covariance = (
-        COMMON_SHARE * common @ common.transpose(0, 2, 1)
-        + (1 - COMMON_SHARE) * together * own
-        + LEAST_PLACE_M**2 * np.eye(2)
-    )
-    turn, turn_sigma = _turns(estimates, landmarks, order, begin, yaw)
+    weight /= np.repeat(runs.sum(weight), length)
+    turn, turn_sigma = _turns(estimates, landmarks, runs, yaw)
     return Passes(
         landmark=estimates.landmark[order][begin],
         track=estimates.track[order][begin],
         frames=length,
-        score=_sum(estimates.score[order], begin) / length,
+        score=runs.sum(estimates.score[order]) / length,
         first=row[begin],
         last=row[begin + length - 1],
         middle=row[begin + length // 2],
-        place=mean,
-        covariance=covariance,
-        lean=_sum(weight[:, None] * along * (-floor_depth(fan) / ground)[:, None], begin),
+        place=runs.sum(weight[:, None] * place),
+        covariance=_covariance(runs, weight, errors),
+        lean=runs.sum(weight[:, None] * along * (-floor_depth(fan) / ground)[:, None]),
         turn_deg=turn,
         turn_sigma_deg=turn_sigma,
-        near_m=np.minimum.reduceat(ground, begin) if len(begin) else ground,
-        far_m=np.maximum.reduceat(ground, begin) if len(begin) else ground,
+        near_m=runs.reduced(np.minimum, ground),
+        far_m=runs.reduced(np.maximum, ground),
         order=order,
         begin=begin,
     )
 
 
+def _covariance(runs: _Runs, weight: FloatArray, errors: FloatArray) -> FloatArray:
+    """(n, 2, 2) covariance of the weighted mean place of each pass, m^2.
+
+    weight: (m,). errors: (m, 2, 2) of each estimate; columns are one standard error along and
+    across the line of sight.
+    """
+    common = runs.sum(weight[:, None, None] * errors)
+    own = runs.sum(weight[:, None, None] ** 2 * (errors @ errors.transpose(0, 2, 1)))
+    together = np.minimum(SAME_FRAMES, runs.length)[:, None, None]
+    return np.asarray(
+        COMMON_SHARE * common @ common.transpose(0, 2, 1)
+        + (1 - COMMON_SHARE) * together * own
+        + LEAST_PLACE_M**2 * np.eye(2)
+    )
+
+
 def _turns(
-    estimates: DeclaredEstimates,
-    landmarks: LandmarkSet,
-    order: IntArray,
-    begin: IntArray,
-    yaw_deg: FloatArray,
+    estimates: DeclaredEstimates, landmarks: LandmarkSet, runs: _Runs, yaw_deg: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """(n,) mean orientation on the floor, and its standard error, deg; NaN if not known.
 
-    If a symbol looks the same after a turn of less than 360 deg, the mean lies within that turn.
+    yaw_deg: (m,) of the sonar. If a symbol looks the same after a turn of less than 360 deg, the
+    mean lies within that turn.
     """
-    length = np.diff(np.append(begin, len(order)))
-    fold = 360 / periods_of(landmarks, estimates.landmark[order])
-    angle = np.exp(1j * np.radians((estimates.polar[order, 2] - yaw_deg) * fold))
-    sigma = estimates.sigma[order, 2]
+    fold = 360 / periods_of(landmarks, estimates.landmark[runs.order])
+    angle = np.exp(1j * np.radians((estimates.polar[runs.order, 2] - yaw_deg) * fold))
+    sigma = estimates.sigma[runs.order, 2]
     known = np.isfinite(angle)
     weight = np.where(known, 1 / sigma**2, 0.0)
-    total = np.maximum(_sum(weight, begin), 1e-12)
-    mean = _sum(weight * np.where(known, angle, 0), begin)
-    fold = fold[begin] if len(begin) else fold
-    together = np.minimum(SAME_FRAMES, length)
+    total = np.maximum(runs.sum(weight), 1e-12)
+    mean = runs.sum(weight * np.where(known, angle, 0))
+    together = np.minimum(SAME_FRAMES, runs.length)
     variance = (
-        COMMON_SHARE * (_sum(weight * sigma, begin) / total) ** 2
+        COMMON_SHARE * (runs.sum(weight * sigma) / total) ** 2
         + (1 - COMMON_SHARE) * together / total
         + LEAST_TURN_DEG**2
     )
     is_known = np.abs(mean) > 0
-    turn = np.where(is_known, (np.degrees(np.angle(mean)) % 360) / fold, np.nan)
+    turn = np.where(is_known, (np.degrees(np.angle(mean)) % 360) / fold[runs.begin], np.nan)
     return turn, np.where(is_known, np.sqrt(variance), np.nan)
 
 
 def periods_of(landmarks: LandmarkSet, ids: IntArray) -> FloatArray:
     """(n,) `LandmarkSet.periods_deg` of these IDs (n,)."""
     return np.asarray(landmarks.periods_deg()[landmarks.indices(ids)])
-
-
-def _sum(values: np.ndarray, begin: IntArray) -> np.ndarray:
-    """(n, ...) sums over runs of the first axis. begin: (n,) index at which each run begins."""
-    if not len(begin):
-        return values[:0]
-    return np.asarray(np.add.reduceat(values, begin, axis=0))
