@@ -80,7 +80,8 @@ def map_(
       sonarrec map day1/dive day2/dive -o site
       sonarrec map sonarrec_out/dive --drift 0.1,5 --origin 54.3233,10.1394,87
     """
-    from sonarrec.mapping.build import make_map
+    from sonarrec.mapping.build import MapOptions, make_map
+    from sonarrec.mapping.path import Drift
     from sonarrec.mapping.tables import lines
     from sonarrec.mapping.write import write_all
 
@@ -90,16 +91,15 @@ def map_(
             raise UsageError("several RESULTS need --out, the folder of their map")
         out = folders[0] / "map"
     on_earth = None if origin is None else _origin(origin)
-    drifts = None if drift is None else _drift(drift)
-    site = make_map(
-        folders,
+    options = MapOptions(
         odometry=odometry,
-        drift=drifts,
+        drift=Drift() if drift is None else _drift(drift),
         method=method,
         landmarks=landmarks,
         sonar=sonar,
         least_frames=min_frames,
     )
+    site = make_map(folders, options)
     write_all(out, site, on_earth)
     tell(site.problems, site.notes)
     if not quiet:

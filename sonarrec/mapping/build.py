@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -70,29 +70,33 @@ class _ReadLog:
     problems: list[str]
 
 
-def make_map(
-    results: Sequence[Path],
-    *,
-    odometry: Sequence[Path] = (),
-    drift: Drift | None = None,
-    method: str | None = None,
-    landmarks: str | None = None,
-    sonar: Sonar | None = None,
-    least_frames: int = 3,
-) -> SiteMap:
+@dataclass(frozen=True, slots=True)
+class MapOptions:
+    """How results are read and what goes into a map.
+
+    odometry: tables of poses, see `poses_of_run`. drift: of these poses. method: of estimates.csv;
+    None: `framework` or the only one. landmarks, sonar: replace what run.toml says. least_frames:
+    landmarks declared in fewer frames, over all passes, are left out.
+    """
+
+    odometry: Sequence[Path] = ()
+    drift: Drift = field(default_factory=Drift)
+    method: str | None = None
+    landmarks: str | None = None
+    sonar: Sonar | None = None
+    least_frames: int = 3
+
+
+def make_map(results: Sequence[Path], options: MapOptions | None = None) -> SiteMap:
     """The map of the landmarks that a method declared.
 
-    results: folders of the results of single logs, or folders that hold such folders. odometry:
-    tables of poses, see `poses_of_run`. drift: of these poses; None: they are exact. method: of
-    estimates.csv; None: `framework` or the only one. landmarks, sonar: replace what run.toml says.
-    least_frames: landmarks declared in fewer frames, over all passes, are left out. If a recording
-    has several results, the first count. Raises SonarrecError if none of the logs can be used, or
-    if they have no common axes.
+    results: folders of the results of single logs, or folders that hold such folders. If a
+    recording has several results, the first count. Raises SonarrecError if none of the logs can be
+    used, or if they have no common axes.
     """
+    options = options or MapOptions()
     folders = list(dict.fromkeys(log for folder in results for log in find_logs(folder)))
-    logs_read, landmark_set, problems = _read_logs(
-        folders, odometry, drift or Drift(), method, landmarks, sonar
-    )
+    logs_read, landmark_set, problems = _read_logs(folders, options)
     once = counted_once(
         [read.folder for read in logs_read],
         [read.recording for read in logs_read],
@@ -101,39 +105,32 @@ def make_map(
     )
     counted = [logs_read[i] for i in once.kept]
     logs = [read.log for read in counted]
-    problems += [line for read in counted for line in read.problems] + once.unused
-    notes = [line for read in counted for line in read.notes] + once.notes
-    if len(logs) > 1 and not all(log.path.from_poses for log in logs):
-        alone = ", ".join(log.name for log in logs if not log.path.from_poses)
+    alone = [log.name for log in logs if not log.path.from_poses]
+    if alone and len(logs) > 1:
         raise UsageError(
-            f"without poses each log has a frame of its own ({alone}): give poses with "
+            f"without poses each log has a frame of its own ({', '.join(alone)}): give poses with "
             "--odometry, or map the logs one by one"
         )
     joined = join([log.on_floor for log in logs], landmark_set)
     seen_enough = [
         landmark
         for landmark in joined
-        if sum(int(logs[g].on_floor.passes.frames[k]) for g, k in landmark.members) >= least_frames
+        if sum(int(logs[g].on_floor.passes.frames[k]) for g, k in landmark.members)
+        >= options.least_frames
     ]
-    ros_axes = all(log.ros_axes for log in logs)
     return SiteMap(
-        landmark_set,
-        seen_enough,
-        len(joined) - len(seen_enough),
-        logs,
-        problems,
-        notes,
-        ros_axes,
+        landmark_set=landmark_set,
+        landmarks=seen_enough,
+        left_out=len(joined) - len(seen_enough),
+        logs=logs,
+        problems=[*problems, *(line for read in counted for line in read.problems), *once.unused],
+        notes=[*(line for read in counted for line in read.notes), *once.notes],
+        ros_axes=all(log.ros_axes for log in logs),
     )
 
 
 def _read_logs(
-    folders: Sequence[Path],
-    odometry: Sequence[Path],
-    drift: Drift,
-    method: str | None,
-    landmarks: str | None,
-    sonar: Sonar | None,
+    folders: Sequence[Path], options: MapOptions
 ) -> tuple[list[_ReadLog], LandmarkSet, list[str]]:
     """(the logs that can be mapped, their landmark set, a line for each log that cannot).
 
@@ -145,15 +142,14 @@ def _read_logs(
     for folder in folders:
         try:
             run = read_run(folder / "run.toml")
-            own_set = run.landmark_set(landmarks)
+            own_set = run.landmark_set(options.landmarks)
             landmark_set = landmark_set or own_set
             if own_set.as_table() != landmark_set.as_table():
                 raise SonarrecError(
                     f"{folder}: landmark set {own_set.name!r}, not {landmark_set.name!r} as the "
                     "others"
                 )
-            poses = poses_of_run(folder, run, odometry)
-            logs_read.append(_read_log(folder, run, poses, drift, own_set, method, sonar))
+            logs_read.append(_read_log(folder, run, own_set, options))
         except SonarrecError as error:
             if len(folders) == 1:
                 raise
@@ -163,22 +159,15 @@ def _read_logs(
     return logs_read, landmark_set, problems
 
 
-def _read_log(
-    folder: Path,
-    run: RunFile,
-    poses: PoseTable | None,
-    drift: Drift,
-    landmarks: LandmarkSet,
-    method: str | None,
-    sonar: Sonar | None,
-) -> _ReadLog:
+def _read_log(folder: Path, run: RunFile, landmarks: LandmarkSet, options: MapOptions) -> _ReadLog:
     """Read one log: its path and its passes. Raises SonarrecError if it cannot be mapped."""
-    path, notes = _path(folder, poses, drift)
-    fan = run.fan(sonar)
+    poses = poses_of_run(folder, run, options.odometry)
+    path, notes = _path(folder, poses, options.drift)
+    fan = run.fan(options.sonar)
     if fan is None:
         raise SonarrecError(f"{folder}: no geometry in run.toml; give it with --sonar or its flags")
     table = estimates_of(folder)
-    method = choose_method(table, method)
+    method = choose_method(table, options.method)
     check_follows(method)
     declared = read_declared(table, method, landmarks, fan, path.frame)
     passes = find_passes(declared, path, landmarks, fan)

@@ -28,7 +28,7 @@ from sonarrec.cli import main
 from sonarrec.config import preset
 from sonarrec.drawing.pen import landmark_colours
 from sonarrec.landmarks import load_landmarks
-from sonarrec.mapping.build import make_map
+from sonarrec.mapping.build import MapOptions, make_map
 from sonarrec.mapping.factors import Factors, Graph, write_g2o
 from sonarrec.mapping.path import COMMON_LENGTH, Drift, SonarPath, measured_path, path_from_poses
 from sonarrec.mapping.tables import CHI2_95, GeographicOrigin, ellipse, rings_at_180
@@ -934,7 +934,7 @@ def test_one_log_that_cannot_be_mapped_costs_itself_only(tmp_path: Path) -> None
     with pytest.raises(SonarrecError, match="neither poses"):
         make_map([bad])
     with pytest.raises(UsageError, match="there are none"):
-        make_map([bad], drift=Drift(1, 1))
+        make_map([bad], MapOptions(drift=Drift(1, 1)))
     assert make_map([good]).problems == []
 
 

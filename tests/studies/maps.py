@@ -25,7 +25,7 @@ import gtsam
 import numpy as np
 from tqdm import tqdm
 
-from sonarrec.mapping.build import SiteMap, make_map
+from sonarrec.mapping.build import MapOptions, SiteMap, make_map
 from sonarrec.mapping.factors import Graph, factors, graph_of
 from sonarrec.mapping.path import Drift
 from sonarrec.mapping.tables import CHI2_95
@@ -281,7 +281,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         maps.append(placed(run, make_map([asked.out / f"exact_{seed}"])))
         alone.append(placed(run, make_map([asked.out / f"none_{seed}"])))
         folder = asked.out / f"drift_{seed}"
-        errors.append(path_error(run, make_map([folder], drift=DRIFT), folder / "map"))
+        errors.append(path_error(run, make_map([folder], MapOptions(drift=DRIFT)), folder / "map"))
     print(f"{len(asked.seeds)} runs: seeds {asked.seeds.start} to {asked.seeds.stop - 1}")
     show_maps(pooled(maps))
     _show(
